@@ -1,0 +1,1 @@
+"""Networks, baselines and training on Flatlight data sets (extra ``learn``)."""

@@ -1,0 +1,1 @@
+"""Mask designs and PSF stacks."""

@@ -1,0 +1,1 @@
+"""From light at the mask to digital numbers: convolution, shutter, sensor."""

@@ -1,0 +1,1 @@
+"""Data sets on disk: samples, manifest, jobs, reading and verification."""

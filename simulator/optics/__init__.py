@@ -1,0 +1,1 @@
+"""Wave optics: masks, propagation, point spread functions."""

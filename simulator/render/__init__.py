@@ -1,0 +1,1 @@
+"""Rendering of RGB and depth with Mitsuba 3."""

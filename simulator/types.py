@@ -1,0 +1,140 @@
+"""The words that all rooms share: clips of scene light, their sources, the camera's geometry, spectral responses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import InputError
+
+
+@dataclass(frozen=True)
+class View:
+    """The pinhole view that a scene is drawn for: one scene pixel is one sensor pixel at every depth.
+
+    Pixel ``j`` of ``W`` looks along ``tan(theta) = x_j / distance_m`` with ``x_j = (j - (W - 1) / 2) * pixel_pitch_m``.
+    World axes: x right, y down, z into the scene, origin at the mask centre.
+
+    Attributes:
+        shape: rows and columns of the scene image.
+        pixel_pitch_m: the sensor's binned pixel pitch, metres.
+        distance_m: mask to sensor, metres.
+        near_m: nearest depth (z from the mask plane) that the scene may use, metres.
+        far_m: farthest depth, metres; may be ``inf``.
+    """
+
+    shape: tuple[int, int]
+    pixel_pitch_m: float
+    distance_m: float
+    near_m: float
+    far_m: float
+
+    @property
+    def tan_half_width(self) -> float:
+        """Tangent of the angle from the axis to the middle of the image's left or right edge."""
+        return 0.5 * self.shape[1] * self.pixel_pitch_m / self.distance_m
+
+    @property
+    def tan_half_height(self) -> float:
+        """Tangent of the angle from the axis to the middle of the image's upper or lower edge."""
+        return 0.5 * self.shape[0] * self.pixel_pitch_m / self.distance_m
+
+
+@dataclass(frozen=True)
+class Clip:
+    """What a scene sends to the camera: ``T`` frames of linear light with depth; a still is a clip of one frame.
+
+    Attributes:
+        rgb: linear radiance, float32 ``(T, H, W, 3)``, finite and not negative.
+        depth_m: z from the mask plane, float32 metres ``(T, H, W)``, positive; pixels without a surface hold the far depth.
+        valid: bool ``(T, H, W)``, false where no surface was seen.
+        frame_edges_s: float64 seconds ``(T + 1,)``, strictly increasing: frame ``t`` lasts from edge ``t`` to ``t + 1``.
+        label: the class name of an action, or None.
+        source: where the clip came from, JSON-serialisable; it is stored with the sample.
+
+    Raises:
+        InputError: when shapes, types or values break these rules.
+    """
+
+    rgb: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    valid: NDArray[np.bool_]
+    frame_edges_s: NDArray[np.float64]
+    label: str | None = None
+    source: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.rgb.ndim != 4 or self.rgb.shape[-1] != 3 or self.rgb.dtype != np.float32:
+            msg = f"Clip.rgb must be float32 (T, H, W, 3), got {self.rgb.dtype} {self.rgb.shape}"
+            raise InputError(msg)
+        frames_shape = self.rgb.shape[:3]
+        if self.depth_m.shape != frames_shape or self.depth_m.dtype != np.float32:
+            msg = f"Clip.depth_m must be float32 {frames_shape} like rgb, got {self.depth_m.dtype} {self.depth_m.shape}"
+            raise InputError(msg)
+        if self.valid.shape != frames_shape or self.valid.dtype != np.bool_:
+            msg = f"Clip.valid must be bool {frames_shape} like rgb, got {self.valid.dtype} {self.valid.shape}"
+            raise InputError(msg)
+        edges = self.frame_edges_s
+        if edges.shape != (frames_shape[0] + 1,) or not np.all(np.diff(edges) > 0):
+            msg = f"Clip.frame_edges_s must hold {frames_shape[0] + 1} strictly increasing seconds, got {edges!r}"
+            raise InputError(msg)
+        if not np.all(np.isfinite(self.rgb)) or self.rgb.min() < 0:
+            msg = "Clip.rgb must be finite and not negative: linear radiance has no NaN, inf or negative values"
+            raise InputError(msg)
+        if not np.all(self.depth_m > 0):  # also catches NaN
+            msg = f"Clip.depth_m must be positive metres from the mask plane, got a minimum of {self.depth_m.min()}"
+            raise InputError(msg)
+
+
+@runtime_checkable
+class SceneSource(Protocol):
+    """Anything that yields clips: a rendered family, an imported data set, the user's own class.
+
+    The same index and a generator in the same state give the same clip, in any process and order.
+    """
+
+    @property
+    def inputs(self) -> Sequence[Path]:
+        """Files whose contents decide what ``clip`` returns; they are hashed into the data set's fingerprint."""
+        ...
+
+    def clip(self, index: int, rng: np.random.Generator) -> Clip:
+        """Return the clip of this sample index."""
+        ...
+
+
+@dataclass(frozen=True)
+class SpectralResponse:
+    """Relative photon weights of the camera's channels under one light.
+
+    Attributes:
+        wavelengths_m: ``(N,)`` metres, increasing and evenly spaced.
+        weights: ``(C, N)``, not negative: illuminant x quantum efficiency x colour filter x wavelength.
+        channels: one name per row of ``weights``, for example ``("R", "G", "B")``.
+        label: where the curves come from; ``nominal`` in it marks stand-ins.
+    """
+
+    wavelengths_m: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    channels: tuple[str, ...]
+    label: str
+
+
+@dataclass(frozen=True)
+class CameraGeometry:
+    """What the optics need to know of a camera.
+
+    Attributes:
+        mask_to_sensor_m: distance from the mask's modulating surface to the sensor, metres.
+        pixel_pitch_m: binned pixel pitch, metres.
+        response: relative photon weights per channel.
+    """
+
+    mask_to_sensor_m: float
+    pixel_pitch_m: float
+    response: SpectralResponse
