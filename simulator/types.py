@@ -51,9 +51,9 @@ class Clip:
 
     Attributes:
         rgb: linear radiance, float32 ``(T, H, W, 3)``, finite and not negative.
-        depth_m: z from the mask plane, float32 metres ``(T, H, W)``, positive; pixels without a surface hold the far depth.
+        depth_m: z from the mask plane, float32 metres ``(T, H, W)``, positive; where ``valid`` is false, the far depth.
         valid: bool ``(T, H, W)``, false where no surface was seen.
-        frame_edges_s: float64 seconds ``(T + 1,)``, strictly increasing: frame ``t`` lasts from edge ``t`` to ``t + 1``.
+        frame_edges_s: float64 seconds ``(T + 1,)``, increasing: frame ``t`` lasts from edge ``t`` to ``t + 1``.
         label: the class name of an action, or None.
         source: where the clip came from, JSON-serialisable; it is stored with the sample.
 
