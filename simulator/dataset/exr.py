@@ -1,0 +1,262 @@
+"""The one writer and the one reader of OpenEXR files, with a guard for every way they were seen to go wrong.
+
+Files are single-part, scanline, ZIP, float32. Exact metadata and a CRC-32 of every channel lie in one JSON attribute,
+because float attributes have 32 bits only and ZIP stores what it cannot shrink without any checksum.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.dataset.files import StorageError, write_atomic
+from simulator.dataset.quiet import quiet
+from simulator.errors import InputError
+
+ATTRIBUTE = "flatlight"
+"""Name of the string attribute that carries metadata and checksums."""
+MAX_VALUES = 2**28
+"""Rows x columns x channels that are decoded at most by default: 1 GiB of float32."""
+_MAX_NAME_BYTES = 255  # of the format
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a file says of itself before any pixel is decoded.
+
+    Attributes:
+        shape: rows and columns.
+        channels: channel names in the file's (alphabetical) order.
+        metadata: the writer's metadata; empty for files of other programs.
+        checksums: CRC-32 per channel, or None for files of other programs.
+    """
+
+    shape: tuple[int, int]
+    channels: tuple[str, ...]
+    metadata: dict[str, Any]
+    checksums: dict[str, int] | None
+
+
+def write_exr(path: Path | str, channels: Mapping[str, NDArray[np.float32]], metadata: Mapping[str, Any]) -> bytes:
+    """Write channels of one size to an OpenEXR file that appears whole or not at all, and prove that it reads back.
+
+    Args:
+        path: the final name; its folder must exist. An existing file is replaced.
+        channels: float32 arrays ``(rows, columns)`` by channel name, finite, any memory layout; not changed.
+        metadata: JSON-serialisable; comes back exactly from ``read_exr``; not changed.
+
+    Returns:
+        The bytes of the file, for hashing.
+
+    Raises:
+        InputError: a channel or the metadata cannot be stored exactly.
+        StorageError: the folder cannot be written to, or the disk is full.
+    """
+    path = Path(path)
+    clean = _checked_channels(path, channels)
+    data = _encode(clean, _attribute(path, clean, metadata))
+    decoded, _ = decode_exr(data, path, max_pixels=sum(values.size for values in clean.values()))
+    for name, values in clean.items():
+        if decoded[name].tobytes() != values.tobytes():
+            msg = f"OpenEXR changed channel {name!r} of {path} while encoding it: this OpenEXR package cannot be used"
+            raise RuntimeError(msg)
+
+    def check(written: Path) -> None:
+        if written.read_bytes() != data:
+            msg = f"cannot write {path}: the disk gave back other bytes than it was given. Check the disk."
+            raise StorageError(msg)
+
+    write_atomic(path, data, check)
+    return data
+
+
+def read_exr(
+    path: Path | str, *, max_pixels: int = MAX_VALUES, require_checksums: bool = False
+) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+    """Read every channel of a single-part OpenEXR file; half floats of other programs become float32 exactly.
+
+    Args:
+        path: the file.
+        max_pixels: largest rows x columns x channels that may be decoded: a tiny file can claim terabytes.
+        require_checksums: refuse files that ``write_exr`` did not write.
+
+    Returns:
+        Writable arrays ``(rows, columns)`` by channel name, and the metadata.
+
+    Raises:
+        InputError: missing, truncated, corrupt, too big, not OpenEXR, not single-part, or with NaN or inf.
+    """
+    return decode_exr(_bytes_of(Path(path)), Path(path), max_pixels=max_pixels, require_checksums=require_checksums)
+
+
+def read_header(path: Path | str) -> Header:
+    """Read size, channel names and metadata of an OpenEXR file, and no pixel.
+
+    Raises:
+        InputError: missing, not OpenEXR, not single-part, or a corrupt header.
+    """
+    return _header(_bytes_of(Path(path)), Path(path))
+
+
+def decode_exr(
+    data: bytes, path: Path, *, max_pixels: int = MAX_VALUES, require_checksums: bool = False
+) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+    """Do what ``read_exr`` does on a file's bytes that were read already; ``path`` only names it in errors."""
+    import OpenEXR
+
+    header = _header(data, path)
+    rows, columns = header.shape
+    values = rows * columns * len(header.channels)
+    if values > max_pixels:
+        msg = (
+            f"{path} claims {rows} x {columns} pixels x {len(header.channels)} channels = {values} values, more than "
+            f"the limit of {max_pixels}; if that is right, raise max_pixels"
+        )
+        raise InputError(msg)
+    if require_checksums and header.checksums is None:
+        msg = f"{path} has no {ATTRIBUTE!r} attribute: it was not written by flatlight, or its header is damaged"
+        raise InputError(msg)
+    with quiet():
+        try:
+            parts = OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=0).parts
+            found = dict(parts[0].channels) if len(parts) == 1 else {}
+        except Exception as error:
+            raise InputError(_damaged(path, str(error))) from error
+    if sorted(found) != sorted(header.channels):  # OpenEXR drops what it cannot decode, without raising
+        raise InputError(_damaged(path, f"channels {list(header.channels)} announced, {list(found)} readable"))
+    result = {name: _decoded_channel(path, header, name, channel.pixels) for name, channel in found.items()}
+    return result, header.metadata
+
+
+def _checked_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
+    if not channels:
+        msg = f"cannot write {path}: no channels given"
+        raise InputError(msg)
+    clean: dict[str, NDArray[np.float32]] = {}
+    shape: tuple[int, ...] | None = None
+    for name, values in channels.items():
+        if not isinstance(name, str) or not name or "\0" in name or len(name.encode()) > _MAX_NAME_BYTES:
+            msg = f"cannot write {path}: channel name must be text of 1 to {_MAX_NAME_BYTES} bytes, got {name!r}"
+            raise InputError(msg)
+        if not isinstance(values, np.ndarray) or values.dtype != np.float32:
+            kind = values.dtype if isinstance(values, np.ndarray) else type(values).__name__
+            msg = f"cannot write {path}: channel {name!r} must be a float32 array, got {kind}; convert it knowingly"
+            raise InputError(msg)
+        if values.ndim != 2 or values.size == 0:
+            msg = f"cannot write {path}: channel {name!r} must be (rows, columns) and not empty, got {values.shape}"
+            raise InputError(msg)
+        if shape is not None and values.shape != shape:
+            msg = f"cannot write {path}: channel {name!r} is {values.shape}, the others {shape}; one file has one size"
+            raise InputError(msg)
+        if not np.isfinite(values).all():
+            msg = f"cannot write {path}: channel {name!r} holds NaN or inf; store a validity channel and finite values"
+            raise InputError(msg)
+        shape = values.shape
+        clean[name] = np.ascontiguousarray(values, dtype="<f4")  # other layouts are written WRONG, silently
+    return clean
+
+
+def _attribute(path: Path, channels: Mapping[str, NDArray[np.float32]], metadata: Mapping[str, Any]) -> str:
+    try:
+        text = json.dumps(dict(metadata), sort_keys=True, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        msg = f"cannot write {path}: metadata must be plain JSON (text, numbers, lists, dicts; no NaN): {error}"
+        raise InputError(msg) from error
+    if json.loads(text) != dict(metadata):
+        msg = f"cannot write {path}: metadata would not come back as given; use lists for tuples and text for keys"
+        raise InputError(msg)
+    checksums = {name: zlib.crc32(values.data) for name, values in channels.items()}
+    content = {"crc32": checksums, "metadata": text, "metadata_crc32": zlib.crc32(text.encode())}
+    return json.dumps(content, sort_keys=True)
+
+
+def _encode(channels: Mapping[str, NDArray[np.float32]], attribute: str) -> bytes:
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, ATTRIBUTE: attribute}
+    stream = io.BytesIO()
+    OpenEXR.File(header, dict(channels), num_threads=0).write(stream)  # both dicts are ours: it changes them
+    return stream.getvalue()
+
+
+def _bytes_of(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        msg = f"cannot read {path}: {error.strerror or error}"
+        raise InputError(msg) from error
+
+
+def _header(data: bytes, path: Path) -> Header:
+    import OpenEXR
+
+    if data[:4] != b"\x76\x2f\x31\x01":
+        msg = f"{path} is not an OpenEXR file ({len(data)} bytes, wrong first bytes)"
+        raise InputError(msg)
+    with quiet():
+        try:
+            parts = OpenEXR.File(io.BytesIO(data), separate_channels=True, header_only=True, num_threads=0).parts
+            headers = [dict(part.header) for part in parts]
+            sizes = [_size_and_names(header) for header in headers]
+        except Exception as error:
+            raise InputError(_damaged(path, str(error))) from error
+    if len(headers) != 1:
+        msg = f"{path} has {len(headers)} parts; only single-part files are read"
+        raise InputError(msg)
+    header = headers[0]
+    if header.get("type", OpenEXR.scanlineimage) not in (OpenEXR.scanlineimage, OpenEXR.tiledimage):
+        msg = f"{path} is of type {header['type']}; only flat scanline or tiled images are read"
+        raise InputError(msg)
+    shape, names = sizes[0]
+    metadata, checksums = _parsed_attribute(path, header.get(ATTRIBUTE), names)
+    return Header(shape, names, metadata, checksums)
+
+
+def _size_and_names(header: dict[str, Any]) -> tuple[tuple[int, int], tuple[str, ...]]:
+    (left, top), (right, bottom) = ((int(x), int(y)) for x, y in header["dataWindow"])
+    return (bottom - top + 1, right - left + 1), tuple(channel.name for channel in header["channels"])
+
+
+def _parsed_attribute(
+    path: Path, attribute: object, names: tuple[str, ...]
+) -> tuple[dict[str, Any], dict[str, int] | None]:
+    if attribute is None:
+        return {}, None
+    try:
+        content = json.loads(attribute if isinstance(attribute, str) else "")
+        text, checksums = content["metadata"], content["crc32"]
+        if zlib.crc32(text.encode()) != content["metadata_crc32"]:
+            raise InputError(_damaged(path, "the metadata do not match their checksum"))
+        metadata = json.loads(text)
+    except (KeyError, TypeError, AttributeError, json.JSONDecodeError, RecursionError) as error:
+        raise InputError(_damaged(path, f"unreadable {ATTRIBUTE!r} attribute")) from error
+    if set(checksums) != set(names):
+        raise InputError(_damaged(path, f"channels {list(names)} in the header, {sorted(checksums)} written"))
+    return metadata, checksums
+
+
+def _decoded_channel(path: Path, header: Header, name: str, pixels: NDArray[Any]) -> NDArray[np.float32]:
+    if pixels.dtype not in (np.float32, np.float16):
+        msg = f"{path}: channel {name!r} holds {pixels.dtype}; only float32 and float16 are read"
+        raise InputError(msg)
+    if pixels.shape != header.shape:
+        raise InputError(_damaged(path, f"channel {name!r} is {pixels.shape}, the header says {header.shape}"))
+    values = np.ascontiguousarray(pixels, dtype=np.float32)
+    if header.checksums is not None and zlib.crc32(values.data) != header.checksums[name]:
+        raise InputError(_damaged(path, f"channel {name!r} does not match its checksum"))
+    if not np.isfinite(values).all():
+        msg = f"{path}: channel {name!r} holds NaN or inf"
+        raise InputError(msg)
+    return values
+
+
+def _damaged(path: Path, detail: str) -> str:
+    return f"{path} is truncated or corrupt ({detail}); make it again or restore it from a copy"

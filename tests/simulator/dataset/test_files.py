@@ -1,0 +1,161 @@
+"""Atomic writing: nothing half-written, nothing lost, and clear words when the disk refuses."""
+
+import errno
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from simulator.dataset import files
+from simulator.dataset.files import (
+    StorageError,
+    committed_folder,
+    leftovers,
+    remove_leftovers,
+    sha256_bytes,
+    sha256_file,
+    write_atomic,
+)
+from simulator.errors import InputError
+
+SHA256_ABC = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"  # FIPS 180-4, example B.1
+
+
+def refuse_writes(monkeypatch: pytest.MonkeyPatch, number: int, after: int = 0) -> None:
+    """Make ``os.write`` take ``after`` bytes in all and then fail with this errno, as a full disk does."""
+    left = after
+    real = os.write
+
+    def write(descriptor: int, data) -> int:
+        nonlocal left
+        if left <= 0:
+            raise OSError(number, os.strerror(number))
+        taken = real(descriptor, bytes(data)[: min(left, 3)])
+        left -= taken
+        return taken
+
+    monkeypatch.setattr(files.os, "write", write)
+
+
+def test_write_atomic_replaces_and_respects_the_umask(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(b"old")
+    mask = os.umask(0o027)
+    try:
+        write_atomic(path, b"new")
+    finally:
+        os.umask(mask)
+    assert path.read_bytes() == b"new"
+    assert path.stat().st_mode & 0o777 == 0o640
+    assert [entry.name for entry in tmp_path.iterdir()] == ["x"]
+
+
+def test_short_writes_of_the_system_are_continued(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    refuse_writes(monkeypatch, errno.ENOSPC, after=10)
+    write_atomic(tmp_path / "x", b"0123456789")
+    assert (tmp_path / "x").read_bytes() == b"0123456789"
+
+
+@pytest.mark.parametrize(
+    ("number", "words"), [(errno.ENOSPC, "full"), (errno.EDQUOT, "quota"), (errno.EFBIG, "bigger"), (errno.EIO, "disk")]
+)
+def test_full_disk_keeps_the_old_file_and_says_how_to_resume(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, words: str
+) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(b"old")
+    refuse_writes(monkeypatch, number, after=5)
+    with pytest.raises(StorageError, match=f"{words}.*Nothing already written is lost.*again to resume") as caught:
+        write_atomic(path, b"0123456789")
+    assert str(path) in str(caught.value)
+    assert path.read_bytes() == b"old"
+    assert list(leftovers(tmp_path)) == []
+
+
+def test_a_real_size_limit_of_the_system_is_met_in_words(tmp_path: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from simulator.dataset.files import write_atomic, StorageError\n"
+        "try: write_atomic(Path(sys.argv[1]), b'x' * 100_000)\n"
+        "except StorageError as error: print(error)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "big")],
+        capture_output=True,
+        text=True,
+        check=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000)),
+    )
+    assert "bigger than allowed" in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_refused_check_leaves_nothing(tmp_path: Path) -> None:
+    def check(path: Path) -> None:
+        assert path.read_bytes() == b"data"  # the check sees the whole file, under a temporary name
+        assert path.name != "x"
+        raise InputError("no")
+
+    with pytest.raises(InputError, match="no"):
+        write_atomic(tmp_path / "x", b"data", check)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_missing_folder_and_file_in_the_way(tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="does not exist"):
+        write_atomic(tmp_path / "no" / "x", b"")
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(StorageError, match="file, not a folder"), committed_folder(tmp_path / "file" / "s1"):
+        pass
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_protected_folder(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(StorageError, match="permission"):
+        write_atomic(tmp_path / "x", b"")
+
+
+def test_permission_refusals_are_met_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    refuse_writes(monkeypatch, errno.EACCES)
+    with pytest.raises(StorageError, match="no permission to write"):
+        write_atomic(tmp_path / "x", b"data")
+
+
+def test_committed_folder_appears_at_once_and_replaces(tmp_path: Path) -> None:
+    folder = tmp_path / "a" / "s1"
+    for content in (b"first", b"second"):
+        with committed_folder(folder) as temporary:
+            (temporary / "f").write_bytes(content)
+            assert not folder.exists() or (folder / "f").read_bytes() == b"first"
+        assert (folder / "f").read_bytes() == content
+    assert [entry.name for entry in folder.parent.iterdir()] == ["s1"]
+
+
+def test_committed_folder_is_dropped_when_the_block_raises(tmp_path: Path) -> None:
+    def interrupted() -> None:
+        with committed_folder(tmp_path / "s1") as temporary:
+            (temporary / "f").write_bytes(b"half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_leftovers_of_a_killed_writer_are_found_and_removed(tmp_path: Path) -> None:
+    (tmp_path / "train" / ".tmp-s1-ab" / "inner").mkdir(parents=True)
+    (tmp_path / "train" / "s2").mkdir()
+    (tmp_path / ".tmp-x-cd").write_bytes(b"")
+    assert {path.name for path in leftovers(tmp_path)} == {".tmp-s1-ab", ".tmp-x-cd"}
+    assert remove_leftovers(tmp_path) == 2
+    assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")) == ["train", "train/s2"]
+
+
+def test_sha256_of_a_published_example(tmp_path: Path) -> None:
+    (tmp_path / "abc").write_bytes(b"abc")
+    assert sha256_file(tmp_path / "abc") == sha256_bytes(b"abc") == SHA256_ABC
+    with pytest.raises(InputError, match=r"cannot read .*gone"):
+        sha256_file(tmp_path / "gone")
