@@ -1,0 +1,51 @@
+"""The sRGB curve against colour-science, its own inverse and the standard's fixed points."""
+
+import colour
+import numpy as np
+import pytest
+
+from simulator.colour import decode_srgb_picture, linear_to_srgb, srgb_to_linear
+from simulator.errors import InputError
+
+# Rounding to float32 once: half a unit in the last place at 1.0.
+ONE_ROUNDING = 2**-24
+
+
+def test_removing_the_gamma_agrees_with_colour_science():
+    encoded = np.linspace(0, 1, 10_001)
+    np.testing.assert_allclose(srgb_to_linear(encoded), colour.models.eotf_sRGB(encoded), rtol=0, atol=ONE_ROUNDING)
+
+
+def test_applying_the_gamma_agrees_with_colour_science():
+    linear = np.geomspace(1e-6, 1, 10_001)
+    expected = colour.models.eotf_inverse_sRGB(linear)
+    np.testing.assert_allclose(linear_to_srgb(linear), expected, rtol=0, atol=ONE_ROUNDING)
+
+
+def test_one_undoes_the_other_for_every_8_bit_code():
+    codes = np.arange(256)
+    there = srgb_to_linear(codes / 255.0)
+    assert there.dtype == np.float32
+    assert np.array_equal(np.round(linear_to_srgb(there) * 255), codes)
+
+
+def test_values_outside_continue_the_curve():
+    assert srgb_to_linear(np.array([-0.1]))[0] == pytest.approx(-0.1 / 12.92)
+    assert linear_to_srgb(np.array([4.0]))[0] == pytest.approx(1.055 * 4 ** (1 / 2.4) - 0.055)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("size", [5, 100_000])
+def test_pictures_are_decoded_alike_by_table_and_by_formula(dtype, size):
+    rng = np.random.default_rng(0)
+    full_scale = np.iinfo(dtype).max
+    picture = rng.integers(0, full_scale, size, dtype=dtype, endpoint=True)
+    expected = colour.models.eotf_sRGB(picture / full_scale)
+    np.testing.assert_allclose(decode_srgb_picture(picture), expected, rtol=0, atol=ONE_ROUNDING)
+
+
+def test_integers_are_refused_where_their_full_scale_is_unknown():
+    with pytest.raises(InputError, match="uint8: divide by the full scale"):
+        srgb_to_linear(np.zeros(3, np.uint8))
+    with pytest.raises(InputError, match="uint8 or uint16"):
+        decode_srgb_picture(np.zeros(3, np.int32))

@@ -1,0 +1,82 @@
+"""Pictures come back bit by bit; whatever would lose bits is refused by name."""
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from simulator.errors import InputError
+from simulator.pictures import MAX_PIXELS, picture_shape, read_picture
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(3)
+
+
+def test_8_bit_colour_is_exact_and_alpha_is_ignored(tmp_path, rng):
+    rgba = rng.integers(0, 255, (5, 7, 4), dtype=np.uint8, endpoint=True)
+    Image.fromarray(rgba).save(tmp_path / "a.png")
+    assert np.array_equal(read_picture(tmp_path / "a.png"), rgba[..., :3])
+    assert picture_shape(tmp_path / "a.png") == (5, 7)
+
+
+def test_lossless_webp_is_exact(tmp_path, rng):
+    rgb = rng.integers(0, 255, (5, 7, 3), dtype=np.uint8, endpoint=True)
+    Image.fromarray(rgb).save(tmp_path / "a.webp", lossless=True)
+    assert np.array_equal(read_picture(tmp_path / "a.webp"), rgb)
+
+
+def test_palette_becomes_its_colours(tmp_path):
+    image = Image.fromarray(np.array([[0, 1], [1, 0]], np.uint8), "L").convert("P")
+    image.putpalette([10, 20, 30, 200, 100, 50])
+    image.save(tmp_path / "a.png")
+    assert read_picture(tmp_path / "a.png").tolist() == [[[10, 20, 30], [200, 100, 50]], [[200, 100, 50], [10, 20, 30]]]
+
+
+def test_16_bit_grey_keeps_all_bits(tmp_path, rng):
+    grey = rng.integers(0, 65535, (6, 4), dtype=np.uint16, endpoint=True)
+    cv2.imwrite(str(tmp_path / "a.png"), grey)  # an independent writer
+    found = read_picture(tmp_path / "a.png")
+    assert found.dtype == np.uint16
+    assert np.array_equal(found, grey)
+
+
+def test_16_bit_colour_is_refused_rather_than_halved(tmp_path, rng):
+    cv2.imwrite(str(tmp_path / "deep.png"), rng.integers(0, 65535, (6, 4, 3), dtype=np.uint16))
+    with pytest.raises(InputError, match=r"deep\.png is a 16 bit colour PNG.*TIFF"):
+        read_picture(tmp_path / "deep.png")
+
+
+def test_unknown_pixel_kinds_are_refused(tmp_path):
+    Image.new("CMYK", (3, 3)).save(tmp_path / "print.jpg")
+    with pytest.raises(InputError, match=r"print\.jpg has pixels of kind 'CMYK'"):
+        read_picture(tmp_path / "print.jpg")
+
+
+def test_broken_files_are_named(tmp_path, rng):
+    path = tmp_path / "a.png"
+    with pytest.raises(InputError, match=r"a\.png cannot be read: No such file"):
+        read_picture(path)
+    path.write_bytes(b"no picture")
+    with pytest.raises(InputError, match=r"a\.png is not a picture"):
+        read_picture(path)
+    Image.fromarray(rng.integers(0, 255, (50, 70, 3), dtype=np.uint8)).save(path)
+    path.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(InputError, match=r"a\.png is damaged or cut short"):
+        read_picture(path)
+
+
+@pytest.mark.parametrize("side", [60_000, 2_000_000_000])
+def test_a_tiny_file_that_claims_a_huge_picture_is_refused(tmp_path, side):
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)
+    content = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+    (tmp_path / "bomb.png").write_bytes(content)
+    with pytest.raises(InputError, match=rf"bomb\.png claims .*{MAX_PIXELS} are read"):
+        read_picture(tmp_path / "bomb.png")
