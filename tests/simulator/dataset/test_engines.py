@@ -1,0 +1,202 @@
+"""Engines: every task gets exactly one outcome, whatever dies; nothing keeps running afterwards."""
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from simulator.dataset.engines import EngineError, Outcome, WorkerError, _cgroup_quota, available_cpus, run
+from simulator.errors import InputError
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture
+def tasks(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    monkeypatch.syspath_prepend(str(HERE))  # workers inherit the path and so find the module by its name
+    import engine_tasks  # type: ignore[import-not-found]
+
+    yield engine_tasks
+    sys.modules.pop("engine_tasks")
+
+
+def by_task(outcomes: Iterator[Outcome]) -> dict:
+    listed = list(outcomes)
+    result = {outcome.task: outcome for outcome in listed}
+    assert len(result) == len(listed), "a task was reported twice"
+    return result
+
+
+@pytest.mark.parametrize("engine", ["inline", "local"])
+def test_every_task_once_and_errors_stay_with_their_task(engine: str, tasks: ModuleType) -> None:
+    found = by_task(run(engine, tasks.fail, range(6), workers=2))
+    assert {task: outcome.value for task, outcome in found.items()} == {0: 0, 1: None, 2: None, 3: None, 4: 4, 5: 5}
+    assert "one over nothing" in str(found[1].error)
+    assert isinstance(found[1].error, WorkerError if engine == "local" else ZeroDivisionError)
+    assert 'raise ZeroDivisionError("one over nothing")' in found[1].traceback  # the line of the worker's own code
+    assert type(found[2].error) is InputError
+    assert str(found[2].error) == "camera.exposure must be positive"
+    assert isinstance(found[3].error, InputError)
+    assert str(found[3].error) == "two arguments"
+    assert found[4].error is None
+    assert found[4].traceback == ""
+    assert {outcome.attempts for outcome in found.values()} == {1}
+
+
+def test_workers_start_once_with_one_thread_and_are_recycled(
+    tasks: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "5")
+    outcomes = run(
+        "local", tasks.started, range(12), workers=1, initializer=tasks.initialize, initargs=("yes",), max_tasks=4
+    )
+    found = by_task(outcomes)
+    assert {outcome.value[0] for outcome in found.values()} == {"yes"}
+    assert len({outcome.value[1] for outcome in found.values()}) == 3  # 12 tasks, 4 per worker
+    assert os.getpid() not in {outcome.value[1] for outcome in found.values()}
+    assert {outcome.value for outcome in run("local", tasks.threads, range(2), workers=1)} == {"1,1,1"}
+    assert os.environ["OMP_NUM_THREADS"] == "5"  # ours is as it was
+
+
+def test_killed_workers_cost_only_their_own_task_a_second_try(tasks: ModuleType, tmp_path: Path) -> None:
+    found = by_task(run("local", tasks.die_once, [(number, str(tmp_path)) for number in range(12)], workers=2))
+    assert {task[0]: outcome.value for task, outcome in found.items()} == {number: number for number in range(12)}
+    assert all(outcome.attempts >= 2 for task, outcome in found.items() if task[0] % 3 == 0)
+
+
+def test_a_task_that_always_kills_its_worker_is_given_up(tasks: ModuleType) -> None:
+    found = by_task(run("local", tasks.die_always, range(8), workers=2))
+    assert {task for task, outcome in found.items() if outcome.error is None} == set(range(8)) - {3}
+    assert isinstance(found[3].error, WorkerError)
+    assert "died 3 times, at last by SIGKILL" in str(found[3].error)
+    assert found[3].attempts == 3
+
+
+def test_hard_exits_are_named(tasks: ModuleType) -> None:
+    (outcome,) = run("local", tasks.exit_hard, [0], workers=1)
+    assert "exit code 7" in str(outcome.error)
+
+
+def test_failing_initializers_end_the_run(tasks: ModuleType) -> None:
+    for engine in ("inline", "local"):
+        with pytest.raises(InputError, match="no such mask"):
+            list(run(engine, tasks.square, range(9), workers=2, initializer=tasks.initializer_of_user_mistake))
+    with pytest.raises(EngineError, match=r"(?s)cannot start: KeyError: 'lost'.*initializer_that_breaks"):
+        list(run("local", tasks.square, range(9), workers=2, initializer=tasks.initializer_that_breaks))
+
+
+def test_workers_that_die_while_starting_end_the_run(tasks: ModuleType) -> None:
+    with pytest.raises(EngineError, match="died 3 times before they finished any task"):
+        list(run("local", tasks.square, range(9), workers=2, initializer=tasks.initializer_that_dies))
+
+
+def test_timeout_stops_one_task_only(tasks: ModuleType) -> None:
+    found = by_task(run("local", tasks.sleep, [30.0, 0.0, 0.01, 0.02], workers=2, timeout_s=1.0))
+    assert "not finished after 1.0 s" in str(found[30.0].error)
+    assert [found[task].error for task in (0.0, 0.01, 0.02)] == [None] * 3
+
+
+def test_results_and_functions_that_cannot_travel(tasks: ModuleType) -> None:
+    found = by_task(run("local", tasks.unpicklable, range(3), workers=1))
+    assert "pickle" in str(found[1].error)
+    assert (found[0].value, found[2].value) == (0, 2)
+    generators = [(number for number in range(1)) for _ in range(2)]
+    for outcome in run("local", tasks.square, generators, workers=1):
+        assert "cannot be sent to a worker process" in str(outcome.error)
+    with pytest.raises(InputError, match="importable by name"):
+        run("local", lambda task: task, range(3))
+
+
+def test_endless_tasks_are_taken_a_few_at_a_time_and_leaving_stops_the_workers(tasks: ModuleType) -> None:
+    taken = itertools.count()
+    with closing(run("local", tasks.started, (next(taken) for _ in itertools.count()), workers=2)) as outcomes:
+        pids = {next(outcomes).value[1] for _ in range(10)}
+    assert next(taken) <= 10 + 2 * 2
+    assert not [pid for pid in pids if alive(pid)]
+
+
+@pytest.mark.parametrize(("engine", "workers", "words"), [("ray", 1, "inline, local"), ("local", 0, "at least 1")])
+def test_bad_arguments(engine: str, workers: int, words: str, tasks: ModuleType) -> None:
+    with pytest.raises(InputError, match=words):
+        run(engine, tasks.square, range(3), workers=workers)
+
+
+def test_available_cpus_and_quotas(tmp_path: Path) -> None:
+    assert 1 <= available_cpus() <= len(os.sched_getaffinity(0))
+    assert _cgroup_quota(tmp_path) is None
+    (tmp_path / "cpu").mkdir()
+    (tmp_path / "cpu/cpu.cfs_period_us").write_text("100000\n")
+    (tmp_path / "cpu/cpu.cfs_quota_us").write_text("-1\n")
+    assert _cgroup_quota(tmp_path) is None
+    (tmp_path / "cpu/cpu.cfs_quota_us").write_text("250000\n")
+    assert _cgroup_quota(tmp_path) == 2.5
+    (tmp_path / "cpu.max").write_text("max 100000\n")
+    assert _cgroup_quota(tmp_path) is None
+    (tmp_path / "cpu.max").write_text("150000 100000\n")
+    assert _cgroup_quota(tmp_path) == 1.5
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+
+
+PARENT = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import engine_tasks
+from simulator.dataset.engines import run
+if __name__ == "__main__":
+    try:
+        for outcome in run("local", engine_tasks.sleep_and_tell, [(60.0, sys.argv[2])] * 4, workers=2):
+            print(outcome)
+    except KeyboardInterrupt:
+        print("interrupted")
+        sys.exit(130)
+"""
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)])
+def test_no_worker_outlives_its_parent(number: signal.Signals, status: int, tmp_path: Path) -> None:
+    (tmp_path / "parent.py").write_text(PARENT)
+    told = tmp_path / "told"
+    told.mkdir()
+    parent = subprocess.Popen(
+        [sys.executable, str(tmp_path / "parent.py"), str(HERE), str(told)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        deadline = time.monotonic() + 60
+        while len(list(told.iterdir())) < 2:
+            assert time.monotonic() < deadline, "the workers did not start"
+            time.sleep(0.05)
+        pids = [int(path.name) for path in told.iterdir()]
+        if number == signal.SIGINT:
+            os.killpg(parent.pid, number)  # the terminal sends it to the whole group
+        else:
+            parent.send_signal(number)
+        output, errors = parent.communicate(timeout=30)
+    finally:
+        parent.kill()
+    assert parent.returncode == status
+    assert "Traceback" not in errors
+    if number == signal.SIGINT:
+        assert output == "interrupted\n"
+    deadline = time.monotonic() + 10
+    while any(alive(pid) for pid in pids):
+        assert time.monotonic() < deadline, "workers are still running"
+        time.sleep(0.05)
