@@ -1,0 +1,249 @@
+"""Resolves the names of mask designs, scene families, imported sources and commands.
+
+A name is a module of a package that an entry point names (one new file is one new design), ``./file.py:name`` or
+``package.module:name``. Nothing is imported before it is used; a plugin's signature is the schema of its parameters.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, PydanticUserError, ValidationError, create_model
+
+from simulator.errors import InputError
+from simulator.plugin_files import describe_failure, import_file, modules_defining
+from simulator.validation import Problem, find_problems, nearest, validate
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint  # imported on use: it would take a tenth of the start
+
+# What messages call each kind, its entry-point group, and the packages that need no entry point.
+_LABELS = {"mask": "mask design", "scene": "scene family", "source": "imported source"}
+_GROUPS = {"mask": "flatlight.masks", "scene": "flatlight.scenes", "source": "flatlight.sources"}
+_BUILT_IN = {"mask": (), "scene": (), "source": ("simulator.importers",)}
+_COMMANDS = "flatlight.commands"
+
+# Keys of the section beside the plugin's parameters, which a parameter therefore cannot be called.
+SECTION_KEYS = {"mask": ("design",), "scene": ("family", "source", "size"), "source": ("family", "source", "size")}
+_INJECTED = "backend"
+
+
+class ParameterError(InputError):
+    """A plugin's parameters are wrong.
+
+    Attributes:
+        problems: one per fault, with paths that start at the parameter's name.
+    """
+
+    def __init__(self, label: str, problems: list[Problem]) -> None:
+        self.problems = problems
+        super().__init__("\n".join(f"{label}: {problem}" for problem in problems))
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """A function with named parameters, found by its name.
+
+    Attributes:
+        kind: ``mask``, ``scene`` or ``source``.
+        name: as it was written.
+        function: what to call.
+        parameters: pydantic model of the keyword-only parameters.
+        takes_backend: whether the function wants ``backend``, which is injected and no parameter.
+        base_dir: folder from which relative paths are taken.
+        path: the source file of a ``./file.py:name``, else None.
+    """
+
+    kind: str
+    name: str
+    function: Callable[..., Any]
+    parameters: type[BaseModel]
+    takes_backend: bool
+    base_dir: Path
+    path: Path | None = None
+
+    def bind(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Return validated keyword arguments, defaults filled in, relative paths taken from ``base_dir``.
+
+        Args:
+            params: plain data, as in YAML.
+
+        Raises:
+            ParameterError: for unknown and missing parameters and for values of the wrong type or size.
+        """
+        values = dict(self._validated(params).__dict__)
+        return {name: _absolute(value, self.base_dir) for name, value in values.items()}
+
+    def fill(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the parameters as plain data, defaults filled in, paths as written.
+
+        Raises:
+            ParameterError: as :meth:`bind`.
+        """
+        return self._validated(params).model_dump(mode="json")
+
+    def _validated(self, params: Mapping[str, Any]) -> BaseModel:
+        try:
+            return validate(self.parameters, dict(params))
+        except ValidationError as error:
+            problems = find_problems(error, self.parameters, dict(params), also=SECTION_KEYS[self.kind])
+            label = f"{_LABELS[self.kind]} {self.name!r}"
+            raise ParameterError(label, problems) from error
+
+
+def resolve(kind: str, name: str, base_dir: Path | None = None) -> Plugin:
+    """Find a plugin by its name and import it.
+
+    Args:
+        kind: ``mask``, ``scene`` or ``source``.
+        name: a bare name, ``./file.py:name`` or ``package.module:name``.
+        base_dir: folder from which relative paths are taken; None is the current one.
+
+    Raises:
+        InputError: for an unknown name (with the nearest one), a name that two packages define, a broken file (with its
+            line) or a signature that cannot be checked.
+    """
+    base_dir = (base_dir or Path()).resolve()
+    place, separator, attribute = name.rpartition(":")
+    path: Path | None = None
+    if not separator:
+        place, attribute = _module_of(kind, name), name
+        module = _import_module(kind, name, place)
+    elif place.endswith(".py"):
+        path = base_dir / Path(place).expanduser()
+        module = import_file(path, f"{_LABELS[kind]} {name!r}")
+    else:
+        module = _import_module(kind, name, place)
+    function = getattr(module, attribute, None)
+    if not inspect.isroutine(function) and not inspect.isclass(function):
+        known = [key for key, value in vars(module).items() if inspect.isfunction(value) and not key.startswith("_")]
+        msg = f"{_LABELS[kind]} {name!r}: {place} defines no function {attribute!r}{nearest(attribute, known)}"
+        raise InputError(msg)
+    parameters, takes_backend = _model_of(kind, name, function)
+    return Plugin(kind, name, function, parameters, takes_backend, base_dir, path)
+
+
+def available(kind: str) -> list[str]:
+    """Return the sorted bare names of a kind, without importing their modules.
+
+    Args:
+        kind: ``mask``, ``scene`` or ``source``.
+    """
+    return sorted({name for package in _packages(kind) for name in modules_defining(package, kind)})
+
+
+def commands() -> dict[str, EntryPoint]:
+    """Return the commands that other rooms and packages add, by name; ``.load()`` imports one.
+
+    Raises:
+        InputError: when two packages add the same command.
+    """
+    found: dict[str, EntryPoint] = {}
+    for entry in _entry_points(_COMMANDS):
+        other = found.setdefault(entry.name, entry)
+        if other.value != entry.value:
+            msg = f"command {entry.name!r} is defined by both {other.value} and {entry.value}; uninstall one of them"
+            raise InputError(msg)
+    return found
+
+
+def _entry_points(group: str) -> list[EntryPoint]:
+    from importlib.metadata import entry_points
+
+    return sorted(entry_points(group=group), key=lambda entry: (entry.name, entry.value))
+
+
+def _packages(kind: str) -> list[str]:
+    return list(dict.fromkeys([*_BUILT_IN[kind], *(entry.value for entry in _entry_points(_GROUPS[kind]))]))
+
+
+def _module_of(kind: str, name: str) -> str:
+    """Return the one module that defines a bare name."""
+    found = [package for package in _packages(kind) if name in modules_defining(package, kind)]
+    if len(found) > 1:
+        places = " and ".join(f"{package}.{name}" for package in found)
+        msg = f"{_LABELS[kind]} {name!r} is defined by both {places}; write the one you mean as package.module:name"
+        raise InputError(msg)
+    if not found:
+        known = available(kind)
+        msg = (
+            f"unknown {_LABELS[kind]}, got {name!r}; expected one of {', '.join(known) or '(none is installed)'}, "
+            f"./file.py:name or package.module:name{nearest(name, known)}"
+        )
+        raise InputError(msg)
+    return f"{found[0]}.{name}"
+
+
+def _import_module(kind: str, name: str, module: str) -> Any:
+    label = f"{_LABELS[kind]} {name!r}"
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module}.".startswith(f"{error.name}."):
+            raise InputError(describe_failure(error, label)) from error
+        msg = f"{label}: no module {error.name!r} is installed; a file beside the YAML file is written ./file.py:name"
+        raise InputError(msg) from error
+    except (Exception, SystemExit) as error:
+        raise InputError(describe_failure(error, label)) from error
+
+
+def _model_of(kind: str, name: str, function: Callable[..., Any]) -> tuple[type[BaseModel], bool]:
+    """Turn the keyword-only parameters of a signature into a strict model."""
+    label = f"{_LABELS[kind]} {name!r}"
+    takes_backend = False
+    fields: dict[str, Any] = {}
+    try:
+        parameters = inspect.signature(function).parameters.values()
+        target = function.__init__ if inspect.isclass(function) else function
+        hints = get_type_hints(target, include_extras=True)
+    except (NameError, TypeError, ValueError, AttributeError) as error:
+        msg = f"{label}: its annotations cannot be read ({error}); import their names at the top of its module"
+        raise InputError(msg) from error
+    for parameter in parameters:
+        if parameter.name == _INJECTED:
+            takes_backend = True
+        elif parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
+            msg = f"{label}: its parameters cannot be checked because of '{parameter}'; name each one after a '*'"
+            raise InputError(msg)
+        elif parameter.kind is parameter.KEYWORD_ONLY:
+            if parameter.name.startswith("_"):
+                msg = f"{label}: the parameter {parameter.name!r} begins with an underscore, so no key can name it"
+                raise InputError(msg)
+            if parameter.name in SECTION_KEYS[kind]:
+                msg = f"{label}: the parameter {parameter.name!r} is a key of its section already; rename it"
+                raise InputError(msg)
+            if parameter.name not in hints:
+                msg = f"{label}: the parameter {parameter.name!r} has no type; annotate it, for example float"
+                raise InputError(msg)
+            default = ... if parameter.default is parameter.empty else parameter.default
+            fields[parameter.name] = (hints[parameter.name], default)
+    config = ConfigDict(
+        strict=True,
+        extra="forbid",
+        frozen=True,
+        validate_default=True,
+        protected_namespaces=(),
+        ser_json_inf_nan="constants",
+    )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # a parameter may be called like a method of BaseModel
+            return create_model(f"{name} parameters", __config__=config, **fields), takes_backend
+    except (PydanticUserError, NameError, TypeError) as error:
+        reason = str(error).splitlines()[0]
+        msg = f"{label}: its parameters cannot come from YAML ({reason}); use plain types such as float, str or Path"
+        raise InputError(msg) from error
+
+
+def _absolute(value: Any, base_dir: Path) -> Any:
+    if isinstance(value, Path):
+        return base_dir / value.expanduser()
+    if isinstance(value, list | tuple):
+        return type(value)(_absolute(item, base_dir) for item in value)
+    return value

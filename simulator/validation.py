@@ -1,0 +1,289 @@
+"""Strict validation of plain data (from YAML or JSON) by pydantic models, and one clear line for each fault.
+
+Both sim_config.yaml and the parameters of plugins go through here, so their messages have one form.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+
+from pydantic import BaseModel, Tag, ValidationError
+
+from simulator.errors import InputError
+
+KeyPath = tuple[str | int, ...]
+Model = TypeVar("Model", bound=BaseModel)
+
+_INFINITIES = {sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in ("inf", ".inf")}
+_EXPECTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "path_type": "a path",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "a mapping of keys to values",
+    "model_type": "a mapping of keys to values",
+    "model_attributes_type": "a mapping of keys to values",
+    "none_required": "null",
+}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One fault in the data.
+
+    Attributes:
+        path: where it is.
+        text: what came, what was expected, the cure.
+        on_key: whether the key itself is wrong, not its value.
+    """
+
+    path: KeyPath
+    text: str
+    on_key: bool = False
+
+    def __str__(self) -> str:
+        return f"{dotted(self.path)}: {self.text}" if self.path else self.text
+
+
+def dotted(path: KeyPath) -> str:
+    """Return a path as people write it.
+
+    Example:
+        >>> dotted(("psf", "depths_cm", 2))
+        'psf.depths_cm[2]'
+    """
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).removeprefix(".")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return ``"; did you mean 'x'?"`` for the known name that is most like this one, or nothing."""
+    matches = difflib.get_close_matches(name.lower(), list(known), n=1, cutoff=0.6)
+    return f"; did you mean {matches[0]!r}?" if matches else ""
+
+
+def show(value: Any) -> str:
+    """Return a value as it would stand in YAML, shortened."""
+    if isinstance(value, Mapping):
+        return f"a mapping ({', '.join(map(str, value)) or 'empty'})"[:80]
+    if value is None or isinstance(value, bool):
+        return {None: "nothing", True: "true", False: "false"}[value]
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def validate(model: type[Model], data: Any) -> Model:
+    """Validate plain data by a strict model; ``"inf"`` stands for infinity wherever a number is expected.
+
+    JSON has no infinity, so dumped data hold it as text.
+
+    Raises:
+        ValidationError: pydantic's, for :func:`find_problems`.
+        InputError: when the data hold objects that YAML and JSON do not know.
+    """
+    try:
+        return _validate(model, data)
+    except ValidationError as error:
+        changed = data
+        for item in error.errors(include_url=False):
+            value = item["input"]
+            if item["type"] == "float_type" and isinstance(value, str) and value in _INFINITIES:
+                changed = _replaced(changed, strip_tags(item["loc"], data), _INFINITIES[value])
+        if changed is data:
+            raise
+    return _validate(model, changed)
+
+
+def find_problems(error: ValidationError, model: type[BaseModel], data: Any, also: Iterable[str] = ()) -> list[Problem]:
+    """Describe what pydantic found.
+
+    Args:
+        error: from :func:`validate`.
+        model: the model that refused the data.
+        data: the plain data.
+        also: further keys that are known at the top level, though not to the model.
+
+    Returns:
+        One problem per place; the branches of a union are merged ("expected 'auto' or a number").
+    """
+    unknown: dict[KeyPath, Problem] = {}
+    missing: dict[KeyPath, Problem] = {}
+    values: dict[KeyPath, tuple[Any, list[str], str]] = {}
+    others: list[Problem] = []
+    for item in error.errors(include_url=False):
+        kind, loc, context = item["type"], item["loc"], item.get("ctx", {})
+        path = strip_tags(loc, data)
+        if kind == "extra_forbidden":
+            unknown[path] = Problem(path, _unknown_key(model, loc, item["input"], also), on_key=True)
+        elif kind == "missing" and isinstance(loc[-1], int):
+            got = show(_get(data, path[:-1]))
+            others.append(Problem(path[:-1], f"got {got}; expected at least {loc[-1] + 1} entries"))
+        elif kind == "missing":
+            missing[path] = Problem(path, f"missing{_description(model, loc)}")
+        elif kind in ("union_tag_invalid", "union_tag_not_found"):
+            others.append(_wrong_tag(path, item["input"], context, model, loc))
+        elif kind == "sense":
+            others.append(Problem((*path, *context["at"]), context["text"], context["on_key"]))
+        else:
+            expected, hint = _expected(kind, item["msg"], context, item["input"])
+            _, expectations, _ = values.setdefault(path, (item["input"], [], hint))
+            if expected not in expectations:
+                expectations.append(expected)
+    for path in list(missing):
+        siblings = _get(data, path[:-1])
+        for key in siblings if isinstance(siblings, Mapping) else ():
+            place = (*path[:-1], key)
+            hint = nearest(key, [str(path[-1])])
+            if hint and (place in unknown or not _knows(model, place)):  # a misspelt key is one fault, not two
+                unknown.setdefault(place, Problem(place, f"unknown key, got {show(siblings[key])}{hint}", on_key=True))
+                missing.pop(path, None)
+    texts = [
+        Problem(path, f"got {show(value)}; expected {' or '.join(expectations)}{hint}")
+        for path, (value, expectations, hint) in values.items()
+    ]
+    return [*unknown.values(), *missing.values(), *others, *texts]
+
+
+def strip_tags(loc: KeyPath, data: Any) -> KeyPath:
+    """Return pydantic's location without the names of union branches, which the data do not hold."""
+    path: list[str | int] = []
+    for position, step in enumerate(loc):
+        if _holds(data, step):
+            data = data[step]
+            path.append(step)
+        elif position == len(loc) - 1 and _could_hold(data, step):
+            path.append(step)
+    return tuple(path)
+
+
+def _holds(data: Any, step: str | int) -> bool:
+    return (isinstance(data, list) and isinstance(step, int) and step < len(data)) or (
+        isinstance(data, Mapping) and step in data
+    )
+
+
+def _could_hold(data: Any, step: str | int) -> bool:
+    """Whether an absent last step is a missing entry (and not the name of a union branch)."""
+    if isinstance(step, int):
+        return isinstance(data, list)
+    return isinstance(data, Mapping) and step.isidentifier() and data.get("type") != step
+
+
+def _validate(model: type[Model], data: Any) -> Model:
+    try:
+        text = json.dumps(data)
+    except (TypeError, ValueError) as error:
+        msg = f"the configuration must be plain data (mappings, lists, text, numbers, true, false, null): {error}"
+        raise InputError(msg) from error
+    # JSON mode keeps the types strict, but lets a list be a tuple and a text a path.
+    return model.model_validate_json(text, strict=True)
+
+
+def _expected(kind: str, message: str, context: dict[str, Any], value: Any) -> tuple[str, str]:
+    if kind == "range":
+        return context["expected"], context["hint"]
+    if kind == "literal_error":
+        names = re.findall(r"'([^']*)'", context["expected"])
+        hint = nearest(value, names) if isinstance(value, str) else ""
+        return (f"one of {', '.join(names)}" if len(names) > 1 else repr(names[0])) if names else message, hint
+    if kind in ("too_long", "too_short") and "actual_length" in context:
+        bound = ("at most", context["max_length"]) if kind == "too_long" else ("at least", context["min_length"])
+        return f"{bound[0]} {bound[1]} entries", f" (there are {context['actual_length']})"
+    return _EXPECTED.get(kind, message.removeprefix("Input should be ").removeprefix("Value error, ")), ""
+
+
+def _unknown_key(model: type[BaseModel], loc: KeyPath, value: Any, also: Iterable[str]) -> str:
+    key = str(loc[-1])
+    options, tag = _section(model, loc[:-1])
+    text = f"unknown key, got {show(value)}"
+    if tag not in options:
+        return text
+    for other, section in options.items():
+        if other != tag and key in section.model_fields:
+            return f"got {show(value)}; this key belongs to {other}, but this is {tag}: keep one of the two"
+    known = [*(also if len(loc) == 1 else ()), *options[tag].model_fields]
+    elsewhere = [place for place in _all_keys(model) if place.rpartition(".")[2] == key]
+    hint = f"; did you mean {' or '.join(elsewhere[:3])}?" if elsewhere else nearest(key, known)
+    return f"{text}; expected one of {', '.join(known)}{hint}"
+
+
+def _description(model: type[BaseModel], loc: KeyPath) -> str:
+    options, tag = _section(model, loc[:-1])
+    field = options[tag].model_fields.get(str(loc[-1])) if tag in options else None
+    return f"; expected {field.description}" if field is not None and field.description else ", and has no default"
+
+
+def _wrong_tag(path: KeyPath, value: Any, context: dict[str, Any], model: type[BaseModel], loc: KeyPath) -> Problem:
+    names = [str(tag) for tag in _section(model, loc)[0]]
+    choice = f"one of {', '.join(names)}"
+    key = context["discriminator"].strip("'")
+    if "tag" not in context:
+        return Problem(path, f"got {show(value)}; expected a mapping with the key '{key}', {choice}")
+    return Problem((*path, key), f"got {context['tag']!r}; expected {choice}{nearest(context['tag'], names)}")
+
+
+def _section(model: type[BaseModel], loc: KeyPath) -> tuple[dict[str | None, type[BaseModel]], str | None]:
+    """Return the models that may stand at a location, by union tag, and the tag that was chosen."""
+    options: dict[str | None, type[BaseModel]] = {None: model}
+    tag: str | None = None
+    for step in loc:
+        if len(options) > 1 and step in options:
+            tag = str(step)
+            continue
+        section = options.get(tag)
+        if section is None or step not in section.model_fields:
+            return {}, None
+        options = _members(section.model_fields[str(step)].annotation)
+        tag = next(iter(options), None) if len(options) == 1 else None
+    return options, tag
+
+
+def _members(annotation: Any) -> dict[str | None, type[BaseModel]]:
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        base, *metadata = get_args(annotation)
+        tags = [item.tag for item in metadata if isinstance(item, Tag)]
+        return {tags[0] if tags else tag: member for tag, member in _members(base).items()}
+    if origin in (Union, UnionType):
+        return {tag: member for part in get_args(annotation) for tag, member in _members(part).items()}
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        kind = annotation.model_fields.get("type")
+        return {kind.default if kind is not None else None: annotation}
+    return {}
+
+
+def _all_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
+    """Return every dotted key of a model, shallow ones first."""
+    keys = [prefix + name for name in model.model_fields]
+    for name, info in model.model_fields.items():
+        for member in _members(info.annotation).values():
+            keys += [key for key in _all_keys(member, f"{prefix}{name}.") if key not in keys]
+    return sorted(keys, key=lambda key: key.count("."))
+
+
+def _knows(model: type[BaseModel], path: KeyPath) -> bool:
+    options, tag = _section(model, path[:-1])
+    return tag not in options or str(path[-1]) in options[tag].model_fields
+
+
+def _get(data: Any, path: KeyPath) -> Any:
+    for step in path:
+        data = data[step]
+    return data
+
+
+def _replaced(data: Any, path: KeyPath, value: Any) -> Any:
+    """Return a copy of the data with one entry changed; what is not on the way is shared."""
+    if not path:
+        return value
+    copy = dict(data) if isinstance(data, Mapping) else list(data)
+    copy[path[0]] = _replaced(data[path[0]], path[1:], value)  # pyright: ignore[reportArgumentType, reportCallIssue]
+    return copy
