@@ -1,0 +1,119 @@
+"""The ``camera`` section: mask, sensor, light, shutter, exposure and noise."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from simulator.config.base import PluginSection, Range, Section, refusal
+
+Pixels = Annotated[int, Range(1, 32768, below="a picture has at least one pixel on each side")]
+Shape = tuple[Pixels, Pixels]
+
+
+class MaskConfig(PluginSection):
+    """The mask: the name of a design, and the design's parameters as further keys."""
+
+    design: str = Field(description="a design's name, ./file.py:name (beside the YAML file) or package.module:name")
+
+
+class SensorConfig(Section):
+    """The sensor. Keys left out take the model's values."""
+
+    model: str = Field(default="imx183", description="name of a sensor preset")
+    binning: Annotated[int, Range(1, 64, below="1 means that pixels are not binned")] = Field(
+        default=1, description="physical pixels per side that are read as one"
+    )
+    shape: Shape = Field(description="rows and columns of the picture, in binned pixels")
+    pixel_pitch_um: Annotated[float, Range(0.3, 100, "um")] | None = Field(
+        default=None, description="pitch of the physical (unbinned) pixels, micrometres"
+    )
+    full_well_e: Annotated[float, Range(50, 1e8, "e (electrons)")] | None = Field(
+        default=None, description="full well of a physical pixel, electrons"
+    )
+    read_noise_e: Annotated[float, Range(0, 1e4, "e (electrons)")] | None = Field(
+        default=None, description="standard deviation of the read noise, electrons"
+    )
+    dark_current_e_per_s: Annotated[float, Range(0, 1e6, "e/s (electrons per second)")] | None = Field(
+        default=None, description="dark current of a physical pixel, electrons per second"
+    )
+    prnu_percent: Annotated[float, Range(0, 50, "percent")] | None = Field(
+        default=None, description="photo-response non-uniformity, standard deviation in percent"
+    )
+    black_level_dn: Annotated[float, Range(0, 65535, "DN (digital numbers)")] | None = Field(
+        default=None, description="digital number of no light"
+    )
+    bit_depth: Annotated[int, Range(4, 24, "bits")] | None = Field(default=None, description="bits of the converter")
+    spectral_response: str | None = Field(default=None, description="name of a camera's spectral curves")
+
+
+class ShutterConfig(Section):
+    """The shutter: all rows are exposed at once."""
+
+    type: Literal["global"] = "global"
+    exposure_ms: Annotated[float, Range(1e-4, 1e5, "ms", below="without exposure time there is no light")] = Field(
+        default=10.0, description="exposure time, milliseconds"
+    )
+
+
+class ExposureConfig(Section):
+    """How irradiance becomes a share of full scale: one number for the whole data set."""
+
+    full_scale: Literal["auto"] | Annotated[float, Range(1e-15, 1e15)] = Field(
+        default="auto", description="irradiance that maps to full scale; auto finds it from 16 pilot samples"
+    )
+
+
+class NoNoise(Section):
+    """No noise."""
+
+    type: Literal["none"] = "none"
+
+
+class GaussianNoise(Section):
+    """Additive Gaussian noise, by standard deviation or to a measurement PSNR."""
+
+    type: Literal["gaussian"] = "gaussian"
+    psnr_db: Annotated[float, Range(0, 120, "dB")] | None = Field(
+        default=None, description="PSNR of the measurement against the noiseless one, dB"
+    )
+    std: Annotated[float, Range(1e-9, 1)] | None = Field(
+        default=None, description="standard deviation, share of full scale"
+    )
+    peak: Literal["sample", "full_scale"] = Field(
+        default="sample", description="what the PSNR's peak is: the sample's greatest noiseless value, or full scale"
+    )
+    clip: bool = Field(default=False, description="clip the measurement to 0..1")
+    quantise: bool = Field(default=False, description="round the measurement to the sensor's bits")
+
+    @model_validator(mode="after")
+    def _one_strength(self) -> Self:
+        if (self.psnr_db is None) == (self.std is None):
+            came = "neither" if self.std is None else "both"
+            text = f"needs exactly one of psnr_db and std, got {came}; they set the same strength"
+            raise refusal(text, *([] if self.std is None else ["std"]))
+        return self
+
+
+class PhysicalNoise(Section):
+    """Photons, dark current, non-uniformity, read noise and quantisation of the sensor."""
+
+    type: Literal["physical"] = "physical"
+
+
+NoiseConfig = Annotated[NoNoise | GaussianNoise | PhysicalNoise, Field(discriminator="type")]
+
+
+class CameraConfig(Section):
+    """The lensless camera."""
+
+    mask: MaskConfig | None = Field(default=None, description="the mask; left out when the PSF was measured")
+    mask_to_sensor_mm: Annotated[
+        float, Range(0.05, 100, "mm", below="the mask must lie in front of the sensor, not on or behind it")
+    ] = Field(description="distance from the mask to the sensor, millimetres")
+    sensor: SensorConfig
+    illuminant: str = Field(default="D65", description="name of the light's spectrum", min_length=1)
+    shutter: ShutterConfig = Field(default_factory=ShutterConfig)
+    exposure: ExposureConfig = Field(default_factory=ExposureConfig)
+    noise: NoiseConfig = Field(default_factory=NoNoise)

@@ -1,0 +1,149 @@
+"""Loading: file and overrides become a Config, or one clear line per fault with its place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from simulator import plugins
+from simulator.config.overrides import Origins, apply_overrides
+from simulator.config.schema import Config
+from simulator.config.yaml_loader import read_yaml
+from simulator.errors import InputError
+from simulator.validation import KeyPath, Problem, find_problems, show, validate
+
+
+class ConfigError(InputError):
+    """A refused configuration.
+
+    Attributes:
+        problems: one per fault; ``str(error)`` has a line for each, in the order of the file.
+    """
+
+    def __init__(self, problems: Sequence[Problem], origins: Origins) -> None:
+        self.problems = sorted(problems, key=lambda problem: origins.order(problem.path, problem.on_key))
+        lines = [f"{origins.label(problem.path, problem.on_key)}{problem}" for problem in self.problems]
+        super().__init__("\n".join(lines))
+
+
+def load_config(path: str | Path, overrides: Sequence[str] = ()) -> Config:
+    """Load sim_config.yaml: defaults, then the file, then the overrides.
+
+    Args:
+        path: the YAML file; relative paths in it are taken from its folder.
+        overrides: ``a.b=c`` each, applied in order; ``c`` is read as YAML (so ``[64, 64]`` is a list), and ``null``
+            takes a key away.
+
+    Returns:
+        The configuration, with the plugins' defaults filled in.
+
+    Raises:
+        InputError: one line ``file:line:column: key: problem`` per fault; for overrides ``--set a.b=c: ...``.
+    """
+    path = Path(path)
+    document = read_yaml(path, str(path))
+    if not isinstance(document.data, dict):
+        msg = f"{path}:1:1: expected a mapping of keys to values, got {show(document.data)}"
+        raise InputError(msg)
+    data, origins = apply_overrides(document, overrides, str(path))
+    return _build(data, path.resolve().parent, origins)
+
+
+def config_from_dict(data: Mapping[str, Any], base_dir: Path | None = None, *, check_plugins: bool = True) -> Config:
+    """Make a Config from plain data, such as :func:`dump` returns.
+
+    Args:
+        data: the configuration.
+        base_dir: folder from which relative paths are taken; None is the current one.
+        check_plugins: import the mask design and the scenes to check their parameters. False for a data set that
+            somebody else made: its code is not run.
+
+    Raises:
+        InputError: one line per fault.
+    """
+    return _build(dict(data), (base_dir or Path()).resolve(), Origins(), check_plugins)
+
+
+def dump(config: Config) -> dict[str, Any]:
+    """Return the canonical form: plain data for JSON with all defaults, infinity as ``"inf"``, paths as written.
+
+    ``config_from_dict(dump(config), config.base_dir) == config``.
+    """
+    return _without_infinity(config.model_dump(mode="json"))
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON schema of sim_config.yaml, for editors and documentation."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Config.model_json_schema()}
+
+
+def default_config_text() -> str:
+    """Return the text of the sim_config.yaml that comes with flatlight."""
+    package = Path(__file__).resolve().parents[1]
+    # Inside the package when installed from a wheel, at the top of a checkout.
+    for folder in (package, package.parent):
+        if (folder / "sim_config.yaml").is_file():
+            return (folder / "sim_config.yaml").read_text(encoding="utf-8")
+    msg = f"sim_config.yaml is missing from {package}: the installation is incomplete, install flatlight again"
+    raise RuntimeError(msg)
+
+
+def _build(data: dict[str, Any], base_dir: Path, origins: Origins, check_plugins: bool = True) -> Config:
+    filled, problems = _fill_plugins(data, base_dir) if check_plugins else (data, [])
+    try:
+        config = validate(Config, filled)
+    except ValidationError as error:
+        known = {problem.path for problem in problems}
+        problems += [problem for problem in find_problems(error, Config, filled) if problem.path not in known]
+    else:
+        if not problems:
+            config._base_dir = base_dir
+            return config
+    raise ConfigError(problems, origins)
+
+
+def _fill_plugins(data: dict[str, Any], base_dir: Path) -> tuple[dict[str, Any], list[Problem]]:
+    """Check the parameters of mask and scene, and fill in their defaults."""
+    data = dict(data)
+    problems: list[Problem] = []
+    camera = data.get("camera")
+    if isinstance(camera, dict):
+        data["camera"] = camera = dict(camera)
+        camera["mask"] = _fill(camera.get("mask"), "mask", "design", ("camera", "mask"), base_dir, problems)
+        if camera["mask"] is None:
+            del camera["mask"]
+    for kind, key in (("scene", "family"), ("source", "source")):
+        if "scene" in data:
+            data["scene"] = _fill(data["scene"], kind, key, ("scene",), base_dir, problems)
+    return data, problems
+
+
+def _fill(section: Any, kind: str, key: str, path: KeyPath, base_dir: Path, problems: list[Problem]) -> Any:
+    if not isinstance(section, dict) or not isinstance(section.get(key), str):
+        return section  # the schema says what is wrong, if anything is
+    other = {"family": "source", "source": "family"}.get(key)
+    if other is not None and section.get(other) is not None:
+        return section
+    own = {name: value for name, value in section.items() if name in plugins.SECTION_KEYS[kind]}
+    params = {name: value for name, value in section.items() if name not in own}
+    try:
+        return own | plugins.resolve(kind, section[key], base_dir).fill(params)
+    except plugins.ParameterError as error:
+        problems += [Problem((*path, *problem.path), problem.text, problem.on_key) for problem in error.problems]
+    except InputError as error:
+        problems.append(Problem((*path, key), str(error)))
+    return section
+
+
+def _without_infinity(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_infinity(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_without_infinity(item) for item in value]
+    if isinstance(value, float) and math.isinf(value):
+        return "inf" if value > 0 else "-inf"
+    return value

@@ -1,0 +1,149 @@
+"""The schema of sim_config.yaml: the whole, and the smaller sections. Camera and PSF have their own files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, PrivateAttr, model_validator
+
+from simulator.config.base import PluginSection, Range, Section, refusal
+from simulator.config.camera import CameraConfig, Shape
+from simulator.config.psf import ComputedPsf, PsfConfig
+from simulator.validation import nearest, show
+
+Count = Annotated[int, Range(0, 100_000_000, below="a number of samples is not negative")]
+
+
+class ForwardConfig(Section):
+    """How scene light becomes irradiance on the sensor."""
+
+    depth_assignment: Literal["linear", "nearest"] = Field(
+        default="linear",
+        description="share a pixel between its two planes (linear in disparity), or give it to the nearest",
+    )
+    boundary: Literal["linear", "circular"] = Field(
+        default="linear", description="linear convolution with crop (real), or circular (for closed-form inversions)"
+    )
+    vignetting: bool = Field(default=True, description="the cos^4 fall-off towards the edge of the field")
+    max_clamped: Annotated[float, Range(0, 1)] = Field(
+        default=0.01, description="share of scene pixels outside the planes' range that is accepted"
+    )
+
+
+class SceneConfig(PluginSection):
+    """The scenes: a rendered family or an imported source, and its parameters as further keys."""
+
+    family: str | None = Field(default=None, description="a family's name, ./file.py:name or package.module:name")
+    source: str | None = Field(
+        default=None, description="an imported source's name, ./file.py:name or package.module:name"
+    )
+    size: Shape = Field(description="rows and columns of the scene, in binned sensor pixels")
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Self:
+        if self.family is not None and self.source is not None:
+            text = f"got source {self.source!r} beside family {self.family!r}; scenes come from one of them, keep one"
+            raise refusal(text, "source")
+        if self.family is None and self.source is None:
+            for key in self.params:
+                if hint := nearest(key, ["family", "source"]):
+                    text = f"unknown key, got {show(self.params[key])}{hint}"
+                    raise refusal(text, key, on_key=True)
+            text = "needs family: NAME (rendered scenes) or source: NAME (an imported data set), got neither"
+            raise refusal(text)
+        return self
+
+
+class DatasetConfig(Section):
+    """What is written, how much of it, and by how many workers."""
+
+    output: str = Field(description="folder of the data set", min_length=1)
+    train: Count = Field(default=0, description="number of training samples")
+    validation: Count = Field(default=0, description="number of validation samples")
+    test: Count = Field(default=0, description="number of test samples")
+    workers: Literal["auto"] | Annotated[int, Range(1, 1024)] = Field(
+        default="auto", description="worker processes; auto takes one per core"
+    )
+    engine: Literal["inline", "local"] = Field(
+        default="local", description="this process (inline) or a pool of them (local)"
+    )
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> Self:
+        if self.train + self.validation + self.test == 0:
+            text = "train, validation and test are all 0: the data set would be empty; give at least one a count"
+            raise refusal(text)
+        return self
+
+
+class RenderConfig(Section):
+    """How scenes are rendered."""
+
+    backend: Literal["auto", "llvm", "scalar"] = Field(
+        default="auto", description="Mitsuba's backend; auto takes llvm where it was proven to work, else scalar"
+    )
+
+
+class Config(Section):
+    """A camera, its scenes and the data set that they make.
+
+    Relative paths are kept as written; :meth:`resolve_path` takes them from the YAML file's folder.
+    """
+
+    name: str = Field(description="name of the data set", min_length=1, max_length=200)
+    seed: Annotated[int, Range(0, 2**63 - 1, below="a seed is not negative; 0 is a seed like any other")] = Field(
+        default=0, description="root of all random streams"
+    )
+    camera: CameraConfig
+    psf: PsfConfig
+    forward: ForwardConfig = Field(default_factory=ForwardConfig)
+    scene: SceneConfig
+    dataset: DatasetConfig
+    render: RenderConfig = Field(default_factory=RenderConfig)
+    _base_dir: Path = PrivateAttr(default_factory=Path.cwd)
+
+    @property
+    def base_dir(self) -> Path:
+        """The YAML file's folder (absolute); no part of the dump."""
+        return self._base_dir
+
+    def resolve_path(self, text: str | Path) -> Path:
+        """Return a path of this configuration as an absolute one."""
+        return self._base_dir / Path(text).expanduser()
+
+    @model_validator(mode="after")
+    def _mask_or_measurement(self) -> Self:
+        if isinstance(self.psf, ComputedPsf):
+            if self.camera.mask is None:
+                text = "missing; a PSF is computed from a mask: give mask: {design: ...}, or psf: {measured: [...]}"
+                raise refusal(text, "camera", "mask")
+            nearest, distance = self.psf.nearest_cm, self.camera.mask_to_sensor_mm
+            if nearest * 10 < distance:
+                text = (
+                    f"got {nearest:g} cm, nearer to the mask than the sensor is ({distance:g} mm), where the PSF would "
+                    "be magnified more than twice; was the number meant in another unit?"
+                )
+                raise refusal(text, "psf", *(["near_cm"] if self.psf.depths_cm is None else ["depths_cm", 0]))
+        elif self.camera.mask is not None:
+            text = f"got {self.camera.mask.design!r}, but psf.measured says that the PSF was measured; keep one of them"
+            raise refusal(text, "camera", "mask")
+        return self
+
+    @model_validator(mode="after")
+    def _scene_fits_sensor(self) -> Self:
+        for axis, name in enumerate(("rows", "columns")):
+            scene, sensor = self.scene.size[axis], self.camera.sensor.shape[axis]
+            if scene > sensor:
+                text = (
+                    f"got {scene} {name} on a sensor of {sensor} (camera.sensor.shape, binned pixels); a scene pixel "
+                    "is a sensor pixel, so the scene must not be larger"
+                )
+                raise refusal(text, "scene", "size", axis)
+            if (sensor - scene) % 2:
+                text = (
+                    f"got {scene} {name} on a sensor of {sensor} (camera.sensor.shape): one is even, one odd, so their "
+                    "centres lie half a pixel apart; change one of them by 1"
+                )
+                raise refusal(text, "scene", "size", axis)
+        return self
