@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import json
 import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from simulator.errors import InputError
 
@@ -115,16 +113,6 @@ def write_atomic(path: Path, data: bytes, check: Callable[[Path], None] | None =
             with suppress(OSError):
                 temporary.unlink()
             raise
-
-
-def json_bytes(value: Any) -> bytes:
-    r"""Return readable JSON with sorted keys: the same value gives the same bytes; NaN and inf are refused.
-
-    Example:
-        >>> json_bytes({"b": 1, "a": [0.1]})
-        b'{\n "a": [\n  0.1\n ],\n "b": 1\n}\n'
-    """
-    return (json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 @contextmanager

@@ -1,0 +1,129 @@
+"""dataset.json: what a data set is, how it was made and how big its samples are."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from simulator.dataset.files import write_atomic
+from simulator.dataset.plain import readable_json
+from simulator.dataset.sample import SPLITS
+from simulator.errors import InputError
+
+FILE = "dataset.json"
+FORMAT = "flatlight-dataset"
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class DatasetInfo:
+    """The content of ``dataset.json``.
+
+    Attributes:
+        name: the configuration's name.
+        config: the whole configuration; infinite numbers are the text ``inf`` on disk.
+        fingerprint: SHA-256 in hexadecimal of what decides the samples' bytes.
+        fingerprint_parts: what was hashed, for readable comparisons.
+        versions: package versions.
+        backend: the renderer's variant.
+        exposure: the one scale from irradiance to DN / 2^bits, and how it was found.
+        counts: samples wanted per split.
+        scene_shape: rows, columns of the ground truth.
+        sensor_shape: rows, columns of the measurement.
+        channels: names of the measurement's channels.
+
+    Raises:
+        InputError: a field has the wrong type or a senseless value.
+    """
+
+    name: str
+    config: dict[str, Any]
+    fingerprint: str
+    fingerprint_parts: dict[str, Any]
+    versions: dict[str, str]
+    backend: str
+    exposure: dict[str, Any]
+    counts: dict[str, int]
+    scene_shape: tuple[int, int]
+    sensor_shape: tuple[int, int]
+    channels: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("name", "fingerprint", "backend"):
+            _expect(name, isinstance(getattr(self, name), str), "text", getattr(self, name))
+        for name in ("config", "fingerprint_parts", "versions", "exposure", "counts"):
+            _expect(name, isinstance(getattr(self, name), dict), "a dict", getattr(self, name))
+        hexadecimal = len(self.fingerprint) == 64 and set(self.fingerprint) <= set("0123456789abcdef")
+        _expect("fingerprint", hexadecimal, "64 hexadecimal digits", self.fingerprint)
+        counts_fit = all(split in SPLITS and _whole(count, 0) for split, count in self.counts.items())
+        _expect("counts", counts_fit, f"whole numbers for {', '.join(SPLITS)}", self.counts)
+        for name in ("scene_shape", "sensor_shape"):
+            shape = getattr(self, name)
+            fits = isinstance(shape, tuple) and len(shape) == 2 and all(_whole(size, 1) for size in shape)
+            _expect(name, fits, "a tuple of two sizes", shape)
+        texts = isinstance(self.channels, tuple) and all(isinstance(name, str) for name in self.channels)
+        _expect("channels", texts and len(self.channels) > 0, "a tuple of names", self.channels)
+
+
+def write_info(root: Path | str, info: DatasetInfo) -> None:
+    """Write ``dataset.json`` into the folder ``root``, whole or not at all.
+
+    Raises:
+        StorageError: the folder is missing or protected, or the disk is full.
+    """
+    content = {"format": FORMAT, "format_version": FORMAT_VERSION} | asdict(info)
+    write_atomic(Path(root) / FILE, readable_json(content))
+
+
+def read_info(root: Path | str) -> DatasetInfo:
+    """Read ``dataset.json`` from the folder ``root``.
+
+    Raises:
+        InputError: no such folder, not a data set, made by a newer version, or a damaged file.
+    """
+    root = Path(root)
+    path = root / FILE
+    if not root.is_dir():
+        msg = f"no such folder: {root}; give the folder that `flatlight generate` wrote (dataset.output)"
+        raise InputError(msg)
+    if not path.is_file():
+        msg = f"{root} is not a data set: it has no {FILE}; give the folder that `flatlight generate` wrote"
+        raise InputError(msg)
+    try:
+        content = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        msg = f"{path} is unreadable or damaged ({error}); restore it from a copy"
+        raise InputError(msg) from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        msg = f"{path} does not describe a data set of ours: its format must be {FORMAT!r}"
+        raise InputError(msg)
+    if content.get("format_version") != FORMAT_VERSION:
+        version = content.get("format_version")
+        msg = (
+            f"{path} has format version {version!r}, this package reads {FORMAT_VERSION}; install a matching flatlight"
+        )
+        raise InputError(msg)
+    missing = [field.name for field in fields(DatasetInfo) if field.name not in content]
+    if missing:
+        msg = f"{path} lacks {', '.join(missing)}; restore it from a copy"
+        raise InputError(msg)
+    values = {field.name: content[field.name] for field in fields(DatasetInfo)}
+    for name in ("scene_shape", "sensor_shape", "channels"):
+        values[name] = tuple(values[name]) if isinstance(values[name], list) else values[name]
+    try:
+        return DatasetInfo(**values)
+    except InputError as error:
+        msg = f"{path}: {error}"
+        raise InputError(msg) from error
+
+
+def _whole(value: object, least: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= least
+
+
+def _expect(name: str, fits: bool, wanted: str, value: object) -> None:
+    if not fits:
+        msg = f"DatasetInfo.{name} must be {wanted}, got {value!r}"
+        raise InputError(msg)

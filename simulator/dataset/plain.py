@@ -1,0 +1,80 @@
+"""Python values as plain JSON, the same value always as the same bytes.
+
+Configurations and metadata hold paths, tuples, NumPy numbers and infinite depths; JSON knows none of them.
+"""
+
+from __future__ import annotations
+
+import enum
+import json
+import math
+from collections.abc import Mapping
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from simulator.errors import InputError
+
+
+def plain(value: Any, where: str = "value") -> Any:
+    """Return ``value`` in text, numbers, booleans, None, lists and dicts only, ready for strict JSON.
+
+    Paths become text, tuples and arrays lists, NumPy numbers Python numbers, infinities the text ``inf`` or ``-inf``.
+
+    Args:
+        value: anything nested.
+        where: how errors name the value.
+
+    Raises:
+        InputError: NaN, keys that are not text, or a type that has no JSON form; the place is named.
+
+    Example:
+        >>> plain({"depths_m": (0.036, float("inf")), "count": np.int64(3)})
+        {'depths_m': [0.036, 'inf'], 'count': 3}
+    """
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, enum.Enum):
+        value = value.value
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float):
+        if math.isnan(value):
+            msg = f"{where} is NaN, which JSON cannot hold; leave it out or use None"
+            raise InputError(msg)
+        return float(value) if math.isfinite(value) else str(float(value))
+    if isinstance(value, PurePath):
+        return str(value)
+    if isinstance(value, Mapping):
+        for key in value:
+            if not isinstance(key, str):
+                msg = f"{where} has the key {key!r}; keys must be text"
+                raise InputError(msg)
+        return {str(key): plain(item, f"{where}.{key}") for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item, f"{where}[{index}]") for index, item in enumerate(value)]
+    msg = f"{where} is a {type(value).__name__}, which has no JSON form; use text, numbers, lists and dicts"
+    raise InputError(msg)
+
+
+def canonical_json(value: Any) -> bytes:
+    """Return the shortest JSON with sorted keys, for hashing.
+
+    Example:
+        >>> canonical_json({"b": (1, 2), "a": 0.1})
+        b'{"a":0.1,"b":[1,2]}'
+    """
+    return json.dumps(plain(value), sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+
+def readable_json(value: Any) -> bytes:
+    r"""Return indented JSON with sorted keys and a newline at the end, for files that people read.
+
+    Example:
+        >>> readable_json({"b": None, "a": 1})
+        b'{\n "a": 1,\n "b": null\n}\n'
+    """
+    return (json.dumps(plain(value), sort_keys=True, indent=1, allow_nan=False) + "\n").encode()

@@ -1,0 +1,26 @@
+"""Fixtures of the data set tests."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture
+def samples(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    """The helpers in samples.py."""
+    monkeypatch.syspath_prepend(str(HERE))
+    import samples  # type: ignore[import-not-found]
+
+    yield samples
+    sys.modules.pop("samples")
+
+
+@pytest.fixture
+def dataset(samples: ModuleType, tmp_path: Path) -> Path:
+    """A small whole data set on disk."""
+    return samples.make_dataset(tmp_path / "set")

@@ -1,0 +1,56 @@
+"""Small synthetic samples and data sets that the tests of this folder share."""
+
+from pathlib import Path
+
+import numpy as np
+
+from simulator.dataset.dataset_info import DatasetInfo, write_info
+from simulator.dataset.manifest import ManifestWriter
+from simulator.dataset.sample import Sample, write_sample
+
+SENSOR, SCENE = (24, 36), (10, 12)
+
+
+def make_sample(index: int = 0, sensor: tuple[int, int] = SENSOR, scene: tuple[int, int] = SCENE, **changes) -> Sample:
+    """A sample whose values all depend on the index; the channels differ, so swapped ones are noticed."""
+    rng = np.random.default_rng(index)
+    noiseless = rng.random((3, *sensor), dtype=np.float32)
+    values = {
+        "measurement": np.round(noiseless * 4096).astype(np.float32) / np.float32(4096),
+        "noiseless": noiseless,
+        "rgb": rng.random((1, *scene, 3), dtype=np.float32),
+        "depth_m": rng.uniform(0.036, 0.2, (1, *scene)).astype(np.float32),
+        "valid": rng.random((1, *scene)) > 0.2,
+        "seed": 7,
+        "label": f"class {index % 3}",
+        "metadata": {"source": {"depths_m": [0.036, 0.2]}, "clipped": 0.001},
+    }
+    return Sample(**(values | changes))
+
+
+def make_info(**changes) -> DatasetInfo:
+    values = {
+        "name": "small",
+        "config": {"seed": 7, "psf": {"far_cm": float("inf")}},
+        "fingerprint": "0123456789abcdef" * 4,
+        "fingerprint_parts": {"backend": "scalar_rgb"},
+        "versions": {"numpy": "2.0"},
+        "backend": "scalar_rgb",
+        "exposure": {"full_scale": 0.5},
+        "counts": {"train": 3, "validation": 1, "test": 0},
+        "scene_shape": SCENE,
+        "sensor_shape": SENSOR,
+        "channels": ("R", "G", "B"),
+    }
+    return DatasetInfo(**(values | changes))
+
+
+def make_dataset(root: Path, **changes) -> Path:
+    """Write a whole data set: three training samples (finished in another order) and one for validation."""
+    info = make_info(**changes)
+    root.mkdir()
+    write_info(root, info)
+    with ManifestWriter(root) as manifest:
+        for split, index in (("train", 2), ("train", 0), ("validation", 0), ("train", 1)):
+            manifest.append(write_sample(root, split, index, make_sample(index)), seconds=0.1)
+    return root

@@ -1,0 +1,146 @@
+"""The fingerprint changes with everything that decides a sample's bytes, and with nothing else."""
+
+import copy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulator.dataset.fingerprint import build_fingerprint, difference, package_versions
+from simulator.dataset.plain import canonical_json, plain, readable_json
+from simulator.errors import InputError
+
+CONFIG = {
+    "name": "a",
+    "seed": 7,
+    "camera": {"noise": {"type": "gaussian", "psnr_db": 40.0}, "shape": (456, 684)},
+    "psf": {"far_cm": float("inf")},
+    "dataset": {"output": Path("out"), "train": 48, "validation": 8, "test": 8, "workers": "auto", "engine": "local"},
+}
+
+
+def changed(*path: object) -> dict:
+    """A copy of the configuration with the value at ``path[:-1]`` replaced by ``path[-1]``."""
+    config = copy.deepcopy(CONFIG)
+    inner = config
+    for key in path[:-2]:
+        inner = inner[key]
+    inner[path[-2]] = path[-1]
+    return config
+
+
+def test_free_settings_do_not_count() -> None:
+    base, _ = build_fingerprint(CONFIG, "llvm_ad_rgb")
+    assert len(base) == 64
+    for key, value in [
+        ("output", "x"),
+        ("train", 9),
+        ("validation", 0),
+        ("test", 1),
+        ("workers", 2),
+        ("engine", "inline"),
+    ]:
+        assert build_fingerprint(changed("dataset", key, value), "llvm_ad_rgb")[0] == base
+    assert build_fingerprint(changed("name", "b"), "llvm_ad_rgb")[0] == base
+    assert build_fingerprint(dict(reversed(CONFIG.items())), "llvm_ad_rgb")[0] == base
+    assert build_fingerprint(changed("camera", "shape", [456, 684]), "llvm_ad_rgb")[0] == base
+
+
+def test_everything_else_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    fingerprints = {
+        build_fingerprint(config, backend)[0]
+        for config, backend in [
+            (CONFIG, "llvm_ad_rgb"),
+            (CONFIG, "scalar_rgb"),
+            (changed("seed", 0), "llvm_ad_rgb"),
+            (changed("camera", "noise", "psnr_db", 30.0), "llvm_ad_rgb"),
+            (changed("psf", "far_cm", 20.0), "llvm_ad_rgb"),
+            (changed("dataset", "future_option", True), "llvm_ad_rgb"),
+        ]
+    }
+    monkeypatch.setattr("simulator.dataset.fingerprint.package_versions", lambda: {"numpy": "0.0"})
+    fingerprints.add(build_fingerprint(CONFIG, "llvm_ad_rgb")[0])
+    assert len(fingerprints) == 7
+
+
+def test_input_files_count_by_content_not_by_place(tmp_path: Path) -> None:
+    for folder, content in (("a", b"1"), ("b", b"1"), ("c", b"2")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "psf.tif").write_bytes(content)
+    a, b, c = (tmp_path / folder / "psf.tif" for folder in "abc")
+    one = {path: build_fingerprint(CONFIG, "x", [path])[0] for path in (a, b, c)}
+    assert one[a] == one[b] != one[c]
+    assert build_fingerprint(CONFIG, "x", [a, c])[0] != build_fingerprint(CONFIG, "x", [c, a])[0]
+    assert list(build_fingerprint(CONFIG, "x", [a, c])[1]["inputs"]) == ["psf.tif", "psf.tif#2"]
+    with pytest.raises(InputError, match=r"cannot read .*gone"):
+        build_fingerprint(CONFIG, "x", [tmp_path / "gone"])
+
+
+def test_same_in_another_process() -> None:
+    code = (
+        "from simulator.dataset.fingerprint import build_fingerprint\n"
+        "print(build_fingerprint({'b': {'x': 0.1}, 'a': 1}, 's')[0])"
+    )
+    environment = {"PYTHONHASHSEED": "1"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.strip() == build_fingerprint({"a": 1, "b": {"x": 0.1}}, "s")[0]
+
+
+def test_versions_are_those_installed() -> None:
+    versions = package_versions()
+    assert versions["numpy"] == np.__version__
+    assert set(versions) == {"flatlight", "numpy", "scipy", "mitsuba", "drjit", "OpenEXR", "colour-science"}
+    assert "absent" not in versions.values()
+
+
+def test_differences_are_readable(tmp_path: Path) -> None:
+    (tmp_path / "x").write_bytes(b"1")
+    _, old = build_fingerprint(CONFIG, "llvm_ad_rgb", [tmp_path / "x"])
+    (tmp_path / "x").write_bytes(b"2")
+    _, new = build_fingerprint(changed("camera", "noise", {"type": "none"}), "scalar_rgb", [tmp_path / "x"])
+    assert difference(old, new).splitlines() == [
+        "backend: llvm_ad_rgb -> scalar_rgb",
+        "camera.noise.psnr_db: 40.0 -> (absent)",
+        "camera.noise.type: gaussian -> none",
+        "inputs.x: 6b86b273ff34 -> d4735e3a265e",  # the SHA-256 of "1" and of "2"
+    ]
+    assert difference(old, old) == ""
+    assert difference({"config": {"a": 1}}, {"config": {"a": 1.0}}) == "a: 1 -> 1.0"
+    assert difference({"config": {"a": "1"}}, {"config": {"a": 1}}) == "a: '1' -> 1"
+    assert difference({"config": {"gap": [{"mm": 1}, {"mm": 2}]}}, {"config": {"gap": [{"mm": 1}]}}) == (
+        "gap.1.mm: 2 -> (absent)"
+    )
+
+
+SIMPLE = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
+
+
+@given(
+    st.recursive(SIMPLE, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)),
+    st.recursive(SIMPLE, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)),
+)
+def test_canonical_json_tells_values_apart_and_loads_back(one: object, other: object) -> None:
+    import json
+
+    assert plain(one) == one
+    assert json.loads(canonical_json(one)) == json.loads(readable_json(one)) == one
+    if one != other:
+        assert canonical_json(one) != canonical_json(other)
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ({"a": [1, float("nan")]}, r"config\.a\[1\] is NaN"),
+        ({"a": {1: 2}}, r"config\.a has the key 1"),
+        ({"a": {"b": {3}}}, r"config\.a\.b is a set"),
+        ({"a": np.array([1.0, np.nan])}, r"config\.a\[1\] is NaN"),
+    ],
+)
+def test_values_without_json_form_are_named(value: object, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        plain(value, "config")

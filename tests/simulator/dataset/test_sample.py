@@ -1,0 +1,158 @@
+"""Samples: exact round trips, the same bytes for the same sample, and files that cannot be mixed up."""
+
+import json
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from simulator.dataset.exr import read_exr
+from simulator.dataset.files import sha256_bytes, sha256_file
+from simulator.dataset.sample import read_sample, sample_folder, sample_id, sample_index, write_sample
+from simulator.errors import InputError
+
+ARRAYS = ("measurement", "noiseless", "rgb", "depth_m", "valid")
+
+
+def test_round_trip(samples: ModuleType, tmp_path: Path) -> None:
+    sample = samples.make_sample(5)
+    record = write_sample(tmp_path, "validation", 12_345, sample)
+    folder = tmp_path / "validation" / "0012" / "s00012345"
+    assert (record.id, record.split, record.seed, record.label) == ("s00012345", "validation", 7, "class 2")
+    assert sorted(path.name for path in folder.iterdir()) == ["ground_truth.exr", "measurement.exr", "sample.json"]
+    back = read_sample(folder)
+    for name in ARRAYS:
+        values = getattr(back, name)
+        assert values.dtype == getattr(sample, name).dtype
+        np.testing.assert_array_equal(values, getattr(sample, name))
+    assert (back.seed, back.label, back.channels, back.metadata) == (7, "class 2", ("R", "G", "B"), sample.metadata)
+
+
+def test_what_lies_in_which_file(samples: ModuleType, tmp_path: Path) -> None:
+    sample = samples.make_sample(1)
+    write_sample(tmp_path, "train", 0, sample)
+    folder = sample_folder(tmp_path, "train", 0)
+    measured, metadata = read_exr(folder / "measurement.exr")
+    truth, truth_metadata = read_exr(folder / "ground_truth.exr")
+    assert sorted(measured) == ["B", "G", "R", "noiseless.B", "noiseless.G", "noiseless.R"]
+    assert sorted(truth) == ["B", "G", "R", "Z", "valid"]
+    np.testing.assert_array_equal(measured["G"], sample.measurement[1])
+    np.testing.assert_array_equal(measured["noiseless.B"], sample.noiseless[2])
+    np.testing.assert_array_equal(truth["B"], sample.rgb[0, ..., 2])
+    np.testing.assert_array_equal(truth["Z"], sample.depth_m[0])
+    assert set(np.unique(truth["valid"])) == {0.0, 1.0}
+    description = json.loads((folder / "sample.json").read_text())
+    hashes = description.pop("files")
+    assert description == metadata == truth_metadata
+    assert hashes == {f"{name}.exr": sha256_file(folder / f"{name}.exr") for name in ("measurement", "ground_truth")}
+
+
+def test_other_channels_and_no_label(samples: ModuleType, tmp_path: Path) -> None:
+    planes = np.random.default_rng(0).random((5, 8, 9), dtype=np.float32)
+    names = tuple(f"{nm}nm" for nm in (450, 500, 550, 600, 650))
+    sample = samples.make_sample(0, measurement=planes, noiseless=planes[::-1], channels=names, label=None)
+    write_sample(tmp_path, "train", 0, sample)
+    back = read_sample(sample_folder(tmp_path, "train", 0))
+    assert back.channels == names
+    assert back.label is None
+    np.testing.assert_array_equal(back.measurement, planes)
+
+
+def test_same_sample_same_bytes_and_digest(samples: ModuleType, tmp_path: Path) -> None:
+    records = [write_sample(tmp_path / name, "train", 3, samples.make_sample(3)) for name in "ab"]
+    assert records[0] == records[1]
+    contents = [
+        {path.name: path.read_bytes() for path in sample_folder(tmp_path / name, "train", 3).iterdir()} for name in "ab"
+    ]
+    assert contents[0] == contents[1]
+    lines = "".join(f"{name} {sha256_bytes(contents[0][name])}\n" for name in sorted(contents[0]))
+    assert records[0].digest == sha256_bytes(lines.encode())
+    again = write_sample(tmp_path / "a", "train", 3, samples.make_sample(3))  # a folder that no manifest knew of
+    assert again == records[0]
+    others = {write_sample(tmp_path / "c", "train", 3, samples.make_sample(4)).digest}
+    others.add(write_sample(tmp_path / "c", "test", 3, samples.make_sample(3)).digest)
+    others.add(write_sample(tmp_path / "c", "train", 3, samples.make_sample(3, metadata={})).digest)
+    assert len(others - {records[0].digest}) == 3
+
+
+def test_metadata_become_plain(samples: ModuleType, tmp_path: Path) -> None:
+    metadata = {"far_m": float("inf"), "shape": (1, 2), "path": Path("a/b"), "count": np.int64(3), "f": np.float32(0.5)}
+    write_sample(tmp_path, "train", 0, samples.make_sample(0, metadata=metadata))
+    back = read_sample(sample_folder(tmp_path, "train", 0)).metadata
+    assert back == {"far_m": "inf", "shape": [1, 2], "path": "a/b", "count": 3, "f": 0.5}
+
+
+@pytest.mark.parametrize("missing", ["measurement.exr", "ground_truth.exr", "sample.json"])
+def test_missing_files_are_named(samples: ModuleType, tmp_path: Path, missing: str) -> None:
+    write_sample(tmp_path, "train", 0, samples.make_sample(0))
+    folder = sample_folder(tmp_path, "train", 0)
+    (folder / missing).unlink()
+    with pytest.raises(InputError, match=missing):
+        read_sample(folder)
+
+
+@pytest.mark.parametrize("name", ["measurement.exr", "ground_truth.exr"])
+def test_files_of_another_sample_are_refused(samples: ModuleType, tmp_path: Path, name: str) -> None:
+    for index in (0, 1):
+        write_sample(tmp_path, "train", index, samples.make_sample(index))
+    first, second = (sample_folder(tmp_path, "train", index) for index in (0, 1))
+    (first / name).write_bytes((second / name).read_bytes())
+    with pytest.raises(InputError, match=f"{name} does not belong"):
+        read_sample(first)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"{}", b'{"files": 3}', b"null", b"\xff"])
+def test_damaged_descriptions(samples: ModuleType, tmp_path: Path, content: bytes) -> None:
+    write_sample(tmp_path, "train", 0, samples.make_sample(0))
+    folder = sample_folder(tmp_path, "train", 0)
+    (folder / "sample.json").write_bytes(content)
+    with pytest.raises(InputError, match=r"sample\.json (is not|lacks fields)"):
+        read_sample(folder)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"measurement": np.zeros((24, 36), np.float32)}, r"measurement must be float32 \(C, H, W\)"),
+        ({"measurement": np.zeros((3, 24, 36))}, "got float64"),
+        ({"noiseless": np.zeros((3, 24, 35), np.float32)}, "like measurement"),
+        ({"rgb": np.zeros((10, 12, 3), np.float32)}, r"\(T, h, w, 3\)"),
+        ({"depth_m": np.zeros((1, 10, 11), np.float32)}, "like rgb"),
+        ({"valid": np.zeros((1, 10, 12), np.float32)}, "bool"),
+        ({"channels": ("R", "G")}, "3 different names"),
+        ({"channels": ("R", "R", "G")}, "3 different names"),
+        ({"channels": ("noiseless.R", "G", "B")}, "none starting"),
+        ({"label": 3}, "text or None"),
+    ],
+)
+def test_contradictions_are_refused(samples: ModuleType, changes: dict, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        samples.make_sample(0, **changes)
+
+
+def test_values_that_cannot_be_stored_leave_nothing(samples: ModuleType, tmp_path: Path) -> None:
+    depth = np.full((1, *samples.SCENE), np.inf, np.float32)
+    with pytest.raises(InputError, match="'Z' holds NaN or inf"):
+        write_sample(tmp_path, "train", 0, samples.make_sample(0, depth_m=depth))
+    with pytest.raises(InputError, match=r"s00000000\.metadata\.a is NaN"):
+        write_sample(tmp_path, "train", 0, samples.make_sample(0, metadata={"a": float("nan")}))
+    clip = {"rgb": np.zeros((2, 4, 4, 3), np.float32), "depth_m": np.ones((2, 4, 4), np.float32)}
+    with pytest.raises(InputError, match="2 frames; only stills"):
+        write_sample(tmp_path, "train", 0, samples.make_sample(0, **clip, valid=np.ones((2, 4, 4), bool)))
+    assert [path for path in tmp_path.rglob("*") if path.name.startswith((".tmp", "s0"))] == []
+
+
+def test_ids_sort_like_numbers() -> None:
+    numbers = [0, 9, 10, 9_999, 10_000, 10_001, 123_456, 99_999_999]
+    ids = [sample_id(number) for number in numbers]
+    assert sorted(ids) == ids
+    assert [sample_index(identifier) for identifier in ids] == numbers
+    for bad in (-1, 100_000_000):
+        with pytest.raises(InputError, match="sample index"):
+            sample_id(bad)
+    for bad in ("", "00000012", "s12", "s0000001x", "s0000001²", "s-0000012"):
+        with pytest.raises(InputError, match="sample id"):
+            sample_index(bad)
+    with pytest.raises(InputError, match="split must be one of train"):
+        sample_folder(Path(), "pilot", 0)
