@@ -1,0 +1,87 @@
+"""From an RGB-D frame to depth planes, and from scene radiance to irradiance at the mask."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import InputError
+from simulator.types import View
+
+
+def plane_weights(
+    depth_m: NDArray[np.floating], depths_m: NDArray[np.float64], method: str = "linear"
+) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+    """Say how each pixel is shared between two neighbouring planes.
+
+    Args:
+        depth_m: ``(h, w)`` z in metres; values outside the planes' range are clamped to it.
+        depths_m: ``(K,)`` planes, increasing; the last may be ``inf``.
+        method: ``linear`` in disparity 1/z, or ``nearest`` in disparity (the thesis).
+
+    Returns:
+        ``(h, w)`` index of the nearer plane (at most K - 2, or 0 for K = 1), and ``(h, w)`` weight of the next farther
+        plane, 0..1; the nearer one takes the rest.
+    """
+    if method not in ("linear", "nearest"):
+        msg = f"depth_assignment: got {method!r}, expected 'linear' or 'nearest'"
+        raise InputError(msg)
+    if len(depths_m) == 1:
+        return np.zeros(depth_m.shape, np.intp), np.zeros(depth_m.shape, np.float32)
+    disparities = 1 / np.asarray(depths_m, np.float64)
+    disparity = np.clip(1 / depth_m.astype(np.float64), disparities[-1], disparities[0])
+    lower = np.clip(np.searchsorted(-disparities, -disparity, side="right") - 1, 0, len(depths_m) - 2)
+    farther = (disparities[lower] - disparity) / (disparities[lower] - disparities[lower + 1])
+    if method == "nearest":
+        farther = np.round(farther)
+    return lower, farther.astype(np.float32)
+
+
+def split_planes(
+    image: NDArray[np.float32], depth_m: NDArray[np.floating], depths_m: NDArray[np.float64], method: str = "linear"
+) -> NDArray[np.float32]:
+    """Distribute an image over depth planes; the planes add up to the image.
+
+    Args:
+        image: ``(C, h, w)``.
+        depth_m: ``(h, w)`` z in metres.
+        depths_m: ``(K,)`` planes, increasing.
+        method: see ``plane_weights``.
+
+    Returns:
+        ``(K, C, h, w)`` float32.
+    """
+    lower, farther = plane_weights(depth_m, depths_m, method)
+    volume = np.zeros((len(depths_m), *image.shape), np.float32)
+    i, j = np.indices(depth_m.shape)
+    volume[lower, :, i, j] = np.moveaxis(image * (1 - farther), 0, -1)
+    if len(depths_m) > 1:
+        volume[lower + 1, :, i, j] += np.moveaxis(image * farther, 0, -1)
+    return volume
+
+
+def clamped_share(depth_m: NDArray[np.floating], valid: NDArray[np.bool_], depths_m: NDArray[np.float64]) -> float:
+    """Return the share of valid pixels whose depth lies outside the planes' range; a single plane clamps nothing.
+
+    A relative 1e-6 is forgiven: float32 depths of a surface exactly at the range's end.
+    """
+    if len(depths_m) == 1:
+        return 0.0
+    outside = valid & ((depth_m < depths_m[0] * (1 - 1e-6)) | (depth_m > depths_m[-1] * (1 + 1e-6)))
+    return float(np.count_nonzero(outside) / max(np.count_nonzero(valid), 1))
+
+
+def mask_irradiance(view: View, vignetting: bool = True) -> NDArray[np.float32]:
+    """Return the irradiance at the mask per unit radiance of each scene pixel, ``(h, w)`` float32 steradian.
+
+    V = L (p / d)^2 cos^4(theta): the pixel's solid angle is (p / d)^2 cos^3, the mask's tilt gives one more cosine; no
+    1/z^2, because a farther surface shows more of itself. Source: Horn, Robot Vision, section 10.3.
+
+    Args:
+        view: the scene's geometry.
+        vignetting: False leaves out cos^4.
+    """
+    y, x = ((np.arange(n) - (n - 1) / 2) * view.pixel_pitch_m / view.distance_m for n in view.shape)
+    cosine_squared = 1 / (1 + y[:, None] ** 2 + x[None, :] ** 2)
+    solid_angle = (view.pixel_pitch_m / view.distance_m) ** 2
+    return np.asarray(solid_angle * (cosine_squared**2 if vignetting else np.ones(view.shape)), np.float32)

@@ -1,0 +1,49 @@
+"""Random surfaces for mask designs: Perlin's gradient noise and smooth Gaussian noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def perlin(shape: tuple[int, int], cell: float, seed: int) -> NDArray[np.float32]:
+    """Return Perlin noise normalised to 0..1.
+
+    Source: Perlin, "Improving noise", SIGGRAPH 2002: gradients on a lattice, quintic fade.
+
+    Args:
+        shape: rows and columns.
+        cell: lattice cell in samples.
+        seed: of the lattice's gradients.
+    """
+    rng = np.random.default_rng(seed)
+    rows, columns = (np.arange(n, dtype=np.float32) / np.float32(cell) for n in shape)
+    angles = rng.uniform(0, 2 * np.pi, (int(rows[-1]) + 2, int(columns[-1]) + 2)).astype(np.float32)
+    gradient_y, gradient_x = np.sin(angles), np.cos(angles)
+    i, j = rows.astype(int)[:, None], columns.astype(int)[None, :]
+    fy, fx = (rows - rows.astype(int))[:, None], (columns - columns.astype(int))[None, :]
+
+    def corner(di: int, dj: int) -> NDArray[np.float32]:
+        return gradient_y[i + di, j + dj] * (fy - di) + gradient_x[i + di, j + dj] * (fx - dj)
+
+    fade_y, fade_x = (t**3 * (t * (t * 6 - 15) + 10) for t in (fy, fx))
+    top = corner(0, 0) * (1 - fade_x) + corner(0, 1) * fade_x
+    bottom = corner(1, 0) * (1 - fade_x) + corner(1, 1) * fade_x
+    noise = top * (1 - fade_y) + bottom * fade_y
+    return np.asarray((noise - noise.min()) / max(float(np.ptp(noise)), 1e-12), np.float32)
+
+
+def gaussian_surface(shape: tuple[int, int], correlation: float, seed: int) -> NDArray[np.float32]:
+    """Return smooth Gaussian noise of zero mean and unit standard deviation.
+
+    Args:
+        shape: rows and columns.
+        correlation: 1/e half-width of the surface's autocorrelation, in samples.
+        seed: of the white noise.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    white = np.random.default_rng(seed).standard_normal(shape, dtype=np.float32)
+    # White noise blurred by sigma has the autocorrelation exp(-x^2 / (4 sigma^2)).
+    surface = gaussian_filter(white, correlation / 2, mode="wrap")
+    return (surface - surface.mean()) / surface.std()

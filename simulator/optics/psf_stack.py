@@ -1,0 +1,123 @@
+"""The PSF stack: one image per depth and channel, with its scale, its frame and where it came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from simulator.arrays import Array, to_numpy
+from simulator.errors import InputError
+
+
+@dataclass(frozen=True)
+class PsfStack:
+    """Point spread functions of one camera.
+
+    A value is sensor irradiance per irradiance at the mask. The stored frame is the physical sensor's image turned by
+    180 degrees, so that a pinhole's picture is upright; the origin lies on sample ``(H // 2, W // 2)``.
+
+    Attributes:
+        values: ``(K, C, H, W)``, not negative; the sum over (H, W) times ``pixel_pitch_m**2`` is the power (square metres)
+            that reaches the plane per unit irradiance on the mask.
+        depths_m: ``(K,)`` float64 z from the mask plane, metres, strictly increasing; the last may be ``inf``.
+        pixel_pitch_m: pitch of the (binned) pixels, metres.
+        channels: one name per channel.
+        fingerprint: hash of everything that decided the values.
+        provenance: how the stack was made and its errors; JSON-serialisable.
+
+    Raises:
+        InputError: when shapes, order or values break these rules.
+    """
+
+    values: Array
+    depths_m: np.ndarray
+    pixel_pitch_m: float
+    channels: tuple[str, ...]
+    fingerprint: str
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 4:
+            msg = f"values must be (K, C, H, W), got shape {tuple(self.values.shape)}"
+            raise InputError(msg)
+        depths, channels = self.values.shape[:2]
+        check_depths(self.depths_m)
+        if len(self.depths_m) != depths or len(self.channels) != channels:
+            msg = (
+                f"values of shape {tuple(self.values.shape)} need {depths} depths and {channels} channel names, got "
+                f"{len(self.depths_m)} and {len(self.channels)}"
+            )
+            raise InputError(msg)
+        energy = self.energy_m2()
+        if not np.all(np.isfinite(energy)) or to_numpy(self.values).min() < 0:
+            msg = "values must be finite and not negative: a PSF is an intensity"
+            raise InputError(msg)
+        dark = np.argwhere(energy <= 0)
+        if len(dark):
+            k, c = dark[0]
+            msg = (
+                f"the PSF at depth {self.depths_m[k]:g} m, channel {self.channels[c]!r} is zero everywhere: no light reaches "
+                "the sensor; check the mask's amplitude or the measured image"
+            )
+            raise InputError(msg)
+
+    def energy_m2(self) -> np.ndarray:
+        """Return the power per unit irradiance, ``(K, C)`` float64 square metres."""
+        power = np.sum(to_numpy(self.values), axis=(-2, -1), dtype=np.float64)
+        return np.asarray(power) * self.pixel_pitch_m**2
+
+
+def check_depths(depths_m: np.ndarray) -> None:
+    """Refuse depths that are not positive and strictly increasing.
+
+    Raises:
+        InputError: naming the first offending value.
+    """
+    depths = np.asarray(depths_m, np.float64)
+    if depths.ndim != 1 or depths.size == 0:
+        msg = f"depths_m must be a list of at least one depth, got {depths_m!r}"
+        raise InputError(msg)
+    if not np.all(depths > 0):
+        bad = depths[~(depths > 0)][0]
+        msg = f"depths_m: got {bad:g} m; depth is z from the mask plane into the scene, so it must be positive"
+        raise InputError(msg)
+    if not np.all(np.diff(depths) > 0):
+        msg = f"depths_m must increase strictly from near to far, got {depths.tolist()}"
+        raise InputError(msg)
+
+
+def depth_planes(near_m: float, far_m: float, count: int, spacing: str = "disparity") -> np.ndarray:
+    """Return ``count`` depths from near to far.
+
+    Args:
+        near_m: nearest depth, metres.
+        far_m: farthest depth, metres; may be ``inf`` with ``disparity``.
+        count: number of planes, from 1 (which gives the middle of the range).
+        spacing: even steps in ``disparity`` (1/z), in ``log`` z or in ``linear`` z.
+
+    Raises:
+        InputError: for an empty range, a count below 1 or an infinite depth with another spacing.
+    """
+    forms = {
+        "disparity": (lambda z: 1 / z, lambda s: 1 / s if s else np.inf),
+        "log": (np.log, np.exp),
+        "linear": (float, float),
+    }
+    if spacing not in forms:
+        msg = f"spacing: got {spacing!r}, expected one of {', '.join(forms)}"
+        raise InputError(msg)
+    if count < 1 or not 0 < near_m < far_m:
+        msg = f"got {count} depths from near {near_m:g} m to far {far_m:g} m, expected at least one with 0 < near < far"
+        raise InputError(msg)
+    if np.isinf(far_m) and spacing != "disparity":
+        msg = f"far is infinite, which spacing {spacing!r} cannot divide; use spacing 'disparity'"
+        raise InputError(msg)
+    to_scale, to_depth = forms[spacing]
+    first, last = to_scale(near_m), to_scale(far_m)
+    steps = np.linspace(first, last, count) if count > 1 else np.array([(first + last) / 2])
+    depths = np.array([to_depth(step) for step in steps], np.float64)
+    if count > 1:
+        depths[0], depths[-1] = near_m, far_m
+    return depths

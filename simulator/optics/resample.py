@@ -1,0 +1,82 @@
+"""Separable resampling of images by short bands of weights: exact pixel integration and cubic interpolation.
+
+Both are linear maps along one axis in which each output needs a few neighbouring inputs, so they run, with gradients,
+as a handful of gathers on NumPy and torch alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from simulator.arrays import Array, like, namespace
+
+
+@dataclass(frozen=True)
+class Band:
+    """A banded linear map along one axis: ``out[j] = sum_b weights[j, b] * x[first[j] + b]``, zero outside the input.
+
+    Attributes:
+        first: ``(J,)`` index of the first input of each output; may lie outside the input.
+        weights: ``(J, B)`` float64.
+    """
+
+    first: np.ndarray
+    weights: np.ndarray
+
+    def apply(self, array: Array, axis: int) -> Array:
+        """Apply the map along ``axis`` (-1 or -2) of an array."""
+        xp = namespace(array)
+        length = array.shape[axis]
+        total = None
+        for b in range(self.weights.shape[1]):
+            index = self.first + b
+            inside = (index >= 0) & (index < length)
+            weight = like(np.where(inside, self.weights[:, b], 0), array)
+            taken = xp.take(array, like(np.clip(index, 0, length - 1), array, xp.int64), axis=axis)
+            term = taken * (weight if axis == -1 else weight[:, None])
+            total = term if total is None else total + term
+        assert total is not None
+        return total
+
+
+def box_integral(origin: float, pitch_m: float, centres_m: np.ndarray, width_m: float) -> Band:
+    """Return the map from samples to their integral over boxes (metres x sample).
+
+    Each sample stands for a cell of ``pitch_m``; cells that a box's edge cuts count by the part inside. The integral
+    over all boxes of a gapless row therefore equals the sum of the samples times ``pitch_m``, to rounding.
+
+    Args:
+        origin: index, possibly half-way between two samples, of coordinate zero.
+        pitch_m: sample pitch, metres.
+        centres_m: ``(J,)`` centres of the boxes, metres.
+        width_m: width of the boxes, metres.
+    """
+    start = (centres_m - width_m / 2) / pitch_m + origin + 0.5  # in cells; cell i spans i .. i + 1
+    stop = (centres_m + width_m / 2) / pitch_m + origin + 0.5
+    first = np.floor(start).astype(np.int64)
+    cells = first[:, None] + np.arange(int(np.max(np.ceil(stop) - first)))
+    overlap = np.minimum(stop[:, None], cells + 1) - np.maximum(start[:, None], cells)
+    return Band(first, np.clip(overlap, 0, None) * pitch_m)
+
+
+def cubic_interpolation(length: int, factor: int) -> Band:
+    """Return the map from samples to ``factor`` times finer samples over the same extent, by cubic convolution.
+
+    Source: Keys, IEEE Trans. ASSP 29, 1153 (1981), a = -1/2: third-order accurate, four neighbours.
+    """
+    position = (np.arange(length * factor) + 0.5) / factor - 0.5
+    first = np.floor(position).astype(np.int64) - 1
+    distance = np.abs(position[:, None] - (first[:, None] + np.arange(4)))
+    near = 1.5 * distance**3 - 2.5 * distance**2 + 1
+    far = -0.5 * distance**3 + 2.5 * distance**2 - 4 * distance + 2
+    weights = np.where(distance <= 1, near, far)
+    # Beyond the border the edge sample goes on: its weight takes what falls outside.
+    clipped = np.clip(first, 0, max(length - 4, 0))
+    folded = np.zeros((position.size, min(4, length)))
+    rows = np.arange(position.size)
+    for b in range(4):
+        target = np.clip(first + b, 0, length - 1) - clipped
+        np.add.at(folded, (rows, target), weights[:, b])
+    return Band(clipped, folded)

@@ -1,0 +1,104 @@
+"""Sampling is proven, not assumed: the PSF at oversampling s against 2 s, on a crop of the mask.
+
+A guard on neighbouring phase steps would be wrong for staircase masks: steps of 2 pi are no error, and published
+PhlatCam designs are full of large steps. What counts is whether the image on the sensor still changes.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from simulator.arrays import to_numpy
+from simulator.errors import InputError
+from simulator.optics.mask import Mask
+from simulator.optics.spectrum import quantile_lines
+from simulator.types import CameraGeometry
+
+if TYPE_CHECKING:
+    from simulator.optics.psf import PsfConfig
+
+CROP_M = 1.5e-3  # enough mask for its statistics, little enough to cost under a second
+WARN, REFUSE = 0.01, 0.05
+
+
+def sampling_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -> dict[str, Any]:
+    """Measure the relative L2 error of the pixel-integrated PSF that the grid causes.
+
+    Returns:
+        ``error`` (the largest), and per wavelength (shortest and longest line) and depth (nearest and farthest) the
+        relative L2 difference between oversampling s and 2 s; JSON-serialisable.
+    """
+    from simulator.optics.psf import depth_images, stack_size
+
+    samples = round(CROP_M / mask.pitch_m)
+    crop = mask.crop((samples, samples))
+    if not np.any(to_numpy(crop.amplitude) > 0):
+        crop = mask
+    crop = replace(crop, height_m=to_numpy(crop.height_m), amplitude=to_numpy(crop.amplitude))
+    depths = tuple(dict.fromkeys((psf_config.depths_m[0], psf_config.depths_m[-1])))
+    coarse = replace(psf_config, depths_m=depths)
+    fine = replace(coarse, oversampling=2 * psf_config.oversampling)
+    wavelengths = [line.wavelength_m for line in quantile_lines(camera.response, psf_config.wavelengths_per_channel)]
+    size = stack_size(crop, camera, fine)
+    table = []
+    for wavelength in sorted({min(wavelengths), max(wavelengths)}):
+        pairs = zip(
+            depths,
+            depth_images(crop, camera, coarse, wavelength, size),
+            depth_images(crop, camera, fine, wavelength, size),
+            strict=True,
+        )
+        for depth, a, b in pairs:
+            error = float(np.linalg.norm(a - b) / np.linalg.norm(b))
+            table.append({"wavelength_m": wavelength, "depth_m": depth, "error": error})
+    return {
+        "error": max(row["error"] for row in table),
+        "oversampling": [coarse.oversampling, fine.oversampling],
+        "crop_m": crop.shape[0] * crop.pitch_m,
+        "table": table,
+    }
+
+
+def prove_sampling(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -> dict[str, Any]:
+    """Measure the sampling error; warn above 1 %, refuse above 5 % or ``accept_error``.
+
+    Raises:
+        InputError: with the error and the cure.
+    """
+    if mask.profile == "smooth":
+        _refuse_steep_phase(mask, camera, psf_config)
+    report = sampling_error(mask, camera, psf_config)
+    limit = REFUSE if psf_config.accept_error is None else psf_config.accept_error
+    if report["error"] > limit:
+        msg = (
+            f"oversampling: {psf_config.oversampling} gives a sampling error of {report['error']:.3f} (PSF on the sensor's "
+            f"pixels against {report['oversampling'][1]}), above the limit of {limit:g}; use oversampling "
+            f"{report['oversampling'][1]}, or set accept_error to allow it"
+        )
+        raise InputError(msg)
+    if report["error"] > WARN:
+        warnings.warn(
+            f"the PSF's sampling error is {report['error']:.3f} (oversampling {psf_config.oversampling} against "
+            f"{report['oversampling'][1]}); it is recorded with the stack",
+            stacklevel=3,
+        )
+    return report
+
+
+def _refuse_steep_phase(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -> None:
+    """Refuse a smooth mask whose phase turns by more than half a turn per sample: beyond Nyquist it is another mask."""
+    shortest = min(line.wavelength_m for line in quantile_lines(camera.response, psf_config.wavelengths_per_channel))
+    height = to_numpy(mask.height_m)
+    steepest = max(float(np.abs(np.diff(height, axis=axis)).max(initial=0)) for axis in (0, 1))
+    turns = steepest * (mask.material.index(shortest) - 1) / shortest / psf_config.oversampling
+    if turns > 0.5:
+        needed = int(np.ceil(2 * turns * psf_config.oversampling))
+        msg = (
+            f"oversampling: the smooth mask's phase turns by up to {turns:.2f} turns per sample at {shortest * 1e9:.0f} nm, "
+            f"more than the 0.5 that a grid can hold; use oversampling {needed}, or profile 'staircase' for a fabricated mask"
+        )
+        raise InputError(msg)

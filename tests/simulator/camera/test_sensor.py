@@ -1,0 +1,135 @@
+"""Sensor noise: means, variances, PSNR and limits on a million values each (PHYSICS section 9)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from simulator.camera.exposure import full_scale_from_pilots
+from simulator.camera.noise import GaussianNoise, NoNoise, PhysicalNoise
+from simulator.camera.sensor import MODELS, Sensor
+from simulator.errors import InputError
+
+SHAPE = (600, 600)  # times three channels: more than 10^6 values
+
+
+def _sensor(**changes) -> Sensor:
+    return replace(Sensor(name="imx183", binning=1, shape=SHAPE, **MODELS["imx183"]), **changes)
+
+
+def _ramp(low=0.05, high=0.9):
+    return np.broadcast_to(np.linspace(low, high, SHAPE[1], dtype=np.float32), (3, *SHAPE)).copy()
+
+
+@pytest.mark.parametrize("psnr_db", [20.0, 40.0])
+@pytest.mark.parametrize("peak", ["sample", "full_scale"])
+def test_gaussian_noise_has_the_asked_psnr_and_no_bias(psnr_db, peak):
+    sensor = _sensor(noise=GaussianNoise(psnr_db=psnr_db, peak=peak), full_scale=2.0)
+    signal = _ramp(high=0.6)
+    noise = sensor.expose(2 * signal, np.random.default_rng(0)).astype(np.float64) - signal
+    measured = 20 * np.log10((0.6 if peak == "sample" else 1.0) / noise.std())
+    assert measured == pytest.approx(psnr_db, abs=0.05)
+    assert abs(noise.mean()) < 4 * noise.std() / np.sqrt(noise.size)
+
+
+def test_gaussian_noise_by_standard_deviation_is_neither_clipped_nor_quantised_unless_asked():
+    sensor = _sensor(noise=GaussianNoise(std=0.1))
+    noisy = sensor.expose(np.zeros((3, *SHAPE), np.float32), np.random.default_rng(0))
+    assert noisy.std() == pytest.approx(0.1, rel=5e-3)
+    assert noisy.min() < -0.3
+    asked = _sensor(noise=GaussianNoise(std=0.1, clip=True, quantise=True))
+    clipped = asked.expose(np.zeros((3, *SHAPE), np.float32), np.random.default_rng(0))
+    assert clipped.min() == 0
+    np.testing.assert_array_equal(clipped * 4096, np.round(clipped * 4096))
+
+
+def test_no_noise_returns_the_signal():
+    signal = _ramp()
+    np.testing.assert_array_equal(_sensor(noise=NoNoise()).expose(signal, None), signal)
+
+
+@pytest.mark.parametrize("binning", [1, 2, 6])
+def test_physical_noise_has_the_photon_transfer_curve(binning):
+    """Mean without bias, and variance = shot + dark + read + row + quantisation, at several levels (EMVA 1288)."""
+    sensor = _sensor(noise=PhysicalNoise(), prnu=0.0, binning=binning, exposure_s=2.0, dark_current_e_per_s=20.0)
+    for level in (0.0, 0.02, 0.5):
+        signal = np.full((3, *SHAPE), level, np.float32)
+        numbers = sensor.expose(signal, np.random.default_rng(1)).astype(np.float64) * 4096
+        gain, pixels = sensor.dn_per_electron, np.asarray(sensor.pixels_per_channel(3))
+        electrons = level * sensor.full_well_e + 40.0
+        mean = sensor.black_level_dn + gain * electrons
+        each = (electrons + sensor.read_noise_e**2) * gain**2 + 1 / 12
+        row = (sensor.row_noise_e * gain) ** 2 / binning
+        for channel in range(3):
+            values = numbers[channel]
+            variance = each / pixels[channel] + row
+            # The row error does not average over columns: 600 rows decide how well the mean is known.
+            uncertainty = np.sqrt(each / pixels[channel] / values.size + row / SHAPE[0])
+            assert abs(values.mean() - mean) < 4 * uncertainty
+            assert values.var() == pytest.approx(variance, rel=0.02)  # 4.6e5 values: 0.2 %; row noise of 600 rows adds
+
+
+def test_physical_noiseless_is_the_mean_of_the_noisy_ones():
+    sensor = _sensor(noise=PhysicalNoise(), prnu=0.0, dark_current_e_per_s=0.0, row_noise_e=0.0)
+    signal = _ramp()
+    difference = sensor.expose(signal, np.random.default_rng(2)).astype(np.float64) - sensor.noiseless(signal)
+    assert abs(difference.mean()) < 4 * difference.std() / np.sqrt(difference.size)
+
+
+def test_physical_noise_clips_at_full_well_and_quantises():
+    sensor = _sensor(noise=PhysicalNoise())
+    numbers = sensor.expose(np.full((3, *SHAPE), 3.0, np.float32), np.random.default_rng(0)) * 4096
+    assert numbers.min() == numbers.max() == 4095
+    dim = sensor.expose(_ramp(), np.random.default_rng(0)) * 4096
+    np.testing.assert_array_equal(dim, np.round(dim))
+
+
+def test_fixed_pattern_is_the_same_in_every_picture_and_has_the_asked_strength():
+    sensor = _sensor(noise=PhysicalNoise(), prnu=0.02, row_noise_e=0.0)
+    flat = np.full((3, *SHAPE), 0.5, np.float32)
+    first, second = (sensor.expose(flat, np.random.default_rng(seed)) for seed in (0, 1))
+    covariance = np.cov(first.ravel(), second.ravel())[0, 1]
+    expected = (0.02 * (first.mean() - sensor.black_level_dn / 4096)) ** 2
+    assert covariance == pytest.approx(expected, rel=0.03)
+
+
+def test_row_noise_is_common_to_a_row():
+    sensor = _sensor(noise=PhysicalNoise(), prnu=0.0, row_noise_e=50.0)
+    numbers = sensor.expose(np.full((3, *SHAPE), 0.3, np.float32), np.random.default_rng(0))
+    assert numbers.mean(2).std(axis=1) == pytest.approx(50 * sensor.dn_per_electron / 4096, rel=0.1)
+    assert numbers.mean(1).std() < 0.1 * numbers.mean(2).std()
+
+
+@pytest.mark.parametrize("noise", [GaussianNoise(psnr_db=40), PhysicalNoise()])
+def test_same_generator_same_bytes_and_torch_agrees(noise):
+    torch = pytest.importorskip("torch")
+    sensor = _sensor(noise=noise)
+    signal = _ramp()
+    first, second = (sensor.expose(signal, np.random.default_rng(5)) for _ in range(2))
+    assert first.dtype == np.float32
+    np.testing.assert_array_equal(first, second)
+    tensor = sensor.expose(torch.from_numpy(signal), np.random.default_rng(5)).numpy()
+    # Half-way cases may round to the other digital number.
+    assert np.mean(np.abs(tensor - first) > 1e-6) < 1e-3
+    drawn = sensor.expose(torch.from_numpy(signal), torch.Generator().manual_seed(0)).numpy()
+    assert drawn.mean() == pytest.approx(first.mean(), rel=1e-3)
+
+
+def test_auto_exposure_puts_the_bright_end_at_80_percent():
+    pilots = [np.linspace(0, peak, 10001) for peak in (1.0, 2.0)]
+    full_scale = full_scale_from_pilots(pilots)
+    everything = np.concatenate(pilots) / full_scale
+    assert np.mean(everything > 0.8) == pytest.approx(1e-3, rel=0.1)
+    with pytest.raises(InputError, match="no light"):
+        full_scale_from_pilots([np.zeros(4)])
+
+
+def test_bad_sensors_are_refused_with_the_reason():
+    with pytest.raises(InputError, match=r"at most 456"):
+        _sensor(binning=8, shape=(457, 684))
+    with pytest.raises(InputError, match="full_scale"):
+        _sensor(full_scale=0.0)
+    with pytest.raises(InputError, match="irradiance must be"):
+        _sensor().expose(np.zeros((3, 4, 4), np.float32), None)
+    with pytest.raises(InputError, match="exactly one"):
+        GaussianNoise(std=0.1, psnr_db=40)
