@@ -112,6 +112,9 @@ def read_info(root: Path | str) -> DatasetInfo:
     values = {field.name: content[field.name] for field in fields(DatasetInfo)}
     for name in ("scene_shape", "sensor_shape", "channels"):
         values[name] = tuple(values[name]) if isinstance(values[name], list) else values[name]
+    if isinstance(values["counts"], dict):  # JSON keys lie sorted; train comes first everywhere else
+        counts = values["counts"]
+        values["counts"] = {split: counts[split] for split in SPLITS if split in counts} | counts
     try:
         return DatasetInfo(**values)
     except InputError as error:

@@ -1,0 +1,108 @@
+"""Reading a finished (or still growing) data set; never runs code that the data set names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, overload
+
+from simulator.dataset.dataset_info import DatasetInfo, read_info
+from simulator.dataset.manifest import load_manifest
+from simulator.dataset.sample import SPLITS, Sample, read_sample, sample_folder, sample_index
+from simulator.errors import InputError
+
+
+class Dataset(Sequence[Sample]):
+    """One split of a data set: map-style, lazy, picklable; fits a torch ``DataLoader`` as it is.
+
+    A ``DataLoader`` needs ``batch_size=None`` or a ``collate_fn``, because a ``Sample`` is not a tensor.
+
+    Attributes:
+        root: the data set's folder.
+        split: ``train``, ``validation`` or ``test``.
+        ids: ids of the finished samples, increasing; position ``i`` is ``ids[i]``.
+        info: the content of ``dataset.json``.
+    """
+
+    def __init__(self, root: Path, split: str, ids: tuple[str, ...], info: DatasetInfo) -> None:
+        self.root, self.split, self.ids, self.info = root, split, ids, info
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The configuration that made the data set, as plain values."""
+        return self.info.config
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of what decides the samples' bytes."""
+        return self.info.fingerprint
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """Exposure, versions, backend, sizes and channels of the data set."""
+        return {
+            "name": self.info.name,
+            "exposure": self.info.exposure,
+            "versions": self.info.versions,
+            "backend": self.info.backend,
+            "scene_shape": self.info.scene_shape,
+            "sensor_shape": self.info.sensor_shape,
+            "channels": self.info.channels,
+        }
+
+    def folder(self, position: int) -> Path:
+        """Return the folder of the sample at a position.
+
+        Raises:
+            IndexError: no such position.
+        """
+        if not -len(self.ids) <= position < len(self.ids):
+            msg = f"sample {position} asked, split {self.split!r} of {self.root} has {len(self.ids)}"
+            raise IndexError(msg)
+        return sample_folder(self.root, self.split, sample_index(self.ids[position]))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @overload
+    def __getitem__(self, position: int) -> Sample: ...
+    @overload
+    def __getitem__(self, position: slice) -> Dataset: ...
+    def __getitem__(self, position: int | slice) -> Sample | Dataset:
+        """Read the sample at a position, or select a part of the split without reading.
+
+        Raises:
+            IndexError: no such position.
+            InputError: the sample's files are missing or damaged.
+        """
+        if isinstance(position, slice):
+            return Dataset(self.root, self.split, self.ids[position], self.info)
+        folder = self.folder(position)
+        if not folder.is_dir():
+            msg = f"sample {folder} is in the manifest but not on disk; `flatlight verify {self.root}` lists all faults"
+            raise InputError(msg)
+        return read_sample(folder)
+
+    def __iter__(self) -> Iterator[Sample]:
+        return (self[position] for position in range(len(self)))
+
+    def __repr__(self) -> str:
+        return f"Dataset({str(self.root)!r}, split={self.split!r}, {len(self)} samples)"
+
+
+def open_dataset(path: Path | str, split: str = "train") -> Dataset:
+    """Open one split of a data set; samples are read when they are asked for.
+
+    Args:
+        path: the folder that ``flatlight generate`` wrote.
+        split: ``train``, ``validation`` or ``test``.
+
+    Raises:
+        InputError: no such folder, not a data set, or a split that it does not have.
+    """
+    root = Path(path)
+    info = read_info(root)
+    if split not in SPLITS or split not in info.counts:
+        msg = f"split must be one of {', '.join(info.counts)} for {root}, got {split!r}"
+        raise InputError(msg)
+    return Dataset(root, split, tuple(load_manifest(root).ids(split)), info)

@@ -1,0 +1,94 @@
+"""The contact sheet shows the right values: checked pixel by pixel where the answer is known."""
+
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from simulator.dataset.contact_sheet import contact_sheet, depth_colours
+from simulator.dataset.dataset_info import write_info
+from simulator.dataset.files import StorageError
+from simulator.dataset.manifest import ManifestWriter
+from simulator.dataset.sample import write_sample
+from simulator.errors import InputError
+
+SENSOR, SCENE = (192, 288), (192, 192)  # the size of the tiles: nothing is resampled
+MEASUREMENT_LEFT, SCENE_LEFT, DEPTH_LEFT, TOP = 12, 312, 516, 64
+
+
+def known_dataset(root: Path, samples: ModuleType) -> Path:
+    root.mkdir()
+    write_info(root, samples.make_info(sensor_shape=SENSOR, scene_shape=SCENE, counts={"train": 0, "test": 1}))
+    measurement = np.zeros((3, *SENSOR), np.float32)
+    measurement[0, :96] = 0.5  # half of full scale, upper half, red
+    rgb = np.full((1, *SCENE, 3), 0.25, np.float32)
+    rgb[:, :, 96:, 1] = 4.0  # the brightest green becomes white's green
+    depth = np.full((1, *SCENE), 0.2, np.float32)
+    depth[:, :96] = 0.04
+    valid = np.ones((1, *SCENE), bool)
+    valid[:, 96:, 96:] = False
+    changes = {"measurement": measurement, "noiseless": measurement, "rgb": rgb, "depth_m": depth, "valid": valid}
+    with ManifestWriter(root) as manifest:
+        manifest.append(write_sample(root, "test", 3, samples.make_sample(0, SENSOR, SCENE, **changes)), 0.1)
+    return root
+
+
+def test_values_and_orientation(tmp_path: Path, samples: ModuleType) -> None:
+    from PIL import Image
+
+    path = contact_sheet(known_dataset(tmp_path / "set", samples), tmp_path / "sheet.png")
+    sheet = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    assert sheet[TOP + 10, MEASUREMENT_LEFT + 10].tolist() == [188, 0, 0]  # sRGB of 0.5 is 187.5
+    assert sheet[TOP + 180, MEASUREMENT_LEFT + 10].tolist() == [0, 0, 0]
+    quarter = 71  # sRGB of 0.25 / 4: 1.055 * 0.0625^(1 / 2.4) - 0.055 = 0.277
+    assert sheet[TOP + 10, SCENE_LEFT + 10].tolist() == [quarter] * 3
+    assert sheet[TOP + 10, SCENE_LEFT + 180].tolist() == [quarter, 255, quarter]
+    assert sheet[TOP + 10, DEPTH_LEFT + 10].tolist() == [253, 231, 37]  # near
+    assert sheet[TOP + 180, DEPTH_LEFT + 10].tolist() == [68, 1, 84]  # far
+    assert sheet[TOP + 180, DEPTH_LEFT + 180].tolist() == [120, 120, 120]  # nothing seen
+
+
+def test_same_data_same_picture(dataset: Path, tmp_path: Path) -> None:
+    pictures = [contact_sheet(dataset, tmp_path / f"{name}.png").read_bytes() for name in "ab"]
+    assert pictures[0] == pictures[1]
+
+
+def test_rows(dataset: Path, tmp_path: Path) -> None:
+    from PIL import Image
+
+    heights = [Image.open(contact_sheet(dataset, tmp_path / "s.png", count)).height for count in (1, 2, 3, 8)]
+    assert np.diff(heights).tolist() == [226, 226, 0]  # three samples exist
+
+
+def test_other_channel_counts_and_unseen_scenes(tmp_path: Path, samples: ModuleType) -> None:
+    root = tmp_path / "set"
+    root.mkdir()
+    write_info(root, samples.make_info())
+    with ManifestWriter(root) as manifest:
+        for index, count in enumerate((1, 2, 4)):
+            planes = np.full((count, *samples.SENSOR), 0.5, np.float32)
+            unseen = np.zeros((1, *samples.SCENE), bool)
+            names = tuple(f"c{number}" for number in range(count))
+            changes = {"measurement": planes, "noiseless": planes, "channels": names, "valid": unseen}
+            sample = samples.make_sample(index, rgb=np.zeros((1, *samples.SCENE, 3), np.float32), **changes)
+            manifest.append(write_sample(root, "train", index, sample), 0.1)
+    assert contact_sheet(root, tmp_path / "s.png").stat().st_size > 1000
+
+
+def test_refusals(dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no finished sample in test"):
+        contact_sheet(dataset, tmp_path / "s.png", split="test")
+    with pytest.raises(InputError, match="count must be at least 1"):
+        contact_sheet(dataset, tmp_path / "s.png", count=0)
+    with pytest.raises(StorageError, match="does not exist"):
+        contact_sheet(dataset, tmp_path / "no" / "s.png")
+
+
+def test_colours_are_monotone_in_lightness() -> None:
+    depths = np.linspace(0.04, 0.2, 100, dtype=np.float32)[None]
+    colours = depth_colours(depths, np.ones_like(depths, bool), 0.04, 0.2)[0]
+    luminance = colours @ np.array([0.2126, 0.7152, 0.0722])
+    assert np.all(np.diff(luminance) < 0)  # near is light, far is dark, also in greyscale
+    flat = depth_colours(depths, np.ones_like(depths, bool), 0.1, 0.1)
+    assert flat.shape == (1, 100, 3)
