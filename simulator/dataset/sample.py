@@ -196,6 +196,8 @@ def read_description(folder: Path) -> tuple[dict[str, Any], bytes]:
         description = json.loads(data)
         complete = {"channels", "files", "id", "index", "label", "metadata", "seed", "split"} <= set(description)
         complete = complete and set(description["files"]) == {MEASUREMENT, GROUND_TRUTH}
+        complete = complete and all(isinstance(name, str) for name in description["channels"])
+        complete = complete and isinstance(description["metadata"], dict)
     except OSError as error:
         msg = f"cannot read {path}: {error.strerror or error}; is {folder} a sample?"
         raise InputError(msg) from error

@@ -103,12 +103,21 @@ def test_files_of_another_sample_are_refused(samples: ModuleType, tmp_path: Path
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b"{}", b'{"files": 3}', b"null", b"\xff"])
-def test_damaged_descriptions(samples: ModuleType, tmp_path: Path, content: bytes) -> None:
+def test_unusable_descriptions(samples: ModuleType, tmp_path: Path, content: bytes) -> None:
     write_sample(tmp_path, "train", 0, samples.make_sample(0))
     folder = sample_folder(tmp_path, "train", 0)
     (folder / "sample.json").write_bytes(content)
     with pytest.raises(InputError, match=r"sample\.json (is not|lacks fields)"):
         read_sample(folder)
+
+
+@pytest.mark.parametrize("change", [{"channels": [1, 2, 3]}, {"channels": None}, {"metadata": []}, {"files": {}}])
+def test_descriptions_with_wrong_fields(samples: ModuleType, tmp_path: Path, change: dict) -> None:
+    write_sample(tmp_path, "train", 0, samples.make_sample(0))
+    path = sample_folder(tmp_path, "train", 0) / "sample.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(InputError, match=r"sample\.json (is not|lacks fields)"):
+        read_sample(path.parent)
 
 
 @pytest.mark.parametrize(
