@@ -1,0 +1,259 @@
+"""Measured PSF images as a stack, so that a real camera can be simulated.
+
+One common scale turns counts into irradiance per irradiance; nothing is normalised per depth or channel, so the images
+must share exposure, gain and the source's irradiance at the mask.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import InputError
+from simulator.optics.measured_files import check_numbers, read_measurement, read_npy
+from simulator.optics.psf_stack import PsfStack, check_depths
+
+Background: TypeAlias = Literal["border", "none"] | float | Path
+
+BORDER_SHARE = 0.02
+"""Thickness of the outer frame whose median is the background, as a share of the shorter side."""
+OFF_CENTRE_SHARE = 0.125
+"""A centre of mass farther from the origin than this share of a side is noted as a warning."""
+
+
+def load_measured_psf(
+    files: Sequence[Path],
+    depths_m: Sequence[float],
+    pixel_pitch_m: float,
+    *,
+    frame: Literal["physical", "stored"],
+    binning: int = 1,
+    background: Background = "border",
+    throughput_m2: float,
+    channels: tuple[str, ...] = ("R", "G", "B"),
+) -> PsfStack:
+    """Read measured PSFs, remove their background, bin, turn and scale them.
+
+    Args:
+        files: one image per depth (TIFF, PNG, ``.npy``; grey: the same PSF for every channel), or a single
+            ``.npy`` of ``(K, H, W)`` or ``(K, C, H, W)``. Values must be linear in light.
+        depths_m: ``(K,)`` depth of the point source from the mask plane, metres, increasing.
+        pixel_pitch_m: pitch of the binned pixels, metres.
+        frame: ``physical`` as read from the sensor (turned here by 180 degrees), or ``stored`` (a pinhole's picture is
+            upright). The origin is sample ``(H // 2, W // 2)`` of the binned image.
+        binning: pixels per side that are averaged into one; an image that does not divide is cropped in its centre.
+        background: ``border`` takes the median of the image's outer 2 % frame, per image and channel (a PSF that fills
+            the sensor needs another choice); a number of counts; a file with a dark image; or ``none``.
+        throughput_m2: power that reaches the sensor per unit irradiance on the mask, square metres, as the mean over
+            depths and channels: transmittance times aperture area, when nothing is cropped.
+        channels: names of the channels.
+
+    Returns:
+        The stack, ``values`` ``(K, C, H, W)`` float32; ``provenance`` records the background levels, the share of light
+        that was negative after their removal and set to zero, crops, centres of mass and warnings.
+
+    Raises:
+        InputError: when files and depths do not match, a file is unreadable or differs in shape, holds NaN, or nothing
+            is left of a PSF after the background's removal.
+    """
+    depths = np.asarray(depths_m, np.float64)
+    check_depths(depths)
+    _check_numbers_given(pixel_pitch_m, throughput_m2, binning, frame)
+    level = _Background(background, channels)
+    planes: list[NDArray[np.float64]] = []
+    records: list[dict[str, Any]] = []
+    shape: tuple[int, ...] | None = None
+    for name, image in _images([Path(file) for file in files], len(depths), channels):
+        if shape is not None and image.shape != shape:
+            msg = (
+                f"{name} is {_size(image.shape)}, but the first PSF is {_size(shape)}: "
+                "all depths need the same size and channels"
+            )
+            raise InputError(msg)
+        shape = image.shape
+        light, record = _clean(image, level, binning, name)
+        planes.append(_turned(light) if frame == "physical" else light)
+        records.append(record)
+    values = np.stack(planes)
+    energy = values.sum(axis=(-2, -1))
+    if not np.all(energy > 0):
+        k = int(np.argwhere(energy <= 0)[0][0])
+        msg = (
+            f"the PSF of {depths[k]:g} m ({records[k]['file']}) is zero everywhere after removing a background of "
+            f"{records[k]['background']}: no light is left; check the image, or choose another background"
+        )
+        raise InputError(msg)
+    scale = throughput_m2 / (energy.mean() * pixel_pitch_m**2)
+    centres = [_centre_of_mass(plane) for plane in values.sum(axis=1)]
+    settings = {
+        "kind": "measured",
+        "frame": frame,
+        "binning": binning,
+        "background": level.name,
+        "throughput_m2": throughput_m2,
+    }
+    provenance = {
+        **settings,
+        "same_psf_for_all_channels": values.shape[1] < len(channels),
+        "turned_by_180_degrees": frame == "physical",
+        "scale_per_count": float(scale),
+        "images": [{**record, "centre_of_mass_px": list(c)} for record, c in zip(records, centres, strict=True)],
+        "warnings": _warnings(centres, values.shape, depths),
+    }
+    hashes = [_sha256(Path(file)) for file in files]
+    identity = [settings, hashes, level.sha256, depths.tolist(), pixel_pitch_m, list(channels)]
+    return PsfStack(
+        values=np.repeat(values * scale, len(channels) // values.shape[1], axis=1).astype(np.float32),
+        depths_m=depths,
+        pixel_pitch_m=pixel_pitch_m,
+        channels=tuple(channels),
+        fingerprint=hashlib.sha256(json.dumps(identity).encode()).hexdigest(),
+        provenance=provenance,
+    )
+
+
+class _Background:
+    """What is subtracted from every image: a level per channel, or a dark image."""
+
+    def __init__(self, background: Background, channels: tuple[str, ...]) -> None:
+        self._level: float | None = None
+        self._dark: NDArray[Any] | None = None
+        self.sha256: str | None = None
+        if background in ("border", "none"):
+            self.name: str | float = str(background)
+        elif isinstance(background, int | float):
+            if not (math.isfinite(background) and background >= 0):
+                msg = f"background is {background}; expected a number of counts from 0 up, 'border', 'none' or a file"
+                raise InputError(msg)
+            self._level, self.name = float(background), float(background)
+        else:
+            path = Path(background)
+            self._dark, self.sha256, self.name = read_measurement(path, channels), _sha256(path), path.name
+
+    def of(self, image: NDArray[Any], name: str) -> NDArray[Any]:
+        """The background of an image ``(C, H, W)``, broadcastable to it."""
+        if self._dark is not None:
+            if self._dark.shape[-2:] != image.shape[-2:] or self._dark.shape[0] not in (1, image.shape[0]):
+                msg = (
+                    f"background {self.name} is {_size(self._dark.shape)}, but {name} is {_size(image.shape)}: "
+                    "expected a dark image of the same camera and size"
+                )
+                raise InputError(msg)
+            return self._dark
+        if self._level is not None or self.name == "none":
+            return np.full((1, 1, 1), self._level or 0.0)
+        width = max(1, round(BORDER_SHARE * min(image.shape[-2:])))
+        inner = np.zeros(image.shape[-2:], bool)
+        inner[width:-width, width:-width] = True
+        return np.median(image[:, ~inner], axis=1)[:, None, None]
+
+
+def _images(files: list[Path], depths: int, channels: tuple[str, ...]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield name and image ``(1 or C, H, W)`` for each depth, one at a time: a stack of raw captures may be large."""
+    if len(files) == 1 and files[0].suffix.lower() == ".npy":
+        stack = check_numbers(read_npy(files[0]), files[0])
+        stack = stack[None] if stack.ndim == 2 else stack
+        if stack.ndim == 3:
+            one_image = depths == 1 and stack.shape[0] == len(channels)  # (C, H, W), as in a file per depth
+            stack = stack[None] if one_image else stack[:, None]
+        if stack.ndim != 4 or stack.shape[0] != depths or stack.shape[1] not in (1, len(channels)) or 0 in stack.shape:
+            msg = (
+                f"{files[0]} holds an array of shape {stack.shape}; expected (K, H, W) or (K, C, H, W) with "
+                f"K = {depths} depths and C = {len(channels)} channels ({', '.join(channels)})"
+            )
+            raise InputError(msg)
+        yield from ((f"{files[0].name}[{k}]", image) for k, image in enumerate(stack))
+        return
+    if len(files) != depths:
+        msg = f"got {len(files)} PSF files for {depths} depths: give one file per depth, or one .npy with all of them"
+        raise InputError(msg)
+    yield from ((file.name, read_measurement(file, channels)) for file in files)
+
+
+def _clean(
+    image: NDArray[Any], background: _Background, binning: int, name: str
+) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    """Binned light without background, ``(C, h, w)``, and what was done.
+
+    Binning comes before the clipping at zero, so that noise averages out instead of becoming light.
+    """
+    if min(image.shape[-2:]) < binning:
+        msg = f"{name} is {_size(image.shape)}, smaller than one block of binning {binning}: lower the binning"
+        raise InputError(msg)
+    dark = background.of(image, name)
+    levels = np.broadcast_to(dark, (image.shape[0], *dark.shape[1:])).mean(axis=(-2, -1), dtype=np.float64)
+    light = _binned(image, binning) - (_binned(dark, binning) if dark.shape[-1] > 1 else dark)
+    negative, total = -np.minimum(light, 0).sum(axis=(-2, -1)), np.abs(light).sum(axis=(-2, -1))
+    record = {
+        "file": name,
+        "background": levels.tolist(),
+        "negative_share": np.divide(negative, total, out=np.zeros_like(total), where=total > 0).tolist(),
+        "cropped_px": [n % binning for n in image.shape[-2:]],
+    }
+    return np.maximum(light, 0), record
+
+
+def _binned(image: NDArray[Any], binning: int) -> NDArray[np.float64]:
+    """Mean over blocks of the largest part that divides, in the image's centre; ``(C, H, W)`` -> ``(C, h, w)``."""
+    if binning == 1:
+        return image.astype(np.float64)
+    rows, columns = (n // binning for n in image.shape[-2:])
+    top, left = ((n % binning) // 2 for n in image.shape[-2:])
+    part = image[:, top : top + rows * binning, left : left + columns * binning]
+    return part.reshape(-1, rows, binning, columns, binning).mean(axis=(2, 4), dtype=np.float64)
+
+
+def _turned(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn ``(C, H, W)`` by 180 degrees about sample ``(H // 2, W // 2)``.
+
+    An even size has one row more before the origin than behind it; that outermost row has no counterpart and is left
+    out, because a plain flip would move the origin by one sample.
+    """
+    rows, columns = ((n + 1) % 2 for n in image.shape[-2:])
+    return image[:, rows:, columns:][:, ::-1, ::-1]
+
+
+def _centre_of_mass(plane: NDArray[np.float64]) -> tuple[float, float]:
+    """Row and column of the centre of mass from the origin, samples."""
+    row, column = (np.arange(n) - n // 2 for n in plane.shape)
+    return float(plane.sum(1) @ row / plane.sum()), float(plane.sum(0) @ column / plane.sum())
+
+
+def _warnings(centres: list[tuple[float, float]], shape: tuple[int, ...], depths: NDArray[np.float64]) -> list[str]:
+    return [
+        f"the PSF of {depth:g} m has its centre of mass ({row:.1f}, {column:.1f}) pixels from the grid's origin: "
+        "the scene will appear shifted by as much"
+        for depth, (row, column) in zip(depths, centres, strict=True)
+        if abs(row) > OFF_CENTRE_SHARE * shape[-2] or abs(column) > OFF_CENTRE_SHARE * shape[-1]
+    ]
+
+
+def _check_numbers_given(pixel_pitch_m: float, throughput_m2: float, binning: int, frame: str) -> None:
+    if not 1e-8 < pixel_pitch_m < 1e-2:
+        msg = f"pixel_pitch_m is {pixel_pitch_m}; expected metres (2.4 um is 2.4e-6)"
+        raise InputError(msg)
+    if not 0 < throughput_m2 < 1:
+        msg = f"throughput_m2 is {throughput_m2}; expected square metres above 0 (10 mm2 is 10e-6)"
+        raise InputError(msg)
+    if not isinstance(binning, int) or binning < 1:
+        msg = f"binning is {binning!r}; expected a whole number of pixels from 1 up"
+        raise InputError(msg)
+    if frame not in ("physical", "stored"):
+        msg = f"frame is {frame!r}; expected 'physical' (as read from the sensor) or 'stored' (turned by 180 degrees)"
+        raise InputError(msg)
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape[-2:])) + (f" with {shape[-3]} channels" if shape[-3] > 1 else "")

@@ -1,0 +1,328 @@
+"""Measured PSFs: the same numbers through every file format, background, binning, frame, the one scale, mistakes."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from simulator.errors import InputError
+from simulator.optics.measured import load_measured_psf
+
+PITCH = 10e-6
+AREA = 3e-6
+DEPTHS = [0.04, 0.2]
+
+
+def load(files, depths=(0.1,), **changes):
+    settings = {"frame": "stored", "background": "none", "throughput_m2": AREA, **changes}
+    return load_measured_psf(files, depths, PITCH, **settings)
+
+
+def save(path, image):
+    """Write ``(H, W)`` or ``(H, W, 3)`` by a writer that is not ours."""
+    if path.suffix == ".npy":
+        np.save(path, image if image.ndim == 2 else np.moveaxis(image, -1, 0))
+    elif path.suffix == ".tif":
+        tifffile.imwrite(path, image, photometric="rgb" if image.ndim == 3 else "minisblack")
+    elif image.dtype == np.uint16:
+        cv2.imwrite(str(path), image)
+    else:
+        Image.fromarray(image).save(path)
+    return path
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(11)
+
+
+@pytest.fixture
+def grey(rng):
+    return rng.integers(0, 200, (9, 13), dtype=np.uint8)
+
+
+def expected(image):
+    """The one scale: sum H p^2 is the throughput on average."""
+    image = image.astype(float)
+    planes = np.stack([image] * 3) if image.ndim == 2 else np.moveaxis(image, -1, 0)
+    return planes * AREA / (planes.sum((1, 2)).mean() * PITCH**2)
+
+
+class TestFormats:
+    @pytest.mark.parametrize("suffix", [".tif", ".png", ".npy"])
+    def test_grey_serves_all_channels(self, tmp_path, grey, suffix):
+        stack = load([save(tmp_path / f"psf{suffix}", grey)])
+        assert stack.values.shape == (1, 3, 9, 13)
+        assert stack.values.dtype == np.float32
+        np.testing.assert_allclose(stack.values[0], expected(grey), rtol=1e-6)
+        assert stack.provenance["same_psf_for_all_channels"] is True
+
+    @pytest.mark.parametrize("suffix", [".tif", ".png", ".npy"])
+    def test_colour_gives_each_channel_its_own_in_rgb_order(self, tmp_path, rng, suffix):
+        image = rng.integers(0, 200, (9, 13, 3), dtype=np.uint8)
+        stack = load([save(tmp_path / f"psf{suffix}", image)])
+        np.testing.assert_allclose(stack.values[0], expected(image), rtol=1e-6)
+        assert stack.provenance["same_psf_for_all_channels"] is False
+
+    @pytest.mark.parametrize("suffix", [".tif", ".png", ".npy"])
+    def test_16_bits_stay_16_bits(self, tmp_path, rng, suffix):
+        image = rng.integers(0, 65535, (9, 13), dtype=np.uint16, endpoint=True)
+        stack = load([save(tmp_path / f"psf{suffix}", image)])
+        np.testing.assert_allclose(stack.values[0], expected(image), rtol=1e-6)
+
+    def test_planar_tiff(self, tmp_path, rng):
+        image = rng.integers(0, 200, (3, 9, 13), dtype=np.uint16)
+        tifffile.imwrite(tmp_path / "psf.tif", image, photometric="rgb", planarconfig="separate")
+        np.testing.assert_allclose(
+            load([tmp_path / "psf.tif"]).values[0], expected(np.moveaxis(image, 0, -1)), rtol=1e-6
+        )
+
+    @pytest.mark.parametrize("shape", [(2, 9, 13), (2, 3, 9, 13)])
+    def test_one_npy_holds_all_depths(self, tmp_path, rng, shape):
+        values = rng.uniform(size=shape)
+        np.save(tmp_path / "stack.npy", values)
+        stack = load([tmp_path / "stack.npy"], DEPTHS)
+        ours = np.broadcast_to(values.reshape(2, -1, 9, 13), (2, 3, 9, 13))
+        np.testing.assert_allclose(stack.values, ours * (stack.values[0, 0, 0, 0] / ours[0, 0, 0, 0]), rtol=1e-5)
+
+    def test_other_channel_names(self, tmp_path, grey):
+        stack = load([save(tmp_path / "psf.tif", grey)], channels=("mono",))
+        assert stack.values.shape == (1, 1, 9, 13)
+        assert stack.channels == ("mono",)
+
+
+class TestScale:
+    def test_one_scale_for_the_whole_stack(self, tmp_path, rng):
+        values = rng.uniform(size=(2, 3, 9, 13)) * np.array([1.0, 5.0])[:, None, None, None]
+        np.save(tmp_path / "stack.npy", values)
+        stack = load([tmp_path / "stack.npy"], DEPTHS)
+        assert stack.energy_m2().mean() == pytest.approx(AREA, rel=1e-6)
+        ratios = stack.energy_m2() / values.sum((2, 3))
+        assert np.ptp(ratios) / ratios.mean() < 1e-6  # what differed in the files still differs alike
+        assert stack.provenance["scale_per_count"] == pytest.approx(ratios.mean() / PITCH**2, rel=1e-6)
+
+
+class TestBackground:
+    def test_border_takes_the_median_of_the_outer_frame_per_channel(self, tmp_path, rng):
+        light = np.zeros((100, 60, 3))
+        light[40:60, 20:40] = rng.uniform(50, 100, (20, 20, 3))
+        levels = np.array([7.0, 20.0, 31.0])
+        image = np.rint(light + levels).astype(np.uint16)
+        image[0, :5] = 60000  # a few hot pixels in the frame must not matter
+        stack = load([save(tmp_path / "psf.tif", image)], background="border")
+        (record,) = stack.provenance["images"]
+        assert record["background"] == levels.tolist()
+        assert record["negative_share"] == [0, 0, 0]
+        inside = np.rint(light)[5:]
+        np.testing.assert_allclose(
+            stack.values[0, :, 5:], np.moveaxis(inside, -1, 0) * stack.provenance["scale_per_count"], rtol=1e-5
+        )
+
+    def test_a_number_and_negative_residues(self, tmp_path):
+        image = np.array([[1, 5, 9], [5, 5, 5], [5, 5, 6]], np.uint8)
+        stack = load([save(tmp_path / "psf.tif", image)], background=5.0)
+        (record,) = stack.provenance["images"]
+        assert record["background"] == [5.0]
+        assert record["negative_share"] == [pytest.approx(4 / 9)]  # 4 below, 4 + 1 above
+        np.testing.assert_allclose(stack.values[0, 1] / stack.values.max(), [[0, 0, 1], [0, 0, 0], [0, 0, 0.25]])
+
+    @pytest.mark.parametrize("dark_channels", [1, 3])
+    def test_a_dark_image(self, tmp_path, rng, dark_channels):
+        shape = (9, 13, 3)
+        light, dark = rng.integers(1, 100, shape, np.uint16), rng.integers(1, 9, shape, np.uint16)
+        dark = dark[..., :1].repeat(3, -1) if dark_channels == 1 else dark
+        stored = dark[..., 0] if dark_channels == 1 else dark
+        file = save(tmp_path / "dark.tif", stored)
+        stack = load([save(tmp_path / "psf.tif", light + dark)], background=file)
+        np.testing.assert_allclose(stack.values[0], expected(light), rtol=1e-6)
+        assert stack.provenance["background"] == "dark.tif"
+        assert stack.provenance["images"][0]["background"] == pytest.approx(dark.mean((0, 1)).tolist())
+
+    def test_binning_comes_before_clipping(self, tmp_path):
+        noise = np.indices((8, 8)).sum(0) % 2 * 2.0 - 1  # averages to zero in every block of 2 x 2
+        image = (10 + noise).astype(np.float32)
+        image[4:6, 4:6] += 8
+        stack = load([save(tmp_path / "psf.tif", image)], background=10.0, binning=2)
+        assert np.count_nonzero(stack.values[0, 0]) == 1
+        assert stack.values[0, 0, 2, 2] > 0
+        assert stack.provenance["images"][0]["negative_share"] == [0]
+
+
+class TestBinning:
+    def test_blocks_are_averaged_and_the_rest_is_cropped_in_the_centre(self, tmp_path, rng):
+        image = rng.uniform(1, 2, (8, 11)).astype(np.float32)
+        stack = load([save(tmp_path / "psf.npy", image)], binning=3)
+        by_hand = [[image[1 + 3 * r : 4 + 3 * r, 1 + 3 * c : 4 + 3 * c].mean() for c in range(3)] for r in range(2)]
+        np.testing.assert_allclose(stack.values[0, 0], expected(np.array(by_hand))[0], rtol=1e-6)
+        assert stack.provenance["images"][0]["cropped_px"] == [2, 2]
+        assert stack.pixel_pitch_m == PITCH  # the pitch given is that of the binned pixels
+
+
+class TestFrame:
+    @pytest.mark.parametrize("shape", [(9, 13), (8, 12), (9, 12), (8, 13)])
+    def test_turning_keeps_the_origin_on_its_sample(self, tmp_path, rng, shape):
+        image = rng.uniform(1, 2, shape)
+        image[shape[0] // 2, shape[1] // 2] = 50.0  # the origin
+        image[shape[0] // 2 - 2, shape[1] // 2 + 1] = 20.0  # above and to the right: must come out below, left
+        values = load([save(tmp_path / "psf.npy", image)], frame="physical").values[0, 0]
+        rows, columns = values.shape
+        assert (rows % 2, columns % 2) == (1, 1)
+        assert np.unravel_index(values.argmax(), values.shape) == (rows // 2, columns // 2)
+        assert values[rows // 2 + 2, columns // 2 - 1] == pytest.approx(values.max() * 0.4)
+        # Every sample x of the turned PSF is sample -x of the measured one.
+        for y in range(-(rows // 2), rows // 2 + 1):
+            for x in range(-(columns // 2), columns // 2 + 1):
+                ratio = values[rows // 2 + y, columns // 2 + x] / image[shape[0] // 2 - y, shape[1] // 2 - x]
+                assert ratio == pytest.approx(values.max() / 50.0, rel=1e-5)
+
+    def test_stored_is_left_alone(self, tmp_path, rng):
+        image = rng.uniform(1, 2, (8, 12))
+        np.testing.assert_allclose(load([save(tmp_path / "psf.npy", image)]).values[0], expected(image), rtol=1e-6)
+
+    def test_a_centre_of_mass_far_out_is_noted(self, tmp_path):
+        image = np.ones((41, 41))
+        image[35:, 3] = 1e4
+        stack = load([save(tmp_path / "psf.npy", image)])
+        (record,) = stack.provenance["images"]
+        assert record["centre_of_mass_px"] == pytest.approx([17.5, -16.5], abs=0.5)
+        (warning,) = stack.provenance["warnings"]
+        assert "PSF of 0.1 m" in warning
+        assert load([save(tmp_path / "even.npy", np.ones((41, 41)))]).provenance["warnings"] == []
+
+
+class TestRecord:
+    def test_fingerprint_follows_everything_that_decides_the_values(self, tmp_path, grey):
+        file = save(tmp_path / "psf.tif", grey)
+        dark = save(tmp_path / "dark.tif", np.zeros_like(grey))
+        first = load([file]).fingerprint
+        assert load([save(tmp_path / "copy.tif", grey)]).fingerprint == first
+        changes = [
+            {"frame": "physical"},
+            {"binning": 2},
+            {"background": "border"},
+            {"background": 1.0},
+            {"background": dark},
+            {"throughput_m2": 2 * AREA},
+            {"channels": ("r", "g", "b")},
+            {"depths": (0.2,)},
+        ]
+        found = {first, *(load([file], **change).fingerprint for change in changes)}
+        grey[4, 4] += 1
+        found.add(load([save(tmp_path / "psf.tif", grey)]).fingerprint)
+        assert len(found) == len(changes) + 2
+
+    def test_provenance_is_strict_json_even_at_infinity(self, tmp_path, grey):
+        stack = load([save(tmp_path / "psf.tif", grey)], depths=(np.inf,))
+        assert json.loads(json.dumps(stack.provenance, allow_nan=False)) == stack.provenance
+
+    @pytest.mark.shared
+    def test_the_real_diffuser(self, shared_data):
+        file = shared_data / "diffusercam/tutorial/psf_sample.tif"
+        stack = load([file], frame="physical", binning=4, background="border", throughput_m2=1e-5)
+        assert stack.values.shape == (1, 3, 299, 399)
+        assert stack.energy_m2() == pytest.approx(1e-5 * np.ones((1, 3)), rel=1e-6)
+        (record,) = stack.provenance["images"]
+        assert record["background"] == pytest.approx([32], abs=16)  # the note: about 32
+        raw = tifffile.imread(file).astype(float)
+        binned = np.maximum(raw.reshape(300, 4, 400, 4).mean((1, 3)) - record["background"][0], 0)
+        peak = np.unravel_index(binned[1:, 1:].argmax(), (299, 399))
+        found = np.unravel_index(stack.values[0, 0].argmax(), (299, 399))
+        assert found == (298 - peak[0], 398 - peak[1])
+
+
+class TestMistakes:
+    def test_files_and_depths_do_not_match(self, tmp_path, grey):
+        file = save(tmp_path / "psf.tif", grey)
+        with pytest.raises(InputError, match="got 1 PSF files for 2 depths"):
+            load([file], DEPTHS)
+        np.save(tmp_path / "stack.npy", np.ones((3, 9, 13)))
+        with pytest.raises(InputError, match=r"stack\.npy holds an array of shape \(3, 1, 9, 13\).*K = 2 depths"):
+            load([tmp_path / "stack.npy"], DEPTHS)
+        with pytest.raises(InputError, match="must increase strictly"):
+            load([file, file], DEPTHS[::-1])
+        with pytest.raises(InputError, match="must be positive"):
+            load([file], (-0.1,))
+
+    def test_files_that_differ(self, tmp_path, grey):
+        files = [save(tmp_path / "a.tif", grey), save(tmp_path / "b.tif", grey[1:])]
+        with pytest.raises(InputError, match=r"b\.tif is 8 x 13, but the first PSF is 9 x 13"):
+            load(files, DEPTHS)
+        files[1] = save(tmp_path / "c.png", np.stack([grey] * 3, -1))
+        with pytest.raises(InputError, match=r"c\.png is 9 x 13 with 3 channels, but the first PSF is 9 x 13:"):
+            load(files, DEPTHS)
+
+    def test_a_dark_psf_is_named(self, tmp_path, grey):
+        files = [save(tmp_path / "a.tif", grey), save(tmp_path / "b.tif", np.full_like(grey, 3))]
+        with pytest.raises(InputError, match=r"PSF of 0\.2 m \(b\.tif\) is zero everywhere .* background of \[3\.0\]"):
+            load(files, DEPTHS, background="border")
+
+    def test_values_that_are_no_light(self, tmp_path, grey):
+        image = grey.astype(np.float32)
+        image[2, 2] = np.nan
+        with pytest.raises(InputError, match=r"psf\.tif holds 1 values that are NaN or infinite"):
+            load([save(tmp_path / "psf.tif", image)])
+        np.save(tmp_path / "wave.npy", grey + 1j)
+        with pytest.raises(InputError, match=r"wave\.npy holds values of type complex128"):
+            load([tmp_path / "wave.npy"])
+
+    @pytest.mark.parametrize("suffix", [".tif", ".png", ".npy"])
+    def test_unreadable_files_are_named(self, tmp_path, rng, suffix):
+        path = tmp_path / f"psf{suffix}"
+        with pytest.raises(InputError, match=path.name):
+            load([path])
+        path.write_bytes(b"this is no image at all")
+        with pytest.raises(InputError, match=path.name):
+            load([path])
+        save(path, rng.integers(0, 255, (90, 130), dtype=np.uint8))
+        path.write_bytes(path.read_bytes()[:4000])
+        with pytest.raises(InputError, match=path.name):
+            load([path])
+
+    def test_pickles_and_archives_are_not_opened(self, tmp_path, grey):
+        np.save(tmp_path / "objects.npy", np.array([{}], object), allow_pickle=True)
+        with pytest.raises(InputError, match=r"objects\.npy cannot be read"):
+            load([tmp_path / "objects.npy"])
+        with (tmp_path / "many.npy").open("wb") as file:
+            np.savez(file, grey)
+        with pytest.raises(InputError, match=r"many\.npy is an archive"):
+            load([tmp_path / "many.npy"])
+
+    def test_shapes_and_kinds_that_are_not_expected(self, tmp_path, grey):
+        tifffile.imwrite(tmp_path / "pages.tif", np.stack([grey, grey]), photometric="minisblack")
+        with pytest.raises(InputError, match=r"pages\.tif has 2 pages"):
+            load([tmp_path / "pages.tif"])
+        np.save(tmp_path / "a.npy", np.ones((2, 9, 13)))
+        with pytest.raises(InputError, match=r"a\.npy holds an array of shape \(2, 9, 13\); expected one grey"):
+            load([tmp_path / "a.npy", tmp_path / "a.npy"], DEPTHS)
+        Image.fromarray(grey).save(tmp_path / "psf.jpg")
+        with pytest.raises(InputError, match=r"psf\.jpg is of a kind that is not read"):
+            load([tmp_path / "psf.jpg"])
+
+    def test_a_background_that_does_not_fit(self, tmp_path, grey):
+        file = save(tmp_path / "psf.tif", grey)
+        with pytest.raises(InputError, match=r"dark\.tif is 8 x 13, but psf\.tif is 9 x 13"):
+            load([file], background=save(tmp_path / "dark.tif", grey[1:]))
+        for level in (-1.0, np.nan):
+            with pytest.raises(InputError, match="expected a number of counts"):
+                load([file], background=level)
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"frame": "upright"}, "frame is 'upright'"),
+            ({"binning": 0}, "binning is 0"),
+            ({"binning": 10}, "smaller than one block of binning 10"),
+            ({"throughput_m2": 0.0}, "throughput_m2 is 0.0"),
+            ({"throughput_m2": 10.0}, "10 mm2 is 10e-6"),
+        ],
+    )
+    def test_numbers_out_of_range(self, tmp_path, grey, change, message):
+        with pytest.raises(InputError, match=message):
+            load([save(tmp_path / "psf.tif", grey)], **change)
+
+    def test_pitch_in_micrometres(self, tmp_path, grey):
+        with pytest.raises(InputError, match=r"2\.4 um is 2\.4e-6"):
+            load_measured_psf([save(tmp_path / "psf.tif", grey)], [0.1], 2.4, frame="stored", throughput_m2=AREA)
