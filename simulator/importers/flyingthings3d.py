@@ -35,7 +35,7 @@ def flyingthings3d(
     picture_pass: PicturePass = "cleanpass",
     eye: Eye = "left",
     subset: Subset = "all",
-    depth_scaling: AffineKind | Literal["fixed"] = "affine_disparity",
+    depth_scaling: Literal["affine_disparity", "affine_depth", "fixed"] = "affine_disparity",
     per: Literal["image", "set"] = "image",
     metres_per_unit: Annotated[float, Field(gt=0)] | None = None,
     crop: Literal["random", "centre"] = "random",
