@@ -1,0 +1,243 @@
+"""Which Mitsuba variant renders: compiled through a proven libLLVM, or the scalar one that works everywhere.
+
+The parent process chooses once (`choose_backend`); every process that renders then calls `activate`.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+from simulator.errors import InputError
+from simulator.render.llvm_advice import LLVM_VERSIONS, how_to_get_llvm
+
+Request = Literal["auto", "llvm", "scalar"]
+LLVM_VARIANT = "llvm_ad_rgb"
+SCALAR_VARIANT = "scalar_rgb"
+
+# Importing Mitsuba from a cold network disk takes most of this; the proof itself takes about a second.
+_PROOF_TIMEOUT_S = 120.0
+_activated: tuple[int, str] | None = None  # the process id and the variant it renders with
+
+
+@dataclass(frozen=True)
+class Backend:
+    """The Mitsuba variant that a data set is rendered with.
+
+    Attributes:
+        variant: ``llvm_ad_rgb`` or ``scalar_rgb``.
+        llvm_version: for example ``15.0.6``; None for the scalar variant.
+        message: why this variant, one line.
+        advice: what to install to render faster; empty when nothing is missing.
+    """
+
+    variant: str
+    llvm_version: str | None
+    message: str
+    advice: str = ""
+
+
+@dataclass(frozen=True)
+class _Proof:
+    """Result of trying LLVM: its version if one was found, and what is wrong with it (empty when it works)."""
+
+    version: str | None
+    problem: str
+
+
+def choose_backend(requested: Request = "auto") -> Backend:
+    """Choose the Mitsuba variant, proving LLVM once per process by a small render in a subprocess.
+
+    Args:
+        requested: ``auto`` takes LLVM when it is proven and the scalar variant otherwise; ``llvm`` insists on LLVM;
+            ``scalar`` does not even look for it.
+
+    Raises:
+        InputError: when ``requested`` is no such word, or is ``llvm`` and LLVM cannot be proven.
+
+    Example:
+        >>> choose_backend("scalar").variant
+        'scalar_rgb'
+    """
+    if requested not in get_args(Request):
+        msg = f"render.backend: got {requested!r}, expected one of auto, llvm, scalar"
+        raise InputError(msg)
+    if requested == "scalar":
+        return Backend(SCALAR_VARIANT, None, "scalar_rgb, as asked")
+    library = os.environ.get("DRJIT_LIBLLVM_PATH")
+    proof = _prove_llvm(library)
+    if not proof.problem:
+        return Backend(LLVM_VARIANT, proof.version, f"llvm_ad_rgb, proven with libLLVM {proof.version}")
+    advice = how_to_get_llvm(library)
+    if requested == "llvm":
+        msg = (
+            f"render.backend: llvm was asked for but {proof.problem}. {advice}, or set render.backend to auto or scalar"
+        )
+        raise InputError(msg)
+    return Backend(
+        SCALAR_VARIANT, None, f"scalar_rgb, because {proof.problem}", f"To render about twice as fast: {advice}"
+    )
+
+
+def activate(variant: str, threads: int | None = None) -> None:
+    """Make this process render with ``variant``; repeated calls with the same one are harmless.
+
+    Args:
+        variant: a `Backend.variant`.
+        threads: CPU threads for rendering, at least 1; None leaves them as they are. The picture does not depend on it.
+
+    Raises:
+        InputError: when the variant is unknown, the threads are below 1, or LLVM has gone since it was proven.
+        RuntimeError: when this process already renders with another variant, or was forked from one that renders:
+            its render threads did not survive the fork.
+    """
+    global _activated
+    if variant not in (LLVM_VARIANT, SCALAR_VARIANT):
+        msg = f"variant: got {variant!r}, expected {LLVM_VARIANT} or {SCALAR_VARIANT} (see choose_backend)"
+        raise InputError(msg)
+    if threads is not None and threads < 1:
+        msg = f"threads: got {threads}, expected at least 1"
+        raise InputError(msg)
+    with _private_home_if_needed(), _quiet_stderr():
+        import drjit as dr
+        import mitsuba as mi
+
+    current = mi.variant()
+    if _activated is not None and _activated[0] != os.getpid():
+        msg = "this process was forked from one that renders, and render threads do not survive a fork: use 'spawn'"
+        raise RuntimeError(msg)
+    if current is not None and current != variant:
+        msg = f"this process already renders with {current} and refuses {variant}: one process, one Mitsuba variant"
+        raise RuntimeError(msg)
+    if current is None:
+        dr.set_log_level(dr.LogLevel.Error)
+        try:
+            mi.set_variant(variant)
+        except ImportError as error:
+            advice = how_to_get_llvm(os.environ.get("DRJIT_LIBLLVM_PATH"))
+            msg = f"variant: {variant} does not start in this process ({error}). {advice}, or use {SCALAR_VARIANT}"
+            raise InputError(msg) from error
+        mi.set_log_level(mi.LogLevel.Error)
+        if threads is None:
+            threads = 1
+    _activated = (os.getpid(), variant)
+    if threads is not None:
+        dr.set_thread_count(threads)
+
+
+@functools.cache
+def _prove_llvm(library: str | None) -> _Proof:
+    """Render with LLVM in a subprocess; ``library`` (DRJIT_LIBLLVM_PATH) only tells the cached results apart."""
+    del library
+    script = Path(__file__).with_name("llvm_proof.py")
+    try:
+        with _private_home_if_needed():
+            done = subprocess.run(
+                [sys.executable, "-P", str(script)],
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=_PROOF_TIMEOUT_S,
+                stdin=subprocess.DEVNULL,
+                check=False,
+            )
+    except subprocess.TimeoutExpired:
+        return _Proof(None, f"a test render with LLVM did not end within {_PROOF_TIMEOUT_S:.0f} s")
+    except OSError as error:
+        return _Proof(None, f"the test render with LLVM could not be started ({error})")
+    return _judge(done)
+
+
+def _judge(done: subprocess.CompletedProcess[str]) -> _Proof:
+    """Read what the proof script reported, and how it ended."""
+    facts: dict[str, object] = {}
+    for line in done.stdout.splitlines():
+        if line.startswith("{"):
+            facts |= json.loads(line)
+    last_words = _last_line(done.stderr)
+    numbers = facts.get("version")
+    found = bool(facts.get("found"))
+    version = ".".join(map(str, numbers)) if found and isinstance(numbers, list) else None
+    mean = facts.get("mean")
+    if "found" not in facts:
+        return _Proof(None, f"Mitsuba could not be imported in a fresh process ({last_words})")
+    if not found:
+        return _Proof(
+            None, "too old a libLLVM was found" if "too old" in done.stderr else "no usable libLLVM was found"
+        )
+    if isinstance(numbers, list) and numbers[0] not in LLVM_VERSIONS:
+        return _Proof(version, f"libLLVM {version} is not one of {LLVM_VERSIONS.start} to {LLVM_VERSIONS.stop - 1}")
+    if done.returncode != 0:
+        end = f"was killed by {signal.Signals(-done.returncode).name}" if done.returncode < 0 else "failed"
+        return _Proof(version, f"a test render with libLLVM {version} {end} ({last_words})")
+    # 16 pixels x 16 paths of a wall of 0.5 leave noise of about 0.01: this tells a working backend from a broken one.
+    if not isinstance(mean, float) or abs(mean - 0.5) > 0.1:
+        return _Proof(version, f"a test render with libLLVM {version} came out wrong (mean {mean}, expected 0.5)")
+    return _Proof(version, "")
+
+
+def _last_line(text: str) -> str:
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return lines[-1][:200] if lines else "it said nothing"
+
+
+@contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    """Keep what native code writes to stderr off the terminal: Dr.Jit reports a missing libLLVM when it is imported."""
+    if "drjit" in sys.modules:
+        yield
+        return
+    try:
+        saved = os.dup(2)
+    except OSError:  # no stderr at all
+        yield
+        return
+    sink = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(sink, 2)
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(sink)
+
+
+@contextmanager
+def _private_home_if_needed() -> Iterator[None]:
+    """Lend Dr.Jit a home while it starts, if the real one cannot hold its kernel cache ``~/.drjit``.
+
+    Dr.Jit 1.4 aborts the process on import when it cannot create that folder (containers, read-only homes) and knows no
+    other setting. The borrowed folder is private and is removed at exit: cached kernels are code that will be run.
+    """
+    home = os.environ.get("HOME")
+    if os.name == "nt" or "drjit" in sys.modules or (home is not None and _can_hold_cache(Path(home))):
+        yield
+        return
+    os.environ["HOME"] = _borrowed_home().name
+    try:
+        yield
+    finally:
+        if home is None:
+            del os.environ["HOME"]
+        else:
+            os.environ["HOME"] = home
+
+
+def _can_hold_cache(home: Path) -> bool:
+    cache = home / ".drjit"
+    return cache.is_dir() or (home.is_dir() and os.access(home, os.W_OK | os.X_OK))
+
+
+@functools.cache
+def _borrowed_home() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="flatlight-home-", ignore_cleanup_errors=True)

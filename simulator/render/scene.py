@@ -1,0 +1,98 @@
+"""What can be in a rendered scene, in metres and world axes (x right, y down, z into the scene, origin at the mask).
+
+Plain data without Mitsuba, so that a family of scenes is geometry and numbers only; `mitsuba_scene` translates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector: TypeAlias = NDArray[np.float64]
+"""Three numbers: a position or size in metres, or R, G, B."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a surface reflects.
+
+    Attributes:
+        reflectance: linear RGB ``(h, w, 3)`` float32 in 0..1, wrapped over the surface's texture coordinates; it repeats.
+            There is no transform of these coordinates: Dr.Jit would bake it into the kernel and compile every scene anew.
+        roughness: None for a matt (Lambertian) surface, else 0..1: a dielectric coat of that roughness, like plastic.
+    """
+
+    reflectance: NDArray[np.float32]
+    roughness: float | None = None
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A ball: centre and radius in metres; ``rotation`` (3, 3) turns its texture."""
+
+    centre_m: Vector
+    radius_m: float
+    material: Material
+    rotation: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Box:
+    """A cuboid: centre and half edge lengths in metres, ``rotation`` (3, 3) from its own axes to the world's."""
+
+    centre_m: Vector
+    half_size_m: Vector
+    material: Material
+    rotation: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TriangleMesh:
+    """A surface of triangles.
+
+    Attributes:
+        vertices_m: ``(V, 3)`` metres.
+        normals: ``(V, 3)`` unit shading normals, pointing outwards.
+        uv: ``(V, 2)`` texture coordinates.
+        faces: ``(F, 3)`` vertex numbers, counter-clockwise seen from outside.
+    """
+
+    vertices_m: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    uv: NDArray[np.float64]
+    faces: NDArray[np.integer]
+    material: Material
+
+
+@dataclass(frozen=True)
+class SphereLight:
+    """A glowing ball: radiance linear RGB; large ones give soft shadows and little noise."""
+
+    centre_m: Vector
+    radius_m: float
+    radiance: Vector
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Light of equal radiance (linear RGB) from everywhere, seen where no surface is."""
+
+    radiance: Vector
+
+
+Shape: TypeAlias = Sphere | Box | TriangleMesh
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Shapes and lights.
+
+    With LLVM, scenes that hold the same kinds of shape and material in the same order share their compiled kernels;
+    a new order costs about half a CPU-second. So a family gives each slot a fixed kind.
+    """
+
+    shapes: tuple[Shape, ...]
+    lights: tuple[SphereLight | Environment, ...]

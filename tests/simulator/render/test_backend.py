@@ -1,0 +1,186 @@
+"""The choice of backend: proof, fallback and refusals; processes of their own wherever Mitsuba would be imported."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from simulator.errors import InputError
+from simulator.render import choose_backend
+from simulator.render.backend import _judge  # pyright: ignore[reportPrivateUsage]
+from simulator.render.llvm_advice import how_to_get_llvm
+
+Python = Callable[..., subprocess.CompletedProcess[str]]
+NO_LLVM = {"DRJIT_LIBLLVM_PATH": "/nonexistent/libLLVM.so"}
+
+
+def test_scalar_is_chosen_without_looking_for_llvm(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("no process is needed"))
+    backend = choose_backend("scalar")
+    assert (backend.variant, backend.llvm_version, backend.advice) == ("scalar_rgb", None, "")
+
+
+def test_unknown_words_are_refused() -> None:
+    with pytest.raises(InputError, match=r"render\.backend: got 'cuda', expected one of auto, llvm, scalar"):
+        choose_backend("cuda")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.usefixtures("needs_llvm")
+def test_llvm_is_chosen_where_it_works() -> None:
+    backend = choose_backend("auto")
+    assert backend.variant == "llvm_ad_rgb"
+    assert backend == choose_backend("llvm")
+    assert backend.llvm_version is not None
+    assert backend.llvm_version in backend.message
+    assert 15 <= int(backend.llvm_version.split(".")[0]) <= 22
+
+
+def test_without_llvm_auto_falls_back_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", NO_LLVM["DRJIT_LIBLLVM_PATH"])
+    backend = choose_backend("auto")
+    assert (backend.variant, backend.llvm_version) == ("scalar_rgb", None)
+    assert "no usable libLLVM was found" in backend.message
+    assert "/nonexistent/libLLVM.so" in backend.advice
+    assert "unset" in backend.advice
+    with pytest.raises(
+        InputError, match=r"render\.backend: llvm was asked for but no usable libLLVM was found\. .*auto"
+    ):
+        choose_backend("llvm")
+
+
+@pytest.mark.parametrize(
+    ("release", "command"),
+    [
+        ({"ID": "debian", "VERSION_ID": "12"}, "sudo apt install libllvm15"),
+        ({"ID": "debian", "VERSION_ID": "13"}, "sudo apt install libllvm19"),
+        ({"ID": "ubuntu", "ID_LIKE": "debian", "VERSION_ID": "22.04"}, "sudo apt install libllvm15"),
+        ({"ID": "rocky", "ID_LIKE": "rhel centos fedora"}, "sudo dnf install llvm-libs"),
+        ({"ID": "arch"}, "sudo pacman -S llvm-libs"),
+        ({"ID": "opensuse-leap", "ID_LIKE": "suse opensuse"}, "sudo zypper install libLLVM19"),
+    ],
+)
+def test_advice_names_the_package_of_this_system(
+    monkeypatch: pytest.MonkeyPatch, release: dict[str, str], command: str
+) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(platform, "freedesktop_os_release", lambda: release)
+    assert f"`{command}`" in how_to_get_llvm(None)
+
+
+@pytest.mark.parametrize(("system", "word"), [("darwin", "brew install llvm"), ("win32", "LLVM-C.dll")])
+def test_advice_elsewhere(monkeypatch: pytest.MonkeyPatch, system: str, word: str) -> None:
+    monkeypatch.setattr(sys, "platform", system)
+    assert word in how_to_get_llvm(None)
+
+
+@pytest.mark.parametrize(
+    ("returncode", "stdout", "stderr", "version", "problem"),
+    [
+        (0, '{"found": true, "version": [15, 0, 6]}\n{"mean": 0.49}\n', "", "15.0.6", ""),
+        (-6, '{"found": true, "version": [16, 0, 6]}\n', "LLVM ERROR: no\n", "16.0.6", "SIGABRT (LLVM ERROR: no)"),
+        (0, '{"found": true, "version": [19, 1, 0]}\n{"mean": 0.0}\n', "", "19.1.0", "came out wrong"),
+        (0, '{"found": true, "version": [23, 0, 0]}\n', "", "23.0.0", "is not one of 15 to 22"),
+        (1, '{"found": false, "version": [-1, -1, -1]}\n', "LLVM version (14) is too old.", None, "too old"),
+        (1, "", "ModuleNotFoundError: No module named 'mitsuba'\n", None, "No module named 'mitsuba'"),
+    ],
+)
+def test_the_proof_tells_how_llvm_failed(
+    returncode: int, stdout: str, stderr: str, version: str | None, problem: str
+) -> None:
+    proof = _judge(subprocess.CompletedProcess([], returncode, stdout, stderr))
+    assert proof.version == version
+    assert problem in proof.problem
+    assert bool(proof.problem) == bool(problem)
+
+
+def test_activation_is_quiet_without_llvm_and_refuses_a_second_variant(python: Python) -> None:
+    code = (
+        "from simulator.render import activate\n"
+        "activate('scalar_rgb', 1); activate('scalar_rgb', 2); activate('scalar_rgb')\n"
+        "try: activate('llvm_ad_rgb')\n"
+        "except RuntimeError as error: print(error)\n"
+        "import drjit; print(drjit.thread_count())\n"
+    )
+    done = python("-c", code, **NO_LLVM)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    refusal, threads = done.stdout.splitlines()
+    assert "already renders with scalar_rgb and refuses llvm_ad_rgb" in refusal
+    assert threads == "2"
+
+
+def test_activating_llvm_without_llvm_is_the_users_mistake(python: Python) -> None:
+    code = (
+        "from simulator.render import activate\n"
+        "from simulator.errors import InputError\n"
+        "try: activate('llvm_ad_rgb')\n"
+        "except InputError as error: print(error)\n"
+    )
+    done = python("-c", code, **NO_LLVM)
+    assert "llvm_ad_rgb does not start in this process" in done.stdout
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(("variant", "threads", "named"), [("cuda_ad_rgb", 1, "variant"), ("scalar_rgb", 0, "threads")])
+def test_activate_refuses_bad_arguments(python: Python, variant: str, threads: int, named: str) -> None:
+    code = f"from simulator.render import activate; activate({variant!r}, {threads})"
+    done = python("-c", code)
+    assert f"simulator.errors.InputError: {named}: got" in done.stderr
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Dr.Jit keeps its cache elsewhere on Windows")
+def test_a_home_that_cannot_hold_the_kernel_cache_does_not_abort(python: Python, tmp_path: Path) -> None:
+    home = str(tmp_path / "missing")
+    code = "from simulator.render import activate; activate('scalar_rgb'); import os; print(os.environ['HOME'])"
+    done = python("-c", code, HOME=home)
+    assert (done.returncode, done.stdout.strip(), done.stderr) == (0, home, "")
+    # Without the cure the same import aborts; when it no longer does, the cure can go.
+    assert python("-c", "import drjit", HOME=home).returncode < 0
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_forked_worker_is_refused(python: Python) -> None:
+    code = (
+        "import os, sys\n"
+        "from simulator.render import activate\n"
+        "activate('scalar_rgb')\n"
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        "    try: activate('scalar_rgb')\n"
+        "    except RuntimeError as error: print(error, flush=True)\n"
+        "    os._exit(0)\n"
+        "os.waitpid(child, 0)\n"
+    )
+    assert "do not survive a fork: use 'spawn'" in python("-c", code).stdout
+
+
+def test_importing_the_package_stays_light(python: Python) -> None:
+    code = "import sys, simulator.render, scenes.flying_things; print([m for m in ('mitsuba', 'drjit') if m in sys.modules])"
+    assert python("-c", code).stdout.strip() == "[]"
+
+
+@pytest.mark.usefixtures("needs_llvm")
+def test_no_kernel_is_compiled_after_the_first_scene(python: Python, tmp_path: Path) -> None:
+    code = (
+        "import numpy as np\n"
+        "from scenes.flying_things import flying_things\n"
+        "from simulator.types import View\n"
+        "from simulator.render import activate\n"
+        "activate('llvm_ad_rgb', 1)\n"
+        "import drjit as dr\n"
+        "dr.set_flag(dr.JitFlag.KernelHistory, True)\n"
+        "source = flying_things(View((8, 8), 2e-4, 1.9e-3, 0.036, 0.2), samples_per_pixel=1, backend='llvm_ad_rgb')\n"
+        "for index in range(4):\n"
+        "    source.clip(index, np.random.default_rng(index))\n"
+        "    print(sum(not kernel.get('cache_hit', True) for kernel in dr.kernel_history()))\n"
+    )
+    # A home of its own: kernels that earlier runs left in ~/.drjit would hide a compilation.
+    counts = python("-c", code, HOME=str(tmp_path)).stdout.split()
+    assert int(counts[0]) > 0
+    assert counts[1:] == ["0", "0", "0"]
