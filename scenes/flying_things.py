@@ -1,0 +1,169 @@
+"""Scene family "flying things": textured solids floating before a wall, spread evenly in disparity over the depth range.
+
+In the spirit of FlyingThings3D (Mayer et al., CVPR 2016): nothing to recognise, everything to locate.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from scenes.layout import Ball, far_end, place_balls
+from scenes.meshes import mesh_library
+from scenes.palettes import draw_ramp, draw_theme
+from scenes.textures import draw_reflectance, tiled
+from simulator.render import Box, Environment, Material, Scene, Sphere, SphereLight, TriangleMesh, render_still
+from simulator.render.scene import Shape
+from simulator.types import Clip, View
+
+_TEXTURE_SIZE = 128
+# Kind and coat of each slot, repeated: fixed, so that no kernel is compiled after the first scene (see render.Scene).
+_KINDS = ("mesh", "sphere", "mesh", "box", "mesh", "mesh")
+_COATED = (False, True, False, False, True)
+
+
+def flying_things(
+    view: View,
+    *,
+    samples_per_pixel: Annotated[int, Field(ge=1, le=4096)] = 16,
+    objects: Annotated[int, Field(ge=1, le=200)] = 30,
+    backend: str,
+) -> FlyingThings:
+    """Return the family for a view: each clip is one picture of ``objects`` random solids before a textured wall.
+
+    Args:
+        view: image shape, pinhole geometry and depth range; ``far_m`` must be at least 1.1 ``near_m``.
+        samples_per_pixel: light paths per pixel; noise falls with the square root.
+        objects: how many solids; their size adapts, so that they cover about the same share of the picture.
+        backend: the Mitsuba variant, from `simulator.render.choose_backend`.
+
+    Raises:
+        InputError: when the depth range is too thin to hold solids.
+    """
+    far_end(view)  # refuses a view that cannot be filled, before any work is done
+    return FlyingThings(view, samples_per_pixel, objects, backend)
+
+
+@dataclass(frozen=True)
+class FlyingThings:
+    """A `simulator.types.SceneSource`; cheap to pickle, all contents come from the generator that ``clip`` is given."""
+
+    view: View
+    samples_per_pixel: int
+    objects: int
+    backend: str
+    inputs: tuple[Path, ...] = field(default=(), init=False)
+
+    def clip(self, index: int, rng: np.random.Generator) -> Clip:
+        """Draw a scene from ``rng`` and render it; ``index`` is only noted."""
+        scene = draw_scene(self.view, self.objects, rng)
+        return render_still(
+            scene,
+            self.view,
+            samples_per_pixel=self.samples_per_pixel,
+            seed=int(rng.integers(2**32)),
+            backend=self.backend,
+            source={"family": "flying_things", "index": index, "objects": self.objects},
+        )
+
+
+def draw_scene(view: View, objects: int, rng: np.random.Generator) -> Scene:
+    """Draw the wall, the solids and the lights."""
+    theme = draw_theme(rng)
+    balls = place_balls(view, objects, rng)
+    solids = [_solid(slot, ball, theme, rng) for slot, ball in enumerate(balls)]
+    return Scene((_wall(view, theme, rng), *solids), _lights(view, rng))
+
+
+def _solid(slot: int, ball: Ball, theme: np.ndarray, rng: np.random.Generator) -> Shape:
+    """Fill a ball with the kind of solid that belongs to its slot."""
+    reflectance = draw_reflectance(rng, draw_ramp(rng, theme), _TEXTURE_SIZE)
+    roughness = float(rng.uniform(0.15, 0.5)) if _COATED[slot % len(_COATED)] else None
+    rotation = _random_rotation(rng)
+    kind = _KINDS[slot % len(_KINDS)]
+    down, across = (int(2**power) for power in rng.integers(0, 2, 2))
+    if kind == "sphere":  # its texture spans twice as much around as from pole to pole
+        ball_material = Material(tiled(reflectance, down, 2 * across), roughness)
+        return Sphere(ball.centre_m, ball.radius_m, ball_material, rotation)
+    if kind == "box":
+        proportions = rng.uniform(0.45, 1.0, 3)
+        half_size = ball.radius_m * proportions / np.linalg.norm(proportions)
+        return Box(ball.centre_m, half_size, Material(tiled(reflectance, down, across), roughness), rotation)
+    library = mesh_library()
+    mesh = library[rng.integers(len(library))]
+    return TriangleMesh(
+        vertices_m=ball.centre_m + ball.radius_m * mesh.vertices @ rotation.T,
+        normals=mesh.normals @ rotation.T,
+        uv=mesh.uv * (across, down),
+        faces=mesh.faces,
+        material=Material(reflectance, roughness),
+    )
+
+
+def _wall(view: View, theme: np.ndarray, rng: np.random.Generator) -> TriangleMesh:
+    """Return a slanted plane that fills the picture and stays just inside the far end.
+
+    A plane's disparity is linear over the picture, ``1 / z = a + b x + c y`` for a direction (x, y, 1).
+    """
+    nearest, farthest = 1 / view.near_m, 1 / (0.98 * far_end(view))
+    slant = rng.uniform(-1, 1, 2) * 0.12 * (nearest - farthest) / 2
+    half = np.array([view.tan_half_width, view.tan_half_height]) * 1.05  # the pixels' outer edges, and a margin
+    directions = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
+    disparity = farthest + np.abs(slant).sum() + directions / half @ slant
+    corners = np.column_stack([directions, np.ones(4)]) / disparity[:, np.newaxis]
+    normal = np.cross(corners[3] - corners[0], corners[1] - corners[0])
+    reflectance = draw_reflectance(rng, draw_ramp(rng, theme, saturation=(0.05, 0.5)), _TEXTURE_SIZE)
+    repeats = float(rng.uniform(1.0, 2.5))
+    aspect = view.shape[0] / view.shape[1]
+    return TriangleMesh(
+        vertices_m=corners,
+        normals=np.tile(normal / np.linalg.norm(normal), (4, 1)),
+        uv=repeats * np.array([(0.0, 0), (1, 0), (1, aspect), (0, aspect)]),
+        faces=np.array([(0, 2, 1), (0, 3, 2)]),
+        material=Material(0.9 * reflectance),
+    )
+
+
+def _lights(view: View, rng: np.random.Generator) -> tuple[SphereLight | Environment, ...]:
+    """Return a key and a fill lamp behind the camera and light from all sides, with white balanced only roughly.
+
+    Together they give a white surface that faces the camera a radiance of ``exposure``, so that pictures come out alike.
+    """
+    reach = far_end(view)
+    exposure = rng.uniform(1.2, 1.9)
+    shares = np.array([rng.uniform(0.45, 0.7), rng.uniform(0.1, 0.25)])
+    warmth = rng.uniform(-0.18, 0.18)
+    side = rng.choice([-1.0, 1.0])
+    lamps: list[SphereLight | Environment] = []
+    for share, tint, towards in ((shares[0], warmth, side), (shares[1], -warmth, -side)):
+        direction = np.array([towards * rng.uniform(0.3, 1.1), rng.uniform(-1.2, -0.1), -1.0])
+        direction /= np.linalg.norm(direction)
+        distance = reach * rng.uniform(2.5, 4.0)
+        radius = distance * rng.uniform(0.12, 0.3)
+        # A lamp of radiance L seen under the half angle asin(r / D) gives pi L (r / D)^2 cos(angle) of irradiance.
+        radiance = exposure * share * (distance / radius) ** 2 / -direction[2]
+        middle = np.array([0, 0, reach / 2])
+        lamps.append(SphereLight(middle + distance * direction, radius, radiance * _tint(tint)))
+    return (*lamps, Environment(exposure * (1 - shares.sum()) * _tint(-warmth / 2)))
+
+
+def _tint(warmth: float) -> np.ndarray:
+    """Return R, G, B around white with mean 1: reddish for positive warmth, bluish for negative."""
+    return np.array([1 + warmth, 1.0, 1 - warmth])
+
+
+def _random_rotation(rng: np.random.Generator) -> np.ndarray:
+    """Return a uniformly distributed rotation matrix, from a random unit quaternion (Shoemake, 1992)."""
+    w, x, y, z = (q := rng.standard_normal(4)) / math.sqrt(float(q @ q))
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -1,0 +1,84 @@
+"""Where solids go in a view's frustum: balls between near and far, even in disparity, of sizes that fit the picture."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import InputError
+from simulator.types import View
+
+# Solids and wall stay this far inside near and far, so that rounding to float32 never puts a depth outside.
+_MARGIN = 1e-3
+# An infinite far depth is filled this many times the near depth deep: the rest is the last 2 % of the disparities.
+_DEPTHS_OF_INFINITY = 50.0
+_LEAST_RATIO = 1.1
+_TRIES = 12
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A solid's bounding sphere, metres."""
+
+    centre_m: NDArray[np.float64]
+    radius_m: float
+
+
+def far_end(view: View) -> float:
+    """Return how deep scenes of this view reach, metres: the far depth, or 50 times the near depth if that is infinite.
+
+    Raises:
+        InputError: when near and far are too close for solids to fit in between.
+    """
+    if math.isinf(view.far_m):
+        return _DEPTHS_OF_INFINITY * view.near_m
+    if not view.far_m >= _LEAST_RATIO * view.near_m:
+        msg = (
+            f"scene: solids do not fit between near {view.near_m:g} m and far {view.far_m:g} m; "
+            f"expected far of at least {_LEAST_RATIO} x near: widen the depths of the PSF stack"
+        )
+        raise InputError(msg)
+    return view.far_m
+
+
+def place_balls(view: View, count: int, rng: np.random.Generator) -> list[Ball]:
+    """Draw ``count`` balls, each wholly between near and far, with centres in view; they seldom overlap.
+
+    The nearest points of the balls are uniform in disparity (1/z). A ball of relative size s = radius / centre depth
+    has its nearest point at (1 - s) and its farthest at (1 + s) of the centre's depth, which bounds s.
+
+    Args:
+        view: the frustum.
+        count: how many balls; their picture size falls with its square root, so that coverage stays about the same.
+        rng: decides everything.
+    """
+    near, far = view.near_m * (1 + _MARGIN), far_end(view) * (1 - _MARGIN)
+    half = np.array([view.tan_half_width, view.tan_half_height])
+    crowd = float(np.clip(math.sqrt(30 / count), 0.4, 2.0))
+    # At most half of the depth range (in log z) goes to one ball.
+    root = math.sqrt(far / near)
+    largest = min(0.45, (root - 1) / (root + 1))
+    balls: list[Ball] = []
+    for _ in range(count):
+        size = min(largest, half.min() * crowd * rng.uniform(0.14, 0.42))
+        front = 1 / rng.uniform((1 + size) / ((1 - size) * far), 1 / near)
+        depth = front / (1 - size)
+        # Only the place across is tried again: else free depths would be favoured.
+        across = rng.uniform(-1.05, 1.05, (_TRIES, 2)) * half * depth
+        centres = np.column_stack([across, np.full(_TRIES, depth)])
+        gaps = _gaps(centres, size * depth, balls)
+        free = np.flatnonzero(gaps > 0)
+        balls.append(Ball(centres[free[0] if len(free) else np.argmax(gaps)], size * depth))
+    return balls
+
+
+def _gaps(centres: NDArray[np.float64], radius: float, others: list[Ball]) -> NDArray[np.float64]:
+    """Free space to the nearest other ball as a share of both radii, for each centre; negative where they overlap."""
+    if not others:
+        return np.full(len(centres), np.inf)
+    distance = np.linalg.norm(centres[:, np.newaxis] - np.array([other.centre_m for other in others]), axis=-1)
+    reach = radius + np.array([other.radius_m for other in others])
+    return np.min(distance / reach - 1, axis=1)

@@ -1,0 +1,257 @@
+"""A library of closed triangle meshes inside the unit ball, with normals and texture coordinates; made once per process.
+
+The shapes are fixed (they are part of what a seed means); a scene picks, turns and scales them.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_LIBRARY_SEED = 20260102
+
+
+@dataclass(frozen=True)
+class UnitMesh:
+    """A closed surface whose farthest vertex is 1 from the origin; arrays as in `simulator.render.TriangleMesh`."""
+
+    vertices: Array
+    normals: Array
+    uv: Array
+    faces: NDArray[np.int64]
+
+
+@functools.cache
+def mesh_library() -> tuple[UnitMesh, ...]:
+    """Return the library, the same in every process."""
+    rng = np.random.default_rng(_LIBRARY_SEED)
+    smooth = [
+        *(_superellipsoid(*exponents) for exponents in ((0.3, 0.3), (0.3, 1.0), (1.0, 0.3), (2.2, 1.0), (0.4, 2.4))),
+        *(_torus(tube) for tube in (0.2, 0.45)),
+        *(_knot(p, q) for p, q in ((2, 3), (3, 2), (2, 5))),
+        *(_lumpy_ball(rng, strength) for strength in (0.25, 0.35, 0.45)),
+        *(_turned(profile) for profile in (_VASE, _BOWL, _PAWN, _CAPSULE)),
+        *(_flower(petals, depth) for petals, depth in ((5, 0.3), (8, 0.15))),
+    ]
+    faceted = [
+        *(_hull(points) for points in (_TETRAHEDRON, _OCTAHEDRON, _ICOSAHEDRON)),
+        *(_hull(_unit(rng.standard_normal((count, 3))) * (1, 0.8, 0.6)) for count in (9, 14, 20)),
+        *(_prism(outline) for outline in (_star(5, 0.45), _star(8, 0.7), _CROSS, _ARROW)),
+    ]
+    return tuple(smooth + faceted)
+
+
+# Smooth surfaces: a grid of (u, v) in the unit square, mapped to space.
+
+
+def _surface(position: Callable[[Array, Array], tuple[Array, Array, Array]], columns: int, rows: int) -> UnitMesh:
+    """Triangulate ``position(u, v)``; where the surface closes on itself, normals are averaged over the seam."""
+    v, u = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
+    vertices = _normalised(np.stack(position(u, v), axis=-1).reshape(-1, 3))
+    corner = (np.arange(rows)[:, np.newaxis] * (columns + 1) + np.arange(columns)).ravel()
+    right, below = corner + 1, corner + columns + 1
+    faces = np.concatenate([np.stack([corner, right, below], 1), np.stack([right, below + 1, below], 1)])
+    cross = _face_cross(vertices, faces)
+    kept = np.linalg.norm(cross, axis=1) > 1e-9  # at poles one of the two triangles has no area
+    faces, cross = faces[kept], cross[kept]
+    if np.einsum("fi,fi->", vertices[faces[:, 0]], cross) < 0:  # a negative volume: the grid is seen from inside
+        faces, cross = faces[:, ::-1], -cross
+    # Vertices at the same place share one normal, so that no seam shows.
+    _, place = np.unique(np.round(vertices, 6), axis=0, return_inverse=True)
+    sums = np.zeros((place.max() + 1, 3))
+    for side in range(3):
+        np.add.at(sums, place.ravel()[faces[:, side]], cross)
+    return UnitMesh(vertices, _unit(sums[place.ravel()]), np.stack([u, v], axis=-1).reshape(-1, 2), faces)
+
+
+def _superellipsoid(e_v: float, e_u: float) -> UnitMesh:
+    """Barr's superellipsoid: exponents of 0.3 give a rounded box or cylinder, above 2 a pinched spindle."""
+
+    def power(base: Array, exponent: float) -> Array:
+        base = np.round(base, 12)  # sin(pi) is 1e-16, and a small exponent would make that 1e-5
+        return np.sign(base) * np.abs(base) ** exponent
+
+    def position(u: Array, v: Array) -> tuple[Array, Array, Array]:
+        around, up = 2 * np.pi * u, np.pi * (v - 0.5)
+        cos_up = np.maximum(np.cos(up), 0)  # not -6e-17 at the pole
+        return (
+            power(cos_up, e_v) * power(np.cos(around), e_u),
+            power(np.sin(up), e_v),
+            power(cos_up, e_v) * power(np.sin(around), e_u),
+        )
+
+    return _surface(position, 48, 32)
+
+
+def _torus(tube: float) -> UnitMesh:
+    def position(u: Array, v: Array) -> tuple[Array, Array, Array]:
+        ring, around = 2 * np.pi * u, 2 * np.pi * v
+        radius = 1 + tube * np.cos(around)
+        return radius * np.cos(ring), tube * np.sin(around), radius * np.sin(ring)
+
+    return _surface(position, 64, 24)
+
+
+def _knot(p: int, q: int) -> UnitMesh:
+    """A tube along the torus knot that winds p times around the axis and q times around the ring."""
+
+    def centre(u: Array) -> Array:
+        t = 2 * np.pi * u
+        radius = 1 + 0.42 * np.cos(q * t)
+        return np.stack([radius * np.cos(p * t), 0.42 * np.sin(q * t), radius * np.sin(p * t)], axis=-1)
+
+    def position(u: Array, v: Array) -> tuple[Array, Array, Array]:
+        along = _unit(centre(u + 1e-4) - centre(u - 1e-4))
+        # The ring's own axis circle gives a frame that closes after one turn.
+        t = 2 * np.pi * u
+        outwards = centre(u) - np.stack([np.cos(p * t), 0 * t, np.sin(p * t)], axis=-1)
+        across = _unit(np.cross(along, outwards))
+        upwards = np.cross(across, along)
+        angle = 2 * np.pi * v[..., np.newaxis]
+        tube = centre(u) + 0.17 * (np.cos(angle) * across + np.sin(angle) * upwards)
+        return tube[..., 0], tube[..., 1], tube[..., 2]
+
+    return _surface(position, 144, 16)
+
+
+def _lumpy_ball(rng: np.random.Generator, strength: float) -> UnitMesh:
+    """A ball pushed in and out by a few plane waves: a pebble."""
+    waves, phases = rng.normal(0, 2.5, (6, 3)), rng.uniform(0, 2 * np.pi, 6)
+
+    def position(u: Array, v: Array) -> tuple[Array, Array, Array]:
+        around, down = 2 * np.pi * u, np.pi * v
+        direction = np.stack([np.sin(down) * np.cos(around), np.cos(down), np.sin(down) * np.sin(around)], axis=-1)
+        radius = 1 + strength * np.mean(np.sin(direction @ waves.T + phases), axis=-1)
+        ball = direction * radius[..., np.newaxis]
+        return ball[..., 0], ball[..., 1], ball[..., 2]
+
+    return _surface(position, 56, 32)
+
+
+def _flower(petals: int, depth: float) -> UnitMesh:
+    def position(u: Array, v: Array) -> tuple[Array, Array, Array]:
+        around, down = 2 * np.pi * u, np.pi * v
+        radius = (1 + depth * np.cos(petals * around)) * np.sin(down)
+        return radius * np.cos(around), 0.45 * np.cos(down), radius * np.sin(around)
+
+    return _surface(position, 96, 20)
+
+
+# Profiles of turned shapes, (radius, height) from the top of the axis to its foot.
+_VASE = ((0, 0.75), (0.3, 0.78), (0.36, 0.95), (0.4, 1), (0.44, 0.95), (0.3, 0.7), (0.5, 0.3), (0.62, -0.2))
+_VASE += ((0.5, -0.65), (0.34, -0.8), (0.42, -0.95), (0.38, -1), (0, -1))
+_BOWL = (
+    (0, -0.25),
+    (0.4, -0.15),
+    (0.75, 0.2),
+    (0.9, 0.5),
+    (0.97, 0.5),
+    (0.85, 0.1),
+    (0.5, -0.3),
+    (0.3, -0.42),
+    (0, -0.45),
+)
+_PAWN = ((0, 1), (0.22, 0.94), (0.32, 0.72), (0.24, 0.52), (0.15, 0.42), (0.32, 0.36), (0.17, 0.3), (0.22, -0.2))
+_PAWN += ((0.5, -0.6), (0.55, -0.75), (0.5, -0.85), (0, -0.88))
+_CAPSULE = (
+    (0, 1),
+    (0.2, 0.95),
+    (0.35, 0.83),
+    (0.4, 0.65),
+    (0.4, 0),
+    (0.4, -0.65),
+    (0.35, -0.83),
+    (0.2, -0.95),
+    (0, -1),
+)
+
+
+def _turned(profile: tuple[tuple[float, float], ...]) -> UnitMesh:
+    """Turn a profile, made round by two passes of corner cutting (Chaikin), about the y axis."""
+    points = np.array(profile, dtype=float)
+    for _ in range(2):
+        cut = np.stack([0.75 * points[:-1] + 0.25 * points[1:], 0.25 * points[:-1] + 0.75 * points[1:]], axis=1)
+        points = np.concatenate([points[:1], cut.reshape(-1, 2)[1:-1], points[-1:]])
+    step = np.linspace(0, 1, len(points))
+
+    def position(u: Array, v: Array) -> tuple[Array, Array, Array]:
+        radius, height = np.interp(v, step, points[:, 0]), np.interp(v, step, points[:, 1])
+        return radius * np.cos(2 * np.pi * u), -height, radius * np.sin(2 * np.pi * u)
+
+    return _surface(position, 40, len(points) - 1)
+
+
+# Faceted solids: every triangle has its own vertices and the normal of its plane.
+
+_GOLDEN = (1 + 5**0.5) / 2
+_TETRAHEDRON = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)], dtype=float)
+_OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
+_ICOSAHEDRON = np.array(
+    [np.roll((0, a, b * _GOLDEN), shift) for shift in range(3) for a in (-1, 1) for b in (-1, 1)], dtype=float
+)
+_CROSS = np.array(
+    [(1, 3), (-1, 3), (-1, 1), (-3, 1), (-3, -1), (-1, -1), (-1, -3), (1, -3), (1, -1), (3, -1), (3, 1), (1, 1)]
+)
+_ARROW = np.array([(0, 3), (-2.4, 0.4), (-0.9, 0.4), (-0.9, -2.6), (0.9, -2.6), (0.9, 0.4), (2.4, 0.4)])
+
+
+def _star(points: int, inner: float) -> Array:
+    angle = np.pi * np.arange(2 * points) / points
+    radius = np.where(np.arange(2 * points) % 2, inner, 1.0)
+    return np.stack([-radius * np.sin(angle), radius * np.cos(angle)], axis=1)
+
+
+def _hull(points: Array) -> UnitMesh:
+    """Convex hull of a few points in general position: the triples with all other points on one side."""
+    triples = np.array(list(combinations(range(len(points)), 3)))
+    cross = _face_cross(points, triples)
+    side = np.einsum("fi,fpi->fp", cross, points[np.newaxis] - points[triples[:, :1]])
+    side[np.abs(side) < 1e-9] = 0
+    outwards = np.all(side <= 0, axis=1)
+    inwards = np.all(side >= 0, axis=1)
+    return _faceted(points, np.concatenate([triples[outwards], triples[inwards][:, ::-1]]))
+
+
+def _prism(outline: Array, half_depth: float = 0.3) -> UnitMesh:
+    """Extrude a counter-clockwise outline, all of which is seen from its origin, along z."""
+    outline = outline / np.abs(outline).max()
+    count = len(outline)
+    levels = [np.column_stack([np.vstack([outline, (0, 0)]), np.full(count + 1, z)]) for z in (-half_depth, half_depth)]
+    here = np.arange(count)
+    after, centre, up = (here + 1) % count, np.full(count, count), count + 1
+    back = np.stack([here, centre, after], 1)
+    front = np.stack([here, after, centre], 1) + up
+    walls = [np.stack([here, after, after + up], 1), np.stack([here, after + up, here + up], 1)]
+    return _faceted(np.concatenate(levels), np.concatenate([back, front, *walls]))
+
+
+def _faceted(points: Array, faces: NDArray[np.integer]) -> UnitMesh:
+    """Give each triangle its own vertices; texture coordinates are the two axes its plane faces least."""
+    vertices = _normalised(points)[faces].reshape(-1, 3)
+    own = np.arange(len(vertices)).reshape(-1, 3)
+    normals = np.repeat(_unit(_face_cross(vertices, own)), 3, axis=0)
+    facing = np.argmax(np.abs(normals), axis=1)
+    axes = np.array([(2, 1), (0, 2), (0, 1)])[facing]
+    return UnitMesh(vertices, normals, 0.5 + 0.5 * np.take_along_axis(vertices, axes, axis=1), own)
+
+
+def _face_cross(vertices: Array, faces: NDArray[np.integer]) -> Array:
+    """Normals of the triangles, as long as twice their areas."""
+    a, b, c = (vertices[faces[:, side]] for side in range(3))
+    return np.cross(b - a, c - a)
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _normalised(points: Array) -> Array:
+    """Centre the bounding box on the origin and scale the farthest point to 1."""
+    centred = points - (points.min(axis=0) + points.max(axis=0)) / 2
+    return centred / np.linalg.norm(centred, axis=1).max()

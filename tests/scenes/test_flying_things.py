@@ -1,0 +1,144 @@
+"""The flying things: geometry inside the depth range, clips that keep the contract of a SceneSource."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+from scenes.flying_things import draw_scene, flying_things
+from scenes.layout import far_end, place_balls
+from simulator.errors import InputError
+from simulator.render import Box, Environment, Scene, Sphere, SphereLight, TriangleMesh
+from simulator.types import SceneSource, View
+
+DEFAULT = View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2)
+SMALL = View((24, 24), 102.4e-6, 1.9e-3, 0.036, 0.2)
+VIEWS = {
+    "default": DEFAULT,
+    "wide": View((64, 128), 60e-6, 1.9e-3, 0.01, 0.2),
+    "narrow": View((384, 320), 2.4e-6, 1.0e-2, 0.1, 0.5),
+    "infinite": View((128, 128), 19.2e-6, 1.9e-3, 0.036, math.inf),
+    "thin": View((128, 128), 19.2e-6, 1.9e-3, 0.1, 0.115),
+}
+
+
+@pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS.keys())
+@pytest.mark.parametrize("count", [1, 30, 200])
+def test_balls_lie_between_near_and_far_with_centres_about_in_view(view: View, count: int) -> None:
+    balls = place_balls(view, count, np.random.default_rng(count))
+    assert len(balls) == count
+    for ball in balls:
+        x, y, z = ball.centre_m
+        assert view.near_m < z - ball.radius_m
+        assert z + ball.radius_m < far_end(view) <= view.far_m
+        assert abs(x / z) <= 1.05 * view.tan_half_width
+        assert abs(y / z) <= 1.05 * view.tan_half_height
+
+
+def test_nearest_points_are_even_in_disparity() -> None:
+    fronts = [
+        1 / (ball.centre_m[2] - ball.radius_m)
+        for seed in range(100)
+        for ball in place_balls(DEFAULT, 30, np.random.default_rng(seed))
+    ]
+    # Between the near depth and where the largest ball (relative size 0.27) still fits before the far one.
+    counts, _ = np.histogram(fronts, np.linspace(9, 27.7, 6))
+    # 3000 balls: about 530 in each bin, so a deviation of 4 %, of which three are allowed.
+    assert np.abs(counts / counts.mean() - 1).max() < 0.13
+
+
+@pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS.keys())
+def test_every_vertex_of_a_scene_is_in_the_depth_range_and_the_wall_fills_the_view(view: View) -> None:
+    for seed in range(5):
+        scene = draw_scene(view, 30, np.random.default_rng(seed))
+        for shape in scene.shapes:
+            if isinstance(shape, TriangleMesh):
+                near, far = shape.vertices_m[:, 2].min(), shape.vertices_m[:, 2].max()
+            else:
+                reach = shape.radius_m if isinstance(shape, Sphere) else np.linalg.norm(shape.half_size_m)
+                near, far = shape.centre_m[2] - reach, shape.centre_m[2] + reach
+            assert view.near_m < near < far < far_end(view)
+        wall = scene.shapes[0]
+        assert isinstance(wall, TriangleMesh)
+        seen = wall.vertices_m[:, :2] / wall.vertices_m[:, 2:]
+        assert np.all(np.abs(seen) > (view.tan_half_width, view.tan_half_height))
+        assert np.all(wall.normals[:, 2] < 0)
+
+
+def test_slots_keep_their_kind_and_coat_whatever_the_seed() -> None:
+    """Else Dr.Jit compiles new kernels for new scenes."""
+
+    def kinds(scene: Scene) -> list[tuple[str, bool]]:
+        return [(type(shape).__name__, shape.material.roughness is None) for shape in scene.shapes]
+
+    first, second = (kinds(draw_scene(DEFAULT, 40, np.random.default_rng(seed))) for seed in (0, 1))
+    assert first == second
+    assert {name for name, _ in first} == {"Sphere", "Box", "TriangleMesh"}
+    assert {matt for _, matt in first} == {True, False}
+    sizes = {shape.material.reflectance.shape for shape in draw_scene(DEFAULT, 40, np.random.default_rng(2)).shapes}
+    assert len(sizes) == 1
+
+
+def test_light_on_a_white_wall_is_the_drawn_exposure() -> None:
+    for seed in range(20):
+        scene = draw_scene(DEFAULT, 1, np.random.default_rng(seed))
+        target = np.array([0, 0, far_end(DEFAULT) / 2])
+        radiance = np.zeros(3)
+        for light in scene.lights:
+            if isinstance(light, Environment):
+                radiance += light.radiance
+                continue
+            assert isinstance(light, SphereLight)
+            towards = light.centre_m - target
+            distance = np.linalg.norm(towards)
+            assert light.centre_m[2] + light.radius_m < 0, "a lamp in view would be a thing of its own"
+            radiance += light.radiance * (light.radius_m / distance) ** 2 * -towards[2] / distance
+        assert 1.1 < radiance.mean() < 1.9
+        assert np.abs(radiance / radiance.mean() - 1).max() < 0.2
+
+
+def test_a_clip_keeps_the_contract() -> None:
+    source = flying_things(SMALL, samples_per_pixel=4, objects=10, backend="scalar_rgb")
+    assert isinstance(source, SceneSource)
+    assert tuple(source.inputs) == ()
+    copy = pickle.loads(pickle.dumps(source))
+    clip = source.clip(3, np.random.default_rng(5))
+    again = copy.clip(3, np.random.default_rng(5))
+    other = source.clip(3, np.random.default_rng(6))
+    assert clip.rgb.tobytes() == again.rgb.tobytes()
+    assert clip.depth_m.tobytes() == again.depth_m.tobytes()
+    assert not np.array_equal(clip.rgb, other.rgb)
+    assert clip.rgb.shape == (1, 24, 24, 3)
+    assert clip.valid.all()
+    assert clip.depth_m.min() >= SMALL.near_m
+    assert clip.depth_m.max() <= SMALL.far_m
+    assert 0.08 < clip.rgb.mean() < 0.8, "well exposed"
+    np.testing.assert_array_equal(clip.frame_edges_s, [0, 1])
+    facts = json.loads(json.dumps(clip.source))
+    assert facts["family"] == "flying_things"
+    assert (facts["index"], facts["objects"], facts["samples_per_pixel"], facts["variant"]) == (3, 10, 4, "scalar_rgb")
+
+
+@pytest.mark.parametrize("far_m", [0.036, 0.039])
+def test_a_depth_range_too_thin_for_solids_is_refused(far_m: float) -> None:
+    view = View((24, 24), 102.4e-6, 1.9e-3, 0.036, far_m)
+    with pytest.raises(InputError, match=r"solids do not fit between near 0\.036 m and far"):
+        flying_things(view, backend="scalar_rgb")
+
+
+def test_an_infinite_far_depth_is_filled_to_the_last_disparities() -> None:
+    assert far_end(VIEWS["infinite"]) == pytest.approx(1.8)
+
+
+def test_boxes_are_rigid_and_of_sane_proportions() -> None:
+    scene = draw_scene(DEFAULT, 30, np.random.default_rng(0))
+    boxes = [shape for shape in scene.shapes if isinstance(shape, Box)]
+    assert len(boxes) == 5
+    for box in boxes:
+        np.testing.assert_allclose(box.rotation @ box.rotation.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(box.rotation) == pytest.approx(1)
+        assert box.half_size_m.max() / box.half_size_m.min() < 1 / 0.45 + 1e-9

@@ -1,0 +1,44 @@
+"""The mesh library against trimesh, which judges closed surfaces independently."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from scenes.meshes import UnitMesh, mesh_library
+
+
+@pytest.mark.parametrize("mesh", mesh_library(), ids=[str(number) for number in range(len(mesh_library()))])
+def test_a_mesh_is_closed_turned_outwards_and_fills_the_unit_ball(mesh: UnitMesh) -> None:
+    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    assert surface.faces.max() < len(mesh.vertices)
+    surface.merge_vertices(merge_tex=True, merge_norm=True)
+    assert surface.is_watertight
+    assert surface.is_winding_consistent
+    assert surface.volume > 0.1
+    assert np.linalg.norm(mesh.vertices, axis=1).max() == pytest.approx(1, abs=1e-12)
+    np.testing.assert_allclose(mesh.vertices.min(axis=0), -mesh.vertices.max(axis=0), atol=1e-12)
+    assert mesh.uv.min() >= 0
+    assert mesh.uv.max() <= 1
+
+
+@pytest.mark.parametrize("mesh", mesh_library(), ids=[str(number) for number in range(len(mesh_library()))])
+def test_normals_are_unit_and_point_out_of_their_faces(mesh: UnitMesh) -> None:
+    used = np.unique(mesh.faces)
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals[used], axis=1), 1, atol=1e-9)
+    a, b, c = (mesh.vertices[mesh.faces[:, side]] for side in range(3))
+    flat = np.cross(b - a, c - a)
+    area = np.linalg.norm(flat, axis=1)
+    cosine = np.einsum("fvi,fi->fv", mesh.normals[mesh.faces], flat) / area[:, np.newaxis]
+    # Smoothed normals lean away from their faces where a shape is sharply rounded, on a small part of the area.
+    leaning = area[np.any(cosine < 0.5, axis=1)].sum() / area.sum()
+    assert leaning < 0.05
+    assert np.average(cosine.mean(axis=1), weights=area) > 0.95
+
+
+def test_the_library_is_varied_and_cheap() -> None:
+    library = mesh_library()
+    assert len(library) >= 25
+    assert max(len(mesh.faces) for mesh in library) < 5000
+    assert mesh_library() is library
