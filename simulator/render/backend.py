@@ -84,9 +84,7 @@ def choose_backend(requested: Request = "auto") -> Backend:
             f"render.backend: llvm was asked for but {proof.problem}. {advice}, or set render.backend to auto or scalar"
         )
         raise InputError(msg)
-    return Backend(
-        SCALAR_VARIANT, None, f"scalar_rgb, because {proof.problem}", f"To render about twice as fast: {advice}"
-    )
+    return Backend(SCALAR_VARIANT, None, f"scalar_rgb, because {proof.problem}", f"To render faster: {advice}")
 
 
 def activate(variant: str, threads: int | None = None) -> None:
