@@ -90,7 +90,7 @@ class ForwardModel:
         )
 
     def adjoint(self, image: Array, frame_edges_s: NDArray[np.float64] | None = None) -> Array:
-        """Return the volume ``(T, K, C, h, w)`` of an image ``(C, H, W)``; ``<forward(v), y>`` is ``<v, adjoint(y)>``."""
+        """Apply the transpose of ``forward`` to an image ``(C, H, W)``: the result is a volume ``(T, K, C, h, w)``."""
         expected = (self.stack.values.shape[1], *self.sensor_shape)
         if tuple(image.shape) != tuple(expected):
             msg = f"image must be (C, H, W) = {tuple(expected)}, got {tuple(image.shape)}"

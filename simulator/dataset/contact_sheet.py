@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from simulator.colour import linear_to_srgb
 from simulator.dataset.dataset_info import read_info
-from simulator.dataset.files import write_atomic
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.dataset.sample import Sample
 from simulator.errors import InputError
+from simulator.files import write_atomic
 
 if TYPE_CHECKING:
     from PIL import Image

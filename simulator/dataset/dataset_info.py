@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from simulator.dataset.files import write_atomic
 from simulator.dataset.plain import readable_json
 from simulator.dataset.sample import SPLITS
 from simulator.errors import InputError
+from simulator.files import write_atomic
 
 FILE = "dataset.json"
 FORMAT = "flatlight-dataset"

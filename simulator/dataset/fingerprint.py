@@ -11,8 +11,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from simulator.dataset.files import sha256_file
 from simulator.dataset.plain import canonical_json, plain
+from simulator.files import sha256_file
 
 PACKAGES = ("flatlight", "numpy", "scipy", "mitsuba", "drjit", "OpenEXR", "colour-science")
 """Packages whose version may change a sample's bytes."""

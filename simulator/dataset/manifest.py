@@ -14,9 +14,9 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from types import TracebackType
 
-from simulator.dataset.files import storage_errors, write_all
 from simulator.dataset.sample import SPLITS, SampleRecord, sample_index
 from simulator.errors import InputError
+from simulator.files import storage_errors, write_all
 
 MANIFEST = "manifest.jsonl"
 

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.dataset.exr import decode_exr, write_exr
-from simulator.dataset.files import committed_folder, sha256_bytes, write_atomic
 from simulator.dataset.plain import plain, readable_json
 from simulator.errors import InputError
+from simulator.exr import decode_exr, write_exr
+from simulator.files import committed_folder, sha256_bytes, write_atomic
 
 SPLITS = ("train", "validation", "test")
 MEASUREMENT, GROUND_TRUTH, DESCRIPTION = "measurement.exr", "ground_truth.exr", "sample.json"

@@ -13,8 +13,6 @@ from pathlib import Path
 
 from simulator.dataset.dataset_info import DatasetInfo, read_info
 from simulator.dataset.engines import run
-from simulator.dataset.exr import decode_exr
-from simulator.dataset.files import leftovers, sha256_bytes
 from simulator.dataset.manifest import MANIFEST, Entry, Manifest, load_manifest
 from simulator.dataset.sample import (
     DESCRIPTION,
@@ -26,6 +24,8 @@ from simulator.dataset.sample import (
     sample_index,
 )
 from simulator.errors import InputError
+from simulator.exr import decode_exr
+from simulator.files import leftovers, sha256_bytes
 
 
 @dataclass(frozen=True)

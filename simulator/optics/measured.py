@@ -42,7 +42,7 @@ def load_measured_psf(
     """Read measured PSFs, remove their background, bin, turn and scale them.
 
     Args:
-        files: one image per depth (TIFF, PNG, ``.npy``; grey: the same PSF for every channel), or a single
+        files: one image per depth (TIFF, PNG, OpenEXR, ``.npy``; grey: the same PSF for every channel), or a single
             ``.npy`` of ``(K, H, W)`` or ``(K, C, H, W)``. Values must be linear in light.
         depths_m: ``(K,)`` depth of the point source from the mask plane, metres, increasing.
         pixel_pitch_m: pitch of the binned pixels, metres.

@@ -1,4 +1,4 @@
-"""Reading one measured image (TIFF, npy, PNG) as the plain numbers that its file holds.
+"""Reading one measured image (TIFF, OpenEXR, npy, PNG) as the plain numbers that its file holds.
 
 The numbers are taken as linear in light; nothing is decoded or scaled here.
 """
@@ -22,8 +22,8 @@ def read_measurement(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
     """Read one image.
 
     Args:
-        path: ``.tif``/``.tiff`` (one page), ``.png`` or ``.npy`` holding ``(H, W)`` or ``(C, H, W)``.
-        channels: the channels' names.
+        path: ``.tif``/``.tiff`` (one page), ``.png``, ``.exr`` or ``.npy`` holding ``(H, W)`` or ``(C, H, W)``.
+        channels: the channels' names; an EXR file is searched for them.
 
     Returns:
         ``(1, H, W)`` for a grey image or ``(C, H, W)``, integer or float, all finite.
@@ -32,12 +32,14 @@ def read_measurement(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
         InputError: naming the file, when it is unreadable or holds something else.
     """
     readers = {".tif": _read_tiff, ".tiff": _read_tiff, ".png": read_picture, ".npy": read_npy}
-    if path.suffix.lower() in readers:
+    if path.suffix.lower() == ".exr":
+        image = _read_exr(path, channels)
+    elif path.suffix.lower() in readers:
         image = readers[path.suffix.lower()](path)
         if image.ndim == 3 and path.suffix.lower() != ".npy":
             image = np.moveaxis(image, -1, 0)
     else:
-        msg = f"{path} is of a kind that is not read: expected .tif, .tiff, .png or .npy (linear, without loss)"
+        msg = f"{path} is of a kind that is not read: expected .tif, .tiff, .png, .exr or .npy (linear, without loss)"
         raise InputError(msg)
     image = image[None] if image.ndim == 2 else image
     if image.ndim != 3 or image.shape[0] not in (1, len(channels)) or 0 in image.shape:
@@ -103,6 +105,19 @@ def _read_tiff(path: Path) -> NDArray[Any]:
     except Exception as error:
         raise InputError(_unreadable(path, error)) from error
     return np.moveaxis(image, 0, -1) if axes == "SYX" else image
+
+
+def _read_exr(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
+    """``(C, H, W)`` by the channels' names, or ``(H, W)`` when there is only one."""
+    from simulator.exr import read_exr
+
+    found, _ = read_exr(path)
+    if set(channels) <= set(found):
+        return np.stack([found[name] for name in channels])
+    if len(found) == 1:
+        return next(iter(found.values()))
+    msg = f"{path} has the channels {', '.join(sorted(found))}; expected {', '.join(channels)}, or a single one"
+    raise InputError(msg)
 
 
 def _check_size(shape: tuple[int, ...], path: Path) -> None:

@@ -24,7 +24,8 @@ def perlin(shape: tuple[int, int], cell: float, seed: int) -> NDArray[np.float32
     fy, fx = (rows - rows.astype(int))[:, None], (columns - columns.astype(int))[None, :]
 
     def corner(di: int, dj: int) -> NDArray[np.float32]:
-        return gradient_y[i + di, j + dj] * (fy - di) + gradient_x[i + di, j + dj] * (fx - dj)
+        dot = gradient_y[i + di, j + dj] * (fy - di) + gradient_x[i + di, j + dj] * (fx - dj)
+        return dot.astype(np.float32)
 
     fade_y, fade_x = (t**3 * (t * (t * 6 - 15) + 10) for t in (fy, fx))
     top = corner(0, 0) * (1 - fade_x) + corner(0, 1) * fade_x

@@ -7,10 +7,10 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from simulator.dataset.exr import read_exr
-from simulator.dataset.files import sha256_bytes, sha256_file
 from simulator.dataset.sample import read_sample, sample_folder, sample_id, sample_index, write_sample
 from simulator.errors import InputError
+from simulator.exr import read_exr
+from simulator.files import sha256_bytes, sha256_file
 
 ARRAYS = ("measurement", "noiseless", "rgb", "depth_m", "valid")
 

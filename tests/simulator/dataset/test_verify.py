@@ -10,11 +10,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from simulator.dataset.exr import write_exr
 from simulator.dataset.manifest import ManifestWriter
 from simulator.dataset.sample import write_sample
 from simulator.dataset.verify import verify
 from simulator.errors import InputError
+from simulator.exr import write_exr
 
 FIRST = Path("train/0000/s00000000")
 

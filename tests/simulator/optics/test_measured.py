@@ -27,6 +27,13 @@ def save(path, image):
         np.save(path, image if image.ndim == 2 else np.moveaxis(image, -1, 0))
     elif path.suffix == ".tif":
         tifffile.imwrite(path, image, photometric="rgb" if image.ndim == 3 else "minisblack")
+    elif path.suffix == ".exr":
+        import OpenEXR
+
+        names = "RGB" if image.ndim == 3 else "Y"
+        planes = [image] if image.ndim == 2 else [image[..., c] for c in range(3)]
+        channels = {n: np.ascontiguousarray(p, np.float32) for n, p in zip(names, planes, strict=True)}
+        OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, channels).write(str(path))
     elif image.dtype == np.uint16:
         cv2.imwrite(str(path), image)
     else:
@@ -52,7 +59,7 @@ def expected(image):
 
 
 class TestFormats:
-    @pytest.mark.parametrize("suffix", [".tif", ".png", ".npy"])
+    @pytest.mark.parametrize("suffix", [".tif", ".png", ".npy", ".exr"])
     def test_grey_serves_all_channels(self, tmp_path, grey, suffix):
         stack = load([save(tmp_path / f"psf{suffix}", grey)])
         assert stack.values.shape == (1, 3, 9, 13)
@@ -60,7 +67,7 @@ class TestFormats:
         np.testing.assert_allclose(stack.values[0], expected(grey), rtol=1e-6)
         assert stack.provenance["same_psf_for_all_channels"] is True
 
-    @pytest.mark.parametrize("suffix", [".tif", ".png", ".npy"])
+    @pytest.mark.parametrize("suffix", [".tif", ".png", ".npy", ".exr"])
     def test_colour_gives_each_channel_its_own_in_rgb_order(self, tmp_path, rng, suffix):
         image = rng.integers(0, 200, (9, 13, 3), dtype=np.uint8)
         stack = load([save(tmp_path / f"psf{suffix}", image)])
@@ -268,7 +275,7 @@ class TestMistakes:
         with pytest.raises(InputError, match=r"wave\.npy holds values of type complex128"):
             load([tmp_path / "wave.npy"])
 
-    @pytest.mark.parametrize("suffix", [".tif", ".png", ".npy"])
+    @pytest.mark.parametrize("suffix", [".tif", ".png", ".npy", ".exr"])
     def test_unreadable_files_are_named(self, tmp_path, rng, suffix):
         path = tmp_path / f"psf{suffix}"
         with pytest.raises(InputError, match=path.name):

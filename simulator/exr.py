@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.dataset.files import StorageError, write_atomic
-from simulator.dataset.quiet import quiet
 from simulator.errors import InputError
+from simulator.files import StorageError, write_atomic
+from simulator.quiet import quiet
 
 ATTRIBUTE = "flatlight"
 """Name of the string attribute that carries metadata and checksums."""

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from simulator.dataset import files
-from simulator.dataset.files import (
+from simulator import files
+from simulator.errors import InputError
+from simulator.files import (
     StorageError,
     committed_folder,
     leftovers,
@@ -19,7 +20,6 @@ from simulator.dataset.files import (
     sha256_file,
     write_atomic,
 )
-from simulator.errors import InputError
 
 SHA256_ABC = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"  # FIPS 180-4, example B.1
 
@@ -77,7 +77,7 @@ def test_full_disk_keeps_the_old_file_and_says_how_to_resume(
 
 def test_a_real_size_limit_of_the_system_is_met_in_words(tmp_path: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from simulator.dataset.files import write_atomic, StorageError\n"
+        "import sys; from pathlib import Path; from simulator.files import write_atomic, StorageError\n"
         "try: write_atomic(Path(sys.argv[1]), b'x' * 100_000)\n"
         "except StorageError as error: print(error)"
     )

@@ -1,0 +1,212 @@
+"""PSF stacks against direct sums, energy balance, geometry and the pinhole camera."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from simulator.camera.forward import ForwardModel
+from simulator.camera.planes import mask_irradiance
+from simulator.optics.kernel import ORDERS
+from simulator.optics.mask import Mask
+from simulator.optics.materials import FUSED_SILICA
+from simulator.optics.psf import PsfConfig, compute_psf_stack
+from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
+from simulator.types import CameraGeometry, Clip, SpectralResponse, View
+
+GREEN = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")
+
+
+def _smooth_mask(samples=160, pitch_m=1e-6, seed=0, dtype=np.float64) -> Mask:
+    """Random cosines under a smooth round aperture; not symmetric in any way."""
+    rng = np.random.default_rng(seed)
+    x = (np.arange(samples) - (samples - 1) / 2) * pitch_m
+    y, x = x[:, None], x[None, :]
+    height = np.zeros((samples, samples))
+    for fy, fx, a, p in zip(*rng.uniform(-1, 1, (4, 8)), strict=True):
+        height += 0.25e-6 * a * np.cos(2 * np.pi * 2.5e4 * (fy * y + fx * x) + 3 * p)
+    aperture = np.exp(-((np.hypot(y, x) / (0.4 * samples * pitch_m)) ** 12))
+    return Mask(height.astype(dtype), aperture.astype(dtype), pitch_m, FUSED_SILICA, "smooth")
+
+
+def _staircase_mask(samples=150, seed=0) -> Mask:
+    height = np.random.default_rng(seed).integers(0, 6, (samples, samples)) * 0.2e-6
+    return Mask(height, np.ones_like(height), 2e-6, FUSED_SILICA, "staircase")
+
+
+def _compute(mask, camera, config, **kwargs):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the sampling error of these random masks is not the subject
+        return compute_psf_stack(mask, camera, replace(config, accept_error=10.0), **kwargs)
+
+
+def _direct_pixel_values(mask, wavelength_m, d, depth_m, pitch_m, pixels, oversample):
+    """Integrate |RS sum|^2 under spherical illumination over pixels given by (row, column) in the physical frame."""
+    field = mask.transmission(wavelength_m, oversample)
+    fine = mask.pitch_m / oversample
+    y, x = ((np.arange(n) - (n - 1) / 2) * fine for n in field.shape)
+    if np.isfinite(depth_m):
+        r = np.sqrt(x[None, :] ** 2 + y[:, None] ** 2 + depth_m**2)
+        field = field * depth_m / r * np.exp(2j * np.pi / wavelength_m * (r - depth_m))
+    nodes, weights = np.polynomial.legendre.leggauss(7)
+    values = []
+    for row, column in pixels:
+        px, py = np.meshgrid((column + nodes / 2) * pitch_m, (row + nodes / 2) * pitch_m)
+        points = np.stack([px.ravel(), py.ravel()], 1)
+        intensity = np.abs(rayleigh_sommerfeld(field, fine, wavelength_m, d, points)) ** 2
+        values.append(np.sum(np.outer(weights, weights).ravel() / 4 * intensity))
+    return np.array(values)
+
+
+@pytest.mark.parametrize("depth_m", [0.01, 0.05, np.inf])
+def test_psf_of_a_smooth_mask_equals_the_direct_sum(depth_m):
+    """Pixel by pixel, in absolute units, frame included.
+
+    The identity is paraxial in the source's angle: (a / z)^2 (80 um at 1 cm: 6e-5) and in phase k a^4 / (8 z^3) < 1e-3.
+    What is left at infinity is the pixel rule: cells of 1 um share their intensity with 6 um pixels, 0.2 %.
+    """
+    mask, d, pitch = _smooth_mask(), 0.5e-3, 6e-6
+    stack = _compute(
+        mask, CameraGeometry(d, pitch, GREEN), PsfConfig((depth_m,), wavelengths_per_channel=1, oversampling=2)
+    )
+    middle = stack.values.shape[-1] // 2
+    pixels = np.random.default_rng(1).integers(-11, 12, (14, 2))
+    truth = _direct_pixel_values(mask, 532e-9, d, depth_m, pitch, pixels, 1)
+    stored = stack.values[0, 0][middle - pixels[:, 0], middle - pixels[:, 1]]  # turned by 180 degrees
+    assert np.linalg.norm(stored - truth) / np.linalg.norm(truth) < 3e-3
+
+
+@pytest.mark.parametrize("depth_m", [0.02, np.inf])
+def test_psf_of_a_staircase_equals_the_direct_sum(depth_m):
+    """A staircase of random heights: the truth sums 8 x 8 points per mask pixel; the bound is the measured sampling error."""
+    mask, d, pitch = _staircase_mask(40), 0.4e-3, 6e-6
+    config = PsfConfig((depth_m,), wavelengths_per_channel=1, oversampling=4)
+    stack = _compute(mask, CameraGeometry(d, pitch, GREEN), config)
+    middle = stack.values.shape[-1] // 2
+    pixels = np.random.default_rng(1).integers(-7, 8, (8, 2))
+    truth = _direct_pixel_values(mask, 532e-9, d, depth_m, pitch, pixels, 8)
+    stored = stack.values[0, 0][middle - pixels[:, 0], middle - pixels[:, 1]]
+    assert np.linalg.norm(stored - truth) / np.linalg.norm(truth) < 0.02
+    # The direct sum sees all angles, the PSF ORDERS of them, so it must not be brighter.
+    assert stack.energy_m2()[0, 0] < mask.transmitted_area_m2
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-9), (np.float32, 1e-6)])
+def test_all_light_of_a_smooth_mask_reaches_the_stack(dtype, tolerance):
+    """Parseval: the sum of a PSF times the pixel area is transmittance x aperture area, at every depth and any pixel."""
+    mask = _smooth_mask(dtype=dtype)
+    for pitch in (2.3e-6, 19.2e-6):
+        stack = _compute(mask, CameraGeometry(0.4e-3, pitch, GREEN), PsfConfig((0.01, 0.1, np.inf)))
+        np.testing.assert_allclose(stack.energy_m2(), mask.transmitted_area_m2, rtol=tolerance)
+
+
+def test_light_of_a_staircase_is_that_of_its_diffraction_orders():
+    """The share that arrives is the power of the staircase's spectrum (the pixel's sinc included) inside the followed angles.
+
+    A ray picture relates angle and place, so the two agree up to diffraction at the window's rim: 1 %.
+    """
+    mask, wavelength, d = _staircase_mask(200), 532e-9, 1.9e-3
+    stack = _compute(mask, CameraGeometry(d, 19.2e-6, GREEN), PsfConfig((np.inf,), wavelengths_per_channel=1))
+    spectrum = np.abs(np.fft.fft2(mask.transmission(wavelength))) ** 2
+    order = np.arange(-500, 501)
+    frequency = order / (200 * mask.pitch_m)
+    share = np.abs(np.sinc(order / 200)) ** 2
+    power = spectrum[np.ix_(order % 200, order % 200)] * share[:, None] * share[None, :]
+    cosine = np.sqrt(1 - wavelength**2 * (frequency[:, None] ** 2 + frequency[None, :] ** 2))
+    limit = ORDERS * wavelength / mask.pitch_m / np.sqrt(1 - (ORDERS * wavelength / mask.pitch_m) ** 2)
+    inside = (np.abs(wavelength * frequency[:, None] / cosine) < limit) & (
+        np.abs(wavelength * frequency / cosine) < limit
+    )
+    expected = power[inside].sum() / spectrum.sum()
+    assert stack.energy_m2()[0, 0] / mask.transmitted_area_m2 == pytest.approx(expected, abs=0.01)
+    assert 0.8 < expected < 0.99  # the orders that are not followed are real: this mask scatters wildly
+
+
+def test_an_off_centre_hole_lands_where_rays_say_in_the_stored_frame():
+    """Physical light through a hole at (+x, +y) lands at (1 + d/z) times that; the stored frame turns it by 180 degrees."""
+    samples, pitch = 200, 2e-6
+    amplitude = np.zeros((samples, samples))
+    amplitude[150:160, 120:130] = 1  # 10 x 10 samples of 2 um: y = 110 um, x = 50 um
+    mask = Mask(np.zeros_like(amplitude), amplitude, pitch)
+    depths = (0.005, 0.02, np.inf)
+    stack = _compute(mask, CameraGeometry(1.9e-3, 4.8e-6, GREEN), PsfConfig(depths, wavelengths_per_channel=1))
+    grid = np.arange(stack.values.shape[-1]) - stack.values.shape[-1] // 2
+    for image, depth in zip(stack.values[:, 0], depths, strict=True):
+        m = 1 + 1.9e-3 / depth
+        y, x = (np.sum(image.sum(1) * grid) / image.sum(), np.sum(image.sum(0) * grid) / image.sum())
+        # The centroid of a symmetric hole's light is the ray through its middle; the window cuts symmetric tails unevenly.
+        assert y * 4.8e-6 == pytest.approx(-110e-6 * m, abs=1.5e-6)
+        assert x * 4.8e-6 == pytest.approx(-50e-6 * m, abs=1.5e-6)
+
+
+def test_scaled_psf_is_the_magnified_psf_of_infinity_and_scaled_distance_is_not():
+    mask, camera = _smooth_mask(), CameraGeometry(0.5e-3, 3e-6, GREEN)
+    config = PsfConfig((0.005, np.inf), wavelengths_per_channel=1)
+    distance, scaled = _compute(mask, camera, config), _compute(mask, camera, replace(config, model="scaled_psf"))
+    np.testing.assert_array_equal(distance.values[1], scaled.values[1])
+    finer = _compute(mask, replace(camera, pixel_pitch_m=3e-6 / 1.1), replace(config, depths_m=(np.inf,)))
+    a, b = scaled.values[0, 0], finer.values[0, 0] / 1.1**2
+    size = min(a.shape[0], b.shape[0]) // 2
+
+    def middle(v):
+        c = v.shape[0] // 2
+        return v[c - size : c + size, c - size : c + size]
+
+    a, b = middle(a), middle(b)
+    np.testing.assert_allclose(a, b, atol=1e-9 * a.max())
+    difference = np.linalg.norm(distance.values[0] - scaled.values[0]) / np.linalg.norm(distance.values[0])
+    assert difference > 0.02
+
+
+@pytest.mark.parametrize("vignetting", [True, False])
+def test_pinhole_camera_returns_the_scene(vignetting):
+    """Upright, on the right pixel, times cos^4, in absolute units: E = L A / d^2 cos^4 (the textbook pinhole camera)."""
+    from psf_library.designs.pinhole import pinhole
+
+    d, pitch = 1.9e-3, 240e-6  # pixels so large that the Airy disc (24 um) and the hole (60 um) stay inside one
+    mask = pinhole(diameter_um=60, pixel_um=1)
+    stack = _compute(mask, CameraGeometry(d, pitch, GREEN), PsfConfig((0.05,), wavelengths_per_channel=1))
+    stack = replace(stack, values=np.repeat(stack.values, 3, axis=1), channels=("R", "G", "B"))
+    rng = np.random.default_rng(0)
+    rgb = rng.uniform(size=(1, 10, 12, 3)).astype(np.float32)
+    clip = Clip(rgb, np.full((1, 10, 12), 0.05, np.float32), np.ones((1, 10, 12), bool), np.array([0.0, 1.0]))
+    view = View((10, 12), pitch, d, 0.03, 0.2)
+    model = ForwardModel(stack, (14, 16), (10, 12), irradiance=mask_irradiance(view, vignetting))
+    image = model.forward_clip(clip)
+    y, x = (np.arange(10) - 4.5) * pitch, (np.arange(12) - 5.5) * pitch
+    cosine = d / np.sqrt(d**2 + y[:, None] ** 2 + x[None, :] ** 2)
+    expected = rgb[0] * (cosine[..., None] ** 4 if vignetting else 1) * mask.transmitted_area_m2 / d**2
+    error = np.moveaxis(image[:, 2:-2, 2:-2], 0, -1) - expected
+    # The Airy pattern's tail outside one 240 um pixel is 1.2 % of the light; it lands on neighbours.
+    assert np.linalg.norm(error) / np.linalg.norm(expected) < 0.02
+    assert np.abs(error).max() < 0.03 * expected.max()
+
+
+def test_default_field_darkens_as_stated():
+    """PHYSICS section 6: 0.50 at mid-edge and 0.30 in the corner of 128 x 128 pixels of 19.2 um at 1.9 mm."""
+    weights = mask_irradiance(View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2))
+    relative = weights / weights.max()
+    assert relative[0, 63] == pytest.approx(0.50, abs=0.01)
+    assert relative[0, 0] == pytest.approx(0.30, abs=0.035)
+    assert weights[63, 63] == pytest.approx((19.2e-6 / 1.9e-3) ** 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("profile", ["smooth", "staircase"])
+def test_torch_equals_numpy_and_gradients_are_those_of_finite_differences(profile):
+    torch = pytest.importorskip("torch")
+    mask = replace(_smooth_mask(dtype=np.float32), profile=profile)
+    camera, config = CameraGeometry(0.4e-3, 8e-6, GREEN), PsfConfig((0.01, np.inf), wavelengths_per_channel=1)
+    numpy_stack, torch_stack = (_compute(mask, camera, config, xp=xp) for xp in ("numpy", "torch"))
+    # float32 phases of 1e2 rad are reduced in float64, so only the FFT's rounding is left.
+    np.testing.assert_allclose(torch_stack.values.numpy(), numpy_stack.values, atol=2e-6 * numpy_stack.values.max())
+
+    height = torch.from_numpy(_smooth_mask(10).height_m)
+    amplitude = torch.from_numpy(_smooth_mask(10).amplitude)
+    small = CameraGeometry(30e-6, 4e-6, GREEN)
+
+    def psf(height_um):
+        design = Mask(height_um * 1e-6, amplitude, 1e-6, FUSED_SILICA, profile)
+        return _compute(design, small, PsfConfig((1e-3,), wavelengths_per_channel=1)).values
+
+    assert torch.autograd.gradcheck(psf, (height * 1e6).requires_grad_(), eps=1e-6, atol=1e-6)
