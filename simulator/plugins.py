@@ -1,4 +1,4 @@
-"""Resolves the names of mask designs, scene families, imported sources and commands.
+"""Resolves the names of mask designs, scene families and imported sources.
 
 A name is a module of a package that an entry point names (one new file is one new design), ``./file.py:name`` or
 ``package.module:name``. Nothing is imported before it is used; a plugin's signature is the schema of its parameters.
@@ -12,22 +12,19 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import Any, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, PydanticUserError, ValidationError, create_model
 
+from simulator.entry_points import entry_points
 from simulator.errors import InputError
 from simulator.plugin_files import describe_failure, import_file, modules_defining
 from simulator.validation import Problem, find_problems, nearest, validate
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint  # imported on use: it would take a tenth of the start
 
 # What messages call each kind, its entry-point group, and the packages that need no entry point.
 _LABELS = {"mask": "mask design", "scene": "scene family", "source": "imported source"}
 _GROUPS = {"mask": "flatlight.masks", "scene": "flatlight.scenes", "source": "flatlight.sources"}
 _BUILT_IN = {"mask": (), "scene": (), "source": ("simulator.importers",)}
-_COMMANDS = "flatlight.commands"
 
 # Keys of the section beside the plugin's parameters, which a parameter therefore cannot be called.
 SECTION_KEYS = {"mask": ("design",), "scene": ("family", "source", "size"), "source": ("family", "source", "size")}
@@ -138,29 +135,8 @@ def available(kind: str) -> list[str]:
     return sorted({name for package in _packages(kind) for name in modules_defining(package, kind)})
 
 
-def commands() -> dict[str, EntryPoint]:
-    """Return the commands that other rooms and packages add, by name; ``.load()`` imports one.
-
-    Raises:
-        InputError: when two packages add the same command.
-    """
-    found: dict[str, EntryPoint] = {}
-    for entry in _entry_points(_COMMANDS):
-        other = found.setdefault(entry.name, entry)
-        if other.value != entry.value:
-            msg = f"command {entry.name!r} is defined by both {other.value} and {entry.value}; uninstall one of them"
-            raise InputError(msg)
-    return found
-
-
-def _entry_points(group: str) -> list[EntryPoint]:
-    from importlib.metadata import entry_points
-
-    return sorted(entry_points(group=group), key=lambda entry: (entry.name, entry.value))
-
-
 def _packages(kind: str) -> list[str]:
-    return list(dict.fromkeys([*_BUILT_IN[kind], *(entry.value for entry in _entry_points(_GROUPS[kind]))]))
+    return list(dict.fromkeys([*_BUILT_IN[kind], *(entry.value for entry in entry_points(_GROUPS[kind]))]))
 
 
 def _module_of(kind: str, name: str) -> str:

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 
+FARTHEST_M = 1e6
+"""Stands for infinity in depth maps on disk: its disparity is zero for any camera, its square still fits float32."""
+
 
 @dataclass(frozen=True)
 class View:

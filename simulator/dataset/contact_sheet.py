@@ -106,7 +106,7 @@ def contact_sheet(dataset_path: Path | str, out_png: Path | str, count: int = 8,
 def depth_colours(
     depth_m: NDArray[np.float32], valid: NDArray[np.bool_], near_m: float, far_m: float
 ) -> NDArray[np.uint8]:
-    """Colour depths linearly from near (yellow) to far (violet); grey where not valid.
+    """Colour depths evenly in disparity (1/z, what a camera resolves) from near (yellow) to far (violet); grey is unseen.
 
     Args:
         depth_m: ``(h, w)`` metres.
@@ -117,7 +117,8 @@ def depth_colours(
     Returns:
         ``(h, w, 3)`` uint8.
     """
-    share = np.clip((depth_m.astype(np.float64) - near_m) / max(far_m - near_m, 1e-12), 0, 1)
+    range_per_m = max(1 / near_m - 1 / far_m, 1e-12)
+    share = np.clip((1 / near_m - 1 / depth_m.astype(np.float64)) / range_per_m, 0, 1)
     places = np.linspace(0, 1, len(_COLOURS))
     colours = np.stack([np.interp(share, places, _COLOURS[:, channel]) for channel in range(3)], axis=-1)
     return np.where(valid[..., None], colours.round(), np.array(_UNSEEN)).astype(np.uint8)
@@ -165,12 +166,12 @@ def _resized(pixels: NDArray[np.uint8]) -> Image.Image:
 
 def _draw_legend(draw: Any, left: int, near_m: float, far_m: float) -> None:
     top, width, height = _TITLE, 16, _TILE - 24
-    steps = np.linspace(near_m, far_m, height)[:, None].astype(np.float32)
+    steps = (1 / np.linspace(1 / near_m, 1 / far_m, height))[:, None].astype(np.float32)
     for row, colour in enumerate(depth_colours(steps, np.ones_like(steps, dtype=bool), near_m, far_m)[:, 0]):
         draw.line([(left, top + row), (left + width, top + row)], fill=tuple(colour.tolist()))
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         height_here = top + share * (height - 1)
-        depth_cm = 100 * (near_m + share * (far_m - near_m))
+        depth_cm = 100 / ((1 - share) / near_m + share / far_m)
         draw.text((left + width + 6, height_here), f"{depth_cm:.3g} cm", fill=_INK, font=_font(12), anchor="lm")
     draw.rectangle([(left, top + height + 8), (left + width, top + height + 24)], fill=_UNSEEN)
     draw.text((left + width + 6, top + height + 16), "no surface", fill=_INK, font=_font(12), anchor="lm")

@@ -12,12 +12,10 @@ from simulator.render.backend import activate
 from simulator.render.gbuffer import centre_depth
 from simulator.render.mitsuba_scene import load_scene
 from simulator.render.scene import Scene
-from simulator.types import Clip, View
+from simulator.types import FARTHEST_M, Clip, View
 
 # Light paths of camera - surface - ... - light: enough for light to fill the shadows of a crowded scene.
 DEFAULT_MAX_DEPTH = 5
-# Stands for a far depth of infinity: its disparity is zero for any camera, its square still fits float32.
-FARTHEST_M = 1e6
 # More broken pixels than this mean a broken scene, not a path tracer's rare accident.
 _MAX_BROKEN_SHARE = 1e-3
 

@@ -86,7 +86,7 @@ def test_refusals(dataset: Path, tmp_path: Path) -> None:
 
 
 def test_colours_are_monotone_in_lightness() -> None:
-    depths = np.linspace(0.04, 0.2, 100, dtype=np.float32)[None]
+    depths = (1 / np.linspace(1 / 0.04, 1 / 0.2, 100, dtype=np.float32))[None]  # even steps of the scale
     colours = depth_colours(depths, np.ones_like(depths, bool), 0.04, 0.2)[0]
     luminance = colours @ np.array([0.2126, 0.7152, 0.0722])
     assert np.all(np.diff(luminance) < 0)  # near is light, far is dark, also in greyscale

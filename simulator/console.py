@@ -1,0 +1,133 @@
+"""What the terminal shows: progress, lists, measured errors. Plain lines where it is no terminal."""
+
+from __future__ import annotations
+
+import sys
+import time
+import warnings
+from typing import TYPE_CHECKING, Any, Self
+
+if TYPE_CHECKING:
+    from simulator.doctor import Check
+    from simulator.optics.psf_stack import PsfStack
+
+_PLAIN_EVERY_S = 10.0
+
+
+class Bar:
+    """A progress bar with rate and time left; in a pipe or log a plain line every ten seconds.
+
+    Warnings that the library raises meanwhile are shown as lines above it.
+    """
+
+    def __enter__(self) -> Self:
+        from rich.console import Console
+
+        self._console = Console(stderr=True, highlight=False)
+        self._progress: Any = None
+        self._tasks: dict[str, Any] = {}
+        self._began: dict[str, tuple[float, int]] = {}
+        self._last_line = 0.0
+        self._warnings = warnings.catch_warnings()
+        self._warnings.__enter__()
+        warnings.showwarning = lambda message, *_, **__: self.say(f"warning: {message}")
+        if self._console.is_terminal:
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+            columns = (
+                TextColumn("{task.description:>16}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TextColumn("{task.fields[rate]}"),
+                TimeRemainingColumn(),
+            )
+            self._progress = Progress(*columns, console=self._console)
+            self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._progress is not None:
+            self._progress.stop()
+        self._warnings.__exit__(None, None, None)
+
+    def update(self, stage: str, done: int, total: int) -> None:
+        """Show that ``done`` of ``total`` are finished in a stage; stages appear as they come."""
+        now = time.monotonic()
+        began, first = self._began.setdefault(stage, (now, done))
+        rate = (done - first) / (now - began) if now > began else 0.0
+        shown = f"{rate:.2g}/s" if rate else ""
+        if self._progress is not None:
+            if stage not in self._tasks:
+                self._tasks[stage] = self._progress.add_task(stage, total=total, rate="")
+            self._progress.update(self._tasks[stage], completed=done, total=total, rate=shown)
+        elif done == total or now - self._last_line > _PLAIN_EVERY_S:
+            self._last_line = now
+            left = f", {(total - done) / rate:.0f} s left" if rate and done < total else ""
+            print(f"{stage}: {done} of {total}{', ' + shown if shown else ''}{left}", file=sys.stderr, flush=True)
+
+    def say(self, line: str) -> None:
+        """Print a line above the bar."""
+        if self._progress is not None:
+            self._console.print(line, markup=False)
+        else:
+            print(line, file=sys.stderr, flush=True)
+
+
+def describe_stack(stack: PsfStack, sensor_shape: tuple[int, int], scene_shape: tuple[int, int]) -> str:
+    """Return what is worth knowing of a PSF stack, with its measured errors."""
+    from simulator.optics.metrics import depth_limit_m, light_off_sensor
+
+    count, channels, height, width = stack.values.shape
+    depths = (
+        f"{stack.depths_m[0] * 100:g} to {stack.depths_m[-1] * 100:g} cm"
+        if count > 1
+        else f"{stack.depths_m[0] * 100:g} cm"
+    )
+    lines = [
+        f"{count} depths ({depths}) x {channels} channels of {height} x {width} pixels of {stack.pixel_pitch_m * 1e6:g} um",
+    ]
+    made = stack.provenance
+    if "sampling" in made:
+        lines.append(
+            f"sampling error on the sensor's pixels: {made['sampling']['error']:.2%} (oversampling doubled, on a crop)"
+        )
+    if "mask" in made:
+        area = made["mask"]["transmitted_area_m2"]
+        energy = stack.energy_m2() / area
+        lines.append(
+            f"light that reaches the PSF grid: {energy.min():.1%} to {energy.max():.1%} of the mask's {area * 1e6:.3g} mm2"
+        )
+        aperture_m = max(made["mask"]["shape"]) * made["mask"]["pitch_m"]
+        limit = depth_limit_m(aperture_m, made["mask_to_sensor_m"], stack.pixel_pitch_m)
+        lines.append(f"beyond {limit:.2g} m the PSF changes by less than a pixel")
+    off = light_off_sensor(stack, sensor_shape, scene_shape)
+    lines.append(f"light of the scene that falls off the sensor: {off.max():.1%} at most (mean over the field)")
+    return "\n".join(lines)
+
+
+def describe_plugins(kind: str, key: str) -> str:
+    """Return the designs or families of a kind with their parameters, defaults and first docstring lines."""
+    from simulator.plugins import available, resolve
+
+    lines = [f"{key}:"]
+    for name in available(kind):
+        plugin = resolve(kind, name)
+        summary = (plugin.function.__doc__ or "").strip().split("\n")[0]
+        lines.append(f"  {name}: {summary}")
+        for parameter, info in plugin.parameters.model_fields.items():
+            default = "required" if info.is_required() else info.default
+            lines.append(f"      {parameter}: {default}")
+    return "\n".join(lines)
+
+
+def print_checks(checks: list[Check]) -> None:
+    """Print the doctor's findings."""
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    marks = {"ok": "[green]ok[/]", "note": "[yellow]note[/]", "problem": "[red]problem[/]"}
+    for check in checks:
+        console.print(f"{marks[check.status]:>20} ", end="")
+        console.print(f"{check.name}: {check.what}", markup=False)
+        if check.advice:
+            console.print(f"         {check.advice}", markup=False)

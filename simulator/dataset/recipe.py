@@ -1,0 +1,131 @@
+"""The recipe of one sample: from (configuration, split, index) to measurement and ground truth.
+
+A worker builds its ``SampleMaker`` once and then makes any sample of the data set, alike in every process and order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.assemble import build_forward_model, build_sensor, build_source
+from simulator.camera.noise import GaussianNoise
+from simulator.camera.planes import clamped_share
+from simulator.config import Config
+from simulator.dataset.psf_files import read_psf_stack
+from simulator.dataset.sample import Sample, SampleRecord, write_sample
+from simulator.seeds import SPLITS, generator
+from simulator.types import FARTHEST_M, Clip, SceneSource
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Everything that decides the samples; small enough to send to workers.
+
+    Attributes:
+        config: the configuration.
+        backend: Mitsuba variant, or ``none`` for imported scenes.
+        psf_folder: the data set's PSF stack.
+        source: the scene source, or None where workers must build it themselves (classes in a user's own file).
+        full_scale: exposure at full scale; None while it is being found from pilot samples.
+    """
+
+    config: Config
+    backend: str
+    psf_folder: Path
+    source: SceneSource | None
+    full_scale: float | None = None
+
+
+class SampleMaker:
+    """A recipe with its tools laid out: PSF spectra, sensor, scene source."""
+
+    def __init__(self, recipe: Recipe) -> None:
+        """Read the PSF stack and prepare the forward model: about a second."""
+        self._seed = recipe.config.seed
+        self._stack = read_psf_stack(recipe.psf_folder)
+        self._model = build_forward_model(recipe.config, self._stack)
+        self._source = recipe.source or build_source(recipe.config, recipe.backend)
+        self._sensor = build_sensor(recipe.config, recipe.full_scale or 1.0)
+
+    def exposure(self, split: str, index: int) -> tuple[Clip, NDArray[np.float32]]:
+        """Return the clip of a sample and the noiseless exposure ``(C, H, W)`` that it gives."""
+        clip = self._source.clip(clip_index(split, index), generator(self._seed, split, index, "scene"))
+        return clip, self._model.forward_clip(clip)
+
+    def sample(self, split: str, index: int) -> Sample:
+        """Return one sample."""
+        clip, exposure = self.exposure(split, index)
+        noiseless = self._sensor.noiseless(exposure)
+        measurement = self._sensor.expose(exposure, generator(self._seed, split, index, "noise"))
+        metadata: dict[str, Any] = {
+            "split": split,
+            "index": index,
+            "scene": clip.source,
+            "psf": self._stack.fingerprint,
+            "full_scale": self._sensor.full_scale,
+            "saturated_share": float(np.mean(exposure >= self._sensor.full_scale)),
+            "clamped_depth_share": clamped_share(clip.depth_m, clip.valid, self._stack.depths_m),
+        }
+        noise = self._sensor.noise
+        if isinstance(noise, GaussianNoise):
+            metadata["noise_std"] = noise.standard_deviation(noiseless)
+        return Sample(
+            measurement,
+            noiseless,
+            clip.rgb,
+            np.minimum(clip.depth_m, np.float32(FARTHEST_M)),
+            clip.valid,
+            self._seed,
+            clip.label,
+            self._stack.channels,
+            metadata,
+        )
+
+
+def clip_index(split: str, index: int) -> int:
+    """Return the index at which a sample asks its source for a clip.
+
+    Training samples count from the front, the others (every second one each) from the back, so that splits of a source
+    of N clips share none as long as there are enough, and raising a count never moves a clip. Negative indices count from
+    the end, as in any Python sequence; sources that draw everything from the generator ignore the index.
+    """
+    if SPLITS[split] in (SPLITS["train"], SPLITS["pilot"]):
+        return index
+    return -(2 * index + SPLITS[split])
+
+
+def clips_needed(counts: dict[str, int]) -> int:
+    """Return how many clips a source must have so that no two splits share one."""
+    back = max(2 * counts.get(split, 0) - (2 - SPLITS[split]) for split in ("validation", "test"))
+    return counts.get("train", 0) + max(back, 0)
+
+
+_maker: SampleMaker | None = None
+
+
+def start_worker(recipe: Recipe) -> None:
+    """Prepare this process to make samples."""
+    global _maker
+    if recipe.backend != "none":
+        from simulator.render.backend import activate
+
+        activate(recipe.backend, threads=1)
+    _maker = SampleMaker(recipe)
+
+
+def make_pilot(index: int) -> NDArray[np.float32]:
+    """Return the noiseless exposure of a pilot sample, which automatic exposure looks at."""
+    assert _maker is not None
+    return _maker.exposure("pilot", index)[1]
+
+
+def make_sample(task: tuple[str, str, int]) -> SampleRecord:
+    """Make and write one sample; ``task`` is (data set folder, split, index)."""
+    assert _maker is not None
+    root, split, index = task
+    return write_sample(Path(root), split, index, _maker.sample(split, index))
