@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from simulator.arrays import crop2d, fft2, ifft2, next_fast_len, pad2d
 from simulator.errors import InputError
-from simulator.optics.propagation import Transfer, multiply_even, spread_samples
+from simulator.optics.even_filter import multiply_even
+from simulator.optics.propagation import Transfer, spread_samples
 
 
 def retrieve_phase(

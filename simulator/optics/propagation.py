@@ -14,19 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from simulator.arrays import (
-    Array,
-    complex_dtype,
-    crop2d,
-    fft2,
-    ifft2,
-    like,
-    namespace,
-    next_fast_len,
-    pad2d,
-    real_dtype,
-)
+from simulator.arrays import Array, namespace, next_fast_len, real_dtype, unit_phasor
+from simulator.arrays import like as as_array
 from simulator.errors import InputError
+from simulator.optics.even_filter import even_filter
 
 MAX_SINE = 0.9  # steeper waves (64 degrees) do not reach a sensor behind a mask in any useful strength
 
@@ -65,9 +56,8 @@ def angular_spectrum(field: Array, pitch_m: float, wavelength_m: float, distance
     padded = tuple(next_fast_len(n + min(spread, n + edge)) for n in window)
     limited = spread > min(window) + edge
     reach = tuple((p - n) * pitch_m for p, n in zip(padded, window, strict=True)) if limited else None
-    spectrum = fft2(pad2d(field, padded))
     transfer = Transfer(padded, pitch_m, wavelength_m, like=field)
-    return crop2d(ifft2(multiply_even(spectrum, transfer.quadrant(distance_m, reach))), window)
+    return even_filter(field, padded, lambda rows: transfer.quadrant(distance_m, reach, rows))
 
 
 def spread_samples(pitch_m: float, wavelength_m: float, distance_m: float) -> int:
@@ -84,8 +74,8 @@ def spread_samples(pitch_m: float, wavelength_m: float, distance_m: float) -> in
 class Transfer:
     """The transfer function of one grid and wavelength, evaluated for any distance at the price of one exponential.
 
-    It is even in both frequencies, so only one quadrant is computed and applied four times. Phases are held in turns
-    per metre in float64 and reduced to one turn before the exponential: this is what keeps complex64 accurate.
+    It is even in both frequencies, so only one quadrant is computed. Phases are reckoned in turns in float64 and reduced
+    to one turn before the exponential: this is what keeps complex64 accurate.
     """
 
     def __init__(self, shape: tuple[int, ...], pitch_m: float, wavelength_m: float, *, like: Array) -> None:
@@ -97,74 +87,44 @@ class Transfer:
             wavelength_m: wavelength in the medium, metres.
             like: array whose kind, device and precision the transfer function takes.
         """
-        rows, columns = (np.arange(n // 2 + 1) / (n * pitch_m) for n in shape)
-        frequency_squared = rows[:, None] ** 2 + columns[None, :] ** 2
-        root = np.sqrt(np.clip(1 - wavelength_m**2 * frequency_squared, 0, None))
-        self._wavelength_m = wavelength_m
-        self._like = like
-        self._fy, self._fx = rows[:, None], columns[None, :]
-        self._turns_per_m = _like(-wavelength_m * frequency_squared / (1 + root), like)
-        evanescent = wavelength_m**2 * frequency_squared > 1
-        self._propagating = None if not evanescent.any() else (~evanescent).astype(float)
+        self._wavelength_m, self._real = wavelength_m, real_dtype(like)
+        self._sine_y, self._sine_x = (
+            as_array(np.arange(n // 2 + 1) * (wavelength_m / (n * pitch_m)), like, namespace(like).float64)
+            for n in shape
+        )
 
-    def quadrant(self, distance_m: float, reach_m: tuple[float, ...] | None = None) -> Array:
+    def quadrant(self, distance_m: float, reach_m: tuple[float, ...] | None = None, rows: slice = slice(None)) -> Array:
         """Return exp(i phase) for frequencies from zero to Nyquist, ``(H // 2 + 1, W // 2 + 1)``.
 
         Args:
             distance_m: distance, metres.
             reach_m: drop plane waves that travel farther sideways than this (rows, columns; metres): the band limit.
                 Its edge is soft, over ``band_edge_m`` inwards: a sharp one rings by 1-5 % (Matsushima's does).
+            rows: which of the quadrant's rows.
         """
-        xp = namespace(self._turns_per_m)
-        turns = self._turns_per_m * distance_m
-        phase = xp.astype((turns - xp.round(turns)) * (2 * np.pi), real_dtype(self._like))
-        transfer = xp.exp(1j * xp.astype(phase, complex_dtype(self._like)))
-        weight = self._propagating
+        sine_y, sine_x = self._sine_y[rows, None], self._sine_x[None, :]
+        xp = namespace(sine_y)
+        sine_squared = sine_y**2 + sine_x**2
+        cosine = xp.sqrt(xp.clip(1 - sine_squared, 0, None))
+        turns = sine_squared / (1 + cosine)
+        turns *= -distance_m / self._wavelength_m
+        turns -= xp.round(turns)
+        turns *= 2 * np.pi
+        transfer = unit_phasor(xp.astype(turns, self._real))
+        if self._sine_y[-1] ** 2 + self._sine_x[-1] ** 2 > 1:
+            transfer *= xp.astype(sine_squared <= 1, self._real)  # evanescent waves end here
         if reach_m is not None:
-            edge_m = band_edge_m(self._wavelength_m, distance_m)
-            sine_squared = self._wavelength_m**2 * (self._fy**2 + self._fx**2)
-            cosine = np.sqrt(np.clip(1 - sine_squared, 1e-12, None))
-            weight = np.ones(sine_squared.shape) if weight is None else weight
-            for frequency, reach in zip((self._fy, self._fx), reach_m, strict=True):
-                travelled = self._wavelength_m * frequency * distance_m / cosine
-                beyond = np.clip((travelled - reach) / max(edge_m, 1e-12) + 1, 0, 1)
-                weight = weight * np.cos(np.pi / 2 * beyond) ** 2
-        return transfer if weight is None else transfer * like(weight, transfer)
+            edge_m = max(band_edge_m(self._wavelength_m, distance_m), 1e-12)
+            for sine, reach in zip((sine_y, sine_x), reach_m, strict=True):
+                travelled = sine * distance_m / xp.clip(cosine, 1e-6, None)
+                beyond = xp.clip((travelled - reach) / edge_m + 1, 0, 1)
+                transfer *= xp.astype(xp.cos(np.pi / 2 * beyond) ** 2, self._real)
+        return transfer
 
 
 def band_edge_m(wavelength_m: float, distance_m: float) -> float:
     """Return the width of the band limit's soft edge: a few Fresnel zones, in metres of sideways travel."""
     return 4 * math.sqrt(wavelength_m * distance_m)
-
-
-def multiply_even(spectrum: Array, quadrant: Array) -> Array:
-    """Multiply a spectrum by a function that is even in both frequencies.
-
-    Args:
-        spectrum: ``(..., H, W)`` in FFT order.
-        quadrant: the function from zero to Nyquist, ``(H // 2 + 1, W // 2 + 1)``.
-    """
-    xp = namespace(spectrum)
-    rows, columns = (_mirror(n) for n in spectrum.shape[-2:])
-    height, width = quadrant.shape
-    product = xp.empty_like(spectrum)
-    for vertical, target_rows in (
-        (quadrant, slice(None, height)),
-        (xp.flip(quadrant[rows], axis=0), slice(height, None)),
-    ):
-        product[..., target_rows, :width] = spectrum[..., target_rows, :width] * vertical
-        mirrored = xp.flip(vertical[:, columns], axis=1)
-        product[..., target_rows, width:] = spectrum[..., target_rows, width:] * mirrored
-    return product
-
-
-def _mirror(length: int) -> slice:
-    """Return the part of 0..n//2 that the negative frequencies repeat: all but zero and, for even n, Nyquist."""
-    return slice(1, (length + 1) // 2)
-
-
-def _like(values: np.ndarray, reference: Array) -> Array:
-    return like(values, reference, namespace(reference).float64)
 
 
 def _check_lengths(pitch_m: float, wavelength_m: float, distance_m: float) -> None:

@@ -19,9 +19,10 @@ import numpy as np
 
 from simulator.arrays import Array, fft2, ifft2, is_torch, module, namespace, next_fast_len, pad2d
 from simulator.errors import InputError
+from simulator.optics.even_filter import multiply_even
 from simulator.optics.kernel import PixelKernel, kernel_reach_m
 from simulator.optics.mask import Mask
-from simulator.optics.propagation import Transfer, multiply_even, spread_samples
+from simulator.optics.propagation import Transfer, spread_samples
 from simulator.optics.psf_stack import PsfStack, check_depths
 from simulator.optics.resample import box_integral
 from simulator.optics.spectrum import quantile_lines

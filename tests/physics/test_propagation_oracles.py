@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from simulator.arrays import fft2, ifft2
-from simulator.optics.propagation import Transfer, angular_spectrum, multiply_even
+from simulator.optics.even_filter import multiply_even
+from simulator.optics.propagation import Transfer, angular_spectrum
 
 pytestmark = pytest.mark.shared
 
