@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,12 +21,14 @@ from simulator.camera.shutter import GlobalShutter
 from simulator.config import camera as camera_config
 from simulator.config.psf import ComputedPsf, MeasuredPsf
 from simulator.errors import InputError
+from simulator.files import StorageError
 from simulator.optics.cache import Entry, cached
 from simulator.optics.mask import Mask
 from simulator.optics.materials import load_material
 from simulator.optics.psf import Progress, PsfConfig, compute_psf_stack, psf_fingerprint
 from simulator.optics.psf_stack import PsfStack, depth_planes
 from simulator.optics.spectrum import NOMINAL_CAMERA, spectral_response
+from simulator.plugin_files import describe_failure
 from simulator.plugins import Plugin, resolve
 from simulator.types import CameraGeometry, SceneSource, View
 
@@ -57,7 +61,8 @@ def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
             key.update(value.read_bytes())
 
     def compute() -> Entry:
-        mask = plugin.function(**arguments)
+        with plugin_errors(plugin):
+            mask = plugin.function(**arguments)
         if not isinstance(mask, Mask):
             msg = f"mask design {design!r} returned {type(mask).__name__}, expected a simulator.optics.mask.Mask"
             raise InputError(msg)
@@ -181,11 +186,32 @@ def build_source(config: Config, backend: str) -> SceneSource:
     arguments = plugin.bind(config.scene.params)
     if plugin.takes_backend:
         arguments["backend"] = backend
-    source = plugin.function(build_view(config), **arguments)
+    with plugin_errors(plugin):
+        source = plugin.function(build_view(config), **arguments)
     if not isinstance(source, SceneSource):
         msg = f"scene {plugin.name!r} returned {type(source).__name__}, expected an object with inputs and clip(index, rng)"
         raise InputError(msg)
     return source
+
+
+@contextmanager
+def plugin_errors(plugin: Plugin) -> Iterator[None]:
+    """Name the user's own code, and its line, where it fails; the failures of built-in plugins stay ours.
+
+    Raises:
+        InputError: for anything that a ``./file.py:name`` or ``package.module:name`` raises.
+    """
+    try:
+        yield
+    except Exception as error:
+        if ":" not in plugin.name or isinstance(error, StorageError):
+            raise
+        label = f"{plugin.kind} {plugin.name!r}"
+        if isinstance(error, InputError):
+            msg = f"{label}: {error}"
+        else:
+            msg = describe_failure(error, label, plugin.path.resolve() if plugin.path else None)
+        raise InputError(msg) from error
 
 
 def build_sensor(config: Config, full_scale: float = 1.0) -> Sensor:

@@ -6,9 +6,10 @@ made again, byte by byte the same.
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from simulator.camera.exposure import PERCENTILE, PILOTS, TARGET, full_scale_fro
 from simulator.config import Config, dump, load_config
 from simulator.dataset.contact_sheet import contact_sheet
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info, write_info
-from simulator.dataset.engines import Outcome, available_cpus, run
+from simulator.dataset.engines import Outcome, WorkerError, available_cpus, run
 from simulator.dataset.fingerprint import build_fingerprint, difference, package_versions
 from simulator.dataset.manifest import MANIFEST, ManifestWriter, load_manifest
 from simulator.dataset.psf_files import read_psf_stack, write_psf_stack
@@ -109,9 +110,7 @@ class _Job:
         source = build_source(self.config, variant)
         fingerprint, parts = build_fingerprint(dump(self.config), variant, input_files(self.config, source))
         existing = self._existing(fingerprint, parts)
-        with storage_errors(self.root):
-            self.root.mkdir(parents=True, exist_ok=True)
-        with ManifestWriter(self.root) as manifest:
+        with self._folder(), ManifestWriter(self.root) as manifest, self._all_or_nothing():
             remove_leftovers(self.root)
             stack = self._stack()
             portable = scene_plugin(self.config).path is None
@@ -135,6 +134,32 @@ class _Job:
             self._warn(source, stack)
             return self._samples(replace(recipe, full_scale=float(existing.exposure["full_scale"])), manifest)
 
+    @contextmanager
+    def _folder(self) -> Iterator[None]:
+        """Make the data set's folder; on an error, take away what is empty of the folders made."""
+        made = [folder for folder in (self.root, *self.root.parents) if not folder.exists()]
+        with storage_errors(self.root):
+            self.root.mkdir(parents=True, exist_ok=True)
+        try:
+            yield
+        except BaseException:
+            with suppress(OSError):
+                for folder in made:
+                    folder.rmdir()
+            raise
+
+    @contextmanager
+    def _all_or_nothing(self) -> Iterator[None]:
+        """On an error before the data set has its description, leave nothing of it; to be entered under its lock."""
+        try:
+            yield
+        except BaseException:
+            if not (self.root / FILE).exists():
+                shutil.rmtree(self.root / PSF_FOLDER, ignore_errors=True)
+                with suppress(OSError):
+                    (self.root / MANIFEST).unlink()
+            raise
+
     def _counts(self) -> dict[str, int]:
         return {split: getattr(self.config.dataset, split) for split in SPLITS}
 
@@ -146,10 +171,7 @@ class _Job:
             msg = f"dataset.output: {self.root} is a file; choose another folder"
             raise InputError(msg)
         if not (self.root / FILE).exists():
-            ours = (MANIFEST, PSF_FOLDER)
-            foreign = [
-                p.name for p in self.root.iterdir() if p.name not in ours and not p.name.startswith(TEMPORARY_PREFIX)
-            ]
+            foreign = [path.name for path in sorted(self.root.iterdir()) if not _left_by_a_start(path)]
             if foreign:
                 msg = (
                     f"dataset.output: {self.root} is not empty and holds no data set ({foreign[0]}, ...); choose another "
@@ -174,9 +196,9 @@ class _Job:
         return info
 
     def _stack(self) -> PsfStack:
-        """Return the data set's PSF stack, written on the first run and read on later ones."""
+        """Return the data set's PSF stack, written on the first run and read on later ones (unless it was deleted)."""
         folder = self.root / PSF_FOLDER
-        stack = read_psf_stack(folder) if (self.root / FILE).exists() else None
+        stack = read_psf_stack(folder) if (self.root / FILE).exists() and folder.exists() else None
         if stack is None:
             self.say("computing the point spread functions" if self.config.camera.mask else "reading the measured PSF")
             stack = build_psf_stack(
@@ -219,7 +241,7 @@ class _Job:
                 raise outcome.error
             _, split, index = outcome.task
             if outcome.error is not None:
-                failed.append(f"{split}/{sample_id(index)}: {outcome.error}")
+                failed.append(f"{split}/{sample_id(index)}: {_reason(outcome.error)}")
                 continue
             assert outcome.value is not None
             manifest.append(outcome.value, outcome.seconds)
@@ -250,6 +272,16 @@ class _Job:
                 f"note: the source has {len(source)} clips and the splits ask for {needed}: splits will share clips "
                 "(cropped elsewhere)"
             )
+
+
+def _left_by_a_start(path: Path) -> bool:
+    """Whether a run that was killed before ``dataset.json`` leaves such a file: it holds nothing of worth."""
+    empty_manifest = path.name == MANIFEST and path.stat().st_size == 0
+    return empty_manifest or path.name == PSF_FOLDER or path.name.startswith(TEMPORARY_PREFIX)
+
+
+def _reason(error: Exception) -> str:
+    return str(error) if isinstance(error, InputError | WorkerError) else f"{type(error).__name__}: {error}"
 
 
 def _cpu_level() -> str:

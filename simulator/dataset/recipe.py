@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.assemble import build_forward_model, build_sensor, build_source
+from simulator.assemble import build_forward_model, build_sensor, build_source, plugin_errors, scene_plugin
 from simulator.camera.noise import GaussianNoise
 from simulator.camera.planes import clamped_share
 from simulator.config import Config
@@ -49,12 +49,14 @@ class SampleMaker:
         self._seed = recipe.config.seed
         self._stack = read_psf_stack(recipe.psf_folder)
         self._model = build_forward_model(recipe.config, self._stack)
+        self._plugin = scene_plugin(recipe.config)
         self._source = recipe.source or build_source(recipe.config, recipe.backend)
         self._sensor = build_sensor(recipe.config, recipe.full_scale or 1.0)
 
     def exposure(self, split: str, index: int) -> tuple[Clip, NDArray[np.float32]]:
         """Return the clip of a sample and the noiseless exposure ``(C, H, W)`` that it gives."""
-        clip = self._source.clip(clip_index(split, index), generator(self._seed, split, index, "scene"))
+        with plugin_errors(self._plugin):
+            clip = self._source.clip(clip_index(split, index), generator(self._seed, split, index, "scene"))
         return clip, self._model.forward_clip(clip)
 
     def sample(self, split: str, index: int) -> Sample:
