@@ -1,10 +1,175 @@
 """Fixtures that all tests share."""
 
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+# What a tiny configuration may name: a mask without symmetry, and scenes that cost no rendering. Scenes count what they
+# are asked for in a file, and misbehave on request.
+PLUGINS = '''
+"""Plugins of the tests."""
+
+import os
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from simulator.optics.mask import Mask
+from simulator.types import Clip
+
+
+def corners(*, arm: int = 30, seed: int = 3) -> Mask:
+    """Open squares at random places and one long arm: no flip or turn leaves it as it is."""
+    amplitude = np.zeros((100, 100), np.float32)
+    for row, column in np.random.default_rng(seed).integers(5, 90, (6, 2)):
+        amplitude[row : row + 6, column : column + 6] = 1
+    amplitude[10:14, 10 : 10 + arm] = 1
+    return Mask(np.zeros_like(amplitude), amplitude, 4e-6, name="corners")
+
+
+@dataclass(frozen=True)
+class Boxes:
+    view: object
+    boxes: int
+    depth_m: float | None
+    fail_at: int | None
+    kill_at: int | None
+    marker: Path | None
+    seconds: float
+    inputs: tuple[Path, ...] = ()
+
+    def clip(self, index, rng):
+        if self.marker is not None:
+            with open(f"{self.marker}.log", "a") as log:
+                log.write(f"{index}\\n")
+        time.sleep(self.seconds)
+        if index == self.fail_at and not (self.marker and self.marker.exists()):
+            raise ZeroDivisionError(f"no clip {index} today")
+        if index == self.kill_at and not self.marker.exists():
+            self.marker.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        near, far = self.view.near_m, min(self.view.far_m, 10.0)
+        rgb = np.full((1, *self.view.shape, 3), 0.1, np.float32)
+        disparity = np.full((1, *self.view.shape), 1 / far, np.float32)
+        for _ in range(self.boxes):
+            row, column = rng.integers(0, self.view.shape)
+            window = np.s_[0, row : row + 5, column : column + 7]
+            rgb[window] = rng.random(3)
+            disparity[window] = rng.uniform(1 / far, 1 / near)
+        depth = (1 / disparity).clip(near, far) if self.depth_m is None else np.full_like(disparity, self.depth_m)
+        valid = np.ones(depth.shape, bool)
+        valid[0, 0, 0] = False
+        return Clip(rgb, depth.astype(np.float32), valid, np.array([0.0, 1.0]), source={"drawn": index})
+
+
+def boxes(
+    view,
+    *,
+    boxes: int = 4,
+    depth_m: float | None = None,
+    fail_at: int | None = None,
+    kill_at: int | None = None,
+    marker: Path | None = None,
+    seconds: float = 0.0,
+):
+    """Flat coloured boxes before a grey wall."""
+    return Boxes(view, boxes, depth_m, fail_at, kill_at, marker, seconds)
+'''
+
+TINY: dict[str, dict[str, Any]] = {
+    "camera": {
+        "mask": {"design": "./plugins.py:corners"},
+        "mask_to_sensor_mm": 1.9,
+        "sensor": {"binning": 8, "shape": [48, 60]},
+        "shutter": {"exposure_ms": 5},
+        "exposure": {"full_scale": 3e-6},
+        "noise": {"type": "gaussian", "psnr_db": 40},
+    },
+    "psf": {"near_cm": 3.6, "far_cm": 20, "depths": 3, "wavelengths_per_channel": 1, "accept_error": 1},
+    "scene": {"family": "./plugins.py:boxes", "size": [16, 20]},
+    "dataset": {"output": "out", "train": 3, "validation": 1, "test": 1, "engine": "inline"},
+    "render": {"backend": "scalar"},
+}
+
+
+class Trial:
+    """A tiny configuration in a folder of its own, the plugins that it names beside it."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder, self.path, self.plugins = folder, folder / "trial.yaml", folder / "plugins.py"
+        self.plugins.write_text(PLUGINS, encoding="utf-8")
+
+    def write(self, **changes: dict[str, Any]) -> Path:
+        """Write the YAML file: keys of camera and dataset are changed one by one, the other sections as a whole."""
+        config: dict[str, Any] = {"name": "trial", "seed": 11}
+        for section, values in TINY.items():
+            new = changes.get(section, {})
+            whole = section not in ("camera", "dataset") and section in changes
+            merged = new if whole else values | new
+            config[section] = {key: value for key, value in merged.items() if value is not None}
+        config["dataset"]["output"] = str(self.folder / config["dataset"]["output"])
+        self.path.write_text(yaml.safe_dump(config), encoding="utf-8")
+        return self.path
+
+    def generate(self, *overrides: str, **changes: dict[str, Any]) -> Path:
+        """Make the data set and return its folder."""
+        from simulator.dataset import generate
+
+        result = generate(self.write(**changes), overrides)
+        assert result.failed == ()
+        return result.path
+
+
+@pytest.fixture(scope="session", autouse=True)
+def private_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Keep what the tests design and compute out of the user's cache, and share it among them."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FLATLIGHT_CACHE_DIR", str(folder))
+        yield folder
+
+
+@pytest.fixture
+def trial(tmp_path: Path) -> Trial:
+    """A tiny configuration in ``tmp_path``."""
+    return Trial(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def make_trial() -> Callable[[Path], Trial]:
+    """Return the function that puts a tiny configuration into a folder."""
+    return Trial
+
+
+@pytest.fixture
+def flatlight(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
+    """Return a function that runs the command in this process and gives exit code, stdout and stderr."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        from simulator.cli import main
+
+        monkeypatch.setattr(sys, "argv", ["flatlight", *map(str, arguments)])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as end:
+            main()
+        out, err = capfd.readouterr()
+        code = end.value.code
+        assert isinstance(code, int)
+        return code, out, err
+
+    return run
 
 
 def _folder(name: str) -> Path:

@@ -1,0 +1,338 @@
+"""Making a data set: its layout, its bytes, resuming after any death, and what is refused."""
+
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from simulator.dataset import generate, open_dataset, verify
+from simulator.dataset.manifest import load_manifest
+from simulator.errors import InputError
+
+pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+
+ALL = {("train", "s00000000"), ("train", "s00000001"), ("train", "s00000002"), ("validation", "s00000000")}
+ALL |= {("test", "s00000000")}
+SLOW = {"family": "./plugins.py:boxes", "size": [16, 20]}
+
+
+def contents(root: Path) -> dict[str, str]:
+    """Hashes of everything in a data set that the seed decides; the manifest's lines without their wall time."""
+    found = {
+        str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(root.rglob("*"))
+        if path.is_file() and path.name not in ("manifest.jsonl", "dataset.json")
+    }
+    for line in (root / "manifest.jsonl").read_text().splitlines():
+        entry = json.loads(line)
+        del entry["seconds"]
+        found[f"line {entry['split']}/{entry['id']}"] = json.dumps(entry)
+    info = json.loads((root / "dataset.json").read_text())
+    for free in ("output", "engine", "workers"):
+        del info["config"]["dataset"][free]
+    return found | {"info": json.dumps(info)}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable) -> Path:
+    """A data set made without any disturbance; not to be changed."""
+    return make_trial(tmp_path_factory.mktemp("undisturbed")).generate()
+
+
+def test_layout_is_the_documented_one(finished: Path) -> None:
+    samples = [f"{split}/0000/{name}" for split, name in sorted(ALL)]
+    expected = {"dataset.json", "manifest.jsonl", "contact_sheet.png", "psf/psf.json"}
+    expected |= {f"psf/depth_{k:04d}.exr" for k in range(3)}
+    expected |= {f"{sample}/{name}" for sample in samples for name in ("measurement.exr", "ground_truth.exr")}
+    expected |= {f"{sample}/sample.json" for sample in samples}
+    assert {str(path.relative_to(finished)) for path in finished.rglob("*") if path.is_file()} == expected
+    lines = [json.loads(line) for line in (finished / "manifest.jsonl").read_text().splitlines()]
+    assert {(line["split"], line["id"]) for line in lines} == ALL
+    assert all(set(line) == {"id", "split", "digest", "seed", "label", "seconds"} for line in lines)
+    description = json.loads((finished / "train/0000/s00000001/sample.json").read_text())
+    for name, digest in description["files"].items():
+        assert hashlib.sha256((finished / "train/0000/s00000001" / name).read_bytes()).hexdigest() == digest
+
+
+def test_a_finished_set_verifies_and_opens(finished: Path) -> None:
+    report = verify(finished)
+    assert report.ok, str(report)
+    assert report.counts == {"train": 3, "validation": 1, "test": 1}
+    train = open_dataset(finished)
+    assert len(train) == 3
+    assert train[0].measurement.shape == (3, 48, 60)
+    assert train[0].rgb.shape == (1, 16, 20, 3)
+    info = json.loads((finished / "dataset.json").read_text())
+    assert info["exposure"] == {"full_scale": 3e-6, "from": "configuration"}
+    assert info["backend"] == "none"  # nothing was rendered
+
+
+@pytest.mark.parametrize(("engine", "workers"), [("inline", 1), ("local", 1), ("local", 2)])
+def test_same_seed_same_bytes_whatever_the_workers(trial, finished: Path, engine: str, workers: int) -> None:
+    again = trial.generate(dataset={"engine": engine, "workers": workers})
+    assert contents(again) == contents(finished)
+
+
+def test_same_seed_same_bytes_in_another_order(trial, finished: Path) -> None:
+    trial.generate(dataset={"train": 0, "validation": 0})
+    trial.generate(dataset={"train": 1, "validation": 0})
+    path = trial.write()
+    result = generate(path)
+    assert (result.made, result.kept) == (3, 2)
+    lines = (result.path / "manifest.jsonl").read_text().splitlines()
+    assert [json.loads(line)["split"] for line in lines[:2]] == ["test", "train"]
+    assert contents(result.path) == contents(finished)
+
+
+def test_another_seed_gives_other_samples_and_the_same_psf(trial, finished: Path) -> None:
+    other = trial.generate("seed=12")
+    one, two = contents(finished), contents(other)
+    assert one["psf/depth_0000.exr"] == two["psf/depth_0000.exr"]
+    for split, name in ALL:
+        for file in ("measurement.exr", "ground_truth.exr"):
+            assert one[f"{split}/0000/{name}/{file}"] != two[f"{split}/0000/{name}/{file}"]
+
+
+def test_all_samples_differ(finished: Path) -> None:
+    hashes = [contents(finished)[f"{split}/0000/{name}/ground_truth.exr"] for split, name in ALL]
+    assert len(set(hashes)) == len(ALL)
+
+
+def test_raising_counts_keeps_what_was_there(trial) -> None:
+    first = trial.generate()
+    before = contents(first)
+    stamps = {path: path.stat().st_mtime_ns for path in first.rglob("*.exr")}
+    result = generate(trial.write(dataset={"train": 5}))
+    assert (result.made, result.kept, result.failed) == (2, 5, ())
+    after = contents(first)
+    changed = {key for key in before if before[key] != after[key]}
+    assert changed == {"info", "contact_sheet.png"}
+    assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())  # not even written again
+    assert json.loads((first / "dataset.json").read_text())["counts"] == {"train": 5, "validation": 1, "test": 1}
+    assert verify(first).ok
+    trial.plugins.with_name("again").mkdir()
+    assert contents(trial.generate(dataset={"train": 5, "output": "again/out"})) == after  # as if made at once
+
+
+def test_a_finished_set_is_left_alone(trial) -> None:
+    root = trial.generate()
+    before = contents(root)
+    result = generate(trial.path)
+    assert (result.made, result.kept, result.contact_sheet) == (0, 5, root / "contact_sheet.png")
+    assert contents(root) == before
+
+
+def test_what_the_manifest_does_not_hold_is_made_again(trial, finished: Path) -> None:
+    root = trial.generate()
+    lines = (root / "manifest.jsonl").read_bytes().splitlines(keepends=True)
+    (root / "manifest.jsonl").write_bytes(b"".join([*lines[:2], lines[3][:20]]))  # three lines lost, the last one torn
+    (root / "train/0000/.tmp-s00000001-12345678").mkdir()  # what a writer left that died
+    (root / ".tmp-dataset.json-1234").write_text("{")
+    result = generate(trial.path)
+    assert (result.made, result.kept) == (3, 2)
+    assert contents(root) == contents(finished)
+
+
+def test_a_worker_that_is_killed_costs_nothing(trial, tmp_path: Path) -> None:
+    marker = tmp_path / "killed"
+    scene = SLOW | {"kill_at": 1, "marker": str(marker)}
+    root = trial.generate(dataset={"engine": "local", "workers": 2}, scene=scene)
+    assert marker.exists()
+    assert verify(root).ok
+    asked = (tmp_path / "killed.log").read_text().split()
+    assert asked.count("1") >= 2  # the sample that died was tried again
+    # The marker exists now, so that nothing dies: these are the undisturbed bytes.
+    assert contents(trial.generate(dataset={"output": "undisturbed"}, scene=scene)) == contents(root)
+
+
+def test_a_killed_run_is_finished_by_the_next(trial, tmp_path: Path) -> None:
+    scene = SLOW | {"seconds": 0.1}
+    path = trial.write(dataset={"engine": "local", "workers": 2, "train": 8}, scene=scene)
+    root = tmp_path / "out"
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from simulator.cli import main; main()", "generate", str(path)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    manifest = root / "manifest.jsonl"
+    end = time.monotonic() + 60
+    while not manifest.exists() or manifest.read_bytes().count(b"\n") < 2:
+        assert process.poll() is None, "the run ended before it could be killed"
+        assert time.monotonic() < end, "two samples take too long"
+        time.sleep(0.02)
+    process.kill()
+    process.wait()
+    kept = len(load_manifest(root).entries)
+    assert 2 <= kept < 10
+    assert not verify(root).ok
+    result = generate(path, ["dataset.engine=inline"])
+    assert (result.made, result.kept) == (10 - kept, kept)
+    assert verify(root).ok
+    undisturbed = trial.generate(dataset={"output": "undisturbed", "train": 8}, scene=scene)
+    assert contents(undisturbed) == contents(root)
+
+
+def test_a_failing_sample_is_reported_and_tried_again(trial, tmp_path: Path) -> None:
+    marker = tmp_path / "mended"
+    path = trial.write(scene=SLOW | {"fail_at": 1, "marker": str(marker)})
+    result = generate(path)
+    assert (result.made, result.kept) == (4, 0)
+    assert len(result.failed) == 1
+    assert result.failed[0].startswith("train/s00000001: ")
+    assert "ZeroDivisionError" in result.failed[0]
+    assert "no clip 1 today" in result.failed[0]
+    assert not (result.path / "train/0000/s00000001").exists()
+    assert set(load_manifest(result.path).entries) == ALL - {("train", "s00000001")}
+    (tmp_path / "mended.log").unlink()
+    marker.touch()
+    again = generate(path)
+    assert (again.made, again.kept, again.failed) == (1, 4, ())
+    assert (tmp_path / "mended.log").read_text().split() == ["1"]  # nothing else was asked for
+    assert verify(again.path).ok
+
+
+def test_progress_counts_to_the_end(trial) -> None:
+    seen: list[tuple[str, int, int]] = []
+    said: list[str] = []
+    path = trial.write(camera={"exposure": {"full_scale": "auto"}}, psf={"depths_cm": [5, 7], "accept_error": 1.1})
+    result = generate(path, progress=lambda *update: seen.append(update), say=said.append)
+    stages = list(dict.fromkeys(stage for stage, _, _ in seen))
+    assert stages == ["PSFs", "exposure pilots", "samples"]
+    for stage, total in (("PSFs", 18), ("exposure pilots", 16), ("samples", 5)):
+        assert [done for name, done, _ in seen if name == stage][-1] == total
+        assert {of for name, _, of in seen if name == stage} == {total}
+    assert result.seconds > 0
+    assert any("sampling error" in line for line in said)
+
+
+def test_exposure_is_found_once(trial) -> None:
+    root = trial.generate(camera={"exposure": {"full_scale": "auto"}})
+    first = json.loads((root / "dataset.json").read_text())["exposure"]
+    assert (first["from"], first["pilots"], first["percentile"], first["target"]) == ("pilots", 16, 99.9, 0.8)
+    trial.generate(camera={"exposure": {"full_scale": "auto"}}, dataset={"train": 4})
+    assert json.loads((root / "dataset.json").read_text())["exposure"] == first
+    assert {sample.metadata["full_scale"] for sample in open_dataset(root)} == {first["full_scale"]}
+
+
+class TestRefusals:
+    """Every refusal leaves the folder as it was."""
+
+    def refused(self, trial, *overrides: str, **changes) -> str:
+        path = trial.write(**changes)
+        before = _tree(trial.folder)
+        with pytest.raises(InputError) as caught:
+            generate(path, overrides)
+        assert _tree(trial.folder) == before
+        return str(caught.value)
+
+    def test_another_configuration_in_the_folder(self, trial) -> None:
+        trial.generate()
+        message = self.refused(trial, "camera.noise.psnr_db=30", "camera.mask.arm=20")
+        assert "camera.noise.psnr_db: 40" in message
+        assert "-> 30" in message
+        assert "camera.mask.arm: 30 -> 20" in message
+        assert "choose another folder" in message
+
+    def test_another_code_of_a_plugin(self, trial) -> None:
+        trial.generate()
+        trial.plugins.write_text(trial.plugins.read_text() + "\n# edited\n")
+        assert "inputs.plugins.py" in self.refused(trial)
+
+    def test_fewer_samples(self, trial) -> None:
+        trial.generate()
+        message = self.refused(trial, dataset={"train": 2})
+        assert "dataset.train: got 2, but the data set" in message
+        assert "already has 3" in message
+
+    def test_foreign_files(self, trial) -> None:
+        (trial.folder / "out").mkdir()
+        (trial.folder / "out" / "thesis.tex").write_text("years of work")
+        message = self.refused(trial)
+        assert "is not empty" in message
+        assert "thesis.tex" in message
+
+    def test_a_lost_description(self, trial) -> None:
+        root = trial.generate()
+        (root / "dataset.json").unlink()
+        assert "is not empty" in self.refused(trial)
+        for split in ("train", "validation", "test"):  # nor does a manifest alone pass for finished samples
+            shutil.rmtree(root / split)
+        (root / "contact_sheet.png").unlink()
+        assert "manifest.jsonl" in self.refused(trial)
+
+    def test_a_file_in_place_of_the_folder(self, trial) -> None:
+        (trial.folder / "out").write_text("a file")
+        assert "is a file" in self.refused(trial)
+        assert "is a file" in self.refused(trial, dataset={"output": "out/deeper"})
+
+    @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+    def test_a_protected_folder(self, trial) -> None:
+        (trial.folder / "locked").mkdir(mode=0o500)
+        assert "no permission" in self.refused(trial, dataset={"output": "locked/out"})
+
+    def test_a_place_where_nothing_can_be_written(self, trial) -> None:
+        with pytest.raises(InputError, match="cannot write /proc/flatlight"):
+            generate(trial.write(), ["dataset.output=/proc/flatlight"])
+
+    def test_two_writers(self, trial) -> None:
+        root = trial.generate()
+        with open(root / "manifest.jsonl", "rb") as held:
+            fcntl.flock(held, fcntl.LOCK_EX)
+            assert "another process is writing" in self.refused(trial, dataset={"train": 4})
+
+    @pytest.mark.parametrize(
+        ("override", "words"),
+        [
+            ("camera.illuminant=Bengal", "illuminant: got 'Bengal'"),
+            ("camera.sensor.model=imx999", "camera.sensor.model: got 'imx999', expected one of imx183"),
+            ("camera.sensor.spectral_response=eye", "spectral_response: got 'eye'"),
+            ("psf.accept_error=0.001", "accept_error"),
+            ("camera.sensor.binning=64", "64 x 64 bins"),
+        ],
+    )
+    def test_what_comes_out_late_leaves_no_folder(self, trial, override: str, words: str) -> None:
+        changes = {"psf": {"depths_cm": [4], "accept_error": 1}}
+        if "binning" in override:
+            changes["camera"] = {"sensor": {"binning": 8, "shape": [148, 160]}}
+        assert words in self.refused(trial, override, **changes)
+
+    def test_scenes_outside_the_depths(self, trial) -> None:
+        scene = SLOW | {"depth_m": 0.5}
+        message = self.refused(trial, camera={"exposure": {"full_scale": "auto"}}, scene=scene)
+        assert "0.036 to 0.2 m" in message
+        assert "0.5" in message
+        assert "psf.far_cm" in message
+
+    def test_scenes_that_fail_while_the_exposure_is_sought(self, trial) -> None:
+        scene = SLOW | {"fail_at": 2}
+        message = self.refused(trial, camera={"exposure": {"full_scale": "auto"}}, scene=scene)
+        assert "no clip 2 today" in message
+        assert "plugins.py:" in message
+
+    def test_scenes_without_light(self, trial) -> None:
+        text = trial.plugins.read_text()
+        trial.plugins.write_text(text.replace("3), 0.1,", "3), 0,").replace("rng.random(3)", "0"))
+        assert "found no light" in self.refused(trial, camera={"exposure": {"full_scale": "auto"}})
+
+
+def test_a_folder_that_was_there_stays_when_the_configuration_is_bad(trial) -> None:
+    (trial.folder / "out").mkdir()
+    with pytest.raises(InputError, match="illuminant"):
+        generate(trial.write(), ["camera.illuminant=Bengal"])
+    assert list((trial.folder / "out").iterdir()) == []
+
+
+def _tree(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): "" if path.is_dir() else hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+        if "__pycache__" not in path.parts
+    }
