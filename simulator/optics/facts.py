@@ -1,0 +1,151 @@
+"""What one wants to know of a PSF stack before trusting it, in words and numbers: printed by a command, drawn in a plot."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from simulator.arrays import to_numpy
+from simulator.optics.mask import Mask
+from simulator.optics.metrics import depth_limit_m, light_off_sensor
+from simulator.optics.psf_stack import PsfStack
+
+_METRE_UNITS = ((1.0, "m"), (1e-2, "cm"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm"))
+
+
+def psf_facts(
+    stack: PsfStack,
+    mask: Mask | None = None,
+    scene_shape: tuple[int, int] | None = None,
+    sensor_shape: tuple[int, int] | None = None,
+) -> list[tuple[str, str]]:
+    """Return (what, value) lines about a stack; lines that cannot be known are left out.
+
+    Args:
+        stack: the PSFs.
+        mask: the mask that made them; without it the stack's provenance is asked.
+        scene_shape: h, w of the scene; with ``sensor_shape`` the light that misses the sensor is told.
+        sensor_shape: H, W of the (binned) sensor.
+
+    Raises:
+        InputError: when scene and sensor do not fit.
+    """
+    provenance = stack.provenance
+    facts = _mask_facts(stack, mask)
+    facts.append(("pixel pitch", length(stack.pixel_pitch_m)))
+    facts += _light_facts(stack, mask, scene_shape, sensor_shape)
+    depths_m = stack.depths_m
+    ends = (
+        length(depths_m[0])
+        if len(depths_m) == 1
+        else f"{len(depths_m)}, {length(depths_m[0])} to {length(depths_m[-1])}"
+    )
+    facts.append(("depths" if len(depths_m) > 1 else "depth", ends))
+    limit_m = psf_depth_limit_m(stack, mask)
+    if limit_m is not None:
+        facts.append(("z_max", f"{length(limit_m)}: beyond it the PSF no longer changes"))
+    if "model" in provenance:
+        facts.append(("model", str(provenance["model"])))
+    facts += _spectrum_facts(provenance)
+    sampling = provenance.get("sampling")
+    if sampling:
+        coarse, fine = sampling["oversampling"]
+        facts.append(("sampling error", f"{share(sampling['error'])} (oversampling {coarse} vs {fine})"))
+    if provenance.get("kind") == "measured":
+        files = sorted({image["file"] for image in provenance["images"]})
+        facts.append(("measured", files[0] if len(files) == 1 else f"{len(files)} images"))
+        facts.append(("background", str(provenance["background"])))
+        if provenance.get("same_psf_for_all_channels"):
+            facts.append(("channels", "one grey PSF for all"))
+    return facts
+
+
+def psf_depth_limit_m(stack: PsfStack, mask: Mask | None = None) -> float | None:
+    """Return the depth beyond which the PSF no longer changes by a pixel, metres; None when the mask is not known."""
+    record, distance_m = stack.provenance.get("mask"), stack.provenance.get("mask_to_sensor_m")
+    if mask is not None:
+        open_pixels = to_numpy(mask.amplitude) > 0
+        aperture_m = float(max(np.ptp(np.flatnonzero(open_pixels.any(axis))) + 1 for axis in (0, 1)) * mask.pitch_m)
+    elif record is not None:
+        aperture_m = max(record["shape"]) * record["pitch_m"]
+    else:
+        return None
+    return None if distance_m is None else depth_limit_m(aperture_m, distance_m, stack.pixel_pitch_m)
+
+
+def length(value_m: float) -> str:
+    """Return a length with the unit that people would use.
+
+    Example:
+        >>> length(0.036), length(1.92e-5), length(float("inf"))
+        ('3.6 cm', '19.2 µm', '∞')
+    """
+    if np.isinf(value_m):
+        return "∞"
+    factor, unit = next(((f, u) for f, u in _METRE_UNITS if abs(value_m) >= f * (1 - 1e-9)), _METRE_UNITS[-1])
+    return f"{float(f'{value_m / factor:.3g}'):g} {unit}"
+
+
+def share(value: float) -> str:
+    """Return a share in percent with two digits where it is small, three where it is near the whole.
+
+    Example:
+        >>> share(0.0273), share(0.9876), share(0.0)
+        ('2.7 %', '98.8 %', '0 %')
+    """
+    percent = 100 * value if value > 1e-9 else 0.0  # rounding is not light
+    return f"{float(f'{percent:.3g}' if percent >= 10 else f'{percent:.2g}'):g} %"
+
+
+def _mask_facts(stack: PsfStack, mask: Mask | None) -> list[tuple[str, str]]:
+    record: dict[str, Any] | None = mask.provenance() if mask is not None else stack.provenance.get("mask")
+    facts = []
+    if record is not None:
+        rows, columns = (length(n * record["pitch_m"]) for n in record["shape"])
+        facts.append(("mask", f"{record['name']}, {columns} × {rows}"))
+        nominal = " (nominal)" if "nominal" in record["material_source"] else ""
+        facts.append(("material", f"{record['material']}{nominal}, {record['profile']}"))
+        facts.append(("transmitted area", f"{record['transmitted_area_m2'] * 1e6:.3g} mm²"))
+    elif "throughput_m2" in stack.provenance:
+        facts.append(("throughput", f"{stack.provenance['throughput_m2'] * 1e6:.3g} mm²"))
+    if "mask_to_sensor_m" in stack.provenance:
+        facts.append(("mask to sensor", length(stack.provenance["mask_to_sensor_m"])))
+    return facts
+
+
+def _light_facts(
+    stack: PsfStack,
+    mask: Mask | None,
+    scene_shape: tuple[int, int] | None,
+    sensor_shape: tuple[int, int] | None,
+) -> list[tuple[str, str]]:
+    facts = []
+    record = stack.provenance.get("mask")
+    area_m2 = mask.transmitted_area_m2 if mask is not None else record and record["transmitted_area_m2"]
+    if area_m2:
+        shares = stack.energy_m2() / area_m2
+        facts.append(("light on PSF grid", _range(shares)))
+    if scene_shape is not None and sensor_shape is not None:
+        facts.append(("light off sensor", _range(light_off_sensor(stack, sensor_shape, scene_shape))))
+    return facts
+
+
+def _range(shares: np.ndarray) -> str:
+    low, high = share(float(shares.min())), share(float(shares.max()))
+    return low if low == high else f"{low} to {high}"
+
+
+def _spectrum_facts(provenance: dict[str, Any]) -> list[tuple[str, str]]:
+    facts = []
+    lines: dict[str, list[float]] = {}
+    for channel, wavelength_m, _ in provenance.get("lines", []):
+        lines.setdefault(channel, []).append(wavelength_m * 1e9)
+    for channel, wavelengths in lines.items():
+        shown = [f"{w:.0f}" for w in wavelengths]
+        if len(shown) > 5:
+            shown = [*shown[:2], "…", *shown[-2:]]
+        facts.append((f"wavelengths {channel}", f"{' '.join(shown)} nm"))
+    if "response" in provenance:
+        facts.append(("response", str(provenance["response"])))
+    return facts
