@@ -75,14 +75,15 @@ def psf(
     from simulator.config import load_config
     from simulator.console import Bar, describe_stack
     from simulator.dataset.engines import available_cpus
+    from simulator.dataset.psf_files import check_replaceable, write_psf_stack
 
     loaded = load_config(config, set_ or [])
+    if output:
+        check_replaceable(output)
     with Bar() as bar:
         stack = build_psf_stack(loaded, threads=available_cpus(), progress=lambda a, b: bar.update("PSFs", a, b))
     print(describe_stack(stack, loaded.camera.sensor.shape, loaded.scene.size))
     if output:
-        from simulator.dataset.psf_files import write_psf_stack
-
         write_psf_stack(output, stack)
         print(f"wrote {output}")
     if plot:

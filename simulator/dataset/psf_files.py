@@ -6,8 +6,9 @@ import json
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from simulator.dataset.plain import readable_json
+from simulator.dataset.plain import plain, readable_json
 from simulator.errors import InputError
 from simulator.exr import decode_exr, write_exr
 from simulator.files import committed_folder, sha256_bytes, write_atomic
@@ -17,18 +18,20 @@ DESCRIPTION = "psf.json"
 
 
 def write_psf_stack(folder: Path, stack: PsfStack) -> None:
-    """Write a stack; the folder appears whole or not at all, and replaces an older one.
+    """Write a stack; the folder appears whole or not at all, and replaces an older stack.
 
     Raises:
+        InputError: something other than a stack is there.
         StorageError: the place cannot be written to.
     """
+    check_replaceable(folder)
     with committed_folder(folder) as temporary:
         files = {}
         for k, planes in enumerate(stack.values):
-            name = f"depth_{k:04d}.exr"
+            name = _file_name(k)
             channels = {c: np.asarray(v, np.float32) for c, v in zip(stack.channels, planes, strict=True)}
             metadata = {"depth_m": float(stack.depths_m[k]), "pixel_pitch_m": stack.pixel_pitch_m}
-            files[name] = sha256_bytes(write_exr(temporary / name, channels, metadata))
+            files[name] = sha256_bytes(write_exr(temporary / name, channels, plain(metadata, "PSF")))
         content = {
             "depths_m": [float(depth) for depth in stack.depths_m],
             "pixel_pitch_m": stack.pixel_pitch_m,
@@ -50,31 +53,60 @@ def read_psf_stack(folder: Path) -> PsfStack:
     path = folder / DESCRIPTION
     try:
         content = json.loads(path.read_bytes())
+        depths_m = np.array([float(depth) for depth in content["depths_m"]])
+        pixel_pitch_m, channels = float(content["pixel_pitch_m"]), tuple(content["channels"])
+        fingerprint, provenance, files = str(content["fingerprint"]), dict(content["provenance"]), content["files"]
+        if list(files) != [_file_name(k) for k in range(len(depths_m))] or not files:
+            msg = f"{len(files)} files for {len(depths_m)} depths"
+            raise ValueError(msg)
     except FileNotFoundError as error:
         msg = f"no PSF stack in {folder}: it has no {DESCRIPTION}; `flatlight psf --output FOLDER` writes one"
         raise InputError(msg) from error
-    except (OSError, ValueError) as error:
-        msg = f"{path} is unreadable or damaged ({error}); restore it, or delete its folder and compute the stack again"
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        msg = (
+            f"{path} is unreadable or damaged ({reason}); restore it, or delete its folder and compute the stack again"
+        )
         raise InputError(msg) from error
-    planes = []
-    for name, digest in content["files"].items():
-        try:
-            data = (folder / name).read_bytes()
-        except OSError as error:
-            msg = f"cannot read {folder / name}: {error.strerror or error}; delete {folder} and compute the stack again"
-            raise InputError(msg) from error
-        if sha256_bytes(data) != digest:
-            msg = (
-                f"{folder / name} is damaged: its hash differs from {DESCRIPTION}; delete {folder} and compute it again"
-            )
-            raise InputError(msg)
-        channels, _ = decode_exr(data, folder / name)
-        planes.append(np.stack([channels[c] for c in content["channels"]]))
-    return PsfStack(
-        np.stack(planes),
-        np.array([float(depth) for depth in content["depths_m"]]),
-        content["pixel_pitch_m"],
-        tuple(content["channels"]),
-        content["fingerprint"],
-        content["provenance"],
-    )
+    planes = [_read_planes(folder / name, digest, channels) for name, digest in files.items()]
+    return PsfStack(np.stack(planes), depths_m, pixel_pitch_m, channels, fingerprint, provenance)
+
+
+def check_replaceable(folder: Path) -> None:
+    """Refuse a place where writing a stack would take away something else.
+
+    Raises:
+        InputError: it is a file, or a folder with other files in it.
+    """
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        msg = f"{folder} is a file; a PSF stack is a folder: choose another name"
+        raise InputError(msg)
+    foreign = [
+        path.name for path in sorted(folder.iterdir()) if path.name != DESCRIPTION and not path.match("depth_*.exr")
+    ]
+    if foreign:
+        msg = f"{folder} holds other files than a PSF stack ({foreign[0]}, ...) and would be replaced: choose another name"
+        raise InputError(msg)
+
+
+def _file_name(k: int) -> str:
+    return f"depth_{k:04d}.exr"
+
+
+def _read_planes(file: Path, digest: str, channels: tuple[str, ...]) -> NDArray[np.float32]:
+    """Return the PSFs ``(C, H, W)`` of one depth."""
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        msg = f"cannot read {file}: {error.strerror or error}; delete {file.parent} and compute the stack again"
+        raise InputError(msg) from error
+    if sha256_bytes(data) != digest:
+        msg = f"{file} is damaged: its hash differs from {DESCRIPTION}; delete {file.parent} and compute it again"
+        raise InputError(msg)
+    found, _ = decode_exr(data, file)
+    if set(found) != set(channels):
+        msg = f"{file} has the channels {sorted(found)}, {DESCRIPTION} says {sorted(channels)}: restore both"
+        raise InputError(msg)
+    return np.stack([found[name] for name in channels])
