@@ -1,0 +1,182 @@
+"""The recipe of a sample against an independent recomputation from the files and the documented random streams."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import fftconvolve
+
+from simulator.dataset import open_dataset
+from simulator.dataset.recipe import clip_index, clips_needed
+from simulator.exr import decode_exr
+from simulator.plugin_files import import_file
+from simulator.types import Clip, View
+
+pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+
+SEED, EXPOSURE_S, PITCH_M, DISTANCE_M = 11, 5e-3, 8 * 2.4e-6, 1.9e-3
+SPLIT, PURPOSE = {"train": 0, "validation": 1, "test": 2, "pilot": 3}, {"scene": 0, "noise": 1}
+CASES = [("train", 0), ("train", 2), ("validation", 0), ("test", 0)]
+
+
+def stream(split: str, index: int, purpose: str) -> np.random.Generator:
+    """The documented stream: SeedSequence(root, spawn_key=(split, index, purpose)) with fixed integers."""
+    key = (SPLIT[split], index, PURPOSE[purpose])
+    return np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=key))
+
+
+def stack_on_disk(root: Path) -> tuple[np.ndarray, np.ndarray]:
+    """PSFs ``(K, C, N, N)`` float64 and their depths, from the data set's own files."""
+    described = json.loads((root / "psf/psf.json").read_text())
+    planes = []
+    for name in described["files"]:
+        channels, _ = decode_exr((root / "psf" / name).read_bytes(), Path(name))
+        planes.append(np.stack([channels[c] for c in "RGB"]))
+    return np.stack(planes).astype(np.float64), np.array([float(depth) for depth in described["depths_m"]])
+
+
+def redrawn(plugins: ModuleType, split: str, index: int) -> Clip:
+    """The clip of a sample, drawn anew from the documented stream."""
+    view = View((16, 20), PITCH_M, DISTANCE_M, 0.036, 0.2)
+    asked = {"train": index, "validation": -(2 * index + 1), "test": -(2 * index + 2), "pilot": index}[split]
+    return plugins.boxes(view).clip(asked, stream(split, index, "scene"))
+
+
+def exposed(clip: Clip, values: np.ndarray, depths_m: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
+    """Exposure ``(C, H, W)`` by one full convolution per plane and channel, in float64."""
+    radiance, depth = clip.rgb[0].astype(np.float64), clip.depth_m[0].astype(np.float64)
+    h, w = depth.shape
+    y, x = ((np.arange(n) - (n - 1) / 2) * PITCH_M for n in (h, w))
+    cosine = DISTANCE_M / np.sqrt(DISTANCE_M**2 + y[:, None] ** 2 + x**2)
+    light = radiance * ((PITCH_M / DISTANCE_M) ** 2 * cosine**4)[..., None]
+    total = np.zeros((values.shape[1], *sensor))
+    for k in range(len(depths_m)):
+        hat = np.eye(len(depths_m))[k][::-1]  # 1 at this plane's disparity, 0 at its neighbours', straight between
+        share = np.interp(1 / depth, (1 / depths_m)[::-1], hat)
+        for c in range(values.shape[1]):
+            full = fftconvolve(light[..., c] * share, values[k, c])
+            rows, columns = (
+                np.arange(s) - (s - n) // 2 + m // 2 for s, n, m in zip(sensor, (h, w), values.shape[2:], strict=True)
+            )
+            inside = [(i >= 0) & (i < n) for i, n in zip((rows, columns), full.shape, strict=True)]
+            total[c][np.ix_(*inside)] += full[np.ix_(rows[inside[0]], columns[inside[1]])]
+    return total * EXPOSURE_S
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable) -> tuple[Path, ModuleType]:
+    """A data set with automatic exposure, and the module that drew its scenes."""
+    trial = make_trial(tmp_path_factory.mktemp("recipe"))
+    root = trial.generate(camera={"exposure": {"full_scale": "auto"}})
+    return root, import_file(trial.plugins, "plugins")
+
+
+@pytest.mark.parametrize(("split", "index"), CASES)
+def test_ground_truth_is_the_scene_of_the_documented_stream(made: Any, split: str, index: int) -> None:
+    root, plugins = made
+    sample, clip = open_dataset(root, split)[index], redrawn(plugins, split, index)
+    assert np.array_equal(sample.rgb, clip.rgb)
+    assert np.array_equal(sample.depth_m, clip.depth_m)
+    assert np.array_equal(sample.valid, clip.valid)
+    assert not sample.valid.all()
+    assert sample.metadata["scene"] == clip.source
+    assert (sample.metadata["split"], sample.metadata["index"], sample.seed) == (split, index, SEED)
+
+
+@pytest.mark.parametrize(("split", "index"), CASES)
+def test_noiseless_measurement_is_the_brute_force_convolution(made: Any, split: str, index: int) -> None:
+    root, plugins = made
+    sample = open_dataset(root, split)[index]
+    values, depths_m = stack_on_disk(root)
+    full_scale = json.loads((root / "dataset.json").read_text())["exposure"]["full_scale"]
+    expected = exposed(redrawn(plugins, split, index), values, depths_m, (48, 60)) / full_scale
+    # float32 FFTs of a few thousand points: some 1e-7 of the maximum.
+    assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
+    assert expected.max() > 0.1  # the exposure put the picture into the sensor's range
+
+
+@pytest.mark.parametrize(("split", "index"), CASES)
+def test_noise_is_that_of_the_documented_stream(made: Any, split: str, index: int) -> None:
+    sample = open_dataset(made[0], split)[index]
+    drawn = stream(split, index, "noise").standard_normal(sample.noiseless.shape, dtype=np.float32)
+    std = float(sample.noiseless.max()) * 10 ** (-40 / 20)
+    assert np.array_equal(sample.measurement, sample.noiseless + np.float32(std) * drawn)  # every bit
+    assert sample.metadata["noise_std"] == pytest.approx(std, rel=1e-6)
+
+
+def test_automatic_exposure_is_the_pilots_percentile(made: Any) -> None:
+    root, plugins = made
+    values, depths_m = stack_on_disk(root)
+    pilots = [exposed(redrawn(plugins, "pilot", i), values, depths_m, (48, 60)) for i in range(16)]
+    exposure = json.loads((root / "dataset.json").read_text())["exposure"]
+    assert exposure["full_scale"] == pytest.approx(np.percentile(pilots, 99.9) / 0.8, rel=1e-5)
+
+
+def test_metadata_count_saturated_values(trial) -> None:
+    changes = {"noise": {"type": "none"}, "exposure": {"full_scale": 1e-6}}
+    sample = open_dataset(trial.generate(camera=changes, dataset={"train": 1}))[0]
+    assert np.array_equal(sample.measurement, sample.noiseless)
+    saturated = float(np.mean(sample.noiseless >= 1))
+    assert 0 < saturated < 1
+    assert sample.metadata["saturated_share"] == pytest.approx(saturated, abs=2 / sample.noiseless.size)
+
+
+def test_depths_beyond_the_stack_are_clamped_and_counted(trial) -> None:
+    scene = {"family": "./plugins.py:boxes", "size": [16, 20], "depth_m": 0.5}
+    root = trial.generate("forward.max_clamped=1", scene=scene, dataset={"train": 1})
+    sample = open_dataset(root)[0]
+    assert sample.metadata["clamped_depth_share"] == 1
+    assert np.all(sample.depth_m == 0.5)  # ground truth stays the truth
+    values, depths_m = stack_on_disk(root)
+    clip = Clip(sample.rgb, np.full_like(sample.depth_m, 0.2), sample.valid, np.array([0.0, 1.0]))
+    expected = exposed(clip, values, depths_m, (48, 60)) / 3e-6
+    assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
+
+
+def test_physical_noise_is_quantised_and_drawn_from_its_stream(trial) -> None:
+    camera = {"noise": {"type": "physical"}, "exposure": {"full_scale": "auto"}}
+    sample = open_dataset(trial.generate(camera=camera, dataset={"train": 1}))[0]
+    # A stored value is the mean of 16 red, 32 green or 16 blue pixels of 12 bits: multiples of 1/n DN.
+    pixels = np.array([16, 32, 16])[:, None, None]
+    numbers = sample.measurement * 4096 * pixels
+    assert np.array_equal(numbers, np.round(numbers))
+    assert sample.noiseless.min() >= 64 / 4096  # black level
+    error = (sample.measurement - sample.noiseless)[:, :5] * 4096
+    assert abs(error.mean()) < 0.3
+    again = open_dataset(trial.generate(camera=camera, dataset={"train": 1, "output": "again"}))[0]
+    assert np.array_equal(sample.measurement, again.measurement)
+
+
+def test_infinite_depths_are_stored_as_finite_ones(trial) -> None:
+    psf = {"depths_cm": [4, 20, float("inf")], "wavelengths_per_channel": 1, "accept_error": 1}
+    scene = {"family": "./plugins.py:boxes", "size": [16, 20], "depth_m": float("inf")}
+    sample = open_dataset(trial.generate(psf=psf, scene=scene, dataset={"train": 1}))[0]
+    assert np.all(sample.depth_m == np.float32(1e6))
+    assert sample.metadata["clamped_depth_share"] == 0
+    values, depths_m = stack_on_disk(trial.folder / "out")
+    assert depths_m[-1] == np.inf
+    clip = Clip(sample.rgb, np.full_like(sample.depth_m, np.inf), sample.valid, np.array([0.0, 1.0]))
+    expected = exposed(clip, values[-1:], np.array([1.0]), (48, 60)) / 3e-6
+    assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
+
+
+def test_splits_share_no_clip_as_long_as_there_are_enough() -> None:
+    for train in range(5):
+        for validation in range(4):
+            for test in range(4):
+                counts = {"train": train, "validation": validation, "test": test}
+                needed = clips_needed(counts)
+                asked = [clip_index(split, i) for split, count in counts.items() for i in range(count)]
+                assert len({index % max(needed, 1) for index in asked}) == len(asked)
+                if train and needed > 1:  # one clip fewer, and two samples meet
+                    assert len({index % (needed - 1) for index in asked}) < len(asked)
+
+
+def test_raising_a_count_moves_no_clip() -> None:
+    assert [clip_index("train", i) for i in range(3)] == [0, 1, 2]
+    assert [clip_index("validation", i) for i in range(3)] == [-1, -3, -5]
+    assert [clip_index("test", i) for i in range(3)] == [-2, -4, -6]
