@@ -1,0 +1,247 @@
+"""From the configuration to masks, cameras, stacks and scenes: units, caches, and whose mistake it was."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulator import assemble
+from simulator.config import load_config
+from simulator.errors import InputError
+
+pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+
+
+def test_numbers_become_si_units(trial) -> None:
+    config = load_config(trial.write(psf={"near_cm": 4, "far_cm": 20, "depths": 3, "accept_error": 0.5}))
+    view, geometry = assemble.build_view(config), assemble.build_geometry(config)
+    assert view.shape == (16, 20)
+    assert view.pixel_pitch_m == geometry.pixel_pitch_m == pytest.approx(19.2e-6)
+    assert view.distance_m == geometry.mask_to_sensor_m == pytest.approx(1.9e-3)
+    assert (view.near_m, view.far_m) == pytest.approx((0.04, 0.2))
+    psf = assemble.build_psf_config(config)
+    assert psf.depths_m == pytest.approx((0.04, 1 / 15, 0.2))  # even steps of 1/z: 25, 15, 5 per metre
+    assert (psf.model, psf.wavelengths_per_channel, psf.oversampling) == ("scaled_distance", 3, 1)
+    assert psf.accept_error == 0.5
+    sensor = assemble.build_sensor(config, full_scale=2.5)
+    assert (sensor.exposure_s, sensor.full_scale, sensor.binning, sensor.shape) == (5e-3, 2.5, 8, (48, 60))
+    model = assemble.build_forward_model(config, assemble.build_psf_stack(config))
+    assert model.shutter is not None
+    assert model.shutter.exposure_s == 5e-3
+
+
+@pytest.mark.parametrize(
+    ("psf", "depths_m"),
+    [
+        ({"depths_cm": [4, 7.5, float("inf")]}, (0.04, 0.075, np.inf)),
+        ({"near_cm": 5, "far_cm": 5, "depths": 1}, (0.05,)),
+        ({"near_cm": 5, "far_cm": float("inf"), "depths": 3}, (0.05, 0.1, np.inf)),
+        ({"near_cm": 5, "far_cm": 20, "depths": 3, "spacing": "log"}, (0.05, 0.1, 0.2)),
+        ({"near_cm": 5, "far_cm": 20, "depths": 4, "spacing": "linear"}, (0.05, 0.1, 0.15, 0.2)),
+    ],
+)
+def test_depths_in_all_their_forms(trial, psf: dict, depths_m: tuple[float, ...]) -> None:
+    config = load_config(trial.write(psf=psf))
+    assert assemble.build_psf_config(config).depths_m == pytest.approx(depths_m)
+    view = assemble.build_view(config)
+    assert (view.near_m, view.far_m) == pytest.approx((depths_m[0], depths_m[-1]))
+
+
+def test_a_sensor_takes_the_numbers_that_are_given(trial) -> None:
+    numbers = {"pixel_pitch_um": 3, "full_well_e": 9000, "read_noise_e": 5, "dark_current_e_per_s": 2}
+    numbers |= {"prnu_percent": 2, "black_level_dn": 16, "bit_depth": 10}
+    sensor = assemble.build_sensor(load_config(trial.write(camera={"sensor": {"shape": [48, 60], **numbers}})))
+    assert sensor.pixel_pitch_m == pytest.approx(3e-6)
+    assert (sensor.full_well_e, sensor.read_noise_e, sensor.dark_current_e_per_s) == (9000, 5, 2)
+    assert (sensor.prnu, sensor.black_level_dn, sensor.bit_depth) == (0.02, 16, 10)
+    assert sensor.row_noise_e == assemble.build_sensor(load_config(trial.write())).row_noise_e
+
+
+@pytest.mark.parametrize("kind", ["none", "gaussian", "physical"])
+def test_noise_by_its_name(trial, kind: str) -> None:
+    noise = {"type": kind} | ({"std": 0.25} if kind == "gaussian" else {})
+    sensor = assemble.build_sensor(load_config(trial.write(camera={"noise": noise})))
+    signal = np.full((3, 48, 60), 0.5, np.float32)
+    error = sensor.expose(signal, np.random.default_rng(0)) - sensor.noiseless(signal)
+    # Physical at half scale: shot noise of 7500 electrons and 0.6 % PRNU per pixel, 16, 32 or 16 pixels in a value.
+    per_pixel = 0.5 / 15000 + (0.006 * 0.5) ** 2
+    physical = np.sqrt((2 / 16 + 1 / 32) / 3 * per_pixel) * (4095 - 64) / 4096
+    expected = {"none": 0, "gaussian": 0.25, "physical": physical}[kind]
+    # 8640 values: the estimate's own standard deviation is 0.8 %.
+    assert np.std(error) == pytest.approx(expected, rel=0.04)
+
+
+class TestMasks:
+    def test_default_and_given_parameters_are_one_design(self, trial, capfd) -> None:
+        _speaking(trial)
+        first = assemble.load_mask("./plugins.py:corners", trial.folder)
+        again = assemble.load_mask("./plugins.py:corners", trial.folder, arm=30)
+        other = assemble.load_mask("./plugins.py:corners", trial.folder, arm=31)
+        assert capfd.readouterr().out.split() == ["30", "31"]
+        assert np.array_equal(first.amplitude, again.amplitude)
+        assert first.digest() == again.digest() != other.digest()
+        assert (again.pitch_m, again.profile, again.name) == (4e-6, "staircase", "corners")
+        assert again.material == first.material
+
+    def test_an_edited_design_is_made_again(self, trial, capfd) -> None:
+        _speaking(trial)
+        first = assemble.load_mask("./plugins.py:corners", trial.folder)
+        trial.plugins.write_text(trial.plugins.read_text().replace("column + 6] = 1", "column + 6] = 0.5"))
+        assert assemble.load_mask("./plugins.py:corners", trial.folder).amplitude.sum() < first.amplitude.sum()
+        assert capfd.readouterr().out.split() == ["30", "30"]
+
+    def test_a_file_that_a_parameter_names_counts(self, trial) -> None:
+        trial.plugins.write_text(
+            "from pathlib import Path\nimport numpy as np\nfrom simulator.optics.mask import Mask\n"
+            "def drawn(*, file: Path) -> Mask:\n"
+            "    open_ = np.loadtxt(file, dtype=np.float32)\n"
+            "    return Mask(np.zeros_like(open_), open_, 1e-5)\n"
+        )
+        (trial.folder / "drawing.txt").write_text("0 1\n1 1")
+        load = lambda: assemble.load_mask("./plugins.py:drawn", trial.folder, file="drawing.txt")  # noqa: E731
+        assert load().amplitude.tolist() == [[0, 1], [1, 1]]
+        (trial.folder / "drawing.txt").write_text("1 0\n1 1")
+        assert load().amplitude.tolist() == [[1, 0], [1, 1]]
+        config = load_config(
+            trial.write(
+                camera={"mask": {"design": "./plugins.py:drawn", "file": "drawing.txt"}},
+                scene={"source": "flyingthings3d", "path": str(_frames(trial.folder)), "size": [4, 4]},
+            )
+        )
+        names = [path.name for path in assemble.input_files(config, assemble.build_source(config, "none"))]
+        assert names == ["plugins.py", "drawing.txt", "f.png", "f.pfm"]
+
+    @pytest.mark.parametrize(
+        ("body", "words"),
+        [
+            ("return 3", "returned int, expected a simulator.optics.mask.Mask"),
+            ("return Mask(np.full((4, 4), np.nan), np.ones((4, 4)), 1e-6)", "height_m holds 16 NaN"),
+            ("return Mask(np.zeros((4, 5)), np.ones((4, 4)), 1e-6)", r"(4, 5) and (4, 4)"),
+            ("return Mask(np.zeros((4, 4)), np.zeros((4, 4)), 1e-6)", "no light passes"),
+            ("return Mask(np.zeros((4, 4)), np.full((4, 4), 2.0), 1e-6)", "amplitude must lie in 0..1"),
+            ("return Mask(np.zeros((4, 4)), np.ones((4, 4)), 2.0)", "expected metres"),
+            ("return 1 / 0", "plugins.py:4: ZeroDivisionError"),
+            ("import nothing_of_this_name", "ModuleNotFoundError"),
+        ],
+    )
+    def test_a_broken_design_is_named(self, trial, body: str, words: str) -> None:
+        trial.plugins.write_text(
+            f"import numpy as np\nfrom simulator.optics.mask import Mask\ndef corners():\n    {body}\n"
+        )
+        with pytest.raises(InputError) as caught:
+            assemble.load_mask("./plugins.py:corners", trial.folder)
+        assert words in str(caught.value)
+        assert "./plugins.py:corners" in str(caught.value)
+
+
+class TestStacks:
+    def test_a_stack_is_computed_once(self, trial) -> None:
+        config = load_config(trial.write(psf={"depths_cm": [4, 6], "accept_error": 1.01}))
+        calls: list[tuple[int, int]] = []
+        first = assemble.build_psf_stack(config, progress=lambda *at: calls.append(at))
+        assert sorted(calls) == [(i, 18) for i in range(1, 19)]
+        again = assemble.build_psf_stack(config, progress=lambda *at: calls.append(at))
+        assert len(calls) == 18
+        assert np.array_equal(first.values, again.values)
+        assert first.fingerprint == again.fingerprint
+        assert first.provenance == again.provenance
+
+    def test_threads_change_nothing(self, trial) -> None:
+        values = []
+        for threads, error in ((1, 1.02), (2, 1.03)):  # another limit: not from the cache
+            config = load_config(trial.write(psf={"depths_cm": [4], "accept_error": error}))
+            values.append(assemble.build_psf_stack(config, threads=threads).values)
+        assert np.array_equal(values[0], values[1])
+
+    def test_a_stack_accepted_under_a_loose_limit_does_not_pass_a_tight_one(self, trial) -> None:
+        for limit in (1, 0.001):
+            config = load_config(
+                trial.write(psf={"depths_cm": [4], "wavelengths_per_channel": 1, "accept_error": limit})
+            )
+            if limit == 1:
+                assemble.build_psf_stack(config)
+            else:
+                with pytest.raises(InputError, match="accept_error"):
+                    assemble.build_psf_stack(config)
+
+    def test_a_measured_stack(self, trial) -> None:
+        picture = np.zeros((12, 16))
+        picture[3, 12] = 5.0
+        np.save(trial.folder / "psf.npy", picture)
+        psf = {"measured": ["psf.npy"], "depths_cm": [float("inf")], "frame": "physical", "background": "none"}
+        config = load_config(trial.write(camera={"mask": None}, psf=psf | {"throughput_mm2": 0.5}))
+        assert assemble.build_mask(config) is None
+        stack = assemble.build_psf_stack(config)
+        # Turned by 180 degrees about the origin (6, 8): (-3, 4) from it becomes (3, -4). Row and column 0 have no partner.
+        assert stack.values.shape == (1, 3, 11, 15)
+        assert np.argwhere(stack.values[0, 0]).tolist() == [[5 + 3, 7 - 4]]
+        assert stack.energy_m2() == pytest.approx(0.5e-6)
+        assert assemble.build_view(config).far_m == np.inf
+        source = assemble.build_source(config, "none")
+        assert [path.name for path in assemble.input_files(config, source)] == ["plugins.py", "psf.npy"]
+
+    def test_a_black_measurement(self, trial) -> None:
+        np.save(trial.folder / "psf.npy", np.full((12, 16), 7.0))
+        psf = {"measured": ["psf.npy"], "depths_cm": [10], "frame": "stored", "throughput_mm2": 0.5}
+        with pytest.raises(InputError, match=r"psf\.npy.* is zero everywhere"):
+            assemble.build_psf_stack(load_config(trial.write(camera={"mask": None}, psf=psf)))
+
+
+class TestSources:
+    @pytest.mark.parametrize(
+        ("body", "words"),
+        [
+            ("return 3", "returned int, expected an object with inputs and clip"),
+            ("return 1 / 0", "plugins.py:2: ZeroDivisionError"),
+        ],
+    )
+    def test_a_broken_family_is_named(self, trial, body: str, words: str) -> None:
+        path = trial.write(camera={"mask": {"design": "pinhole"}})
+        trial.plugins.write_text(f"def boxes(view):\n    {body}\n")
+        with pytest.raises(InputError) as caught:
+            assemble.build_source(load_config(path), "none")
+        assert words in str(caught.value)
+        assert "./plugins.py:boxes" in str(caught.value)
+
+    def test_the_backend_goes_to_those_who_want_it(self, trial) -> None:
+        path = trial.write(scene={"family": "flying_things", "size": [16, 20]})
+        source = assemble.build_source(load_config(path), "scalar_rgb")
+        assert getattr(source, "backend") == "scalar_rgb"  # noqa: B009
+        assert not assemble.scene_plugin(load_config(trial.write())).takes_backend
+
+
+@pytest.mark.parametrize(
+    ("camera", "words"),
+    [
+        ({"illuminant": "Bengal"}, "illuminant: got 'Bengal'"),
+        ({"sensor": {"shape": [48, 60], "spectral_response": "eye"}}, "spectral_response: got 'eye'"),
+        ({"sensor": {"shape": [48, 60], "model": "imx999"}}, "camera.sensor.model: got 'imx999'"),
+        ({"sensor": {"shape": [480, 600], "binning": 10}}, "physical rows"),
+    ],
+)
+def test_unknown_names_list_the_known_ones(trial, camera: dict, words: str) -> None:
+    config = load_config(trial.write(camera=camera))
+    with pytest.raises(InputError) as caught:
+        assemble.build_geometry(config)
+    assert words in str(caught.value)
+
+
+def _speaking(trial) -> None:
+    text = trial.plugins.read_text()
+    # A number of this trial's own keeps the designs of other tests out of the cache's way.
+    own = hashlib.sha256(str(trial.folder).encode()).hexdigest()
+    trial.plugins.write_text(
+        text.replace("    amplitude = np.zeros", f"    print(arm)  # {own}\n    amplitude = np.zeros")
+    )
+
+
+def _frames(folder: Path) -> Path:
+    from PIL import Image
+
+    for name in ("RGB_cleanpass", "disparity"):
+        (folder / "frames" / name / "left").mkdir(parents=True)
+    Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(folder / "frames/RGB_cleanpass/left/f.png")
+    data = np.arange(1, 65, dtype="<f4").tobytes()
+    (folder / "frames/disparity/left/f.pfm").write_bytes(b"Pf\n8 8\n-1.0\n" + data)
+    return folder / "frames"
