@@ -171,7 +171,11 @@ def main() -> None:
 
     try:
         for name, entry in commands().items():
-            app.command(name)(entry.load())
+            try:
+                app.command(name)(entry.load())
+            except Exception as error:  # another package's fault must not take our own commands away
+                reason = f"{type(error).__name__}: {error}"
+                print(f"warning: the command {name!r} ({entry.value}) cannot be loaded: {reason}", file=sys.stderr)
         app(standalone_mode=True)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -182,6 +186,7 @@ def main() -> None:
         text = f"internal error: {type(error).__name__}: {error}"
         print(f"{text}\nThis is a fault of flatlight; FLATLIGHT_TRACEBACK=1 shows where it is.", file=sys.stderr)
         raise SystemExit(1) from None
-    except KeyboardInterrupt:
-        print("\nstopped; what is finished is kept, and the same command goes on from there", file=sys.stderr)
-        raise SystemExit(130) from None
+    except SystemExit as end:
+        if end.code == 130:  # what typer makes of Ctrl-C
+            print("\nstopped; what is finished is kept, and the same command goes on from there", file=sys.stderr)
+        raise
