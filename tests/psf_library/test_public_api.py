@@ -1,0 +1,84 @@
+"""What ``psf_library`` promises: designs by name, stacks from a data set, a folder or a configuration."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import psf_library
+from psf_library import load_mask, load_psf_stack
+from simulator.errors import InputError
+from simulator.plugins import available
+
+pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+README = Path(__file__).resolve().parents[2] / "README.md"
+
+SMALL = {"phlatcam": {"width_mm": 0.6, "iterations": 2}, "diffusercam": {"width_mm": 0.6}, "pinhole": {}}
+
+
+def test_every_design_has_a_small_example_here() -> None:
+    assert set(available("mask")) == set(SMALL)
+
+
+@pytest.mark.parametrize(("design", "params"), SMALL.items())
+def test_designs_by_name(design: str, params: dict[str, Any]) -> None:
+    mask, again = load_mask(design, **params), load_mask(design, **params)
+    assert mask.name == design
+    assert mask.digest() == again.digest()
+    assert mask.height_m.dtype == mask.amplitude.dtype == np.float32
+    assert mask.transmitted_area_m2 > 0
+    if "width_mm" in params:
+        assert mask.shape[0] * mask.pitch_m == pytest.approx(params["width_mm"] * 1e-3, rel=0.01)
+
+
+def test_mistakes_are_named() -> None:
+    with pytest.raises(InputError, match="did you mean 'pinhole'"):
+        load_mask("pinhol")
+    with pytest.raises(InputError, match=r"diametr_um.*did you mean 'diameter_um'"):
+        load_mask("pinhole", diametr_um=3)
+    with pytest.raises(InputError, match="diameter_um"):
+        load_mask("pinhole", diameter_um="wide")
+
+
+def test_a_mask_of_an_own_file(trial) -> None:
+    mask = load_mask("./plugins.py:corners", trial.folder, arm=20)
+    assert mask.name == "corners"
+    assert mask.amplitude[10, 29] == 1
+    assert mask.transmitted_area_m2 == pytest.approx(mask.amplitude.sum() * 16e-12)
+
+
+def test_a_stack_from_each_of_its_places(trial, flatlight) -> None:
+    path = trial.write()
+    described = load_psf_stack(path)
+    assert flatlight("psf", path, "--output", trial.folder / "stack")[0] == 0
+    root = trial.generate()
+    for place in (root, root / "psf", str(root), trial.folder / "stack"):
+        stack = load_psf_stack(place)
+        assert np.array_equal(stack.values, described.values)
+        assert (stack.fingerprint, stack.channels) == (described.fingerprint, described.channels)
+
+
+def test_no_stack(tmp_path: Path) -> None:
+    for place in (tmp_path, tmp_path / "nowhere", tmp_path / "none.yaml"):
+        with pytest.raises(InputError, match=re.escape(str(place))):
+            load_psf_stack(place)
+
+
+def test_only_what_is_promised() -> None:
+    assert psf_library.__all__ == ["load_mask", "load_psf_stack"]
+
+
+def test_the_readme_s_mask_works(trial) -> None:
+    """The code block that defines a mask, read from the README itself, makes a camera."""
+    blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    (code,) = [block for block in blocks if "-> Mask:" in block]
+    (name,) = re.findall(r"^def (\w+)\(", code, re.MULTILINE)
+    trial.plugins.with_name("my_mask.py").write_text(code)
+    mask = load_mask(f"./my_mask.py:{name}", trial.folder, width_mm=0.6)
+    assert mask.shape[0] * mask.pitch_m == pytest.approx(0.6e-3)
+    assert mask.height_m.std() > 0
+    path = trial.write(camera={"mask": {"design": f"./my_mask.py:{name}", "width_mm": 0.6}})
+    stack = load_psf_stack(path)
+    assert stack.energy_m2() == pytest.approx(0.36e-6, rel=0.05)  # a phase mask lets all light pass
