@@ -74,35 +74,12 @@ class Bar:
 
 
 def describe_stack(stack: PsfStack, sensor_shape: tuple[int, int], scene_shape: tuple[int, int]) -> str:
-    """Return what is worth knowing of a PSF stack, with its measured errors."""
-    from simulator.optics.metrics import depth_limit_m, light_off_sensor
+    """Return what is worth knowing of a PSF stack, with its measured errors, one line each."""
+    from simulator.optics.facts import psf_facts
 
-    count, channels, height, width = stack.values.shape
-    depths = (
-        f"{stack.depths_m[0] * 100:g} to {stack.depths_m[-1] * 100:g} cm"
-        if count > 1
-        else f"{stack.depths_m[0] * 100:g} cm"
-    )
-    lines = [
-        f"{count} depths ({depths}) x {channels} channels of {height} x {width} pixels of {stack.pixel_pitch_m * 1e6:g} um",
-    ]
-    made = stack.provenance
-    if "sampling" in made:
-        lines.append(
-            f"sampling error on the sensor's pixels: {made['sampling']['error']:.2%} (oversampling doubled, on a crop)"
-        )
-    if "mask" in made:
-        area = made["mask"]["transmitted_area_m2"]
-        energy = stack.energy_m2() / area
-        lines.append(
-            f"light that reaches the PSF grid: {energy.min():.1%} to {energy.max():.1%} of the mask's {area * 1e6:.3g} mm2"
-        )
-        aperture_m = max(made["mask"]["shape"]) * made["mask"]["pitch_m"]
-        limit = depth_limit_m(aperture_m, made["mask_to_sensor_m"], stack.pixel_pitch_m)
-        lines.append(f"beyond {limit:.2g} m the PSF changes by less than a pixel")
-    off = light_off_sensor(stack, sensor_shape, scene_shape)
-    lines.append(f"light of the scene that falls off the sensor: {off.max():.1%} at most (mean over the field)")
-    return "\n".join(lines)
+    facts = psf_facts(stack, None, scene_shape, sensor_shape)
+    width = max(len(what) for what, _ in facts)
+    return "\n".join(f"{what:>{width}}  {value}" for what, value in facts)
 
 
 def describe_plugins(kind: str, key: str) -> str:

@@ -29,10 +29,12 @@ from simulator.dataset.recipe import Recipe, clips_needed, make_pilot, make_samp
 from simulator.dataset.sample import SPLITS, sample_id
 from simulator.errors import InputError
 from simulator.files import TEMPORARY_PREFIX, StorageError, remove_leftovers, storage_errors
+from simulator.optics.metrics import light_off_sensor
 from simulator.optics.psf_stack import PsfStack
 from simulator.render.backend import choose_backend
 
 PSF_FOLDER, SHEET = "psf", "contact_sheet.png"
+OFF_SENSOR_WARNING = 0.01
 
 Report = Callable[[str, int, int], None]  # (stage, done, total)
 Say = Callable[[str], None]
@@ -200,7 +202,9 @@ class _Job:
         folder = self.root / PSF_FOLDER
         stack = read_psf_stack(folder) if (self.root / FILE).exists() and folder.exists() else None
         if stack is None:
-            self.say("computing the point spread functions" if self.config.camera.mask else "reading the measured PSF")
+            self.say(
+                "designing the mask and computing its PSFs" if self.config.camera.mask else "reading the measured PSF"
+            )
             stack = build_psf_stack(
                 self.config,
                 threads=available_cpus(),
@@ -266,6 +270,12 @@ class _Job:
         sampling = stack.provenance.get("sampling")
         if sampling:
             self.say(f"sampling error of the PSFs on the sensor's pixels: {sampling['error']:.1%} (recorded)")
+        lost = light_off_sensor(stack, self.config.camera.sensor.shape, self.config.scene.size).max()
+        if lost > OFF_SENSOR_WARNING and self.config.forward.boundary == "linear":
+            self.say(
+                f"note: up to {lost:.1%} of the scene's light falls off the sensor (mean over the field), as in a "
+                "real camera; a smaller mask, a nearer mask or a larger sensor keeps it"
+            )
         needed = clips_needed(self._counts())
         if hasattr(source, "__len__") and len(source) < needed:
             self.say(
