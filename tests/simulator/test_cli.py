@@ -193,7 +193,7 @@ class TestPsf:
         path = trial.write()
         code, out, err = flatlight("psf", path, "--output", tmp_path / "stack")
         assert code == 0, err
-        assert "3 depths (3.6 to 20 cm) x 3 channels" in out
+        assert "3, 3.6 cm to 20 cm" in out
         assert "sampling error" in out
         stack = build_psf_stack(load_config(path))
         assert np.array_equal(read_psf_stack(tmp_path / "stack").values, stack.values)
