@@ -116,17 +116,17 @@ def irfft(array: Array, length: int, axis: int) -> Array:
     return _fft_module(array).irfft(array, length, axis)
 
 
-def fft2(array: Array) -> Array:
-    """Complex FFT of the last two axes."""
-    return _fft_module(array).fft2(array)
-
-
-def ifft2(array: Array, *, overwrite: bool = False) -> Array:
-    """Inverse complex FFT of the last two axes; ``overwrite`` lets NumPy reuse the input's memory."""
+def fft2(array: Array, *, overwrite: bool = False) -> Array:
+    """Complex FFT of the last two axes; ``overwrite`` lets NumPy reuse the input's memory."""
     if overwrite and not is_torch(array):
         import scipy.fft
 
-        return scipy.fft.ifft2(array, overwrite_x=True)
+        return scipy.fft.fft2(array, overwrite_x=True)
+    return _fft_module(array).fft2(array)
+
+
+def ifft2(array: Array) -> Array:
+    """Inverse complex FFT of the last two axes."""
     return _fft_module(array).ifft2(array)
 
 

@@ -89,5 +89,5 @@ def each_rows(
 
 def blocks(like: Array, length: int, width: int) -> list[slice]:
     """Cut a length into slices of which each, ``width`` samples wide, stays in the cache; torch gets one slice."""
-    step = length if is_torch(like) else max(1, _BLOCK // width)
+    step = length if is_torch(like) else max(8, _BLOCK // width // 8 * 8)  # whole cache lines
     return [slice(start, min(start + step, length)) for start in range(0, length, step)]

@@ -12,10 +12,12 @@ far-field pattern of a square pixel: over 2 um the wavefront is flat to pi p^2 /
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
-from simulator.arrays import Array, complex_dtype, fft2, is_torch, like, namespace, real_dtype
+from simulator.arrays import Array, complex_dtype, fft2, is_torch, like, namespace, real_dtype, unit_phasor
+from simulator.optics.even_filter import Quadrant
 from simulator.optics.propagation import MAX_SINE
 
 ORDERS = 1.5  # light up to this multiple of lambda / pixel is followed: the zeroth and first orders, whole
@@ -47,8 +49,8 @@ class PixelKernel:
         samples = math.floor(reach_m / pitch_m)
         self._y, self._x = (np.arange(min(n, samples + 1)) * pitch_m for n in self._shape)
 
-    def quadrant(self, distance_m: float) -> Array:
-        """Return the transfer function from zero to Nyquist, ``(H // 2 + 1, W // 2 + 1)``."""
+    def quadrant(self, distance_m: float) -> Quadrant:
+        """Return the transfer function: any of its rows from zero to Nyquist, ``(rows, W // 2 + 1)``."""
         return _even_transform(self._kernel(distance_m), self._shape)
 
     def _kernel(self, distance_m: float) -> Array:
@@ -59,17 +61,14 @@ class PixelKernel:
         r = xp.sqrt(lateral_squared + distance_m**2)
         turns = lateral_squared / ((r + distance_m) * wavelength_m)  # (r - d) / lambda without cancellation
         real = real_dtype(self._like)
-        phase = xp.astype((turns - xp.round(turns)) * (2 * np.pi), real)
+        wave = unit_phasor(xp.astype((turns - xp.round(turns)) * (2 * np.pi), real))
         inverse_r = xp.astype(1 / r, real)
         square = _sinc(inverse_r * like(self._y[:, None] * self._pitch_m / wavelength_m, self._like, real))
-        square = square * _sinc(inverse_r * like(self._x[None, :] * self._pitch_m / wavelength_m, self._like, real))
+        square *= _sinc(inverse_r * like(self._x[None, :] * self._pitch_m / wavelength_m, self._like, real))
         size = square * inverse_r**2 * (distance_m * self._pitch_m**2 / wavelength_m)
-        # (1 / r - ik) / (2 pi) e^(i phase) = -i / lambda (1 + i / (k r)) e^(i phase)
+        # (1 / r - ik) / (2 pi) e^(i phase) = (1 / (k r) - i) / lambda e^(i phase)
         near = inverse_r * (wavelength_m / (2 * np.pi))
-        cosine, sine = xp.cos(phase), xp.sin(phase)
-        complex_type = complex_dtype(self._like)
-        imaginary = xp.astype(size * (near * sine - cosine), complex_type) * 1j
-        return xp.astype(size * (sine + near * cosine), complex_type) + imaginary
+        return xp.astype(wave * size * (near - 1j), complex_dtype(self._like))
 
 
 def _sinc(x: Array) -> Array:
@@ -79,24 +78,17 @@ def _sinc(x: Array) -> Array:
     return xp.sin(angle) / angle
 
 
-def _even_transform(quadrant: Array, shape: tuple[int, int]) -> Array:
+def _even_transform(quadrant: Array, shape: tuple[int, int]) -> Quadrant:
     """Return the FFT, from zero to Nyquist, of the even function whose non-negative quadrant is given, zero beyond it."""
-    xp = namespace(quadrant)
     if is_torch(quadrant):
+        xp = namespace(quadrant)
         padded = xp.zeros(shape, dtype=quadrant.dtype, device=quadrant.device)
         padded[: quadrant.shape[0], : quadrant.shape[1]] = quadrant
         half = xp.concat([padded, xp.flip(padded[1:-1], axis=0)], axis=0)
-        return fft2(xp.concat([half, xp.flip(half[:, 1:-1], axis=1)], axis=1))[: shape[0], : shape[1]]
+        return fft2(xp.concat([half, xp.flip(half[:, 1:-1], axis=1)], axis=1))[: shape[0], : shape[1]].__getitem__
 
-    # The FFT of an even sequence is a cosine transform of a quarter of the work, and rows of zeros stay zero.
-    return _cosine(quadrant.real, shape) + 1j * _cosine(quadrant.imag, shape)
-
-
-def _cosine(part: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     import scipy.fft
 
-    rows = np.zeros((part.shape[0], shape[1]), part.dtype)
-    rows[:, : part.shape[1]] = part
-    padded = np.zeros(shape, part.dtype)
-    padded[: part.shape[0]] = scipy.fft.dct(rows, type=1, axis=1, overwrite_x=True)
-    return np.asarray(scipy.fft.dct(padded, type=1, axis=0, overwrite_x=True))
+    # The FFT of an even sequence is a cosine transform of its half; the second one waits until its rows are asked for.
+    half: Any = scipy.fft.dct(quadrant, type=1, n=shape[0], axis=0)
+    return lambda rows: scipy.fft.dct(half[rows], type=1, n=shape[1], axis=1)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from simulator.arrays import Array, complex_dtype, namespace, to_numpy
+from simulator.arrays import Array, namespace, to_numpy, unit_phasor
 from simulator.errors import InputError
 from simulator.optics.materials import FUSED_SILICA, Material
 from simulator.optics.resample import cubic_interpolation
@@ -110,10 +110,10 @@ class Mask:
             height, amplitude = (_interpolate(part, oversample) for part in (height, amplitude))
             amplitude = xp.clip(amplitude, 0, 1)
         # In turns and reduced to one turn before the exponential: float32 keeps its digits at any height.
-        turns = height * ((self.material.index(wavelength_m) - 1) / wavelength_m)
-        phase = 2 * np.pi * (turns - xp.round(turns))
-        dtype = complex_dtype(height)
-        field = xp.astype(amplitude, dtype) * xp.exp(1j * xp.astype(phase, dtype))
+        turns = height * float((self.material.index(wavelength_m) - 1) / wavelength_m)
+        turns -= xp.round(turns)
+        turns *= 2 * np.pi
+        field = xp.astype(amplitude, height.dtype, copy=False) * unit_phasor(turns)
         if oversample > 1 and self.profile == "staircase":
             field = xp.repeat(xp.repeat(field, oversample, axis=0), oversample, axis=1)
         return field

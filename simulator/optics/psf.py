@@ -17,14 +17,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from simulator.arrays import Array, fft2, ifft2, is_torch, module, namespace, next_fast_len, pad2d
+from simulator.arrays import Array, fft2, ifft, is_torch, module, namespace, next_fast_len, pad2d
 from simulator.errors import InputError
-from simulator.optics.even_filter import multiply_even
+from simulator.optics.even_filter import Quadrant, blocks, each_rows
 from simulator.optics.kernel import PixelKernel, kernel_reach_m
 from simulator.optics.mask import Mask
 from simulator.optics.propagation import Transfer, spread_samples
 from simulator.optics.psf_stack import PsfStack, check_depths
-from simulator.optics.resample import box_integral
+from simulator.optics.resample import Band, box_integral
 from simulator.optics.spectrum import quantile_lines
 from simulator.types import CameraGeometry
 
@@ -75,7 +75,7 @@ def compute_psf_stack(
         camera: distance, binned pixel pitch and spectral response.
         psf_config: depths, model, wavelengths, sampling.
         xp: ``numpy`` or ``torch``.
-        threads: wavelengths computed at a time (NumPy); each needs a few hundred MB at full size.
+        threads: depths computed at a time (NumPy only); each needs one more complex grid, 160 MB at full size.
         progress: called with (done, total) after every PSF.
 
     Returns:
@@ -96,25 +96,15 @@ def compute_psf_stack(
     size = stack_size(mask, camera, psf_config)
     total, done = len(lines) * len(psf_config.depths_m), 0
 
-    def count() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, total)
-
-    def work(wavelength_m: float) -> list[Array]:
+    per_line = []
+    for line in lines:
         images = []
-        for image in depth_images(on_device, camera, psf_config, wavelength_m, size):
+        for image in depth_images(on_device, camera, psf_config, line.wavelength_m, size, threads=threads):
             images.append(image)
-            count()
-        return images
-
-    wavelengths = [line.wavelength_m for line in lines]
-    if threads > 1 and not is_torch(on_device.height_m):
-        with ThreadPoolExecutor(threads) as pool:
-            per_line = list(pool.map(work, wavelengths))
-    else:
-        per_line = [work(wavelength) for wavelength in wavelengths]
+            done += 1
+            if progress is not None:
+                progress(done, total)
+        per_line.append(images)
     ns = namespace(on_device.height_m)
     planes = []
     for channel in range(len(camera.response.channels)):
@@ -140,39 +130,69 @@ def compute_psf_stack(
 
 
 def depth_images(
-    mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float, size: int
+    mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float, size: int, *, threads: int = 1
 ) -> Iterator[Array]:
     """Yield the PSF ``(size, size)`` of one wavelength for each depth, in the stored frame (turned by 180 degrees)."""
-    pitch_m, d = mask.pitch_m / psf_config.oversampling, camera.mask_to_sensor_m
-    field = mask.transmission(wavelength_m, psf_config.oversampling)
+    pitch_m, d = float(mask.pitch_m / psf_config.oversampling), float(camera.mask_to_sensor_m)
+    window = [n * psf_config.oversampling for n in mask.shape]
     reach_m = _reach_m(mask, camera, psf_config, wavelength_m)
     margin = math.ceil(reach_m / pitch_m)
-    padded = tuple(2 * next_fast_len(n // 2 + margin + 1) for n in field.shape)
+    padded = tuple(2 * next_fast_len(n // 2 + margin + 1) for n in window)
     if max(padded) > MAX_GRID:
         msg = (
             f"oversampling: {psf_config.oversampling} needs a grid of {padded} samples of {pitch_m:g} m for the mask and "
             f"the light that it spreads; more than {MAX_GRID} is refused: use a coarser or narrower mask or less oversampling"
         )
         raise InputError(msg)
-    spectrum = fft2(pad2d(field, padded, (margin, margin)))
-    origin = [margin + (n - 1) / 2 for n in field.shape]
-    if mask.profile == "staircase":
-        transfer = PixelKernel(padded, pitch_m, wavelength_m, reach_m, like=field).quadrant
-    else:
-        transfer = partial(
-            Transfer(padded, pitch_m, wavelength_m, like=field).quadrant, reach_m=(margin * pitch_m, margin * pitch_m)
-        )
-    ns = namespace(field)
+    field = pad2d(mask.transmission(wavelength_m, psf_config.oversampling), padded, (margin, margin))
+    spectrum = fft2(field, overwrite=True)
+    origin = [margin + (n - 1) / 2 for n in window]
+    kernel = PixelKernel(padded, pitch_m, wavelength_m, reach_m, like=spectrum)
+    transfer = Transfer(padded, pitch_m, wavelength_m, like=spectrum)
     centres = (np.arange(size) - size // 2) * camera.pixel_pitch_m
-    for depth_m in psf_config.depths_m:
-        magnification = 1 + d / depth_m
+
+    spare: list[Array] = []  # fresh memory for every depth would cost as much as a tenth of the work
+
+    def image(depth_m: float) -> Array:
+        magnification = 1 + d / float(depth_m)  # a NumPy scalar would turn float32 arrays into float64
         distance = d / magnification if psf_config.model == "scaled_distance" else d
-        wave = ifft2(multiply_even(spectrum, transfer(distance)), overwrite=True)
-        intensity = ns.real(wave) ** 2 + ns.imag(wave) ** 2
+        if mask.profile == "staircase":
+            quadrant = kernel.quadrant(distance)
+        else:
+            quadrant = partial(transfer.quadrant, distance, (margin * pitch_m, margin * pitch_m))
         rows, columns = (
             box_integral(at, pitch_m, centres / magnification, camera.pixel_pitch_m / magnification) for at in origin
         )
-        yield ns.flip(columns.apply(rows.apply(intensity, -2), -1) / camera.pixel_pitch_m**2)
+        wave = spare.pop() if spare else namespace(spectrum).empty_like(spectrum)
+        binned = _on_pixels(spectrum, quadrant, rows, columns, wave)
+        if not is_torch(spectrum):  # a tensor may still want its gradient
+            spare.append(wave)
+        return namespace(spectrum).flip(binned / float(camera.pixel_pitch_m**2))
+
+    if threads == 1 or is_torch(spectrum):
+        yield from map(image, psf_config.depths_m)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        yield from pool.map(image, psf_config.depths_m)
+
+
+def _on_pixels(spectrum: Array, quadrant: Quadrant, rows: Band, columns: Band, wave: Array) -> Array:
+    """Return the intensity of a filtered spectrum, integrated over pixels; ``wave`` is memory for the wave half-way."""
+    xp = namespace(spectrum)
+    height, width = spectrum.shape
+
+    def filter_rows(part: slice, weights: Array) -> None:
+        wave[part] = ifft(spectrum[part] * weights, -1, overwrite=True)
+
+    each_rows(spectrum, (height, width), quadrant, filter_rows)
+    real = xp.real(wave)
+    bin_rows, bin_columns = rows.prepared(real, height), columns.prepared(real, width)
+    tall = xp.empty((len(rows.first), width), dtype=real.dtype, device=real.device)
+    for part in blocks(spectrum, width, height):
+        field = ifft(wave[:, part], -2)
+        tall[:, part] = bin_rows(xp.real(field) ** 2 + xp.imag(field) ** 2, -2)
+    # Blocks again: for one large product BLAS would wake threads of its own.
+    return xp.concat([bin_columns(tall[part], -1) for part in blocks(spectrum, len(rows.first), width)], axis=0)
 
 
 def _reach_m(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float) -> float:

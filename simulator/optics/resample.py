@@ -1,16 +1,19 @@
 """Separable resampling of images by short bands of weights: exact pixel integration and cubic interpolation.
 
 Both are linear maps along one axis in which each output needs a few neighbouring inputs, so they run, with gradients,
-as a handful of gathers on NumPy and torch alike.
+as a handful of small matrix products on NumPy and torch alike.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from simulator.arrays import Array, like, namespace
+
+_TILE = 16  # outputs whose weights make one small dense matrix
 
 
 @dataclass(frozen=True)
@@ -18,7 +21,7 @@ class Band:
     """A banded linear map along one axis: ``out[j] = sum_b weights[j, b] * x[first[j] + b]``, zero outside the input.
 
     Attributes:
-        first: ``(J,)`` index of the first input of each output; may lie outside the input.
+        first: ``(J,)`` index of the first input of each output, not decreasing; may lie outside the input.
         weights: ``(J, B)`` float64.
     """
 
@@ -27,18 +30,28 @@ class Band:
 
     def apply(self, array: Array, axis: int) -> Array:
         """Apply the map along ``axis`` (-1 or -2) of an array."""
-        xp = namespace(array)
-        length = array.shape[axis]
-        total = None
-        for b in range(self.weights.shape[1]):
-            index = self.first + b
-            inside = (index >= 0) & (index < length)
-            weight = like(np.where(inside, self.weights[:, b], 0), array)
-            taken = xp.take(array, like(np.clip(index, 0, length - 1), array, xp.int64), axis=axis)
-            term = taken * (weight if axis == -1 else weight[:, None])
-            total = term if total is None else total + term
-        assert total is not None
-        return total
+        return self.prepared(array, array.shape[axis])(array, axis)
+
+    def prepared(self, reference: Array, length: int) -> Callable[[Array, int], Array]:
+        """Return ``apply`` for many arrays of the reference's kind and precision with ``length`` samples along the axis."""
+        xp = namespace(reference)
+        tiles = []
+        width = self.weights.shape[1]
+        for j in range(0, len(self.first), _TILE):
+            first, weights = self.first[j : j + _TILE], self.weights[j : j + _TILE]
+            start, stop = int(first[0]), int(first[-1]) + width
+            tile = np.zeros((len(first), stop - start))
+            np.add.at(tile, (np.arange(len(first))[:, None], (first - start)[:, None] + np.arange(width)), weights)
+            # A tile outside the input altogether multiplies an empty slice, which gives zeros.
+            inside = slice(min(max(start, 0), length), min(max(stop, 0), length))
+            tiles.append((inside, like(tile[:, inside.start - start : inside.stop - start], reference)))
+
+        def apply(array: Array, axis: int) -> Array:
+            if axis == -1:
+                return xp.concat([array[..., inside] @ tile.T for inside, tile in tiles], axis=-1)
+            return xp.concat([tile @ array[..., inside, :] for inside, tile in tiles], axis=-2)
+
+        return apply
 
 
 def box_integral(origin: float, pitch_m: float, centres_m: np.ndarray, width_m: float) -> Band:

@@ -131,7 +131,7 @@ def test_pixel_kernel_equals_the_direct_sum_over_the_subdivided_staircase():
     size = 2 * ((samples + 2 * margin) // 2 + 1)
     padded = np.zeros((size, size), complex)
     padded[:samples, :samples] = mask
-    quadrant = PixelKernel((size, size), pitch, WAVELENGTH_M, reach, like=padded).quadrant(distance)
+    quadrant = PixelKernel((size, size), pitch, WAVELENGTH_M, reach, like=padded).quadrant(distance)(slice(None))
     field = ifft2(multiply_even(fft2(padded), quadrant))[:samples, :samples]
     fine = np.kron(mask, np.ones((sub, sub)))
     rows, columns = rng.integers(0, samples, (2, 12))
