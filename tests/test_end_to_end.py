@@ -1,0 +1,270 @@
+"""Whole data sets: rendered scenes, plugins of all kinds, and the real samples; read back by us and by another program."""
+
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from psf_library import load_psf_stack
+from simulator.dataset import open_dataset, verify
+
+pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+
+PHLATCAM = {"design": "phlatcam", "width_mm": 0.6, "iterations": 2}
+RENDERED = {"family": "flying_things", "size": [16, 20], "samples_per_pixel": 1, "objects": 5}
+PACKAGE = '''
+"""A package of somebody else's plugins."""
+
+import numpy as np
+
+from simulator.optics.mask import Mask
+from simulator.types import Clip
+
+
+def slit(*, width_um: float = 40.0) -> Mask:
+    """One long slit."""
+    amplitude = np.zeros((101, 101), np.float32)
+    half = round(width_um / 8)
+    amplitude[:, 50 - half : 50 + half + 1] = 1
+    return Mask(np.zeros_like(amplitude), amplitude, 4e-6, name="slit")
+
+
+class Noise:
+    """Grey noise at one depth, as a class."""
+
+    inputs = ()
+
+    def __init__(self, view, *, depth_cm: float = 5.0) -> None:
+        self.view, self.depth_m = view, depth_cm / 100
+
+    def clip(self, index, rng):
+        shape = (1, *self.view.shape)
+        rgb = np.repeat(rng.random((*shape, 1), dtype=np.float32), 3, axis=-1)
+        return Clip(rgb, np.full(shape, self.depth_m, np.float32), np.ones(shape, bool), np.array([0.0, 1.0]))
+'''
+
+
+def sample_hashes(root: Path) -> dict[str, str]:
+    files = [path for path in sorted(root.rglob("*")) if path.suffix in (".exr", ".png") or path.name == "sample.json"]
+    return {str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+def run_python(code: str, *arguments: object, **options: Any) -> None:
+    words = [sys.executable, "-c", code, *map(str, arguments)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False, **options)
+    assert done.returncode == 0, done.stderr
+
+
+def read_with_openimageio(path: Path) -> dict[str, NDArray[np.float32]]:
+    """Channels of a file as OpenImageIO reads them."""
+    oiio = pytest.importorskip("OpenImageIO")
+    source = oiio.ImageInput.open(str(path))
+    assert source, oiio.geterror()
+    pixels = source.read_image("float")
+    names = source.spec().channelnames
+    source.close()
+    return {name: pixels[..., i] for i, name in enumerate(names)}
+
+
+def test_a_data_set_of_rendered_scenes(trial) -> None:
+    changes = {"camera": {"mask": PHLATCAM, "exposure": {"full_scale": "auto"}}, "scene": RENDERED}
+    root = trial.generate(**changes)
+    assert verify(root).ok
+    train = open_dataset(root)
+    for sample in train:
+        assert sample.rgb.std() > 0.01  # something is to be seen
+        assert sample.metadata["scene"]["variant"] == "scalar_rgb"
+        assert sample.metadata["clamped_depth_share"] <= 0.01
+        assert 0.036 * 0.99 <= sample.depth_m.min() < sample.depth_m.max() <= 0.2 * 1.01
+        # The nearest and the farthest PSF pass the same light, so a measurement keeps the scene's colour.
+        scene = sample.rgb.mean(axis=(0, 1, 2))
+        seen = sample.noiseless.sum(axis=(1, 2))
+        assert seen / seen.sum() == pytest.approx(scene / scene.sum(), abs=0.02)
+    assert json.loads((root / "dataset.json").read_text())["backend"] == "scalar_rgb"
+    peaks = [sample.noiseless.max() for sample in train]
+    assert 0.3 < max(peaks) < 2  # automatic exposure: near the top, whatever the mask
+    # In workers of their own: the same bytes.
+    local = {"engine": "local", "workers": 1, "output": "local"}
+    assert sample_hashes(trial.generate(**changes, dataset=local)) == sample_hashes(root)
+
+
+@pytest.mark.parametrize("engine", ["inline", "local"])
+def test_plugins_of_an_installed_package(trial, monkeypatch: pytest.MonkeyPatch, engine: str) -> None:
+    package = trial.folder / "site" / f"lensless_{engine}"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (package / "plugins.py").write_text(PACKAGE)
+    monkeypatch.syspath_prepend(str(package.parent))
+    monkeypatch.setenv("PYTHONPATH", str(package.parent))
+    module = f"lensless_{engine}.plugins"
+    root = trial.generate(
+        camera={"mask": {"design": f"{module}:slit", "width_um": 32}},
+        scene={"source": f"{module}:Noise", "size": [16, 20], "depth_cm": 7},
+        dataset={"engine": engine, "workers": 1, "train": 1, "validation": 0, "test": 0},
+    )
+    assert verify(root).ok
+    sample = open_dataset(root)[0]
+    assert np.all(sample.depth_m == np.float32(0.07))
+    psf = load_psf_stack(root).values[0, 1]
+    y, x = (np.arange(n) - n // 2 for n in psf.shape)
+    height, width = (np.sum(psf * square) / psf.sum() for square in (y[:, None] ** 2, x[None] ** 2))
+    assert height > 4 * width  # the slit stands upright: 100 of its pixels tall, 9 wide
+    config = open_dataset(root).config
+    assert config["camera"]["mask"] == {"design": f"{module}:slit", "width_um": 32}
+    assert config["scene"]["depth_cm"] == 7
+
+
+def test_reading_runs_no_code_of_the_data_set(trial) -> None:
+    root = trial.generate()
+    expected = open_dataset(root)[0].measurement
+    trial.plugins.write_text("raise SystemExit('the data set ran code')")
+    moved = shutil.move(root, trial.folder / "moved")
+    trial.plugins.unlink()
+    trial.path.unlink()
+    assert np.array_equal(open_dataset(moved)[0].measurement, expected)
+    assert verify(moved).ok
+    code = """
+import pickle, sys
+from simulator.dataset import open_dataset, verify
+train = pickle.loads(pickle.dumps(open_dataset(sys.argv[1])))
+assert len(list(train)) == 3 and verify(sys.argv[1]).ok
+loaded = {"mitsuba", "torch", "colour", "simulator.plugins", "psf_library", "scenes"} & set(sys.modules)
+assert not loaded, loaded
+"""
+    run_python(code, moved)
+
+
+def test_generating_needs_no_torch(trial) -> None:
+    code = """
+import sys
+
+class NoTorch:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("torch", "av", "cv2", "safetensors"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, NoTorch())
+from simulator.dataset import generate
+assert generate(sys.argv[1]).made == 5
+assert "torch" not in sys.modules
+"""
+    path = trial.write(camera={"mask": PHLATCAM})
+    run_python(code, path)
+    assert verify(trial.folder / "out").ok
+
+
+def crops(shared_data: Path, size: tuple[int, int], **params: Any) -> dict[str, Any]:
+    scene = {"source": "flyingthings3d", "path": str(shared_data / "flyingthings3d/SCENE_FLOW"), "size": list(size)}
+    return scene | params
+
+
+def check_files(root: Path, shape: tuple[int, int], size: tuple[int, int]) -> None:
+    """Eight samples that verify, read back bit-exact, and that another program reads alike."""
+    report = verify(root)
+    assert report.ok, str(report)
+    assert report.counts == {"train": 6, "validation": 1, "test": 1}
+    for split in report.counts:
+        dataset = open_dataset(root, split)
+        for position, sample in enumerate(dataset):
+            assert sample.measurement.shape == sample.noiseless.shape == (3, *shape)
+            assert sample.rgb.shape == (1, *size, 3)
+            folder = dataset.folder(position)
+            measured = read_with_openimageio(folder / "measurement.exr")
+            truth = read_with_openimageio(folder / "ground_truth.exr")
+            assert set(measured) == {"R", "G", "B", "noiseless.R", "noiseless.G", "noiseless.B"}
+            assert set(truth) == {"R", "G", "B", "Z", "valid"}
+            for i, name in enumerate("RGB"):
+                assert np.array_equal(measured[name], sample.measurement[i])
+                assert np.array_equal(measured[f"noiseless.{name}"], sample.noiseless[i])
+                assert np.array_equal(truth[name], sample.rgb[0, ..., i])
+            assert np.array_equal(truth["Z"], sample.depth_m[0])
+            assert np.array_equal(truth["valid"] == 1, sample.valid[0])
+
+
+@pytest.mark.shared
+def test_eight_samples_of_the_real_frame_through_phlatcam(trial, shared_data: Path) -> None:
+    """Crops of the real FlyingThings3D frame: the picture's own pixels, linearised, at the camera's depths."""
+    from PIL import Image
+
+    from simulator.importers._pfm import read_pfm
+
+    changes: dict[str, Any] = {
+        "camera": {"mask": PHLATCAM, "sensor": {"binning": 8, "shape": [96, 128]}, "exposure": {"full_scale": "auto"}},
+        "scene": crops(shared_data, (48, 64), downscale=4),
+        "dataset": {"train": 6},
+    }
+    root = trial.generate(**changes)
+    check_files(root, (96, 128), (48, 64))
+    folder = shared_data / "flyingthings3d/SCENE_FLOW"
+    picture = np.asarray(Image.open(folder / "RGB_cleanpass/left/A-0032-0006.png"))[..., :3] / 255
+    linear = np.where(picture <= 0.04045, picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4)
+    disparity = np.abs(read_pfm(folder / "disparity/left/A-0032-0006.pfm"))
+    scale = (1 / 0.036 - 1 / 0.2) / (disparity.max() - disparity.min())
+    corners = set()
+    for sample in open_dataset(root):
+        row, column = sample.metadata["scene"]["corner_px"]
+        corners.add((row, column))
+        window = np.s_[row : row + 192, column : column + 256]
+        blocks = linear[window].reshape(48, 4, 64, 4, 3).mean(axis=(1, 3))
+        assert np.abs(sample.rgb[0] - blocks).max() < 1e-6
+        nearness = 1 / 0.2 + scale * (disparity[window][2::4, 2::4].astype(float) - disparity.min())
+        assert 1 / sample.depth_m[0] == pytest.approx(nearness, rel=1e-5)
+    assert len(corners) == 6  # each sample another crop
+    again = trial.generate(**changes | {"dataset": {"train": 6, "output": "again"}})
+    assert sample_hashes(again) == sample_hashes(root)
+
+
+@pytest.mark.shared
+def test_eight_samples_through_the_measured_diffusercam(trial, shared_data: Path) -> None:
+    """The real DiffuserCam PSF: the measurement is the scene convolved with the picture turned by 180 degrees."""
+    import tifffile
+    from scipy.signal import fftconvolve
+
+    tutorial = shared_data / "diffusercam/tutorial/psf_sample.tif"
+    changes: dict[str, Any] = {
+        "camera": {
+            "mask": None,
+            "mask_to_sensor_mm": 9,
+            "sensor": {"binning": 8, "shape": [300, 400]},
+            "exposure": {"full_scale": "auto"},
+        },
+        "psf": {
+            "measured": [str(tutorial)],
+            "depths_cm": [float("inf")],
+            "frame": "physical",
+            "binning": 4,
+            "background": "border",
+            "throughput_mm2": 20.0,
+        },
+        "scene": crops(shared_data, (96, 128), downscale=4),
+        "dataset": {"train": 6},
+    }
+    root = trial.generate(**changes)
+    check_files(root, (300, 400), (96, 128))
+    stack = load_psf_stack(root)
+    assert stack.energy_m2() == pytest.approx(20e-6)
+    # Independently: the border's median off, mean over 4 x 4, turned about the middle.
+    raw = tifffile.imread(tutorial).astype(float)
+    inner = np.zeros(raw.shape, bool)
+    inner[24:-24, 24:-24] = True
+    light = np.clip(raw - np.median(raw[~inner]), 0, None).reshape(300, 4, 400, 4).mean(axis=(1, 3))
+    turned = light[::-1, ::-1][:-1, :-1]
+    similarity = np.corrcoef(turned.ravel(), stack.values[0, 1].ravel())[0, 1]
+    assert similarity > 0.999
+    full_scale = json.loads((root / "dataset.json").read_text())["exposure"]["full_scale"]
+    sample = open_dataset(root)[0]
+    y, x = ((np.arange(n) - (n - 1) / 2) * 19.2e-6 / 9e-3 for n in (96, 128))
+    irradiance = (19.2e-6 / 9e-3) ** 2 / (1 + y[:, None] ** 2 + x**2) ** 2
+    full = fftconvolve(sample.rgb[0, ..., 1].astype(float) * irradiance, stack.values[0, 1].astype(float))
+    origin = (149 - (300 - 96) // 2, 199 - (400 - 128) // 2)
+    expected = full[origin[0] : origin[0] + 300, origin[1] : origin[1] + 400] * 5e-3 / full_scale
+    assert np.abs(sample.noiseless[1] - expected).max() < 2e-6 * expected.max()
+    again = trial.generate(**changes | {"dataset": {"train": 6, "output": "again"}})
+    assert sample_hashes(again) == sample_hashes(root)
