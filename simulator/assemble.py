@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from simulator.config import Config
 
 
+_OWN_PACKAGES = ("simulator", "scenes", "psf_library")
+
+
 def build_mask(config: Config) -> Mask | None:
     """Return the mask of a configuration, designed once and then cached; None when the PSF was measured."""
     chosen = config.camera.mask
@@ -259,15 +262,18 @@ def build_forward_model(config: Config, stack: PsfStack) -> ForwardModel:
 
 def input_files(config: Config, source: SceneSource) -> list[Path]:
     """Return all files whose contents decide the samples: plugins' own code, measured PSFs, imported frames."""
-    files = [scene_plugin(config).path]
+    files = _own_code(scene_plugin(config))
     if config.camera.mask is not None:
         plugin = resolve("mask", config.camera.mask.design, config.base_dir)
-        files += [plugin.path, *(v for v in plugin.bind(config.camera.mask.params).values() if isinstance(v, Path))]
+        files += [
+            *_own_code(plugin),
+            *(v for v in plugin.bind(config.camera.mask.params).values() if isinstance(v, Path)),
+        ]
     if isinstance(config.psf, MeasuredPsf):
         files += [config.resolve_path(name) for name in config.psf.measured]
         background = _background(config, config.psf)
         files += [background] if isinstance(background, Path) else []
-    return [*(file for file in files if file is not None), *source.inputs]
+    return [*files, *source.inputs]
 
 
 def _measured_stack(config: Config, chosen: MeasuredPsf) -> PsfStack:
@@ -297,6 +303,15 @@ def _noise(chosen: Any) -> Noise:
     if isinstance(chosen, camera_config.GaussianNoise):
         return GaussianNoise(chosen.std, chosen.psnr_db, chosen.peak, chosen.clip, chosen.quantise)
     return PhysicalNoise() if isinstance(chosen, camera_config.PhysicalNoise) else NoNoise()
+
+
+def _own_code(plugin: Plugin) -> list[Path]:
+    """Return the file of a plugin's code unless it came with flatlight, whose version stands for it."""
+    module = inspect.getmodule(plugin.function)
+    if plugin.path is None and module is not None and module.__name__.partition(".")[0] in _OWN_PACKAGES:
+        return []
+    path = plugin.path or inspect.getsourcefile(plugin.function)
+    return [Path(path)] if path else []
 
 
 def _code(plugin: Plugin) -> str:

@@ -116,7 +116,9 @@ def test_plugins_of_an_installed_package(trial, monkeypatch: pytest.MonkeyPatch,
     y, x = (np.arange(n) - n // 2 for n in psf.shape)
     height, width = (np.sum(psf * square) / psf.sum() for square in (y[:, None] ** 2, x[None] ** 2))
     assert height > 4 * width  # the slit stands upright: 100 of its pixels tall, 9 wide
-    config = open_dataset(root).config
+    config, inputs = open_dataset(root).config, open_dataset(root).info.fingerprint_parts["inputs"]
+    assert len(inputs) == 2  # the code of mask and scenes: edited, it would make another data set
+    assert set(inputs.values()) == {hashlib.sha256(PACKAGE.encode()).hexdigest()}
     assert config["camera"]["mask"] == {"design": f"{module}:slit", "width_um": 32}
     assert config["scene"]["depth_cm"] == 7
 
