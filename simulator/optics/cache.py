@@ -59,7 +59,8 @@ def _load(path: Path) -> Entry | None:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files if name != "metadata"}
             return arrays, json.loads(str(file["metadata"]))
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):  # absent or damaged: compute it again
+    # Absent or damaged: compute it again. zipfile raises RuntimeError for damaged flags.
+    except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile):
         return None
 
 

@@ -83,7 +83,7 @@ def check_depths(depths_m: np.ndarray) -> None:
         bad = depths[~(depths > 0)][0]
         msg = f"depths_m: got {bad:g} m; depth is z from the mask plane into the scene, so it must be positive"
         raise InputError(msg)
-    if not np.all(np.diff(depths) > 0):
+    if not np.all(depths[1:] > depths[:-1]):
         msg = f"depths_m must increase strictly from near to far, got {depths.tolist()}"
         raise InputError(msg)
 

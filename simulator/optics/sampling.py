@@ -35,9 +35,9 @@ def sampling_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
     from simulator.optics.psf import depth_images, stack_size
 
     samples = round(CROP_M / mask.pitch_m)
-    crop = mask.crop((samples, samples))
-    if not np.any(to_numpy(crop.amplitude) > 0):
-        crop = mask
+    middle = [slice(max((n - samples) // 2, 0), (n + samples) // 2) for n in mask.shape]
+    open_in_the_middle = np.any(to_numpy(mask.amplitude)[middle[0], middle[1]] > 0)
+    crop = mask.crop((samples, samples)) if open_in_the_middle else mask
     crop = replace(crop, height_m=to_numpy(crop.height_m), amplitude=to_numpy(crop.amplitude))
     depths = tuple(dict.fromkeys((psf_config.depths_m[0], psf_config.depths_m[-1])))
     coarse = replace(psf_config, depths_m=depths)
