@@ -126,7 +126,7 @@ def build_psf_stack(config: Config, *, threads: int = 1, progress: Progress | No
 
     Args:
         config: the configuration.
-        threads: wavelengths computed at a time.
+        threads: depths computed at a time.
         progress: called with (done, total) while PSFs are computed.
     """
     if isinstance(config.psf, MeasuredPsf):

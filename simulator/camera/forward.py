@@ -62,7 +62,7 @@ class ForwardModel:
             depth_rule: used by ``forward_clip``.
 
         Raises:
-            InputError: when the PSF's centre falls off the sensor or the shapes do not fit.
+            InputError: when the shapes do not fit.
         """
         self.stack, self.shutter = stack, shutter
         self.sensor_shape, self.scene_shape = sensor_shape, scene_shape

@@ -47,7 +47,7 @@ class GaussianNoise:
         std: standard deviation as a share of full scale, or None.
         psnr_db: measurement PSNR, 20 log10(peak / std), or None. Exactly one of the two is given.
         peak: ``sample``: the maximum of this sample's noiseless measurement over all channels; ``full_scale``: 1.
-        clip: whether to clip to 0..1.
+        clip: whether to clip to the converter's range, 0 to (2^bits - 1) / 2^bits.
         quantise: whether to round to the sensor's digital numbers.
     """
 
@@ -79,7 +79,7 @@ class GaussianNoise:
         xp = namespace(signal)
         noisy = signal + self.standard_deviation(signal) * normal(rng, signal)
         if self.clip:
-            noisy = xp.clip(noisy, 0, 1)
+            noisy = xp.clip(noisy, 0, 1 - 2**-sensor.bit_depth)
         if self.quantise:
             noisy = xp.round(noisy * 2**sensor.bit_depth) / 2**sensor.bit_depth
         return noisy
@@ -96,8 +96,9 @@ class PhysicalNoise:
     """
 
     def noiseless(self, signal: Array, sensor: Sensor) -> Array:
-        """Return the expected DN / 2^bits below saturation."""
-        return (sensor.black_level_dn + signal * sensor.dn_range) / 2**sensor.bit_depth
+        """Return the expected DN / 2^bits below saturation, dark current included."""
+        dark_dn = sensor.dark_current_e_per_s * sensor.exposure_s * sensor.dn_per_electron
+        return (sensor.black_level_dn + dark_dn + signal * sensor.dn_range) / 2**sensor.bit_depth
 
     def apply(self, signal: Array, sensor: Sensor, rng: Any) -> Array:
         """Draw one measurement; see the class."""
@@ -108,11 +109,22 @@ class PhysicalNoise:
         electrons = poisson(rng, xp.clip(signal, 0, None) * (sensor.full_well_e * pixels))
         electrons = electrons + poisson(rng, xp.zeros_like(signal) + dark * pixels)
         electrons = electrons * like(sensor.response_map(shape), signal)
-        # A bin of b x b pixels averages the errors of its b rows; one value per stored row, the same for all channels.
-        row = normal(rng, signal[:1, :, :1]) * (sensor.row_noise_e / sensor.binning**0.5)
+        row = self._row_errors(signal, sensor, rng)
         rounding_e2 = (pixels - 1) / 12 / sensor.dn_per_electron**2
         read = normal(rng, signal) * xp.sqrt(pixels * sensor.read_noise_e**2 + rounding_e2)
         numbers = (electrons + read + row * pixels) * sensor.dn_per_electron + pixels * sensor.black_level_dn
         top = pixels * (2**sensor.bit_depth - 1)
         numbers = xp.round(xp.where(numbers < 0, 0 * numbers, xp.where(numbers > top, top + 0 * numbers, numbers)))
         return numbers / pixels / 2**sensor.bit_depth
+
+    @staticmethod
+    def _row_errors(signal: Array, sensor: Sensor, rng: Any) -> Array:
+        """Return the mean row error of every channel's pixels in a bin, ``(C, H, 1)`` electrons.
+
+        Of a Bayer bin's rows one half holds red and green pixels, the other green and blue: red and blue see different
+        errors, green sees both.
+        """
+        bayer = signal.shape[0] == 3 and sensor.binning >= 2
+        groups = 2 if bayer else 1
+        each = normal(rng, signal[:groups, :, :1]) * (sensor.row_noise_e / (sensor.binning / groups) ** 0.5)
+        return namespace(signal).stack([each[0], (each[0] + each[1]) / 2, each[1]]) if bayer else each

@@ -58,10 +58,11 @@ class ShutterConfig(Section):
 
 
 class ExposureConfig(Section):
-    """How irradiance becomes a share of full scale: one number for the whole data set."""
+    """How exposure becomes a share of full scale: one number for the whole data set."""
 
     full_scale: Literal["auto"] | Annotated[float, Range(1e-15, 1e15)] = Field(
-        default="auto", description="irradiance that maps to full scale; auto finds it from 16 pilot samples"
+        default="auto",
+        description="exposure (irradiance x seconds) that fills a pixel; auto finds it from 16 pilot samples",
     )
 
 
@@ -84,7 +85,7 @@ class GaussianNoise(Section):
     peak: Literal["sample", "full_scale"] = Field(
         default="sample", description="what the PSNR's peak is: the sample's greatest noiseless value, or full scale"
     )
-    clip: bool = Field(default=False, description="clip the measurement to 0..1")
+    clip: bool = Field(default=False, description="clip the measurement to the converter's range")
     quantise: bool = Field(default=False, description="round the measurement to the sensor's bits")
 
     @model_validator(mode="after")

@@ -13,6 +13,7 @@ from simulator.errors import InputError
 from simulator.files import write_atomic
 
 FILE = "dataset.json"
+PSF_FOLDER = "psf"  # beside it: the stack that was used
 FORMAT = "flatlight-dataset"
 FORMAT_VERSION = 1
 

@@ -36,7 +36,7 @@ def build_fingerprint(
     """Hash what decides the samples' bytes.
 
     Left out of the configuration: ``name`` and ``dataset.output``, ``workers``, ``engine``, ``train``, ``validation``,
-    ``test``. Input files count by name and content, not by place, so that a moved data set can be resumed.
+    ``test``. Input files count by name and content; their place counts where the configuration names it.
 
     Args:
         config: the configuration as a dict, as ``Config.model_dump()`` gives it.

@@ -20,7 +20,7 @@ from simulator.assemble import build_psf_stack, build_source, input_files, scene
 from simulator.camera.exposure import PERCENTILE, PILOTS, TARGET, full_scale_from_pilots
 from simulator.config import Config, dump, load_config
 from simulator.dataset.contact_sheet import contact_sheet
-from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info, write_info
+from simulator.dataset.dataset_info import FILE, PSF_FOLDER, DatasetInfo, read_info, write_info
 from simulator.dataset.engines import Outcome, WorkerError, available_cpus, run
 from simulator.dataset.fingerprint import build_fingerprint, difference, package_versions
 from simulator.dataset.manifest import MANIFEST, ManifestWriter, load_manifest
@@ -33,7 +33,7 @@ from simulator.optics.metrics import light_off_sensor
 from simulator.optics.psf_stack import PsfStack
 from simulator.render.backend import choose_backend
 
-PSF_FOLDER, SHEET = "psf", "contact_sheet.png"
+SHEET = "contact_sheet.png"
 OFF_SENSOR_WARNING = 0.01
 
 Report = Callable[[str, int, int], None]  # (stage, done, total)

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from simulator.dataset.dataset_info import DatasetInfo, read_info
+from simulator.dataset.dataset_info import PSF_FOLDER, DatasetInfo, read_info
 from simulator.dataset.engines import run
 from simulator.dataset.manifest import MANIFEST, Entry, Manifest, load_manifest
+from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.sample import (
     DESCRIPTION,
     SPLITS,
@@ -24,7 +25,6 @@ from simulator.dataset.sample import (
     sample_index,
 )
 from simulator.errors import InputError
-from simulator.exr import decode_exr
 from simulator.files import leftovers, sha256_bytes
 
 
@@ -78,9 +78,14 @@ def verify(path: Path | str, *, workers: int | str = 1, progress: Callable[[int,
     except InputError as error:
         return Report((str(error),), dict.fromkeys(info.counts, 0), info.counts)
     problems += _check_lists(root, info, manifest)
+    fingerprint = ""
+    try:
+        fingerprint = read_psf_stack(root / PSF_FOLDER).fingerprint
+    except InputError as error:
+        problems.append(str(error))
     counts = dict.fromkeys(info.counts, 0)
     engine = "inline" if workers == 1 else "local"
-    check = partial(check_sample, root, info)
+    check = partial(check_sample, root, info, fingerprint)
     entries = list(manifest.entries.values())
     for number, outcome in enumerate(run(engine, check, entries, workers=workers), start=1):
         entry = outcome.task
@@ -89,12 +94,10 @@ def verify(path: Path | str, *, workers: int | str = 1, progress: Callable[[int,
         counts[entry.split] = counts.get(entry.split, 0) + (not found)
         if progress is not None:
             progress(number, len(entries))
-    for file in sorted((root / "psf").glob("*.exr")):
-        problems += _check_exr(file)
     return Report(tuple(problems), counts, info.counts)
 
 
-def check_sample(root: Path, info: DatasetInfo, entry: Entry) -> list[str]:
+def check_sample(root: Path, info: DatasetInfo, psf_fingerprint: str, entry: Entry) -> list[str]:
     """Check one sample against its manifest line; return its faults, none when it is intact."""
     folder = sample_folder(root, entry.split, sample_index(entry.id))
     where = f"{entry.split}/{entry.id}"
@@ -138,6 +141,11 @@ def check_sample(root: Path, info: DatasetInfo, entry: Entry) -> list[str]:
     for name, (found, promised) in sizes.items():
         if found != promised:
             problems.append(f"{where}: {name} is {found}, dataset.json says {promised}")
+    made_with = {"full_scale": info.exposure.get("full_scale"), "psf": psf_fingerprint or None}
+    for name, promised in made_with.items():
+        found = sample.metadata.get(name, promised)
+        if promised is not None and found != promised:
+            problems.append(f"{where}: it was made with {name} = {found}, the data set says {promised}")
     return problems
 
 
@@ -168,11 +176,3 @@ def _sample_folders(root: Path) -> Iterator[Path]:
         for parent in sorted(root.glob(f"{split}/[0-9]*")):
             with os.scandir(parent) as entries:
                 yield from sorted(Path(entry.path) for entry in entries if not entry.name.startswith("."))
-
-
-def _check_exr(file: Path) -> list[str]:
-    try:
-        decode_exr(file.read_bytes(), file)
-    except (OSError, InputError) as error:
-        return [f"{file.parent.name}/{file.name}: {error}"]
-    return []

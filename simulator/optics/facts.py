@@ -51,7 +51,7 @@ def psf_facts(
     sampling = provenance.get("sampling")
     if sampling:
         coarse, fine = sampling["oversampling"]
-        facts.append(("sampling error", f"{share(sampling['error'])} (oversampling {coarse} vs {fine})"))
+        facts.append(("sampling error", f"{share(sampling['error'])} (on a crop, s = {coarse} vs {fine})"))
     if provenance.get("kind") == "measured":
         files = sorted({image["file"] for image in provenance["images"]})
         facts.append(("measured", files[0] if len(files) == 1 else f"{len(files)} images"))

@@ -38,6 +38,7 @@ def test_gaussian_noise_by_standard_deviation_is_neither_clipped_nor_quantised_u
     assert noisy.std() == pytest.approx(0.1, rel=5e-3)
     assert noisy.min() < -0.3
     asked = _sensor(noise=GaussianNoise(std=0.1, clip=True, quantise=True))
+    assert asked.expose(np.ones((3, *SHAPE), np.float32), np.random.default_rng(0)).max() == np.float32(4095 / 4096)
     clipped = asked.expose(np.zeros((3, *SHAPE), np.float32), np.random.default_rng(0))
     assert clipped.min() == 0
     np.testing.assert_array_equal(clipped * 4096, np.round(clipped * 4096))
@@ -59,8 +60,9 @@ def test_physical_noise_has_the_photon_transfer_curve(binning):
         electrons = level * sensor.full_well_e + 40.0
         mean = sensor.black_level_dn + gain * electrons
         each = (electrons + sensor.read_noise_e**2) * gain**2 + 1 / 12
-        row = (sensor.row_noise_e * gain) ** 2 / binning
         for channel in range(3):
+            # Red and blue pixels lie on every other row of a Bayer bin, green ones on all of them.
+            row = (sensor.row_noise_e * gain) ** 2 / (binning / 2 if binning > 1 and channel != 1 else binning)
             values = numbers[channel]
             variance = each / pixels[channel] + row
             # The row error does not average over columns: 600 rows decide how well the mean is known.
@@ -70,7 +72,7 @@ def test_physical_noise_has_the_photon_transfer_curve(binning):
 
 
 def test_physical_noiseless_is_the_mean_of_the_noisy_ones():
-    sensor = _sensor(noise=PhysicalNoise(), prnu=0.0, dark_current_e_per_s=0.0, row_noise_e=0.0)
+    sensor = _sensor(noise=PhysicalNoise(), prnu=0.0, dark_current_e_per_s=20.0, exposure_s=2.0, row_noise_e=0.0)
     signal = _ramp()
     difference = sensor.expose(signal, np.random.default_rng(2)).astype(np.float64) - sensor.noiseless(signal)
     assert abs(difference.mean()) < 4 * difference.std() / np.sqrt(difference.size)
@@ -98,6 +100,15 @@ def test_row_noise_is_common_to_a_row():
     numbers = sensor.expose(np.full((3, *SHAPE), 0.3, np.float32), np.random.default_rng(0))
     assert numbers.mean(2).std(axis=1) == pytest.approx(50 * sensor.dn_per_electron / 4096, rel=0.1)
     assert numbers.mean(1).std() < 0.1 * numbers.mean(2).std()
+
+
+def test_row_noise_of_red_and_blue_bins_is_independent_and_green_sees_both():
+    sensor = _sensor(noise=PhysicalNoise(), prnu=0.0, row_noise_e=50.0, binning=2)
+    rows = sensor.expose(np.full((3, *SHAPE), 0.3, np.float32), np.random.default_rng(0)).mean(2)
+    red, green, blue = rows - rows.mean(1, keepdims=True)
+    # 600 rows: correlations are known to 1 / sqrt(600) = 0.04.
+    assert abs(np.corrcoef(red, blue)[0, 1]) < 0.15
+    assert np.corrcoef(green, (red + blue) / 2)[0, 1] > 0.99
 
 
 @pytest.mark.parametrize("noise", [GaussianNoise(psnr_db=40), PhysicalNoise()])

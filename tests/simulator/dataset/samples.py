@@ -6,7 +6,9 @@ import numpy as np
 
 from simulator.dataset.dataset_info import DatasetInfo, write_info
 from simulator.dataset.manifest import ManifestWriter
+from simulator.dataset.psf_files import write_psf_stack
 from simulator.dataset.sample import Sample, write_sample
+from simulator.optics.psf_stack import PsfStack
 
 SENSOR, SCENE = (24, 36), (10, 12)
 
@@ -23,7 +25,7 @@ def make_sample(index: int = 0, sensor: tuple[int, int] = SENSOR, scene: tuple[i
         "valid": rng.random((1, *scene)) > 0.2,
         "seed": 7,
         "label": f"class {index % 3}",
-        "metadata": {"source": {"depths_m": [0.036, 0.2]}, "clipped": 0.001},
+        "metadata": {"source": {"depths_m": [0.036, 0.2]}, "clipped": 0.001, "psf": "a" * 64, "full_scale": 0.5},
     }
     return Sample(**(values | changes))
 
@@ -50,6 +52,8 @@ def make_dataset(root: Path, **changes) -> Path:
     info = make_info(**changes)
     root.mkdir()
     write_info(root, info)
+    values = np.random.default_rng(0).random((2, 3, 5, 5), dtype=np.float32)
+    write_psf_stack(root / "psf", PsfStack(values, np.array([0.036, 0.2]), 2e-5, ("R", "G", "B"), "a" * 64))
     with ManifestWriter(root) as manifest:
         for split, index in (("train", 2), ("train", 0), ("validation", 0), ("train", 1)):
             manifest.append(write_sample(root, split, index, make_sample(index)), seconds=0.1)

@@ -72,6 +72,13 @@ def _truncate(folder: Path) -> None:
     (folder / "depth_0001.exr").write_bytes(data[: len(data) // 2])
 
 
+def _mix_up(folder: Path) -> None:
+    """Two sound files change places; only the hashes can tell."""
+    (folder / "depth_0000.exr").rename(folder / "other")
+    (folder / "depth_0001.exr").rename(folder / "depth_0000.exr")
+    (folder / "other").rename(folder / "depth_0001.exr")
+
+
 def _edit(**changes: object) -> Callable[[Path], None]:
     def edit(folder: Path) -> None:
         content = json.loads((folder / "psf.json").read_text()) | changes
@@ -86,6 +93,7 @@ def _edit(**changes: object) -> Callable[[Path], None]:
     [
         (_flip, "depth_0001.exr"),
         (_truncate, "depth_0001.exr"),
+        (_mix_up, "depth_0000.exr is damaged"),
         (lambda folder: (folder / "depth_0002.exr").unlink(), "depth_0002.exr"),
         (lambda folder: (folder / "psf.json").write_text("{"), "psf.json"),
         (lambda folder: (folder / "psf.json").write_text("[]"), "psf.json"),

@@ -7,21 +7,17 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
 import pytest
 
 from simulator.dataset.manifest import ManifestWriter
 from simulator.dataset.sample import write_sample
 from simulator.dataset.verify import verify
 from simulator.errors import InputError
-from simulator.exr import write_exr
 
 FIRST = Path("train/0000/s00000000")
 
 
 def test_a_whole_data_set(dataset: Path) -> None:
-    (dataset / "psf").mkdir()
-    write_exr(dataset / "psf" / "000.exr", {"R": np.ones((3, 3), np.float32)}, {})
     steps: list[tuple[int, int]] = []
     for workers in (1, 2):
         report = verify(dataset, workers=workers, progress=lambda done, total: steps.append((done, total)))
@@ -88,10 +84,15 @@ FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "other size": (lambda root: edit(root / "dataset.json", sensor_shape=[24, 35]), r"measurement is \(24, 36\)"),
     "other scene size": (lambda root: edit(root / "dataset.json", scene_shape=[9, 9]), r"ground truth is \(10, 12\)"),
     "other channels": (lambda root: edit(root / "dataset.json", channels=["G"]), "channels is"),
-    "damaged PSF": (
-        lambda root: ((root / "psf").mkdir(), (root / "psf/000.exr").write_bytes(b"\x76\x2f\x31\x01")),
-        "psf/000.exr",
+    "damaged PSF": (lambda root: flip(root / "psf/depth_0000.exr"), "depth_0000.exr is damaged"),
+    "swapped PSFs": (
+        lambda root: shutil.copy(root / "psf/depth_0001.exr", root / "psf/depth_0000.exr"),
+        "depth_0000.exr is damaged",
     ),
+    "no PSF": (lambda root: shutil.rmtree(root / "psf"), "no PSF stack"),
+    "missing depth": (lambda root: (root / "psf/depth_0001.exr").unlink(), "cannot read .*depth_0001.exr"),
+    "another PSF": (lambda root: edit(root / "psf/psf.json", fingerprint="b" * 64), "made with psf = aaa"),
+    "another exposure": (lambda root: edit(root / "dataset.json", exposure={"full_scale": 1.0}), "full_scale = 0.5"),
 }
 
 

@@ -158,7 +158,7 @@ def test_facts_of_a_computed_stack():
         "nm"
     ]
     assert "nominal" in facts["response"]
-    assert facts["sampling error"] == f"{share(stack.provenance['sampling']['error'])} (oversampling 1 vs 2)"
+    assert facts["sampling error"] == f"{share(stack.provenance['sampling']['error'])} (on a crop, s = 1 vs 2)"
     shares = stack.energy_m2() / mask.transmitted_area_m2
     assert facts["light on PSF grid"].startswith(share(shares.min()))
     assert facts["light off sensor"] != "0 %"
