@@ -92,8 +92,19 @@ def _fft_module(array: Array) -> Any:
     return scipy.fft
 
 
-def fft(array: Array, length: int, axis: int) -> Array:
-    """Complex FFT along one axis, zero padded at the end to ``length``."""
+def fft_threads() -> int:
+    """Return how many threads NumPy's FFTs use here, as ``scipy.fft.set_workers`` says: one, unless it was asked for more."""
+    import scipy.fft
+
+    return scipy.fft.get_workers()
+
+
+def fft(array: Array, length: int, axis: int, *, overwrite: bool = False) -> Array:
+    """Complex FFT along one axis, zero padded to ``length``; ``overwrite`` lets NumPy reuse the input's memory."""
+    if overwrite and not is_torch(array):
+        import scipy.fft
+
+        return scipy.fft.fft(array, length, axis, overwrite_x=True)
     return _fft_module(array).fft(array, length, axis)
 
 

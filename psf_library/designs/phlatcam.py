@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated
 
 import numpy as np
@@ -41,7 +42,9 @@ def phlatcam(
     """
     samples = round(width_mm * 1e3 / pixel_um)
     target = contours(samples, cell_um / pixel_um, line_um / pixel_um, seed)
-    phase = retrieve_phase(target, pixel_um * 1e-6, WAVELENGTH_M, distance_um * 1e-6, iterations)
+    phase = retrieve_phase(
+        target, pixel_um * 1e-6, WAVELENGTH_M, distance_um * 1e-6, iterations, threads=os.cpu_count() or 1
+    )
     turns = np.mod(phase / (2 * np.pi), 1).astype(np.float32)
     height_m = turns * np.float32(WAVELENGTH_M / (PHLATCAM_RESIST.index(WAVELENGTH_M) - 1))
     if step_um:

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-from simulator.arrays import Array, fft, ifft, is_torch, namespace
+from simulator.arrays import Array, fft, fft_threads, ifft, is_torch, namespace
 
 Quadrant = Callable[[slice], Array]  # rows of a transfer function from zero to Nyquist: (rows, W // 2 + 1)
 _BLOCK = 2**17  # samples: about a megabyte of complex64
 
 
-def even_filter(field: Array, shape: tuple[int, ...], quadrant: Quadrant, *, threads: int = 1) -> Array:
+def even_filter(field: Array, shape: tuple[int, ...], quadrant: Quadrant, *, overwrite: bool = False) -> Array:
     """Zero-pad a field, multiply its spectrum by an even function and return the field's own window.
 
     Rows of zeros on the way in and rows that the window does not keep on the way out are left out of the transforms.
@@ -23,17 +23,17 @@ def even_filter(field: Array, shape: tuple[int, ...], quadrant: Quadrant, *, thr
         field: complex ``(..., h, w)``.
         shape: H, W of the padded grid.
         quadrant: gives rows of the function, out of 0..H // 2, with columns 0..W // 2.
-        threads: NumPy only.
+        overwrite: lets NumPy reuse the field's memory, which it can where h = H.
     """
     height, width = field.shape[-2:]
-    columns = fft(field, shape[0], -2)
+    columns = fft(field, shape[0], -2, overwrite=overwrite)
 
     def filter_rows(rows: slice, weights: Array) -> None:
         spectrum = fft(columns[..., rows, :], shape[1], -1)
         spectrum *= weights
         columns[..., rows, :] = ifft(spectrum, -1, overwrite=True)[..., :width]
 
-    each_rows(field, shape, quadrant, filter_rows, threads=threads)
+    each_rows(field, shape, quadrant, filter_rows)
     return ifft(columns, -2, overwrite=True)[..., :height, :]
 
 
@@ -53,9 +53,7 @@ def multiply_even(spectrum: Array, quadrant: Array) -> Array:
     return product
 
 
-def each_rows(
-    like: Array, shape: tuple[int, ...], quadrant: Quadrant, work: Callable[[slice, Array], None], *, threads: int = 1
-) -> None:
+def each_rows(like: Array, shape: tuple[int, ...], quadrant: Quadrant, work: Callable[[slice, Array], None]) -> None:
     """Call ``work(rows, weights)`` once for every block of rows of a spectrum, with an even function's weights there.
 
     Args:
@@ -63,7 +61,6 @@ def each_rows(
         shape: H, W of the spectrum.
         quadrant: as in ``even_filter``.
         work: its weights are ``(rows, W)``.
-        threads: NumPy only.
     """
     height, width = shape
     xp = namespace(like)
@@ -78,16 +75,21 @@ def each_rows(
             mirrored = xp.flip(weights[first - rows.start : stop - rows.start], axis=0)
             work(slice(height - stop + 1, height - first + 1), mirrored)
 
-    parts = blocks(like, height // 2 + 1, width)
-    if threads == 1 or is_torch(like):
-        for part in parts:
-            both_signs(part)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(both_signs, parts))
+    in_threads(both_signs, blocks(like, height // 2 + 1, width))
 
 
 def blocks(like: Array, length: int, width: int) -> list[slice]:
     """Cut a length into slices of which each, ``width`` samples wide, stays in the cache; torch gets one slice."""
     step = length if is_torch(like) else max(8, _BLOCK // width // 8 * 8)  # whole cache lines
     return [slice(start, min(start + step, length)) for start in range(0, length, step)]
+
+
+def in_threads(work: Callable[[slice], None], parts: list[slice]) -> None:
+    """Call ``work`` for every part, on as many threads as the FFTs may use; the parts do not depend on that number."""
+    threads = min(fft_threads(), len(parts))
+    if threads == 1:
+        for part in parts:
+            work(part)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(work, parts))
