@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenImageIO
 import pytest
 from numpy.typing import NDArray
 
@@ -64,9 +65,8 @@ def run_python(code: str, *arguments: object, **options: Any) -> None:
 
 def read_with_openimageio(path: Path) -> dict[str, NDArray[np.float32]]:
     """Channels of a file as OpenImageIO reads them."""
-    oiio = pytest.importorskip("OpenImageIO")
-    source = oiio.ImageInput.open(str(path))
-    assert source, oiio.geterror()
+    source = OpenImageIO.ImageInput.open(str(path))
+    assert source, OpenImageIO.geterror()
     pixels = source.read_image("float")
     names = source.spec().channelnames
     source.close()

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 import yaml
@@ -145,7 +146,6 @@ class TestInit:
 
 class TestLists:
     def test_schema_describes_the_shipped_configuration(self, flatlight) -> None:
-        jsonschema = pytest.importorskip("jsonschema")
         schema = json.loads(flatlight("schema")[1])
         validator = jsonschema.validators.validator_for(schema)
         validator.check_schema(schema)
