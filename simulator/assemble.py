@@ -6,6 +6,7 @@ import hashlib
 import inspect
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,8 +24,8 @@ from simulator.config.psf import ComputedPsf, MeasuredPsf
 from simulator.errors import InputError
 from simulator.files import StorageError
 from simulator.optics.cache import Entry, cached
-from simulator.optics.mask import Mask
-from simulator.optics.materials import load_material
+from simulator.optics.mask import UNNAMED, Mask
+from simulator.optics.materials import Material
 from simulator.optics.psf import Progress, PsfConfig, compute_psf_stack, psf_fingerprint
 from simulator.optics.psf_stack import PsfStack, depth_planes
 from simulator.optics.spectrum import NOMINAL_CAMERA, spectral_response
@@ -71,18 +72,19 @@ def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
             raise InputError(msg)
         described = {
             "pitch_m": mask.pitch_m,
-            "material": mask.material.name,
+            "material": asdict(mask.material),
             "profile": mask.profile,
-            "name": mask.name,
+            "name": plugin.function.__name__ if mask.name == UNNAMED else mask.name,
         }
         return {"height_m": mask.height_m, "amplitude": mask.amplitude}, described
 
     arrays, described = cached("masks", key.hexdigest(), compute)
+    material = described["material"] | {key: tuple(described["material"][key]) for key in ("coefficients", "range_m")}
     return Mask(
         arrays["height_m"],
         arrays["amplitude"],
         described["pitch_m"],
-        load_material(described["material"]),
+        Material(**material),
         described["profile"],
         described["name"],
     )
@@ -155,18 +157,19 @@ def build_psf_stack(config: Config, *, threads: int = 1, progress: Progress | No
 
 
 def build_view(config: Config) -> View:
-    """Return the pinhole view that scenes are drawn for."""
+    """Return the pinhole view that scenes are drawn for; its depths are the stack's unless the scene has its own."""
     chosen = config.psf
     if isinstance(chosen, ComputedPsf):
         depths = build_psf_config(config).depths_m
     else:
         depths = tuple(depth * 1e-2 for depth in chosen.depths_cm)
+    near_cm, far_cm = config.scene.near_cm, config.scene.far_cm
     return View(
         config.scene.size,
         build_sensor(config).binned_pitch_m,
         _distance_m(config),
-        depths[0],
-        depths[-1],
+        depths[0] if near_cm is None else near_cm * 1e-2,
+        depths[-1] if far_cm is None else far_cm * 1e-2,
     )
 
 
@@ -279,15 +282,25 @@ def input_files(config: Config, source: SceneSource) -> list[Path]:
 def _measured_stack(config: Config, chosen: MeasuredPsf) -> PsfStack:
     from simulator.optics.measured import load_measured_psf
 
-    return load_measured_psf(
+    sensor = build_sensor(config)
+    stack = load_measured_psf(
         [config.resolve_path(name) for name in chosen.measured],
         [depth * 1e-2 for depth in chosen.depths_cm],
-        build_sensor(config).binned_pitch_m,
+        sensor.binned_pitch_m,
         frame=chosen.frame,
         binning=chosen.binning,
         background=_background(config, chosen),
         throughput_m2=chosen.throughput_mm2 * 1e-6,
     )
+    for axis, have, physical in zip(("rows", "columns"), stack.values.shape[-2:], sensor.physical_shape, strict=True):
+        if have * sensor.binning > physical:
+            msg = (
+                f"psf.binning: {chosen.binning} leaves pictures of {have} {axis}, but sensor {sensor.name!r} has only "
+                f"{physical // sensor.binning} binned ones of {sensor.binned_pitch_m * 1e6:g} um; the PSF's pixels must "
+                "become the sensor's binned pixels: raise psf.binning"
+            )
+            raise InputError(msg)
+    return stack
 
 
 def _background(config: Config, chosen: MeasuredPsf) -> Any:

@@ -27,7 +27,8 @@ _GROUPS = {"mask": "flatlight.masks", "scene": "flatlight.scenes", "source": "fl
 _BUILT_IN = {"mask": (), "scene": (), "source": ("simulator.importers",)}
 
 # Keys of the section beside the plugin's parameters, which a parameter therefore cannot be called.
-SECTION_KEYS = {"mask": ("design",), "scene": ("family", "source", "size"), "source": ("family", "source", "size")}
+_SCENE_KEYS = ("family", "source", "size", "near_cm", "far_cm")
+SECTION_KEYS = {"mask": ("design",), "scene": _SCENE_KEYS, "source": _SCENE_KEYS}
 _INJECTED = "backend"
 
 

@@ -39,6 +39,19 @@ class SceneConfig(PluginSection):
         default=None, description="an imported source's name, ./file.py:name or package.module:name"
     )
     size: Shape = Field(description="rows and columns of the scene, in binned sensor pixels")
+    near_cm: Annotated[float, Range(0.01, 1e7, "cm")] | None = Field(
+        default=None, description="nearest depth of the scenes, centimetres; the PSF's nearest plane when left out"
+    )
+    far_cm: Annotated[float, Range(0.01, 1e7, "cm", infinite=True)] | None = Field(
+        default=None, description="farthest depth of the scenes, centimetres; the PSF's farthest plane when left out"
+    )
+
+    @model_validator(mode="after")
+    def _near_before_far(self) -> Self:
+        if self.near_cm is not None and self.far_cm is not None and self.near_cm >= self.far_cm:
+            text = f"got {self.near_cm:g}, which is not nearer than far_cm = {self.far_cm:g}; swap them?"
+            raise refusal(text, "near_cm")
+        return self
 
     @model_validator(mode="after")
     def _one_origin(self) -> Self:

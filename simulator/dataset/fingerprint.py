@@ -18,6 +18,8 @@ PACKAGES = ("flatlight", "numpy", "scipy", "mitsuba", "drjit", "OpenEXR", "colou
 """Packages whose version may change a sample's bytes."""
 _FREE_IN_DATASET = ("output", "workers", "engine", "train", "validation", "test")  # where, how fast, how many: not what
 
+_LISTED_INPUTS = 100  # more input files than this count as one: dataset.json stays readable
+
 
 def package_versions() -> dict[str, str]:
     """Return the installed version of every package in ``PACKAGES``, ``absent`` where there is none."""
@@ -59,6 +61,8 @@ def build_fingerprint(
             copies += 1
             name = f"{path.name}#{copies}"
         inputs[name] = sha256_file(path)
+    if len(inputs) > _LISTED_INPUTS:
+        inputs = {f"{len(inputs)} files": hashlib.sha256(canonical_json(inputs)).hexdigest()}
     parts = plain(
         {"backend": backend, "config": kept, "inputs": inputs, "versions": package_versions()}, "configuration"
     )

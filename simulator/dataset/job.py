@@ -210,6 +210,8 @@ class _Job:
                 threads=available_cpus(),
                 progress=lambda done, total: self.progress("PSFs", done, total),
             )
+            lost = light_off_sensor(stack, self.config.camera.sensor.shape, self.config.scene.size)
+            stack = replace(stack, provenance=stack.provenance | {"light_off_sensor": float(lost.max())})
             write_psf_stack(folder, stack)
         return stack
 
@@ -270,7 +272,7 @@ class _Job:
         sampling = stack.provenance.get("sampling")
         if sampling:
             self.say(f"sampling error of the PSFs on the sensor's pixels: {sampling['error']:.1%} (recorded)")
-        lost = light_off_sensor(stack, self.config.camera.sensor.shape, self.config.scene.size).max()
+        lost = stack.provenance.get("light_off_sensor", 0.0)
         if lost > OFF_SENSOR_WARNING and self.config.forward.boundary == "linear":
             self.say(
                 f"note: up to {lost:.1%} of the scene's light falls off the sensor (mean over the field), as in a "

@@ -13,6 +13,8 @@ from simulator.errors import InputError
 from simulator.optics.materials import FUSED_SILICA, Material
 from simulator.optics.resample import cubic_interpolation
 
+UNNAMED = "custom"
+
 
 @dataclass(frozen=True)
 class Mask:
@@ -37,7 +39,7 @@ class Mask:
     pitch_m: float
     material: Material = FUSED_SILICA
     profile: Literal["staircase", "smooth"] = "staircase"
-    name: str = "custom"
+    name: str = UNNAMED
 
     def __post_init__(self) -> None:
         if self.height_m.ndim != 2 or tuple(self.height_m.shape) != tuple(self.amplitude.shape):

@@ -245,3 +245,47 @@ def _frames(folder: Path) -> Path:
     data = np.arange(1, 65, dtype="<f4").tobytes()
     (folder / "frames/disparity/left/f.pfm").write_bytes(b"Pf\n8 8\n-1.0\n" + data)
     return folder / "frames"
+
+
+def test_a_material_of_the_users_own_survives_the_cache(trial) -> None:
+    """Only its name would not do: another material of a known name would come back as the known one."""
+    glass = 'Material("fused-silica", "cauchy", (1.9,), (3e-7, 9e-7), "mine")'
+    trial.plugins.write_text(
+        "import numpy as np\nfrom simulator.optics.mask import Mask\nfrom simulator.optics.materials import Material\n"
+        f"def slab() -> Mask:\n    return Mask(np.zeros((9, 9)), np.ones((9, 9)), 2e-6, {glass})\n"
+    )
+    for _ in range(2):  # designed, then from the cache
+        mask = assemble.load_mask("./plugins.py:slab", trial.folder)
+        assert mask.material.index(532e-9) == 1.9
+        assert mask.name == "slab"
+
+
+def test_a_scene_may_have_depths_of_its_own(trial) -> None:
+    """A flat PSF (one plane) says nothing of the depths that scenes fill."""
+    scene = {"family": "flying_things", "size": [16, 20], "near_cm": 5, "far_cm": 30, "samples_per_pixel": 1}
+    config = load_config(trial.write(psf={"depths_cm": [float("inf")]}, scene=scene))
+    clip = assemble.build_source(config, "scalar_rgb").clip(0, np.random.default_rng(0))
+    assert 0.05 < clip.depth_m.min() < clip.depth_m.max() <= 0.3
+    for nowhere in ({"near_cm": None, "far_cm": None}, {"near_cm": 5, "far_cm": 5.1}):
+        config = load_config(trial.write(psf={"depths_cm": [float("inf")]}, scene=_without_none(scene | nowhere)))
+        with pytest.raises(InputError, match=r"set scene\.near_cm and scene\.far_cm"):
+            assemble.build_source(config, "scalar_rgb").clip(0, np.random.default_rng(0))
+    with pytest.raises(InputError, match=r"scene\.near_cm: .* not nearer than far_cm"):
+        load_config(trial.write(scene=scene | {"near_cm": 40}))
+
+
+def test_a_measurement_that_was_not_binned_is_refused(trial) -> None:
+    """A full picture of the sensor taken for a binned one would be a PSF eight times too wide."""
+    picture = np.zeros((1, 900, 700), np.uint16)
+    picture[0, 450, 350] = 1000
+    np.save(trial.folder / "psf.npy", picture)
+    psf = {"measured": ["psf.npy"], "depths_cm": [10], "frame": "physical", "throughput_mm2": 1.0}
+    camera = {"mask": None, "sensor": {"binning": 8, "shape": [48, 60]}}
+    with pytest.raises(InputError, match=r"psf\.binning: 1 leaves pictures of 899 rows.* only 456"):
+        assemble.build_psf_stack(load_config(trial.write(psf=psf, camera=camera)))
+    fine = load_config(trial.write(psf=psf | {"binning": 2}, camera=camera))
+    assert assemble.build_psf_stack(fine).values.shape[-2:] == (449, 349)
+
+
+def _without_none(section: dict) -> dict:
+    return {key: value for key, value in section.items() if value is not None}
