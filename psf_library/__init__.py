@@ -1,10 +1,4 @@
-"""Mask designs and PSF stacks.
-
-Example:
-    >>> mask = load_mask("pinhole", diameter_um=40)
-    >>> mask.name
-    'pinhole'
-"""
+"""Mask designs and PSF stacks."""
 
 from pathlib import Path
 

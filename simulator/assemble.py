@@ -76,7 +76,8 @@ def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
             "profile": mask.profile,
             "name": plugin.function.__name__ if mask.name == UNNAMED else mask.name,
         }
-        return {"height_m": mask.height_m, "amplitude": mask.amplitude}, described
+        arrays = {"height_m": mask.height_m, "amplitude": mask.amplitude}
+        return {name: np.asarray(array, np.float32) for name, array in arrays.items()}, described
 
     arrays, described = cached("masks", key.hexdigest(), compute)
     material = described["material"] | {key: tuple(described["material"][key]) for key in ("coefficients", "range_m")}

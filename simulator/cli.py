@@ -77,6 +77,9 @@ def psf(
     from simulator.dataset.engines import available_cpus
     from simulator.dataset.psf_files import check_replaceable, write_psf_stack
 
+    if plot and not plot.absolute().parent.is_dir():
+        msg = f"--plot: the folder {plot.parent} does not exist; make it first, or choose another"
+        raise InputError(msg)
     loaded = load_config(config, set_ or [])
     if output:
         check_replaceable(output)

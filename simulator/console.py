@@ -89,7 +89,9 @@ def describe_plugins(kind: str, key: str) -> str:
     lines = [f"{key}:"]
     for name in available(kind):
         plugin = resolve(kind, name)
-        summary = (plugin.function.__doc__ or "").strip().split("\n")[0]
+        # A design's module says what it is and where it was published; its function says what it returns.
+        described = sys.modules[plugin.function.__module__].__doc__ or plugin.function.__doc__ or ""
+        summary = described.strip().split("\n")[0]
         lines.append(f"  {name}: {summary}")
         for parameter, info in plugin.parameters.model_fields.items():
             default = "required" if info.is_required() else info.default

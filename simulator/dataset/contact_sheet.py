@@ -15,6 +15,7 @@ from simulator.dataset.reader import Dataset, open_dataset
 from simulator.dataset.sample import Sample
 from simulator.errors import InputError
 from simulator.files import write_atomic
+from simulator.types import FARTHEST_M
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -85,7 +86,7 @@ def contact_sheet(dataset_path: Path | str, out_png: Path | str, count: int = 8,
     heads = [
         ("measurement", "sRGB, white = full scale"),
         ("scene radiance", f"sRGB, white = {white:.3g}"),
-        ("depth from the mask", f"{near_m * 100:.3g} to {far_m * 100:.3g} cm"),
+        ("depth from the mask", f"{_centimetres(near_m)} to {_centimetres(far_m)}"),
     ]
     for left, (head, scale) in zip(lefts, heads, strict=False):
         draw.text((left, 10), head, fill=_INK, font=_font(15))
@@ -171,10 +172,14 @@ def _draw_legend(draw: Any, left: int, near_m: float, far_m: float) -> None:
         draw.line([(left, top + row), (left + width, top + row)], fill=tuple(colour.tolist()))
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         height_here = top + share * (height - 1)
-        depth_cm = 100 / ((1 - share) / near_m + share / far_m)
-        draw.text((left + width + 6, height_here), f"{depth_cm:.3g} cm", fill=_INK, font=_font(12), anchor="lm")
+        depth_m = 1 / ((1 - share) / near_m + share / far_m)
+        draw.text((left + width + 6, height_here), _centimetres(depth_m), fill=_INK, font=_font(12), anchor="lm")
     draw.rectangle([(left, top + height + 8), (left + width, top + height + 24)], fill=_UNSEEN)
     draw.text((left + width + 6, top + height + 16), "no surface", fill=_INK, font=_font(12), anchor="lm")
+
+
+def _centimetres(depth_m: float) -> str:
+    return "infinity" if depth_m >= FARTHEST_M * (1 - 1e-6) else f"{depth_m * 100:.3g} cm"
 
 
 def _font(size: int) -> Any:

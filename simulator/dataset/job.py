@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 import time
+import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -31,6 +32,7 @@ from simulator.errors import InputError
 from simulator.files import TEMPORARY_PREFIX, StorageError, remove_leftovers, storage_errors
 from simulator.optics.metrics import light_off_sensor
 from simulator.optics.psf_stack import PsfStack
+from simulator.optics.sampling import SamplingWarning
 from simulator.render.backend import choose_backend
 
 SHEET = "contact_sheet.png"
@@ -205,11 +207,13 @@ class _Job:
             self.say(
                 "designing the mask and computing its PSFs" if self.config.camera.mask else "reading the measured PSF"
             )
-            stack = build_psf_stack(
-                self.config,
-                threads=available_cpus(),
-                progress=lambda done, total: self.progress("PSFs", done, total),
-            )
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", SamplingWarning)  # told by _warn, on every run
+                stack = build_psf_stack(
+                    self.config,
+                    threads=available_cpus(),
+                    progress=lambda done, total: self.progress("PSFs", done, total),
+                )
             lost = light_off_sensor(stack, self.config.camera.sensor.shape, self.config.scene.size)
             stack = replace(stack, provenance=stack.provenance | {"light_off_sensor": float(lost.max())})
             write_psf_stack(folder, stack)

@@ -21,6 +21,11 @@ from simulator.types import CameraGeometry
 if TYPE_CHECKING:
     from simulator.optics.psf import PsfConfig
 
+
+class SamplingWarning(UserWarning):
+    """A PSF's measured sampling error is above 1 %."""
+
+
 CROP_M = 1.5e-3  # enough mask for its statistics, little enough to cost under a second
 WARN, REFUSE = 0.01, 0.05
 
@@ -84,6 +89,7 @@ def prove_sampling(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
         warnings.warn(
             f"the PSF's sampling error is {report['error']:.3f} (oversampling {psf_config.oversampling} against "
             f"{report['oversampling'][1]}); it is recorded with the stack",
+            SamplingWarning,
             stacklevel=3,
         )
     return report
