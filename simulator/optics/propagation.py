@@ -50,12 +50,15 @@ def angular_spectrum(field: Array, pitch_m: float, wavelength_m: float, distance
     _check_lengths(pitch_m, wavelength_m, distance_m)
     window = (field.shape[-2], field.shape[-1])
     spread = spread_samples(pitch_m, wavelength_m, distance_m)
-    # Only displacements up to the window's own size lead from the window into the window; the band limit's soft edge
-    # comes on top of it.
+    # Only displacements up to the window's own size lead from the window into the window. Where waves travel farther, the
+    # band is limited, and the limit's soft edge comes on top.
     edge = math.ceil(band_edge_m(wavelength_m, distance_m) / pitch_m)
-    padded = tuple(next_fast_len(n + min(spread, n + edge)) for n in window)
-    limited = spread > min(window) + edge
-    reach = tuple((p - n) * pitch_m for p, n in zip(padded, window, strict=True)) if limited else None
+    limited = [spread > n or holds_steep_waves(pitch_m, wavelength_m) for n in window]
+    padded = tuple(
+        next_fast_len(n + (min(spread, n) + edge if limit else spread))
+        for n, limit in zip(window, limited, strict=True)
+    )
+    reach = tuple((p - n) * pitch_m if limit else math.inf for p, n, limit in zip(padded, window, limited, strict=True))
     transfer = Transfer(padded, pitch_m, wavelength_m, like=field)
     return even_filter(field, padded, lambda rows: transfer.quadrant(distance_m, reach, rows))
 
@@ -64,11 +67,16 @@ def spread_samples(pitch_m: float, wavelength_m: float, distance_m: float) -> in
     """Return how many samples the steepest plane wave on the grid travels sideways over a distance.
 
     The steepest wave sits in the corner of the band, at f = sqrt(2) / (2 pitch). Waves steeper than asin(MAX_SINE) are
-    left out: callers that rely on the number pass it to ``Transfer`` as the reach.
+    not counted: where the grid ``holds_steep_waves``, the band must be limited.
     """
     sine_axis = wavelength_m / (2 * pitch_m)
     cosine = math.sqrt(max(1 - 2 * sine_axis**2, 1 - MAX_SINE**2))
     return math.ceil(distance_m * min(sine_axis, MAX_SINE) / cosine / pitch_m)
+
+
+def holds_steep_waves(pitch_m: float, wavelength_m: float) -> bool:
+    """Whether the grid's band holds waves steeper than asin(MAX_SINE)."""
+    return 2 * (wavelength_m / (2 * pitch_m)) ** 2 > MAX_SINE**2
 
 
 class Transfer:
@@ -98,8 +106,8 @@ class Transfer:
 
         Args:
             distance_m: distance, metres.
-            reach_m: drop plane waves that travel farther sideways than this (rows, columns; metres): the band limit.
-                Its edge is soft, over ``band_edge_m`` inwards: a sharp one rings by 1-5 % (Matsushima's does).
+            reach_m: drop plane waves that travel farther sideways than this (rows, columns; metres; ``inf`` keeps all):
+                the band limit. Its edge is soft, over ``band_edge_m`` inwards: a sharp one (Matsushima's) rings by 1-5 %.
             rows: which of the quadrant's rows.
         """
         sine_y, sine_x = self._sine_y[rows, None], self._sine_x[None, :]
@@ -116,6 +124,8 @@ class Transfer:
         if reach_m is not None:
             edge_m = max(band_edge_m(self._wavelength_m, distance_m), 1e-12)
             for sine, reach in zip((sine_y, sine_x), reach_m, strict=True):
+                if math.isinf(reach):
+                    continue
                 travelled = sine * distance_m / xp.clip(cosine, 1e-6, None)
                 beyond = xp.clip((travelled - reach) / edge_m + 1, 0, 1)
                 transfer *= xp.astype(xp.cos(np.pi / 2 * beyond) ** 2, self._real)

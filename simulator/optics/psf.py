@@ -22,7 +22,7 @@ from simulator.errors import InputError
 from simulator.optics.even_filter import Quadrant, blocks, each_rows
 from simulator.optics.kernel import PixelKernel, kernel_reach_m
 from simulator.optics.mask import Mask
-from simulator.optics.propagation import Transfer, spread_samples
+from simulator.optics.propagation import Transfer, band_edge_m, holds_steep_waves, spread_samples
 from simulator.optics.psf_stack import PsfStack, check_depths
 from simulator.optics.resample import Band, box_integral
 from simulator.optics.spectrum import quantile_lines
@@ -79,8 +79,10 @@ def compute_psf_stack(
         progress: called with (done, total) after every PSF.
 
     Returns:
-        The stack, ``values`` ``(K, C, N, N)`` with N odd and wide enough for all the light: the sum of each PSF times the
-        pixel area equals the mask's transmitted area. ``provenance["sampling"]`` holds the measured sampling error.
+        The stack, ``values`` ``(K, C, N, N)`` with N odd and wide enough for all the light that is followed: the sum of each
+        PSF times the pixel area equals the mask's transmitted area for a smooth mask, and falls short of it by the
+        diffraction orders beyond ``kernel.ORDERS`` (4-5 % for a PhlatCam) for a staircase. ``provenance["sampling"]`` holds
+        the measured sampling error, which does not see those orders.
 
     Raises:
         InputError: when the sampling error is above 5 % (or ``accept_error``), or the mask and camera do not fit.
@@ -135,8 +137,9 @@ def depth_images(
     """Yield the PSF ``(size, size)`` of one wavelength for each depth, in the stored frame (turned by 180 degrees)."""
     pitch_m, d = float(mask.pitch_m / psf_config.oversampling), float(camera.mask_to_sensor_m)
     window = [n * psf_config.oversampling for n in mask.shape]
-    reach_m = _reach_m(mask, camera, psf_config, wavelength_m)
+    reach_m, limited = _reach(mask, camera, psf_config, wavelength_m)
     margin = math.ceil(reach_m / pitch_m)
+    band = (margin * pitch_m, margin * pitch_m) if limited else None
     padded = tuple(2 * next_fast_len(n // 2 + margin + 1) for n in window)
     if max(padded) > MAX_GRID:
         msg = (
@@ -156,10 +159,8 @@ def depth_images(
     def image(depth_m: float) -> Array:
         magnification = 1 + d / float(depth_m)  # a NumPy scalar would turn float32 arrays into float64
         distance = d / magnification if psf_config.model == "scaled_distance" else d
-        if mask.profile == "staircase":
-            quadrant = kernel.quadrant(distance)
-        else:
-            quadrant = partial(transfer.quadrant, distance, (margin * pitch_m, margin * pitch_m))
+        smooth = partial(transfer.quadrant, distance, band)
+        quadrant = kernel.quadrant(distance) if mask.profile == "staircase" else smooth
         rows, columns = (
             box_integral(at, pitch_m, centres / magnification, camera.pixel_pitch_m / magnification) for at in origin
         )
@@ -195,18 +196,24 @@ def _on_pixels(spectrum: Array, quadrant: Quadrant, rows: Band, columns: Band, w
     return xp.concat([bin_columns(tall[part], -1) for part in blocks(spectrum, len(rows.first), width)], axis=0)
 
 
-def _reach_m(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float) -> float:
-    """Return how far sideways the mask's light is followed on its way to the sensor, metres."""
+def _reach(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float) -> tuple[float, bool]:
+    """Return how far sideways (metres) the mask's light is followed to the sensor, and whether steeper light must be cut.
+
+    A smooth mask's light lies in the band of its own samples. A finer grid holds steeper waves too, which only the
+    aperture's hard edge feeds: they are cut softly, or every doubling of the oversampling would widen the grid.
+    """
+    d = camera.mask_to_sensor_m
     if mask.profile == "staircase":
-        return kernel_reach_m(mask.pitch_m, wavelength_m, camera.mask_to_sensor_m)
-    pitch_m = mask.pitch_m / psf_config.oversampling
-    return spread_samples(pitch_m, wavelength_m, camera.mask_to_sensor_m) * pitch_m
+        return kernel_reach_m(mask.pitch_m, wavelength_m, d), False
+    spread_m = spread_samples(mask.pitch_m, wavelength_m, d) * mask.pitch_m
+    limited = psf_config.oversampling > 1 or holds_steep_waves(mask.pitch_m, wavelength_m)
+    return spread_m + (band_edge_m(wavelength_m, d) if limited else 0), limited
 
 
 def stack_size(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -> int:
     """Return the odd width in sensor pixels that holds all the light that is followed, at the nearest depth."""
     lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel)
-    reach_m = max(_reach_m(mask, camera, psf_config, line.wavelength_m) for line in lines)
+    reach_m = max(_reach(mask, camera, psf_config, line.wavelength_m)[0] for line in lines)
     half = (max(mask.shape) * mask.pitch_m / 2 + reach_m) * (1 + camera.mask_to_sensor_m / psf_config.depths_m[0])
     return 2 * math.ceil(half / camera.pixel_pitch_m) + 1
 
