@@ -114,7 +114,7 @@ def test_a_steep_or_near_smooth_mask_keeps_its_light(distance_m, turns):
     mask = replace(soft, height_m=np.broadcast_to(np.arange(200) * slope, (200, 200)).copy())
     for oversampling in (1, 2):
         config = PsfConfig((np.inf,), wavelengths_per_channel=1, oversampling=oversampling)
-        stack = _compute(mask, CameraGeometry(distance_m, 19.2e-6, GREEN), config)
+        stack = compute_psf_stack(mask, CameraGeometry(distance_m, 19.2e-6, GREEN), config)
         np.testing.assert_allclose(stack.energy_m2(), mask.transmitted_area_m2, rtol=3e-6)
         assert stack.provenance["sampling"]["error"] < 2e-3
 
