@@ -21,12 +21,15 @@ from simulator.optics.even_filter import Quadrant
 from simulator.optics.propagation import MAX_SINE
 
 ORDERS = 1.5  # light up to this multiple of lambda / pixel is followed: the zeroth and first orders, whole
+# Angle and place go together only many Fresnel lengths sqrt(lambda d) away: behind pixels of 30 um at 0.5 mm (FlatCam) a
+# wave cut at its first orders, half a Fresnel length out, would bring twice the light that was sent.
+FRESNEL_LENGTHS = 16
 
 
 def kernel_reach_m(pixel_m: float, wavelength_m: float, distance_m: float) -> float:
     """Return how far sideways (metres) light of the diffraction orders that are followed travels."""
     sine = min(ORDERS * wavelength_m / pixel_m, MAX_SINE)
-    return distance_m * sine / math.sqrt(1 - sine**2)
+    return max(distance_m * sine / math.sqrt(1 - sine**2), FRESNEL_LENGTHS * math.sqrt(wavelength_m * distance_m))
 
 
 class PixelKernel:
