@@ -86,4 +86,4 @@ def versions(*names: str) -> str:
             found.append(f"{name} {metadata.version(name)}")
         except metadata.PackageNotFoundError:
             found.append(f"{name} missing")
-    return f"Python {platform.python_version()}, " + ", ".join(found) + ", one thread"
+    return f"Python {platform.python_version()}, " + ", ".join(found)

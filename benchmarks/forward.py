@@ -97,7 +97,7 @@ def main() -> int:
     args = parser.parse_args()
     planes, rounds = (5, 2) if args.quick else (25, args.rounds)
     single_threaded()
-    print(versions("numpy", "scipy", "torch"))
+    print(versions("numpy", "scipy", "torch") + ", one thread")
     rng = np.random.default_rng(1)
     stack = psf_stack(planes, rng)
     model = ForwardModel(stack, SENSOR, SCENE)

@@ -116,7 +116,7 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=5, help="counted rounds per table")
     args = parser.parse_args()
     single_threaded()
-    print(versions("numpy", "scipy", "torch", "torchoptics", "waveprop", "prysm"))
+    print(versions("numpy", "scipy", "torch", "torchoptics", "waveprop", "prysm") + ", one thread")
     modes, row, column, intensity = truth(args)
     print(f"truth: Rayleigh-Sommerfeld at {len(intensity)} points, {'the oracle' if args.oracle else 'our direct sum'}")
     for samples, pitch_m in (COARSE,) if args.quick else (COARSE, FINE):
