@@ -1,4 +1,4 @@
-"""The one shim that lets the same physics run on NumPy and torch: namespaces, FFT, pad, crop, random numbers; no more.
+"""The one shim that lets the same physics run on NumPy and torch: namespaces, FFT, pad, random numbers; no more.
 
 Elementwise work goes through array-api-compat. FFTs go to scipy.fft on NumPy (it keeps float32 and is the fastest
 there; its threads follow ``scipy.fft.set_workers``) and to torch.fft where gradients or CUDA are wanted.
@@ -136,11 +136,6 @@ def fft2(array: Array, *, overwrite: bool = False) -> Array:
     return _fft_module(array).fft2(array)
 
 
-def ifft2(array: Array) -> Array:
-    """Inverse complex FFT of the last two axes."""
-    return _fft_module(array).ifft2(array)
-
-
 def next_fast_len(length: int) -> int:
     """Return the next FFT length that is fast for real and complex transforms; a prime would cost three times."""
     import scipy.fft
@@ -158,11 +153,6 @@ def pad2d(array: Array, shape: tuple[int, ...], offset: tuple[int, ...] = (0, 0)
 
         return torch.nn.functional.pad(array, (left, right, top, bottom))
     return np.pad(array, [(0, 0)] * (array.ndim - 2) + [(top, bottom), (left, right)])
-
-
-def crop2d(array: Array, shape: tuple[int, ...], offset: tuple[int, ...] = (0, 0)) -> Array:
-    """Cut ``shape`` out of the last two axes, beginning at ``offset``."""
-    return array[..., offset[0] : offset[0] + shape[0], offset[1] : offset[1] + shape[1]]
 
 
 def normal(rng: Any, reference: Array) -> Array:

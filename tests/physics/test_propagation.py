@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.fft import fft2, ifft2
 
-from simulator.arrays import fft2, ifft2
 from simulator.errors import InputError
 from simulator.optics.even_filter import multiply_even
 from simulator.optics.kernel import PixelKernel, kernel_reach_m

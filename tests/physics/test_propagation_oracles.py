@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from numpy.fft import fft2, ifft2
 
-from simulator.arrays import fft2, ifft2
 from simulator.optics.even_filter import multiply_even
 from simulator.optics.propagation import Transfer, angular_spectrum
 
