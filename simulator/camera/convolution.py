@@ -53,7 +53,7 @@ class StackConvolution:
         kernel = values
         for axis, (length, target, source) in zip((-2, -1), axes, strict=True):
             kernel = _place(kernel, length, target, source, axis)
-        self._spectrum = fft(rfft(kernel, self._lengths[1], -1), self._lengths[0], -2)
+        self._spectrum = self._transform(kernel)
 
     def forward(self, planes: Array) -> Array:
         """Return the sensor image ``(C, H, W)`` of planes ``(K, C, h, w)``."""
@@ -68,22 +68,24 @@ class StackConvolution:
                 total = total + self._transform(plane) * spectrum
             elif plane.any():
                 total += self._transform(plane) * spectrum
-        rows = ifft(total, -2)[:, : self.sensor_shape[0]]
-        return irfft(rows, self._lengths[1], -1)[..., : self.sensor_shape[1]]
+        return self._inverse(total, self.sensor_shape)
 
     def adjoint(self, image: Array) -> Array:
         """Return the planes ``(K, C, h, w)`` of a sensor image ``(C, H, W)``: the transpose of ``forward``."""
         xp = namespace(image)
         transformed = self._transform(image)
-        height, width = self.scene_shape
-        planes = []
-        for spectrum in self._spectrum:
-            rows = ifft(transformed * xp.conj(spectrum), -2)[:, :height]
-            planes.append(irfft(rows, self._lengths[1], -1)[..., :width])
+        planes = [self._inverse(transformed * xp.conj(spectrum), self.scene_shape) for spectrum in self._spectrum]
         return xp.stack(planes)
 
     def _transform(self, image: Array) -> Array:
-        return fft(rfft(image, self._lengths[1], -1), self._lengths[0], -2)
+        """Return the spectrum ``(..., columns, rows)``: transposed, so that each pass runs along contiguous memory."""
+        columns = namespace(image).moveaxis(rfft(image, self._lengths[1], -1), -1, -2)
+        return fft(columns, self._lengths[0], -1)
+
+    def _inverse(self, spectrum: Array, shape: tuple[int, int]) -> Array:
+        """Return the first ``shape`` rows and columns of a spectrum's image."""
+        rows = namespace(spectrum).moveaxis(ifft(spectrum, -1)[..., : shape[0]], -1, -2)
+        return irfft(rows, self._lengths[1], -1)[..., : shape[1]]
 
 
 def _axis_plan(size: int, sensor: int, scene: int, circular: bool) -> tuple[int, np.ndarray, np.ndarray]:

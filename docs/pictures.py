@@ -1,0 +1,80 @@
+"""Makes the pictures of the README from a data set: ``uv run python docs/pictures.py out/flying_things``.
+
+``capture.png``: scene, depth, PSF and measurement of one sample. ``refocus.png``: the same measurement, Wiener-filtered with
+the PSFs of four depths: each brings other objects into focus, so one capture holds a 3D scene.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from psf_library import load_psf_stack
+from simulator.colour import linear_to_srgb
+from simulator.dataset import open_dataset
+from simulator.dataset.contact_sheet import depth_colours
+
+INDEX, PLANES, NOISE_TO_SIGNAL = 20, (1, 7, 13, 20), 3e-4
+HEIGHT, GAP = 256, 8
+OUT = Path(__file__).parent / "images"
+
+
+def wiener(measurement: np.ndarray, psf: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return the picture ``(h, w)`` that a Wiener filter finds in one channel of a measurement.
+
+    Half the sensor's size is added on every side, fading to black: no light wraps around, no border rings.
+    """
+    border = tuple(size // 2 for size in measurement.shape)
+    image = np.pad(measurement, [(size, size) for size in border], mode="linear_ramp")
+    kernel = np.zeros(image.shape)
+    kernel[: psf.shape[0], : psf.shape[1]] = psf
+    kernel = np.fft.rfft2(np.roll(kernel, (-(psf.shape[0] // 2), -(psf.shape[1] // 2)), (0, 1)))
+    power = np.abs(kernel) ** 2
+    filtered = np.fft.rfft2(image) * kernel.conj() / (power + NOISE_TO_SIGNAL * power.max())
+    found = np.fft.irfft2(filtered, image.shape)
+    top, left = ((have - want) // 2 for have, want in zip(found.shape, shape, strict=True))
+    return found[top : top + shape[0], left : left + shape[1]]
+
+
+def encode(linear: np.ndarray) -> np.ndarray:
+    """Return linear light, its 99th percentile as white, as 8-bit sRGB."""
+    scaled = np.clip(linear / np.percentile(linear, 99), 0, 1).astype(np.float32)
+    return (linear_to_srgb(scaled) * 255).round().astype(np.uint8)
+
+
+def save(pictures: list[np.ndarray], name: str) -> None:
+    """Save pictures side by side."""
+    tiles = [
+        Image.fromarray(p).resize((round(p.shape[1] * HEIGHT / p.shape[0]), HEIGHT), Image.Resampling.LANCZOS)
+        for p in pictures
+    ]
+    sheet = Image.new("RGB", (sum(t.width + GAP for t in tiles) - GAP, HEIGHT), "white")
+    left = 0
+    for tile in tiles:
+        sheet.paste(tile, (left, 0))
+        left += tile.width + GAP
+    OUT.mkdir(exist_ok=True)
+    sheet.save(OUT / name, optimize=True)
+    print(OUT / name)
+
+
+def main(path: str) -> None:
+    """Draw both pictures of one sample."""
+    stack, sample = load_psf_stack(path), open_dataset(path)[INDEX]
+    scene, depth_m, valid = sample.rgb[0], sample.depth_m[0], sample.valid[0]
+    depth = depth_colours(depth_m, valid, float(depth_m.min()), float(depth_m.max()))
+    psf = np.sqrt(np.moveaxis(stack.values[PLANES[1]], 0, -1))
+    save([encode(scene), depth, encode(psf**2), encode(np.moveaxis(sample.measurement, 0, -1))], "capture.png")
+    focused = [
+        np.stack([wiener(m, h, depth_m.shape) for m, h in zip(sample.measurement, stack.values[k], strict=True)], -1)
+        for k in PLANES
+    ]
+    save([encode(np.clip(picture, 0, None)) for picture in focused], "refocus.png")
+    print("depths in cm:", [round(float(stack.depths_m[k]) * 100, 1) for k in PLANES])
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
