@@ -382,21 +382,33 @@ class TestBadInput:
 
 
 class TestFullDisk:
-    @pytest.mark.parametrize(("kilobytes", "finished"), [(20, False), (65, True)])
-    def test_the_disk_is_full(self, trial, kilobytes: int, finished: bool) -> None:
-        """At 20 kB the PSF stack cannot be written; at 65 kB the stack can, the first sample cannot."""
+    def test_before_the_first_sample(self, trial) -> None:
+        """Not even the PSF stack can be written: nothing stays behind, and the same command works once there is room."""
         path = trial.write()
-        done = command("generate", path, preexec_fn=lambda: _limit_files(kilobytes * 1024))
+        done = command("generate", path, preexec_fn=lambda: _limit_files(2048))
         one_error((done.returncode, done.stdout, done.stderr), "cannot write", "bigger than allowed")
-        root = trial.folder / "out"
-        assert root.exists() == finished
-        left = [file.name for file in root.rglob("*") if file.name.startswith(".tmp-")]
-        assert left == []
-        if finished:
-            assert (root / "manifest.jsonl").read_bytes() == b""
-            assert not list(root.rglob("s0*"))
-        assert trial.generate() == root
+        assert not (trial.folder / "out").exists()
+        assert verify(trial.generate()).ok
+
+    def test_between_two_samples(self, trial) -> None:
+        """A data set that grows until the disk is full keeps what it has, and grows on once there is room."""
+        root = trial.generate()
+        before = _contents(root)
+        size = (root / "train/0000/s00000000/measurement.exr").stat().st_size
+        path = trial.write(dataset={"train": 5})
+        done = command("generate", path, preexec_fn=lambda: _limit_files(size // 2))
+        one_error((done.returncode, done.stdout, done.stderr), "cannot write", "bigger than allowed")
+        after = _contents(root)
+        assert [name for name in after if ".tmp-" in name] == []
+        assert {name: data for name, data in after.items() if name != "dataset.json"} == {
+            name: data for name, data in before.items() if name != "dataset.json"
+        }
+        assert trial.generate(dataset={"train": 5}) == root
         assert verify(root).ok
+
+
+def _contents(root: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
 def _limit_files(size: int) -> None:
