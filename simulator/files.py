@@ -31,7 +31,6 @@ _DENIED = {
     errno.ENOTDIR: "a part of the path is a file, not a folder",
     errno.EEXIST: "a part of the path is a file, not a folder",
     errno.EISDIR: "a folder has that name",
-    errno.ENOENT: "the folder does not exist",
     errno.ENAMETOOLONG: "the name is too long",
 }
 
@@ -56,6 +55,8 @@ def storage_errors(path: Path) -> Iterator[None]:
         if error.errno in _FULL:
             cure = f"Free space (or choose another dataset.output). {kept}."
             msg = f"cannot write {path}: {_FULL[error.errno]}. {cure}"
+        elif error.errno == errno.ENOENT:
+            msg = f"cannot write {path}: its folder does not exist. Make it first, or choose another place."
         elif error.errno in _DENIED:
             cure = f"Give write permission or choose another output folder. {kept}."
             msg = f"cannot write {path}: {_DENIED[error.errno]}. {cure}"

@@ -68,6 +68,7 @@ class SampleMaker:
             "split": split,
             "index": index,
             "scene": clip.source,
+            "scene_to_camera": "identity",  # linear sRGB goes into the camera's channels as it is
             "psf": self._stack.fingerprint,
             "full_scale": self._sensor.full_scale,
             "saturated_share": float(np.mean(exposure >= self._sensor.full_scale)),

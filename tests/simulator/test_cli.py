@@ -140,7 +140,7 @@ class TestInit:
         assert path.read_text() == default_config_text()
 
     def test_where_there_is_no_folder(self, flatlight, tmp_path: Path) -> None:
-        one_error(flatlight("init", tmp_path / "a" / "b.yaml"), "the folder does not exist")
+        one_error(flatlight("init", tmp_path / "a" / "b.yaml"), "its folder does not exist")
         assert list(tmp_path.iterdir()) == []
 
 
