@@ -98,7 +98,8 @@ class Clip:
 class SceneSource(Protocol):
     """Anything that yields clips: a rendered family, an imported data set, the user's own class.
 
-    The same index and a generator in the same state give the same clip, in any process and order.
+    The same index and a generator in the same state give the same clip, in any process and order. A source of finitely
+    many clips also has ``len(source)``, so that a job can say when its splits must share them.
     """
 
     @property
@@ -107,7 +108,7 @@ class SceneSource(Protocol):
         ...
 
     def clip(self, index: int, rng: np.random.Generator) -> Clip:
-        """Return the clip of this sample index."""
+        """Return the clip of this sample index; it may be negative, counting from the end."""
         ...
 
 

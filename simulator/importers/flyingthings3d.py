@@ -112,6 +112,10 @@ class FlyingThings3D:
     crop: Literal["random", "centre"]
     downscale: int | Literal["auto"]
 
+    def __len__(self) -> int:
+        """Return how many different frames there are."""
+        return len(self.frames)
+
     @property
     def inputs(self) -> list[Path]:
         """All pictures and disparity maps: which of them a data set uses depends on its size only."""
