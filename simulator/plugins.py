@@ -9,7 +9,8 @@ from __future__ import annotations
 import importlib
 import inspect
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -18,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, PydanticUserError, ValidationError, 
 
 from simulator.entry_points import entry_points
 from simulator.errors import InputError
+from simulator.files import StorageError
 from simulator.plugin_files import describe_failure, import_file, modules_defining
 from simulator.validation import Problem, find_problems, nearest, validate
 
@@ -134,6 +136,26 @@ def available(kind: str) -> list[str]:
         kind: ``mask``, ``scene`` or ``source``.
     """
     return sorted({name for package in _packages(kind) for name in modules_defining(package, kind)})
+
+
+@contextmanager
+def plugin_errors(plugin: Plugin) -> Iterator[None]:
+    """Name the user's own code, and its line, where it fails; the failures of built-in plugins stay ours.
+
+    Raises:
+        InputError: for anything that a ``./file.py:name`` or ``package.module:name`` raises.
+    """
+    try:
+        yield
+    except Exception as error:
+        if ":" not in plugin.name or isinstance(error, StorageError):
+            raise
+        label = f"{plugin.kind} {plugin.name!r}"
+        if isinstance(error, InputError):
+            msg = f"{label}: {error}"
+        else:
+            msg = describe_failure(error, label, plugin.path.resolve() if plugin.path else None)
+        raise InputError(msg) from error
 
 
 def _packages(kind: str) -> list[str]:

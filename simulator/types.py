@@ -129,16 +129,48 @@ class SpectralResponse:
     label: str
 
 
+class Refractive(Protocol):
+    """Anything with a refractive index, such as ``simulator.optics.materials.Material``."""
+
+    @property
+    def name(self) -> str:
+        """What it is, for provenance."""
+        ...
+
+    def index(self, wavelength_m: float) -> float:
+        """Return the refractive index at a vacuum wavelength in metres."""
+        ...
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A plane-parallel layer that light crosses, such as a sensor's cover glass or the air above it.
+
+    Attributes:
+        thickness_m: metres.
+        material: what it is made of.
+    """
+
+    thickness_m: float
+    material: Refractive
+
+
 @dataclass(frozen=True)
 class CameraGeometry:
     """What the optics need to know of a camera.
 
     Attributes:
-        mask_to_sensor_m: distance from the mask's modulating surface to the sensor, metres.
+        mask_to_sensor_m: distance from the mask's modulating surface to the sensor, metres; with a layered gap the distance
+            in air at which paraxial rays would arrive at the same place, sum of d / n.
         pixel_pitch_m: binned pixel pitch, metres.
         response: relative photon weights per channel.
+        gap: the layers from the mask's modulating surface to the sensor, in that order; empty for air alone.
+        window: the layers in front of the mask, such as its substrate when the modulating surface faces the sensor, in the
+            order in which light crosses them; source depths are measured from the modulating surface and include them.
     """
 
     mask_to_sensor_m: float
     pixel_pitch_m: float
     response: SpectralResponse
+    gap: tuple[Layer, ...] = ()
+    window: tuple[Layer, ...] = ()

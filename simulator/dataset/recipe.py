@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.assemble import build_forward_model, build_sensor, build_source, plugin_errors, scene_plugin
+from simulator.assemble import build_forward_model, build_sensor, build_source, scene_plugin
 from simulator.camera.noise import GaussianNoise
 from simulator.camera.planes import clamped_share
 from simulator.config import Config
 from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.sample import Sample, SampleRecord, write_sample
+from simulator.plugins import plugin_errors
 from simulator.seeds import SPLITS, generator
 from simulator.types import FARTHEST_M, Clip, SceneSource
 

@@ -1,0 +1,53 @@
+"""The sensor of a configuration: the model's numbers, with those that the configuration replaces."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from simulator.camera.noise import GaussianNoise, Noise, NoNoise, PhysicalNoise
+from simulator.camera.sensor import MODELS, Sensor
+from simulator.config import camera as camera_config
+from simulator.errors import InputError
+
+if TYPE_CHECKING:
+    from simulator.config import Config
+
+
+def build_sensor(config: Config, full_scale: float = 1.0) -> Sensor:
+    """Return the sensor: the model's numbers, with those that the configuration replaces.
+
+    Raises:
+        InputError: for an unknown model, or a picture larger than the sensor.
+    """
+    chosen, camera = config.camera.sensor, config.camera
+    if chosen.model not in MODELS:
+        msg = f"camera.sensor.model: got {chosen.model!r}, expected one of {', '.join(MODELS)}"
+        raise InputError(msg)
+    numbers = dict(MODELS[chosen.model])
+    for name in ("full_well_e", "read_noise_e", "dark_current_e_per_s", "black_level_dn", "bit_depth"):
+        if getattr(chosen, name) is not None:
+            numbers[name] = getattr(chosen, name)
+    if chosen.pixel_pitch_um is not None:
+        numbers["pixel_pitch_m"] = chosen.pixel_pitch_um * 1e-6
+    if chosen.prnu_percent is not None:
+        numbers["prnu"] = chosen.prnu_percent * 1e-2
+    return Sensor(
+        name=chosen.model,
+        binning=chosen.binning,
+        shape=chosen.shape,
+        exposure_s=camera.shutter.exposure_ms * 1e-3,
+        full_scale=full_scale,
+        noise=_noise(camera.noise),
+        **numbers,
+    )
+
+
+def distance_m(config: Config) -> float:
+    """Return the distance from mask to sensor, metres."""
+    return config.camera.mask_to_sensor_mm * 1e-3
+
+
+def _noise(chosen: Any) -> Noise:
+    if isinstance(chosen, camera_config.GaussianNoise):
+        return GaussianNoise(chosen.std, chosen.psnr_db, chosen.peak, chosen.clip, chosen.quantise)
+    return PhysicalNoise() if isinstance(chosen, camera_config.PhysicalNoise) else NoNoise()

@@ -1,0 +1,28 @@
+"""The forward model of a configuration."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from simulator.assemble.scenes import build_view
+from simulator.camera.forward import DepthRule, ForwardModel
+from simulator.camera.planes import mask_irradiance
+from simulator.camera.shutter import GlobalShutter
+from simulator.optics.psf_stack import PsfStack
+
+if TYPE_CHECKING:
+    from simulator.config import Config
+
+
+def build_forward_model(config: Config, stack: PsfStack) -> ForwardModel:
+    """Return the forward model of a configuration and its PSF stack."""
+    chosen = config.forward
+    return ForwardModel(
+        stack,
+        config.camera.sensor.shape,
+        config.scene.size,
+        GlobalShutter(config.camera.shutter.exposure_ms * 1e-3),
+        chosen.boundary,
+        irradiance=mask_irradiance(build_view(config), chosen.vignetting),
+        depth_rule=DepthRule(chosen.depth_assignment, chosen.max_clamped),
+    )

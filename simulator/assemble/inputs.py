@@ -1,0 +1,43 @@
+"""The files whose contents decide a data set, for its fingerprint."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from simulator.assemble.psfs import background_file
+from simulator.assemble.scenes import scene_plugin
+from simulator.config.psf import MeasuredPsf
+from simulator.plugins import Plugin, resolve
+from simulator.types import SceneSource
+
+if TYPE_CHECKING:
+    from simulator.config import Config
+
+_OWN_PACKAGES = ("simulator", "scenes", "psf_library")
+
+
+def input_files(config: Config, source: SceneSource) -> list[Path]:
+    """Return all files whose contents decide the samples: plugins' own code, measured PSFs, imported frames."""
+    files = _own_code(scene_plugin(config))
+    if config.camera.mask is not None:
+        plugin = resolve("mask", config.camera.mask.design, config.base_dir)
+        files += [
+            *_own_code(plugin),
+            *(v for v in plugin.bind(config.camera.mask.params).values() if isinstance(v, Path)),
+        ]
+    if isinstance(config.psf, MeasuredPsf):
+        files += [config.resolve_path(name) for name in config.psf.measured]
+        background = background_file(config, config.psf)
+        files += [background] if isinstance(background, Path) else []
+    return [*files, *source.inputs]
+
+
+def _own_code(plugin: Plugin) -> list[Path]:
+    """Return the file of a plugin's code unless it came with flatlight, whose version stands for it."""
+    module = inspect.getmodule(plugin.function)
+    if plugin.path is None and module is not None and module.__name__.partition(".")[0] in _OWN_PACKAGES:
+        return []
+    path = plugin.path or inspect.getsourcefile(plugin.function)
+    return [Path(path)] if path else []

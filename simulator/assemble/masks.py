@@ -1,0 +1,90 @@
+"""The mask of a configuration, designed once and then cached."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from dataclasses import asdict
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import simulator.optics
+from simulator import __version__
+from simulator.errors import InputError
+from simulator.optics.cache import Entry, cached
+from simulator.optics.mask import UNNAMED, Mask
+from simulator.optics.materials import Material
+from simulator.plugins import Plugin, plugin_errors, resolve
+
+if TYPE_CHECKING:
+    from simulator.config import Config
+
+
+def build_mask(config: Config) -> Mask | None:
+    """Return the mask of a configuration, designed once and then cached; None when the PSF was measured."""
+    chosen = config.camera.mask
+    return None if chosen is None else load_mask(chosen.design, config.base_dir, **chosen.params)
+
+
+def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
+    """Design a mask, or take it from the cache when the same design was made before.
+
+    Args:
+        design: a design's name, ``./file.py:name`` or ``package.module:name``.
+        base_dir: folder from which relative paths are taken; None is the current one.
+        params: the design's parameters; see ``flatlight masks``.
+
+    Raises:
+        InputError: for an unknown design or wrong parameters.
+    """
+    plugin = resolve("mask", design, base_dir)
+    arguments = plugin.bind(params)
+    key = hashlib.sha256(repr((design, sorted(arguments.items()), _code(plugin))).encode())
+    for value in arguments.values():
+        if isinstance(value, Path) and value.is_file():
+            key.update(value.read_bytes())
+
+    def compute() -> Entry:
+        with plugin_errors(plugin):
+            mask = plugin.function(**arguments)
+        if not isinstance(mask, Mask):
+            msg = f"mask design {design!r} returned {type(mask).__name__}, expected a simulator.optics.mask.Mask"
+            raise InputError(msg)
+        described = {
+            "pitch_m": mask.pitch_m,
+            "material": asdict(mask.material),
+            "profile": mask.profile,
+            "name": plugin.function.__name__ if mask.name == UNNAMED else mask.name,
+        }
+        arrays = {"height_m": mask.height_m, "amplitude": mask.amplitude}
+        return {name: np.asarray(array, np.float32) for name, array in arrays.items()}, described
+
+    arrays, described = cached("masks", key.hexdigest(), compute)
+    material = described["material"] | {key: tuple(described["material"][key]) for key in ("coefficients", "range_m")}
+    return Mask(
+        arrays["height_m"],
+        arrays["amplitude"],
+        described["pitch_m"],
+        Material(**material),
+        described["profile"],
+        described["name"],
+    )
+
+
+def _code(plugin: Plugin) -> str:
+    """Return a hash of a design's code: its own module and everything in the optics room."""
+    source = Path(inspect.getsourcefile(plugin.function) or "")
+    return hashlib.sha256((source.read_bytes() if source.is_file() else b"") + optics_code().encode()).hexdigest()
+
+
+@cache
+def optics_code() -> str:
+    """Return a hash of all code in the optics room: a cached result must not outlive a change there."""
+    folder = Path(simulator.optics.__file__).parent
+    sha = hashlib.sha256(f"{__version__} {np.__version__}".encode())
+    for path in sorted(folder.glob("*.py")):
+        sha.update(path.read_bytes())
+    return sha.hexdigest()

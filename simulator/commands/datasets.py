@@ -1,0 +1,60 @@
+"""``init``, ``generate``, ``verify``: data sets from a configuration."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from simulator.commands.options import ConfigPath, Overrides
+from simulator.errors import InputError
+
+
+def init(
+    path: Annotated[Path, typer.Argument(help="file to write")] = Path("sim_config.yaml"),
+    force: Annotated[bool, typer.Option("--force", help="overwrite an existing file")] = False,
+) -> None:
+    """Write a commented sim_config.yaml that runs as it is."""
+    from simulator.config import default_config_text
+    from simulator.files import write_atomic
+
+    if path.exists() and not force:
+        msg = f"{path} exists already; choose another name, or --force to overwrite it"
+        raise InputError(msg)
+    write_atomic(path, default_config_text().encode())
+    print(f"wrote {path}; make its data set with: flatlight generate {path}")
+
+
+def generate(config: ConfigPath, set_: Overrides = None) -> None:
+    """Make a data set, or finish one that was begun."""
+    from simulator.console import Bar
+    from simulator.dataset.job import generate as run
+
+    with Bar() as bar:
+        result = run(config, set_ or [], progress=bar.update, say=bar.say)
+    kept = f", {result.kept} were there before" if result.kept else ""
+    print(f"{result.made} samples made in {result.seconds:.0f} s{kept}: {result.path}")
+    if result.contact_sheet:
+        print(f"look at {result.contact_sheet}")
+    for line in result.failed:
+        print(f"failed: {line}", file=sys.stderr)
+    if result.failed:
+        print(f"{len(result.failed)} samples failed; run the same command again to retry them", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+def verify(
+    path: Annotated[Path, typer.Argument(help="folder of the data set")],
+    workers: Annotated[int, typer.Option(min=1, help="processes that check samples")] = 1,
+) -> None:
+    """Re-hash and re-read every file of a data set; runs none of its code."""
+    from simulator.console import Bar
+    from simulator.dataset.verify import verify as run
+
+    with Bar() as bar:
+        report = run(path, workers=workers, progress=lambda done, total: bar.update("samples checked", done, total))
+    print(report)
+    if not report.ok:
+        raise typer.Exit(2)

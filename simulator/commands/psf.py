@@ -1,0 +1,51 @@
+"""``psf``: the PSF stack of a configuration and how good it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from simulator.commands.options import ConfigPath, Overrides
+from simulator.errors import InputError
+
+
+def psf(
+    config: ConfigPath,
+    set_: Overrides = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="draw mask, PSFs, cross-sections, MTF to this PNG")
+    ] = None,
+    output: Annotated[Path | None, typer.Option("--output", help="write the stack to this folder (EXR)")] = None,
+) -> None:
+    """Compute the PSF stack of a configuration and say how good it is."""
+    from simulator.assemble import build_mask, build_psf_stack
+    from simulator.config import load_config
+    from simulator.console import Bar, describe_stack
+    from simulator.dataset.engines import available_cpus
+    from simulator.dataset.psf_files import check_replaceable, write_psf_stack
+
+    if plot and not plot.absolute().parent.is_dir():
+        msg = f"--plot: the folder {plot.parent} does not exist; make it first, or choose another"
+        raise InputError(msg)
+    loaded = load_config(config, set_ or [])
+    if output:
+        check_replaceable(output)
+    with Bar() as bar:
+        stack = build_psf_stack(loaded, threads=available_cpus(), progress=lambda a, b: bar.update("PSFs", a, b))
+    print(describe_stack(stack, loaded.camera.sensor.shape, loaded.scene.size))
+    if output:
+        write_psf_stack(output, stack)
+        print(f"wrote {output}")
+    if plot:
+        from simulator.optics.plot import plot_psf_stack
+
+        plot_psf_stack(
+            stack,
+            build_mask(loaded),
+            plot,
+            scene_shape=loaded.scene.size,
+            sensor_shape=loaded.camera.sensor.shape,
+        )
+        print(f"look at {plot}")
