@@ -1,0 +1,151 @@
+"""``init``, ``generate`` and ``verify`` as users meet them: what they print, make and end with."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from simulator.config import default_config_text
+from simulator.dataset import verify
+
+pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+
+MAIN = "from simulator.cli import main; main()"
+BOXES = {"family": "./plugins.py:boxes", "size": [16, 20]}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable) -> Path:
+    """A finished data set; not to be changed."""
+    return make_trial(tmp_path_factory.mktemp("finished")).generate()
+
+
+@pytest.fixture
+def copy(finished: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(finished, tmp_path / "copy")
+
+
+class TestInit:
+    def test_writes_the_shipped_configuration(self, flatlight, tmp_path: Path) -> None:
+        code, out, _ = flatlight("init", tmp_path / "mine.yaml")
+        assert code == 0
+        assert f"flatlight generate {tmp_path / 'mine.yaml'}" in out
+        assert (tmp_path / "mine.yaml").read_text() == default_config_text()
+
+    def test_by_default_into_the_current_folder(
+        self, flatlight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        assert flatlight("init")[0] == 0
+        assert (tmp_path / "sim_config.yaml").read_text() == default_config_text()
+
+    def test_does_not_overwrite(self, one_error, flatlight, tmp_path: Path) -> None:
+        path = tmp_path / "mine.yaml"
+        path.write_text("years: of work")
+        one_error(flatlight("init", path), "mine.yaml exists already", "--force")
+        assert path.read_text() == "years: of work"
+        assert flatlight("init", path, "--force")[0] == 0
+        assert path.read_text() == default_config_text()
+
+    def test_where_there_is_no_folder(self, one_error, flatlight, tmp_path: Path) -> None:
+        one_error(flatlight("init", tmp_path / "a" / "b.yaml"), "its folder does not exist")
+        assert list(tmp_path.iterdir()) == []
+
+
+class TestVerify:
+    def test_a_sound_data_set(self, flatlight, finished: Path) -> None:
+        code, out, _ = flatlight("verify", finished)
+        assert code == 0
+        assert "train: 3 of 3 intact" in out
+        assert "all is well" in out
+
+    def test_no_data_set(self, one_error, flatlight, tmp_path: Path) -> None:
+        one_error(flatlight("verify", tmp_path / "nowhere"), "no such folder")
+        code, out, _ = flatlight("verify", tmp_path)
+        assert code == 2
+        assert "dataset.json" in out
+
+    def test_a_truncated_exr(self, flatlight, copy: Path) -> None:
+        from simulator.dataset import open_dataset
+        from simulator.errors import InputError
+
+        file = copy / "train/0000/s00000001/measurement.exr"
+        file.write_bytes(file.read_bytes()[:30_000])
+        code, out, err = flatlight("verify", copy)
+        assert code == 2
+        assert "train/s00000001: measurement.exr has other content" in out
+        assert "train: 2 of 3 intact" in out
+        assert "Traceback" not in out + err
+        with pytest.raises(InputError, match=r"s00000001/measurement\.exr is truncated or corrupt"):
+            open_dataset(copy)[1]
+        open_dataset(copy)[0]
+
+
+class TestGenerate:
+    def test_says_what_it_did_and_where_to_look(self, flatlight, trial) -> None:
+        path = trial.write()
+        code, out, err = flatlight("generate", path, "--set", "dataset.train=2")
+        assert code == 0, err
+        assert "4 samples made in " in out
+        assert f": {trial.folder / 'out'}" in out
+        assert f"look at {trial.folder / 'out' / 'contact_sheet.png'}" in out
+        assert "samples: 4 of 4" in err  # plain lines, since this is no terminal
+        assert "sampling error" in err
+        code, out, _ = flatlight("generate", path)
+        assert code == 0
+        assert "1 samples made in " in out
+        assert "4 were there before" in out
+
+    def test_failed_samples_end_with_1(self, flatlight, trial) -> None:
+        path = trial.write(scene=BOXES | {"fail_at": 1, "marker": "mended"})
+        code, out, err = flatlight("generate", path)
+        assert code == 1
+        assert "4 samples made" in out
+        assert "failed: train/s00000001: " in err
+        assert "plugins.py:" in err
+        assert "no clip 1 today" in err
+        assert "1 samples failed; run the same command again" in err
+        (trial.folder / "mended").touch()
+        assert flatlight("generate", path)[0] == 0
+        assert verify(trial.folder / "out").ok
+
+    def test_the_swap_of_the_mask_by_one_line(self, one_error, flatlight, trial) -> None:
+        path = trial.write(camera={"mask": {"design": "phlatcam", "width_mm": 0.6, "iterations": 2}})
+        swap = ("--set", "camera.mask={design: pinhole, pixel_um: 4}")
+        assert flatlight("generate", path)[0] == 0
+        one_error(
+            flatlight("generate", path, *swap), "camera.mask.design: phlatcam -> pinhole", "choose another folder"
+        )
+        output = ("--set", f"dataset.output={trial.folder / 'pinhole'}")
+        code, _, err = flatlight("generate", path, *swap, *output)
+        assert code == 0, err
+        described = json.loads((trial.folder / "pinhole/psf/psf.json").read_text())
+        assert described["provenance"]["mask"]["name"] == "pinhole"
+        # The old design's parameters are not the new one's: the message names them, with the place of each.
+        result = flatlight("generate", path, "--set", "camera.mask.design=pinhole")
+        one_error(result, "trial.yaml:", "camera.mask.width_mm: unknown key", "camera.mask.iterations", "diameter_um")
+
+    def test_ctrl_c_says_what_is_kept(self, trial) -> None:
+        path = trial.write(scene=BOXES | {"seconds": 0.2}, dataset={"train": 100})
+        process = subprocess.Popen(
+            [sys.executable, "-c", MAIN, "generate", str(path)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        end = time.monotonic() + 60
+        while not (trial.folder / "out/train").exists():
+            assert time.monotonic() < end
+            assert process.poll() is None
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+        assert process.returncode == 130
+        assert "what is finished is kept" in err
+        assert "Traceback" not in err
