@@ -12,12 +12,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
-from simulator.arrays import Array, namespace, next_fast_len, real_dtype, unit_phasor
-from simulator.arrays import like as as_array
+from simulator.arrays import Array, namespace, next_fast_len
 from simulator.errors import InputError
 from simulator.optics.even_filter import even_filter
+from simulator.optics.transfer import Transfer, band_edge_m
 
 MAX_SINE = 0.9  # steeper waves (64 degrees) do not reach a sensor behind a mask in any useful strength
 
@@ -77,64 +75,6 @@ def spread_samples(pitch_m: float, wavelength_m: float, distance_m: float) -> in
 def holds_steep_waves(pitch_m: float, wavelength_m: float) -> bool:
     """Whether the grid's band holds waves steeper than asin(MAX_SINE)."""
     return 2 * (wavelength_m / (2 * pitch_m)) ** 2 > MAX_SINE**2
-
-
-class Transfer:
-    """The transfer function of one grid and wavelength, evaluated for any distance at the price of one exponential.
-
-    It is even in both frequencies, so only one quadrant is computed. Phases are reckoned in turns in float64 and reduced
-    to one turn before the exponential: this is what keeps complex64 accurate.
-    """
-
-    def __init__(self, shape: tuple[int, ...], pitch_m: float, wavelength_m: float, *, like: Array) -> None:
-        """Prepare the quadrant.
-
-        Args:
-            shape: rows and columns of the (padded) grid.
-            pitch_m: sample pitch, metres.
-            wavelength_m: wavelength in the medium, metres.
-            like: array whose kind, device and precision the transfer function takes.
-        """
-        self._wavelength_m, self._real = wavelength_m, real_dtype(like)
-        self._sine_y, self._sine_x = (
-            as_array(np.arange(n // 2 + 1) * (wavelength_m / (n * pitch_m)), like, namespace(like).float64)
-            for n in shape
-        )
-
-    def quadrant(self, distance_m: float, reach_m: tuple[float, ...] | None = None, rows: slice = slice(None)) -> Array:
-        """Return exp(i phase) for frequencies from zero to Nyquist, ``(H // 2 + 1, W // 2 + 1)``.
-
-        Args:
-            distance_m: distance, metres.
-            reach_m: drop plane waves that travel farther sideways than this (rows, columns; metres; ``inf`` keeps all):
-                the band limit. Its edge is soft, over ``band_edge_m`` inwards: a sharp one (Matsushima's) rings by 1-5 %.
-            rows: which of the quadrant's rows.
-        """
-        sine_y, sine_x = self._sine_y[rows, None], self._sine_x[None, :]
-        xp = namespace(sine_y)
-        sine_squared = sine_y**2 + sine_x**2
-        cosine = xp.sqrt(xp.clip(1 - sine_squared, 0, None))
-        turns = sine_squared / (1 + cosine)
-        turns *= -distance_m / self._wavelength_m
-        turns -= xp.round(turns)
-        turns *= 2 * np.pi
-        transfer = unit_phasor(xp.astype(turns, self._real))
-        if self._sine_y[-1] ** 2 + self._sine_x[-1] ** 2 > 1:
-            transfer *= xp.astype(sine_squared <= 1, self._real)  # evanescent waves end here
-        if reach_m is not None:
-            edge_m = max(band_edge_m(self._wavelength_m, distance_m), 1e-12)
-            for sine, reach in zip((sine_y, sine_x), reach_m, strict=True):
-                if math.isinf(reach):
-                    continue
-                travelled = sine * distance_m / xp.clip(cosine, 1e-6, None)
-                beyond = xp.clip((travelled - reach) / edge_m + 1, 0, 1)
-                transfer *= xp.astype(xp.cos(np.pi / 2 * beyond) ** 2, self._real)
-        return transfer
-
-
-def band_edge_m(wavelength_m: float, distance_m: float) -> float:
-    """Return the width of the band limit's soft edge: a few Fresnel zones, in metres of sideways travel."""
-    return 4 * math.sqrt(wavelength_m * distance_m)
 
 
 def _check_lengths(pitch_m: float, wavelength_m: float, distance_m: float) -> None:

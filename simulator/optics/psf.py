@@ -22,10 +22,11 @@ from simulator.errors import InputError
 from simulator.optics.even_filter import Quadrant, blocks, each_rows
 from simulator.optics.kernel import PixelKernel, kernel_reach_m
 from simulator.optics.mask import Mask
-from simulator.optics.propagation import Transfer, band_edge_m, holds_steep_waves, spread_samples
+from simulator.optics.propagation import holds_steep_waves, spread_samples
 from simulator.optics.psf_stack import PsfStack, check_depths
 from simulator.optics.resample import Band, box_integral
 from simulator.optics.spectrum import quantile_lines
+from simulator.optics.transfer import Transfer, band_edge_m
 from simulator.types import CameraGeometry
 
 Model = Literal["scaled_distance", "scaled_psf"]

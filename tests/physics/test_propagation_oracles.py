@@ -5,7 +5,8 @@ import pytest
 from numpy.fft import fft2, ifft2
 
 from simulator.optics.even_filter import multiply_even
-from simulator.optics.propagation import Transfer, angular_spectrum
+from simulator.optics.propagation import angular_spectrum
+from simulator.optics.transfer import Transfer
 
 pytestmark = pytest.mark.shared
 
