@@ -15,7 +15,13 @@ from simulator.plugins import available
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 README = Path(__file__).resolve().parents[2] / "README.md"
 
-SMALL = {"phlatcam": {"width_mm": 0.6, "iterations": 2}, "diffusercam": {"width_mm": 0.6}, "pinhole": {}}
+SMALL = {
+    "diffusercam": {"width_mm": 0.6},
+    "flatcam": {"order": 4},
+    "mura": {"rank": 11},
+    "phlatcam": {"width_mm": 0.6, "iterations": 2},
+    "pinhole": {},
+}
 
 
 def test_every_design_has_a_small_example_here() -> None:
