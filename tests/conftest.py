@@ -101,6 +101,13 @@ TINY: dict[str, dict[str, Any]] = {
 }
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options of tests/regression; here, because pytest must know them before it collects."""
+    group = parser.getgroup("pinned PSFs")
+    group.addoption("--regen-psf", action="store_true", help="accept changed PSFs: write their references again")
+    group.addoption("--psf-references", type=Path, metavar="FOLDER", help="use these references, not the shipped ones")
+
+
 class Trial:
     """A tiny configuration in a folder of its own, the plugins that it names beside it."""
 

@@ -1,0 +1,110 @@
+"""What is pinned: one entry per mask design, all seen through one small camera.
+
+The masks are 0.3 mm wide, half a millimetre from the sensor: large enough for every part of a design and of the light
+path to matter, small enough for the whole of the light that is followed to fit into 67 x 67 pixels.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simulator.arrays import to_numpy
+from simulator.errors import InputError
+from simulator.optics.mask import Mask
+from simulator.optics.psf import PsfConfig, compute_psf_stack
+from simulator.optics.psf_stack import PsfStack
+from simulator.optics.sampling import SamplingWarning
+from simulator.optics.spectrum import spectral_response
+from simulator.plugins import resolve
+from simulator.types import CameraGeometry
+from simulator.validation import nearest
+
+INPUTS = Path(__file__).parent / "inputs"
+"""Folder of the pictures that designs read, neither with any symmetry: a letter F of three greys, and a tilted bowl with a
+ridge. Paths among a case's parameters are relative to it."""
+
+PIXEL_PITCH_M = 14.4e-6  # six pixels of an IMX183
+DEPTHS_M = (6e-3, 0.2)  # near enough to magnify by a twelfth, and far enough to be nearly parallel light
+
+
+@dataclass(frozen=True)
+class Case:
+    """How one design is pinned.
+
+    Attributes:
+        parameters: of the design, as in YAML.
+        mask_to_sensor_m: metres.
+    """
+
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    mask_to_sensor_m: float = 5e-4
+
+
+CASES: dict[str, Case] = {
+    "amplitude_image": Case({"file": "amplitudes.png", "feature_um": 16, "pixel_um": 2}),
+    "diffusercam": Case({"width_mm": 0.3, "correlation_um": 25, "slope_degrees": 1.2}),
+    "flatcam": Case({"order": 5, "feature_um": 10}),
+    "fresnel_zone": Case({"width_mm": 0.3, "first_zone_um": 40}),
+    "height_map": Case({"file": "heights.png", "pixel_um": 4, "max_height_um": 5, "profile": "smooth"}),
+    "lens": Case({"width_mm": 0.1, "distance_um": 500}),
+    "mura": Case({"rank": 29, "feature_um": 10}),
+    "phlatcam": Case({"width_mm": 0.3, "distance_um": 500, "cell_um": 60, "line_um": 8}),
+    "pinhole": Case({"diameter_um": 40}),
+    "random_lenslets": Case({"width_mm": 0.3, "distance_um": 500, "spacing_um": 50}),
+    "spiral": Case({"width_mm": 0.3}),
+    "vortex": Case({"width_mm": 0.1, "distance_um": 500, "charge": 5}),
+}
+
+
+def build_mask(name: str) -> Mask:
+    """Design a case's mask anew, in float32, whatever a cache holds.
+
+    Args:
+        name: a key of ``CASES``.
+
+    Raises:
+        InputError: for a name without a case.
+    """
+    plugin = resolve("mask", name, INPUTS)
+    mask = plugin.function(**plugin.bind(_case(name).parameters))
+    height_m, amplitude = (np.asarray(to_numpy(part), np.float32) for part in (mask.height_m, mask.amplitude))
+    return replace(mask, height_m=height_m, amplitude=amplitude)
+
+
+def compute(name: str, mask: Mask | None = None) -> PsfStack:
+    """Compute a case's PSFs with the code that is installed.
+
+    Args:
+        name: a key of ``CASES``.
+        mask: in place of the mask that the design makes; the regression test hands in the pinned one, so that a change of
+            the design and a change of the optics are told apart.
+
+    Returns:
+        The stack: two depths, three channels, one wavelength each; ``provenance["reference"]`` says what it was made from.
+
+    Raises:
+        InputError: for a name without a case.
+    """
+    case = _case(name)
+    camera = CameraGeometry(case.mask_to_sensor_m, PIXEL_PITCH_M, spectral_response())
+    mask = build_mask(name) if mask is None else mask
+    psf_config = PsfConfig(DEPTHS_M, wavelengths_per_channel=1, accept_error=10.0)
+    with warnings.catch_warnings():
+        # These grids pin what the code computes, not how well it samples: the error is recorded with the stack.
+        warnings.simplefilter("ignore", SamplingWarning)
+        stack = compute_psf_stack(mask, camera, psf_config)
+    made_from = {"design": name, "parameters": dict(case.parameters), "mask_to_sensor_m": case.mask_to_sensor_m}
+    return replace(stack, provenance=stack.provenance | {"reference": made_from})
+
+
+def _case(name: str) -> Case:
+    if name not in CASES:
+        msg = f"name: got {name!r}, expected one of {', '.join(CASES)}{nearest(name, list(CASES))}"
+        raise InputError(msg)
+    return CASES[name]

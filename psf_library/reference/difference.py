@@ -1,0 +1,91 @@
+"""Where two PSF stacks differ, and by how much."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.arrays import to_numpy
+from simulator.errors import InputError
+from simulator.optics.facts import length
+from simulator.optics.psf_stack import PsfStack
+
+
+@dataclass(frozen=True)
+class StackDifference:
+    """How far one stack lies from another.
+
+    Attributes:
+        relative_l2: ``(K, C)``: ||found - expected|| / ||expected|| of each depth and channel.
+        worst_pixel: depth, channel, row and column of the greatest absolute difference in the plane that is farthest off.
+        found: the value there.
+        expected: the value that was to be there.
+        depths_m: ``(K,)`` metres.
+        channels: their names.
+    """
+
+    relative_l2: NDArray[np.float64]
+    worst_pixel: tuple[int, int, int, int]
+    found: float
+    expected: float
+    depths_m: NDArray[np.float64]
+    channels: tuple[str, ...]
+
+    @property
+    def error(self) -> float:
+        """The greatest relative L2 difference of any plane."""
+        return float(self.relative_l2.max())
+
+    def __str__(self) -> str:
+        k, c, row, column = self.worst_pixel
+        lines = [
+            f"worst plane: depth {length(self.depths_m[k])}, channel {self.channels[c]}, relative L2 {self.error:.3g}",
+            f"worst pixel: row {row}, column {column}: found {self.found:.9g}, expected {self.expected:.9g}",
+            f"relative L2  {'  '.join(f'{name:>9}' for name in self.channels)}",
+        ]
+        for depth_m, errors in zip(self.depths_m, self.relative_l2, strict=True):
+            lines.append(f"{length(depth_m):>11}  {'  '.join(f'{error:9.3g}' for error in errors)}")
+        return "\n".join(lines)
+
+
+def compare_stacks(found: PsfStack, expected: PsfStack) -> StackDifference:
+    """Compare two stacks of the same depths, channels and pixels.
+
+    Args:
+        found: the stack to judge.
+        expected: the stack that it should be.
+
+    Raises:
+        InputError: when their sizes, pixel pitches, channels or depths differ, so that no pixel has a counterpart.
+
+    Example:
+        >>> stack = PsfStack(np.ones((1, 1, 2, 2)), np.array([0.1]), 1e-5, ("G",), "")
+        >>> brighter = PsfStack(stack.values * 1.01, stack.depths_m, 1e-5, ("G",), "")
+        >>> round(compare_stacks(brighter, stack).error, 6)
+        0.01
+    """
+    for what, one, other in (
+        ("size (K, C, H, W)", tuple(found.values.shape), tuple(expected.values.shape)),
+        ("channels", found.channels, expected.channels),
+        ("pixel pitch (m)", found.pixel_pitch_m, expected.pixel_pitch_m),
+        ("depths (m)", found.depths_m.tolist(), expected.depths_m.tolist()),
+    ):
+        if one != other:
+            msg = f"the stacks cannot be compared: {what} is {one}, expected {other}"
+            raise InputError(msg)
+    values, wanted = (to_numpy(stack.values).astype(np.float64) for stack in (found, expected))
+    # A stack refuses planes that are zero everywhere, so nothing is divided by zero.
+    relative = np.linalg.norm(values - wanted, axis=(-2, -1)) / np.linalg.norm(wanted, axis=(-2, -1))
+    k, c = (int(i) for i in np.unravel_index(np.argmax(relative), relative.shape))
+    away = np.abs(values[k, c] - wanted[k, c])
+    row, column = (int(i) for i in np.unravel_index(np.argmax(away), away.shape))
+    return StackDifference(
+        relative,
+        (k, c, row, column),
+        float(values[k, c, row, column]),
+        float(wanted[k, c, row, column]),
+        np.asarray(expected.depths_m),
+        expected.channels,
+    )
