@@ -6,9 +6,9 @@ import inspect
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simulator.assemble.psfs import background_file
+from simulator.assemble.measured import measured_files
 from simulator.assemble.scenes import scene_plugin
-from simulator.config.psf import MeasuredPsf
+from simulator.config.psf import ComputedPsf
 from simulator.plugins import Plugin, resolve
 from simulator.types import SceneSource
 
@@ -27,10 +27,8 @@ def input_files(config: Config, source: SceneSource) -> list[Path]:
             *_own_code(plugin),
             *(v for v in plugin.bind(config.camera.mask.params).values() if isinstance(v, Path)),
         ]
-    if isinstance(config.psf, MeasuredPsf):
-        files += [config.resolve_path(name) for name in config.psf.measured]
-        background = background_file(config, config.psf)
-        files += [background] if isinstance(background, Path) else []
+    if not isinstance(config.psf, ComputedPsf):
+        files += measured_files(config, config.psf)
     return [*files, *source.inputs]
 
 

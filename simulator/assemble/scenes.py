@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from simulator.assemble.camera import build_sensor, distance_m
-from simulator.assemble.psfs import build_psf_config
-from simulator.config.psf import ComputedPsf
+from simulator.assemble.psfs import stack_depths_m
 from simulator.errors import InputError
 from simulator.plugins import Plugin, plugin_errors, resolve
 from simulator.types import SceneSource, View
@@ -17,11 +16,7 @@ if TYPE_CHECKING:
 
 def build_view(config: Config) -> View:
     """Return the pinhole view that scenes are drawn for; its depths are the stack's unless the scene has its own."""
-    chosen = config.psf
-    if isinstance(chosen, ComputedPsf):
-        depths = build_psf_config(config).depths_m
-    else:
-        depths = tuple(depth * 1e-2 for depth in chosen.depths_cm)
+    depths = stack_depths_m(config)
     near_cm, far_cm = config.scene.near_cm, config.scene.far_cm
     return View(
         config.scene.size,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,26 +52,49 @@ def read_psf_stack(folder: Path) -> PsfStack:
     Raises:
         InputError: no such stack, or a damaged one.
     """
-    path = folder / DESCRIPTION
-    try:
-        content = json.loads(path.read_bytes())
-        depths_m = np.array([float(depth) for depth in content["depths_m"]])
-        pixel_pitch_m, channels = float(content["pixel_pitch_m"]), tuple(content["channels"])
-        fingerprint, provenance, files = str(content["fingerprint"]), dict(content["provenance"]), content["files"]
-        if list(files) != [_file_name(k) for k in range(len(depths_m))] or not files:
-            msg = f"{len(files)} files for {len(depths_m)} depths"
-            raise ValueError(msg)
-    except FileNotFoundError as error:
-        msg = f"no PSF stack in {folder}: it has no {DESCRIPTION}; `flatlight psf --output FOLDER` writes one"
-        raise InputError(msg) from error
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
-        reason = f"{type(error).__name__}: {error}"
-        msg = (
-            f"{path} is unreadable or damaged ({reason}); restore it, or delete its folder and compute the stack again"
-        )
-        raise InputError(msg) from error
-    planes = [_read_planes(folder / name, digest, channels) for name, digest in files.items()]
-    return PsfStack(np.stack(planes), depths_m, pixel_pitch_m, channels, fingerprint, provenance)
+    content = _description(folder)
+    planes = [_read_planes(folder / name, digest, content.channels) for name, digest in content.files.items()]
+    return PsfStack(
+        np.stack(planes),
+        content.depths_m,
+        content.pixel_pitch_m,
+        content.channels,
+        content.fingerprint,
+        content.provenance,
+    )
+
+
+def read_depths_m(folder: Path) -> NDArray[np.float64]:
+    """Return the depths ``(K,)`` of a stack on disk, metres, without reading its images.
+
+    Raises:
+        InputError: no such stack, or a damaged description.
+    """
+    return _description(folder).depths_m
+
+
+def stack_files(folder: Path) -> list[Path]:
+    """Return the files of a stack on disk.
+
+    Raises:
+        InputError: no such stack, or a damaged description.
+    """
+    return [folder / name for name in (DESCRIPTION, *_description(folder).files)]
+
+
+def stack_folder(place: Path, *, captured: bool = False) -> Path:
+    """Return where a stack lies: ``place`` itself, or ``psf`` in it when it is a data set's folder.
+
+    Args:
+        place: a folder.
+        captured: the stack as a calibration would measure it instead, which lies beside the true one.
+
+    Example:
+        >>> stack_folder(Path("out/stack"), captured=True).as_posix()
+        'out/stack_captured'
+    """
+    folder = place / "psf" if (place / "psf").is_dir() else place
+    return folder.with_name(f"{folder.name}_captured") if captured else folder
 
 
 def check_replaceable(folder: Path) -> None:
@@ -89,6 +114,46 @@ def check_replaceable(folder: Path) -> None:
     if foreign:
         msg = f"{folder} holds other files than a PSF stack ({foreign[0]}, ...) and would be replaced: choose another name"
         raise InputError(msg)
+
+
+@dataclass(frozen=True)
+class _Description:
+    """The content of psf.json."""
+
+    depths_m: NDArray[np.float64]
+    pixel_pitch_m: float
+    channels: tuple[str, ...]
+    fingerprint: str
+    provenance: dict[str, Any]
+    files: dict[str, str]
+
+
+def _description(folder: Path) -> _Description:
+    path = folder / DESCRIPTION
+    try:
+        content = json.loads(path.read_bytes())
+        description = _Description(
+            np.array([float(depth) for depth in content["depths_m"]]),
+            float(content["pixel_pitch_m"]),
+            tuple(content["channels"]),
+            str(content["fingerprint"]),
+            dict(content["provenance"]),
+            dict(content["files"]),
+        )
+        depths, files = len(description.depths_m), description.files
+        if list(files) != [_file_name(k) for k in range(depths)] or not files:
+            msg = f"{len(files)} files for {depths} depths"
+            raise ValueError(msg)
+    except FileNotFoundError as error:
+        msg = f"no PSF stack in {folder}: it has no {DESCRIPTION}; `flatlight psf --output FOLDER` writes one"
+        raise InputError(msg) from error
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        msg = (
+            f"{path} is unreadable or damaged ({reason}); restore it, or delete its folder and compute the stack again"
+        )
+        raise InputError(msg) from error
+    return description
 
 
 def _file_name(k: int) -> str:

@@ -1,0 +1,103 @@
+"""The measured PSF stack of a configuration: from pictures, or from a folder; at its own depths or between them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from simulator.assemble.camera import build_sensor, distance_m
+from simulator.assemble.planes import plane_depths_m
+from simulator.config.psf import MeasuredPsf, StoredPsf
+from simulator.dataset.psf_files import read_depths_m, read_psf_stack, stack_files, stack_folder
+from simulator.errors import InputError
+from simulator.optics.psf_stack import PsfStack
+
+if TYPE_CHECKING:
+    from simulator.config import Config
+
+
+def measured_stack(config: Config, chosen: MeasuredPsf | StoredPsf) -> PsfStack:
+    """Read the measured stack and, where other planes are asked for, interpolate it.
+
+    Raises:
+        InputError: for unreadable files, pixels that are not the sensor's, or planes outside the measured range.
+    """
+    from simulator.optics.stack_interpolation import interpolate_stack
+
+    stack = _from_folder(config, chosen) if isinstance(chosen, StoredPsf) else _from_pictures(config, chosen)
+    if chosen.planes is None:
+        return stack
+    return interpolate_stack(
+        stack, plane_depths_m(chosen.planes), distance_m(config), extrapolate=chosen.planes.extrapolate
+    )
+
+
+def measured_depths_m(config: Config, chosen: MeasuredPsf | StoredPsf) -> tuple[float, ...]:
+    """Return the depths of the stack that ``measured_stack`` gives, without reading its images."""
+    if chosen.planes is not None:
+        return plane_depths_m(chosen.planes)
+    if isinstance(chosen, StoredPsf):
+        return tuple(map(float, read_depths_m(_folder(config, chosen))))
+    return tuple(depth * 1e-2 for depth in chosen.depths_cm)
+
+
+def measured_files(config: Config, chosen: MeasuredPsf | StoredPsf) -> list[Path]:
+    """Return the files whose contents decide the stack."""
+    if isinstance(chosen, StoredPsf):
+        return stack_files(_folder(config, chosen))
+    background = _background(config, chosen)
+    return [config.resolve_path(name) for name in chosen.measured] + (
+        [background] if isinstance(background, Path) else []
+    )
+
+
+def _from_pictures(config: Config, chosen: MeasuredPsf) -> PsfStack:
+    from simulator.optics.measured import load_measured_psf
+
+    sensor = build_sensor(config)
+    stack = load_measured_psf(
+        [config.resolve_path(name) for name in chosen.measured],
+        [depth * 1e-2 for depth in chosen.depths_cm],
+        sensor.binned_pitch_m,
+        frame=chosen.frame,
+        binning=chosen.binning,
+        background=_background(config, chosen),
+        throughput_m2=chosen.throughput_mm2 * 1e-6,
+    )
+    for axis, have, physical in zip(("rows", "columns"), stack.values.shape[-2:], sensor.physical_shape, strict=True):
+        if have * sensor.binning > physical:
+            msg = (
+                f"psf.binning: {chosen.binning} leaves pictures of {have} {axis}, but sensor {sensor.name!r} has only "
+                f"{physical // sensor.binning} binned ones of {sensor.binned_pitch_m * 1e6:g} um; the PSF's pixels must "
+                "become the sensor's binned pixels: raise psf.binning"
+            )
+            raise InputError(msg)
+    return stack
+
+
+def _from_folder(config: Config, chosen: StoredPsf) -> PsfStack:
+    stack, pitch_m = read_psf_stack(_folder(config, chosen)), build_sensor(config).binned_pitch_m
+    if abs(stack.pixel_pitch_m / pitch_m - 1) > 1e-6:  # a pitch written in um and in metres differs by rounding
+        msg = (
+            f"psf.measured: the stack in {chosen.measured} has pixels of {stack.pixel_pitch_m * 1e6:g} um, the sensor's "
+            f"binned ones are {pitch_m * 1e6:g} um; set camera.sensor.binning and pixel_pitch_um as when it was made"
+        )
+        raise InputError(msg)
+    return stack
+
+
+def _folder(config: Config, chosen: StoredPsf) -> Path:
+    place = config.resolve_path(chosen.measured)
+    if place.is_file():
+        msg = (
+            f"psf.measured: {chosen.measured} is a file; pictures are given as a list with their depths: "
+            f"measured: [{chosen.measured}], depths_cm: [...], frame: ..., throughput_mm2: ..."
+        )
+        raise InputError(msg)
+    return stack_folder(place)
+
+
+def _background(config: Config, chosen: MeasuredPsf) -> Any:
+    """Return a measured PSF's background as ``load_measured_psf`` takes it, a file as a path."""
+    named = isinstance(chosen.background, str) and chosen.background not in ("border", "none")
+    return config.resolve_path(str(chosen.background)) if named else chosen.background
