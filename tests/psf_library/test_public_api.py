@@ -15,9 +15,12 @@ from simulator.plugins import available
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 README = Path(__file__).resolve().parents[2] / "README.md"
 
+# Relative files are taken from a folder that holds map.npy.
 SMALL = {
+    "amplitude_image": {"file": "map.npy", "feature_um": 4.0},
     "diffusercam": {"width_mm": 0.6},
     "flatcam": {"order": 4},
+    "height_map": {"file": "map.npy", "pixel_um": 2.0, "unit_um": 1.0},
     "mura": {"rank": 11},
     "phlatcam": {"width_mm": 0.6, "iterations": 2},
     "pinhole": {},
@@ -29,8 +32,9 @@ def test_every_design_has_a_small_example_here() -> None:
 
 
 @pytest.mark.parametrize(("design", "params"), SMALL.items())
-def test_designs_by_name(design: str, params: dict[str, Any]) -> None:
-    mask, again = load_mask(design, **params), load_mask(design, **params)
+def test_designs_by_name(design: str, params: dict[str, Any], tmp_path: Path) -> None:
+    np.save(tmp_path / "map.npy", np.eye(30))
+    mask, again = load_mask(design, tmp_path, **params), load_mask(design, tmp_path, **params)
     assert mask.name == design
     assert mask.digest() == again.digest()
     assert mask.height_m.dtype == mask.amplitude.dtype == np.float32

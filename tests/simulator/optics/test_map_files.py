@@ -1,0 +1,73 @@
+"""Height maps and amplitudes from files, written by Pillow, tifffile, NumPy and our EXR writer: the numbers that went in."""
+
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from simulator.errors import InputError
+from simulator.exr import write_exr
+from simulator.optics.map_files import read_height_map, read_unit_map
+
+CODES = np.array([[0, 10, 255], [128, 3, 77]], np.uint8)
+METRES = np.array([[0.0, 1e-7, 2e-6], [5e-7, 3e-7, 9e-7]], np.float32)
+
+
+@pytest.mark.parametrize(("dtype", "largest"), [(np.uint8, 255), (np.uint16, 65535)])
+@pytest.mark.parametrize("kind", ["png", "tif", "npy"])
+def test_integers_are_shares_of_the_largest_code(tmp_path, kind, dtype, largest):
+    codes = CODES.astype(dtype) * (largest // 255)
+    path = tmp_path / f"map.{kind}"
+    {"png": lambda: Image.fromarray(codes).save(path), "tif": lambda: tifffile.imwrite(path, codes)}.get(
+        kind, lambda: np.save(path, codes)
+    )()
+    np.testing.assert_allclose(read_height_map(path, None, 1.5e-6), CODES / 255 * 1.5e-6, rtol=1e-6)
+    np.testing.assert_allclose(read_unit_map(path), CODES / 255, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["exr", "tif", "npy"])
+def test_floats_are_metres_or_of_the_unit_that_is_given(tmp_path, kind):
+    path = tmp_path / f"map.{kind}"
+    {"exr": lambda: write_exr(path, {"Y": METRES}, {}), "tif": lambda: tifffile.imwrite(path, METRES)}.get(
+        kind, lambda: np.save(path, METRES)
+    )()
+    np.testing.assert_array_equal(read_height_map(path, None, None), METRES)
+    np.testing.assert_allclose(read_height_map(path, 1e-3, None), METRES * 1e-3, rtol=1e-6)
+
+
+def test_the_scale_must_be_given_and_of_the_right_kind(tmp_path):
+    Image.fromarray(CODES).save(tmp_path / "map.png")
+    np.save(tmp_path / "map.npy", METRES)
+    with pytest.raises(
+        InputError, match=r"max_height_um: missing for .*map.png, which holds integers of 8 bits.* 255, in"
+    ):
+        read_height_map(tmp_path / "map.png", None, None)
+    with pytest.raises(InputError, match="in place of unit_um"):
+        read_height_map(tmp_path / "map.png", 1e-6, 1e-6)
+    with pytest.raises(InputError, match=r"max_height_um: got 2, but .*map.npy holds floats.* use unit_um"):
+        read_height_map(tmp_path / "map.npy", None, 2e-6)
+
+
+def test_a_grey_picture_saved_in_colour_is_grey_and_a_colour_picture_is_refused(tmp_path):
+    path = tmp_path / "map.png"
+    Image.fromarray(np.stack([CODES] * 3, -1)).save(path)
+    np.testing.assert_allclose(read_unit_map(path), CODES / 255, rtol=1e-6)
+    Image.fromarray(np.stack([CODES, CODES, CODES[::-1]], -1)).save(path)
+    with pytest.raises(InputError, match=r"map.png is in colour; expected one grey map"):
+        read_unit_map(path)
+
+
+def test_numbers_that_are_no_map_are_refused(tmp_path):
+    path = tmp_path / "map.npy"
+    for numbers, words in (
+        (CODES.astype(np.int32), "holds int32; expected 8 or 16 bit"),
+        (np.array([[0.5, 1.5]]), "numbers from 0.5 to 1.5; expected 0 .opaque. to 1 .open."),
+        (np.array([[-0.5, 0.5]]), "numbers from -0.5 to 0.5"),
+        (np.array([[np.nan, 0.5]]), "1 values that are NaN"),
+        (np.zeros((2, 5, 5)), "shape"),
+    ):
+        np.save(path, numbers)
+        with pytest.raises(InputError, match=f"map.npy .*{words}"):
+            read_unit_map(path)
+    with pytest.raises(InputError, match=r"map.jpg is of a kind that is not read"):
+        read_unit_map(tmp_path / "map.jpg")

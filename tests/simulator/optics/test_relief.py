@@ -1,0 +1,219 @@
+"""Height maps as solid bodies, judged by trimesh; and bodies as height maps, where they are some."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from simulator.errors import InputError
+from simulator.optics.mask import Mask
+from simulator.optics.relief import relief_solid, stl_bytes
+from simulator.optics.stl_height import read_stl_height
+
+
+def _mask(height_m, pitch_m=2e-6, profile="staircase") -> Mask:
+    height_m = np.asarray(height_m, np.float32)
+    return Mask(height_m, np.ones_like(height_m), pitch_m, profile=profile, name="relief")
+
+
+def _steps(shape=(23, 17), seed=0):
+    """Random heights of five steps: checkerboard corners, equal neighbours and walls of every height are all there."""
+    return np.random.default_rng(seed).integers(0, 6, shape) * np.float32(0.2e-6)
+
+
+def _body(mask, base_m) -> trimesh.Trimesh:
+    """The body in millimetres, as a mesh program merges it."""
+    vertices, faces = relief_solid(mask, base_m)
+    return trimesh.Trimesh(vertices * 1e3, faces, process=True)
+
+
+def _stl(path: Path, mesh: trimesh.Trimesh) -> Path:
+    path.write_bytes(mesh.export(file_type="stl"))
+    return path
+
+
+def _blocks(heights_mm) -> trimesh.Trimesh:
+    """Boxes of 1 mm x 1 mm side by side on z = 0, with upright walls, row 0 at the top."""
+    boxes = []
+    for (row, column), height in np.ndenumerate(np.asarray(heights_mm, float)):
+        at = [column + 0.5, -row - 0.5, height / 2]
+        boxes.append(trimesh.creation.box((1, 1, height), trimesh.transformations.translation_matrix(at)))
+    return trimesh.util.concatenate(boxes)
+
+
+# --- writing
+
+
+@pytest.mark.parametrize("profile", ["staircase", "smooth"])
+def test_bodies_are_closed_and_of_the_right_size(profile):
+    mask = _mask(_steps(), profile=profile)
+    body = _body(mask, 3e-6)
+    assert body.is_watertight
+    assert body.is_winding_consistent
+    assert body.volume > 0  # faces look outside
+    np.testing.assert_allclose(body.bounds * 1e-3, [[-17e-6, -23e-6, -3e-6], [17e-6, 23e-6, 1e-6]], rtol=1e-6)
+
+
+def test_the_volume_of_a_staircase_is_that_of_its_blocks():
+    """Leaning walls take from one block what they give to the other; corners keep (1/256)^2 of a pixel: 1e-5."""
+    height = _steps()
+    expected_mm3 = (np.sum(height, dtype=np.float64) + height.size * 3e-6) * 4e-12 * 1e9
+    assert _body(_mask(height), 3e-6).volume == pytest.approx(expected_mm3, rel=1e-5)
+
+
+def test_the_volume_of_a_smooth_slope_is_that_of_its_wedge():
+    """A slope of 1 in 10, level over the outer half sample on each side: the mean height is half of the rise, exactly."""
+    height = np.tile(np.arange(20) * 0.2e-6, (5, 1))
+    body = _body(_mask(height, profile="smooth"), 1e-6)
+    assert body.volume == pytest.approx((1e-6 + 1.9e-6) * 40e-6 * 10e-6 * 1e9, rel=1e-6)
+
+
+def test_the_top_of_every_block_is_flat_and_where_its_pixel_is():
+    """Rays down through four points near the corners of every pixel hit its height; y is up, row 0 is the top."""
+    height = _steps((4, 3))
+    vertices, faces = relief_solid(_mask(height), 1e-6)
+    tops = vertices[faces]
+    for row, column in np.ndindex(height.shape):
+        for dy, dx in ((-0.49, -0.49), (-0.49, 0.49), (0.49, -0.49), (0.49, 0.49)):
+            x, y = (column - 1 + dx) * 2e-6, -(row - 1.5 + dy) * 2e-6
+            assert _highest(tops, x, y) == pytest.approx(height[row, column], abs=1e-12)
+
+
+def _highest(triangles, x, y) -> float:
+    """The highest triangle over a point, by barycentric coordinates, one triangle at a time."""
+    found = -np.inf
+    for a, b, c in triangles:
+        system = np.array([[b[0] - a[0], c[0] - a[0]], [b[1] - a[1], c[1] - a[1]]])
+        if abs(np.linalg.det(system)) < 1e-20:
+            continue
+        u, v = np.linalg.solve(system, [x - a[0], y - a[1]])
+        if u >= -1e-9 and v >= -1e-9 and u + v <= 1 + 1e-9:
+            found = max(found, a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2]))
+    return found
+
+
+def test_an_stl_file_of_other_programs_readers_is_a_solid():
+    body = trimesh.load(trimesh.util.wrap_as_stream(stl_bytes(_mask(_steps()), 0.5e-3)), file_type="stl")
+    assert body.is_volume
+
+
+def test_what_has_no_body_is_refused():
+    with pytest.raises(InputError, match="mask 'relief' is flat"):
+        relief_solid(_mask(np.full((3, 3), 1e-6)), 1e-6)
+    with pytest.raises(InputError, match="base_m: got 0, expected a thickness above zero"):
+        relief_solid(_mask(_steps()), 0)
+    with pytest.raises(InputError, match=r"1200 x 1200 pixels needs 11529600 triangles.*crop it to 2.2 mm"):
+        relief_solid(_mask(_steps((1200, 1200))), 1e-6)
+
+
+# --- reading
+
+
+@pytest.mark.parametrize(("profile", "tolerance_m"), [("staircase", 2e-13), ("smooth", 2e-12)])
+def test_a_body_reads_back_as_its_heights(profile, tolerance_m, tmp_path):
+    """Single precision in the file: 1e-7 of a height of 1 um; and of a place 40 um away, met on a slope of 1/2."""
+    height = _steps((31, 40), 4)
+    path = tmp_path / "mask.stl"
+    path.write_bytes(stl_bytes(_mask(height, profile=profile), 0.5e-3))
+    found = read_stl_height(path, 2e-6, 1e-3)
+    assert (found.shape, found.dtype) == (height.shape, np.float32)
+    np.testing.assert_allclose(found, height, rtol=0, atol=tolerance_m)
+
+
+def test_a_finer_grid_sees_the_same_blocks(tmp_path):
+    height = _steps((6, 5), 1)
+    path = tmp_path / "mask.stl"
+    path.write_bytes(stl_bytes(_mask(height), 1e-5))
+    np.testing.assert_allclose(read_stl_height(path, 0.5e-6, 1e-3), np.kron(height, np.ones((4, 4))), atol=1e-12)
+
+
+def test_upright_walls_of_other_programs_are_read(tmp_path):
+    heights = np.array([[1.0, 2.0, 5.0], [4.0, 1.5, 3.0]])
+    found = read_stl_height(_stl(tmp_path / "blocks.stl", _blocks(heights)), 1e-4, 1e-3)
+    np.testing.assert_allclose(found, np.kron(heights - 1, np.ones((10, 10))) * 1e-3, atol=1e-9)
+
+
+def test_a_slope_is_sampled_where_the_pixels_are(tmp_path):
+    """An open surface z = 0.3 x + 0.1 y over 4 x 2 units: the plane at pixel centres, y up; text STL is read too."""
+    corners = np.array([[x, y, 0.3 * x + 0.1 * y] for y in (0, 2) for x in (0, 4)])
+    mesh = trimesh.Trimesh(corners, [[0, 1, 3], [0, 3, 2]], process=False)
+    path = tmp_path / "slope.stl"
+    path.write_text(mesh.export(file_type="stl_ascii"))
+    found = read_stl_height(path, 0.25e-6, 1e-6)
+    x, y = (np.arange(16) + 0.5) / 4, 2 - (np.arange(8) + 0.5) / 4
+    expected = 0.3 * x[None, :] + 0.1 * y[:, None]
+    np.testing.assert_allclose(found, (expected - expected.min()) * 1e-6, atol=1e-12)
+
+
+def test_an_upright_lens_has_its_sag(tmp_path):
+    """A paraboloid meshed on an irregular (Delaunay) net of other points than ours: sag within the net's own error."""
+    from scipy.spatial import Delaunay
+
+    rng = np.random.default_rng(0)
+    edge = np.linspace(-1, 1, 41)
+    rim = [(x, y) for s in (-1, 1) for x, y in [*((t, s) for t in edge), *((s, t) for t in edge[1:-1])]]
+    points = np.concatenate([rng.uniform(-0.99, 0.99, (4000, 2)), rim])
+    mesh = trimesh.Trimesh(np.c_[points, 2 - (points**2).sum(1)], Delaunay(points).simplices, process=False)
+    mesh.faces[mesh.face_normals[:, 2] < 0] = mesh.faces[mesh.face_normals[:, 2] < 0][:, ::-1]
+    found = read_stl_height(_stl(tmp_path / "lens.stl", mesh), 2e-5, 1e-3)
+    x = (np.arange(100) - 49.5) * 0.02
+    sag = 2 - x[None, :] ** 2 - x[:, None] ** 2
+    assert np.abs(found / 1e-3 - (sag - sag.min())).max() < 0.1**2  # edge^2 / 4 per axis; edges reach 0.14
+
+
+def test_bodies_that_are_no_height_maps_are_refused(tmp_path):
+    overhang = trimesh.util.concatenate(
+        [_blocks([[1.0, 1.0]]), trimesh.creation.box(bounds=[[0.2, -0.8, 2], [0.6, -0.4, 3]])]
+    )
+    hole = _blocks([[1, 1, 1], [1, 1, 1], [1, 1, 1]])
+    hole.update_faces(
+        ~((hole.face_normals[:, 2] > 0.5) & (np.abs(hole.triangles_center - [1.5, -1.5, 1]).max(1) < 0.5))
+    )
+    upside_down = _blocks([[1.0, 2.0]])
+    upside_down.apply_transform(trimesh.transformations.rotation_matrix(np.pi, [1, 0, 0]))
+    twice = trimesh.util.concatenate([_blocks([[1.0, 1.0]]), _blocks([[2.0, 2.0]])])
+    for body, words in (
+        (trimesh.creation.icosphere(radius=1.0), "overhang"),
+        (overhang, "0.16 mm2 of it overhang"),
+        (upside_down, "overhang.*lies upside down"),
+        (hole, "leaves out 1 of 9 mm2 of its rectangle; fill holes"),
+        (trimesh.creation.cylinder(radius=1.0, height=1.0, sections=64), "leaves out 0.863 of 4 mm2"),
+        (twice, "cover 4 mm2 of a rectangle of 2 mm2, so some lie above each other"),
+    ):
+        path = _stl(tmp_path / "body.stl", body)
+        with pytest.raises(InputError, match=f"{re.escape(str(path))} is no height map: .*{words}"):
+            read_stl_height(path, 1e-4, 1e-3)
+
+
+def test_a_hole_hidden_by_an_overlap_is_found(tmp_path):
+    """The areas sum to the rectangle's, but the surface does not cover it."""
+    sheet = [[x, y, 0.1 * x] for y in (0, 1) for x in range(4)]
+    quads = [[0, 1, 5], [0, 5, 4], [2, 3, 7], [2, 7, 6], [0, 1, 5], [0, 5, 4]]
+    path = _stl(tmp_path / "body.stl", trimesh.Trimesh(sheet, quads, process=False))
+    with pytest.raises(InputError, match="has a hole over 100 of 300 mask pixels"):
+        read_stl_height(path, 1e-4, 1e-3)
+
+
+def test_files_that_are_no_stl_are_refused(tmp_path):
+    path = tmp_path / "body.stl"
+    with pytest.raises(InputError, match=r"body.stl cannot be read: No such file"):
+        read_stl_height(path, 1e-6, 1e-3)
+    for content in (
+        b"",
+        b"solid nothing\nendsolid nothing\n",
+        b"\x89PNG and so on",
+        stl_bytes(_mask(_steps()), 1e-6)[:-70],
+    ):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"body.stl (cannot be read as STL|holds 0 triangles)"):
+            read_stl_height(path, 1e-6, 1e-3)
+
+
+def test_units_that_make_no_sensible_grid_are_refused(tmp_path):
+    path = _stl(tmp_path / "blocks.stl", _blocks([[1.0, 2.0]]))
+    with pytest.raises(InputError, match=r"pixel_um: got 2 for .* of 2e\+03 x 1e\+03 mm.*1e\+06 um"):
+        read_stl_height(path, 2e-6, 1.0)
+    with pytest.raises(InputError, match="0 x 0 pixels"):
+        read_stl_height(path, 3e-6, 1e-6)
