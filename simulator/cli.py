@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from simulator import __version__
-from simulator.commands import about, datasets, plugins, psf
+from simulator.commands import about, datasets, masks, plugins, psf
 from simulator.errors import InputError
 
 app = typer.Typer(
@@ -25,6 +25,7 @@ for command in (
     datasets.generate,
     psf.psf,
     plugins.masks,
+    masks.export_mask,
     plugins.scenes,
     datasets.verify,
     about.schema,

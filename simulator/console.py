@@ -1,4 +1,4 @@
-"""What the terminal shows: progress, lists, measured errors. Plain lines where it is no terminal."""
+"""What the terminal shows: progress, measured errors, the doctor's findings. Plain lines where it is no terminal."""
 
 from __future__ import annotations
 
@@ -80,23 +80,6 @@ def describe_stack(stack: PsfStack, sensor_shape: tuple[int, int], scene_shape: 
     facts = psf_facts(stack, None, scene_shape, sensor_shape)
     width = max(len(what) for what, _ in facts)
     return "\n".join(f"{what:>{width}}  {value}" for what, value in facts)
-
-
-def describe_plugins(kind: str, key: str) -> str:
-    """Return the designs or families of a kind with their parameters, defaults and first docstring lines."""
-    from simulator.plugins import available, resolve
-
-    lines = [f"{key}:"]
-    for name in available(kind):
-        plugin = resolve(kind, name)
-        # A design's module says what it is and where it was published; its function says what it returns.
-        described = sys.modules[plugin.function.__module__].__doc__ or plugin.function.__doc__ or ""
-        summary = described.strip().split("\n")[0]
-        lines.append(f"  {name}: {summary}")
-        for parameter, info in plugin.parameters.model_fields.items():
-            default = "required" if info.is_required() else info.default
-            lines.append(f"      {parameter}: {default}")
-    return "\n".join(lines)
 
 
 def print_checks(checks: list[Check]) -> None:

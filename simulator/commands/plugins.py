@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Annotated
 
-def masks() -> None:
-    """List the mask designs and their parameters."""
-    from simulator.console import describe_plugins
+import typer
 
-    print(describe_plugins("mask", "camera.mask.design"))
+
+def masks(
+    names: Annotated[list[str] | None, typer.Argument(help="designs to list; all when left out")] = None,
+) -> None:
+    """List the mask designs: what they are, and their parameters with range, default and meaning."""
+    from simulator.plugin_listing import print_plugins
+
+    print_plugins("mask", "camera.mask.design", names or ())
 
 
 def scenes() -> None:
     """List the scene families and imported sources with their parameters."""
-    from simulator.console import describe_plugins
+    from simulator.plugin_listing import print_plugins
 
-    print(describe_plugins("scene", "scene.family") + "\n" + describe_plugins("source", "scene.source"))
+    print_plugins("scene", "scene.family")
+    print_plugins("source", "scene.source")

@@ -7,6 +7,15 @@ def test_masks(flatlight) -> None:
     assert out.startswith("camera.mask.design:")
     for words in ("  phlatcam: ", "  pinhole: ", "  diffusercam: ", "      width_mm: 7.01"):
         assert words in out
+    assert "number over 0.05 to 20; side of the square mask" in out
+
+
+def test_one_mask(flatlight, one_error) -> None:
+    code, out, _ = flatlight("masks", "pinhole")
+    assert code == 0
+    assert "  pinhole: A pinhole" in out
+    assert "phlatcam" not in out
+    one_error(flatlight("masks", "pinhol"), "unknown mask design, got 'pinhol'", "did you mean 'pinhole'")
 
 
 def test_scenes(flatlight) -> None:

@@ -1,0 +1,94 @@
+"""``export-mask``: the files from which a mask is made."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from simulator.commands.options import ConfigPath, Overrides
+from simulator.errors import InputError
+
+if TYPE_CHECKING:
+    from simulator.optics.mask import Mask
+
+
+def export_mask(
+    config: ConfigPath,
+    set_: Overrides = None,
+    stl: Annotated[Path | None, typer.Option("--stl", help="solid body, in millimetres")] = None,
+    tiff: Annotated[Path | None, typer.Option("--tiff", help="height map of 16 bits")] = None,
+    layers: Annotated[
+        Path | None, typer.Option("--layers", help="folder of black-and-white pictures, one per height step")
+    ] = None,
+    base_um: Annotated[float, typer.Option(min=0.01, help="thickness of the body's plate")] = 500.0,
+    step_um: Annotated[float, typer.Option(min=0, help="height step of the layers, for masks without steps")] = 0.0,
+    crop_mm: Annotated[float | None, typer.Option(min=1e-3, help="only the central square of this side")] = None,
+    force: Annotated[bool, typer.Option("--force", help="overwrite earlier exports")] = False,
+) -> None:
+    """Write the mask of a configuration as a body (STL), a height map (TIFF) or layers, for fabrication."""
+    from simulator.assemble import build_mask
+    from simulator.config import load_config
+    from simulator.files import write_atomic
+    from simulator.optics.mask_export import binary_layers, height_tiff, write_layers
+    from simulator.optics.relief import stl_bytes
+
+    if not (stl or tiff or layers):
+        msg = "nothing to write; give --stl FILE, --tiff FILE or --layers FOLDER"
+        raise InputError(msg)
+    for option, path in (("--stl", stl), ("--tiff", tiff)):
+        _check_file(option, path, force)
+    _check_folder(layers, force)
+    mask = build_mask(load_config(config, set_ or []))
+    if mask is None:
+        msg = f"{config} has a measured PSF and no mask to export; set camera.mask"
+        raise InputError(msg)
+    if crop_mm is not None:
+        side = round(crop_mm * 1e-3 / mask.pitch_m)
+        mask = mask.crop((side, side))
+    # Whatever is refused is refused before anything is written.
+    body = stl_bytes(mask, base_um * 1e-6) if stl else b""
+    picture = height_tiff(mask) if tiff else b""
+    stack = binary_layers(mask, step_um * 1e-6) if layers else None
+    if stl:
+        write_atomic(stl, body)
+        print(f"wrote {stl} ({len(body) / 1e6:.1f} MB), in millimetres; to use it:\n  {_as_design(mask, stl)}")
+    if tiff:
+        write_atomic(tiff, picture)
+        height_um = float(mask.height_m.max() - mask.height_m.min()) * 1e6
+        print(f"wrote {tiff}; to use it:\n  {_as_design(mask, tiff, height_um)}")
+    if layers and stack:
+        names = write_layers(layers, stack)
+        print(f"wrote {layers}: {', '.join(names[:1] + ['...'] * (len(names) > 2) + names[1:][-1:])}")
+    if (stl or tiff) and not mask.amplitude.all() and not layers:
+        print("note: the mask's opaque parts have no height; --layers writes them as aperture.png")
+
+
+def _check_file(option: str, path: Path | None, force: bool) -> None:
+    if path is not None and path.exists() and not (force and path.is_file()):
+        cure = "choose another name" + (", or --force to overwrite it" if path.is_file() else "")
+        msg = f"{option}: {path} exists already; {cure}"
+        raise InputError(msg)
+
+
+def _check_folder(folder: Path | None, force: bool) -> None:
+    from simulator.optics.mask_export import APERTURE_FILE, LAYERS_FILE
+
+    if folder is None or not folder.exists():
+        return
+    own = ("layer_*.png", APERTURE_FILE, LAYERS_FILE)
+    foreign = not folder.is_dir() or any(not any(path.match(name) for name in own) for path in folder.iterdir())
+    if foreign or (not force and any(folder.iterdir())):
+        cure = "choose another name" + ("" if foreign else ", or --force to overwrite these layers")
+        msg = f"--layers: {folder} exists already{' and holds other things' if foreign else ''}; {cure}"
+        raise InputError(msg)
+
+
+def _as_design(mask: Mask, path: Path, max_height_um: float | None = None) -> str:
+    """Return the line of a configuration that uses the exported file."""
+    scale = f"max_height_um: {max_height_um:.9g}, " if max_height_um is not None else ""
+    return (
+        f"mask: {{design: height_map, file: {path}, pixel_um: {mask.pitch_m * 1e6:.9g}, {scale}"
+        f"material: {mask.material.name}, profile: {mask.profile}}}"
+    )

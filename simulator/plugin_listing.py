@@ -1,0 +1,161 @@
+"""Lists of designs, families and sources: what each is, and its parameters with type, range, default and meaning.
+
+All of it is read from the plugin's own code: the first line of its module, its signature and its docstring.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin
+
+from simulator.plugins import Plugin, available, resolve
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_TYPES = {float: "number", int: "whole number", bool: "true or false", str: "text", Path: "path"}
+
+
+@dataclass(frozen=True)
+class ParameterLine:
+    """One parameter as users read it.
+
+    Attributes:
+        name: its key.
+        default: as it would stand in YAML, or ``required``.
+        expected: its type and range in words.
+        meaning: from the docstring, one line.
+    """
+
+    name: str
+    default: str
+    expected: str
+    meaning: str
+
+
+def print_plugins(kind: str, key: str, names: Iterable[str] = ()) -> None:
+    """Print plugins and their parameters: tables on a terminal, plain lines elsewhere.
+
+    Args:
+        kind: ``mask``, ``scene`` or ``source``.
+        key: the configuration's key that takes the name.
+        names: those to print; none means all.
+
+    Raises:
+        InputError: for an unknown name.
+    """
+    from rich.console import Console
+
+    plugins = [resolve(kind, name) for name in names or available(kind)]
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        print(plugin_lines(key, plugins))
+        return
+    console.print(f"[bold]{key}[/]")
+    for plugin in plugins:
+        console.print(plugin_table(plugin))
+
+
+def plugin_lines(key: str, plugins: Iterable[Plugin]) -> str:
+    """Return plain lines: a plugin's name and summary, then ``parameter: default`` with what is expected and meant."""
+    lines = [f"{key}:"]
+    for plugin in plugins:
+        lines.append(f"  {plugin.name}: {summary(plugin)}")
+        shown = [(f"{line.name}: {line.default}", line) for line in parameter_lines(plugin)]
+        width = max((len(text) for text, _ in shown), default=0)
+        for text, line in shown:
+            meaning = f"; {line.meaning}" if line.meaning else ""
+            lines.append(f"      {text:<{width}}  {line.expected}{meaning}")
+    return "\n".join(lines)
+
+
+def plugin_table(plugin: Plugin) -> Table:
+    """Return the same as a table for a terminal."""
+    from rich.box import SIMPLE_HEAD
+    from rich.markup import escape
+    from rich.table import Table
+
+    title = f"[bold]{escape(plugin.name)}[/]  {escape(summary(plugin))}"
+    table = Table(
+        "key", "default", "expected", "meaning", title=title, title_justify="left", title_style="", box=SIMPLE_HEAD
+    )
+    for line in parameter_lines(plugin):
+        table.add_row(f"[cyan]{escape(line.name)}[/]", *map(escape, (line.default, line.expected, line.meaning)))
+    return table
+
+
+def summary(plugin: Plugin) -> str:
+    """Return what a plugin is and where it was published: the first line of its module, else of its function."""
+    described = sys.modules[plugin.function.__module__].__doc__ or plugin.function.__doc__ or ""
+    return described.strip().split("\n")[0]
+
+
+def parameter_lines(plugin: Plugin) -> Iterator[ParameterLine]:
+    """Yield a plugin's parameters in the order of its signature."""
+    meanings = documented_arguments(inspect.getdoc(plugin.function) or "")
+    for name, field in plugin.parameters.model_fields.items():
+        default = "required" if field.is_required() else _as_yaml(field.default)
+        expected = _expected(field.annotation, field.metadata)
+        yield ParameterLine(name, default, expected, meanings.get(name, ""))
+
+
+def documented_arguments(docstring: str) -> dict[str, str]:
+    """Return the meaning of each argument in a Google-style docstring, in one line each.
+
+    Example:
+        >>> documented_arguments('''Do it.
+        ...
+        ... Args:
+        ...     width_mm: side of the mask,
+        ...         without its frame.
+        ...     seed: of the noise.
+        ...
+        ... Raises:
+        ...     InputError: never.''')
+        {'width_mm': 'side of the mask, without its frame', 'seed': 'of the noise'}
+    """
+    section = re.search(r"^Args:\n((?:[ \t]+.*\n?|\n)+)", docstring, re.MULTILINE)
+    if section is None:
+        return {}
+    entries = re.findall(r"^ {4}(\w+):((?:.*\n?)(?: {5,}.*\n?|\n)*)", section[1], re.MULTILINE)
+    return {name: " ".join(text.split()).removesuffix(".").replace("``", "") for name, text in entries}
+
+
+def _as_yaml(value: Any) -> str:
+    if isinstance(value, bool | NoneType):
+        return {True: "true", False: "false", None: "null"}[value]
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _expected(annotation: Any, metadata: Iterable[Any] = ()) -> str:
+    """Return a type and its range in words."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        inner, *more = get_args(annotation)
+        return _expected(inner, more)
+    if origin in (Union, UnionType):
+        return " or ".join(_expected(part, metadata) for part in get_args(annotation) if part is not NoneType)
+    if origin is Literal:
+        return " | ".join(_as_yaml(value) for value in get_args(annotation))
+    if origin in (tuple, list):
+        return "list"
+    words = _TYPES.get(annotation, getattr(annotation, "__name__", str(annotation)))
+    limits = _limits(metadata)
+    return f"{words} {limits}" if limits else words
+
+
+def _limits(metadata: Iterable[Any]) -> str:
+    """Return the bounds that pydantic's ``Field`` carries in words, such as ``over 0 to 20``."""
+    found: dict[str, Any] = {}
+    for item in metadata:
+        for part in (item, *getattr(item, "metadata", ())):  # an Annotated Field inside a union keeps its own list
+            found |= {name: getattr(part, name) for name in ("ge", "gt", "le", "lt") if hasattr(part, name)}
+    low = f"from {found['ge']:g}" if "ge" in found else f"over {found['gt']:g}" if "gt" in found else ""
+    high = f"to {found['le']:g}" if "le" in found else f"to under {found['lt']:g}" if "lt" in found else ""
+    return f"{low} {high}".strip()

@@ -1,0 +1,80 @@
+"""``export-mask`` as users meet it: files that read back as the mask, nothing overwritten, nothing half done."""
+
+import re
+
+import numpy as np
+import pytest
+import yaml
+
+from psf_library import load_mask
+
+SMALL = {"design": "phlatcam", "width_mm": 0.06, "iterations": 2}
+
+
+@pytest.fixture
+def phase(trial):
+    """A configuration with a small PhlatCam."""
+    return trial.write(camera={"mask": SMALL})
+
+
+def _designs(out: str) -> list[dict]:
+    """The masks of the lines that the command prints for a configuration."""
+    return [yaml.safe_load(line)["mask"] for line in re.findall(r"^  (mask: .*)$", out, re.MULTILINE)]
+
+
+def test_the_printed_lines_make_the_same_mask(flatlight, phase, tmp_path) -> None:
+    """Half a code of 16 bits over 1 um is 8 pm."""
+    code, out, err = flatlight("export-mask", phase, "--stl", tmp_path / "m.stl", "--tiff", tmp_path / "m.tif")
+    assert code == 0, err
+    original, designs = load_mask(**SMALL), _designs(out)
+    assert len(designs) == 2
+    for params in designs:
+        again = load_mask(**params)
+        assert (again.pitch_m, again.material, again.profile) == (
+            pytest.approx(original.pitch_m),
+            original.material,
+            original.profile,
+        )
+        np.testing.assert_allclose(again.height_m, original.height_m - original.height_m.min(), rtol=0, atol=8.1e-12)
+
+
+def test_layers_and_crop(flatlight, phase, tmp_path) -> None:
+    code, out, _ = flatlight("export-mask", phase, "--layers", tmp_path / "steps", "--crop-mm", 0.04)
+    assert code == 0
+    names = sorted(path.name for path in (tmp_path / "steps").iterdir())
+    assert names == [*(f"layer_00{n}.png" for n in (1, 2, 3, 4, 5)), "layers.json"]
+    assert "layer_001.png, ..., layer_005.png" in out
+    from PIL import Image
+
+    with Image.open(tmp_path / "steps" / "layer_001.png") as picture:
+        assert picture.size == (20, 20)
+
+
+def test_an_amplitude_mask_has_no_body(flatlight, one_error, trial, tmp_path) -> None:
+    path = trial.write(camera={"mask": {"design": "pinhole"}})
+    refused = flatlight("export-mask", path, "--stl", tmp_path / "m.stl", "--layers", tmp_path / "m")
+    one_error(refused, "mask 'pinhole' is flat", "as layers instead")
+    assert not list(tmp_path.glob("m*"))  # the layers that could have been written were not begun
+    assert flatlight("export-mask", path, "--layers", tmp_path / "m")[0] == 0
+    assert (tmp_path / "m" / "aperture.png").is_file()
+
+
+def test_nothing_is_overwritten_unasked(flatlight, one_error, phase, tmp_path) -> None:
+    arguments = ("export-mask", phase, "--tiff", tmp_path / "m.tif", "--layers", tmp_path / "m")
+    assert flatlight(*arguments)[0] == 0
+    one_error(flatlight(*arguments), "--tiff", "m.tif exists already", "--force")
+    one_error(flatlight(*arguments[:2], *arguments[4:]), "--layers", "exists already", "--force to overwrite")
+    assert flatlight(*arguments, "--force")[0] == 0
+    (tmp_path / "m" / "thesis.txt").write_text("years of work")
+    one_error(flatlight(*arguments, "--force"), "exists already and holds other things; choose another name")
+    assert (tmp_path / "m" / "thesis.txt").read_text() == "years of work"
+    one_error(
+        flatlight("export-mask", phase, "--stl", tmp_path / "m", "--force"), "exists already; choose another name"
+    )
+
+
+def test_mistakes(flatlight, one_error, phase, trial, tmp_path) -> None:
+    one_error(flatlight("export-mask", phase), "nothing to write", "--stl FILE")
+    one_error(flatlight("export-mask", phase, "--tiff", tmp_path / "a" / "m.tif"), "its folder does not exist")
+    smooth = trial.write(camera={"mask": {"design": "diffusercam", "width_mm": 0.06}})
+    one_error(flatlight("export-mask", smooth, "--layers", tmp_path / "m"), "step_um", "at most 255 layers")

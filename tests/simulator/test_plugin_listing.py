@@ -1,0 +1,95 @@
+"""What lists say of a plugin is what its code says: names, types, ranges, defaults, meanings."""
+
+from pathlib import Path
+
+import pytest
+
+from simulator.plugin_listing import documented_arguments, parameter_lines, plugin_lines, plugin_table
+from simulator.plugins import available, resolve
+
+DESIGN = '''
+"""A design of the tests (Nobody, J. Test. 1, 1, 2001).
+
+More words that no list needs.
+"""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+
+def shape(
+    *,
+    width_mm: Annotated[float, Field(gt=0, le=20)] = 3.0,
+    angle_degrees: Annotated[float, Field(ge=-5, lt=5)] = 1e-3,
+    rank: int,
+    file: Path | None = None,
+    depth_cm: Annotated[float, Field(ge=0.5)] | None = None,
+    kind: Literal["round", "square"] = "round",
+    open: bool = True,
+):
+    """Return nothing.
+
+    Args:
+        width_mm: side of the [square]
+            mask.
+        rank: of the array.
+        kind: ``round`` or not.
+
+    Raises:
+        InputError: never.
+    """
+'''
+
+
+@pytest.fixture
+def plugin(tmp_path: Path):
+    (tmp_path / "design.py").write_text(DESIGN)
+    return resolve("mask", "./design.py:shape", tmp_path)
+
+
+def test_parameters_have_type_range_default_and_meaning(plugin) -> None:
+    lines = [(line.name, line.default, line.expected, line.meaning) for line in parameter_lines(plugin)]
+    assert lines == [
+        ("width_mm", "3", "number over 0 to 20", "side of the [square] mask"),
+        ("angle_degrees", "0.001", "number from -5 to under 5", ""),
+        ("rank", "required", "whole number", "of the array"),
+        ("file", "null", "path", ""),
+        ("depth_cm", "null", "number from 0.5", ""),
+        ("kind", "round", "round | square", "round or not"),
+        ("open", "true", "true or false", ""),
+    ]
+
+
+def test_plain_lines_say_what_it_is_and_line_the_parameters_up(plugin) -> None:
+    lines = plugin_lines("camera.mask.design", [plugin]).splitlines()
+    assert lines[:3] == [
+        "camera.mask.design:",
+        "  ./design.py:shape: A design of the tests (Nobody, J. Test. 1, 1, 2001).",
+        "      width_mm: 3           number over 0 to 20; side of the [square] mask",
+    ]
+    assert lines[3] == "      angle_degrees: 0.001  number from -5 to under 5"
+
+
+def test_the_table_of_a_terminal_holds_the_same(plugin) -> None:
+    from rich.console import Console
+
+    console = Console(width=100)
+    with console.capture() as shown:
+        console.print(plugin_table(plugin))
+    text = shown.get()
+    assert "A design of the tests (Nobody, J. Test. 1, 1, 2001)." in text
+    assert "side of the [square] mask" in text  # brackets are words here, not markup
+    assert [word in text for word in ("width_mm", "over 0 to 20", "required", "round | square")] == [True] * 4
+
+
+@pytest.mark.parametrize("docstring", ["", "Do it.", "Do it.\n\nReturns:\n    args: none."])
+def test_a_docstring_without_arguments_has_none(docstring: str) -> None:
+    assert documented_arguments(docstring) == {}
+
+
+def test_every_parameter_of_every_shipped_design_has_a_meaning() -> None:
+    for name in available("mask"):
+        for line in parameter_lines(resolve("mask", name)):
+            assert line.meaning, f"{name}: {line.name}"
