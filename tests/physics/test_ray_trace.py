@@ -1,0 +1,151 @@
+"""Rays through a height map: prisms and lenses in closed form, and the wave PSF in the limit of short waves."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from simulator.errors import InputError
+from simulator.optics import ray_trace
+from simulator.optics.drjit_process import llvm_works, run_kernel
+from simulator.optics.mask import Mask
+from simulator.optics.psf import PsfConfig, depth_images
+from simulator.optics.ray_trace import geometric_psf
+from simulator.types import CameraGeometry, SpectralResponse
+
+WAVELENGTH_M = 532e-9
+GREEN = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")
+
+
+@dataclass(frozen=True)
+class _Undispersed:
+    """An index of 1.5 at every wavelength, so that rays stay the same while waves shrink."""
+
+    name: str = "n = 1.5"
+    source: str = "by definition"
+
+    def index(self, wavelength_m):
+        return 1.5
+
+
+def _grid(samples, pitch_m):
+    x = (np.arange(samples) - (samples - 1) / 2) * pitch_m
+    return x[:, None], x[None, :]
+
+
+def _random_surface(samples=160, pitch_m=1e-6):
+    """Eight cosines of 40 um and more, slopes of 1 %, under a soft round aperture; symmetric in no way."""
+    rng = np.random.default_rng(0)
+    y, x = _grid(samples, pitch_m)
+    height = sum(
+        62.5e-9 * a * np.cos(2 * np.pi * 2.5e4 * (fy * y + fx * x) + 3 * p)
+        for fy, fx, a, p in zip(*rng.uniform(-1, 1, (4, 8)), strict=True)
+    )
+    aperture = np.exp(-((np.hypot(y, x) / (0.4 * samples * pitch_m)) ** 8))
+    return Mask(height, aperture, pitch_m, _Undispersed(), "smooth")
+
+
+def _difference(mask, distance_m, depth_m, shrink, rays):
+    """Relative L2 distance between the wave PSF at a shrunken wavelength and the rays' PSF, on pixels of 8 um."""
+    camera = CameraGeometry(distance_m, 8e-6, GREEN)
+    config = PsfConfig((depth_m,), wavelengths_per_channel=1, oversampling=max(1, shrink // 2))
+    wave = next(iter(depth_images(mask, camera, config, WAVELENGTH_M / shrink, rays.shape[0])))
+    return np.linalg.norm(wave - rays) / np.linalg.norm(wave)
+
+
+@pytest.mark.parametrize("depth_m", [math.inf, 0.02], ids=["infinity", "2 cm"])
+def test_waves_become_rays_with_the_square_of_the_wavelength(depth_m):
+    """Before the first caustic the wave's intensity differs from the rays' by O(lambda^2) (Luneburg-Kline series).
+
+    Wavelengths of 532, 266, 133 nm: each halving must divide the difference by four, order 1.7 to 2.1; the rays' own
+    graininess and the lengthening of steep rays leave 3e-4. A ray traced with the wrong sign would differ by 1.
+    """
+    mask, d = _random_surface(), 0.4e-3
+    rays = geometric_psf(mask, WAVELENGTH_M, d, depth_m, 8e-6, 45, rays_per_sample=16)
+    differences = [_difference(mask, d, depth_m, shrink, rays) for shrink in (1, 2, 4)]
+    orders = np.log2(np.array(differences[:-1]) / differences[1:])
+    assert differences[-1] < 4e-3
+    assert np.all((orders > 1.7) & (orders < 2.1)), f"orders {orders} of {differences}"
+
+
+def test_waves_become_rays_behind_caustics_too():
+    """Behind caustics fringes stay, ever finer; blurred to the pixel, they fade at about the first order."""
+    mask, d = _random_surface(), 2e-3
+    rays = geometric_psf(mask, WAVELENGTH_M, d, math.inf, 8e-6, 45, rays_per_sample=16)
+    differences = [_difference(mask, d, math.inf, shrink, rays) for shrink in (1, 4, 16)]
+    assert differences[0] > 3 * differences[1] > 6 * differences[2]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_prism_shifts_by_its_deviation(axis):
+    """A ray leaves a slope of angle alpha at asin(n sin(alpha)) - alpha: 0.2 in slope is 0.1041 rad for n = 1.5.
+
+    The whole spot, 20 um wide, moves by d tan(0.1041) = 52.26 um towards the thick end, to a hundredth of a micrometre.
+    """
+    ramp = np.broadcast_to(np.arange(40) * 0.1e-6, (40, 40))
+    open_part = np.zeros((40, 40))
+    open_part[10:-10, 10:-10] = 1
+    mask = Mask(ramp if axis else ramp.T, open_part, 0.5e-6, _Undispersed(), "smooth")
+    pixel, size, d = 0.1e-6, 1301, 0.5e-3
+    power = np.flip(geometric_psf(mask, WAVELENGTH_M, d, math.inf, pixel, size, rays_per_sample=8))  # physical frame
+    x = (np.arange(size) - size // 2) * pixel
+    centre = [float(power.sum(1 - a) @ x / power.sum()) for a in (0, 1)]
+    alpha = math.atan(0.2)
+    assert centre[axis] == pytest.approx(d * math.tan(math.asin(1.5 * math.sin(alpha)) - alpha), abs=1e-8)
+    assert centre[1 - axis] == pytest.approx(0, abs=1e-8)
+
+
+@pytest.mark.parametrize("depth_m", [math.inf, 5e-3])
+def test_a_lens_gathers_its_light_where_it_should(depth_m):
+    """A plano-convex lens of f = R / (n - 1) = 1 mm images a source at z to f z / (z - f); half-way, half its width.
+
+    Aberrations of a 50 um lens at f / 10: some (D / 2)^3 / f^2 = 0.1 um.
+    """
+    f, half = 1e-3, 50e-6
+    y, x = _grid(104, 1e-6)
+    r2 = x**2 + y**2
+    mask = Mask(-r2 / (2 * f * 0.5), (r2 <= half**2).astype(float), 1e-6, _Undispersed(), "smooth")
+    image = f if math.isinf(depth_m) else f * depth_m / (depth_m - f)
+    focus = geometric_psf(mask, WAVELENGTH_M, image, depth_m, 0.5e-6, 81)
+    middle = focus[38:43, 38:43].sum() / focus.sum()
+    assert middle > 0.99
+    halfway = geometric_psf(mask, WAVELENGTH_M, image / 2, depth_m, 0.5e-6, 161)
+    r = np.hypot(*np.meshgrid((np.arange(161) - 80) * 0.5e-6, (np.arange(161) - 80) * 0.5e-6))
+    # A uniform disc of radius a has the mean square radius a^2 / 2.
+    assert np.sqrt(2 * (halfway * r**2).sum() / halfway.sum()) == pytest.approx(half / 2, rel=0.02)
+
+
+def test_all_power_arrives():
+    """The sum times the pixel area is the mask's transmitted area, but for the cubic interpolation of the aperture."""
+    mask = _random_surface()
+    found = geometric_psf(mask, WAVELENGTH_M, 0.4e-3, math.inf, 8e-6, 61)
+    assert found.sum() * (8e-6) ** 2 == pytest.approx(mask.transmitted_area_m2, rel=1e-6)
+
+
+@pytest.mark.parametrize("depth_m", [math.inf, 0.01])
+def test_compiled_and_plain_traces_agree(depth_m, monkeypatch):
+    """Float64 both; rays that land on a pixel's edge may fall to either side, some 1e-6 of them at most."""
+    if not llvm_works():
+        pytest.skip("no libLLVM that Dr.Jit can use: the NumPy loop is all there is")
+    mask = _random_surface()
+    calls = []
+    monkeypatch.setattr(ray_trace, "run_kernel", lambda *a, **b: calls.append(a) or run_kernel(*a, **b))
+    compiled = geometric_psf(mask, WAVELENGTH_M, 0.4e-3, depth_m, 8e-6, 45)
+    monkeypatch.setattr(ray_trace, "run_kernel", lambda *_, **__: None)
+    monkeypatch.setattr(ray_trace, "_CHUNK", 10_001)
+    plain = geometric_psf(mask, WAVELENGTH_M, 0.4e-3, depth_m, 8e-6, 45)
+    assert len(calls) == 1
+    assert np.abs(compiled - plain).sum() < 1e-5 * plain.sum()
+
+
+def test_bad_input_is_named():
+    mask = _random_surface(20)
+    with pytest.raises(InputError, match="rays see no slope on flat steps"):
+        geometric_psf(Mask(mask.height_m, mask.amplitude, 1e-6), WAVELENGTH_M, 1e-3, math.inf, 8e-6, 9)
+    with pytest.raises(InputError, match=r"distance_m: got 0\.0, expected positive"):
+        geometric_psf(mask, WAVELENGTH_M, 0.0, math.inf, 8e-6, 9)
+    with pytest.raises(InputError, match="rays_per_sample and size must be at least 1, got 0 and 9"):
+        geometric_psf(mask, WAVELENGTH_M, 1e-3, math.inf, 8e-6, 9, rays_per_sample=0)
+    with pytest.raises(InputError, match="at least 4 per axis"):
+        geometric_psf(mask.crop((3, 3)), WAVELENGTH_M, 1e-3, math.inf, 8e-6, 9)
