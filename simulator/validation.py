@@ -120,6 +120,8 @@ def find_problems(error: ValidationError, model: type[BaseModel], data: Any, als
     others: list[Problem] = []
     for item in error.errors(include_url=False):
         kind, loc, context = item["type"], item["loc"], item.get("ctx", {})
+        if kind == "too_short" and len(item["input"]) >= context["min_length"]:
+            continue  # long enough: its entries are wrong, which has a message of its own
         path = strip_tags(loc, data)
         if kind == "extra_forbidden":
             unknown[path] = Problem(path, _unknown_key(model, loc, item["input"], also), on_key=True)

@@ -1,9 +1,10 @@
-"""The sensor of a configuration: the model's numbers, with those that the configuration replaces."""
+"""The sensor of a configuration, and how far the mask is from it."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from simulator.assemble.layers import build_gap
 from simulator.camera.noise import GaussianNoise, Noise, NoNoise, PhysicalNoise
 from simulator.camera.sensor import MODELS, Sensor
 from simulator.config import camera as camera_config
@@ -11,6 +12,9 @@ from simulator.errors import InputError
 
 if TYPE_CHECKING:
     from simulator.config import Config
+
+EQUIVALENT_WAVELENGTH_M = 550e-9
+"""Where a layer's thickness becomes a distance in air: the middle of the visible."""
 
 
 def build_sensor(config: Config, full_scale: float = 1.0) -> Sensor:
@@ -43,8 +47,16 @@ def build_sensor(config: Config, full_scale: float = 1.0) -> Sensor:
 
 
 def distance_m(config: Config) -> float:
-    """Return the distance from mask to sensor, metres."""
-    return config.camera.mask_to_sensor_mm * 1e-3
+    """Return the distance in air at which paraxial rays from the mask arrive at the same place: the sum of d / n, metres.
+
+    Raises:
+        InputError: for an unknown material of a layer, or one that is not known at 550 nm.
+    """
+    gap = build_gap(config)
+    if not gap:
+        assert config.camera.mask_to_sensor_mm is not None
+        return config.camera.mask_to_sensor_mm * 1e-3
+    return sum(layer.thickness_m / layer.material.index(EQUIVALENT_WAVELENGTH_M) for layer in gap)
 
 
 def _noise(chosen: Any) -> Noise:

@@ -6,6 +6,9 @@ import inspect
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from simulator.assemble.layers import layer_files
+from simulator.assemble.light import light_files
+from simulator.assemble.masks import mask_arguments
 from simulator.assemble.measured import measured_files
 from simulator.assemble.scenes import scene_plugin
 from simulator.config.psf import ComputedPsf
@@ -19,14 +22,11 @@ _OWN_PACKAGES = ("simulator", "scenes", "psf_library")
 
 
 def input_files(config: Config, source: SceneSource) -> list[Path]:
-    """Return all files whose contents decide the samples: plugins' own code, measured PSFs, imported frames."""
-    files = _own_code(scene_plugin(config))
+    """Return all files whose contents decide the samples: plugins' code, materials, spectra, measured PSFs, frames."""
+    files = [*_own_code(scene_plugin(config)), *layer_files(config), *light_files(config)]
     if config.camera.mask is not None:
         plugin = resolve("mask", config.camera.mask.design, config.base_dir)
-        files += [
-            *_own_code(plugin),
-            *(v for v in plugin.bind(config.camera.mask.params).values() if isinstance(v, Path)),
-        ]
+        files += [*_own_code(plugin), *mask_arguments(plugin, config.camera.mask.params)[1]]
     if not isinstance(config.psf, ComputedPsf):
         files += measured_files(config, config.psf)
     return [*files, *source.inputs]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+from collections.abc import Mapping
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
@@ -16,7 +17,7 @@ from simulator import __version__
 from simulator.errors import InputError
 from simulator.optics.cache import Entry, cached
 from simulator.optics.mask import UNNAMED, Mask
-from simulator.optics.materials import Material
+from simulator.optics.materials import Material, material_file
 from simulator.plugins import Plugin, plugin_errors, resolve
 
 if TYPE_CHECKING:
@@ -41,11 +42,11 @@ def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
         InputError: for an unknown design or wrong parameters.
     """
     plugin = resolve("mask", design, base_dir)
-    arguments = plugin.bind(params)
+    arguments, files = mask_arguments(plugin, params)
     key = hashlib.sha256(repr((design, sorted(arguments.items()), _code(plugin))).encode())
-    for value in arguments.values():
-        if isinstance(value, Path) and value.is_file():
-            key.update(value.read_bytes())
+    for file in files:
+        if file.is_file():
+            key.update(file.read_bytes())
 
     def compute() -> Entry:
         with plugin_errors(plugin):
@@ -72,6 +73,23 @@ def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
         described["profile"],
         described["name"],
     )
+
+
+def mask_arguments(plugin: Plugin, params: Mapping[str, Any]) -> tuple[dict[str, Any], list[Path]]:
+    """Return a design's arguments, relative paths taken from the plugin's folder, and the files among them.
+
+    Files are the parameters of type Path, and the text parameter ``material`` where it names a file.
+
+    Raises:
+        InputError: for wrong parameters.
+    """
+    arguments = plugin.bind(params)
+    files = [value for value in arguments.values() if isinstance(value, Path)]
+    material = arguments.get("material")
+    if isinstance(material, str) and (file := material_file(material, plugin.base_dir)) is not None:
+        arguments["material"] = str(file)
+        files.append(file)
+    return arguments, files
 
 
 def _code(plugin: Plugin) -> str:

@@ -6,6 +6,8 @@ import hashlib
 from typing import TYPE_CHECKING
 
 from simulator.assemble.camera import build_sensor, distance_m
+from simulator.assemble.layers import build_gap, build_window
+from simulator.assemble.light import build_response
 from simulator.assemble.masks import build_mask, optics_code
 from simulator.assemble.measured import measured_depths_m, measured_stack
 from simulator.assemble.planes import plane_depths_m
@@ -13,7 +15,7 @@ from simulator.config.psf import ComputedPsf
 from simulator.optics.cache import Entry, cached
 from simulator.optics.psf import Progress, PsfConfig, compute_psf_stack, psf_fingerprint
 from simulator.optics.psf_stack import PsfStack
-from simulator.optics.spectrum import NOMINAL_CAMERA, spectral_response
+from simulator.optics.spectrum import check_materials, quantile_lines
 from simulator.types import CameraGeometry
 
 if TYPE_CHECKING:
@@ -24,11 +26,15 @@ def build_geometry(config: Config) -> CameraGeometry:
     """Return what the optics need to know of the camera.
 
     Raises:
-        InputError: for an unknown illuminant or spectral response.
+        InputError: for an unknown illuminant, spectral response or material, or an unreadable file of one.
     """
-    chosen = config.camera.sensor.spectral_response or NOMINAL_CAMERA
-    response = spectral_response(chosen, config.camera.illuminant)
-    return CameraGeometry(distance_m(config), build_sensor(config).binned_pitch_m, response)
+    return CameraGeometry(
+        distance_m(config),
+        build_sensor(config).binned_pitch_m,
+        build_response(config),
+        build_gap(config),
+        build_window(config),
+    )
 
 
 def build_psf_config(config: Config) -> PsfConfig:
@@ -64,6 +70,9 @@ def build_psf_stack(config: Config, *, threads: int = 1, progress: Progress | No
     mask = build_mask(config)
     assert mask is not None
     geometry, psf_config = build_geometry(config), build_psf_config(config)
+    lines = quantile_lines(geometry.response, psf_config.wavelengths_per_channel)
+    layers = [layer.material for layer in (*geometry.gap, *geometry.window)]
+    check_materials(geometry.response, lines, [mask.material, *layers])
     fingerprint = psf_fingerprint(mask, geometry, psf_config)
 
     def compute() -> Entry:

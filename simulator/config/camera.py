@@ -7,6 +7,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from simulator.config.base import PluginSection, Range, Section, refusal
+from simulator.config.layers import GapLayer, Substrate
+from simulator.config.light import IlluminantConfig, SceneToCamera
 
 Pixels = Annotated[int, Range(1, 32768, below="a picture has at least one pixel on each side")]
 Shape = tuple[Pixels, Pixels]
@@ -45,7 +47,9 @@ class SensorConfig(Section):
         default=None, description="digital number of no light"
     )
     bit_depth: Annotated[int, Range(4, 24, "bits")] | None = Field(default=None, description="bits of the converter")
-    spectral_response: str | None = Field(default=None, description="name of a camera's spectral curves")
+    spectral_response: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None, description="name of a camera's spectral curves, or their file (.csv, .json)"
+    )
 
 
 class ShutterConfig(Section):
@@ -110,11 +114,42 @@ class CameraConfig(Section):
     """The lensless camera."""
 
     mask: MaskConfig | None = Field(default=None, description="the mask; left out when the PSF was measured")
-    mask_to_sensor_mm: Annotated[
-        float, Range(0.05, 100, "mm", below="the mask must lie in front of the sensor, not on or behind it")
-    ] = Field(description="distance from the mask to the sensor, millimetres")
+    mask_to_sensor_mm: (
+        Annotated[float, Range(0.05, 100, "mm", below="the mask must lie in front of the sensor, not on or behind it")]
+        | None
+    ) = Field(default=None, description="distance in air from the mask to the sensor, millimetres; or give gap")
+    gap: Annotated[tuple[GapLayer, ...], Field(min_length=1, max_length=16)] | None = Field(
+        default=None, description="the layers from the mask to the sensor, in place of mask_to_sensor_mm"
+    )
+    substrate: Substrate | None = Field(
+        default=None, description="the mask's own plate; on the sensor's side it adds to the distance"
+    )
     sensor: SensorConfig
-    illuminant: str = Field(default="D65", description="name of the light's spectrum", min_length=1)
+    illuminant: IlluminantConfig = Field(
+        default="D65",
+        description="name of the light's spectrum, its file (.csv, .json), an LED {led_nm, fwhm_nm}, or a list of LEDs",
+    )
+    scene_to_camera: SceneToCamera = Field(
+        default="auto",
+        description="rows of the matrix from linear sRGB to the camera's channels; auto fits it to their curves and light",
+    )
     shutter: ShutterConfig = Field(default_factory=ShutterConfig)
     exposure: ExposureConfig = Field(default_factory=ExposureConfig)
     noise: NoiseConfig = Field(default_factory=NoNoise)
+
+    @model_validator(mode="after")
+    def _one_distance(self) -> Self:
+        if self.gap is None and self.mask_to_sensor_mm is None:
+            text = "missing; expected distance in air from the mask to the sensor, millimetres; or give gap: [{mm, n}, ...]"
+            raise refusal(text, "mask_to_sensor_mm")
+        if self.gap is not None and self.mask_to_sensor_mm is not None:
+            text = f"got {len(self.gap)} layers beside mask_to_sensor_mm, which says the same; keep one of the two"
+            raise refusal(text, "gap", on_key=True)
+        return self
+
+    @property
+    def thickness_mm(self) -> float:
+        """Distance from the mask's modulating surface to the sensor as a ruler measures it, millimetres."""
+        layers = self.gap if self.gap is not None else ()
+        plate = self.substrate.mm if self.substrate is not None and self.substrate.side == "sensor" else 0.0
+        return plate + (self.mask_to_sensor_mm or 0.0) + sum(layer.mm for layer in layers)

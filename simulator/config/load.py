@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from simulator import plugins
+from simulator.config.layers import material_problems
 from simulator.config.overrides import Origins, apply_overrides
 from simulator.config.schema import Config
 from simulator.config.yaml_loader import read_yaml
@@ -100,8 +101,9 @@ def _build(data: dict[str, Any], base_dir: Path, origins: Origins, check_plugins
         known = {problem.path for problem in problems}
         problems += [problem for problem in find_problems(error, Config, filled) if problem.path not in known]
     else:
+        config._base_dir = base_dir
+        problems += material_problems(config) if check_plugins else []
         if not problems:
-            config._base_dir = base_dir
             return config
     raise ConfigError(problems, origins)
 

@@ -131,7 +131,7 @@ class Config(Section):
             if self.camera.mask is None:
                 text = "missing; a PSF is computed from a mask: give mask: {design: ...}, or psf: {measured: [...]}"
                 raise refusal(text, "camera", "mask")
-            nearest, distance = self.psf.nearest_cm, self.camera.mask_to_sensor_mm
+            nearest, distance = self.psf.nearest_cm, self.camera.thickness_mm
             if nearest * 10 < distance:
                 text = (
                     f"got {nearest:g} cm, nearer to the mask than the sensor is ({distance:g} mm), where the PSF would "

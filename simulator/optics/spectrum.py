@@ -1,21 +1,22 @@
-"""Spectral responses of cameras and the few wavelengths that stand for them.
-
-Curves come through colour-science, imported on use because it takes a second.
-"""
+"""Spectral responses of cameras under a light, and the few wavelengths that stand for them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.types import SpectralResponse
+from simulator.optics.curves import Led, camera_curves, illuminant_curve
+from simulator.optics.tables import NM
+from simulator.types import Refractive, SpectralResponse
 
 # No curves are published here for the IMX183: this measured DSLR set is the labelled stand-in.
 NOMINAL_CAMERA = "Nikon 5100 (NPL)"
-CHANNELS = ("R", "G", "B")
+_FINEST_M = 0.1e-9
 
 
 @dataclass(frozen=True)
@@ -33,34 +34,61 @@ class Line:
     weight: float
 
 
-def spectral_response(camera: str = NOMINAL_CAMERA, illuminant: str = "D65") -> SpectralResponse:
-    """Return the photon weights of a camera's R, G and B under an illuminant.
+def spectral_response(
+    camera: str = NOMINAL_CAMERA, illuminant: str | Sequence[Led] = "D65", base_dir: Path | None = None
+) -> SpectralResponse:
+    """Return the photon weights of a camera's channels under an illuminant.
 
     w_c(l) = illuminant(l) x response_c(l) x l, because sensors count photons and illuminants are given as power.
 
     Args:
-        camera: a name of colour-science's ``MSDS_CAMERA_SENSITIVITIES``.
-        illuminant: a name of colour-science's ``SDS_ILLUMINANTS``, such as ``D65`` or ``E``.
+        camera: a name or file for :func:`simulator.optics.curves.camera_curves`.
+        illuminant: a name, file or LEDs for :func:`simulator.optics.curves.illuminant_curve`.
+        base_dir: folder from which relative paths are taken.
+
+    Returns:
+        The weights on the wavelengths that both curves cover, 1 nm apart or finer for a narrow LED.
 
     Raises:
-        InputError: for unknown names; the message lists the known ones.
+        InputError: for unknown names (the message lists the known ones), bad files, or curves without a common wavelength.
     """
-    from colour import MSDS_CAMERA_SENSITIVITIES, SDS_ILLUMINANTS, SpectralShape
+    curves, light = camera_curves(camera, base_dir), illuminant_curve(illuminant, base_dir)
+    low = max(curves.wavelengths_m[0], light.wavelengths_m[0])
+    high = min(curves.wavelengths_m[-1], light.wavelengths_m[-1])
+    label = f"{curves.label} under {light.label}" + (", nominal" if camera == NOMINAL_CAMERA else "")
+    if not low < high:
+        msg = (
+            f"{label}: the camera's curves go from {_span(curves.wavelengths_m)}, the light's from "
+            f"{_span(light.wavelengths_m)}; they have no wavelength in common (does a header say the right unit?)"
+        )
+        raise InputError(msg)
+    step_m = min(NM, max(_FINEST_M, float(np.diff(light.wavelengths_m).min())))
+    wavelengths_m = np.linspace(low, high, int(np.ceil((high - low) / step_m - 1e-6)) + 1)
+    weights = curves.at(wavelengths_m) * light.at(wavelengths_m) * wavelengths_m
+    return SpectralResponse(wavelengths_m, weights, curves.channels, label)
 
-    for argument, name, table in (
-        ("spectral_response", camera, MSDS_CAMERA_SENSITIVITIES),
-        ("illuminant", illuminant, SDS_ILLUMINANTS),
-    ):
-        if name not in table:
-            msg = f"{argument}: got {name!r}, expected one of {', '.join(sorted(table))}"
-            raise InputError(msg)
-    curves = MSDS_CAMERA_SENSITIVITIES[camera].copy()
-    shape = SpectralShape(curves.shape.start, curves.shape.end, 1)
-    sensitivity = np.clip(curves.align(shape).values.T, 0, None)
-    power = SDS_ILLUMINANTS[illuminant].copy().align(shape).values
-    wavelengths_m = np.asarray(shape.wavelengths, np.float64) * 1e-9
-    label = f"{camera} under {illuminant}" + (", nominal" if camera == NOMINAL_CAMERA else "")
-    return SpectralResponse(wavelengths_m, sensitivity * power * wavelengths_m, CHANNELS, label)
+
+def check_materials(response: SpectralResponse, lines: Iterable[Line], materials: Iterable[Refractive]) -> None:
+    """Refuse materials that are not known at a wavelength that the camera sees.
+
+    Args:
+        response: the camera under its light, for the message.
+        lines: from :func:`quantile_lines` of it.
+        materials: of the mask and of the layers.
+
+    Raises:
+        InputError: naming the channel, the light and the material.
+    """
+    for material in materials:
+        for line in lines:
+            try:
+                material.index(line.wavelength_m)
+            except InputError as error:
+                msg = (
+                    f"channel {response.channels[line.channel]!r} of {response.label} needs {line.wavelength_m / NM:.1f} nm "
+                    f"(fewer psf.wavelengths_per_channel lie closer together): {error}"
+                )
+                raise InputError(msg) from error
 
 
 def quantile_lines(response: SpectralResponse, per_channel: int) -> list[Line]:
@@ -99,3 +127,7 @@ def _centroids(wavelengths_m: NDArray[np.float64], weights: NDArray[np.float64],
     rising = np.concatenate([[True], np.diff(photons) > 0])
     moments = np.interp(edges, photons[rising], moment[rising])
     return np.diff(moments) / np.diff(edges)
+
+
+def _span(wavelengths_m: NDArray[np.float64]) -> str:
+    return f"{wavelengths_m[0] / NM:g} to {wavelengths_m[-1] / NM:g} nm"

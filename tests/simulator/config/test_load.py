@@ -210,8 +210,8 @@ def test_the_schema_describes_every_key_with_its_range() -> None:
     schema = json_schema()
     assert json.loads(json.dumps(schema, allow_nan=False)) == schema
     distance = schema["$defs"]["CameraConfig"]["properties"]["mask_to_sensor_mm"]
-    assert distance["minimum"] == 0.05
-    assert distance["maximum"] == 100
+    assert distance["anyOf"][0]["minimum"] == 0.05
+    assert distance["anyOf"][0]["maximum"] == 100
     assert "millimetres" in distance["description"]
     assert schema["$defs"]["SensorConfig"]["additionalProperties"] is False
     for section in schema["$defs"].values():

@@ -12,6 +12,7 @@ from simulator.errors import InputError
 COMPUTED = "  near_cm: 3.6\n  far_cm: 20\n  depths: 5\n"
 MASK = 'mask: {design: "./plugins.py:mask", width_mm: 2}'
 NOISE = "noise: {type: gaussian, psnr_db: 40}"
+GAP = "mask_to_sensor_mm: 1.9"
 SENSOR = "sensor: {shape: [64, 96], binning: 4}"
 DATASET = "dataset: {output: out, train: 2}"
 MEASURED = "  measured: [a.tif, b.tif]\n  depths_cm: [5, inf]\n  frame: stored\n  throughput_mm2: 2\n"
@@ -35,6 +36,27 @@ REFUSED = [
     ("near_cm: 3.6", "near_cm: ^.inf", "", ["expected 0.01 to 1e+07 cm;"]),
     ("near_cm: 3.6", "near_cm: ^0.036", "", ["nearer to the mask than the sensor is (1.9 mm)", "another unit"]),
     (COMPUTED, "  depths_cm: [^0.1, 5]\n", "", ["psf.depths_cm[0]: got 0.1 cm, nearer"]),
+    # layers
+    (GAP, "^gap: [{mm: 1, n: air}]\n  mask_to_sensor_mm: 1.9", "", ["camera.gap: got 1 layers beside mask_to_sensor_mm"]),
+    (GAP, "gap: [{mm: 1.2, n: 1}, ^{mm: 0.7}]", "", ["camera.gap[1]: needs exactly one of n", "material, got neither"]),
+    (GAP, "gap: [{mm: 1.2, n: ^1.5, material: n-bk7}]", "", ["camera.gap[0].n: needs exactly one", "got both"]),
+    (GAP, "gap: [{mm: 1.2, n: ^0.5}]", "", ["camera.gap[0].n: got 0.5; expected 'air' or 1 to 4"]),
+    (GAP, "gap: [{mm: 1.2, n: ^water}]", "", ["camera.gap[0].n: got 'water'; expected 'air' or a number"]),
+    (GAP, "gap: [{mm: ^0, n: air}]", "", ["camera.gap[0].mm: got 0; expected 0.0001 to 100 mm"]),
+    (GAP, "gap: ^[]", "", ["camera.gap: got []; expected at least 1 entries"]),
+    (GAP, "gap: [{mm: 1.2, ^nn: air}]", "", ["camera.gap[0].nn: unknown key"]),
+    (GAP, "gap: [{mm: 1.2, material: ^glass}]", "", ["camera.gap[0].material: got 'glass', expected one of air, fused"]),
+    (GAP, "gap: [{mm: 1.2, material: ^glass.csv}]", "", ["camera.gap[0].material: cannot read", "glass.csv: No such file"]),
+    ("mm: 1.9", "mm: 1.9\n  ^substrate: {mm: 1, material: pmma}", "", ["camera.substrate.side: missing"]),
+    (GAP, f"{GAP}\n  substrate: {{mm: 1, material: ^pmm, side: scene}}", "", ["camera.substrate.material: got 'pmm'"]),
+    ("mm: 1.9", "mm: 1.9\n  substrate: {mm: 1, material: pmma, side: ^left}", "", ["expected one of scene, sensor"]),
+    # light
+    (NOISE, "illuminant: {led_nm: ^5.3e-7, fwhm_nm: 20}", "", ["camera.illuminant.led_nm: got 5.3e-07", "200 to 2000 nm"]),
+    (NOISE, "^illuminant: {led_nm: 532}", "", ["camera.illuminant.fwhm_nm: missing"]),
+    (NOISE, "illuminant: [{led_nm: 532, fwhm_nm: ^0.1}]", "", ["camera.illuminant[0].fwhm_nm: got 0.1", "narrower"]),
+    (NOISE, "illuminant: ^''", "", ["camera.illuminant: got ''"]),
+    (NOISE, "scene_to_camera: ^srgb", "", ["camera.scene_to_camera: got 'srgb'; expected one of auto, identity"]),
+    (NOISE, "scene_to_camera: [^[1, 2]]", "", ["camera.scene_to_camera[0]: got [1, 2]; expected at least 3 entries"]),
     # depths
     ("near_cm: 3.6", "near_cm: ^30", "", ["got 30, which is not nearer than far_cm = 20"]),
     ("near_cm: 3.6", "near_cm: ^20", "", ["got 20, which is not nearer than far_cm = 20"]),
@@ -88,7 +110,7 @@ REFUSED = [
     # types
     ("mm: 1.9", "mm: ^'1.9'", "", ["got '1.9'; expected a number"]),
     ("mm: 1.9", "mm: ^true", "", ["got true; expected a number"]),
-    ("_to_sensor_mm: 1.9", "_to_sensor_mm:^", "", ["got nothing; expected a number"]),
+    ("_to_sensor_mm: 1.9", "_to_sensor_mm:^", "", ["camera.mask_to_sensor_mm: missing", "or give gap"]),
     ("seed: 3", "seed: ^3.0", "", ["got 3.0; expected a whole number"]),
     ("name: trial", "name: ^3", "", ["got 3; expected text"]),
     ("name: trial", "name: ^''", "", ["name: got ''; expected"]),
@@ -172,6 +194,11 @@ def test_all_faults_of_a_file_are_listed_from_top_to_bottom(write: Callable[...,
         (f"  {NOISE}\n", ""),
         ("width_mm: 2", "width_mm: 2, kind: b, charge: -1"),
         ("train: 2", "train: 0, test: 1, workers: 3"),
+        (GAP, "gap: [{mm: 1.2, n: air}, {mm: 0.7, material: n-bk7}, {mm: 0.1, n: 1.41}]"),
+        (GAP, f"{GAP}\n  substrate: {{mm: 0.5, material: fused-silica, side: scene}}"),
+        (NOISE, "illuminant: {led_nm: 532, fwhm_nm: 20}"),
+        (NOISE, "illuminant: [{led_nm: 455, fwhm_nm: 20}, {led_nm: 532, fwhm_nm: 30, power: 2}]"),
+        (NOISE, "scene_to_camera: [[1, 0, 0], [0, 1, 0], [-0.1, 0.1, 1]]"),
         ("binning: 4", "binning: 1, pixel_pitch_um: 2, full_well_e: 10000, spectral_response: Nikon"),
     ],
 )
