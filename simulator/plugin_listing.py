@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_
 from simulator.plugins import Plugin, available, resolve
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.console import Group
 
 _TYPES = {float: "number", int: "whole number", bool: "true or false", str: "text", Path: "path"}
 
@@ -75,19 +75,17 @@ def plugin_lines(key: str, plugins: Iterable[Plugin]) -> str:
     return "\n".join(lines)
 
 
-def plugin_table(plugin: Plugin) -> Table:
-    """Return the same as a table for a terminal."""
+def plugin_table(plugin: Plugin) -> Group:
+    """Return the same for a terminal: name and summary above a table."""
     from rich.box import SIMPLE_HEAD
+    from rich.console import Group
     from rich.markup import escape
     from rich.table import Table
 
-    title = f"[bold]{escape(plugin.name)}[/]  {escape(summary(plugin))}"
-    table = Table(
-        "key", "default", "expected", "meaning", title=title, title_justify="left", title_style="", box=SIMPLE_HEAD
-    )
+    table = Table("key", "default", "expected", "meaning", box=SIMPLE_HEAD)
     for line in parameter_lines(plugin):
         table.add_row(f"[cyan]{escape(line.name)}[/]", *map(escape, (line.default, line.expected, line.meaning)))
-    return table
+    return Group(f"[bold]{escape(plugin.name)}[/]  {escape(summary(plugin))}", table)
 
 
 def summary(plugin: Plugin) -> str:
