@@ -3,25 +3,29 @@
 from pathlib import Path
 
 from simulator.assemble import load_mask
-from simulator.dataset.psf_files import read_psf_stack
+from simulator.dataset.psf_files import read_psf_stack, stack_folder
 from simulator.optics.psf_stack import PsfStack
 
 __all__ = ["load_mask", "load_psf_stack"]
 
 
-def load_psf_stack(path: Path | str) -> PsfStack:
+def load_psf_stack(path: Path | str, *, captured: bool = False) -> PsfStack:
     """Return a PSF stack: the one that a data set used, or the one that a configuration describes.
 
     Args:
         path: a data set's folder, a folder that ``flatlight psf --output`` wrote, or a ``sim_config.yaml``.
+        captured: the stack as a calibration would measure it, errors and all, in place of the true one. A folder has it
+            when it was made with ``psf.as_captured`` or ``--as-captured``.
 
     Raises:
         InputError: when there is no stack at that place.
     """
     path = Path(path)
     if path.suffix in (".yaml", ".yml"):
-        from simulator.assemble import build_psf_stack
+        from simulator.assemble import build_captured_stack, build_psf_stack
         from simulator.config import load_config
 
-        return build_psf_stack(load_config(path))
-    return read_psf_stack(path / "psf" if (path / "psf").is_dir() else path)
+        config = load_config(path)
+        stack = build_psf_stack(config)
+        return build_captured_stack(config, stack) if captured else stack
+    return read_psf_stack(stack_folder(path, captured=captured))

@@ -1,13 +1,17 @@
 """From a configuration to the objects of the light path: mask, camera, PSF stack, view, scenes, sensor, forward model."""
 
 from simulator.assemble.camera import build_sensor
+from simulator.assemble.captured import build_captured_stack
 from simulator.assemble.forward import build_forward_model
 from simulator.assemble.inputs import input_files
+from simulator.assemble.light import build_camera_colour
 from simulator.assemble.masks import build_mask, load_mask
 from simulator.assemble.psfs import build_geometry, build_psf_config, build_psf_stack
 from simulator.assemble.scenes import build_source, build_view, scene_plugin
 
 __all__ = [
+    "build_camera_colour",
+    "build_captured_stack",
     "build_forward_model",
     "build_geometry",
     "build_mask",

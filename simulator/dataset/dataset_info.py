@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from simulator.files import write_atomic
 
 FILE = "dataset.json"
 PSF_FOLDER = "psf"  # beside it: the stack that was used
+CAPTURED_FOLDER = "psf_captured"  # the same as a calibration would measure it, where the configuration asks for it
 FORMAT = "flatlight-dataset"
 FORMAT_VERSION = 1
 
@@ -34,6 +35,7 @@ class DatasetInfo:
         scene_shape: rows, columns of the ground truth.
         sensor_shape: rows, columns of the measurement.
         channels: names of the measurement's channels.
+        scene_to_camera: ``matrix``, the rows that take the ground truth's linear sRGB to the channels, and its origin.
 
     Raises:
         InputError: a field has the wrong type or a senseless value.
@@ -50,11 +52,12 @@ class DatasetInfo:
     scene_shape: tuple[int, int]
     sensor_shape: tuple[int, int]
     channels: tuple[str, ...]
+    scene_to_camera: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("name", "fingerprint", "backend"):
             _expect(name, isinstance(getattr(self, name), str), "text", getattr(self, name))
-        for name in ("config", "fingerprint_parts", "versions", "exposure", "counts"):
+        for name in ("config", "fingerprint_parts", "versions", "exposure", "counts", "scene_to_camera"):
             _expect(name, isinstance(getattr(self, name), dict), "a dict", getattr(self, name))
         hexadecimal = len(self.fingerprint) == 64 and set(self.fingerprint) <= set("0123456789abcdef")
         _expect("fingerprint", hexadecimal, "64 hexadecimal digits", self.fingerprint)
@@ -106,11 +109,12 @@ def read_info(root: Path | str) -> DatasetInfo:
             f"{path} has format version {version!r}, this package reads {FORMAT_VERSION}; install a matching flatlight"
         )
         raise InputError(msg)
-    missing = [field.name for field in fields(DatasetInfo) if field.name not in content]
+    optional = {entry.name for entry in fields(DatasetInfo) if entry.default_factory is not MISSING}
+    missing = [entry.name for entry in fields(DatasetInfo) if entry.name not in content.keys() | optional]
     if missing:
         msg = f"{path} lacks {', '.join(missing)}; restore it from a copy"
         raise InputError(msg)
-    values = {field.name: content[field.name] for field in fields(DatasetInfo)}
+    values = {entry.name: content[entry.name] for entry in fields(DatasetInfo) if entry.name in content}
     for name in ("scene_shape", "sensor_shape", "channels"):
         values[name] = tuple(values[name]) if isinstance(values[name], list) else values[name]
     if isinstance(values["counts"], dict):  # JSON keys lie sorted; train comes first everywhere else

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import shutil
 import time
-import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -17,22 +16,20 @@ from typing import Any
 
 import numpy as np
 
-from simulator.assemble import build_psf_stack, build_source, input_files, scene_plugin
+from simulator.assemble import build_source, input_files, scene_plugin
 from simulator.camera.exposure import PERCENTILE, PILOTS, TARGET, full_scale_from_pilots
 from simulator.config import Config, dump, load_config
 from simulator.dataset.contact_sheet import contact_sheet
-from simulator.dataset.dataset_info import FILE, PSF_FOLDER, DatasetInfo, read_info, write_info
+from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER, DatasetInfo, read_info, write_info
 from simulator.dataset.engines import Outcome, WorkerError, available_cpus, run
 from simulator.dataset.fingerprint import build_fingerprint, difference, package_versions
 from simulator.dataset.manifest import MANIFEST, ManifestWriter, load_manifest
-from simulator.dataset.psf_files import read_psf_stack, write_psf_stack
 from simulator.dataset.recipe import Recipe, clips_needed, make_pilot, make_sample, start_worker
 from simulator.dataset.sample import SPLITS, sample_id
+from simulator.dataset.stacks import data_set_stack
 from simulator.errors import InputError
 from simulator.files import TEMPORARY_PREFIX, StorageError, remove_leftovers, storage_errors
-from simulator.optics.metrics import light_off_sensor
 from simulator.optics.psf_stack import PsfStack
-from simulator.optics.sampling import SamplingWarning
 from simulator.render.backend import choose_backend
 
 SHEET = "contact_sheet.png"
@@ -116,10 +113,11 @@ class _Job:
         existing = self._existing(fingerprint, parts)
         with self._folder(), ManifestWriter(self.root) as manifest, self._all_or_nothing():
             remove_leftovers(self.root)
-            stack = self._stack()
+            stack = data_set_stack(self.config, self.root, self.progress, self.say)
             portable = scene_plugin(self.config).path is None
             recipe = Recipe(self.config, variant, (self.root / PSF_FOLDER).resolve(), source if portable else None)
             if existing is None:
+                colour = build_camera_colour(self.config, stack.channels)
                 exposure = self._exposure(recipe)
                 existing = DatasetInfo(
                     name=self.config.name,
@@ -133,6 +131,7 @@ class _Job:
                     scene_shape=self.config.scene.size,
                     sensor_shape=self.config.camera.sensor.shape,
                     channels=stack.channels,
+                    scene_to_camera=colour.origin | {"matrix": colour.matrix.tolist()},
                 )
             write_info(self.root, replace(existing, counts=self._counts(), config=dump(self.config)))
             self._warn(source, stack)
@@ -159,7 +158,8 @@ class _Job:
             yield
         except BaseException:
             if not (self.root / FILE).exists():
-                shutil.rmtree(self.root / PSF_FOLDER, ignore_errors=True)
+                for name in (PSF_FOLDER, CAPTURED_FOLDER):
+                    shutil.rmtree(self.root / name, ignore_errors=True)
                 with suppress(OSError):
                     (self.root / MANIFEST).unlink()
             raise
@@ -198,26 +198,6 @@ class _Job:
                 )
                 raise InputError(msg)
         return info
-
-    def _stack(self) -> PsfStack:
-        """Return the data set's PSF stack, written on the first run and read on later ones (unless it was deleted)."""
-        folder = self.root / PSF_FOLDER
-        stack = read_psf_stack(folder) if (self.root / FILE).exists() and folder.exists() else None
-        if stack is None:
-            self.say(
-                "designing the mask and computing its PSFs" if self.config.camera.mask else "reading the measured PSF"
-            )
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", SamplingWarning)  # told by _warn, on every run
-                stack = build_psf_stack(
-                    self.config,
-                    threads=available_cpus(),
-                    progress=lambda done, total: self.progress("PSFs", done, total),
-                )
-            lost = light_off_sensor(stack, self.config.camera.sensor.shape, self.config.scene.size)
-            stack = replace(stack, provenance=stack.provenance | {"light_off_sensor": float(lost.max())})
-            write_psf_stack(folder, stack)
-        return stack
 
     def _exposure(self, recipe: Recipe) -> dict[str, Any]:
         """Return the one number that maps exposure to full scale, and where it comes from."""
@@ -293,7 +273,7 @@ class _Job:
 def _left_by_a_start(path: Path) -> bool:
     """Whether a run that was killed before ``dataset.json`` leaves such a file: it holds nothing of worth."""
     empty_manifest = path.name == MANIFEST and path.stat().st_size == 0
-    return empty_manifest or path.name == PSF_FOLDER or path.name.startswith(TEMPORARY_PREFIX)
+    return empty_manifest or path.name in (PSF_FOLDER, CAPTURED_FOLDER) or path.name.startswith(TEMPORARY_PREFIX)
 
 
 def _reason(error: Exception) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.dataset.dataset_info import PSF_FOLDER
 from simulator.dataset.plain import plain, readable_json
 from simulator.errors import InputError
 from simulator.exr import decode_exr, write_exr
@@ -93,8 +94,11 @@ def stack_folder(place: Path, *, captured: bool = False) -> Path:
         >>> stack_folder(Path("out/stack"), captured=True).as_posix()
         'out/stack_captured'
     """
-    folder = place / "psf" if (place / "psf").is_dir() else place
-    return folder.with_name(f"{folder.name}_captured") if captured else folder
+    folder = place / PSF_FOLDER if (place / PSF_FOLDER).is_dir() else place
+    if not captured:
+        return folder
+    folder = folder if folder.name else folder.absolute()  # the current folder has no name of its own
+    return folder.with_name(f"{folder.name}_captured")
 
 
 def check_replaceable(folder: Path) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from simulator.dataset.dataset_info import PSF_FOLDER, DatasetInfo, read_info
+from simulator.dataset.dataset_info import CAPTURED_FOLDER, PSF_FOLDER, DatasetInfo, read_info
 from simulator.dataset.engines import run
 from simulator.dataset.manifest import MANIFEST, Entry, Manifest, load_manifest
 from simulator.dataset.psf_files import read_psf_stack
@@ -83,6 +83,7 @@ def verify(path: Path | str, *, workers: int | str = 1, progress: Callable[[int,
         fingerprint = read_psf_stack(root / PSF_FOLDER).fingerprint
     except InputError as error:
         problems.append(str(error))
+    problems += _check_captured(root, info, fingerprint)
     counts = dict.fromkeys(info.counts, 0)
     engine = "inline" if workers == 1 else "local"
     check = partial(check_sample, root, info, fingerprint)
@@ -147,6 +148,19 @@ def check_sample(root: Path, info: DatasetInfo, psf_fingerprint: str, entry: Ent
         if promised is not None and found != promised:
             problems.append(f"{where}: it was made with {name} = {found}, the data set says {promised}")
     return problems
+
+
+def _check_captured(root: Path, info: DatasetInfo, psf_fingerprint: str) -> list[str]:
+    """Check the stack as captured, where the configuration asked for one."""
+    if not info.config.get("psf", {}).get("as_captured"):
+        return []
+    try:
+        nominal = read_psf_stack(root / CAPTURED_FOLDER).provenance.get("nominal_fingerprint")
+    except InputError as error:
+        return [str(error)]
+    if psf_fingerprint and nominal != psf_fingerprint:
+        return [f"{CAPTURED_FOLDER}: captured from psf = {nominal}, the data set says {psf_fingerprint}"]
+    return []
 
 
 def _check_lists(root: Path, info: DatasetInfo, manifest: Manifest) -> list[str]:

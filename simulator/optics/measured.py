@@ -149,10 +149,15 @@ class _Background:
             return self._dark
         if self._level is not None or self.name == "none":
             return np.full((1, 1, 1), self._level or 0.0)
-        width = max(1, round(BORDER_SHARE * min(image.shape[-2:])))
-        inner = np.zeros(image.shape[-2:], bool)
-        inner[width:-width, width:-width] = True
-        return np.median(image[:, ~inner], axis=1)[:, None, None]
+        return border_level(image)
+
+
+def border_level(image: NDArray[Any]) -> NDArray[Any]:
+    """Return the median of an image's outer frame per channel: ``(C, H, W)`` -> ``(C, 1, 1)``."""
+    width = max(1, round(BORDER_SHARE * min(image.shape[-2:])))
+    inner = np.zeros(image.shape[-2:], bool)
+    inner[width:-width, width:-width] = True
+    return np.median(image[:, ~inner], axis=1)[:, None, None]
 
 
 def _images(files: list[Path], depths: int, channels: tuple[str, ...]) -> Iterator[tuple[str, NDArray[Any]]]:

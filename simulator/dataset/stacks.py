@@ -1,0 +1,58 @@
+"""The PSF stacks of a data set: the true one, with which samples are made, and the one that a calibration would measure."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from simulator.assemble import build_captured_stack, build_psf_stack
+from simulator.config import Config
+from simulator.config.psf import ComputedPsf
+from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER
+from simulator.dataset.engines import available_cpus
+from simulator.dataset.psf_files import read_psf_stack, write_psf_stack
+from simulator.optics.metrics import light_off_sensor
+from simulator.optics.psf_stack import PsfStack
+from simulator.optics.sampling import SamplingWarning
+
+
+def data_set_stack(
+    config: Config, root: Path, progress: Callable[[str, int, int], None], say: Callable[[str], None]
+) -> PsfStack:
+    """Return the true stack; it and the captured one are written on the first run and kept on later ones.
+
+    A stack that was deleted from a data set is made again.
+
+    Args:
+        config: the data set's configuration.
+        root: the data set's folder.
+        progress: called with (stage, done, total).
+        say: called with lines worth reading.
+    """
+    begun = (root / FILE).exists()
+    folder, captured_folder = root / PSF_FOLDER, root / CAPTURED_FOLDER
+    if begun and folder.exists():
+        stack = read_psf_stack(folder)
+    else:
+        say("designing the mask and computing its PSFs" if config.camera.mask else "reading the measured PSF")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SamplingWarning)  # the job tells it on every run
+            stack = build_psf_stack(
+                config, threads=available_cpus(), progress=lambda done, total: progress("PSFs", done, total)
+            )
+        lost = light_off_sensor(stack, config.camera.sensor.shape, config.scene.size)
+        stack = replace(stack, provenance=stack.provenance | {"light_off_sensor": float(lost.max())})
+        write_psf_stack(folder, stack)
+    asked = isinstance(config.psf, ComputedPsf) and config.psf.as_captured is not None
+    if asked and not (begun and captured_folder.exists()):
+        say("measuring the PSFs as a calibration would")
+        captured = build_captured_stack(
+            config,
+            stack,
+            threads=available_cpus(),
+            progress=lambda done, total: progress("captured PSFs", done, total),
+        )
+        write_psf_stack(captured_folder, captured)
+    return stack
