@@ -71,6 +71,11 @@ def complex_dtype(array: Array) -> Any:
     return xp.complex64 if array.dtype in (xp.complex64, xp.float32) else xp.complex128
 
 
+def bytes_per_sample(array: Array) -> int:
+    """Return the bytes of a complex sample of the same precision: 8 or 16."""
+    return 8 if real_dtype(array) == namespace(array).float32 else 16
+
+
 def unit_phasor(phase: Array) -> Array:
     """Return exp(i phase) of a real array, several times faster than a complex exponential on NumPy."""
     if is_torch(phase):

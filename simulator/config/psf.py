@@ -16,9 +16,9 @@ _PLANES = "other planes than the measured ones, interpolated between them"
 class ComputedPsf(Planes):
     """A stack computed from the mask: its depths as near, far and count, or as a list."""
 
-    model: Literal["scaled_distance", "scaled_psf"] = Field(
+    model: Literal["scaled_distance", "scaled_psf", "exact"] = Field(
         default="scaled_distance",
-        description="how the PSF changes with depth: with diffraction, or by magnification alone",
+        description="how the PSF changes with depth: with diffraction, by magnification alone, or by the spherical wave itself",
     )
     wavelengths_per_channel: Annotated[int, Range(1, 100)] = Field(
         default=3, description="wavelengths that stand for a channel"

@@ -78,15 +78,15 @@ def each_rows(like: Array, shape: tuple[int, ...], quadrant: Quadrant, work: Cal
     in_threads(both_signs, blocks(like, height // 2 + 1, width))
 
 
-def blocks(like: Array, length: int, width: int) -> list[slice]:
+def blocks(like: Array, length: int, width: int, least: int = 8) -> list[slice]:
     """Cut a length into slices of which each, ``width`` samples wide, stays in the cache; torch gets one slice."""
-    step = length if is_torch(like) else max(8, _BLOCK // width // 8 * 8)  # whole cache lines
+    step = length if is_torch(like) else max(least, _BLOCK // width // 8 * 8)  # whole cache lines
     return [slice(start, min(start + step, length)) for start in range(0, length, step)]
 
 
-def in_threads(work: Callable[[slice], None], parts: list[slice]) -> None:
-    """Call ``work`` for every part, on as many threads as the FFTs may use; the parts do not depend on that number."""
-    threads = min(fft_threads(), len(parts))
+def in_threads(work: Callable[[slice], None], parts: list[slice], threads: int | None = None) -> None:
+    """Call ``work`` for every part, on as many threads as given or as FFTs may use; the parts do not depend on the number."""
+    threads = min(threads or fft_threads(), len(parts))
     if threads == 1:
         for part in parts:
             work(part)

@@ -50,7 +50,8 @@ class Source:
         if tangent == 0:
             return 0.0, 0.0
         if self.window and math.isfinite(self.depth_m):
-            sine = float(fan(self._strata, np.array((tangent * self.depth_m) ** 2)).sine)
+            away_m = tangent * self.depth_m
+            sine = float(fan(self._strata, np.array(away_m**2)).inverse_m) * away_m
         else:
             sine = tangent / math.hypot(1, tangent)
         x, y = self.direction
@@ -60,7 +61,7 @@ class Source:
         """Return the highest frequency (cycles per metre, per axis) that the wave has on a mask, its carrier taken out."""
         if math.isinf(self.depth_m):
             return 0.0
-        z = float(reduced_m(self._strata))
+        z = self.effective_m
         centre = np.array(self.direction) * z
         chief = centre / math.hypot(z, *centre)
         places = np.array([[x, y] for x in (-1, 0, 1) for y in (-1, 0, 1)]) * half_width_m
@@ -85,6 +86,11 @@ class Source:
         turns -= xp.round(turns)
         wave = unit_phasor(xp.astype(turns * (2 * np.pi), dtype))
         return wave * xp.astype(amplitude, dtype)
+
+    @property
+    def effective_m(self) -> float:
+        """The depth in air alone at which paraxial rays would come from the same point, metres."""
+        return float(reduced_m(self._strata))
 
     @property
     def _air_m(self) -> float:

@@ -5,6 +5,8 @@ sampling the mask at its pixel centres folds that light to wrong angles (4-8 % o
 pixel instead sends the Rayleigh-Sommerfeld wave of a uniform square, so the discrete convolution gives the true field
 at the grid's points, all orders up to the chosen angle included.
 
+Through layers (a cover glass) it is the wave that rays carry there: phase along them, amplitude by their spreading.
+
 Source: Rayleigh-Sommerfeld kernel of the first kind (Goodman, Introduction to Fourier Optics, eq. 3-41) times the
 far-field pattern of a square pixel: over 2 um the wavefront is flat to pi p^2 / (12 lambda d) = 1e-3 rad.
 """
@@ -18,17 +20,23 @@ import numpy as np
 
 from simulator.arrays import Array, complex_dtype, fft2, is_torch, like, namespace, real_dtype, unit_phasor
 from simulator.optics.even_filter import Quadrant
+from simulator.optics.layers import Distance, Strata, as_strata, fan
 from simulator.optics.propagation import MAX_SINE
 
-ORDERS = 1.5  # light up to this multiple of lambda / pixel is followed: the zeroth and first orders, whole
+ORDERS = (
+    1.5  # light up to this multiple of lambda / pixel, times the oversampling, is followed: the zeroth and first orders
+)
 # Angle and place go together only many Fresnel lengths sqrt(lambda d) away: behind pixels of 30 um at 0.5 mm (FlatCam) a
 # wave cut at its first orders, half a Fresnel length out, would bring twice the light that was sent.
 FRESNEL_LENGTHS = 16
 
 
-def kernel_reach_m(pixel_m: float, wavelength_m: float, distance_m: float) -> float:
-    """Return how far sideways (metres) light of the diffraction orders that are followed travels."""
-    sine = min(ORDERS * wavelength_m / pixel_m, MAX_SINE)
+def kernel_reach_m(pixel_m: float, wavelength_m: float, distance_m: float, oversampling: int = 1) -> float:
+    """Return how far sideways (metres) light of the diffraction orders that are followed travels.
+
+    Oversampling follows as many times more orders, so that a comparison between two of them sees what was left out.
+    """
+    sine = min(ORDERS * oversampling * wavelength_m / pixel_m, MAX_SINE)
     return max(distance_m * sine / math.sqrt(1 - sine**2), FRESNEL_LENGTHS * math.sqrt(wavelength_m * distance_m))
 
 
@@ -52,23 +60,26 @@ class PixelKernel:
         samples = math.floor(reach_m / pitch_m)
         self._y, self._x = (np.arange(min(n, samples + 1)) * pitch_m for n in self._shape)
 
-    def quadrant(self, distance_m: float) -> Quadrant:
-        """Return the transfer function: any of its rows from zero to Nyquist, ``(rows, W // 2 + 1)``."""
-        return _even_transform(self._kernel(distance_m), self._shape)
+    def quadrant(self, distance_m: Distance) -> Quadrant:
+        """Return the transfer function: any of its rows from zero to Nyquist, ``(rows, W // 2 + 1)``.
 
-    def _kernel(self, distance_m: float) -> Array:
+        Args:
+            distance_m: distance in metres, or layers.
+        """
+        return _even_transform(self._kernel(as_strata(distance_m)), self._shape)
+
+    def _kernel(self, strata: Strata) -> Array:
         """Return the wave of one pixel over displacements 0..reach, without the constant phase exp(ikd)."""
         xp, wavelength_m = namespace(self._like), self._wavelength_m
         y, x = (like(part, self._like, xp.float64) for part in (self._y[:, None], self._x[None, :]))
-        lateral_squared = y**2 + x**2
-        r = xp.sqrt(lateral_squared + distance_m**2)
-        turns = lateral_squared / ((r + distance_m) * wavelength_m)  # (r - d) / lambda without cancellation
+        rays = fan(strata, y**2 + x**2)
+        turns = rays.path_m / wavelength_m
         real = real_dtype(self._like)
         wave = unit_phasor(xp.astype((turns - xp.round(turns)) * (2 * np.pi), real))
-        inverse_r = xp.astype(1 / r, real)
+        inverse_r = xp.astype(rays.inverse_m, real)
         square = _sinc(inverse_r * like(self._y[:, None] * self._pitch_m / wavelength_m, self._like, real))
         square *= _sinc(inverse_r * like(self._x[None, :] * self._pitch_m / wavelength_m, self._like, real))
-        size = square * inverse_r**2 * (distance_m * self._pitch_m**2 / wavelength_m)
+        size = square * xp.astype(rays.spreading, real) * (self._pitch_m**2 / wavelength_m)
         # (1 / r - ik) / (2 pi) e^(i phase) = (1 / (k r) - i) / lambda e^(i phase)
         near = inverse_r * (wavelength_m / (2 * np.pi))
         return xp.astype(wave * size * (near - 1j), complex_dtype(self._like))

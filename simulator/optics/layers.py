@@ -22,6 +22,13 @@ _STEEPEST = 0.98  # of the lowest index: where the table ends
 
 Strata = tuple[tuple[Any, float], ...]
 """Layers at one wavelength: (thickness in metres, refractive index); a thickness may be a torch scalar."""
+Distance = Any
+"""Metres of air (a torch scalar where gradients are wanted), or Strata."""
+
+
+def as_strata(distance_m: Distance) -> Strata:
+    """Return a distance as layers: a plain number means air."""
+    return distance_m if isinstance(distance_m, tuple) else ((distance_m, 1.0),)
 
 
 def air_equivalent_m(layers: Sequence[Layer], wavelength_m: float) -> float:
@@ -57,15 +64,13 @@ class Fan:
 
     Attributes:
         path_m: optical path minus that of the straight ray at rho = 0, metres.
-        sine: transverse sine of the rays.
+        inverse_m: s / rho, 1 / metres; 1 / r in air.
         spreading: sqrt(s ds / (rho d rho)), 1 / metres: the amplitude's fall; d / r^2 in air.
-        length_m: geometric length d / cos in air, None through several layers.
     """
 
     path_m: Array
-    sine: Array
+    inverse_m: Array
     spreading: Array
-    length_m: Array | None
 
 
 def fan(strata: Strata, rho_squared: Array) -> Fan:
@@ -76,17 +81,16 @@ def fan(strata: Strata, rho_squared: Array) -> Fan:
         rho_squared: squared sideways distances, square metres, float64.
 
     Raises:
-        InputError: for torch arrays or gradients through several layers, or rays too steep for them.
+        InputError: for torch arrays with several layers, or for rays too steep for them.
     """
     xp = namespace(rho_squared)
     if len(strata) == 1 and strata[0][1] == 1:
         d = strata[0][0]
         r = xp.sqrt(rho_squared + d**2)
-        return Fan(rho_squared / (r + d), xp.sqrt(rho_squared) / r, d / r**2, r)
+        inverse = 1 / r
+        return Fan(rho_squared / (r + d), inverse, inverse**2 * d)
     if is_torch(rho_squared):
-        msg = (
-            "gap: a layered gap in front of a staircase mask is computed on NumPy only; use xp='numpy' or model 'exact'"
-        )
+        msg = "gap: rays through several layers are traced on NumPy only; use xp='numpy', or a gap of air"
         raise InputError(msg)
     from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
@@ -95,21 +99,15 @@ def fan(strata: Strata, rho_squared: Array) -> Fan:
     # Even steps of the angle in the thinnest medium crowd no knots anywhere.
     sine = index.min() * np.sin(np.linspace(0, np.arcsin(_STEEPEST), _KNOTS))
     cosine = np.sqrt(index**2 - sine**2)
-    rho = np.sum(thickness * sine / cosine, axis=0)
+    per_sine = np.sum(thickness / cosine, axis=0)  # rho / s
     path = np.sum(thickness * index * sine**2 / (cosine * (index + cosine)), axis=0)  # minus the sum of t n
-    wanted = np.sqrt(rho_squared)
-    if wanted.max() > rho[-1]:
-        msg = (
-            f"rays to {wanted.max():g} m sideways are steeper than the layers' {rho[-1]:g} m allow; use a narrower mask"
-        )
-        raise InputError(msg)
     slope = np.sum(thickness * index**2 / cosine**3, axis=0)  # d(rho) / ds
-    spreading = np.sqrt(
-        np.divide(sine, rho, out=np.full_like(rho, 1 / float(reduced_m(strata))), where=rho > 0) / slope
-    )
+    rho, wanted = sine * per_sine, np.sqrt(rho_squared)
+    if np.max(wanted) > rho[-1]:
+        msg = f"rays to {np.max(wanted):g} m sideways are steeper than the layers' {rho[-1]:g} m; use a narrower mask"
+        raise InputError(msg)
     return Fan(
         CubicHermiteSpline(rho, path, sine)(wanted),
-        CubicSpline(rho, sine)(wanted),
-        CubicSpline(rho, spreading)(wanted),
-        None,
+        CubicSpline(rho, 1 / per_sine)(wanted),
+        CubicSpline(rho, 1 / np.sqrt(per_sine * slope))(wanted),
     )

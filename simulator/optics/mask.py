@@ -91,14 +91,16 @@ class Mask:
             self.name,
         )
 
-    def transmission(self, wavelength_m: float, oversample: int = 1) -> Array:
-        """Return the complex transmission t = a exp(i 2 pi (n - 1) h / lambda) of a thin element at normal incidence.
+    def transmission(self, wavelength_m: float, oversample: int = 1, sine: float = 0.0) -> Array:
+        """Return the complex transmission t = a exp(i 2 pi (n - 1) h / lambda) of a thin element.
 
+        At the angle of incidence theta the path is h [sqrt(n^2 - sin^2 theta) - cos theta] instead of h (n - 1).
         Source: Goodman, Introduction to Fourier Optics, section 5.1.
 
         Args:
             wavelength_m: vacuum wavelength, metres.
             oversample: samples per mask pixel and axis; the grid becomes that much finer over the same extent.
+            sine: sine of the angle of incidence.
 
         Returns:
             ``(H * oversample, W * oversample)`` complex64 for float32 masks, complex128 for float64.
@@ -112,7 +114,8 @@ class Mask:
             height, amplitude = (_interpolate(part, oversample) for part in (height, amplitude))
             amplitude = xp.clip(amplitude, 0, 1)
         # In turns and reduced to one turn before the exponential: float32 keeps its digits at any height.
-        turns = height * float((self.material.index(wavelength_m) - 1) / wavelength_m)
+        per_height = np.sqrt(self.material.index(wavelength_m) ** 2 - sine**2) - np.sqrt(1 - sine**2)
+        turns = height * float(per_height / wavelength_m)
         turns -= xp.round(turns)
         turns *= 2 * np.pi
         field = xp.astype(amplitude, height.dtype, copy=False) * unit_phasor(turns)

@@ -1,36 +1,27 @@
-"""PSF stacks by wave optics: many depths and wavelengths from one mask transform per wavelength.
-
-On-axis light from depth z is the paraxial identity I_z(x) = m^-2 I_deff(x / m), m = 1 + d/z, d_eff = z d / (z + d):
-a plane wave propagated to the shorter distance and magnified (Goodman, Introduction to Fourier Optics, section 5.3).
-Magnified pixels are integrated exactly, by dividing them by m instead of stretching the field.
-"""
+"""PSF stacks by wave optics: a mask and a camera to one image per depth and channel, by one of three models."""
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from simulator.arrays import Array, fft2, ifft, is_torch, module, namespace, next_fast_len, pad2d
+from simulator.arrays import Array, is_torch, module, namespace
 from simulator.errors import InputError
-from simulator.optics.even_filter import Quadrant, blocks, each_rows
-from simulator.optics.kernel import PixelKernel, kernel_reach_m
+from simulator.optics.exact import exact_images, exact_points, exact_width_m
+from simulator.optics.illumination import Source
 from simulator.optics.mask import Mask
-from simulator.optics.propagation import holds_steep_waves, spread_samples
 from simulator.optics.psf_stack import PsfStack, check_depths
-from simulator.optics.resample import Band, box_integral
-from simulator.optics.spectrum import quantile_lines
-from simulator.optics.transfer import Transfer, band_edge_m
-from simulator.types import CameraGeometry
+from simulator.optics.scaled import scaled_images, scaled_points, scaled_width_m
+from simulator.optics.spectrum import Line, quantile_lines
+from simulator.types import CameraGeometry, Layer
 
-Model = Literal["scaled_distance", "scaled_psf"]
-MAX_GRID = 2**14  # samples per axis: 2 GB per complex64 field
+Model = Literal["scaled_distance", "scaled_psf", "exact"]
 Progress = Callable[[int, int], None]
 
 
@@ -40,8 +31,8 @@ class PsfConfig:
 
     Attributes:
         depths_m: z from the mask plane, metres, strictly increasing; the last may be ``inf``.
-        model: ``scaled_distance`` keeps the change of the diffraction distance with depth; ``scaled_psf`` (the thesis's
-            eq. 2.1, for comparison) only magnifies the PSF of infinity.
+        model: ``scaled_distance`` keeps the change of the diffraction distance with depth and is fast; ``scaled_psf`` (the
+            thesis's eq. 2.1, for comparison) only magnifies the PSF of infinity; ``exact`` scales nothing.
         wavelengths_per_channel: quantile lines per channel.
         oversampling: grid samples per mask pixel and axis.
         accept_error: sampling error up to which the stack is accepted; None accepts 0.05 and warns above 0.01.
@@ -55,8 +46,8 @@ class PsfConfig:
 
     def __post_init__(self) -> None:
         check_depths(np.asarray(self.depths_m))
-        if self.model not in ("scaled_distance", "scaled_psf"):
-            msg = f"model: got {self.model!r}, expected 'scaled_distance' or 'scaled_psf'"
+        if self.model not in get_args(Model):
+            msg = f"model: got {self.model!r}, expected one of {', '.join(get_args(Model))}"
             raise InputError(msg)
 
 
@@ -68,16 +59,18 @@ def compute_psf_stack(
     xp: str = "numpy",
     threads: int = 1,
     progress: Progress | None = None,
+    lines: Sequence[Line] | None = None,
 ) -> PsfStack:
     """Compute the PSFs of a mask for every depth and channel, with the sampling proven first.
 
     Args:
         mask: the mask; its arrays decide the precision and, if they are torch tensors, the device and gradients.
-        camera: distance, binned pixel pitch and spectral response.
+        camera: distance (a torch scalar to have its gradient), binned pixel pitch and spectral response.
         psf_config: depths, model, wavelengths, sampling.
         xp: ``numpy`` or ``torch``.
         threads: depths computed at a time (NumPy only); each needs one more complex grid, 160 MB at full size.
         progress: called with (done, total) after every PSF.
+        lines: wavelengths and weights in place of the response's quantile lines; weights may be torch scalars.
 
     Returns:
         The stack, ``values`` ``(K, C, N, N)`` with N odd and wide enough for all the light that is followed: the sum of each
@@ -93,7 +86,7 @@ def compute_psf_stack(
     if not camera.mask_to_sensor_m > 0:
         msg = f"mask_to_sensor_m: got {camera.mask_to_sensor_m:g}; the mask lies in front of the sensor, so it is positive"
         raise InputError(msg)
-    lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel)
+    lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel) if lines is None else lines
     sampling = prove_sampling(mask, camera, psf_config)
     on_device = mask if is_torch(mask.height_m) else _to(mask, xp)
     size = stack_size(mask, camera, psf_config)
@@ -122,9 +115,13 @@ def compute_psf_stack(
         provenance={
             "kind": "computed",
             "mask": mask.provenance(),
-            "mask_to_sensor_m": camera.mask_to_sensor_m,
+            "mask_to_sensor_m": float(camera.mask_to_sensor_m),
+            "gap": _layers(camera.gap),
+            "window": _layers(camera.window),
             "response": camera.response.label,
-            "lines": [[camera.response.channels[line.channel], line.wavelength_m, line.weight] for line in lines],
+            "lines": [
+                [camera.response.channels[line.channel], line.wavelength_m, float(line.weight)] for line in lines
+            ],
             "model": psf_config.model,
             "oversampling": psf_config.oversampling,
             "sampling": sampling,
@@ -133,102 +130,112 @@ def compute_psf_stack(
 
 
 def depth_images(
-    mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float, size: int, *, threads: int = 1
+    mask: Mask,
+    camera: CameraGeometry,
+    psf_config: PsfConfig,
+    wavelength_m: float,
+    size: int,
+    *,
+    threads: int = 1,
+    direction: tuple[float, float] = (0.0, 0.0),
 ) -> Iterator[Array]:
-    """Yield the PSF ``(size, size)`` of one wavelength for each depth, in the stored frame (turned by 180 degrees)."""
-    pitch_m, d = float(mask.pitch_m / psf_config.oversampling), float(camera.mask_to_sensor_m)
-    window = [n * psf_config.oversampling for n in mask.shape]
-    reach_m, limited = _reach(mask, camera, psf_config, wavelength_m)
-    margin = math.ceil(reach_m / pitch_m)
-    band = (margin * pitch_m, margin * pitch_m) if limited else None
-    padded = tuple(2 * next_fast_len(n // 2 + margin + 1) for n in window)
-    if max(padded) > MAX_GRID:
-        msg = (
-            f"oversampling: {psf_config.oversampling} needs a grid of {padded} samples of {pitch_m:g} m for the mask and "
-            f"the light that it spreads; more than {MAX_GRID} is refused: use a coarser or narrower mask or less oversampling"
-        )
-        raise InputError(msg)
-    field = pad2d(mask.transmission(wavelength_m, psf_config.oversampling), padded, (margin, margin))
-    spectrum = fft2(field, overwrite=True)
-    origin = [margin + (n - 1) / 2 for n in window]
-    kernel = PixelKernel(padded, pitch_m, wavelength_m, reach_m, like=spectrum)
-    transfer = Transfer(padded, pitch_m, wavelength_m, like=spectrum)
-    centres = (np.arange(size) - size // 2) * camera.pixel_pitch_m
+    """Yield the PSF ``(size, size)`` of one wavelength for each depth, in the stored frame (turned by 180 degrees).
 
-    spare: list[Array] = []  # fresh memory for every depth would cost as much as a tenth of the work
+    Args:
+        mask: the mask.
+        camera: distance or layers, binned pixel pitch.
+        psf_config: depths, model, oversampling.
+        wavelength_m: metres.
+        size: odd number of pixels; the centre is where the ray through the mask's centre arrives.
+        threads: NumPy only.
+        direction: tangents (x, y) of the sources' direction from the mask's centre; model ``exact`` only.
 
-    def image(depth_m: float) -> Array:
-        magnification = 1 + d / float(depth_m)  # a NumPy scalar would turn float32 arrays into float64
-        distance = d / magnification if psf_config.model == "scaled_distance" else d
-        smooth = partial(transfer.quadrant, distance, band)
-        quadrant = kernel.quadrant(distance) if mask.profile == "staircase" else smooth
-        rows, columns = (
-            box_integral(at, pitch_m, centres / magnification, camera.pixel_pitch_m / magnification) for at in origin
-        )
-        wave = spare.pop() if spare else namespace(spectrum).empty_like(spectrum)
-        binned = _on_pixels(spectrum, quadrant, rows, columns, wave)
-        if not is_torch(spectrum):  # a tensor may still want its gradient
-            spare.append(wave)
-        return namespace(spectrum).flip(binned / float(camera.pixel_pitch_m**2))
-
-    if threads == 1 or is_torch(spectrum):
-        yield from map(image, psf_config.depths_m)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        yield from pool.map(image, psf_config.depths_m)
-
-
-def _on_pixels(spectrum: Array, quadrant: Quadrant, rows: Band, columns: Band, wave: Array) -> Array:
-    """Return the intensity of a filtered spectrum, integrated over pixels; ``wave`` is memory for the wave half-way."""
-    xp = namespace(spectrum)
-    height, width = spectrum.shape
-
-    def filter_rows(part: slice, weights: Array) -> None:
-        wave[part] = ifft(spectrum[part] * weights, -1, overwrite=True)
-
-    each_rows(spectrum, (height, width), quadrant, filter_rows)
-    real = xp.real(wave)
-    bin_rows, bin_columns = rows.prepared(real, height), columns.prepared(real, width)
-    tall = xp.empty((len(rows.first), width), dtype=real.dtype, device=real.device)
-    for part in blocks(spectrum, width, height):
-        field = ifft(wave[:, part], -2)
-        tall[:, part] = bin_rows(xp.real(field) ** 2 + xp.imag(field) ** 2, -2)
-    # Blocks again: for one large product BLAS would wake threads of its own.
-    return xp.concat([bin_columns(tall[part], -1) for part in blocks(spectrum, len(rows.first), width)], axis=0)
-
-
-def _reach(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float) -> tuple[float, bool]:
-    """Return how far sideways (metres) the mask's light is followed to the sensor, and whether steeper light must be cut.
-
-    A smooth mask's light lies in the band of its own samples. A finer grid holds steeper waves too, which only the
-    aperture's hard edge feeds: they are cut softly, or every doubling of the oversampling would widen the grid.
+    Raises:
+        InputError: for an oblique direction with a model that knows on-axis sources only.
     """
-    d = camera.mask_to_sensor_m
-    if mask.profile == "staircase":
-        return kernel_reach_m(mask.pitch_m, wavelength_m, d), False
-    spread_m = spread_samples(mask.pitch_m, wavelength_m, d) * mask.pitch_m
-    limited = psf_config.oversampling > 1 or holds_steep_waves(mask.pitch_m, wavelength_m)
-    return spread_m + (band_edge_m(wavelength_m, d) if limited else 0), limited
+    sources = _sources(camera, psf_config, wavelength_m, direction)
+    settings: dict[str, Any] = {"oversampling": psf_config.oversampling, "threads": threads}
+    if psf_config.model == "exact":
+        return exact_images(mask, camera, sources, size, **settings)
+    if not sources[0].on_axis:
+        msg = f"direction: got {direction}, but model {psf_config.model!r} shifts the on-axis PSF; use model 'exact'"
+        raise InputError(msg)
+    return scaled_images(mask, camera, sources, size, diffracted=psf_config.model == "scaled_distance", **settings)
+
+
+def sampled_intensity(
+    mask: Mask,
+    camera: CameraGeometry,
+    psf_config: PsfConfig,
+    wavelength_m: float,
+    depth_m: float,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    direction: tuple[float, float] = (0.0, 0.0),
+    threads: int = 1,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return a model's irradiance at random points of its own grid, before pixels integrate it.
+
+    The points are drawn from the mask's geometric shadow, where a PSF has most of its light.
+
+    Args:
+        mask: the mask (NumPy).
+        camera: distance or layers.
+        psf_config: model and oversampling; its depths do not matter.
+        wavelength_m: metres.
+        depth_m: of the source, metres.
+        count: number of points.
+        rng: draws them.
+        direction: as in ``depth_images``.
+        threads: as in ``depth_images``.
+
+    Returns:
+        ``(count, 2)`` points x, y on the physical sensor from the PSF's centre, metres, and ``(count,)`` |U|^2.
+    """
+    one = replace(psf_config, depths_m=(depth_m,))
+    (source,) = _sources(camera, one, wavelength_m, direction)
+    if psf_config.model == "exact":
+        return exact_points(mask, camera, source, count, rng, oversampling=psf_config.oversampling, threads=threads)
+    diffracted = psf_config.model == "scaled_distance"
+    return scaled_points(mask, camera, source, count, rng, oversampling=psf_config.oversampling, diffracted=diffracted)
 
 
 def stack_size(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -> int:
     """Return the odd width in sensor pixels that holds all the light that is followed, at the nearest depth."""
     lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel)
-    reach_m = max(_reach(mask, camera, psf_config, line.wavelength_m)[0] for line in lines)
-    half = (max(mask.shape) * mask.pitch_m / 2 + reach_m) * (1 + camera.mask_to_sensor_m / psf_config.depths_m[0])
-    return 2 * math.ceil(half / camera.pixel_pitch_m) + 1
+    return max(_size(mask, camera, psf_config, line.wavelength_m) for line in lines)
+
+
+def _size(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float) -> int:
+    nearest = _sources(camera, psf_config, wavelength_m, (0.0, 0.0))[0]
+    width_m = exact_width_m if psf_config.model == "exact" else scaled_width_m
+    return 2 * math.ceil(width_m(mask, camera, nearest, psf_config.oversampling) / 2 / camera.pixel_pitch_m) + 1
+
+
+def _sources(
+    camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float, direction: tuple[float, float]
+) -> list[Source]:
+    window = tuple((layer.thickness_m, layer.material.index(wavelength_m)) for layer in camera.window)
+    return [Source(wavelength_m, float(depth), direction, window) for depth in psf_config.depths_m]
 
 
 def psf_fingerprint(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -> str:
     """Return a hash of everything that decides the stack's values."""
     response = camera.response
     sha = hashlib.sha256(mask.digest().encode())
-    sha.update(repr((camera.mask_to_sensor_m, camera.pixel_pitch_m, response.channels)).encode())
+    sha.update(repr((float(camera.mask_to_sensor_m), camera.pixel_pitch_m, response.channels)).encode())
+    if camera.gap or camera.window:
+        sha.update(repr((camera.gap, camera.window)).encode())
     sha.update(
         np.ascontiguousarray(response.wavelengths_m).tobytes() + np.ascontiguousarray(response.weights).tobytes()
     )
     sha.update(repr(replace(psf_config, accept_error=None)).encode())
     return sha.hexdigest()
+
+
+def _layers(layers: Sequence[Layer]) -> list[dict[str, Any]]:
+    return [{"thickness_m": layer.thickness_m, "material": layer.material.name} for layer in layers]
 
 
 def _to(mask: Mask, xp: str) -> Mask:

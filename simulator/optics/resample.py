@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from simulator.arrays import Array, like, namespace
+from simulator.arrays import Array, is_torch, like, namespace
 
 _TILE = 16  # outputs whose weights make one small dense matrix
 
@@ -54,7 +55,30 @@ class Band:
         return apply
 
 
-def box_integral(origin: float, pitch_m: float, centres_m: np.ndarray, width_m: float) -> Band:
+@dataclass(frozen=True)
+class MovingBoxes:
+    """Boxes whose edges are torch tensors with a gradient: the same integral as a dense matrix.
+
+    Attributes:
+        start: ``(J,)`` lower edges in cells.
+        stop: ``(J,)`` upper edges in cells.
+        pitch_m: width of a cell, metres.
+    """
+
+    start: Array
+    stop: Array
+    pitch_m: float
+
+    def prepared(self, reference: Array, length: int) -> Callable[[Array, int], Array]:
+        """Return the map, as ``Band.prepared``."""
+        xp = namespace(reference)
+        cells = like(np.arange(length), self.start)
+        inside = xp.minimum(self.stop[:, None], cells + 1) - xp.maximum(self.start[:, None], cells)
+        matrix = xp.astype(xp.clip(inside, 0, None) * self.pitch_m, reference.dtype)
+        return lambda array, axis: array @ matrix.T if axis == -1 else matrix @ array
+
+
+def box_integral(origin: float, pitch_m: float, centres_m: Array, width_m: Any) -> Band | MovingBoxes:
     """Return the map from samples to their integral over boxes (metres x sample).
 
     Each sample stands for a cell of ``pitch_m``; cells that a box's edge cuts count by the part inside. The integral
@@ -63,11 +87,13 @@ def box_integral(origin: float, pitch_m: float, centres_m: np.ndarray, width_m: 
     Args:
         origin: index, possibly half-way between two samples, of coordinate zero.
         pitch_m: sample pitch, metres.
-        centres_m: ``(J,)`` centres of the boxes, metres.
+        centres_m: ``(J,)`` centres of the boxes, metres; NumPy, or torch to have gradients.
         width_m: width of the boxes, metres.
     """
     start = (centres_m - width_m / 2) / pitch_m + origin + 0.5  # in cells; cell i spans i .. i + 1
     stop = (centres_m + width_m / 2) / pitch_m + origin + 0.5
+    if is_torch(start):
+        return MovingBoxes(start, stop, pitch_m)
     first = np.floor(start).astype(np.int64)
     cells = first[:, None] + np.arange(int(np.max(np.ceil(stop) - first)))
     overlap = np.minimum(stop[:, None], cells + 1) - np.maximum(start[:, None], cells)

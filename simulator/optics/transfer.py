@@ -15,9 +15,8 @@ import numpy as np
 
 from simulator.arrays import Array, namespace, real_dtype, unit_phasor
 from simulator.arrays import like as as_array
-from simulator.optics.layers import Strata
+from simulator.optics.layers import Distance, Strata, as_strata
 
-Distance = Any  # metres (a torch scalar where gradients are wanted), or Strata
 _ALL = slice(None)
 
 
@@ -60,7 +59,7 @@ class Transfer:
             columns: which of the quadrant's columns.
         """
         sine_y, sine_x = self._sine_y[rows, None], self._sine_x[None, columns]
-        return _transfer(sine_y, sine_x, (0.0, 0.0), _strata(distance_m), self._wavelength_m, self._real, reach_m)
+        return _transfer(sine_y, sine_x, (0.0, 0.0), as_strata(distance_m), self._wavelength_m, self._real, reach_m)
 
 
 class TiltedTransfer:
@@ -101,16 +100,12 @@ class TiltedTransfer:
     ) -> Array:
         """Return rows and columns of the transfer function in FFT order; arguments as in ``Transfer.quadrant``."""
         sine_y, sine_x = self._sine_y[rows, None], self._sine_x[None, columns]
-        return _transfer(sine_y, sine_x, self._carrier, _strata(distance_m), self._wavelength_m, self._real, reach_m)
+        return _transfer(sine_y, sine_x, self._carrier, as_strata(distance_m), self._wavelength_m, self._real, reach_m)
 
 
 def band_edge_m(wavelength_m: float, distance_m: float) -> float:
     """Return the width of the band limit's soft edge: a few Fresnel zones, in metres of sideways travel."""
     return 4 * math.sqrt(wavelength_m * distance_m)
-
-
-def _strata(distance_m: Distance) -> Strata:
-    return distance_m if isinstance(distance_m, tuple) else ((distance_m, 1.0),)
 
 
 def _transfer(
@@ -134,11 +129,9 @@ def _transfer(
     along = None if carrier_squared == 0 else carrier_y * offset_y + carrier_x * offset_x
     turns: Any = 0.0
     lowest = min(index for _, index in strata)
-    cosines = []
     for thickness_m, index in strata:
         chief = math.sqrt(index**2 - carrier_squared)
         cosine = xp.sqrt(xp.clip(chief**2 - excess, 0, None))
-        cosines.append(cosine)
         path = offset_squared / (cosine + chief)
         if along is not None:
             # Beside the parabola: the carrier's own sideways travel is taken out, its change with the angle is not.
@@ -151,16 +144,43 @@ def _transfer(
     if reach_m is not None:
         total_m = sum(float(thickness_m) for thickness_m, _ in strata)
         edge_m = max(band_edge_m(wavelength_m, total_m), 1e-12)
-        for offset, chief_sine, reach in zip((offset_y, offset_x), (carrier_y, carrier_x), reach_m, strict=True):
-            if math.isinf(reach):
-                continue
-            travelled: Any = 0.0
-            for (thickness_m, index), cosine in zip(strata, cosines, strict=True):
-                chief = math.sqrt(index**2 - carrier_squared)
-                straight = float(thickness_m) * chief_sine / chief
-                travelled = (
-                    travelled + (offset + chief_sine) * float(thickness_m) / xp.clip(cosine, 1e-6, None) - straight
-                )
-            beyond = xp.clip((xp.abs(travelled) - reach) / edge_m + 1, 0, 1)
-            transfer *= xp.astype(xp.cos(np.pi / 2 * beyond) ** 2, real)
+        sines = (offset_y + carrier_y, offset_x + carrier_x)
+        for axis, reach in enumerate(reach_m):
+            if math.isfinite(reach):
+                _limit(transfer, sines, axis, carrier, strata, reach, edge_m)
     return transfer
+
+
+def _limit(
+    transfer: Array,
+    sines: tuple[Array, Array],
+    axis: int,
+    carrier: tuple[float, float],
+    strata: Strata,
+    reach_m: float,
+    edge_m: float,
+) -> None:
+    """Take away, in place, the waves that travel farther than ``reach_m`` along an axis beyond the carrier's travel."""
+    xp = namespace(transfer)
+    carrier_squared = carrier[0] ** 2 + carrier[1] ** 2
+    straight = sum(float(t) * carrier[1 - axis] / math.sqrt(n**2 - carrier_squared) for t, n in strata)
+
+    def travelled(along: Array, across_squared: Any) -> Array:
+        total: Any = -straight
+        for thickness_m, index in strata:
+            cosine = xp.sqrt(xp.clip(index**2 - along**2 - across_squared, 1e-12, None))
+            total = total + along * (float(thickness_m) / cosine)
+        return xp.abs(total)
+
+    # Most waves stay far inside: only those that would not, were the other axis as steep as it gets, are looked at.
+    along, across = xp.reshape(sines[axis], (-1,)), sines[1 - axis]
+    steepest = xp.max(across**2)
+    concerned = travelled(along, steepest) > reach_m - edge_m
+    if not bool(xp.any(concerned)):
+        return
+    where = xp.nonzero(concerned)[0]
+    part = slice(int(where[0]), int(where[-1]) + 1)
+    index = (part, slice(None)) if axis == 0 else (slice(None), part)
+    chosen = sines[axis][part] if axis == 0 else sines[axis][:, part]
+    beyond = xp.clip((travelled(chosen, across**2) - reach_m) / edge_m + 1, 0, 1)
+    transfer[index] = transfer[index] * xp.astype(xp.cos(np.pi / 2 * beyond) ** 2, real_dtype(transfer))
