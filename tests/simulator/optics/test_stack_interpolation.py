@@ -1,0 +1,191 @@
+"""Stacks at other depths: own planes stay, magnification is exact, the stated error holds, no extrapolation unasked."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from simulator.camera.calibration import Recording
+from simulator.camera.noise import PhysicalNoise
+from simulator.camera.sensor import Sensor
+from simulator.errors import InputError
+from simulator.optics.captured import CalibrationSource, captured_light
+from simulator.optics.mask import Mask
+from simulator.optics.measured import load_measured_psf
+from simulator.optics.psf import PsfConfig, compute_psf_stack
+from simulator.optics.psf_stack import PsfStack, depth_planes
+from simulator.optics.stack_interpolation import interpolate_stack, left_out_errors, magnified
+from simulator.types import CameraGeometry, SpectralResponse
+
+D = 1.9e-3
+
+
+def spots(depths_m, dtype=np.float64) -> PsfStack:
+    """Gaussian spots that only magnify, integrated exactly over pixels of 10 um: sum H p^2 is the same at every depth."""
+    depths = np.asarray(depths_m, float)
+    places, sigma, p = np.array([[-250e-6, 120e-6], [90e-6, 310e-6], [330e-6, -280e-6]]), 25e-6, 10e-6
+    edges = (np.arange(102) - 50.5) * p
+    values = np.zeros((len(depths), 1, 101, 101))
+    for k, m in enumerate(1 + D / depths):
+        for place in places:
+            y, x = (np.diff(erf((edges - m * c) / (np.sqrt(2) * m * sigma))) / 2 for c in place)
+            values[k, 0] += y[:, None] * x[None]
+    return PsfStack(values.astype(dtype) / p**2 * 1e-6, depths, p, ("G",), "spots")
+
+
+def error(found, truth) -> np.ndarray:
+    """Relative L2 error per depth."""
+    return np.array([np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(found, truth, strict=True)])
+
+
+class TestOwnDepths:
+    @pytest.mark.parametrize("dtype", [np.float32, np.float64])
+    def test_own_depths_give_own_values_bit_by_bit(self, dtype) -> None:
+        stack = spots([0.036, 0.05, 0.2, np.inf], dtype)
+        found = interpolate_stack(stack, stack.depths_m.tolist(), D)
+        assert found.values.dtype == dtype
+        np.testing.assert_array_equal(found.values, stack.values)
+        assert [plane["error"] for plane in found.provenance["interpolation"]["planes"]] == [0.0] * 4
+
+    def test_a_depth_that_differs_by_rounding_is_the_same(self) -> None:
+        stack = spots([0.07, 0.2])
+        found = interpolate_stack(stack, [7 * 1e-2, 0.19999999999999998], D)
+        np.testing.assert_array_equal(found.values, stack.values)
+
+
+class TestBetween:
+    def test_pure_magnification_is_undone(self) -> None:
+        depths = depth_planes(0.02, np.inf, 9)
+        truth = spots(depths)
+        stack = spots(depths[::2])
+        found = interpolate_stack(stack, depths[1::2].tolist(), D).values
+        ours = error(found, truth.values[1::2])
+        # Third-order interpolation of spots 2.5 pixels wide; the limiter flattens their very tops.
+        assert ours.max() < 5e-3
+        assert ours.max() < error((stack.values[1:] + stack.values[:-1]) / 2, truth.values[1::2]).min() / 5
+        assert ours.max() < error(stack.values[1:], truth.values[1::2]).min() / 20
+
+    def test_disparity_decides_the_weights(self) -> None:
+        # Flat planes cannot tell magnification: what is left is the blend.
+        flat = np.ones((2, 1, 41, 41)) * np.array([1.0, 3.0])[:, None, None, None]
+        stack = PsfStack(flat, np.array([0.04, np.inf]), 1e-5, ("G",), "flat")
+        depth = 0.1
+        middle = interpolate_stack(stack, [depth], D).values[0, 0, 20, 20]
+        share, m = 0.04 / 0.1, 1 + D / depth
+        assert middle == pytest.approx((share * 1 * (1 + D / 0.04) ** 2 + (1 - share) * 3) / m**2, rel=1e-12)
+
+    def test_energy_is_kept_and_light_stays_light(self) -> None:
+        image = np.zeros((2, 60, 71))
+        image[:, 20:40, 25:45] = np.random.default_rng(0).exponential(size=(2, 20, 20))
+        for factor in (0.8, 0.99, 1.013, 1.3):
+            new = magnified(image, factor)
+            assert new.min() >= 0
+            np.testing.assert_allclose(new.sum((1, 2)), image.sum((1, 2)), rtol=1e-12)
+            rows, columns = (np.arange(n) - n // 2 for n in image.shape[1:])
+            for axis, at in ((2, rows), (1, columns)):
+                old, moved = (i.sum(axis) @ at / i.sum((1, 2)) for i in (image, new))
+                # The origin, not the middle of the array, stays; pixels' light is redistributed within a pixel.
+                np.testing.assert_allclose(moved, factor * old, atol=0.05)
+
+
+class TestStatedError:
+    def test_it_is_that_of_planes_left_out(self) -> None:
+        stack = spots([0.03, 0.05, 0.2])
+        without = PsfStack(stack.values[::2], stack.depths_m[::2], stack.pixel_pitch_m, ("G",), "two")
+        predicted = interpolate_stack(without, [0.05], D).values
+        assert left_out_errors(stack, D)[1] == pytest.approx(error(predicted, stack.values[1:2])[0], rel=1e-12)
+
+    def test_a_single_plane_says_nothing(self) -> None:
+        stack = spots([0.05])
+        assert left_out_errors(stack, D) == [None]
+        found = interpolate_stack(stack, [0.06], D, extrapolate=True)
+        (plane,) = found.provenance["interpolation"]["planes"]
+        assert (plane["error"], plane["extrapolated"], plane["from_planes"]) == (None, True, [0])
+
+    def test_provenance_is_strict_json_even_at_infinity(self) -> None:
+        provenance = interpolate_stack(spots([0.05, np.inf]), [0.1, np.inf], D).provenance
+        assert json.loads(json.dumps(provenance, allow_nan=False)) == provenance
+
+
+class TestOutside:
+    def test_it_is_refused_unless_asked_for(self) -> None:
+        stack = spots([0.05, 0.2])
+        with pytest.raises(InputError, match=r"got 4 cm, ∞, outside the stack's 5 cm to 20 cm.*set extrapolate"):
+            interpolate_stack(stack, [0.04, 0.1, np.inf], D)
+        found = interpolate_stack(stack, [0.04, 0.1, np.inf], D, extrapolate=True)
+        # The spots only magnify, so the outermost plane magnified is right.
+        assert error(found.values, spots([0.04, 0.1, np.inf]).values).max() < 5e-3
+        marks = [plane["extrapolated"] for plane in found.provenance["interpolation"]["planes"]]
+        assert marks == [True, False, True]
+
+    def test_mistakes_are_named(self) -> None:
+        with pytest.raises(InputError, match="must increase strictly"):
+            interpolate_stack(spots([0.05, 0.2]), [0.1, 0.07], D)
+        with pytest.raises(InputError, match=r"mask_to_sensor_m: got 0, expected positive metres"):
+            interpolate_stack(spots([0.05, 0.2]), [0.1], 0)
+
+
+@pytest.fixture(scope="module")
+def diffractive() -> tuple[PsfStack, PsfStack, np.ndarray]:
+    """Nine planes as captured, the truth of them all, and their depths: a mask 2 mm wide on 8 um pixels."""
+    rng = np.random.default_rng(5)
+    amplitude = np.kron(rng.integers(0, 2, (50, 50)), np.ones((10, 10), int)).astype(np.float32)
+    mask = Mask(np.zeros_like(amplitude), amplitude, 4e-6, name="squares")
+    response = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("G",), "532 nm")
+    camera = CameraGeometry(D, 8e-6, response)
+    depths = depth_planes(0.036, 0.2, 9)
+    config = PsfConfig(tuple(depths), wavelengths_per_channel=1, accept_error=1.0)
+    with pytest.warns(UserWarning, match="sampling error"):
+        truth = compute_psf_stack(mask, camera, config)
+    # 25 um source, stage and depths as good as a micrometre stage: what is left is noise and blur.
+    places = CalibrationSource(25e-6, 0, 2e-5, 5e-6).place(config.depths_m, D, rng)
+    light = captured_light(mask, camera, config, places)
+    sensor = Sensor("s", 2e-6, (9, 9), 4, (1, 1), 15000, 2.7, 0.3, 0.1, 0.006, 64.0, 12, noise=PhysicalNoise())
+    recorded = [Recording(0.7, 10, 0.005, 0.003).record(plane, np.ones(1), sensor, rng)[0] for plane in light]
+    captured = PsfStack(np.stack(recorded), truth.depths_m, 8e-6, ("G",), "captured")
+    return captured, truth, depths
+
+
+@pytest.mark.parametrize(("step", "of_linear", "of_nearest"), [(2, 0.85, 0.5), (4, 0.5, 0.4)])
+def test_a_stack_as_captured_between_its_planes(diffractive, step, of_linear, of_nearest) -> None:
+    """Between measured planes, against the computed truth; the farther they are apart, the more magnification matters.
+
+    What is left is mostly light finer than a pixel, which no resampling brings back: 8 um pixels, speckle of a few um.
+    """
+    captured, truth, depths = diffractive
+    known, wanted = np.s_[::step], np.s_[step // 2 :: step]
+    stack = PsfStack(captured.values[known], depths[known], 8e-6, ("G",), "part")
+    found = interpolate_stack(stack, depths[wanted].tolist(), D)
+    ours = error(found.values, truth.values[wanted])
+    near, far = stack.values[:-1], stack.values[1:]
+    linear = error((near + far) / 2, truth.values[wanted])
+    nearest = np.minimum(error(near, truth.values[wanted]), error(far, truth.values[wanted]))
+    stated = np.array([plane["error"] for plane in found.provenance["interpolation"]["planes"]])
+    print(
+        f"interpolated {ours.round(3)}, stated {stated.round(3)}, linear {linear.round(3)}, nearest {nearest.round(3)}"
+    )
+    assert np.all(ours < stated)
+    assert np.all(ours < of_linear * linear)
+    assert np.all(ours < of_nearest * nearest)
+
+
+@pytest.mark.shared
+def test_the_real_diffuser_has_one_plane_and_says_so(shared_data) -> None:
+    """One measured plane gives itself and, if asked, magnified copies whose error nobody knows; no depth is on record."""
+    file = shared_data / "diffusercam/tutorial/psf_sample.tif"
+    stack = load_measured_psf([file], [0.2], 24e-6, frame="physical", binning=8, throughput_m2=1e-5)
+    own = interpolate_stack(stack, [0.2], 10e-3)
+    np.testing.assert_array_equal(own.values, stack.values)
+    with pytest.raises(InputError, match=r"got 30 cm, outside the stack's 20 cm"):
+        interpolate_stack(stack, [0.3], 10e-3)
+    far = interpolate_stack(stack, [0.3], 10e-3, extrapolate=True)  # smaller: m falls from 1.05 to 1.033
+    np.testing.assert_allclose(far.energy_m2(), stack.energy_m2(), rtol=1e-5)  # float32
+    assert far.provenance["interpolation"]["planes"][0]["error"] is None
+    # There and back costs two resamplings of caustics that these pixels hardly resolve; doing nothing costs far more.
+    back = interpolate_stack(far, [0.2], 10e-3, extrapolate=True)
+    inner = np.s_[..., 8:-8, 8:-8]
+    resampled, ignored = (error(s.values[inner], stack.values[inner]).max() for s in (back, far))
+    print(f"there and back {resampled:.3f}, not magnified {ignored:.3f}")
+    assert resampled < 0.15
+    assert resampled < ignored / 3
