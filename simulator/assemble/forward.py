@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from simulator.assemble.light import build_camera_colour
 from simulator.assemble.scenes import build_view
 from simulator.camera.forward import DepthRule, ForwardModel
 from simulator.camera.planes import mask_irradiance
@@ -24,5 +25,6 @@ def build_forward_model(config: Config, stack: PsfStack) -> ForwardModel:
         GlobalShutter(config.camera.shutter.exposure_ms * 1e-3),
         chosen.boundary,
         irradiance=mask_irradiance(build_view(config), chosen.vignetting),
+        scene_to_camera=build_camera_colour(config, stack.channels).matrix,
         depth_rule=DepthRule(chosen.depth_assignment, chosen.max_clamped),
     )

@@ -1,10 +1,19 @@
-"""The light of a configuration: what the camera's channels see of it."""
+"""The light of a configuration: what the camera's channels see of it, and of the scene's colours."""
 
 from __future__ import annotations
 
+import hashlib
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from simulator.assemble.masks import optics_code
+from simulator.errors import InputError
+from simulator.files import sha256_file
+from simulator.optics.cache import Entry, cached
+from simulator.optics.camera_colour import CameraColour, fit_camera_colour
 from simulator.optics.curves import Led, curve_file
 from simulator.optics.spectrum import NOMINAL_CAMERA, spectral_response
 from simulator.types import SpectralResponse
@@ -20,6 +29,45 @@ def build_response(config: Config) -> SpectralResponse:
         InputError: for an unknown illuminant or spectral response, or an unreadable file.
     """
     return spectral_response(_camera(config), _illuminant(config), config.base_dir)
+
+
+def build_camera_colour(config: Config, channels: tuple[str, ...]) -> CameraColour:
+    """Return how the scene's linear sRGB becomes the camera's channels; a fitted matrix is cached.
+
+    Args:
+        config: the configuration.
+        channels: names of the PSF stack's channels.
+
+    Raises:
+        InputError: when the matrix does not have a row per channel, or as :func:`build_response`.
+    """
+    chosen = config.camera.scene_to_camera
+    if chosen == "identity":
+        colour = CameraColour(np.eye(3), {"from": "identity"})
+    elif chosen == "auto":
+        colour = _fitted(config)
+    else:
+        colour = CameraColour(np.array(chosen, np.float64), {"from": "configuration"})
+    if len(colour.matrix) != len(channels):
+        msg = (
+            f"camera.scene_to_camera: {chosen if isinstance(chosen, str) else 'the matrix'} has {len(colour.matrix)} rows, "
+            f"but the PSF stack has the channels {', '.join(channels)}; give a list with a row of three numbers for each"
+        )
+        raise InputError(msg)
+    return colour
+
+
+def _fitted(config: Config) -> CameraColour:
+    # The key is made without colour-science, which takes a second to import in every worker.
+    hashes = [sha256_file(path) for path in light_files(config)]
+    named = (_camera(config), _illuminant(config), hashes, metadata.version("colour-science"), optics_code())
+
+    def compute() -> Entry:
+        colour = fit_camera_colour(build_response(config))
+        return {"matrix": colour.matrix}, {"origin": colour.origin}
+
+    arrays, described = cached("colour", hashlib.sha256(repr(named).encode()).hexdigest(), compute)
+    return CameraColour(arrays["matrix"], described["origin"])
 
 
 def light_files(config: Config) -> list[Path]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.arrays import Array, like, namespace
+from simulator.camera.colour import to_camera
 from simulator.camera.convolution import StackConvolution
 from simulator.camera.planes import clamped_share, split_planes
 from simulator.camera.shutter import GlobalShutter
@@ -47,6 +48,7 @@ class ForwardModel:
         boundary: str = "linear",
         *,
         irradiance: NDArray[np.float32] | None = None,
+        scene_to_camera: NDArray[np.floating] | None = None,
         depth_rule: DepthRule | None = None,
     ) -> None:
         """Prepare the convolution.
@@ -59,6 +61,8 @@ class ForwardModel:
                 irradiance x seconds.
             boundary: ``linear`` or ``circular``.
             irradiance: ``(h, w)`` from ``mask_irradiance``, used by ``forward_clip``; None means 1.
+            scene_to_camera: ``(C, 3)`` from linear sRGB to the stack's channels, used by ``forward_clip``; None takes red,
+                green and blue as they are.
             depth_rule: used by ``forward_clip``.
 
         Raises:
@@ -68,6 +72,7 @@ class ForwardModel:
         self.sensor_shape, self.scene_shape = sensor_shape, scene_shape
         self._convolution = StackConvolution(stack.values, sensor_shape, scene_shape, boundary)
         self._irradiance = np.ones(scene_shape, np.float32) if irradiance is None else irradiance
+        self.scene_to_camera = np.eye(3) if scene_to_camera is None else scene_to_camera
         self._rule = depth_rule or DepthRule()
 
     def forward(self, volume: Array, frame_edges_s: NDArray[np.float64] | None = None) -> Array:
@@ -109,6 +114,13 @@ class ForwardModel:
         if (height, width) != tuple(self.scene_shape):
             msg = f"clip: its frames are {(height, width)}, but the model was made for scenes of {self.scene_shape}"
             raise InputError(msg)
+        channels = self.stack.channels
+        if len(self.scene_to_camera) != len(channels):
+            msg = (
+                f"scene_to_camera: got {len(self.scene_to_camera)} rows for the PSF stack's {len(channels)} channels "
+                f"({', '.join(channels)}); give a row of three numbers per channel"
+            )
+            raise InputError(msg)
         depths_m = self.stack.depths_m
         share = clamped_share(clip.depth_m, clip.valid, depths_m)
         if share > self._rule.max_clamped:
@@ -122,7 +134,7 @@ class ForwardModel:
         weights = self._row_weights(frames, clip.frame_edges_s if frames > 1 else None)
         total = np.zeros((self.stack.values.shape[1], *self.sensor_shape), np.float32)
         for rgb, depth_m, row_weight in zip(clip.rgb, clip.depth_m, weights, strict=True):
-            light = np.ascontiguousarray(np.moveaxis(rgb, -1, 0)) * self._irradiance
+            light = to_camera(rgb, self.scene_to_camera) * self._irradiance
             planes = split_planes(light, depth_m, depths_m, self._rule.assignment)
             total += row_weight.astype(np.float32)[:, None] * self._convolution.forward(planes)
         return total

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from simulator.assemble import build_source, input_files, scene_plugin
+from simulator.assemble import build_camera_colour, build_source, input_files, scene_plugin
 from simulator.camera.exposure import PERCENTILE, PILOTS, TARGET, full_scale_from_pilots
 from simulator.config import Config, dump, load_config
 from simulator.dataset.contact_sheet import contact_sheet

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.assemble import build_forward_model, build_sensor, build_source, scene_plugin
+from simulator.camera.colour import clipped_share
 from simulator.camera.noise import GaussianNoise
 from simulator.camera.planes import clamped_share
 from simulator.config import Config
@@ -69,7 +70,7 @@ class SampleMaker:
             "split": split,
             "index": index,
             "scene": clip.source,
-            "scene_to_camera": "identity",  # linear sRGB goes into the camera's channels as it is
+            "clipped_colour_share": clipped_share(clip.rgb[0], self._model.scene_to_camera),
             "psf": self._stack.fingerprint,
             "full_scale": self._sensor.full_scale,
             "saturated_share": float(np.mean(exposure >= self._sensor.full_scale)),

@@ -1,10 +1,16 @@
 """Light of a configuration: LEDs, files beside the YAML file and in the fingerprint."""
 
+import json
+
+import numpy as np
 import pytest
 
 from simulator import assemble
 from simulator.config import load_config
+from simulator.dataset import open_dataset, verify
 from simulator.errors import InputError
+from simulator.optics.camera_colour import fit_camera_colour
+from simulator.optics.spectrum import spectral_response
 
 
 def _config(trial, **camera):
@@ -36,3 +42,63 @@ def test_curves_lie_beside_the_yaml_file_and_are_inputs(trial):
     (trial.folder / "lamp.csv").unlink()
     with pytest.raises(InputError, match=r"cannot read .*lamp\.csv: No such file"):
         assemble.build_geometry(config)
+
+
+class TestSceneColours:
+    def test_auto_fits_the_sensor_and_its_light_once(self, trial, monkeypatch):
+        config = _config(trial, illuminant="A")
+        first = assemble.build_camera_colour(config, ("R", "G", "B"))
+        expected = fit_camera_colour(spectral_response(illuminant="A"))
+        np.testing.assert_array_equal(first.matrix, expected.matrix)
+        assert first.origin["response"] == "Nikon 5100 (NPL) under A, nominal"
+        monkeypatch.setattr("simulator.assemble.light.fit_camera_colour", None)  # the second comes from the cache
+        assert assemble.build_camera_colour(config, ("R", "G", "B")).origin == first.origin
+
+    def test_another_content_of_a_curve_file_is_another_matrix(self, trial):
+        matrices = []
+        for green in (1, 3):
+            (trial.folder / "lamp.csv").write_text(f"400,1\n550,{green}\n700,2\n")
+            config = _config(trial, illuminant="lamp.csv")
+            matrices.append(assemble.build_camera_colour(config, ("R", "G", "B")).matrix)
+        assert np.abs(matrices[0] - matrices[1]).max() > 1e-3
+
+    def test_given_and_identity(self, trial):
+        rows = [[0.5, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.25, 0.75]]
+        for chosen, expected in (("identity", np.eye(3)), (rows, rows)):
+            config = _config(trial, scene_to_camera=chosen)
+            model = assemble.build_forward_model(config, assemble.build_psf_stack(config))
+            np.testing.assert_array_equal(model.scene_to_camera, expected)
+
+    def test_a_row_for_each_channel(self, trial):
+        config = _config(trial, scene_to_camera=[[0.2, 0.7, 0.1]])
+        with pytest.raises(
+            InputError, match=r"scene_to_camera: the matrix has 1 rows, .* channels R, G, B; give a list"
+        ):
+            assemble.build_camera_colour(config, ("R", "G", "B"))
+        config = _config(trial, scene_to_camera="identity")
+        with pytest.raises(InputError, match=r"scene_to_camera: identity has 3 rows, .* channels Y;"):
+            assemble.build_camera_colour(config, ("Y",))
+
+    def test_a_data_set_records_the_matrix(self, trial):
+        rows = [[0.5, 0.5, 0.0], [0.0, 1.0, 0.0], [-2.0, 0.0, 3.0]]
+        root = trial.generate(camera={"scene_to_camera": rows})
+        described = json.loads((root / "dataset.json").read_text())
+        assert described["scene_to_camera"] == {"from": "configuration", "matrix": rows}
+        sample = open_dataset(root, "train")[0]
+        clipped = np.mean(sample.rgb[..., 2] * 3 < sample.rgb[..., 0] * 2) / 3
+        assert sample.metadata["clipped_colour_share"] == pytest.approx(clipped, abs=1e-9)
+        assert clipped > 0
+
+
+def test_a_monochrome_sensor_all_the_way(trial):
+    """One channel Y from the curve to the file: its picture is the grey one of a camera with that row."""
+    (trial.folder / "mono.csv").write_text("400,0.5\n550,0.9\n700,0.6\n")
+    sensor = {"shape": [48, 60], "binning": 8, "spectral_response": "mono.csv"}
+    root = trial.generate(camera={"sensor": sensor, "noise": {"type": "physical"}})
+    described = json.loads((root / "dataset.json").read_text())
+    assert described["channels"] == ["Y"]
+    assert sum(described["scene_to_camera"]["matrix"][0]) == pytest.approx(1)
+    sample = open_dataset(root, "train")[0]
+    assert sample.measurement.shape == (1, 48, 60)
+    assert sample.noiseless.max() > 0
+    assert verify(root).ok

@@ -46,9 +46,19 @@ def redrawn(plugins: ModuleType, split: str, index: int) -> Clip:
     return plugins.boxes(view).clip(asked, stream(split, index, "scene"))
 
 
-def exposed(clip: Clip, values: np.ndarray, depths_m: np.ndarray, sensor: tuple[int, int]) -> np.ndarray:
+def matrix_on_disk(root: Path) -> np.ndarray:
+    """The rows that take linear sRGB to the camera's channels."""
+    matrix = np.array(json.loads((root / "dataset.json").read_text())["scene_to_camera"]["matrix"])
+    assert not np.array_equal(matrix, np.eye(3))
+    return matrix
+
+
+def exposed(
+    clip: Clip, values: np.ndarray, depths_m: np.ndarray, matrix: np.ndarray, sensor: tuple[int, int]
+) -> np.ndarray:
     """Exposure ``(C, H, W)`` by one full convolution per plane and channel, in float64."""
-    radiance, depth = clip.rgb[0].astype(np.float64), clip.depth_m[0].astype(np.float64)
+    radiance = np.maximum(clip.rgb[0].astype(np.float64) @ matrix.T, 0)
+    depth = clip.depth_m[0].astype(np.float64)
     h, w = depth.shape
     y, x = ((np.arange(n) - (n - 1) / 2) * PITCH_M for n in (h, w))
     cosine = DISTANCE_M / np.sqrt(DISTANCE_M**2 + y[:, None] ** 2 + x**2)
@@ -91,9 +101,10 @@ def test_ground_truth_is_the_scene_of_the_documented_stream(made: Any, split: st
 def test_noiseless_measurement_is_the_brute_force_convolution(made: Any, split: str, index: int) -> None:
     root, plugins = made
     sample = open_dataset(root, split)[index]
-    values, depths_m = stack_on_disk(root)
     full_scale = json.loads((root / "dataset.json").read_text())["exposure"]["full_scale"]
-    expected = exposed(redrawn(plugins, split, index), values, depths_m, (48, 60)) / full_scale
+    expected = (
+        exposed(redrawn(plugins, split, index), *stack_on_disk(root), matrix_on_disk(root), (48, 60)) / full_scale
+    )
     # float32 FFTs of a few thousand points: some 1e-7 of the maximum.
     assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
     assert expected.max() > 0.1  # the exposure put the picture into the sensor's range
@@ -111,7 +122,9 @@ def test_noise_is_that_of_the_documented_stream(made: Any, split: str, index: in
 def test_automatic_exposure_is_the_pilots_percentile(made: Any) -> None:
     root, plugins = made
     values, depths_m = stack_on_disk(root)
-    pilots = [exposed(redrawn(plugins, "pilot", i), values, depths_m, (48, 60)) for i in range(16)]
+    pilots = [
+        exposed(redrawn(plugins, "pilot", i), values, depths_m, matrix_on_disk(root), (48, 60)) for i in range(16)
+    ]
     exposure = json.loads((root / "dataset.json").read_text())["exposure"]
     assert exposure["full_scale"] == pytest.approx(np.percentile(pilots, 99.9) / 0.8, rel=1e-5)
 
@@ -133,7 +146,7 @@ def test_depths_beyond_the_stack_are_clamped_and_counted(trial) -> None:
     assert np.all(sample.depth_m == 0.5)  # ground truth stays the truth
     values, depths_m = stack_on_disk(root)
     clip = Clip(sample.rgb, np.full_like(sample.depth_m, 0.2), sample.valid, np.array([0.0, 1.0]))
-    expected = exposed(clip, values, depths_m, (48, 60)) / 3e-6
+    expected = exposed(clip, values, depths_m, matrix_on_disk(root), (48, 60)) / 3e-6
     assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
 
 
@@ -160,7 +173,7 @@ def test_infinite_depths_are_stored_as_finite_ones(trial) -> None:
     values, depths_m = stack_on_disk(trial.folder / "out")
     assert depths_m[-1] == np.inf
     clip = Clip(sample.rgb, np.full_like(sample.depth_m, np.inf), sample.valid, np.array([0.0, 1.0]))
-    expected = exposed(clip, values[-1:], np.array([1.0]), (48, 60)) / 3e-6
+    expected = exposed(clip, values[-1:], np.array([1.0]), matrix_on_disk(trial.folder / "out"), (48, 60)) / 3e-6
     assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
 
 
