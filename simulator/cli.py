@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from simulator import __version__
-from simulator.commands import about, datasets, masks, plugins, psf
+from simulator.commands import about, compare, datasets, masks, plugins, psf
 from simulator.errors import InputError
 
 app = typer.Typer(
@@ -24,6 +24,7 @@ for command in (
     datasets.init,
     datasets.generate,
     psf.psf,
+    compare.compare,
     plugins.masks,
     masks.export_mask,
     plugins.scenes,

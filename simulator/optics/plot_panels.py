@@ -47,7 +47,7 @@ class DepthView:
 def draw_mask(axes: Axes, mask: Mask | None) -> None:
     """Draw the height map, or the amplitude where the height is flat, with a magnified corner for fine staircases."""
     if mask is None:
-        _head(axes, "Mask")
+        head(axes, "Mask")
         axes.set_axis_off()
         words = "no mask:\nthese PSFs were measured"
         axes.text(0.5, 0.5, words, ha="center", va="center", fontsize=TITLE, color=FAINT, linespacing=1.6)
@@ -60,8 +60,8 @@ def draw_mask(axes: Axes, mask: Mask | None) -> None:
     per_metre, unit = _unit(max(mask.shape) * mask.pitch_m)
     extent = _extent(-mask.shape[0] / 2, -mask.shape[1] / 2, mask.shape, mask.pitch_m * per_metre)
     picture = axes.imshow(image, extent=extent, **colours)
-    _head(axes, "Mask height" if has_height else "Mask amplitude")
-    _style(axes, f"x on the mask ({unit})", f"y ({unit})")
+    head(axes, "Mask height" if has_height else "Mask amplitude")
+    style(axes, f"x on the mask ({unit})", f"y ({unit})")
     _few_ticks(axes)
     if has_height and mask.profile == "staircase" and min(mask.shape) > 4 * _FINE:
         _magnify(axes, image, mask.pitch_m, per_metre, colours)
@@ -99,8 +99,8 @@ def draw_psfs(panels: list[Axes], views: list[DepthView], pitch_m: float) -> str
         top, left = (part.start - m for part, m in zip((rows, columns), middle, strict=True))
         extent = _extent(top - 0.5, left - 0.5, image.shape, pitch_m * per_metre)
         axes.imshow(image, extent=extent, cmap="gray", vmin=0, vmax=1)
-        _head(axes, f"PSF at {view.name}", view.colour)
-        _style(axes, f"x on the sensor ({unit})", f"y ({unit})" if axes is panels[0] else "")
+        head(axes, f"PSF at {view.name}", view.colour)
+        style(axes, f"x on the sensor ({unit})", f"y ({unit})" if axes is panels[0] else "")
         _few_ticks(axes)
     return f"PSFs on one scale: white is {_number(white)} × the light at the mask, square-root stretch"
 
@@ -112,8 +112,8 @@ def draw_sections(axes: Axes, views: list[DepthView], pitch_m: float) -> None:
     highest = max(section.max() for section in sections)
     per_metre, unit = _unit(2 * half * pitch_m)
     bases = [(len(views) - 1 - strip) * 1.3 * highest for strip in range(len(views))]
-    _head(axes, "Brightest row of each PSF")
-    _style(axes, f"x on the sensor ({unit})", "light / light at the mask")
+    head(axes, "Brightest row of each PSF")
+    style(axes, f"x on the sensor ({unit})", "light / light at the mask")
     for view, section, base in zip(views, sections, bases, strict=True):
         x = np.arange(section.size) - section.size // 2
         seen = np.abs(x) <= half
@@ -131,8 +131,8 @@ def draw_autocorrelation(axes: Axes, views: list[DepthView], pitch_m: float) -> 
     for view, image, width in zip(views, images, _WIDTHS[len(views)], strict=True):
         row = image[image.shape[0] // 2, image.shape[1] // 2 :]
         axes.plot(np.arange(1, row.size) * pitch_m * 1e6, row[1:], color=view.colour, linewidth=width)
-    _head(axes, "Autocorrelation")
-    _style(axes, "shift along a row (µm), from one pixel", "")
+    head(axes, "Autocorrelation")
+    style(axes, "shift along a row (µm), from one pixel", "")
     axes.set_xscale("log")
     axes.set_xlim(pitch_m * 1e6, 2 * _window(views) * pitch_m * 1e6)
     axes.set_ylim(0, 1.02)
@@ -152,8 +152,8 @@ def draw_mtf(axes: Axes, views: list[DepthView], pitch_m: float) -> None:
         frequency, mtf = radial_mtf(view.grey, pitch_m)
         axes.plot(frequency / 1e3, mtf, color=view.colour, linewidth=width, label=view.name)
         lowest = min(lowest, float(mtf.min()))
-    _head(axes, "MTF, mean over directions")
-    _style(axes, "cycles per mm on the sensor, up to Nyquist", "")
+    head(axes, "MTF, mean over directions")
+    style(axes, "cycles per mm on the sensor, up to Nyquist", "")
     axes.set_yscale("log")
     decades = min(np.floor(np.log10(max(lowest, 1e-4))), -1)
     axes.set_ylim(10**decades, 1.3)
@@ -168,6 +168,21 @@ def draw_mtf(axes: Axes, views: list[DepthView], pitch_m: float) -> None:
     below.spines["bottom"].set_color(FAINT)
     if len(views) > 1:
         axes.legend(frameon=False, fontsize=NORMAL, labelcolor=INK, title="depth", loc="upper right")
+
+
+def head(axes: Axes, words: str, colour: str = INK) -> None:
+    """Give a panel its title."""
+    axes.set_title(words, loc="left", fontsize=TITLE, color=colour, fontweight="bold")
+
+
+def style(axes: Axes, x_label: str, y_label: str) -> None:
+    """Label a panel's axes, and leave out the frame's upper and right side."""
+    axes.set_xlabel(x_label, fontsize=NORMAL, color=INK)
+    axes.set_ylabel(y_label, fontsize=NORMAL, color=INK)
+    axes.tick_params(labelsize=SMALL, colors=INK)
+    for side, spine in axes.spines.items():
+        spine.set_color(FAINT)
+        spine.set_visible(side in ("left", "bottom"))
 
 
 def _window(views: list[DepthView]) -> int:
@@ -190,19 +205,6 @@ def _white(views: list[DepthView]) -> float:
 
 def _number(value: float) -> str:
     return f"{value:.2g}" if value < 100 else f"{value:.0f}"
-
-
-def _head(axes: Axes, words: str, colour: str = INK) -> None:
-    axes.set_title(words, loc="left", fontsize=TITLE, color=colour, fontweight="bold")
-
-
-def _style(axes: Axes, x_label: str, y_label: str) -> None:
-    axes.set_xlabel(x_label, fontsize=NORMAL, color=INK)
-    axes.set_ylabel(y_label, fontsize=NORMAL, color=INK)
-    axes.tick_params(labelsize=SMALL, colors=INK)
-    for side, spine in axes.spines.items():
-        spine.set_color(FAINT)
-        spine.set_visible(side in ("left", "bottom"))
 
 
 def _extent(top: float, left: float, shape: tuple[int, ...], scale: float) -> tuple[float, float, float, float]:

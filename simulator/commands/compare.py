@@ -1,0 +1,50 @@
+"""``compare``: mask designs side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from simulator.commands.options import Overrides
+from simulator.errors import InputError
+
+
+def compare(
+    candidates: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="MASK_OR_CONFIG...",
+            help="designs (a name, ./file.py:name or '{design: pinhole, diameter_um: 80}') or configurations (*.yaml)",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", help="the page (.html) or picture (.png) to write")],
+    config: Annotated[
+        Path, typer.Option("--config", help="configuration whose camera and depths all designs share")
+    ] = Path("sim_config.yaml"),
+    set_: Overrides = None,
+) -> None:
+    """Compare mask designs: PSFs, contrast, sharpness, depths told apart, light; as one page or picture."""
+    from simulator.comparison.candidates import load_configs, measure
+    from simulator.comparison.figures import comparison_png
+    from simulator.comparison.page import comparison_html
+    from simulator.console import Bar
+    from simulator.dataset.engines import available_cpus
+    from simulator.files import write_atomic
+
+    kind = output.suffix.lower()
+    if kind not in (".html", ".png"):
+        msg = f"--output: got {output.name!r}, expected a name that ends in .html or .png"
+        raise InputError(msg)
+    if not output.absolute().parent.is_dir():
+        msg = f"--output: the folder {output.parent} does not exist; make it first, or choose another"
+        raise InputError(msg)
+    configs = load_configs(candidates, config, set_ or [])
+    with Bar() as bar:
+        measured = [measure(name, one, threads=available_cpus(), progress=bar.update) for name, one in configs.items()]
+        bar.say("drawing the pictures")
+    content = comparison_html(measured).encode() if kind == ".html" else comparison_png(measured)
+    write_atomic(output, content)
+    print(f"look at {output}")

@@ -1,0 +1,33 @@
+"""``compare`` as users meet it."""
+
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+
+HOLE = "{design: pinhole, diameter_um: 100, pixel_um: 4}"
+
+
+def test_a_page_and_a_picture(flatlight, trial, tmp_path: Path) -> None:
+    path = trial.write()
+    for name in ("both.html", "both.png"):
+        code, out, err = flatlight("compare", HOLE, path, "--config", path, "--output", tmp_path / name)
+        assert code == 0, err
+        assert out == f"look at {tmp_path / name}\n"
+        assert "PSFs of trial: 9 of 9" in err or name == "both.png"  # the second time they come from the cache
+    page = (tmp_path / "both.html").read_text()
+    for words in ("pinhole, diameter_um 100", ">trial<", "One camera for all: 48 x 60 pixels of 19.2 µm"):
+        assert words in page
+    with Image.open(tmp_path / "both.png") as picture:
+        assert picture.format == "PNG"
+
+
+def test_mistakes(flatlight, one_error, trial, tmp_path: Path) -> None:
+    path, page = trial.write(), tmp_path / "page.html"
+    one_error(flatlight("compare", "pinhole", "--output", "page.pdf"), "--output: got 'page.pdf'", ".html or .png")
+    one_error(flatlight("compare", "pinhole", "--output", tmp_path / "a" / "b.html"), "does not exist", "make it first")
+    one_error(flatlight("compare", "pinhle", "--config", path, "--output", page), "unknown mask design", "'pinhole'")
+    one_error(flatlight("compare", "pinhole", "--config", tmp_path / "no.yaml", "--output", page), "no.yaml")
+    assert not page.exists()
