@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from simulator.optics.contours import contours, contours_of_image
+from simulator.optics.fabrication import fabricate
 from simulator.optics.mask import Mask
-from simulator.optics.materials import PHLATCAM_RESIST
-from simulator.optics.noise import perlin
+from simulator.optics.materials import load_material
 from simulator.optics.phase_retrieval import retrieve_phase
-
-WAVELENGTH_M = 532e-9
 
 
 def phlatcam(
@@ -22,54 +21,69 @@ def phlatcam(
     width_mm: Annotated[float, Field(gt=0.05, le=20)] = 7.01,
     pixel_um: Annotated[float, Field(ge=0.2, le=20)] = 2.0,
     distance_um: Annotated[float, Field(gt=50, le=1e5)] = 1869.0,
+    image: Path | None = None,
     cell_um: Annotated[float, Field(gt=1, le=1e4)] = 240.0,
     line_um: Annotated[float, Field(gt=0.2, le=500)] = 12.0,
-    step_um: Annotated[float, Field(ge=0, le=1)] = 0.2,
     iterations: Annotated[int, Field(ge=1, le=1000)] = 20,
+    tolerance: Annotated[float, Field(ge=0, lt=1)] = 1e-4,
+    wavelength_nm: Annotated[float, Field(ge=300, le=2000)] = 532.0,
+    material: str = "phlatcam-resist",
     seed: Annotated[int, Field(ge=0)] = 1,
+    step_um: Annotated[float, Field(ge=0, le=1)] = 0.2,
+    height_error_percent: Annotated[float, Field(gt=-100, le=100)] = 0.0,
+    roughness_nm: Annotated[float, Field(ge=0, le=1000)] = 0.0,
+    rounding_um: Annotated[float, Field(ge=0, le=100)] = 0.0,
+    fabrication_seed: Annotated[int, Field(ge=0)] = 0,
 ) -> Mask:
     """Return the published recipe's mask: Perlin noise, Canny edges, near-field phase retrieval, quantised heights.
+
+    Its PSF is a net of sharp contour lines as large as the mask, seen at the design distance and blurred within about 0.1
+    mm of it. With ``image`` the lines are the picture's own: a picture of two grey levels is the pattern itself, any other
+    gives its edges.
+
+    The profile is a staircase of mask pixels. The tolerances (see ``simulator.optics.fabrication``) are those of one
+    fabricated piece: rounding divides the mask pixels and makes the profile smooth, at the price of a finer grid.
 
     Args:
         width_mm: side of the square mask.
         pixel_um: mask pixel.
         distance_um: mask to sensor in the design, where the contours are sharp.
+        image: square picture (PNG, TIFF, EXR, npy) whose lines take the place of Perlin noise.
         cell_um: cell of the Perlin noise: the scale of the contours.
         line_um: width of the contour lines.
-        step_um: height step of the fabrication (heights are rounded down); 0 leaves them continuous.
-        iterations: passes of the phase retrieval; published masks use 20 to 100.
+        iterations: most passes of the phase retrieval; published masks use 20 to 100.
+        tolerance: gain of overlap with the target, per pass, below which the phase retrieval stops; 0 makes all passes.
+        wavelength_nm: design wavelength.
+        material: of the mask.
         seed: of the noise.
+        step_um: height step of the fabrication (heights are rounded down); 0 leaves them continuous.
+        height_error_percent: by how much all heights come out too high.
+        roughness_nm: standard deviation of each mask pixel's own height error.
+        rounding_um: standard deviation of the Gaussian that rounds the edges; 0 leaves them sharp.
+        fabrication_seed: of the roughness.
     """
     samples = round(width_mm * 1e3 / pixel_um)
-    target = contours(samples, cell_um / pixel_um, line_um / pixel_um, seed)
-    phase = retrieve_phase(
-        target, pixel_um * 1e-6, WAVELENGTH_M, distance_um * 1e-6, iterations, threads=os.cpu_count() or 1
+    pitch_m, wavelength_m, resist = pixel_um * 1e-6, wavelength_nm * 1e-9, load_material(material)
+    if image is None:
+        target = contours(samples, cell_um / pixel_um, line_um / pixel_um, seed)
+    else:
+        target = contours_of_image(image, samples, line_um / pixel_um)
+    retrieved = retrieve_phase(
+        target,
+        pitch_m,
+        wavelength_m,
+        distance_um * 1e-6,
+        iterations,
+        tolerance=tolerance,
+        threads=os.cpu_count() or 1,
     )
-    turns = np.mod(phase / (2 * np.pi), 1).astype(np.float32)
-    height_m = turns * np.float32(WAVELENGTH_M / (PHLATCAM_RESIST.index(WAVELENGTH_M) - 1))
-    if step_um:
-        height_m = np.floor(height_m / (step_um * 1e-6)).astype(np.float32) * np.float32(step_um * 1e-6)
-    return Mask(
-        height_m, np.ones_like(height_m), pixel_um * 1e-6, PHLATCAM_RESIST, profile="staircase", name="phlatcam"
+    turns = np.mod(retrieved.phase / (2 * np.pi), 1).astype(np.float32)
+    height_m = turns * np.float32(wavelength_m / (resist.index(wavelength_m) - 1))
+    return fabricate(
+        Mask(height_m, np.ones_like(height_m), pitch_m, resist, profile="staircase", name="phlatcam"),
+        step_m=step_um * 1e-6,
+        height_error=height_error_percent * 1e-2,
+        roughness_m=roughness_nm * 1e-9,
+        rounding_m=rounding_um * 1e-6,
+        seed=fabrication_seed,
     )
-
-
-def contours(samples: int, cell: float, line: float, seed: int) -> NDArray[np.float32]:
-    """Return the target PSF: contour lines of Perlin noise, float32 ``(samples, samples)`` of 0 and 1.
-
-    Args:
-        samples: side of the image.
-        cell: cell of the noise, in samples.
-        line: width of the lines, in samples.
-        seed: of the noise.
-    """
-    from scipy.ndimage import binary_dilation
-    from skimage.feature import canny
-
-    noise = perlin((samples, samples), cell, seed)
-    # The thresholds follow the gradients' quantiles, as the original Canny implementation chooses them.
-    edges = canny(noise, sigma=cell / 60, low_threshold=0.28, high_threshold=0.7, use_quantiles=True)
-    if not edges.any():
-        edges[samples // 2] = True  # a mask smaller than a cell may hold no contour: one line keeps it a camera
-    y, x = np.ogrid[-int(line / 2) : int(line / 2) + 1, -int(line / 2) : int(line / 2) + 1]
-    return binary_dilation(edges, x**2 + y**2 <= (line / 2) ** 2).astype(np.float32)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+_PLACES_PER_UNIT = 24
+
 
 def perlin(shape: tuple[int, int], cell: float, seed: int) -> NDArray[np.float32]:
     """Return Perlin noise normalised to 0..1.
@@ -48,3 +50,36 @@ def gaussian_surface(shape: tuple[int, int], correlation: float, seed: int) -> N
     # White noise blurred by sigma has the autocorrelation exp(-x^2 / (4 sigma^2)).
     surface = gaussian_filter(white, correlation / 2, mode="wrap")
     return (surface - surface.mean()) / surface.std()
+
+
+def poisson_disc(width: float, seed: int) -> NDArray[np.float64]:
+    """Return random points in a square, no two nearer than 1 and no room left for another.
+
+    Source: random sequential addition (Feder, J. Theor. Biol. 87, 237, 1980), on a lattice of 24 places per unit, so that
+    all of them can be tried.
+
+    Args:
+        width: side of the square, in units of the least distance.
+        seed: of the places.
+
+    Returns:
+        ``(N, 2)`` points within 0..width.
+    """
+    lattice = max(1, round(width * _PLACES_PER_UNIT))
+    free = np.ones((lattice, lattice), bool)
+    left = np.random.default_rng(seed).permutation(lattice**2)
+    points = []
+    while len(left):
+        tried = max(256, len(left) // 64)
+        for place in left[:tried]:
+            row, column = divmod(int(place), lattice)
+            if free[row, column]:
+                points.append((row, column))
+                near = [
+                    slice(max(at - _PLACES_PER_UNIT, 0), min(at + _PLACES_PER_UNIT, lattice)) for at in (row, column)
+                ]
+                y, x = np.ogrid[near[0], near[1]]
+                free[near[0], near[1]] &= (y - row) ** 2 + (x - column) ** 2 >= _PLACES_PER_UNIT**2
+        left = left[tried:]
+        left = left[free.ravel()[left]]
+    return (np.array(points, np.float64) + 0.5) * (width / lattice)

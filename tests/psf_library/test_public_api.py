@@ -20,10 +20,15 @@ SMALL = {
     "amplitude_image": {"file": "map.npy", "feature_um": 4.0},
     "diffusercam": {"width_mm": 0.6},
     "flatcam": {"order": 4},
+    "fresnel_zone": {"width_mm": 0.6},
     "height_map": {"file": "map.npy", "pixel_um": 2.0, "unit_um": 1.0},
+    "lens": {"width_mm": 0.2},
     "mura": {"rank": 11},
     "phlatcam": {"width_mm": 0.6, "iterations": 2},
     "pinhole": {},
+    "random_lenslets": {"width_mm": 0.6},
+    "spiral": {"width_mm": 0.6},
+    "vortex": {"width_mm": 0.2},
 }
 
 
