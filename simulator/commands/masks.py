@@ -87,8 +87,8 @@ def _check_folder(folder: Path | None, force: bool) -> None:
 
 def _as_design(mask: Mask, path: Path, max_height_um: float | None = None) -> str:
     """Return the line of a configuration that uses the exported file."""
-    scale = f"max_height_um: {max_height_um:.9g}, " if max_height_um is not None else ""
+    scale = f"max_height_um: {max_height_um:.7g}, " if max_height_um is not None else ""
     return (
-        f"mask: {{design: height_map, file: {path}, pixel_um: {mask.pitch_m * 1e6:.9g}, {scale}"
+        f"mask: {{design: height_map, file: {path}, pixel_um: {mask.pitch_m * 1e6:.7g}, {scale}"
         f"material: {mask.material.name}, profile: {mask.profile}}}"
     )

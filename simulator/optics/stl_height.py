@@ -35,12 +35,14 @@ def read_stl_height(path: Path, pitch_m: float, unit_m: float) -> NDArray[np.flo
         InputError: naming what makes it no height map: an overhang, a hole, an outline that is no rectangle, surfaces
             above each other; or a file that is no STL.
     """
-    triangles = _triangles(path) * unit_m
+    triangles = _triangles(path)
+    triangles *= unit_m
     low, high = triangles.min((0, 1)), triangles.max((0, 1))
     area = _projected_area(triangles)
     _refuse_overhangs(path, triangles, area, low, high)
-    upper = triangles[area > 0]
     _refuse_other_outlines(path, float(area[area > 0].sum()), low, high)
+    upper = triangles[area > 0]
+    del triangles  # bodies take gigabytes
     columns, rows = (int(extent / pitch_m + _EDGE) for extent in (high - low)[:2])
     if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
         size = " x ".join(f"{extent * 1e3:.3g}" for extent in (high - low)[:2])
@@ -50,7 +52,7 @@ def read_stl_height(path: Path, pitch_m: float, unit_m: float) -> NDArray[np.flo
         )
         raise InputError(msg)
     middle = (low + high) / 2
-    height = _rasterise(upper - [middle[0], middle[1], 0], rows, columns, pitch_m)
+    height = _rasterise(upper, middle, rows, columns, pitch_m)
     if not np.all(np.isfinite(height)):
         missing = int(np.count_nonzero(~np.isfinite(height)))
         msg = f"{path} is no height map: its surface has a hole over {missing} of {height.size} mask pixels; close it"
@@ -60,15 +62,17 @@ def read_stl_height(path: Path, pitch_m: float, unit_m: float) -> NDArray[np.flo
 
 def _triangles(path: Path) -> Triangles:
     """``(N, 3, 3)`` corners as the file holds them."""
-    import trimesh
+    from trimesh.exchange.stl import load_stl
 
     try:
         if path.stat().st_size > 300 * MAX_TRIANGLES:  # a triangle takes 50 bytes, or about 250 as text
             msg = f"{path} is larger than {MAX_TRIANGLES} triangles, the most that are read; simplify or crop it"
             raise InputError(msg)
         with path.open("rb") as file:
-            mesh = trimesh.load_mesh(file, file_type="stl", process=False)
-        triangles = np.asarray(mesh.triangles, np.float64)
+            content = load_stl(file)  # not through a mesh, whose indices would take several times the memory
+        # Corner by corner, in the order of the faces; a text file that holds several bodies lists them by name.
+        bodies = content["geometry"].values() if "geometry" in content else [content]
+        triangles = np.concatenate([body["vertices"].reshape(-1, 3, 3) for body in bodies], dtype=np.float64)
     except InputError:
         raise
     except OSError as error:
@@ -117,11 +121,13 @@ def _refuse_other_outlines(path: Path, area_m2: float, low: NDArray[np.float64],
         raise InputError(msg)
 
 
-def _rasterise(triangles: Triangles, rows: int, columns: int, pitch_m: float) -> NDArray[np.float64]:
+def _rasterise(
+    triangles: Triangles, middle_m: NDArray[np.float64], rows: int, columns: int, pitch_m: float
+) -> NDArray[np.float64]:
     """Return the highest surface at each sample ``(rows, columns)``, -inf where there is none; scanline by scanline."""
     # In samples: column and row of the first sample are zero, rows go down.
-    column = triangles[:, :, 0] / pitch_m + (columns - 1) / 2
-    row = -triangles[:, :, 1] / pitch_m + (rows - 1) / 2
+    column = (triangles[:, :, 0] - middle_m[0]) / pitch_m + (columns - 1) / 2
+    row = (middle_m[1] - triangles[:, :, 1]) / pitch_m + (rows - 1) / 2
     first = np.clip(np.ceil(row.min(1) - _EDGE), 0, rows).astype(np.int64)
     last = np.clip(np.floor(row.max(1) + _EDGE), -1, rows - 1).astype(np.int64)
     height = np.full(rows * columns, -np.inf)

@@ -147,6 +147,15 @@ def test_a_slope_is_sampled_where_the_pixels_are(tmp_path):
     np.testing.assert_allclose(found, (expected - expected.min()) * 1e-6, atol=1e-12)
 
 
+def test_a_text_file_of_several_bodies_is_one_surface(tmp_path):
+    left, right = (_blocks([[height]]) for height in (1.0, 3.0))
+    right.apply_translation([1, 0, 0])
+    texts = [body.export(file_type="stl_ascii") for body in (left, right)]
+    path = tmp_path / "two.stl"
+    path.write_text("\n".join(texts))
+    np.testing.assert_allclose(read_stl_height(path, 0.5, 1.0), [[0, 0, 2, 2]] * 2)
+
+
 def test_an_upright_lens_has_its_sag(tmp_path):
     """A paraboloid meshed on an irregular (Delaunay) net of other points than ours: sag within the net's own error."""
     from scipy.spatial import Delaunay
