@@ -28,6 +28,7 @@ for command in (
     plugins.masks,
     masks.export_mask,
     plugins.scenes,
+    plugins.materials,
     datasets.verify,
     about.schema,
     about.doctor,

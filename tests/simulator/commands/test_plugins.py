@@ -27,3 +27,13 @@ def test_scenes(flatlight) -> None:
     assert "  flyingthings3d: " in source
     assert "path: required" in source
     assert "backend" not in out
+
+
+def test_materials(flatlight) -> None:
+    code, out, _ = flatlight("materials")
+    assert code == 0
+    lines = {line.split()[0]: line for line in out.splitlines()}
+    assert "1.51947" in lines["n-bk7"]  # SCHOTT's catalogue at 532 nm
+    assert "300-2500" in lines["n-bk7"]
+    assert "nominal" in lines["phlatcam-resist"]
+    assert ".csv" in out
