@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from psf_library.reference.cases import build_mask
 from simulator.dataset.psf_files import read_psf_stack, write_psf_stack
@@ -42,13 +41,13 @@ def load(name: str, folder: Path = PINNED) -> PsfStack:
 
 
 def load_pinned_mask(name: str, folder: Path = PINNED) -> Mask:
-    """Return the mask that a reference's PSFs were computed from: its pinned arrays, of the design's pitch and material.
+    """Return the mask that a reference's PSFs were computed from: its pinned arrays and pitch, of the design's material.
 
     Raises:
         InputError: no such reference, or a damaged one.
     """
-    height_m, amplitude = _arrays(_folder(name, folder) / "mask.exr")
-    return replace(build_mask(name), height_m=height_m, amplitude=amplitude)
+    arrays, described = read_exr(_folder(name, folder) / "mask.exr", require_checksums=True)
+    return replace(build_mask(name), pitch_m=described["pitch_m"], **arrays)
 
 
 def write(name: str, mask: Mask, stack: PsfStack, folder: Path = PINNED) -> None:
@@ -61,11 +60,6 @@ def write(name: str, mask: Mask, stack: PsfStack, folder: Path = PINNED) -> None
     write_psf_stack(place / "psf", stack)
     channels = {"height_m": np.asarray(mask.height_m), "amplitude": np.asarray(mask.amplitude)}
     write_exr(place / "mask.exr", channels, {"design": name, "pitch_m": mask.pitch_m})
-
-
-def _arrays(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    channels, _ = read_exr(path, require_checksums=True)
-    return channels["height_m"], channels["amplitude"]
 
 
 def _folder(name: str, folder: Path) -> Path:

@@ -27,7 +27,7 @@ table { border-collapse: collapse; font-size: 0.9rem; font-variant-numeric: tabu
 caption { text-align: left; padding-bottom: 0.5rem; }
 th, td { padding: 0.4rem 0.55rem; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap; }
 thead th { vertical-align: bottom; white-space: normal; }
-tbody th, .facts td { text-align: left; white-space: normal; }
+thead th:first-child, tbody th, .facts td { text-align: left; white-space: normal; }
 tbody tr:hover { background: var(--raised); }
 img { display: block; width: 100%; height: auto; background: #fff; border-radius: 6px; }
 figure, details { margin: 0.5rem 0; }

@@ -142,6 +142,11 @@ def test_remaking_follows_a_changed_mask(tmp_path: Path) -> None:
     assert changed_samples(load_pinned_mask("pinhole", tmp_path), build_mask("pinhole")) == 0
 
 
+def test_another_pitch_is_another_mask() -> None:
+    mask = build_mask("pinhole")
+    assert changed_samples(mask, replace(mask, pitch_m=1.01 * mask.pitch_m)) == 1
+
+
 def test_remaking_writes_what_is_missing(tmp_path: Path) -> None:
     assert "new, because" in remake("pinhole", tmp_path).note
     assert compare_stacks(load("pinhole", tmp_path), load("pinhole")).error < PSF_TOLERANCE
