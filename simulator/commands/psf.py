@@ -18,9 +18,13 @@ def psf(
         Path | None, typer.Option("--plot", help="draw mask, PSFs, cross-sections, MTF to this PNG")
     ] = None,
     output: Annotated[Path | None, typer.Option("--output", help="write the stack to this folder (EXR)")] = None,
+    as_captured: Annotated[
+        bool, typer.Option("--as-captured", help="simulate a real calibration too (psf.as_captured) and compare")
+    ] = False,
 ) -> None:
     """Compute the PSF stack of a configuration and say how good it is."""
     from simulator.assemble import build_mask, build_psf_stack
+    from simulator.commands.captured import captured_folder, show_captured
     from simulator.config import load_config
     from simulator.console import Bar, describe_stack
     from simulator.dataset.engines import available_cpus
@@ -32,6 +36,8 @@ def psf(
     loaded = load_config(config, set_ or [])
     if output:
         check_replaceable(output)
+        if as_captured:
+            captured_folder(output)
     with Bar() as bar:
         stack = build_psf_stack(loaded, threads=available_cpus(), progress=lambda a, b: bar.update("PSFs", a, b))
     print(describe_stack(stack, loaded.camera.sensor.shape, loaded.scene.size))
@@ -49,3 +55,5 @@ def psf(
             sensor_shape=loaded.camera.sensor.shape,
         )
         print(f"look at {plot}")
+    if as_captured:
+        show_captured(loaded, stack, output, plot)

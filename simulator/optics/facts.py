@@ -52,12 +52,16 @@ def psf_facts(
     if sampling:
         coarse, fine = sampling["oversampling"]
         facts.append(("sampling error", f"{share(sampling['error'])} (on a crop, s = {coarse} vs {fine})"))
+        facts.append(("error bar", f"{share(sampling['error_bar'])} from any finer sampling"))
+    facts += _error_facts(provenance.get("errors", {}))
     if provenance.get("kind") == "measured":
         files = sorted({image["file"] for image in provenance["images"]})
         facts.append(("measured", files[0] if len(files) == 1 else f"{len(files)} images"))
         facts.append(("background", str(provenance["background"])))
         if provenance.get("same_psf_for_all_channels"):
             facts.append(("channels", "one grey PSF for all"))
+    if "interpolation" in provenance:
+        facts.append(("interpolated", _interpolation(provenance["interpolation"])))
     return facts
 
 
@@ -114,6 +118,15 @@ def _mask_facts(stack: PsfStack, mask: Mask | None) -> list[tuple[str, str]]:
     return facts
 
 
+def _interpolation(record: dict[str, Any]) -> str:
+    """Say from how many planes a stack was interpolated, and the greatest error that they state."""
+    errors = [plane["error"] for plane in record["planes"]]
+    text = f"from {len(record['measured_depths_m'])} measured planes"
+    beyond = sum(plane["extrapolated"] for plane in record["planes"])
+    text += f", {beyond} beyond them" if beyond else ""
+    return text + (", error unknown" if None in errors else f", error up to {share(max(errors))} (planes left out)")
+
+
 def _light_facts(
     stack: PsfStack,
     mask: Mask | None,
@@ -134,6 +147,20 @@ def _light_facts(
 def _range(shares: np.ndarray) -> str:
     low, high = share(float(shares.min())), share(float(shares.max()))
     return low if low == high else f"{low} to {high}"
+
+
+def _error_facts(errors: dict[str, Any]) -> list[tuple[str, str]]:
+    facts = []
+    if "spectrum" in errors:
+        worst = ", ".join(f"{channel} {share(error)}" for channel, error in errors["spectrum"]["channels"].items())
+        facts.append(("spectral error", f"{worst} (against {errors['spectrum']['lines']} wavelengths)"))
+    if "model" in errors:
+        judged = length(errors["model"]["crop_m"])
+        facts.append(("model error", f"{share(errors['model']['error'])} (against exact, {judged} of the mask)"))
+    if "field_angle" in errors:
+        worst = errors["field_angle"]["table"][-1]
+        facts.append(("one PSF for all", f"{share(worst['error'])} at {worst['degrees']:.0f}°"))
+    return facts
 
 
 def _spectrum_facts(provenance: dict[str, Any]) -> list[tuple[str, str]]:
