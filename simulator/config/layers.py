@@ -48,13 +48,19 @@ class Substrate(Section):
 
 
 def material_problems(config: Config) -> list[Problem]:
-    """Return what is wrong with the materials that the camera's layers name: unknown names, unreadable files."""
+    """Return what is wrong with the materials that the camera names: unknown names, unreadable files.
+
+    The mask's ``material`` is looked at where the design has a bare name; a user's own may mean something else by it.
+    """
     camera = config.camera
     named: dict[KeyPath, str | None] = {
         ("camera", "gap", index, "material"): layer.material for index, layer in enumerate(camera.gap or ())
     }
     if camera.substrate is not None:
         named["camera", "substrate", "material"] = camera.substrate.material
+    mask = camera.mask
+    if mask is not None and ":" not in mask.design and isinstance(mask.params.get("material"), str):
+        named["camera", "mask", "material"] = mask.params["material"]
     return [problem for path, name in named.items() if name and (problem := _problem(path, name, config))]
 
 

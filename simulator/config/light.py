@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag
 
 from simulator.config.base import Range, Section
+from simulator.errors import InputError
+from simulator.validation import KeyPath, Problem
+
+if TYPE_CHECKING:
+    from simulator.config.schema import Config
 
 
 class Led(Section):
@@ -41,3 +46,26 @@ SceneToCamera = Annotated[
     | Annotated[tuple[tuple[Number, Number, Number], ...], Field(min_length=1, max_length=16), Tag("a matrix")],
     Discriminator(lambda data: "a matrix" if isinstance(data, list | tuple) else "a word"),
 ]
+
+
+def curve_problems(config: Config) -> list[Problem]:
+    """Return what is wrong with the files of spectral curves; names are looked up on use, which takes a second."""
+    named: dict[KeyPath, Any] = {
+        ("camera", "sensor", "spectral_response"): config.camera.sensor.spectral_response,
+        ("camera", "illuminant"): config.camera.illuminant,
+    }
+    return [
+        problem for path, name in named.items() if isinstance(name, str) and (problem := _problem(path, name, config))
+    ]
+
+
+def _problem(path: KeyPath, name: str, config: Config) -> Problem | None:
+    if not name.lower().endswith((".csv", ".json")):
+        return None
+    from simulator.optics.curves import camera_curves, illuminant_curve  # import NumPy, which a name does not need
+
+    try:
+        (illuminant_curve if path[-1] == "illuminant" else camera_curves)(name, config.base_dir)
+    except InputError as error:
+        return Problem(path, str(error))
+    return None

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from simulator import plugins
 from simulator.config.layers import material_problems
+from simulator.config.light import curve_problems
 from simulator.config.overrides import Origins, apply_overrides
 from simulator.config.schema import Config
 from simulator.config.yaml_loader import read_yaml
@@ -102,7 +103,7 @@ def _build(data: dict[str, Any], base_dir: Path, origins: Origins, check_plugins
         problems += [problem for problem in find_problems(error, Config, filled) if problem.path not in known]
     else:
         config._base_dir = base_dir
-        problems += material_problems(config) if check_plugins else []
+        problems += [*material_problems(config), *curve_problems(config)] if check_plugins else []
         if not problems:
             return config
     raise ConfigError(problems, origins)

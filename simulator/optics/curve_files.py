@@ -48,8 +48,9 @@ def read_curves(path: Path) -> SpectralCurves:
 
 def _read_json(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[str, ...]]:
     """Return wavelengths, columns and names of a rawtoaces file (its schema 0.1 and 1.0: nanometres as keys)."""
+    text = read_text(path)
     try:
-        content: Any = json.loads(read_text(path))["spectral_data"]
+        content: Any = json.loads(text)["spectral_data"]
         names = tuple(str(name) for name in content["index"]["main"])
         rows = content["data"]["main"]
         table = np.array([[float(wavelength), *map(float, row)] for wavelength, row in rows.items()])
