@@ -85,7 +85,7 @@ class Recording:
         elif self.background == "border":
             picture = picture - border_level(picture)
         measured = picture / (exposure * gains[:, None, None])
-        negative = float(-np.minimum(measured, 0).sum() / np.abs(measured).sum())
+        negative = float(np.maximum(-measured, 0).sum() / np.abs(measured).sum())
         measured = np.maximum(measured, 0)
         error = float(np.linalg.norm(measured - light) / np.linalg.norm(light))
         # Beyond 150 dB it is rounding.

@@ -1,0 +1,85 @@
+"""Stacks from folders, and measured stacks at other planes, as a configuration asks for them."""
+
+import numpy as np
+import pytest
+
+from simulator.assemble import build_psf_stack, build_view, input_files
+from simulator.assemble.scenes import build_source
+from simulator.config import load_config
+from simulator.dataset.psf_files import write_psf_stack
+from simulator.errors import InputError
+from simulator.optics.stack_interpolation import interpolate_stack
+
+pytestmark = pytest.mark.filterwarnings("ignore::simulator.optics.sampling.SamplingWarning")
+NO_MASK = {"mask": None}
+
+
+@pytest.fixture
+def stored(trial):
+    """The trial's own stack, written beside its YAML file as ``psf --output`` does."""
+    stack = build_psf_stack(load_config(trial.write()))
+    write_psf_stack(trial.folder / "stack", stack)
+    return stack
+
+
+def build(trial, **psf):
+    return build_psf_stack(load_config(trial.write(camera=NO_MASK, psf=psf)))
+
+
+def test_a_written_stack_comes_back_as_it_was(trial, stored) -> None:
+    back = build(trial, measured="stack")
+    np.testing.assert_array_equal(back.values, stored.values)
+    assert (back.fingerprint, back.provenance["kind"]) == (stored.fingerprint, "computed")
+    view = build_view(load_config(trial.path))
+    assert (view.near_m, view.far_m) == pytest.approx((0.036, 0.2))
+
+
+def test_its_files_decide_a_data_set(trial, stored) -> None:
+    config = load_config(trial.write(camera=NO_MASK, psf={"measured": "stack"}))
+    names = [path.name for path in input_files(config, build_source(config, "none"))]
+    assert {"psf.json", "depth_0000.exr", "depth_0001.exr", "depth_0002.exr"} <= set(names)
+
+
+def test_a_data_sets_folder_serves_too(trial) -> None:
+    root = trial.generate()
+    stack = build(trial, measured=str(root))
+    assert len(stack.depths_m) == 3
+
+
+def test_planes_are_interpolated_and_the_scene_follows_them(trial, stored) -> None:
+    planes = {"near_cm": 4, "far_cm": 10, "depths": 4}
+    found = build(trial, measured="stack", planes=planes)
+    expected = interpolate_stack(stored, found.depths_m.tolist(), 1.9e-3)
+    np.testing.assert_array_equal(found.values, expected.values)
+    assert found.depths_m[[0, -1]] == pytest.approx([0.04, 0.1])
+    view = build_view(load_config(trial.path))
+    assert (view.near_m, view.far_m) == pytest.approx((0.04, 0.1))
+
+
+def test_pictures_at_other_planes(trial) -> None:
+    light = np.zeros((2, 41, 41))
+    light[:, 15:26, 12:20] = 1
+    np.save(trial.folder / "psf.npy", light)
+    pictures = {
+        "measured": ["psf.npy"],
+        "depths_cm": [5, 20],
+        "frame": "stored",
+        "background": "none",
+        "throughput_mm2": 1,
+    }
+    found = build(trial, **pictures, planes={"depths_cm": [5, 10, 30], "extrapolate": True})
+    assert found.provenance["interpolation"]["planes"][2]["extrapolated"]
+    assert found.provenance["kind"] == "measured"
+    with pytest.raises(InputError, match="outside the stack's 5 cm to 20 cm"):
+        build(trial, **pictures, planes={"depths_cm": [30]})
+
+
+def test_mistakes_are_named(trial, stored) -> None:
+    with pytest.raises(InputError, match=r"no PSF stack in .*nowhere"):
+        build(trial, measured="nowhere")
+    (trial.folder / "psf.tif").write_bytes(b"")
+    with pytest.raises(InputError, match=r"psf\.tif is a file; pictures are given as a list.*measured: \[psf\.tif\]"):
+        build(trial, measured="psf.tif")
+    camera = NO_MASK | {"sensor": {"binning": 4, "shape": [48, 60]}}
+    with pytest.raises(InputError, match=r"pixels of 19\.2 um, the sensor's binned ones are 9\.6 um"):
+        build_psf_stack(load_config(trial.write(camera=camera, psf={"measured": "stack"})))
