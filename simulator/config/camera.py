@@ -12,6 +12,7 @@ from simulator.config.light import IlluminantConfig, SceneToCamera
 
 Pixels = Annotated[int, Range(1, 32768, below="a picture has at least one pixel on each side")]
 Shape = tuple[Pixels, Pixels]
+_NEAREST_MM = 0.05  # from the mask to the sensor
 
 
 class MaskConfig(PluginSection):
@@ -115,7 +116,9 @@ class CameraConfig(Section):
 
     mask: MaskConfig | None = Field(default=None, description="the mask; left out when the PSF was measured")
     mask_to_sensor_mm: (
-        Annotated[float, Range(0.05, 100, "mm", below="the mask must lie in front of the sensor, not on or behind it")]
+        Annotated[
+            float, Range(_NEAREST_MM, 100, "mm", below="the mask must lie in front of the sensor, not on or behind it")
+        ]
         | None
     ) = Field(default=None, description="distance in air from the mask to the sensor, millimetres; or give gap")
     gap: Annotated[tuple[GapLayer, ...], Field(min_length=1, max_length=16)] | None = Field(
@@ -145,6 +148,11 @@ class CameraConfig(Section):
         if self.gap is not None and self.mask_to_sensor_mm is not None:
             text = f"got {len(self.gap)} layers beside mask_to_sensor_mm, which says the same; keep one of the two"
             raise refusal(text, "gap", on_key=True)
+        if self.thickness_mm < _NEAREST_MM:
+            text = (
+                f"got {self.thickness_mm:g} mm in all; expected at least {_NEAREST_MM:g} mm from the mask to the sensor"
+            )
+            raise refusal(text, "gap")
         return self
 
     @property

@@ -138,6 +138,13 @@ class Config(Section):
                     "be magnified more than twice; was the number meant in another unit?"
                 )
                 raise refusal(text, "psf", *(["near_cm"] if self.psf.depths_cm is None else ["depths_cm", 0]))
+            plate = self.camera.substrate
+            if plate is not None and plate.side == "scene" and nearest * 10 <= plate.mm:
+                text = (
+                    f"got {plate.mm:g} mm in front of the mask, but the psf's nearest depth, {nearest:g} cm from the mask's "
+                    "modulating surface, lies inside it"
+                )
+                raise refusal(text, "camera", "substrate", "mm")
         elif self.camera.mask is not None:
             text = f"got {self.camera.mask.design!r}, but psf.measured says that the PSF was measured; keep one of them"
             raise refusal(text, "camera", "mask")

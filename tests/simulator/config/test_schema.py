@@ -48,6 +48,18 @@ REFUSED = [
     (GAP, "gap: [{mm: 1.2, n: ^0.5}]", "", ["camera.gap[0].n: got 0.5; expected 'air' or 1 to 4"]),
     (GAP, "gap: [{mm: 1.2, n: ^water}]", "", ["camera.gap[0].n: got 'water'; expected 'air' or a number"]),
     (GAP, "gap: [{mm: ^0, n: air}]", "", ["camera.gap[0].mm: got 0; expected 0.0001 to 100 mm"]),
+    (
+        GAP,
+        "gap: ^[{mm: 0.01, n: air}, {mm: 0.02, n: 1.5}]",
+        "",
+        ["camera.gap: got 0.03 mm in all; expected at least 0.05"],
+    ),
+    (
+        GAP,
+        f"{GAP}\n  substrate: {{mm: ^36, material: pmma, side: scene}}",
+        "",
+        ["got 36 mm", "3.6 cm", "lies inside it"],
+    ),
     (GAP, "gap: ^[]", "", ["camera.gap: got []; expected at least 1 entries"]),
     (GAP, "gap: [{mm: 1.2, ^nn: air}]", "", ["camera.gap[0].nn: unknown key"]),
     (
