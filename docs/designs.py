@@ -112,7 +112,8 @@ def gallery() -> str:
         "# Mask designs\n",
         "Written by `docs/designs.py`; `flatlight masks` prints the same lists. Each picture: the mask, then the PSF of a "
         "near point and of a distant one, in the colours of the default camera under daylight, both on one scale with a "
-        "square-root stretch. PSFs are in the stored frame: turned by 180 degrees, so that a pinhole's picture is upright.\n",
+        "square-root stretch, on pixels of 4.8 um. PSFs are in the stored frame: turned by 180 degrees, so that a pinhole's "
+        "picture is upright.\n",
         "Your own design is one function in one file: see [README](../README.md#swap-the-mask).\n",
     ]
     for design in available("mask"):

@@ -40,24 +40,29 @@ def export_mask(
     for option, path in (("--stl", stl), ("--tiff", tiff)):
         _check_file(option, path, force)
     _check_folder(layers, force)
-    mask = build_mask(load_config(config, set_ or []))
-    if mask is None:
+    loaded = load_config(config, set_ or [])
+    mask = build_mask(loaded)
+    if mask is None or loaded.camera.mask is None:
         msg = f"{config} has a measured PSF and no mask to export; set camera.mask"
         raise InputError(msg)
     if crop_mm is not None:
         side = round(crop_mm * 1e-3 / mask.pitch_m)
         mask = mask.crop((side, side))
+    # A material of the user's own is named as the configuration names it, by its file.
+    material = str(loaded.camera.mask.params.get("material", mask.material.name))
     # Whatever is refused is refused before anything is written.
     body = stl_bytes(mask, base_um * 1e-6) if stl else b""
     picture = height_tiff(mask) if tiff else b""
     stack = binary_layers(mask, step_um * 1e-6) if layers else None
     if stl:
         write_atomic(stl, body)
-        print(f"wrote {stl} ({len(body) / 1e6:.1f} MB), in millimetres; to use it:\n  {_as_design(mask, stl)}")
+        print(
+            f"wrote {stl} ({len(body) / 1e6:.1f} MB), in millimetres; to use it:\n  {_as_design(mask, stl, material)}"
+        )
     if tiff:
         write_atomic(tiff, picture)
         height_um = float(mask.height_m.max() - mask.height_m.min()) * 1e6
-        print(f"wrote {tiff}; to use it:\n  {_as_design(mask, tiff, height_um)}")
+        print(f"wrote {tiff}; to use it:\n  {_as_design(mask, tiff, material, height_um)}")
     if layers and stack:
         names = write_layers(layers, stack)
         print(f"wrote {layers}: {', '.join(names[:1] + ['...'] * (len(names) > 2) + names[1:][-1:])}")
@@ -85,10 +90,10 @@ def _check_folder(folder: Path | None, force: bool) -> None:
         raise InputError(msg)
 
 
-def _as_design(mask: Mask, path: Path, max_height_um: float | None = None) -> str:
+def _as_design(mask: Mask, path: Path, material: str, max_height_um: float | None = None) -> str:
     """Return the line of a configuration that uses the exported file."""
     scale = f"max_height_um: {max_height_um:.7g}, " if max_height_um is not None else ""
     return (
         f"mask: {{design: height_map, file: {path}, pixel_um: {mask.pitch_m * 1e6:.7g}, {scale}"
-        f"material: {mask.material.name}, profile: {mask.profile}}}"
+        f"material: {material}, profile: {mask.profile}}}"
     )

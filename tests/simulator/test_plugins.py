@@ -96,30 +96,30 @@ def test_scenes_and_sources_have_groups_of_their_own(install: Install) -> None:
 
 
 def test_a_name_that_two_packages_define_is_refused(install: Install) -> None:
-    install("trial_one", "[flatlight.masks]\none = trial_one\n", spiral="def spiral(): ...\n")
-    install("trial_two", "[flatlight.masks]\ntwo = trial_two\n", spiral="def spiral(): ...\n")
-    message = refused("mask", "spiral")
-    assert "'spiral' is defined by both trial_one.spiral and trial_two.spiral" in message
-    assert resolve("mask", "trial_two.spiral:spiral").function.__module__ == "trial_two.spiral"
+    install("trial_one", "[flatlight.masks]\none = trial_one\n", helix="def helix(): ...\n")
+    install("trial_two", "[flatlight.masks]\ntwo = trial_two\n", helix="def helix(): ...\n")
+    message = refused("mask", "helix")
+    assert "'helix' is defined by both trial_one.helix and trial_two.helix" in message
+    assert resolve("mask", "trial_two.helix:helix").function.__module__ == "trial_two.helix"
 
 
 def test_a_package_named_twice_is_no_conflict(install: Install) -> None:
-    install("trial_one", "[flatlight.masks]\none = trial_one\nagain = trial_one\n", spiral="def spiral(): ...\n")
-    assert resolve("mask", "spiral").bind({}) == {}
+    install("trial_one", "[flatlight.masks]\none = trial_one\nagain = trial_one\n", helix="def helix(): ...\n")
+    assert resolve("mask", "helix").bind({}) == {}
 
 
 def test_an_entry_point_to_nowhere_is_named(install: Install) -> None:
     install("trial_one", "[flatlight.masks]\none = trial_nowhere\n")
-    message = refused("mask", "spiral")
+    message = refused("mask", "helix")
     assert "'trial_nowhere', which an entry point names for masks" in message
     assert "ModuleNotFoundError" in message
 
 
 def test_an_unknown_name_gets_the_nearest(install: Install) -> None:
-    install("trial_one", "[flatlight.masks]\none = trial_one\n", spiral="def spiral(): ...\n")
+    install("trial_one", "[flatlight.masks]\none = trial_one\n", helix="def helix(): ...\n")
     message = refused("mask", "sprial")
     assert message.startswith("unknown mask design, got 'sprial'; expected one of ")
-    assert message.endswith("./file.py:name or package.module:name; did you mean 'spiral'?")
+    assert message.endswith("./file.py:name or package.module:name; did you mean 'helix'?")
 
 
 def test_a_file_beside_the_configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -38,6 +38,16 @@ def test_the_printed_lines_make_the_same_mask(flatlight, phase, tmp_path) -> Non
         np.testing.assert_allclose(again.height_m, original.height_m - original.height_m.min(), rtol=0, atol=8.1e-12)
 
 
+def test_a_material_of_ones_own_keeps_its_file(flatlight, trial, tmp_path) -> None:
+    (trial.folder / "resist.csv").write_text("wavelength_nm,n\n350,1.6\n500,1.58\n900,1.55\n")
+    path = trial.write(camera={"mask": SMALL | {"material": "./resist.csv"}})
+    code, out, err = flatlight("export-mask", path, "--stl", tmp_path / "m.stl")
+    assert code == 0, err
+    (params,) = _designs(out)
+    assert params["material"] == "./resist.csv"
+    assert load_mask(base_dir=trial.folder, **params).material.index(500e-9) == pytest.approx(1.58)
+
+
 def test_layers_and_crop(flatlight, phase, tmp_path) -> None:
     code, out, _ = flatlight("export-mask", phase, "--layers", tmp_path / "steps", "--crop-mm", 0.04)
     assert code == 0

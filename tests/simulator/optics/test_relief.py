@@ -220,6 +220,13 @@ def test_files_that_are_no_stl_are_refused(tmp_path):
             read_stl_height(path, 1e-6, 1e-3)
 
 
+def test_files_too_large_are_refused_unread(tmp_path, monkeypatch):
+    path = _stl(tmp_path / "blocks.stl", _blocks([[1.0, 2.0]]))
+    monkeypatch.setattr("simulator.optics.stl_height.MAX_TRIANGLES", 3)
+    with pytest.raises(InputError, match=r"blocks.stl is larger than 3 triangles, the most that are read"):
+        read_stl_height(path, 1e-4, 1e-3)
+
+
 def test_units_that_make_no_sensible_grid_are_refused(tmp_path):
     path = _stl(tmp_path / "blocks.stl", _blocks([[1.0, 2.0]]))
     with pytest.raises(InputError, match=r"pixel_um: got 2 for .* of 2e\+03 x 1e\+03 mm.*1e\+06 um"):
