@@ -52,13 +52,13 @@ CASES: dict[str, Case] = {
     "flatcam": Case({"order": 5, "feature_um": 10}),
     "fresnel_zone": Case({"width_mm": 0.3, "first_zone_um": 40}),
     "height_map": Case({"file": "heights.png", "pixel_um": 4, "max_height_um": 5, "profile": "smooth"}),
-    "lens": Case({"width_mm": 0.1, "distance_um": 500}),
+    "lens": Case({"width_mm": 0.2, "distance_um": 500}),
     "mura": Case({"rank": 29, "feature_um": 10}),
     "phlatcam": Case({"width_mm": 0.3, "distance_um": 500, "cell_um": 60, "line_um": 8}),
     "pinhole": Case({"diameter_um": 40}),
     "random_lenslets": Case({"width_mm": 0.3, "distance_um": 500, "spacing_um": 50}),
     "spiral": Case({"width_mm": 0.3}),
-    "vortex": Case({"width_mm": 0.1, "distance_um": 500, "charge": 5}),
+    "vortex": Case({"width_mm": 0.2, "distance_um": 500, "charge": 24}),
 }
 
 

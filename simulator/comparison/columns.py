@@ -50,7 +50,8 @@ COLUMNS = (
     Column(
         "Autocorrelation width",
         "Full width at half maximum of A(s) = Σ I(x) I(x+s) / Σ I(x)², the diameter of the disc with the area inside which A "
-        "stays above one half: the finest detail that the PSF can place. Never much less than a pixel.",
+        "stays above one half: the detail that the PSF can place, at least about a pixel. A dense PSF (FlatCam, "
+        "MURA) has a pedestal above one half and so the width of its whole shadow: its decoding takes the mean away first.",
         lambda c: _pair([length(width) for width in c.width_m]),
     ),
     Column(
