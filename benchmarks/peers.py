@@ -80,3 +80,23 @@ PEERS = {
     "waveprop (torch)": waveprop_torch,
     "prysm (paraxial)": prysm_asm,
 }
+
+
+def phase_contour_retrieval(
+    target: np.ndarray, pitch_m: float, wavelength_m: float, distance_m: float, iterations: int
+) -> np.ndarray:
+    """Return the mask phase as LenslessPiCam's PhaseContour retrieves it, on waveprop's Fresnel convolution.
+
+    Written from the published algorithm (Boominathan et al., IEEE TPAMI 42, 1618, 2020, algorithm 1): back to the mask,
+    unit modulus, forward to the sensor, modulus of the target.
+    """
+    from waveprop.fresnel import fresnel_conv
+
+    modulus = np.sqrt(target)
+    wave, mask = modulus, modulus
+    for _ in range(iterations):
+        back = fresnel_conv(wave, wavelength_m, pitch_m, -distance_m, dtype=np.float32)[0]
+        mask = np.exp(1j * np.angle(back))
+        there = fresnel_conv(mask, wavelength_m, pitch_m, distance_m, dtype=np.float32)[0]
+        wave = modulus * np.exp(1j * np.angle(there))
+    return np.angle(mask)

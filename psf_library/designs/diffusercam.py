@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from simulator.optics.mask import Mask
-from simulator.optics.materials import FUSED_SILICA
+from simulator.optics.materials import load_material
 from simulator.optics.noise import gaussian_surface
 
 
@@ -18,11 +18,16 @@ def diffusercam(
     pixel_um: Annotated[float, Field(ge=0.2, le=20)] = 2.0,
     correlation_um: Annotated[float, Field(gt=1, le=5000)] = 140.0,
     slope_degrees: Annotated[float, Field(gt=0, lt=20)] = 0.7,
+    wavelength_nm: Annotated[float, Field(ge=300, le=2000)] = 532.0,
+    material: str = "fused-silica",
     seed: Annotated[int, Field(ge=0)] = 1,
 ) -> Mask:
-    """Return a smooth random surface of fused silica.
+    """Return a smooth random surface; its PSF is a net of caustics, bright lines where the surface's hills focus.
 
-    The published diffuser lies about 10 mm from its sensor: set ``mask_to_sensor_mm: 10``.
+    The published diffuser lies about 10 mm from its sensor: set ``mask_to_sensor_mm: 10``. The hills' focal lengths spread
+    around correlation / (sqrt(6) slope), 5 mm by default; nearer to the mask than about half of that the light is only
+    mottled, and far beyond it the caustics of many hills overlap. It is Gaussian noise of a Gaussian autocorrelation, the
+    usual model of such diffusers; a real one's surface is not published.
 
     Args:
         width_mm: side of the square aperture.
@@ -30,12 +35,15 @@ def diffusercam(
         correlation_um: 1/e half-width of the surface's autocorrelation.
         slope_degrees: angle by which the surface bends light (standard deviation per axis); 0.5-0.7 degrees is the
             strength of the published 0.5 degree diffuser.
+        wavelength_nm: wavelength of ``slope_degrees``.
+        material: of the diffuser.
         seed: of the surface.
     """
+    glass = load_material(material)
     samples = round(width_mm * 1e3 / pixel_um)
     surface = gaussian_surface((samples, samples), correlation_um / pixel_um, seed)
     # exp(-x^2 / c^2) has the slope's standard deviation sqrt(2) / c; light bends by (n - 1) times the slope.
-    slope = np.tan(np.radians(slope_degrees)) / (FUSED_SILICA.index(532e-9) - 1)
+    slope = np.tan(np.radians(slope_degrees)) / (glass.index(wavelength_nm * 1e-9) - 1)
     height_m = surface * np.float32(slope * correlation_um * 1e-6 / np.sqrt(2))
     height_m -= height_m.min()
-    return Mask(height_m, np.ones_like(height_m), pixel_um * 1e-6, FUSED_SILICA, profile="smooth", name="diffusercam")
+    return Mask(height_m, np.ones_like(height_m), pixel_um * 1e-6, glass, profile="smooth", name="diffusercam")

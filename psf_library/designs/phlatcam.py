@@ -42,7 +42,8 @@ def phlatcam(
     gives its edges.
 
     The profile is a staircase of mask pixels. The tolerances (see ``simulator.optics.fabrication``) are those of one
-    fabricated piece: rounding divides the mask pixels and makes the profile smooth, at the price of a finer grid.
+    fabricated piece: rounding divides the mask pixels and makes the profile smooth, at the price of a finer grid. How many
+    passes the retrieval made, and the overlap that it reached, are recorded with the mask.
 
     Args:
         width_mm: side of the square mask.
@@ -79,8 +80,9 @@ def phlatcam(
     )
     turns = np.mod(retrieved.phase / (2 * np.pi), 1).astype(np.float32)
     height_m = turns * np.float32(wavelength_m / (resist.index(wavelength_m) - 1))
+    notes = {"retrieval": {"passes": len(retrieved.overlap), "overlap": retrieved.overlap[-1]}}
     return fabricate(
-        Mask(height_m, np.ones_like(height_m), pitch_m, resist, profile="staircase", name="phlatcam"),
+        Mask(height_m, np.ones_like(height_m), pitch_m, resist, profile="staircase", name="phlatcam", notes=notes),
         step_m=step_um * 1e-6,
         height_error=height_error_percent * 1e-2,
         roughness_m=roughness_nm * 1e-9,

@@ -59,6 +59,7 @@ def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
             "material": asdict(mask.material),
             "profile": mask.profile,
             "name": plugin.function.__name__ if mask.name == UNNAMED else mask.name,
+            "notes": dict(mask.notes),
         }
         arrays = {"height_m": mask.height_m, "amplitude": mask.amplitude}
         return {name: np.asarray(array, np.float32) for name, array in arrays.items()}, described
@@ -72,6 +73,7 @@ def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
         Material(**material),
         described["profile"],
         described["name"],
+        described["notes"],
     )
 
 

@@ -73,7 +73,7 @@ def fabricate(
         seed: of the random error.
 
     Returns:
-        The mask as made; without tolerances and steps the same mask.
+        The mask as made, with these numbers in its notes.
 
     Raises:
         InputError: for a negative length, or a height error of -1 or below.
@@ -85,6 +85,8 @@ def fabricate(
     if not -1 < height_error < math.inf:
         msg = f"height_error: got {height_error:g}, expected a share above -1 (all height lost); 5 % is 0.05"
         raise InputError(msg)
+    asked = {"step_m": step_m, "height_error": height_error, "roughness_m": roughness_m, "rounding_m": rounding_m}
+    mask = replace(mask, notes={**mask.notes, "fabrication": {**asked, "seed": seed}})
     height = quantise(to_numpy(mask.height_m), step_m)
     if height_error:
         height = height * height.dtype.type(1 + height_error)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -29,6 +30,7 @@ class Mask:
         material: what the height is made of.
         profile: ``staircase`` (fabricated: constant over each mask pixel) or ``smooth`` (interpolated when oversampled).
         name: what it is, for provenance.
+        notes: how it was made, for provenance; JSON-serialisable and without influence on the light.
 
     Raises:
         InputError: for wrong shapes, NaN, amplitudes outside 0..1, an opaque mask, or an implausible pitch.
@@ -40,6 +42,7 @@ class Mask:
     material: Material = FUSED_SILICA
     profile: Literal["staircase", "smooth"] = "staircase"
     name: str = UNNAMED
+    notes: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.height_m.ndim != 2 or tuple(self.height_m.shape) != tuple(self.amplitude.shape):
@@ -89,6 +92,7 @@ class Mask:
             self.material,
             self.profile,
             self.name,
+            self.notes,
         )
 
     def transmission(self, wavelength_m: float, oversample: int = 1, sine: float = 0.0) -> Array:
@@ -135,6 +139,7 @@ class Mask:
         """Return what a data set records of the mask; JSON-serialisable."""
         return {
             "name": self.name,
+            "notes": dict(self.notes),
             "shape": list(self.shape),
             "pitch_m": self.pitch_m,
             "profile": self.profile,

@@ -71,6 +71,7 @@ def test_the_height_error_comes_after_the_steps():
     np.testing.assert_allclose(made.height_m, np.floor(height / STEP) * 0.21e-6, rtol=1e-12, atol=1e-20)
     assert made.profile == "staircase"
     assert made.name == "trial"
+    assert made.provenance()["notes"]["fabrication"]["height_error"] == 0.05
 
 
 def test_roughness_has_the_asked_strength_and_no_memory():
