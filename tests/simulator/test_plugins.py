@@ -60,7 +60,7 @@ def test_a_new_file_in_a_package_is_a_new_design(install: Install) -> None:
     install(
         "trial_designs",
         "[flatlight.masks]\ntrial = trial_designs\n",
-        vortex="def vortex(*, charge: int = 1):\n    return charge\n",
+        whirl="def whirl(*, charge: int = 1):\n    return charge\n",
         helpers="def shared(): ...\n",  # nothing of its own name: no design
         _private="def _private(): ...\n",
         renamed="from trial_designs.helpers import shared as renamed\n",
@@ -68,11 +68,11 @@ def test_a_new_file_in_a_package_is_a_new_design(install: Install) -> None:
         broken="def broken(:\n",
     )
     names = available("mask")
-    assert {"vortex", "renamed", "alias", "broken", "phlatcam"} <= set(names)  # with those that flatlight brings
+    assert {"whirl", "renamed", "alias", "broken", "phlatcam"} <= set(names)  # with those that flatlight brings
     assert not {"helpers", "shared", "_private", "__init__"} & set(names)
     assert names == sorted(names)
-    assert "trial_designs.vortex" not in sys.modules, "listing imports no design"
-    plugin = resolve("mask", "vortex")
+    assert "trial_designs.whirl" not in sys.modules, "listing imports no design"
+    plugin = resolve("mask", "whirl")
     assert plugin.function(**plugin.bind({"charge": 3})) == 3
     assert plugin.path is None
     assert "trial_designs.alias" not in sys.modules, "resolving imports no other design"
@@ -117,8 +117,8 @@ def test_an_entry_point_to_nowhere_is_named(install: Install) -> None:
 
 def test_an_unknown_name_gets_the_nearest(install: Install) -> None:
     install("trial_one", "[flatlight.masks]\none = trial_one\n", helix="def helix(): ...\n")
-    message = refused("mask", "sprial")
-    assert message.startswith("unknown mask design, got 'sprial'; expected one of ")
+    message = refused("mask", "hleix")
+    assert message.startswith("unknown mask design, got 'hleix'; expected one of ")
     assert message.endswith("./file.py:name or package.module:name; did you mean 'helix'?")
 
 
