@@ -2,6 +2,7 @@
 
 from simulator.assemble.camera import build_sensor
 from simulator.assemble.captured import build_captured_stack
+from simulator.assemble.checks import check_psf_stack, wants_full_check
 from simulator.assemble.forward import build_forward_model
 from simulator.assemble.inputs import input_files
 from simulator.assemble.light import build_camera_colour
@@ -20,7 +21,9 @@ __all__ = [
     "build_sensor",
     "build_source",
     "build_view",
+    "check_psf_stack",
     "input_files",
     "load_mask",
     "scene_plugin",
+    "wants_full_check",
 ]

@@ -18,12 +18,15 @@ def psf(
         Path | None, typer.Option("--plot", help="draw mask, PSFs, cross-sections, MTF to this PNG")
     ] = None,
     output: Annotated[Path | None, typer.Option("--output", help="write the stack to this folder (EXR)")] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="measure every error, against direct sums and exact PSFs too (minutes)")
+    ] = False,
     as_captured: Annotated[
         bool, typer.Option("--as-captured", help="simulate a real calibration too (psf.as_captured) and compare")
     ] = False,
 ) -> None:
     """Compute the PSF stack of a configuration and say how good it is."""
-    from simulator.assemble import build_mask, build_psf_stack
+    from simulator.assemble import build_mask, build_psf_stack, check_psf_stack, wants_full_check
     from simulator.commands.captured import captured_folder, show_captured
     from simulator.config import load_config
     from simulator.console import Bar, describe_stack
@@ -40,7 +43,13 @@ def psf(
             captured_folder(output)
     with Bar() as bar:
         stack = build_psf_stack(loaded, threads=available_cpus(), progress=lambda a, b: bar.update("PSFs", a, b))
+        if check or wants_full_check(loaded):
+            stack = check_psf_stack(loaded, stack, threads=available_cpus(), progress=bar.update)
     print(describe_stack(stack, loaded.camera.sensor.shape, loaded.scene.size))
+    if stack.provenance.get("errors", {}).get("check") == "full":
+        from simulator.optics.check_table import budget_tables
+
+        print(f"\n{budget_tables(stack.provenance['errors'], stack.provenance['sampling'])}")
     if output:
         write_psf_stack(output, stack)
         print(f"wrote {output}")

@@ -27,6 +27,10 @@ class ComputedPsf(Planes):
     accept_error: Annotated[float, Range(1e-6, 10)] | None = Field(
         default=None, description="sampling error up to which the stack is accepted (0.05 when left out)"
     )
+    check: Literal["quick", "full"] = Field(
+        default="quick",
+        description="errors that are measured: on crops, in seconds, or against direct sums and exact PSFs, in minutes",
+    )
     as_captured: AsCaptured | None = Field(
         default=None, description="errors of a calibration: such a stack lies beside the true one, in psf_captured/"
     )

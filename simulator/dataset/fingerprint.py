@@ -16,6 +16,7 @@ from simulator.files import sha256_file
 
 PACKAGES = ("flatlight", "numpy", "scipy", "mitsuba", "drjit", "OpenEXR", "colour-science")
 """Packages whose version may change a sample's bytes."""
+_FREE_IN_PSF = ("check",)  # how closely errors are looked at changes no value
 _FREE_IN_DATASET = ("output", "workers", "engine", "train", "validation", "test")  # where, how fast, how many: not what
 
 _LISTED_INPUTS = 100  # more input files than this count as one: dataset.json stays readable
@@ -38,7 +39,7 @@ def build_fingerprint(
     """Hash what decides the samples' bytes.
 
     Left out of the configuration: ``name`` and ``dataset.output``, ``workers``, ``engine``, ``train``, ``validation``,
-    ``test``. Input files count by name and content; their place counts where the configuration names it.
+    ``test``, ``psf.check``. Input files count by name and content; their place counts where the configuration names it.
 
     Args:
         config: the configuration as a dict, as ``Config.model_dump()`` gives it.
@@ -54,6 +55,8 @@ def build_fingerprint(
     kept = {key: value for key, value in config.items() if key != "name"}
     if isinstance(kept.get("dataset"), Mapping):
         kept["dataset"] = {key: value for key, value in kept["dataset"].items() if key not in _FREE_IN_DATASET}
+    if isinstance(kept.get("psf"), Mapping):
+        kept["psf"] = {key: value for key, value in kept["psf"].items() if key not in _FREE_IN_PSF}
     inputs: dict[str, str] = {}
     for path in map(Path, input_files):
         name, copies = path.name, 1

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from simulator.assemble import build_captured_stack, build_psf_stack
+from simulator.assemble import build_captured_stack, build_psf_stack, check_psf_stack, wants_full_check
 from simulator.config import Config
 from simulator.config.psf import ComputedPsf
 from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER
@@ -42,6 +42,9 @@ def data_set_stack(
             stack = build_psf_stack(
                 config, threads=available_cpus(), progress=lambda done, total: progress("PSFs", done, total)
             )
+        if wants_full_check(config):
+            say("checking the PSFs against exact ones and direct sums")
+            stack = check_psf_stack(config, stack, threads=available_cpus(), progress=progress)
         lost = light_off_sensor(stack, config.camera.sensor.shape, config.scene.size)
         stack = replace(stack, provenance=stack.provenance | {"light_off_sensor": float(lost.max())})
         write_psf_stack(folder, stack)

@@ -75,12 +75,13 @@ def compute_psf_stack(
     Returns:
         The stack, ``values`` ``(K, C, N, N)`` with N odd and wide enough for all the light that is followed: the sum of each
         PSF times the pixel area equals the mask's transmitted area for a smooth mask, and falls short of it by the
-        diffraction orders beyond ``kernel.ORDERS`` (5-6 % for a PhlatCam) for a staircase. ``provenance["sampling"]`` holds
-        the measured sampling error, which does not see those orders.
+        diffraction orders beyond ``kernel.ORDERS`` (5-6 % for a PhlatCam) for a staircase. ``provenance["sampling"]``
+        holds the measured sampling error, which sees the orders up to twice as many; ``provenance["errors"]`` the others.
 
     Raises:
         InputError: when the sampling error is above 5 % (or ``accept_error``), or the mask and camera do not fit.
     """
+    from simulator.optics.check import quick_errors
     from simulator.optics.sampling import prove_sampling
 
     if not camera.mask_to_sensor_m > 0:
@@ -125,6 +126,7 @@ def compute_psf_stack(
             "model": psf_config.model,
             "oversampling": psf_config.oversampling,
             "sampling": sampling,
+            "errors": quick_errors(mask, camera, psf_config),
         },
     )
 

@@ -41,6 +41,7 @@ def _compute(mask, camera, config, **kwargs):
     """The stack without its sampling proof, which has tests of its own and is most of the work on grids this small."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("simulator.optics.sampling.prove_sampling", lambda *_: None)
+        patch.setattr("simulator.optics.check.quick_errors", lambda *_: {})
         return compute_psf_stack(mask, camera, config, **kwargs)
 
 
