@@ -73,7 +73,8 @@ def build_captured_stack(
         places = source.place(
             psf_config.depths_m, camera.mask_to_sensor_m, generator(config.seed, "pilot", 0, "calibration")
         )
-        light = captured_light(mask, camera, psf_config, places, threads=threads, progress=progress)
+        size = nominal.values.shape[-1]  # the calibration's light alone might ask for another
+        light = captured_light(mask, camera, psf_config, places, size, threads=threads, progress=progress)
         photons = response.weights.sum(axis=1)
         values, records = np.empty(light.shape, np.float32), []
         for k, plane in enumerate(light):

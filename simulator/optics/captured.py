@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
-from simulator.optics.psf import Progress, PsfConfig, depth_images, stack_size
+from simulator.optics.psf import Progress, PsfConfig, depth_images
 from simulator.optics.spectrum import quantile_lines
 from simulator.types import CameraGeometry
 
@@ -87,6 +87,7 @@ def captured_light(
     camera: CameraGeometry,
     psf_config: PsfConfig,
     places: SourcePlaces,
+    size: int,
     *,
     threads: int = 1,
     progress: Progress | None = None,
@@ -98,13 +99,14 @@ def captured_light(
         camera: the camera; its ``response`` is that under the calibration's light.
         psf_config: the stated depths, and how PSFs are computed.
         places: where the sources truly are.
+        size: odd width N of the pictures, pixels: that of the nominal stack.
         threads: depths computed at a time.
         progress: called with (done, total) after every PSF.
 
     Returns:
-        ``(K, C, N, N)`` on the grid of the nominal stack: irradiance per irradiance at the mask, stored frame.
+        ``(K, C, N, N)``: irradiance per irradiance at the mask, stored frame.
     """
-    size, pixel_m = stack_size(mask, camera, psf_config), camera.pixel_pitch_m
+    pixel_m = camera.pixel_pitch_m
     reach_m = float(np.max(np.abs(places.shifts_m)) + np.max(places.blurs_m) / 2)
     margin = math.ceil(reach_m / pixel_m)
     acts = reach_m > 0

@@ -70,6 +70,9 @@ def test_every_key_reaches_the_stack(capture, one) -> None:
 
 def test_an_led_is_seen_by_every_channel(capture) -> None:
     _, captured = capture(**(NO_ERROR | {"illuminant": {"led_nm": 530, "fwhm_nm": 10}}))
+    # Deep blue light spreads less than daylight's red: the grid must stay the nominal one all the same.
+    nominal, blue = capture(**(NO_ERROR | {"illuminant": {"led_nm": 440, "fwhm_nm": 10}}))
+    assert blue.values.shape == nominal.values.shape
     for channel in "RGB":
         centroid = sum(w * weight for c, w, weight in captured.provenance["lines"] if c == channel)
         # Within a tenth of its width: the channel's slope and the photons' factor pull a little.

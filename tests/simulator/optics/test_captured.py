@@ -8,7 +8,7 @@ import pytest
 from simulator.errors import InputError
 from simulator.optics.captured import CalibrationSource, SourcePlaces, captured_light
 from simulator.optics.mask import Mask
-from simulator.optics.psf import PsfConfig, compute_psf_stack, depth_images
+from simulator.optics.psf import PsfConfig, compute_psf_stack, depth_images, stack_size
 from simulator.optics.spectrum import quantile_lines
 from simulator.types import CameraGeometry, SpectralResponse
 
@@ -36,6 +36,11 @@ def places(depths=CONFIG.depths_m, shift=(0.0, 0.0), blur=0.0) -> SourcePlaces:
     return SourcePlaces(np.array(depths, float), np.tile(np.asarray(shift, float), (count, 1)), np.full(count, blur))
 
 
+def captured(mask, where, config=CONFIG):
+    """On the nominal stack's grid."""
+    return captured_light(mask, CAMERA, config, where, stack_size(mask, CAMERA, config))
+
+
 def middle(values, size):
     """The central (size, size) samples."""
     first = (values.shape[-1] - size) // 2
@@ -53,13 +58,18 @@ def moments(image):
 
 class TestLight:
     def test_a_perfect_source_gives_the_nominal_stack(self, mask) -> None:
-        found = captured_light(mask, CAMERA, CONFIG, places())
+        found = captured(mask, places())
         nominal = compute_psf_stack(mask, CAMERA, CONFIG).values
+        np.testing.assert_allclose(found, nominal, rtol=0, atol=1e-14 * nominal.max())
+
+    def test_a_perfect_source_gives_the_nominal_stack_of_the_exact_model_too(self, mask) -> None:
+        exact = replace(CONFIG, model="exact")
+        found, nominal = captured(mask, places(), exact), compute_psf_stack(mask, CAMERA, exact).values
         np.testing.assert_allclose(found, nominal, rtol=0, atol=1e-14 * nominal.max())
 
     def test_depth_errors_are_computed_not_resampled_and_may_swap_neighbours(self, mask) -> None:
         true = (0.0502, 0.0471, np.inf)
-        found = captured_light(mask, CAMERA, CONFIG, places(true))
+        found = captured(mask, places(true))
         there = replace(CONFIG, depths_m=(0.0471, 0.0502, np.inf))
         nominal = compute_psf_stack(mask, CAMERA, there).values[[1, 0, 2]]
         size = min(found.shape[-1], nominal.shape[-1])
@@ -67,7 +77,7 @@ class TestLight:
 
     def test_a_shift_by_parts_of_a_pixel_is_that_of_finer_pixels(self, mask) -> None:
         # 8 um and -12 um are 2 and -3 of five samples per pixel, which are summed here without any transform.
-        found = captured_light(mask, CAMERA, CONFIG, places(shift=(8e-6, -12e-6)))
+        found = captured(mask, places(shift=(8e-6, -12e-6)))
         size = found.shape[-1]
         fine = replace(CAMERA, pixel_pitch_m=4e-6)
         expected = np.zeros_like(found)
@@ -87,14 +97,14 @@ class TestLight:
         a = np.array([column - 50, row - 50]) * 4e-6
         depth, offset = 0.04, np.array([900e-6, -400e-6])
         config = PsfConfig((depth,), wavelengths_per_channel=1, accept_error=1.0)
-        light = captured_light(hole, CAMERA, config, places((depth,), offset * D / depth))[0, 1]
+        light = captured(hole, places((depth,), offset * D / depth), config)[0, 1]
         expected = -(a - (offset - a) * D / depth) / CAMERA.pixel_pitch_m
         # The square's diffraction is symmetric: only what falls off the grid moves the centroid.
         np.testing.assert_allclose(moments(light)[1], expected, atol=0.02)
 
     def test_a_disc_widens_the_psf_by_a_sixteenth_of_its_diameter_squared(self, mask) -> None:
         blur = 60e-6
-        sharp, blurred = (captured_light(mask, CAMERA, CONFIG, places(blur=b)) for b in (0.0, blur))
+        sharp, blurred = (captured(mask, places(blur=b)) for b in (0.0, blur))
         for k in range(3):
             before, after = moments(sharp[k, 0]), moments(blurred[k, 0])
             assert after[0] == pytest.approx(before[0], rel=2e-3)  # a little leaves the grid

@@ -140,7 +140,7 @@ def diffractive() -> tuple[PsfStack, PsfStack, np.ndarray]:
         truth = compute_psf_stack(mask, camera, config)
     # 25 um source, stage and depths as good as a micrometre stage: what is left is noise and blur.
     places = CalibrationSource(25e-6, 0, 2e-5, 5e-6).place(config.depths_m, D, rng)
-    light = captured_light(mask, camera, config, places)
+    light = captured_light(mask, camera, config, places, truth.values.shape[-1])
     sensor = Sensor("s", 2e-6, (9, 9), 4, (1, 1), 15000, 2.7, 0.3, 0.1, 0.006, 64.0, 12, noise=PhysicalNoise())
     recorded = [Recording(0.7, 10, 0.005, 0.003).record(plane, np.ones(1), sensor, rng)[0] for plane in light]
     captured = PsfStack(np.stack(recorded), truth.depths_m, 8e-6, ("G",), "captured")
