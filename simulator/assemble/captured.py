@@ -130,7 +130,7 @@ def _recording(chosen: AsCaptured) -> Recording:
 
 def _lit(config: Config, chosen: AsCaptured) -> CameraGeometry:
     """Return the camera with its channels' response to the calibration's light."""
-    if chosen.illuminant is None:
+    if chosen.illuminant == "camera":
         return build_geometry(config)
     camera = config.camera.model_copy(update={"illuminant": chosen.illuminant})
     return build_geometry(config.model_copy(update={"camera": camera}))

@@ -19,9 +19,9 @@ class AsCaptured(Section):
     source_um: Annotated[float, Range(0, 5000, "um")] = Field(
         default=25.0, description="diameter of the point source (a pinhole before a light), micrometres"
     )
-    illuminant: IlluminantConfig | None = Field(
+    illuminant: IlluminantConfig = Field(
         default=(Led(led_nm=630, fwhm_nm=18), Led(led_nm=530, fwhm_nm=33), Led(led_nm=465, fwhm_nm=22)),
-        description="light of the source, as in camera.illuminant; null is the camera's own. Without it: three LEDs",
+        description="light of the source, as in camera.illuminant; the word camera means the same as there. Without it: three LEDs",
     )
     depth_offset_mm: Annotated[float, Range(-1e3, 1e3, "mm")] = Field(
         default=0.2, description="how much farther than stated every source is (the zero of the scale), millimetres"

@@ -13,7 +13,7 @@ from simulator.optics.psf_stack import PsfStack
 
 NO_ERROR = {
     "source_um": 0,
-    "illuminant": None,
+    "illuminant": "camera",
     "depth_offset_mm": 0,
     "depth_std_mm": 0,
     "shift_std_um": 0,
