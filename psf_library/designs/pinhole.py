@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
+from simulator.optics.aperture import round_aperture
 from simulator.optics.mask import Mask
 
 
@@ -24,18 +26,6 @@ def pinhole(
         diameter_um: diameter of the hole.
         pixel_um: sample of the grid.
     """
-    amplitude = disc(diameter_um / pixel_um)
+    diameter = diameter_um / pixel_um
+    amplitude = round_aperture(2 * math.ceil(diameter / 2) + 1, diameter)  # the smallest odd grid that holds it
     return Mask(np.zeros_like(amplitude), amplitude, pixel_um * 1e-6, profile="smooth", name="pinhole")
-
-
-def disc(diameter: float, supersample: int = 16) -> np.ndarray:
-    """Return a disc's area coverage per pixel, float32, on the smallest odd grid that holds it.
-
-    Args:
-        diameter: in pixels.
-        supersample: sub-pixels per pixel and axis.
-    """
-    size = 2 * int(np.ceil(diameter / 2)) + 1
-    fine = (np.arange(size * supersample) + 0.5) / supersample - size / 2
-    inside = (fine[:, None] ** 2 + fine[None, :] ** 2 <= (diameter / 2) ** 2).astype(np.float32)
-    return inside.reshape(size, supersample, size, supersample).mean((1, 3))
