@@ -21,7 +21,7 @@ class AsCaptured(Section):
     )
     illuminant: IlluminantConfig = Field(
         default=(Led(led_nm=630, fwhm_nm=18), Led(led_nm=530, fwhm_nm=33), Led(led_nm=465, fwhm_nm=22)),
-        description="light of the source, as in camera.illuminant; the word camera means the same as there. Without it: three LEDs",
+        description="light of the source, as in camera.illuminant, or the word camera for the same as there",
     )
     depth_offset_mm: Annotated[float, Range(-1e3, 1e3, "mm")] = Field(
         default=0.2, description="how much farther than stated every source is (the zero of the scale), millimetres"
