@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,8 @@ class Candidate:
         transmitted_m2: transmittance times area of the mask, square metres; None where it is not known.
         received_m2: power on the sensor per irradiance at the mask, mean over channels and scene pixels, square metres.
         off_sensor: share of the light on the PSF's grid that misses the sensor, mean over channels and scene pixels.
-        sampling_error: relative L2 error that the stack recorded; None for measured PSFs.
+        errors: relative L2 errors that the stack recorded: of its sampling, of its model against ``exact`` and of its few
+            wavelengths, the worst channel's; None where nothing was recorded.
         facts: everything else that the stack knows of itself.
     """
 
@@ -59,7 +60,7 @@ class Candidate:
     transmitted_m2: float | None
     received_m2: tuple[float, ...]
     off_sensor: tuple[float, ...]
-    sampling_error: float | None
+    errors: tuple[float | None, float | None, float | None]
     facts: list[tuple[str, str]]
 
 
@@ -135,7 +136,7 @@ def judge(
     planes = [values[k].astype(np.float64) for k in ends]
     peaks = [autocorrelation_peak(plane.mean(0), pitch_m) for plane in planes]
     energy_m2, correlations = stack.energy_m2(), depth_correlations(stack)
-    record, sampling = stack.provenance.get("mask"), stack.provenance.get("sampling")
+    record = stack.provenance.get("mask")
     return Candidate(
         name=name,
         camera=camera,
@@ -152,8 +153,19 @@ def judge(
         transmitted_m2=record["transmitted_area_m2"] if record else stack.provenance.get("throughput_m2"),
         received_m2=tuple(float(np.mean((energy_m2 * (1 - off_sensor))[k])) for k in ends),
         off_sensor=tuple(float(np.mean(off_sensor[k])) for k in ends),
-        sampling_error=sampling["error"] if sampling else None,
+        errors=_errors(stack.provenance),
         facts=facts,
+    )
+
+
+def _errors(provenance: dict[str, Any]) -> tuple[float | None, float | None, float | None]:
+    """Return the errors that a stack recorded: sampling, model, spectrum."""
+    others = provenance.get("errors", {})
+    channels = others.get("spectrum", {}).get("channels", {}).values()
+    return (
+        provenance.get("sampling", {}).get("error"),
+        others.get("model", {}).get("error"),
+        max(channels, default=None),
     )
 
 

@@ -9,8 +9,8 @@ from simulator.comparison.candidates import Candidate
 from simulator.optics.facts import length, share
 
 TITLE = "Mask designs compared"
-PAIRS = "Two values: at the nearest / at the farthest depth."
-UNKNOWN = "not known"
+NOTES = "Two values: at the nearest / at the farthest depth. Errors: of sampling / model / wavelengths."
+UNKNOWN = "?"
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,10 @@ COLUMNS = (
         lambda c: _pair([share(value) for value in c.off_sensor]),
     ),
     Column(
-        "Sampling error",
-        "Relative L2 difference of the PSFs on the sensor's pixels from those of a grid twice as fine, the greatest of those "
-        "measured on a crop; it is recorded with every stack.",
-        lambda c: UNKNOWN if c.sampling_error is None else share(c.sampling_error),
+        "Errors",
+        "Relative L2 errors of the PSFs on the sensor's pixels, as recorded with every stack: of the sampling (against a "
+        "grid twice as fine) / of the model (against exact PSFs) / of the few wavelengths (against many), each the greatest "
+        "of those measured.",
+        lambda c: " / ".join(UNKNOWN if error is None else share(error) for error in c.errors),
     ),
 )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.comparison.candidates import Candidate
-from simulator.comparison.columns import COLUMNS, PAIRS, TITLE, cameras_in_words
+from simulator.comparison.columns import COLUMNS, NOTES, TITLE, cameras_in_words
 from simulator.optics.metrics import autocorrelation, radial_mtf
 from simulator.optics.plot_panels import FAINT, GRID, INK, NORMAL, SMALL, draw_psfs, head, style
 
@@ -116,7 +116,7 @@ def _ring_mean(image: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray
 
 def _draw_table(figure: FigureBase, candidates: Sequence[Candidate]) -> None:
     figure.suptitle(TITLE, x=0.01, ha="left", fontsize=_HEADING, fontweight="bold", color=INK)
-    words = f"{cameras_in_words(candidates)} {PAIRS}"
+    words = f"{cameras_in_words(candidates)} {NOTES}"
     figure.supxlabel(words, x=0.01, ha="left", fontsize=NORMAL, color=FAINT)
     axes: Axes = figure.subplots()
     axes.set_axis_off()

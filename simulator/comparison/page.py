@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 
 from simulator.comparison.candidates import Candidate
-from simulator.comparison.columns import COLUMNS, PAIRS, TITLE, cameras_in_words
+from simulator.comparison.columns import COLUMNS, NOTES, TITLE, cameras_in_words
 from simulator.comparison.figures import curves_png, design_png
 
 _STYLE = """
@@ -86,7 +86,7 @@ def _table(candidates: Sequence[Candidate]) -> str:
     )
     return (
         '<div class="wide" role="region" aria-labelledby="figures" tabindex="0"><table>'
-        f"<caption>{escape(PAIRS)}</caption>"
+        f"<caption>{escape(NOTES)}</caption>"
         f'<thead><tr><th scope="col">Design</th>{heads}</tr></thead><tbody>{rows}</tbody></table></div>'
     )
 

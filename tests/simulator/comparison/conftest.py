@@ -22,6 +22,7 @@ def gaussian_candidate() -> Callable[..., Candidate]:
         provenance = {
             "mask": {"name": name, "transmitted_area_m2": AREA_M2, "shape": [100, 100], "pitch_m": 2e-6},
             "sampling": {"error": 0.0123},
+            "errors": {"spectrum": {"channels": {"R": 0.12, "G": 0.34, "B": 0.23}, "lines": 9}},
         }
         depths = np.linspace(0.04, 0.2, len(sigmas))
         stack = PsfStack(values, depths, 1e-5, ("R", "G", "B"), "test", provenance)
