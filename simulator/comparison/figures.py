@@ -115,22 +115,26 @@ def _ring_mean(image: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray
 
 
 def _draw_table(figure: FigureBase, candidates: Sequence[Candidate]) -> None:
+    from matplotlib.transforms import Bbox
+
     figure.suptitle(TITLE, x=0.01, ha="left", fontsize=_HEADING, fontweight="bold", color=INK)
-    words = f"{cameras_in_words(candidates)} {NOTES}"
+    words = f"{cameras_in_words(candidates)}\n{NOTES}"
     figure.supxlabel(words, x=0.01, ha="left", fontsize=NORMAL, color=FAINT)
     axes: Axes = figure.subplots()
     axes.set_axis_off()
+    heads = ["Design", *(column.title for column in COLUMNS)]
+    rows = [[candidate.name, *(column.cell(candidate) for column in COLUMNS)] for candidate in candidates]
+    widths = np.array([3 + max(map(len, column)) for column in zip(heads, *rows, strict=True)])
     table = axes.table(
-        [[column.cell(candidate) for column in COLUMNS] for candidate in candidates],
-        rowLabels=[candidate.name for candidate in candidates],
-        colLabels=[column.title for column in COLUMNS],
+        rows,
+        colLabels=heads,
+        colWidths=list(widths / widths.sum()),
         cellLoc="center",
-        loc="center",
+        bbox=Bbox.unit(),
         edges="horizontal",
     )
     table.auto_set_font_size(False)
     table.set_fontsize(NORMAL)
-    table.scale(1, 1.5)
     for cell in table.get_celld().values():
         cell.set_edgecolor(GRID)
         cell.get_text().set_color(INK)

@@ -99,6 +99,23 @@ def test_the_picture_has_a_row_per_candidate(candidates) -> None:
         assert heights[1] - heights[0] == pytest.approx(row.height, abs=0.5 * DPI)  # and a line of the table
 
 
+def test_no_text_of_the_picture_is_cut_off(candidates, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Everything that is written lies inside the picture, whose right-hand edge the widest table reaches."""
+    from matplotlib.backends.backend_agg import RendererAgg
+
+    draw_text, outside = RendererAgg.draw_text, []
+
+    def record(self, gc, x, y, s, prop, angle, ismath=False, mtext=None):
+        box = mtext.get_window_extent(self) if mtext is not None and s.strip() else None
+        if box is not None and not (box.x0 >= 0 and box.y0 >= 0 and box.x1 <= self.width and box.y1 <= self.height):
+            outside.append(s)
+        return draw_text(self, gc, x, y, s, prop, angle, ismath, mtext)
+
+    monkeypatch.setattr(RendererAgg, "draw_text", record)
+    comparison_png(candidates)
+    assert outside == []
+
+
 def test_curves_tell_many_designs_apart(gaussian_candidate, monkeypatch: pytest.MonkeyPatch) -> None:
     """A dozen designs (all that are shipped) get a dozen combinations of colour and stroke."""
     from matplotlib.axes import Axes
