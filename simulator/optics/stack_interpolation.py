@@ -36,8 +36,9 @@ def interpolate_stack(
         extrapolate: whether depths outside the stack's are allowed: the outermost plane, magnified.
 
     Returns:
-        The stack at ``depths_m``; ``provenance["interpolation"]`` states the relative L2 error expected of every new plane,
-        see ``left_out_errors``, or None where nothing can be said.
+        The stack at ``depths_m``; ``provenance["interpolation"]`` states the relative L2 error of every new plane as the
+        largest of its neighbours' ``left_out_errors`` and of what magnifying them to this depth and back costs: light
+        finer than a pixel does not survive resampling, however near the planes. None where nothing can be said.
 
     Raises:
         InputError: for depths outside the stack's range that are not allowed, or an implausible distance.
@@ -61,14 +62,12 @@ def interpolate_stack(
     for depth in wanted:
         mixture = _mixture(own, float(depth))
         planes.append(_mixed(stack, mixture, float(depth), mask_to_sensor_m))
-        stated = [errors[k] for k, _ in mixture]
-        unknown = any(error is None for error in stated)
         records.append(
             {
                 "depth_m": float(depth),
                 "from_planes": [k for k, _ in mixture],
                 "extrapolated": float(depth) in outside,
-                "error": 0.0 if _same(own, depth) is not None else None if unknown else max(e for e in stated if e),
+                "error": _stated_error(stack, mixture, float(depth), mask_to_sensor_m, errors),
             }
         )
     interpolation = {
@@ -93,8 +92,8 @@ def left_out_errors(stack: PsfStack, mask_to_sensor_m: float) -> list[float | No
     """Return, for every plane, the relative L2 error with which its neighbours alone would predict it.
 
     An inner plane is interpolated over twice the distance that interpolation has to bridge, an outermost one is extrapolated
-    from its only neighbour: both are harder than what ``interpolate_stack`` does between planes. Noise and faults of the
-    measured planes count in full. A single plane says nothing: None.
+    from its only neighbour: as far as PSFs change with depth, both are harder than what ``interpolate_stack`` does between
+    planes. Noise and faults of the measured planes count in full. A single plane says nothing: None.
     """
     values, own = to_numpy(stack.values), stack.depths_m
     errors: list[float | None] = []
@@ -106,6 +105,27 @@ def left_out_errors(stack: PsfStack, mask_to_sensor_m: float) -> list[float | No
         predicted = _mixed(stack, mixture, float(depth), mask_to_sensor_m)
         errors.append(float(np.linalg.norm(predicted - values[k]) / np.linalg.norm(values[k])))
     return errors
+
+
+def _stated_error(
+    stack: PsfStack,
+    mixture: list[tuple[int, float]],
+    depth_m: float,
+    mask_to_sensor_m: float,
+    left_out: list[float | None],
+) -> float | None:
+    """Return the error to state for a plane made from a mixture; zero for a plane of the stack, None if unknown."""
+    values, own = to_numpy(stack.values), stack.depths_m
+    if _same(own, depth_m) is not None:
+        return 0.0
+    found = [error for k, _ in mixture if (error := left_out[k]) is not None]
+    if len(found) < len(mixture):
+        return None
+    for k, _ in mixture:
+        factor = (1 + mask_to_sensor_m / depth_m) / (1 + mask_to_sensor_m / own[k])
+        back = magnified(magnified(values[k], factor), 1 / factor)
+        found.append(float(np.linalg.norm(back - values[k]) / np.linalg.norm(values[k])))
+    return max(found)
 
 
 def magnified(image: NDArray[Any], factor: float) -> NDArray[np.float64]:
