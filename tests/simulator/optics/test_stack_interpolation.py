@@ -96,6 +96,17 @@ class TestStatedError:
         predicted = interpolate_stack(without, [0.05], D).values
         assert left_out_errors(stack, D)[1] == pytest.approx(error(predicted, stack.values[1:2])[0], rel=1e-12)
 
+    def test_light_finer_than_a_pixel_is_counted_where_planes_left_out_do_not_show_it(self) -> None:
+        # Planes so near to each other that they predict one another, and a plane that needs shifts of half a pixel.
+        noise = np.random.default_rng(2).exponential(size=(1, 1, 101, 101)).repeat(3, 0)
+        stack = PsfStack(noise, np.array([0.2, 0.2001, 0.2002]), 1e-5, ("G",), "noise")
+        found = interpolate_stack(stack, [0.1], D, extrapolate=True)
+        (plane,) = found.provenance["interpolation"]["planes"]
+        factor = (1 + D / 0.1) / (1 + D / 0.2)
+        there_and_back = magnified(magnified(noise[0], factor), 1 / factor)
+        assert plane["error"] == pytest.approx(error([there_and_back], noise[:1])[0], rel=1e-12)
+        assert plane["error"] > 20 * max(left_out_errors(stack, D))
+
     def test_a_single_plane_says_nothing(self) -> None:
         stack = spots([0.05])
         assert left_out_errors(stack, D) == [None]
