@@ -59,6 +59,11 @@ def to_numpy(array: Array) -> np.ndarray:
     return array.detach().cpu().numpy() if is_torch(array) else np.asarray(array)
 
 
+def number(scalar: Any) -> float:
+    """Return a plain float of a number or a torch scalar, without its gradient."""
+    return float(scalar.detach()) if is_torch(scalar) else float(scalar)
+
+
 def real_dtype(array: Array) -> Any:
     """Return the real dtype of the same precision: float32 for complex64, float64 for complex128."""
     xp = namespace(array)

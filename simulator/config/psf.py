@@ -18,7 +18,7 @@ class ComputedPsf(Planes):
 
     model: Literal["scaled_distance", "scaled_psf", "exact"] = Field(
         default="scaled_distance",
-        description="how the PSF changes with depth: with diffraction, by magnification alone, or by the spherical wave itself",
+        description="how the PSF changes with depth: with diffraction, by magnification, or by spherical waves",
     )
     wavelengths_per_channel: Annotated[int, Range(1, 100)] = Field(
         default=3, description="wavelengths that stand for a channel"

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from simulator.arrays import number
 from simulator.optics.check_angle import field_angle_error
 from simulator.optics.check_model import CROP_M, direct_error, pixel_error, three_depths, three_wavelengths
 from simulator.optics.check_spectrum import spectral_error
@@ -30,7 +31,7 @@ def quick_errors(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -> d
     ``spectrum``: see ``check_spectrum``; ``model``: the nearest and the farthest depth at the middle wavelength against
     ``exact``, on a crop, absent where the model is ``exact``.
     """
-    camera = replace(camera, mask_to_sensor_m=float(camera.mask_to_sensor_m))  # it may be a tensor with a gradient
+    camera = replace(camera, mask_to_sensor_m=number(camera.mask_to_sensor_m))  # it may be a tensor with a gradient
     errors: dict[str, Any] = {"check": "quick", "spectrum": spectral_error(mask, camera, psf_config)}
     if psf_config.model != "exact":
         ends = replace(psf_config, depths_m=tuple(dict.fromkeys((psf_config.depths_m[0], psf_config.depths_m[-1]))))

@@ -119,4 +119,8 @@ class Source:
         chief = fan(self._strata, np.array(centre_x**2 + centre_y**2))
         sine_x, sine_y = self.carrier
         path = rays.path_m - float(chief.path_m) - sine_x * x_m - sine_y * y_m
-        return path, rays.spreading / float(chief.spreading)
+        # Spreading is per projected area on both sides; the wave's modulus is per its own front, oblique on both.
+        rho_squared = (x_m - centre_x) ** 2 + (y_m - centre_y) ** 2
+        cosine = np.sqrt(1 - rays.inverse_m**2 * rho_squared)
+        chief_cosine = math.sqrt(1 - sine_x**2 - sine_y**2)
+        return path, rays.spreading / cosine / (float(chief.spreading) / chief_cosine)

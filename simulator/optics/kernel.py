@@ -21,11 +21,11 @@ import numpy as np
 from simulator.arrays import Array, complex_dtype, fft2, is_torch, like, namespace, real_dtype, unit_phasor
 from simulator.optics.even_filter import Quadrant
 from simulator.optics.layers import Distance, Strata, as_strata, fan
-from simulator.optics.propagation import MAX_SINE
 
 ORDERS = (
     1.5  # light up to this multiple of lambda / pixel, times the oversampling, is followed: the zeroth and first orders
 )
+STEEPEST = 0.75  # 49 degrees: what leaves a mask pixel more steeply is spread over more than four distances squared
 # Angle and place go together only many Fresnel lengths sqrt(lambda d) away: behind pixels of 30 um at 0.5 mm (FlatCam) a
 # wave cut at its first orders, half a Fresnel length out, would bring twice the light that was sent.
 FRESNEL_LENGTHS = 16
@@ -36,7 +36,7 @@ def kernel_reach_m(pixel_m: float, wavelength_m: float, distance_m: float, overs
 
     Oversampling follows as many times more orders, so that a comparison between two of them sees what was left out.
     """
-    sine = min(ORDERS * oversampling * wavelength_m / pixel_m, MAX_SINE)
+    sine = min(ORDERS * oversampling * wavelength_m / pixel_m, STEEPEST)
     return max(distance_m * sine / math.sqrt(1 - sine**2), FRESNEL_LENGTHS * math.sqrt(wavelength_m * distance_m))
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from simulator.arrays import Array, is_torch, namespace
+from simulator.arrays import Array, is_torch, namespace, number
 from simulator.errors import InputError
 from simulator.types import CameraGeometry, Layer
 
@@ -53,11 +53,6 @@ def reduced_m(strata: Strata) -> Any:
     return sum(thickness_m / index for thickness_m, index in strata)
 
 
-def sideways_m(strata: Strata, sine: float) -> float:
-    """Return how far sideways (metres) a ray of transverse sine ``sine`` travels through the layers."""
-    return sum(float(t) * sine / np.sqrt(n**2 - sine**2) for t, n in strata)
-
-
 @dataclass(frozen=True)
 class Fan:
     """Rays from one point through layers, at sideways distances rho.
@@ -94,7 +89,7 @@ def fan(strata: Strata, rho_squared: Array) -> Fan:
         raise InputError(msg)
     from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-    thickness = np.array([float(t) for t, _ in strata])[:, None]
+    thickness = np.array([number(t) for t, _ in strata])[:, None]
     index = np.array([n for _, n in strata])[:, None]
     # Even steps of the angle in the thinnest medium crowd no knots anywhere.
     sine = index.min() * np.sin(np.linspace(0, np.arcsin(_STEEPEST), _KNOTS))

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.arrays import Array, is_torch, module, namespace
+from simulator.arrays import Array, is_torch, module, namespace, number
 from simulator.errors import InputError
 from simulator.optics.exact import exact_images, exact_points, exact_width_m
 from simulator.optics.illumination import Source
@@ -116,12 +116,12 @@ def compute_psf_stack(
         provenance={
             "kind": "computed",
             "mask": mask.provenance(),
-            "mask_to_sensor_m": float(camera.mask_to_sensor_m),
+            "mask_to_sensor_m": number(camera.mask_to_sensor_m),
             "gap": _layers(camera.gap),
             "window": _layers(camera.window),
             "response": camera.response.label,
             "lines": [
-                [camera.response.channels[line.channel], line.wavelength_m, float(line.weight)] for line in lines
+                [camera.response.channels[line.channel], line.wavelength_m, number(line.weight)] for line in lines
             ],
             "model": psf_config.model,
             "oversampling": psf_config.oversampling,
@@ -226,7 +226,7 @@ def psf_fingerprint(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -
     """Return a hash of everything that decides the stack's values."""
     response = camera.response
     sha = hashlib.sha256(mask.digest().encode())
-    sha.update(repr((float(camera.mask_to_sensor_m), camera.pixel_pitch_m, response.channels)).encode())
+    sha.update(repr((number(camera.mask_to_sensor_m), camera.pixel_pitch_m, response.channels)).encode())
     if camera.gap or camera.window:
         sha.update(repr((camera.gap, camera.window)).encode())
     sha.update(

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.arrays import Array, bytes_per_sample, fft2, ifft, is_torch, namespace, next_fast_len, pad2d
+from simulator.arrays import Array, bytes_per_sample, fft2, ifft, is_torch, namespace, next_fast_len, number, pad2d
 from simulator.optics.even_filter import Quadrant, blocks, each_rows
 from simulator.optics.illumination import Source
 from simulator.optics.kernel import PixelKernel, kernel_reach_m
@@ -148,7 +148,7 @@ def scaled_points(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return |U|^2 at random grid points of the mask's shadow; see ``psf.sampled_intensity``."""
     model = ScaledModel(mask, camera, source.wavelength_m, oversampling)
-    magnification = float(model.magnification(source))
+    magnification = number(model.magnification(source))
     (rows, y_m), (columns, x_m) = (model.draw(axis, n * oversampling, count, rng) for axis, n in enumerate(mask.shape))
     field = ifft(model.wave(source, diffracted=diffracted)[:, columns], -2)[rows, np.arange(count)]
     points = np.stack([x_m, y_m], axis=1) * magnification
@@ -159,7 +159,7 @@ def scaled_width_m(mask: Mask, camera: CameraGeometry, source: Source, oversampl
     """Return the width (metres) of a source's PSF, with all the light that is followed."""
     gap = gap_strata(camera, source.wavelength_m)
     reach_m, _ = _reach(mask, gap, source.wavelength_m, oversampling)
-    return (max(mask.shape) * mask.pitch_m + 2 * reach_m) * float(1 + reduced_m(gap) / source.effective_m)
+    return (max(mask.shape) * mask.pitch_m + 2 * reach_m) * number(1 + reduced_m(gap) / source.effective_m)
 
 
 def _reach(mask: Mask, gap: Strata, wavelength_m: float, oversampling: int) -> tuple[float, bool]:
@@ -168,7 +168,7 @@ def _reach(mask: Mask, gap: Strata, wavelength_m: float, oversampling: int) -> t
     A smooth mask's light lies in the band of its own samples. A finer grid holds steeper waves too, which only the
     aperture's hard edge feeds: they are cut softly, or every doubling of the oversampling would widen the grid.
     """
-    d = float(reduced_m(gap))
+    d = number(reduced_m(gap))
     if mask.profile == "staircase":
         return kernel_reach_m(mask.pitch_m, wavelength_m, d, oversampling), False
     spread_m = spread_samples(mask.pitch_m, wavelength_m, d) * mask.pitch_m

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from simulator.arrays import Array, namespace, real_dtype, unit_phasor
+from simulator.arrays import Array, namespace, number, real_dtype, unit_phasor
 from simulator.arrays import like as as_array
 from simulator.optics.layers import Distance, Strata, as_strata
 
@@ -142,7 +142,7 @@ def _transfer(
     if float(xp.max(excess)) > lowest**2 - carrier_squared:
         transfer *= xp.astype(excess <= lowest**2 - carrier_squared, real)  # evanescent waves end here
     if reach_m is not None:
-        total_m = sum(float(thickness_m) for thickness_m, _ in strata)
+        total_m = sum(number(thickness_m) for thickness_m, _ in strata)
         edge_m = max(band_edge_m(wavelength_m, total_m), 1e-12)
         sines = (offset_y + carrier_y, offset_x + carrier_x)
         for axis, reach in enumerate(reach_m):
@@ -163,13 +163,13 @@ def _limit(
     """Take away, in place, the waves that travel farther than ``reach_m`` along an axis beyond the carrier's travel."""
     xp = namespace(transfer)
     carrier_squared = carrier[0] ** 2 + carrier[1] ** 2
-    straight = sum(float(t) * carrier[1 - axis] / math.sqrt(n**2 - carrier_squared) for t, n in strata)
+    straight = sum(number(t) * carrier[1 - axis] / math.sqrt(n**2 - carrier_squared) for t, n in strata)
 
     def travelled(along: Array, across_squared: Any) -> Array:
         total: Any = -straight
         for thickness_m, index in strata:
             cosine = xp.sqrt(xp.clip(index**2 - along**2 - across_squared, 1e-12, None))
-            total = total + along * (float(thickness_m) / cosine)
+            total = total + along * (number(thickness_m) / cosine)
         return xp.abs(total)
 
     # Most waves stay far inside: only those that would not, were the other axis as steep as it gets, are looked at.
