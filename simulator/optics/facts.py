@@ -51,8 +51,8 @@ def psf_facts(
     sampling = provenance.get("sampling")
     if sampling:
         coarse, fine = sampling["oversampling"]
-        facts.append(("sampling error", f"{share(sampling['error'])} (on a crop, s = {coarse} vs {fine})"))
-        facts.append(("error bar", f"{share(sampling['error_bar'])} from any finer sampling"))
+        facts.append(("sampling error", f"{share(sampling['error'])} (s = {coarse} vs {fine})"))
+        facts.append(("error bar", f"{share(sampling['error_bar'])} of sampling"))
     facts += _error_facts(provenance.get("errors", {}))
     if provenance.get("kind") == "measured":
         files = sorted({image["file"] for image in provenance["images"]})
@@ -124,7 +124,7 @@ def _interpolation(record: dict[str, Any]) -> str:
     text = f"from {len(record['measured_depths_m'])} measured planes"
     beyond = sum(plane["extrapolated"] for plane in record["planes"])
     text += f", {beyond} beyond them" if beyond else ""
-    return text + (", error unknown" if None in errors else f", error up to {share(max(errors))} (planes left out)")
+    return text + (", error unknown" if None in errors else f", error up to {share(max(errors))}")
 
 
 def _light_facts(
@@ -153,10 +153,9 @@ def _error_facts(errors: dict[str, Any]) -> list[tuple[str, str]]:
     facts = []
     if "spectrum" in errors:
         worst = ", ".join(f"{channel} {share(error)}" for channel, error in errors["spectrum"]["channels"].items())
-        facts.append(("spectral error", f"{worst} (against {errors['spectrum']['lines']} wavelengths)"))
+        facts.append(("spectral error", worst))
     if "model" in errors:
-        judged = length(errors["model"]["crop_m"])
-        facts.append(("model error", f"{share(errors['model']['error'])} (against exact, {judged} of the mask)"))
+        facts.append(("model error", f"{share(errors['model']['error'])} (against exact)"))
     if "field_angle" in errors:
         worst = errors["field_angle"]["table"][-1]
         facts.append(("one PSF for all", f"{share(worst['error'])} at {worst['degrees']:.0f}°"))

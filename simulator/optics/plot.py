@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 SIZE_INCH, DPI = (16.0, 9.0), 150
 # Near, middle, far: told apart by colour-blind eyes too (Okabe and Ito, 2008).
 _COLOURS = ("#d55e00", "#009e73", "#0072b2")
-_LINE_POINTS, _VALUE_POINTS = 14.0, 96.0  # of the list of facts
+_LINE_POINTS, _VALUE_POINTS = 12.0, 96.0  # of the list of facts
 
 
 def plot_psf_stack(

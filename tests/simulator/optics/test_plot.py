@@ -158,7 +158,12 @@ def test_facts_of_a_computed_stack():
         "nm"
     ]
     assert "nominal" in facts["response"]
-    assert facts["sampling error"] == f"{share(stack.provenance['sampling']['error'])} (on a crop, s = 1 vs 2)"
+    assert facts["sampling error"] == f"{share(stack.provenance['sampling']['error'])} (s = 1 vs 2)"
+    assert facts["error bar"] == f"{share(2 * stack.provenance['sampling']['error'])} of sampling"
+    errors = stack.provenance["errors"]
+    assert facts["model error"] == f"{share(errors['model']['error'])} (against exact)"
+    for channel in "RGB":
+        assert f"{channel} {share(errors['spectrum']['channels'][channel])}" in facts["spectral error"]
     shares = stack.energy_m2() / mask.transmitted_area_m2
     assert facts["light on PSF grid"].startswith(share(shares.min()))
     assert facts["light off sensor"] != "0 %"
