@@ -10,7 +10,7 @@ _SUBPIXELS = 16
 
 def sample_positions_m(samples: int, pitch_m: float) -> NDArray[np.float64]:
     """Return the coordinates ``(samples,)`` of a mask's rows or columns, metres, zero at its middle."""
-    return (np.arange(samples) - (samples - 1) / 2) * pitch_m
+    return (np.arange(samples, dtype=np.float64) - (samples - 1) / 2) * pitch_m
 
 
 def radius_squared_m2(samples: int, pitch_m: float) -> NDArray[np.float64]:

@@ -31,7 +31,8 @@ def spectral_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, ma
     from simulator.optics.psf import depth_images, stack_size
 
     crop = judged_crop(mask, CROP_M)
-    nearest = replace(psf_config, depths_m=psf_config.depths_m[:1])
+    # The quadrature does not know the depth model, so the fast one stands for all.
+    nearest = replace(psf_config, depths_m=psf_config.depths_m[:1], model="scaled_distance")
     lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel)
     size = stack_size(crop, camera, nearest)
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from simulator.arrays import Array, is_torch, namespace, number
 from simulator.optics.even_filter import blocks, in_threads
 from simulator.optics.exact_plan import plan
-from simulator.optics.exact_wave import Wave, waves
+from simulator.optics.exact_wave import LEAST, Wave, waves
 from simulator.optics.illumination import Source
 from simulator.optics.layers import gap_strata, reduced_m
 from simulator.optics.mask import Mask
@@ -64,7 +64,7 @@ def exact_images(
             def narrow(part: slice, wave: Wave = wave, tall: np.ndarray = tall, bins: Callable = bin_columns) -> None:
                 tall[part] = bins(wave.intensity(part), -1)
 
-            in_threads(narrow, blocks(tall, grid.samples, grid.samples), threads)
+            in_threads(narrow, blocks(tall, grid.samples, grid.samples, LEAST), threads)
             binned = bin_rows(tall, -2)
         yield xp.flip(binned / float(camera.pixel_pitch_m**2))
 

@@ -16,6 +16,9 @@ from simulator.optics.mask import Mask
 from simulator.optics.propagation import MAX_SINE
 from simulator.types import CameraGeometry
 
+# As kernel.ORDERS. Here each order costs a finer grid: 1.5 would take half as long again, for 1 % more of a PhlatCam's light.
+ORDERS = 1.2
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -56,10 +59,10 @@ def plan(mask: Mask, camera: CameraGeometry, oversampling: int, source: Source) 
 
 
 def mask_band(mask: Mask, wavelength_m: float, distance_m: float, oversampling: int) -> Band:
-    """Return what is followed of a mask: the same light as with the pixel kernel, at any oversampling."""
+    """Return what is followed of a mask: so many diffraction orders of a staircase, a smooth mask's own band."""
     steepest = MAX_SINE / wavelength_m
     if mask.profile == "staircase":
-        reach_m = kernel_reach_m(mask.pitch_m, wavelength_m, distance_m, oversampling)
+        reach_m = kernel_reach_m(mask.pitch_m, wavelength_m, distance_m, ORDERS * oversampling)
         end = reach_m / math.hypot(reach_m, distance_m) / wavelength_m
         return Band(TAPER * end, end, mask.pitch_m)
     nyquist = 1 / (2 * mask.pitch_m)

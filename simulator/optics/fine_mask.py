@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from simulator.arrays import Array, complex_dtype, fft, ifft, is_torch, like, namespace, next_fast_len
 from simulator.optics.even_filter import blocks, in_threads
 
-TAPER = 0.85  # a staircase's band fades out from here: a sharp end would ring across the whole grid
+TAPER = 0.95  # a staircase's band fades out from here: a sharp end would ring across the whole grid
 _TAIL = 12.0  # in units of one over the taper's width: what is left of the ringing is below 1e-5
 
 
@@ -131,30 +132,34 @@ class _Continuation:
     """The continuation along one axis: FFT, spectrum repeated under the band's weights, inverse FFT, window."""
 
     def __init__(self, length: int, grid: FineGrid, band: Band, axis: int) -> None:
+        self._samples, self._period, self._window = grid.samples, grid.mask_samples, grid.window[axis]
         period_m = grid.samples * grid.pitch_m
         last = min(math.floor(band.end * period_m * (1 + 1e-12)), grid.samples // 2 - 1)
+        first = -min(last + 1, grid.samples // 2)
         # From the mask's first sample to the grid's centre; both centres coincide.
         shift = (length - 1) / 2 / grid.mask_samples - 0.5
-        orders = np.arange(last + 1), np.arange(-min(last + 1, grid.samples // 2), 0)
-        self._weights = [
-            band.weights(order / period_m) * np.exp(2j * np.pi * order * shift) * (grid.samples / grid.mask_samples)
-            for order in orders
-        ]
-        self._index, self._length = [order % grid.mask_samples for order in orders], grid.mask_samples
-        self._dark = grid.samples - sum(map(len, orders))
-        self._window = grid.window[axis]
+        order = np.arange(first, last + 1)
+        weights = band.weights(order / period_m) * np.exp(2j * np.pi * order * shift)
+        weights *= grid.samples / grid.mask_samples
+        # Whole periods of the mask's spectrum, cut at order zero too: there the FFT's order wraps.
+        edges = [*range(first // self._period * self._period + self._period, last + 1, self._period)]
+        edges = [first, *(edge for edge in edges if first < edge), last + 1]
+        self._parts = [(start, stop, weights[start - first : stop - first]) for start, stop in pairwise(edges)]
         self.length = 2 * grid.half[axis] + 1
 
     def __call__(self, array: Array, axis: int) -> Array:
         xp = namespace(array)
-        spectrum = fft(array, self._length, axis)
-        rows = axis == -2
-        # Only the band's own bins hold light; both its halves begin and end in the middle of a period.
-        parts = [xp.take(spectrum, like(index, array, xp.int64), axis=axis) for index in self._index]
-        weights = [like(weights[:, None] if rows else weights, array) for weights in self._weights]
-        gap = list(spectrum.shape)
-        gap[axis] = self._dark
-        dark = xp.zeros(gap, dtype=spectrum.dtype, device=spectrum.device)
-        spectrum = xp.concat([parts[0] * weights[0], dark, parts[1] * weights[1]], axis=axis)
-        field = ifft(spectrum, axis, overwrite=True)
+        narrow = fft(array, self._period, axis)
+        shape = list(array.shape)
+        shape[axis] = self._samples
+        wide = xp.zeros(shape, dtype=narrow.dtype, device=narrow.device)
+        for start, stop, weights in self._parts:
+            source = slice(start % self._period, start % self._period + stop - start)
+            target = slice(start % self._samples, start % self._samples + stop - start)
+            weights = like(weights, narrow)
+            if axis == -1:
+                wide[..., target] = narrow[..., source] * weights
+            else:
+                wide[..., target, :] = narrow[..., source, :] * weights[:, None]
+        field = ifft(wide, axis, overwrite=True)
         return field[..., self._window] if axis == -1 else field[..., self._window, :]

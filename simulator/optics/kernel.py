@@ -31,12 +31,9 @@ STEEPEST = 0.75  # 49 degrees: what leaves a mask pixel more steeply is spread o
 FRESNEL_LENGTHS = 16
 
 
-def kernel_reach_m(pixel_m: float, wavelength_m: float, distance_m: float, oversampling: int = 1) -> float:
-    """Return how far sideways (metres) light of the diffraction orders that are followed travels.
-
-    Oversampling follows as many times more orders, so that a comparison between two of them sees what was left out.
-    """
-    sine = min(ORDERS * oversampling * wavelength_m / pixel_m, STEEPEST)
+def kernel_reach_m(pixel_m: float, wavelength_m: float, distance_m: float, orders: float = ORDERS) -> float:
+    """Return how far sideways (metres) light of so many diffraction orders of a pixel travels."""
+    sine = min(orders * wavelength_m / pixel_m, STEEPEST)
     return max(distance_m * sine / math.sqrt(1 - sine**2), FRESNEL_LENGTHS * math.sqrt(wavelength_m * distance_m))
 
 

@@ -36,14 +36,18 @@ def sampling_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
     """Measure the relative L2 error of the pixel-integrated PSF that the grid causes.
 
     Returns:
-        ``error`` (the largest), and per depth (nearest and farthest), at the shortest wavelength, where phases are steepest,
+        ``error`` (the largest), and per depth (nearest and farthest; the farthest for ``exact``), at the shortest wavelength, where phases are steepest,
         the relative L2 difference between oversampling s and 2 s; ``error_bar``, which contains the distance from any finer
         sampling; JSON-serialisable.
     """
     from simulator.optics.psf import depth_images, stack_size
 
     crop = judged_crop(mask, CROP_M)
-    depths = tuple(dict.fromkeys((psf_config.depths_m[0], psf_config.depths_m[-1])))
+    # Between its grid's own samples ``exact`` leaves out light alone, at all depths alike: one of them tells.
+    ends = (
+        psf_config.depths_m[-1:] if psf_config.model == "exact" else (psf_config.depths_m[0], psf_config.depths_m[-1])
+    )
+    depths = tuple(dict.fromkeys(ends))
     coarse = replace(psf_config, depths_m=depths)
     fine = replace(coarse, oversampling=2 * psf_config.oversampling)
     wavelength = min(line.wavelength_m for line in quantile_lines(camera.response, psf_config.wavelengths_per_channel))

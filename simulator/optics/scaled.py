@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from simulator.arrays import Array, bytes_per_sample, fft2, ifft, is_torch, namespace, next_fast_len, number, pad2d
 from simulator.optics.even_filter import Quadrant, blocks, each_rows
 from simulator.optics.illumination import Source
-from simulator.optics.kernel import PixelKernel, kernel_reach_m
+from simulator.optics.kernel import ORDERS, PixelKernel, kernel_reach_m
 from simulator.optics.layers import Strata, gap_strata, reduced_m, scaled
 from simulator.optics.mask import Mask
 from simulator.optics.memory import require_memory
@@ -170,7 +170,7 @@ def _reach(mask: Mask, gap: Strata, wavelength_m: float, oversampling: int) -> t
     """
     d = number(reduced_m(gap))
     if mask.profile == "staircase":
-        return kernel_reach_m(mask.pitch_m, wavelength_m, d, oversampling), False
+        return kernel_reach_m(mask.pitch_m, wavelength_m, d, ORDERS * oversampling), False
     spread_m = spread_samples(mask.pitch_m, wavelength_m, d) * mask.pitch_m
     limited = oversampling > 1 or holds_steep_waves(mask.pitch_m, wavelength_m)
     return spread_m + (band_edge_m(wavelength_m, d) if limited else 0), limited

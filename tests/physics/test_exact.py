@@ -7,9 +7,10 @@ import pytest
 
 from simulator.errors import InputError
 from simulator.optics.exact import exact_images
+from simulator.optics.exact_plan import ORDERS
 from simulator.optics.exact_wave import Wave, waves
+from simulator.optics.fine_mask import TAPER
 from simulator.optics.illumination import Source
-from simulator.optics.kernel import ORDERS
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA
 from simulator.optics.psf import PsfConfig, compute_psf_stack, depth_images, sampled_intensity
@@ -153,14 +154,14 @@ def test_a_staircase_equals_its_direct_sum():
 
 @pytest.mark.parametrize(("oversampling", "pixel_m"), [(1, 2e-6), (2, 3e-6)])
 def test_the_light_of_a_staircase_is_that_of_the_orders_that_are_followed(oversampling, pixel_m):
-    """Its spectrum is that of its samples, repeated under the sinc of a pixel; the band's soft edge lies within 15 %."""
+    """Its spectrum is that of its samples, repeated under the sinc of a pixel; the band's soft edge lies within 5 %."""
     mask, camera = replace(staircase(), pitch_m=pixel_m), CameraGeometry(1e-3, 8e-6, GREEN)
     (image,) = exact_images(mask, camera, [Source(532e-9, np.inf)], 301, oversampling=oversampling)
     samples = 4 * mask.shape[0]
     power = np.abs(np.fft.fft2(mask.transmission(532e-9), (samples, samples))) ** 2
     orders = np.arange(-4 * samples, 4 * samples)
     shares = []
-    for end in (0.85 * ORDERS * oversampling, ORDERS * oversampling):
+    for end in (TAPER * ORDERS * oversampling, ORDERS * oversampling):
         axis = np.zeros(samples)
         kept = np.abs(orders / samples) <= end
         np.add.at(axis, orders[kept] % samples, np.sinc(orders[kept] / samples) ** 2)

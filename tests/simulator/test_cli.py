@@ -12,7 +12,18 @@ class TestStart:
         tell = f"atexit.register(lambda: print([name for name in {heavy} if name in sys.modules]))"
         done = command("--help", before=f"import atexit, sys\n{tell}")
         assert done.returncode == 0
-        for name in ("init", "generate", "psf", "compare", "masks", "export-mask", "scenes", "verify", "schema", "doctor"):
+        for name in (
+            "init",
+            "generate",
+            "psf",
+            "compare",
+            "masks",
+            "export-mask",
+            "scenes",
+            "verify",
+            "schema",
+            "doctor",
+        ):
             assert f" {name} " in done.stdout
         assert done.stdout.splitlines()[-1] == "[]"
 
