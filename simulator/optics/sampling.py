@@ -36,9 +36,9 @@ def sampling_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
     """Measure the relative L2 error of the pixel-integrated PSF that the grid causes.
 
     Returns:
-        ``error`` (the largest), and per depth (nearest and farthest; the farthest for ``exact``), at the shortest wavelength, where phases are steepest,
-        the relative L2 difference between oversampling s and 2 s; ``error_bar``, which contains the distance from any finer
-        sampling; JSON-serialisable.
+        ``error`` (the largest) and ``table``: the relative L2 difference between oversampling s and 2 s per depth (nearest
+        and farthest; the farthest for ``exact``), at the shortest wavelength, where phases are steepest; ``error_bar``, which
+        contains the distance from any finer sampling; JSON-serialisable.
     """
     from simulator.optics.psf import depth_images, stack_size
 
