@@ -167,7 +167,7 @@ def test_the_light_of_a_staircase_is_that_of_the_orders_that_are_followed(oversa
         np.add.at(axis, orders[kept] % samples, np.sinc(orders[kept] / samples) ** 2)
         shares.append(axis @ power @ axis / samples**2 / mask.shape[0] ** 2)
     found = image.sum() * 64e-12 / mask.transmitted_area_m2
-    assert shares[0] - 2e-3 < found < shares[1] + 1e-9  # the corner of two steep orders may miss the grid
+    assert shares[0] - 5e-3 < found < shares[1] + 1e-9  # light steep along both axes is cut where the grid ends
     assert shares[1] < 1
 
 
