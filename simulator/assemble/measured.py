@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from simulator.assemble.camera import build_sensor, distance_m
+from simulator.assemble.layers import build_gap
 from simulator.assemble.planes import plane_depths_m
 from simulator.config.psf import MeasuredPsf, StoredPsf
 from simulator.dataset.psf_files import read_depths_m, read_psf_stack, stack_files, stack_folder
 from simulator.errors import InputError
+from simulator.optics.materials import AIR
 from simulator.optics.psf_stack import PsfStack
 
 if TYPE_CHECKING:
     from simulator.config import Config
+
+_SAME_LENGTH = 1e-6  # relative: a length written in mm or um and in metres differs by rounding
+
+Layers = list[tuple[float, str]]
+"""(thickness in metres, name of the material), from the mask on."""
 
 
 def measured_stack(config: Config, chosen: MeasuredPsf | StoredPsf) -> PsfStack:
@@ -77,13 +85,53 @@ def _from_pictures(config: Config, chosen: MeasuredPsf) -> PsfStack:
 
 def _from_folder(config: Config, chosen: StoredPsf) -> PsfStack:
     stack, pitch_m = read_psf_stack(_folder(config, chosen)), build_sensor(config).binned_pitch_m
-    if abs(stack.pixel_pitch_m / pitch_m - 1) > 1e-6:  # a pitch written in um and in metres differs by rounding
+    if not math.isclose(stack.pixel_pitch_m, pitch_m, rel_tol=_SAME_LENGTH):
         msg = (
             f"psf.measured: the stack in {chosen.measured} has pixels of {stack.pixel_pitch_m * 1e6:g} um, the sensor's "
             f"binned ones are {pitch_m * 1e6:g} um; set camera.sensor.binning and pixel_pitch_um as when it was made"
         )
         raise InputError(msg)
+    _refuse_other_geometry(config, chosen, stack)
     return stack
+
+
+def _refuse_other_geometry(config: Config, chosen: StoredPsf, stack: PsfStack) -> None:
+    """Refuse a stack that was made behind another gap; a stack of pictures does not say what its gap was.
+
+    Raises:
+        InputError: naming both distances, or both gaps.
+    """
+    recorded_m = stack.provenance.get("mask_to_sensor_m")
+    if recorded_m is None:
+        return
+    configured_m = distance_m(config)
+    if not math.isclose(recorded_m, configured_m, rel_tol=_SAME_LENGTH):
+        made, asked = (f"{metres * 1e3:.7g} mm" for metres in (recorded_m, configured_m))
+        msg = (
+            f"psf.measured: the stack in {chosen.measured} was made with {made} of air, or as much as that, from mask to "
+            f"sensor, the camera has {asked}; set camera.mask_to_sensor_mm, or gap and substrate, as when it was made"
+        )
+        raise InputError(msg)
+    gap = [(layer.thickness_m, layer.material.name) for layer in build_gap(config)]
+    made_gap = [(layer["thickness_m"], layer["material"]) for layer in stack.provenance.get("gap", ())]
+    if gap and not _same_layers(gap, made_gap or [(recorded_m, AIR.name)]):
+        made, asked = (_shown(layers) for layers in (made_gap, gap))
+        msg = (
+            f"psf.measured: the stack in {chosen.measured} was made behind a gap of {made}, the camera's is {asked}; set "
+            "camera.gap and substrate as when it was made"
+        )
+        raise InputError(msg)
+
+
+def _same_layers(some: Layers, others: Layers) -> bool:
+    return len(some) == len(others) and all(
+        name == other_name and math.isclose(thickness_m, other_m, rel_tol=_SAME_LENGTH)
+        for (thickness_m, name), (other_m, other_name) in zip(some, others, strict=True)
+    )
+
+
+def _shown(layers: Layers) -> str:
+    return " + ".join(f"{thickness_m * 1e3:.7g} mm {name}" for thickness_m, name in layers) or "air"
 
 
 def _folder(config: Config, chosen: StoredPsf) -> Path:

@@ -83,3 +83,35 @@ def test_mistakes_are_named(trial, stored) -> None:
     camera = NO_MASK | {"sensor": {"binning": 4, "shape": [48, 60]}}
     with pytest.raises(InputError, match=r"pixels of 19\.2 um, the sensor's binned ones are 9\.6 um"):
         build_psf_stack(load_config(trial.write(camera=camera, psf={"measured": "stack"})))
+
+
+@pytest.mark.parametrize(
+    ("made", "now", "words"),
+    [
+        (
+            {"mask_to_sensor_mm": 1.9},
+            {"mask_to_sensor_mm": 2.1},
+            r"with 1\.9 mm of air.*the camera has 2\.1 mm; set camera",
+        ),
+        (
+            {"mask_to_sensor_mm": None, "gap": [{"mm": 3, "n": 1.5}]},
+            {"mask_to_sensor_mm": 1.9},
+            r"with 2 mm of air.*the camera has 1\.9 mm",
+        ),
+        (
+            {"mask_to_sensor_mm": None, "gap": [{"mm": 3, "n": 1.5}]},
+            {"mask_to_sensor_mm": None, "gap": [{"mm": 1, "n": "air"}, {"mm": 1.5, "n": 1.5}]},
+            r"behind a gap of 3 mm n = 1\.5, the camera's is 1 mm air \+ 1\.5 mm n = 1\.5; set camera\.gap",
+        ),
+        ({"mask_to_sensor_mm": 1.9}, {"mask_to_sensor_mm": None, "gap": [{"mm": 1.9, "n": "air"}]}, None),
+        ({"mask_to_sensor_mm": None, "gap": [{"mm": 3, "n": 1.5}]}, {"mask_to_sensor_mm": 2}, None),
+    ],
+)
+def test_a_stack_of_another_gap_is_refused(trial, made, now, words) -> None:
+    write_psf_stack(trial.folder / "stack", build_psf_stack(load_config(trial.write(camera=made))))
+    config = load_config(trial.write(camera=NO_MASK | now, psf={"measured": "stack"}))
+    if words is None:
+        assert build_psf_stack(config).provenance["kind"] == "computed"
+    else:
+        with pytest.raises(InputError, match=words):
+            build_psf_stack(config)
