@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simulator.assemble.camera import build_sensor
+from simulator.assemble.camera import build_sensor, distance_m
 from simulator.assemble.masks import build_mask, optics_code
 from simulator.assemble.psfs import build_geometry, build_psf_config
 from simulator.camera import calibration, noise
@@ -22,10 +22,10 @@ from simulator.config.captured import AsCaptured
 from simulator.config.psf import ComputedPsf
 from simulator.errors import InputError
 from simulator.optics.cache import Entry, cached
-from simulator.optics.captured import CalibrationSource, captured_light
+from simulator.optics.captured import CalibrationSource, SourcePlaces, captured_light
 from simulator.optics.psf import Progress
 from simulator.optics.psf_stack import PsfStack
-from simulator.optics.spectrum import quantile_lines
+from simulator.optics.spectrum import Line, check_materials, quantile_lines
 from simulator.seeds import generator
 from simulator.types import CameraGeometry
 
@@ -51,12 +51,10 @@ def build_captured_stack(
         InputError: when the PSF was measured already, a channel sees nothing of the calibration's light, or an error puts a
             source behind the mask.
     """
-    if not isinstance(config.psf, ComputedPsf):
-        msg = "psf.as_captured: this PSF was measured, and its errors are in it; a calibration is simulated from a mask"
-        raise InputError(msg)
-    chosen = config.psf.as_captured or AsCaptured()
+    chosen, psf_config = _chosen(config), build_psf_config(config)
     source, recording = _source(chosen), _recording(chosen)
-    camera = _lit(config, chosen)
+    camera, lines = _lit(config, chosen)
+    places = _places(config, chosen)
     sensor = replace(build_sensor(config), noise=PhysicalNoise() if chosen.noise == "physical" else NoNoise())
     settings = {**asdict(source), **asdict(recording), "noise": chosen.noise, "seed": config.seed}
     response = camera.response
@@ -64,15 +62,9 @@ def build_captured_stack(
     identity += response.wavelengths_m.tobytes() + response.weights.tobytes()
     fingerprint = hashlib.sha256(identity).hexdigest()
 
-    psf_config = build_psf_config(config)
-    lines = quantile_lines(response, psf_config.wavelengths_per_channel)
-
     def compute() -> Entry:
         mask = build_mask(config)
         assert mask is not None
-        places = source.place(
-            psf_config.depths_m, camera.mask_to_sensor_m, generator(config.seed, "pilot", 0, "calibration")
-        )
         size = nominal.values.shape[-1]  # the calibration's light alone might ask for another
         light = captured_light(mask, camera, psf_config, places, size, threads=threads, progress=progress)
         photons = response.weights.sum(axis=1)
@@ -108,6 +100,24 @@ def build_captured_stack(
     )
 
 
+def check_calibration(config: Config) -> None:
+    """Refuse a calibration that cannot be simulated, before anything is computed.
+
+    Raises:
+        InputError: as :func:`build_captured_stack`, naming the key.
+    """
+    chosen = _chosen(config)
+    _lit(config, chosen)
+    _places(config, chosen)
+
+
+def _chosen(config: Config) -> AsCaptured:
+    if not isinstance(config.psf, ComputedPsf):
+        msg = "psf.as_captured: this PSF was measured, and its errors are in it; a calibration is simulated from a mask"
+        raise InputError(msg)
+    return config.psf.as_captured or AsCaptured()
+
+
 def _source(chosen: AsCaptured) -> CalibrationSource:
     return CalibrationSource(
         chosen.source_um * 1e-6,
@@ -128,12 +138,32 @@ def _recording(chosen: AsCaptured) -> Recording:
     )
 
 
-def _lit(config: Config, chosen: AsCaptured) -> CameraGeometry:
-    """Return the camera with its channels' response to the calibration's light."""
+def _places(config: Config, chosen: AsCaptured) -> SourcePlaces:
+    """Return where the sources truly are; the configuration's seed decides."""
+    rng = generator(config.seed, "pilot", 0, "calibration")
+    try:
+        return _source(chosen).place(build_psf_config(config).depths_m, distance_m(config), rng)
+    except InputError as error:
+        _, _, reason = str(error).partition(": ")  # behind the names of the source's attributes
+        msg = f"psf.as_captured.depth_offset_mm, depth_std_mm: {reason}"
+        raise InputError(msg) from error
+
+
+def _lit(config: Config, chosen: AsCaptured) -> tuple[CameraGeometry, list[Line]]:
+    """Return the camera with its channels' response to the calibration's light, and the wavelengths that stand for it."""
+    per_channel = build_psf_config(config).wavelengths_per_channel
+    own = build_geometry(config)
     if chosen.illuminant == "camera":
-        return build_geometry(config)
+        return own, quantile_lines(own.response, per_channel)
     camera = config.camera.model_copy(update={"illuminant": chosen.illuminant})
-    return build_geometry(config.model_copy(update={"camera": camera}))
+    try:
+        lit = build_geometry(config.model_copy(update={"camera": camera}))
+        lines = quantile_lines(lit.response, per_channel)
+        check_materials(lit.response, lines, [layer.material for layer in (*lit.gap, *lit.window)])
+    except InputError as error:
+        msg = f"psf.as_captured.illuminant: {str(error).removeprefix('illuminant: ')}"
+        raise InputError(msg) from error
+    return lit, lines
 
 
 @cache

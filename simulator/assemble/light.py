@@ -72,7 +72,9 @@ def _fitted(config: Config) -> CameraColour:
 
 def light_files(config: Config) -> list[Path]:
     """Return the files of the camera's curves and of the light's spectrum."""
-    names = [name for name in (_camera(config), config.camera.illuminant) if isinstance(name, str)]
+    captured = getattr(config.psf, "as_captured", None)
+    calibration = None if captured is None else captured.illuminant
+    names = [name for name in (_camera(config), config.camera.illuminant, calibration) if isinstance(name, str)]
     return [file for name in names if (file := curve_file(name, config.base_dir)) is not None]
 
 

@@ -26,7 +26,7 @@ def psf(
     ] = False,
 ) -> None:
     """Compute the PSF stack of a configuration and say how good it is."""
-    from simulator.assemble import build_mask, build_psf_stack, check_psf_stack, wants_full_check
+    from simulator.assemble import build_mask, build_psf_stack, check_calibration, check_psf_stack, wants_full_check
     from simulator.commands.captured import captured_folder, show_captured
     from simulator.config import load_config
     from simulator.console import Bar, describe_stack
@@ -41,6 +41,8 @@ def psf(
         check_replaceable(output)
         if as_captured:
             captured_folder(output)
+    if as_captured:
+        check_calibration(loaded)
     with Bar() as bar:
         stack = build_psf_stack(loaded, threads=available_cpus(), progress=lambda a, b: bar.update("PSFs", a, b))
         if check or wants_full_check(loaded):

@@ -54,6 +54,9 @@ def curve_problems(config: Config) -> list[Problem]:
         ("camera", "sensor", "spectral_response"): config.camera.sensor.spectral_response,
         ("camera", "illuminant"): config.camera.illuminant,
     }
+    captured = getattr(config.psf, "as_captured", None)
+    if captured is not None:
+        named["psf", "as_captured", "illuminant"] = captured.illuminant
     return [
         problem for path, name in named.items() if isinstance(name, str) and (problem := _problem(path, name, config))
     ]

@@ -7,7 +7,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from simulator.assemble import build_captured_stack, build_psf_stack, check_psf_stack, wants_full_check
+from simulator.assemble import (
+    build_camera_colour,
+    build_captured_stack,
+    build_psf_stack,
+    build_response,
+    check_calibration,
+    check_psf_stack,
+    wants_full_check,
+)
 from simulator.config import Config
 from simulator.config.psf import ComputedPsf
 from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER
@@ -33,9 +41,14 @@ def data_set_stack(
     """
     begun = (root / FILE).exists()
     folder, captured_folder = root / PSF_FOLDER, root / CAPTURED_FOLDER
+    asked = isinstance(config.psf, ComputedPsf) and config.psf.as_captured is not None
     if begun and folder.exists():
         stack = read_psf_stack(folder)
     else:
+        if isinstance(config.psf, ComputedPsf):  # mistakes come out before the work that they would spoil
+            build_camera_colour(config, build_response(config).channels)
+        if asked:
+            check_calibration(config)
         say("designing the mask and computing its PSFs" if config.camera.mask else "reading the measured PSF")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SamplingWarning)  # the job tells it on every run
@@ -48,8 +61,9 @@ def data_set_stack(
         lost = light_off_sensor(stack, config.camera.sensor.shape, config.scene.size)
         stack = replace(stack, provenance=stack.provenance | {"light_off_sensor": float(lost.max())})
         write_psf_stack(folder, stack)
-    asked = isinstance(config.psf, ComputedPsf) and config.psf.as_captured is not None
-    if asked and not (begun and captured_folder.exists()):
+    if asked and begun and captured_folder.exists():
+        read_psf_stack(captured_folder)  # a damaged one is refused, like the true one
+    elif asked:
         say("measuring the PSFs as a calibration would")
         captured = build_captured_stack(
             config,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulator.assemble import build_captured_stack, build_psf_stack
+from simulator.assemble import build_captured_stack, build_psf_stack, build_source, check_calibration, input_files
 from simulator.config import load_config
 from simulator.errors import InputError
 from simulator.optics.psf_stack import PsfStack
@@ -113,3 +113,32 @@ def test_a_measured_psf_is_refused(trial, capture) -> None:
     config = load_config(trial.write(camera={"mask": None}, psf={"measured": "stack"}))
     with pytest.raises(InputError, match="this PSF was measured, and its errors are in it"):
         build_captured_stack(config, nominal)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"illuminant": "Bengal"}, r"^psf\.as_captured\.illuminant: got 'Bengal', expected one of A"),
+        (
+            {"illuminant": {"led_nm": 1500, "fwhm_nm": 20}},
+            r"^psf\.as_captured\.illuminant: .*no wavelength in common",
+        ),
+        (
+            {"depth_offset_mm": -50},
+            r"^psf\.as_captured\.depth_offset_mm, depth_std_mm: the source of 0\.036 m .* behind the mask",
+        ),
+    ],
+)
+def test_a_calibration_that_cannot_be_is_told_beforehand(trial, settings, words) -> None:
+    config = load_config(trial.write(psf=PSF | {"as_captured": settings}))
+    with pytest.raises(InputError, match=words):
+        check_calibration(config)
+
+
+def test_only_a_file_of_the_calibrations_light_is_an_input(trial) -> None:
+    (trial.folder / "lamp.csv").write_text("400,1\n700,2\n")
+    (trial.folder / "camera").write_text("400,1\n700,2\n")
+    for light, found in (("lamp.csv", 1), ("camera", 0)):
+        config = load_config(trial.write(psf=PSF | {"as_captured": {"illuminant": light}}))
+        names = [path.name for path in input_files(config, build_source(config, "none"))]
+        assert names.count(light) == found

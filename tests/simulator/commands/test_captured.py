@@ -26,6 +26,13 @@ def test_true_and_captured_side_by_side(flatlight, trial, tmp_path: Path) -> Non
         assert min(drawn.size) > 1000
 
 
+def test_a_measured_psf_is_refused_before_anything_is_said(one_error, flatlight, trial, tmp_path: Path) -> None:
+    assert flatlight("psf", trial.write(), "--output", trial.folder / "stack")[0] == 0
+    result = flatlight("psf", trial.write(camera={"mask": None}, psf={"measured": "stack"}), "--as-captured")
+    one_error(result, "this PSF was measured, and its errors are in it")
+    assert result[1] == ""
+
+
 def test_only_when_asked_for(flatlight, trial, tmp_path: Path) -> None:
     code, out, _ = flatlight("psf", trial.write(), "--output", tmp_path / "stack")
     assert code == 0

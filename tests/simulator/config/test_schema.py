@@ -89,6 +89,12 @@ REFUSED = [
     (NOISE, "illuminant: ^''", "", ["camera.illuminant: got ''"]),
     (NOISE, "illuminant: ^lamp.csv", "", ["camera.illuminant: cannot read", "lamp.csv: No such file"]),
     (
+        "depths: 5",
+        "depths: 5\n  as_captured: {illuminant: ^lamp.csv}",
+        "",
+        ["psf.as_captured.illuminant: cannot read", "lamp.csv: No such file"],
+    ),
+    (
         "binning: 4",
         "spectral_response: ^x.json",
         "",

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from psf_library import load_psf_stack
-from simulator.dataset import open_dataset, verify
+from simulator.dataset import generate, open_dataset, verify
 from simulator.dataset.psf_files import stack_folder
+from simulator.errors import InputError
 
 PSF = {"depths_cm": [3.6, 20], "wavelengths_per_channel": 1, "accept_error": 1}
 
@@ -36,6 +37,43 @@ def test_a_run_that_goes_on_keeps_both_and_makes_one_that_was_deleted_again(fini
     shutil.rmtree(root / "psf_captured")
     trial.generate(psf=PSF | {"as_captured": {}})
     assert {path.name: path.read_bytes() for path in (root / "psf_captured").iterdir()} == before
+
+
+@pytest.mark.parametrize("folder", ["psf", "psf_captured"])
+@pytest.mark.parametrize("file", ["psf.json", "depth_0000.exr"])
+def test_a_run_does_not_go_on_beside_a_damaged_stack(make_trial, tmp_path, folder, file) -> None:
+    psf = {"depths_cm": [20], "wavelengths_per_channel": 1, "accept_error": 1, "as_captured": {}}
+    trial = make_trial(tmp_path)
+    root = trial.generate(psf=psf)
+    with (root / folder / file).open("ab") as opened:
+        opened.write(b"x")
+    with pytest.raises(InputError, match=rf"{folder}/{file} is .*damaged"):
+        trial.generate(psf=psf)
+
+
+def test_another_light_of_the_calibration_is_another_data_set(trial) -> None:
+    lamp = trial.folder / "lamp.csv"
+    lamp.write_text("400,1\n700,2\n")
+    psf = PSF | {"as_captured": {"illuminant": "lamp.csv"}}
+    root = trial.generate(psf=psf)
+    assert trial.generate(psf=psf) == root
+    lamp.write_text("400,2\n700,1\n")
+    with pytest.raises(InputError, match=r"another configuration;(?s:.*)inputs\.lamp\.csv: \w{12} -> \w{12}"):
+        trial.generate(psf=psf)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"psf": PSF | {"as_captured": {"illuminant": "Bengal"}}}, r"psf\.as_captured\.illuminant: got 'Bengal'"),
+        ({"camera": {"scene_to_camera": [[1, 0, 0]]}}, r"scene_to_camera: the matrix has 1 rows"),
+    ],
+)
+def test_mistakes_come_out_before_the_psfs_are_computed(trial, changes, words) -> None:
+    seen = []
+    with pytest.raises(InputError, match=words):
+        generate(trial.write(**changes), progress=lambda *update: seen.append(update))
+    assert seen == []
 
 
 def test_without_the_key_there_is_none(trial) -> None:
