@@ -9,6 +9,7 @@ from simulator.camera.noise import GaussianNoise, Noise, NoNoise, PhysicalNoise
 from simulator.camera.sensor import MODELS, Sensor
 from simulator.config import camera as camera_config
 from simulator.errors import InputError
+from simulator.optics.layers import air_equivalent_m
 
 if TYPE_CHECKING:
     from simulator.config import Config
@@ -56,7 +57,7 @@ def distance_m(config: Config) -> float:
     if not gap:
         assert config.camera.mask_to_sensor_mm is not None
         return config.camera.mask_to_sensor_mm * 1e-3
-    return sum(layer.thickness_m / layer.material.index(EQUIVALENT_WAVELENGTH_M) for layer in gap)
+    return air_equivalent_m(gap, EQUIVALENT_WAVELENGTH_M)
 
 
 def _noise(chosen: Any) -> Noise:

@@ -14,6 +14,7 @@ from simulator.config.psf import ComputedPsf
 from simulator.errors import InputError
 from simulator.optics.cache import Entry, cached
 from simulator.optics.check import full_errors
+from simulator.optics.drjit_process import llvm_works
 from simulator.optics.psf_stack import PsfStack
 
 if TYPE_CHECKING:
@@ -54,6 +55,6 @@ def check_psf_stack(
     def compute() -> Entry:
         return {}, full_errors(mask, geometry, psf_config, corner, threads=threads, progress=told)
 
-    key = hashlib.sha256(repr((stack.fingerprint, corner, optics_code())).encode()).hexdigest()
+    key = hashlib.sha256(repr((stack.fingerprint, corner, llvm_works(), optics_code())).encode()).hexdigest()
     _, errors = cached("check", key, compute)
     return replace(stack, provenance=stack.provenance | {"errors": errors})

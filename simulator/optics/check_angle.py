@@ -31,7 +31,7 @@ def field_angle_error(
 ) -> dict[str, Any]:
     """Measure the relative L2 difference of the model's PSF on the axis from the exact one off it, on pixels.
 
-    Both are centred where the ray through the mask's centre arrives, which is how a convolution places them.
+    Both are placed as a convolution places them; behind glass, where rays land elsewhere, that displacement is part of it.
 
     Args:
         mask: the mask.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from simulator.arrays import Array, is_torch, namespace, number
 from simulator.optics.even_filter import blocks, in_threads
-from simulator.optics.exact_plan import plan
+from simulator.optics.exact_plan import offset_m, plan
 from simulator.optics.exact_wave import LEAST, Wave, waves
 from simulator.optics.illumination import Source
 from simulator.optics.layers import gap_strata, reduced_m
@@ -38,8 +38,9 @@ def exact_images(
 ) -> Iterator[Array]:
     """Yield the PSF ``(size, size)`` of each source (one wavelength), in the stored frame (turned by 180 degrees).
 
-    Each is the irradiance on the sensor's pixels per unit |U|^2 of the incident wave at the mask's centre, centred where
-    the ray through that centre arrives.
+    Each is the irradiance on the sensor's pixels per unit |U|^2 of the incident wave at the mask's centre. Its middle is the
+    sensor's point (-x d, -y d) for a source in the direction (x, y) and the camera's distance d in air, where a convolution
+    puts it: without layers that is where the ray through the mask's centre arrives.
 
     Args:
         mask: the mask; its arrays decide precision and kind.
@@ -50,11 +51,15 @@ def exact_images(
         threads: NumPy only; they share one grid.
     """
     centres = (np.arange(size) - size // 2) * camera.pixel_pitch_m
-    for wave in waves(mask, camera, sources, oversampling=oversampling, threads=threads):
-        grid = wave.grid
-        pixels = box_integral(grid.samples // 2, grid.pitch_m, centres, camera.pixel_pitch_m)
-        real = wave.real
-        bin_rows, bin_columns = pixels.prepared(real, grid.samples), pixels.prepared(real, grid.samples)
+    light = waves(mask, camera, sources, oversampling=oversampling, threads=threads)
+    for source, wave in zip(sources, light, strict=True):
+        grid, real = wave.grid, wave.real
+        bin_columns, bin_rows = (
+            box_integral(grid.samples // 2, grid.pitch_m, centres + offset, camera.pixel_pitch_m).prepared(
+                real, grid.samples
+            )
+            for offset in offset_m(camera, source)
+        )
         xp = namespace(real)
         if is_torch(real):
             binned = bin_rows(bin_columns(wave.intensity(slice(None)), -1), -2)

@@ -14,6 +14,8 @@ from simulator.optics.kernel import kernel_reach_m
 from simulator.optics.layers import Strata, gap_strata
 from simulator.optics.mask import Mask
 from simulator.optics.propagation import MAX_SINE
+from simulator.optics.steepness import followed_frequency
+from simulator.optics.transfer import band_edge_m
 from simulator.types import CameraGeometry
 
 # As kernel.ORDERS. Here each order costs a finer grid: 1.5 would take half as long again, for 1 % more of a PhlatCam's light.
@@ -55,21 +57,35 @@ def plan(mask: Mask, camera: CameraGeometry, oversampling: int, source: Source) 
     steepest = wavelength_m * (band.end + source.residual_band(half_width))
     # A smooth mask's corner frequencies carry light; a staircase's lie in the dark corners of two sincs.
     travel_m, limited = _travel(gap, source.carrier, steepest, corners=band.pixel_m == 0)
-    return Plan(source, gap, band, travel_m, limited or band.end > band.full)
+    if limited or band.end > band.full:
+        # The cut fades over this width inwards: it begins where the light that is followed ends.
+        edge_m = band_edge_m(wavelength_m, sum(number(t) for t, _ in gap))
+        return Plan(source, gap, band, travel_m + edge_m, True)
+    return Plan(source, gap, band, travel_m, False)
 
 
 def mask_band(mask: Mask, wavelength_m: float, distance_m: float, oversampling: int) -> Band:
     """Return what is followed of a mask: so many diffraction orders of a staircase, a smooth mask's own band."""
     steepest = MAX_SINE / wavelength_m
     if mask.profile == "staircase":
-        reach_m = kernel_reach_m(mask.pitch_m, wavelength_m, distance_m, ORDERS * oversampling)
+        reach_m = kernel_reach_m(mask.pitch_m, wavelength_m, distance_m, ORDERS, oversampling)
         end = reach_m / math.hypot(reach_m, distance_m) / wavelength_m
         return Band(TAPER * end, end, mask.pitch_m)
-    nyquist = 1 / (2 * mask.pitch_m)
-    if oversampling == 1 and nyquist <= steepest:
-        return Band(nyquist, nyquist, 0.0)
-    # A finer grid holds waves that only the aperture's hard edge feeds.
-    return Band(min(nyquist, TAPER * steepest), min(1.25 * nyquist, steepest), 0.0)
+    own = followed_frequency(mask, wavelength_m, oversampling)
+    if oversampling == 1 and own <= steepest:
+        return Band(own, own, 0.0)
+    finer = oversampling / (2 * mask.pitch_m)
+    return Band(min(own, TAPER * steepest), min(1.25 * own, steepest, finer), 0.0)
+
+
+def offset_m(camera: CameraGeometry, source: Source) -> tuple[float, float]:
+    """Return where (x, y; metres) a convolution puts a PSF's centre, seen from where the ray through the mask's centre lands.
+
+    A convolution knows one distance in air; behind glass, oblique rays land elsewhere.
+    """
+    placed = -np.array(source.direction) * number(camera.mask_to_sensor_m)
+    x, y = placed - _landing(gap_strata(camera, source.wavelength_m), np.array(source.carrier))
+    return float(x), float(y)
 
 
 def _travel(gap: Strata, carrier: tuple[float, float], steepest: float, *, corners: bool) -> tuple[float, bool]:

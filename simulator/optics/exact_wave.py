@@ -31,7 +31,7 @@ from simulator.optics.exact_plan import Plan, plan
 from simulator.optics.fine_mask import FineGrid, fine_transmission
 from simulator.optics.illumination import Source
 from simulator.optics.mask import Mask
-from simulator.optics.memory import require_memory
+from simulator.optics.memory import free_bytes, require_memory
 from simulator.optics.transfer import TiltedTransfer, Transfer
 from simulator.types import CameraGeometry
 
@@ -82,11 +82,15 @@ def waves(
     grids = [each.grid(mask, oversampling) for each in plans]
     largest = max(grid.samples for grid in grids)
     cure = "use a coarser or narrower mask, less oversampling, or model 'scaled_distance'"
-    # The wave, the mask's window on the grid, the transfer function's quadrant, the mask's own spectrum.
-    require_memory("model: exact", (largest, largest), 2.0, bytes_per_sample(mask.height_m), cure)
     on_torch = is_torch(mask.height_m)
+    # The wave, the mask's window on the grid, the transfer function's quadrant, the mask's own spectrum; torch works on
+    # whole arrays in float64 and keeps more of them for gradients.
+    held = 10.0 if on_torch else 2.0
+    require_memory(
+        "model: exact", (largest, largest), held, bytes_per_sample(mask.height_m), cure, free_bytes(mask.height_m)
+    )
     memory = None if on_torch else np.empty(largest**2, complex_dtype(mask.height_m))
-    for part in _shared([grid.samples for grid in grids]):
+    for part in _shared([grid.samples for grid in grids], [source.carrier for source in sources]):
         widest = max(range(part.start, part.stop), key=lambda k: grids[k].samples)
         several = part.stop - part.start > 1
         light = _Light(mask, plans[widest], grids[widest], oversampling, several, threads)
@@ -95,8 +99,8 @@ def waves(
         del light  # before the next one takes its memory
 
 
-def _shared(samples: Sequence[int]) -> list[slice]:
-    """Cut sources into runs that share a grid, the largest that one of them needs, at the least cost in total.
+def _shared(samples: Sequence[int], carriers: Sequence[tuple[float, float]]) -> list[slice]:
+    """Cut sources into runs of one carrier that share a grid, the largest that one of them needs, at the least cost.
 
     A wave costs its grid's area, the finely sampled mask ``FINE_MASK`` times that, once for each run.
     """
@@ -104,6 +108,8 @@ def _shared(samples: Sequence[int]) -> list[slice]:
     for stop in range(1, len(samples) + 1):
         options, largest = [], 0
         for start in range(stop - 1, -1, -1):
+            if carriers[start] != carriers[stop - 1]:  # behind a window the carrier depends on the depth
+                break
             largest = max(largest, samples[start])
             options.append((best[start][0] + largest**2 * (FINE_MASK + stop - start), start))
         best.append(min(options))

@@ -10,6 +10,7 @@ import numpy as np
 from simulator.arrays import Array, is_torch, namespace, to_numpy
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
+from simulator.optics.memory import require_memory
 
 # Gaussian rounding of std s meets a step of J turns with a slope of J / (s sqrt(2 pi)): with samples of at most s / 1.25 a
 # step of 1.5 turns stays below the half turn per sample that a smooth mask may have.
@@ -102,6 +103,9 @@ def _rounded(mask: Mask, rounding_m: float) -> Mask:
     from scipy.ndimage import gaussian_filter
 
     finer = max(1, math.ceil(_SAMPLES_PER_ROUNDING * mask.pitch_m / rounding_m))
+    shape = (mask.shape[0] * finer, mask.shape[1] * finer)
+    # Height, amplitude and the filter's own copies, float64.
+    require_memory("rounding_m", shape, 6, 8, "round more coarsely, or fabricate a crop of the mask")
     height, amplitude = (
         np.repeat(np.repeat(to_numpy(part), finer, axis=0), finer, axis=1) for part in (mask.height_m, mask.amplitude)
     )

@@ -31,10 +31,14 @@ STEEPEST = 0.75  # 49 degrees: what leaves a mask pixel more steeply is spread o
 FRESNEL_LENGTHS = 16
 
 
-def kernel_reach_m(pixel_m: float, wavelength_m: float, distance_m: float, orders: float = ORDERS) -> float:
-    """Return how far sideways (metres) light of so many diffraction orders of a pixel travels."""
-    sine = min(orders * wavelength_m / pixel_m, STEEPEST)
-    return max(distance_m * sine / math.sqrt(1 - sine**2), FRESNEL_LENGTHS * math.sqrt(wavelength_m * distance_m))
+def kernel_reach_m(
+    pixel_m: float, wavelength_m: float, distance_m: float, orders: float = ORDERS, oversampling: int = 1
+) -> float:
+    """Return how far sideways (metres) light of so many diffraction orders, times the oversampling, travels."""
+    sine = min(orders * oversampling * wavelength_m / pixel_m, STEEPEST)
+    farthest_m = distance_m * STEEPEST / math.sqrt(1 - STEEPEST**2)
+    least_m = FRESNEL_LENGTHS * math.sqrt(wavelength_m * distance_m)
+    return max(distance_m * sine / math.sqrt(1 - sine**2), least_m, min(oversampling * least_m, farthest_m))
 
 
 class PixelKernel:

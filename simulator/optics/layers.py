@@ -85,7 +85,7 @@ def fan(strata: Strata, rho_squared: Array) -> Fan:
         inverse = 1 / r
         return Fan(rho_squared / (r + d), inverse, inverse**2 * d)
     if is_torch(rho_squared):
-        msg = "gap: rays through several layers are traced on NumPy only; use xp='numpy', or a gap of air"
+        msg = "gap, window: rays through several layers are traced on NumPy only; use xp='numpy', or a gap of air"
         raise InputError(msg)
     from scipy.interpolate import CubicHermiteSpline, CubicSpline
 

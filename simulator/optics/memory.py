@@ -6,6 +6,7 @@ import os
 import sys
 from pathlib import Path
 
+from simulator.arrays import Array, is_torch
 from simulator.errors import InputError
 
 SHARE = 0.8  # of the machine's memory: the rest is for Python, the stack and the system
@@ -49,6 +50,15 @@ which 1 GB are allowed; use a narrower mask
         )
         raise InputError(msg)
     return estimate
+
+
+def free_bytes(array: Array) -> int | None:
+    """Return the free memory of the GPU that holds an array; None where the machine's own memory counts."""
+    if not is_torch(array) or array.device.type != "cuda":
+        return None
+    import torch
+
+    return int(SHARE * torch.cuda.mem_get_info(array.device)[0])
 
 
 def machine_bytes() -> int:

@@ -46,6 +46,7 @@ class PsfConfig:
 
     def __post_init__(self) -> None:
         check_depths(np.asarray(self.depths_m))
+        object.__setattr__(self, "depths_m", tuple(float(depth) for depth in self.depths_m))
         if self.model not in get_args(Model):
             msg = f"model: got {self.model!r}, expected one of {', '.join(get_args(Model))}"
             raise InputError(msg)
@@ -70,7 +71,8 @@ def compute_psf_stack(
         xp: ``numpy`` or ``torch``.
         threads: depths computed at a time (NumPy only); each needs one more complex grid, 160 MB at full size.
         progress: called with (done, total) after every PSF.
-        lines: wavelengths and weights in place of the response's quantile lines; weights may be torch scalars.
+        lines: wavelengths and weights in place of the response's quantile lines; weights may be torch scalars. Errors are
+            measured at the response's own lines.
 
     Returns:
         The stack, ``values`` ``(K, C, N, N)`` with N odd and wide enough for all the light that is followed: the sum of each
@@ -87,32 +89,28 @@ def compute_psf_stack(
     if not camera.mask_to_sensor_m > 0:
         msg = f"mask_to_sensor_m: got {camera.mask_to_sensor_m:g}; the mask lies in front of the sensor, so it is positive"
         raise InputError(msg)
+    own_lines = lines is None
     lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel) if lines is None else lines
     sampling = prove_sampling(mask, camera, psf_config)
     on_device = mask if is_torch(mask.height_m) else _to(mask, xp)
-    size = stack_size(mask, camera, psf_config)
+    size = max(_size(mask, camera, psf_config, line.wavelength_m) for line in lines)
     total, done = len(lines) * len(psf_config.depths_m), 0
 
-    per_line = []
+    planes: list[list[Any]] = [[0.0] * len(psf_config.depths_m) for _ in camera.response.channels]
     for line in lines:
-        images = []
-        for image in depth_images(on_device, camera, psf_config, line.wavelength_m, size, threads=threads):
-            images.append(image)
+        images = depth_images(on_device, camera, psf_config, line.wavelength_m, size, threads=threads)
+        for k, image in enumerate(images):
+            planes[line.channel][k] = planes[line.channel][k] + line.weight * image
             done += 1
             if progress is not None:
                 progress(done, total)
-        per_line.append(images)
     ns = namespace(on_device.height_m)
-    planes = []
-    for channel in range(len(camera.response.channels)):
-        mine = [(line.weight, images) for line, images in zip(lines, per_line, strict=True) if line.channel == channel]
-        planes.append(ns.stack([sum(w * images[k] for w, images in mine) for k in range(len(psf_config.depths_m))]))
     return PsfStack(
-        values=ns.stack(planes, axis=1),
+        values=ns.stack([ns.stack(depths) for depths in planes], axis=1),
         depths_m=np.asarray(psf_config.depths_m, np.float64),
         pixel_pitch_m=camera.pixel_pitch_m,
         channels=camera.response.channels,
-        fingerprint=psf_fingerprint(mask, camera, psf_config),
+        fingerprint=psf_fingerprint(mask, camera, psf_config, None if own_lines else lines),
         provenance={
             "kind": "computed",
             "mask": mask.provenance(),
@@ -222,7 +220,9 @@ def _sources(
     return [Source(wavelength_m, float(depth), direction, window) for depth in psf_config.depths_m]
 
 
-def psf_fingerprint(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -> str:
+def psf_fingerprint(
+    mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, lines: Sequence[Line] | None = None
+) -> str:
     """Return a hash of everything that decides the stack's values."""
     response = camera.response
     sha = hashlib.sha256(mask.digest().encode())
@@ -233,6 +233,8 @@ def psf_fingerprint(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -
         np.ascontiguousarray(response.wavelengths_m).tobytes() + np.ascontiguousarray(response.weights).tobytes()
     )
     sha.update(repr(replace(psf_config, accept_error=None)).encode())
+    if lines is not None:
+        sha.update(repr([(line.channel, line.wavelength_m, number(line.weight)) for line in lines]).encode())
     return sha.hexdigest()
 
 

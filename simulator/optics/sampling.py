@@ -16,6 +16,7 @@ from simulator.arrays import to_numpy
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
 from simulator.optics.spectrum import quantile_lines
+from simulator.optics.steepness import steepest_frequency
 from simulator.types import CameraGeometry
 
 if TYPE_CHECKING:
@@ -66,18 +67,25 @@ def sampling_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
         "error": max(row["error"] for row in table),
         "error_bar": BAR * max(row["error"] for row in table),
         "oversampling": [coarse.oversampling, fine.oversampling],
-        "crop_m": crop.shape[0] * crop.pitch_m,
+        "crop_m": max(crop.shape) * crop.pitch_m,
         "table": table,
     }
 
 
 def judged_crop(mask: Mask, width_m: float) -> Mask:
-    """Return the middle of a mask as NumPy arrays, or the whole where the middle is dark."""
+    """Return the middle of a mask as NumPy arrays; where the middle is dark, a part around its most open place."""
     samples = max(round(width_m / mask.pitch_m), 1)
-    middle = [slice(max((n - samples) // 2, 0), (n + samples) // 2) for n in mask.shape]
-    open_in_the_middle = np.any(to_numpy(mask.amplitude)[middle[0], middle[1]] > 0)
-    crop = mask.crop((samples, samples)) if open_in_the_middle else mask
-    return replace(crop, height_m=to_numpy(crop.height_m), amplitude=to_numpy(crop.amplitude))
+    amplitude = to_numpy(mask.amplitude)
+    middle = tuple(slice(max((n - samples) // 2, 0), (n + samples) // 2) for n in mask.shape)
+    if not np.any(amplitude[middle] > 0):
+        row = int(np.argmax(np.sum(amplitude, axis=1)))
+        column = int(np.argmax(amplitude[row]))
+        middle = tuple(
+            slice(start, start + samples)
+            for at, n in zip((row, column), mask.shape, strict=True)
+            for start in [min(max(at - samples // 2, 0), max(n - samples, 0))]
+        )
+    return replace(mask, height_m=to_numpy(mask.height_m)[middle], amplitude=amplitude[middle])
 
 
 def prove_sampling(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -> dict[str, Any]:
@@ -110,9 +118,7 @@ def prove_sampling(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
 def _refuse_steep_phase(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -> None:
     """Refuse a smooth mask whose phase turns by more than half a turn per sample: beyond Nyquist it is another mask."""
     shortest = min(line.wavelength_m for line in quantile_lines(camera.response, psf_config.wavelengths_per_channel))
-    height = to_numpy(mask.height_m)
-    steepest = max(float(np.abs(np.diff(height, axis=axis)).max(initial=0)) for axis in (0, 1))
-    turns = steepest * (mask.material.index(shortest) - 1) / shortest / psf_config.oversampling
+    turns = steepest_frequency(mask, shortest) * mask.pitch_m / psf_config.oversampling
     if turns > 0.5:
         needed = int(np.ceil(2 * turns * psf_config.oversampling))
         msg = (

@@ -25,6 +25,7 @@ from simulator.optics.mask import Mask
 from simulator.optics.memory import require_memory
 from simulator.optics.propagation import holds_steep_waves, spread_samples
 from simulator.optics.resample import Band, MovingBoxes, box_integral
+from simulator.optics.steepness import followed_frequency
 from simulator.optics.transfer import Transfer, band_edge_m
 from simulator.types import CameraGeometry
 
@@ -170,9 +171,10 @@ def _reach(mask: Mask, gap: Strata, wavelength_m: float, oversampling: int) -> t
     """
     d = number(reduced_m(gap))
     if mask.profile == "staircase":
-        return kernel_reach_m(mask.pitch_m, wavelength_m, d, ORDERS * oversampling), False
-    spread_m = spread_samples(mask.pitch_m, wavelength_m, d) * mask.pitch_m
-    limited = oversampling > 1 or holds_steep_waves(mask.pitch_m, wavelength_m)
+        return kernel_reach_m(mask.pitch_m, wavelength_m, d, ORDERS, oversampling), False
+    pitch_m = 1 / (2 * followed_frequency(mask, wavelength_m, oversampling))
+    spread_m = spread_samples(pitch_m, wavelength_m, d) * pitch_m
+    limited = oversampling > 1 or holds_steep_waves(pitch_m, wavelength_m)
     return spread_m + (band_edge_m(wavelength_m, d) if limited else 0), limited
 
 

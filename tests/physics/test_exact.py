@@ -155,8 +155,8 @@ def test_a_staircase_equals_its_direct_sum():
 @pytest.mark.parametrize(("oversampling", "pixel_m"), [(1, 2e-6), (2, 3e-6)])
 def test_the_light_of_a_staircase_is_that_of_the_orders_that_are_followed(oversampling, pixel_m):
     """Its spectrum is that of its samples, repeated under the sinc of a pixel; the band's soft edge lies within 5 %."""
-    mask, camera = replace(staircase(), pitch_m=pixel_m), CameraGeometry(1e-3, 8e-6, GREEN)
-    (image,) = exact_images(mask, camera, [Source(532e-9, np.inf)], 301, oversampling=oversampling)
+    mask, camera = replace(staircase(), pitch_m=pixel_m), CameraGeometry(4e-3, 8e-6, GREEN)
+    (image,) = exact_images(mask, camera, [Source(532e-9, np.inf)], 601, oversampling=oversampling)
     samples = 4 * mask.shape[0]
     power = np.abs(np.fft.fft2(mask.transmission(532e-9), (samples, samples))) ** 2
     orders = np.arange(-4 * samples, 4 * samples)

@@ -208,10 +208,10 @@ def test_steps_of_whole_turns_are_no_steepness_on_a_staircase():
     assert stepped["error"] == pytest.approx(flat["error"], rel=1e-6)
 
 
-def test_a_mask_that_is_dark_in_the_middle_is_judged_as_a_whole():
+def test_a_mask_that_is_dark_in_the_middle_is_judged_where_it_is_open():
     amplitude = np.ones((220, 220))
     amplitude[20:200, 20:200] = 0
     mask = Mask(np.zeros_like(amplitude), amplitude, 10e-6)
     report = sampling_error(mask, _camera(532, pitch_m=20e-6), PsfConfig((np.inf,), wavelengths_per_channel=1))
-    assert report["crop_m"] == pytest.approx(2.2e-3)
+    assert report["crop_m"] == pytest.approx(1.5e-3)
     assert np.isfinite(report["error"])
