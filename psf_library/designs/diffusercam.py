@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from simulator.optics.mask import Mask
+from simulator.optics.mask_grid import samples_across
 from simulator.optics.materials import load_material
 from simulator.optics.noise import gaussian_surface
 
@@ -40,10 +41,10 @@ def diffusercam(
         seed: of the surface.
     """
     glass = load_material(material)
-    samples = round(width_mm * 1e3 / pixel_um)
+    samples = samples_across(width_mm * 1e3, pixel_um)
     surface = gaussian_surface((samples, samples), correlation_um / pixel_um, seed)
     # exp(-x^2 / c^2) has the slope's standard deviation sqrt(2) / c; light bends by (n - 1) times the slope.
-    slope = np.tan(np.radians(slope_degrees)) / (glass.index(wavelength_nm * 1e-9) - 1)
+    slope = np.tan(np.radians(slope_degrees)) / glass.refractivity(wavelength_nm * 1e-9)
     height_m = surface * np.float32(slope * correlation_um * 1e-6 / np.sqrt(2))
     height_m -= height_m.min()
     return Mask(height_m, np.ones_like(height_m), pixel_um * 1e-6, glass, profile="smooth", name="diffusercam")

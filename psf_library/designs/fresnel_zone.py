@@ -9,6 +9,7 @@ from pydantic import Field
 
 from simulator.optics.aperture import sample_positions_m
 from simulator.optics.mask import Mask
+from simulator.optics.mask_grid import samples_across
 
 _SUBPIXELS = 8
 
@@ -41,7 +42,7 @@ def fresnel_zone(
         phase_degrees: phase of the cosine on the axis.
         binary: open or shut, or the grey cosine.
     """
-    samples = round(width_mm * 1e3 / pixel_um)
+    samples = samples_across(width_mm * 1e3, pixel_um)
     fine_m = sample_positions_m(samples * _SUBPIXELS, pixel_um * 1e-6 / _SUBPIXELS)
     angle = np.pi * (fine_m / (first_zone_um * 1e-6)) ** 2
     # cos(a + b) from products of what each axis needs once, a sub-pixel of all samples at a time.

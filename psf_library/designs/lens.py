@@ -9,6 +9,7 @@ from pydantic import Field
 
 from simulator.optics.aperture import radius_squared_m2, round_aperture
 from simulator.optics.mask import Mask
+from simulator.optics.mask_grid import samples_across
 from simulator.optics.materials import load_material
 
 
@@ -40,12 +41,12 @@ def lens(
         material: of the lens.
         wrap: keep heights below one wave.
     """
-    samples = round(width_mm * 1e3 / pixel_um)
+    samples = samples_across(width_mm * 1e3, pixel_um)
     pitch_m, wavelength_m, glass = pixel_um * 1e-6, wavelength_nm * 1e-9, load_material(material)
     height_m = focusing_path_m(samples, pitch_m, distance_um * 1e-6)
     if wrap:
         height_m = np.mod(height_m, wavelength_m)
-    height_m = (height_m / (glass.index(wavelength_m) - 1)).astype(np.float32)
+    height_m = (height_m / glass.refractivity(wavelength_m)).astype(np.float32)
     amplitude = round_aperture(samples, width_mm * 1e3 / pixel_um)
     return Mask(height_m, amplitude, pitch_m, glass, profile="staircase" if wrap else "smooth", name="lens")
 

@@ -12,6 +12,7 @@ from pydantic import Field
 from simulator.optics.contours import contours, contours_of_image
 from simulator.optics.fabrication import fabricate
 from simulator.optics.mask import Mask
+from simulator.optics.mask_grid import samples_across
 from simulator.optics.materials import load_material
 from simulator.optics.phase_retrieval import retrieve_phase
 
@@ -63,8 +64,9 @@ def phlatcam(
         rounding_um: standard deviation of the Gaussian that rounds the edges; 0 leaves them sharp.
         fabrication_seed: of the roughness.
     """
-    samples = round(width_mm * 1e3 / pixel_um)
+    samples = samples_across(width_mm * 1e3, pixel_um)
     pitch_m, wavelength_m, resist = pixel_um * 1e-6, wavelength_nm * 1e-9, load_material(material)
+    wave_m = wavelength_m / resist.refractivity(wavelength_m)
     if image is None:
         target = contours(samples, cell_um / pixel_um, line_um / pixel_um, seed)
     else:
@@ -79,7 +81,7 @@ def phlatcam(
         threads=os.cpu_count() or 1,
     )
     turns = np.mod(retrieved.phase / (2 * np.pi), 1).astype(np.float32)
-    height_m = turns * np.float32(wavelength_m / (resist.index(wavelength_m) - 1))
+    height_m = turns * np.float32(wave_m)
     notes = {"retrieval": {"passes": len(retrieved.overlap), "overlap": retrieved.overlap[-1]}}
     return fabricate(
         Mask(height_m, np.ones_like(height_m), pitch_m, resist, profile="staircase", name="phlatcam", notes=notes),

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from simulator.optics.aperture import sample_positions_m
 from simulator.optics.mask import Mask
+from simulator.optics.mask_grid import samples_across
 from simulator.optics.materials import load_material
 from simulator.optics.noise import poisson_disc
 
@@ -47,10 +48,10 @@ def random_lenslets(
         material: of the lenslets.
         seed: of the places and the focal lengths.
     """
-    samples = round(width_mm * 1e3 / pixel_um)
+    samples = samples_across(width_mm * 1e3, pixel_um)
     pitch_m, glass = pixel_um * 1e-6, load_material(material)
     centres_m, focal_m = lenslets(width_mm * 1e-3, spacing_um * 1e-6, distance_um * 1e-6, nearest_cm, seed)
-    radius_m = focal_m * (glass.index(wavelength_nm * 1e-9) - 1)
+    radius_m = focal_m * glass.refractivity(wavelength_nm * 1e-9)
     x = sample_positions_m(samples, pitch_m)
     height_m = np.full((samples, samples), -np.inf, np.float32)
     # A cap is drawn as far as it can win: every place has a centre within the spacing, and a flatter cap falls more slowly.

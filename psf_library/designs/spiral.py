@@ -9,6 +9,7 @@ from pydantic import Field
 
 from simulator.optics.aperture import sample_positions_m
 from simulator.optics.mask import Mask
+from simulator.optics.mask_grid import samples_across
 from simulator.optics.materials import load_material
 
 
@@ -43,7 +44,7 @@ def spiral(
         wavelength_nm: wavelength at which the step is half a wave.
         material: of the mask.
     """
-    samples = round(width_mm * 1e3 / pixel_um)
+    samples = samples_across(width_mm * 1e3, pixel_um)
     samples += samples % 2  # no sample on the axis, where the arms meet
     pitch_m, wavelength_m, glass = pixel_um * 1e-6, wavelength_nm * 1e-9, load_material(material)
     x = sample_positions_m(samples, pitch_m)
@@ -53,5 +54,5 @@ def spiral(
     raised = np.sin(arms * (np.arctan2(x[:half, None], x[None, :]) - winding[:half])) >= 0
     turned = raised[::-1, ::-1]
     raised = np.concatenate([raised, ~turned if arms % 2 else turned])
-    height_m = (raised * (wavelength_m / 2 / (glass.index(wavelength_m) - 1))).astype(np.float32)
+    height_m = (raised * (wavelength_m / 2 / glass.refractivity(wavelength_m))).astype(np.float32)
     return Mask(height_m, np.ones_like(height_m), pitch_m, glass, profile="staircase", name="spiral")

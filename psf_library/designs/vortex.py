@@ -10,6 +10,7 @@ from pydantic import Field
 from psf_library.designs.lens import focusing_path_m
 from simulator.optics.aperture import round_aperture, sample_positions_m
 from simulator.optics.mask import Mask
+from simulator.optics.mask_grid import samples_across
 from simulator.optics.materials import load_material
 
 
@@ -41,12 +42,12 @@ def vortex(
         wavelength_nm: design wavelength.
         material: of the mask.
     """
-    samples = round(width_mm * 1e3 / pixel_um)
+    samples = samples_across(width_mm * 1e3, pixel_um)
     pitch_m, wavelength_m, glass = pixel_um * 1e-6, wavelength_nm * 1e-9, load_material(material)
     x = sample_positions_m(samples, pitch_m)
     turns = charge * np.arctan2(x[:, None], x[None, :]) / (2 * np.pi)
     if distance_um is not None:
         turns += focusing_path_m(samples, pitch_m, distance_um * 1e-6) / wavelength_m
-    height_m = (np.mod(turns, 1) * wavelength_m / (glass.index(wavelength_m) - 1)).astype(np.float32)
+    height_m = (np.mod(turns, 1) * wavelength_m / glass.refractivity(wavelength_m)).astype(np.float32)
     amplitude = round_aperture(samples, width_mm * 1e3 / pixel_um)
     return Mask(height_m, amplitude, pitch_m, glass, profile="staircase", name="vortex")

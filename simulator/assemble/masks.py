@@ -39,7 +39,7 @@ def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
         params: the design's parameters; see ``flatlight masks``.
 
     Raises:
-        InputError: for an unknown design or wrong parameters.
+        InputError: for an unknown design, wrong parameters, or a mask that exceeds the machine's memory.
     """
     plugin = resolve("mask", design, base_dir)
     arguments, files = mask_arguments(plugin, params)
@@ -49,8 +49,12 @@ def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
             key.update(file.read_bytes())
 
     def compute() -> Entry:
-        with plugin_errors(plugin):
-            mask = plugin.function(**arguments)
+        try:
+            with plugin_errors(plugin):
+                mask = plugin.function(**arguments)
+        except MemoryError as error:
+            msg = f"mask design {design!r} needs more memory than there is; use a coarser pixel or a narrower mask"
+            raise InputError(msg) from error
         if not isinstance(mask, Mask):
             msg = f"mask design {design!r} returned {type(mask).__name__}, expected a simulator.optics.mask.Mask"
             raise InputError(msg)

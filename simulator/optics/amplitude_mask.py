@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
+from simulator.optics.mask_grid import require_mask_memory
 
 FEATURE_TOLERANCE = 1e-6
 """How far, in samples, a feature may be from a whole number of them."""
@@ -26,7 +27,7 @@ def amplitude_mask(pattern: ArrayLike, feature_m: float, pitch_m: float, name: s
         name: of the mask.
 
     Raises:
-        InputError: when a feature is not made of whole samples.
+        InputError: when a feature is not made of whole samples, or the grid exceeds the machine's memory.
     """
     samples = round(feature_m / pitch_m)
     if samples < 1 or abs(feature_m / pitch_m - samples) > FEATURE_TOLERANCE:
@@ -36,7 +37,10 @@ def amplitude_mask(pattern: ArrayLike, feature_m: float, pitch_m: float, name: s
             f"use {nearest_um:g}"
         )
         raise InputError(msg)
-    amplitude = np.kron(np.asarray(pattern, np.float32), np.ones((samples, samples), np.float32))
+    features = np.asarray(pattern, np.float32)
+    rows, columns = features.shape
+    require_mask_memory((rows * samples, columns * samples))
+    amplitude = np.kron(features, np.ones((samples, samples), np.float32))
     return Mask(np.zeros_like(amplitude), amplitude, pitch_m, profile="smooth", name=name)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.optics.mask_grid import require_mask_memory
+
 _SUBPIXELS = 16
 
 
@@ -29,10 +31,14 @@ def round_aperture(samples: int, diameter: float) -> NDArray[np.float32]:
     Returns:
         ``(samples, samples)`` 0..1; rim samples are divided into 16 x 16, so their shares are right to about 0.5 %.
 
+    Raises:
+        InputError: for a grid that exceeds the machine's memory.
+
     Example:
         >>> round(float(round_aperture(21, 20).sum()) / 100, 2)  # pi
         3.14
     """
+    require_mask_memory((samples, samples))
     x = sample_positions_m(samples, 1.0)
     radius = np.hypot(x[:, None], x[None, :])
     coverage = (radius <= diameter / 2).astype(np.float32)

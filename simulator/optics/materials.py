@@ -12,6 +12,7 @@ from simulator.errors import InputError
 from simulator.optics.dispersion import Formula, refractive_index
 
 _ROUNDING = 1e-9  # 0.4 um, 400 nm and 4e-7 m differ in their last digit
+_LEAST_REFRACTIVITY = 1e-3  # below it a wave's delay takes more than half a millimetre of height
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,21 @@ class Material:
             )
             raise InputError(msg)
         return 1 + self.scale * (refractive_index(self.formula, self.coefficients, wavelength_m * 1e6) - 1)
+
+    def refractivity(self, wavelength_m: float) -> float:
+        """Return n - 1, by which a design divides the path that a height shall delay.
+
+        Raises:
+            InputError: outside the range of the data, or where the material delays no light.
+        """
+        refractivity = self.index(wavelength_m) - 1
+        if abs(refractivity) < _LEAST_REFRACTIVITY:
+            msg = (
+                f"material: {self.name!r} delays no light (n - 1 = {refractivity:g} at {wavelength_m * 1e9:g} nm), so no "
+                "height of it makes a phase; choose a solid, such as 'fused-silica'"
+            )
+            raise InputError(msg)
+        return refractivity
 
 
 AIR = Material(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.optics.memory import require_memory
+
 _PLACES_PER_UNIT = 24
 
 
@@ -64,8 +66,13 @@ def poisson_disc(width: float, seed: int) -> NDArray[np.float64]:
 
     Returns:
         ``(N, 2)`` points within 0..width.
+
+    Raises:
+        InputError: naming ``spacing_um`` where the lattice exceeds the machine's memory.
     """
     lattice = max(1, round(width * _PLACES_PER_UNIT))
+    # A permutation of the places, its copy without those taken, and two flags per place.
+    require_memory("spacing_um", (lattice, lattice), 2, 9, "use a wider spacing or a narrower mask")
     free = np.ones((lattice, lattice), bool)
     left = np.random.default_rng(seed).permutation(lattice**2)
     points = []

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
+from simulator.optics.mask_grid import require_mask_memory
 from simulator.optics.relief import MAX_SIDE, MAX_TRIANGLES
 
 Triangles = NDArray[np.float64]
@@ -51,6 +52,7 @@ def read_stl_height(path: Path, pitch_m: float, unit_m: float) -> NDArray[np.flo
             f"{MAX_SIDE} per side: change pixel_um, or unit_um (one unit of the file is taken for {unit_m * 1e6:g} um)"
         )
         raise InputError(msg)
+    require_mask_memory((rows, columns))
     middle = (low + high) / 2
     height = _rasterise(upper, middle, rows, columns, pitch_m)
     if not np.all(np.isfinite(height)):

@@ -10,7 +10,8 @@ import pytest
 import psf_library
 from psf_library import load_mask, load_psf_stack
 from simulator.errors import InputError
-from simulator.plugins import available
+from simulator.optics import memory
+from simulator.plugins import available, resolve
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 README = Path(__file__).resolve().parents[2] / "README.md"
@@ -46,6 +47,54 @@ def test_designs_by_name(design: str, params: dict[str, Any], tmp_path: Path) ->
     assert mask.transmitted_area_m2 > 0
     if "width_mm" in params:
         assert mask.shape[0] * mask.pitch_m == pytest.approx(params["width_mm"] * 1e-3, rel=0.01)
+
+
+@pytest.mark.parametrize("design", sorted(set(SMALL) - {"height_map"}))  # whose grid is its file's
+def test_a_grid_that_exceeds_the_memory_is_refused_before_it_is_allocated(
+    design: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    np.save(tmp_path / "map.npy", np.eye(30))
+    plugin = resolve("mask", design, tmp_path)
+    arguments = plugin.bind(SMALL[design])
+    monkeypatch.setattr(memory, "machine_bytes", lambda: 10_000)
+    with pytest.raises(InputError, match=r"pixel_um: the grid of \d+ x \d+ samples would take .*; use a coarser pixel"):
+        plugin.function(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("design", "params"),
+    [
+        ("phlatcam", {"width_mm": 20, "pixel_um": 0.2}),
+        ("diffusercam", {"width_mm": 20, "pixel_um": 0.2}),
+        ("random_lenslets", {"width_mm": 20, "pixel_um": 0.1}),
+        ("vortex", {"width_mm": 20, "pixel_um": 0.1}),
+        ("pinhole", {"diameter_um": 10000, "pixel_um": 0.05}),
+        ("flatcam", {"order": 10, "feature_um": 500, "pixel_um": 0.1}),
+        ("mura", {"rank": 997, "feature_um": 500, "pixel_um": 0.1}),
+    ],
+)
+def test_the_largest_masks_that_a_file_may_ask_for_end_with_a_cure(
+    design: str, params: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The leanest takes 400 GB; without the check these end in a MemoryError, or the system ends the process."""
+    monkeypatch.setattr(memory, "machine_bytes", lambda: 64 * 10**9)
+    with pytest.raises(InputError, match="GB are allowed; use a coarser pixel or a narrower mask"):
+        load_mask(design, **params)
+
+
+def test_memory_that_runs_out_within_a_design_is_told_with_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    def exhausted(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("psf_library.designs.flatcam.sequence", exhausted)
+    with pytest.raises(InputError, match="mask design 'flatcam' needs more memory than there is; use a coarser pixel"):
+        load_mask("flatcam", order=3, feature_um=77, pixel_um=7)
+
+
+@pytest.mark.parametrize("design", ["diffusercam", "lens", "phlatcam", "random_lenslets", "spiral", "vortex"])
+def test_a_material_that_delays_no_light_is_refused(design: str) -> None:
+    with pytest.raises(InputError, match=r"material: 'air' delays no light \(n - 1 = 0 at 532 nm\)"):
+        load_mask(design, **SMALL[design], material="air")
 
 
 def test_mistakes_are_named() -> None:

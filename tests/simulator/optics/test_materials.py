@@ -136,6 +136,12 @@ def test_wavelengths_outside_the_fit_are_refused(wavelength_m):
         FUSED_SILICA.index(wavelength_m)
 
 
+def test_refractivity_is_what_a_design_divides_by_and_never_nothing():
+    assert load_material("n-bk7").refractivity(587.5618e-9) == pytest.approx(0.5168, abs=5e-5)  # Schott's n_d
+    with pytest.raises(InputError, match=r"material: 'air' delays no light .* choose a solid, such as 'fused-silica'"):
+        load_material("air").refractivity(550e-9)
+
+
 def test_materials_are_found_by_name():
     assert load_material("fused-silica") is FUSED_SILICA
     assert all(load_material(name).name == name for name in MATERIALS)

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from simulator.errors import InputError
+from simulator.optics import memory
 from simulator.optics.noise import gaussian_surface, perlin, poisson_disc
 
 
@@ -51,3 +53,9 @@ def test_poisson_discs_follow_their_seed():
     np.testing.assert_array_equal(poisson_disc(5, 3), poisson_disc(5, 3))
     assert len(poisson_disc(0.5, 0)) == 1
     assert not np.array_equal(poisson_disc(5, 3)[0], poisson_disc(5, 4)[0])
+
+
+def test_a_lattice_that_exceeds_the_memory_is_refused(monkeypatch):
+    monkeypatch.setattr(memory, "machine_bytes", lambda: 10**6)
+    with pytest.raises(InputError, match=r"spacing_um: the grid of 2400 x 2400 samples .* use a wider spacing"):
+        poisson_disc(100, 1)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
+from simulator.optics import memory
 from simulator.optics.contours import contours
 from simulator.optics.phase_retrieval import retrieve_phase
 from simulator.optics.propagation import angular_spectrum
@@ -130,6 +131,13 @@ def test_the_target_is_not_changed(target):
 def test_senseless_requests_are_refused(target, iterations, words):
     with pytest.raises(InputError, match=words):
         retrieve_phase(target, PITCH, GREEN, D, iterations)
+
+
+def test_a_grid_that_exceeds_the_memory_is_refused(target, monkeypatch):
+    """Light that spreads far doubles both sides of the grid."""
+    monkeypatch.setattr(memory, "machine_bytes", lambda: 10**6)
+    with pytest.raises(InputError, match=r"pixel_um: the grid of 400 x 400 samples .* or a nearer sensor"):
+        retrieve_phase(target, PITCH, GREEN, 1.0, 1)
 
 
 def test_a_negative_tolerance_is_refused(target):
