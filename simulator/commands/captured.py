@@ -23,6 +23,11 @@ def captured_folder(output: Path) -> Path:
     return folder
 
 
+def captured_picture(plot: Path) -> Path:
+    """Return where the comparison with the captured stack is drawn, beside the true one's picture."""
+    return plot.with_stem(f"{plot.stem}_captured")
+
+
 def show_captured(config: Config, nominal: PsfStack, output: Path | None, plot: Path | None) -> None:
     """Compute the stack as captured, print how it differs from the true one, write and draw both side by side.
 
@@ -50,5 +55,5 @@ def show_captured(config: Config, nominal: PsfStack, output: Path | None, plot: 
     if plot:
         from simulator.optics.captured_plot import plot_captured
 
-        picture = plot_captured(nominal, captured, plot.with_stem(f"{plot.stem}_captured"))
+        picture = plot_captured(nominal, captured, captured_picture(plot))
         print(f"look at {picture}")

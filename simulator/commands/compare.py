@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from simulator.commands.options import Overrides
-from simulator.errors import InputError
+from simulator.commands.outputs import check_output_file
 
 
 def compare(
@@ -34,17 +34,11 @@ def compare(
     from simulator.dataset.engines import available_cpus
     from simulator.files import write_atomic
 
-    kind = output.suffix.lower()
-    if kind not in (".html", ".png"):
-        msg = f"--output: got {output.name!r}, expected a name that ends in .html or .png"
-        raise InputError(msg)
-    if not output.absolute().parent.is_dir():
-        msg = f"--output: the folder {output.parent} does not exist; make it first, or choose another"
-        raise InputError(msg)
+    check_output_file("--output", output, (".html", ".png"))
     configs = load_configs(candidates, config, set_ or [])
     with Bar() as bar:
         measured = [measure(name, one, threads=available_cpus(), progress=bar.update) for name, one in configs.items()]
         bar.say("drawing the pictures")
-    content = comparison_html(measured).encode() if kind == ".html" else comparison_png(measured)
+    content = comparison_html(measured).encode() if output.suffix.lower() == ".html" else comparison_png(measured)
     write_atomic(output, content)
     print(f"look at {output}")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from simulator.commands.options import ConfigPath, Overrides
+from simulator.commands.outputs import check_distinct, check_output_file, check_output_folder
 from simulator.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,17 +39,23 @@ def export_mask(
     if not (stl or tiff or layers):
         msg = "nothing to write; give --stl FILE, --tiff FILE or --layers FOLDER"
         raise InputError(msg)
-    for option, path in (("--stl", stl), ("--tiff", tiff)):
-        _check_file(option, path, force)
+    for option, number in (("--base-um", base_um), ("--step-um", step_um), ("--crop-mm", crop_mm)):
+        if number is not None and not math.isfinite(number):
+            msg = f"{option}: got {number}, expected a finite number"
+            raise InputError(msg)
+    for option, path, suffixes in (("--stl", stl, (".stl",)), ("--tiff", tiff, (".tif", ".tiff"))):
+        if path is not None:
+            check_output_file(option, path, suffixes)
+            _check_overwriting(option, path, force)
     _check_folder(layers, force)
+    check_distinct({"--stl": stl, "--tiff": tiff, "--layers": layers})
     loaded = load_config(config, set_ or [])
     mask = build_mask(loaded)
     if mask is None or loaded.camera.mask is None:
         msg = f"{config} has a measured PSF and no mask to export; set camera.mask"
         raise InputError(msg)
     if crop_mm is not None:
-        side = round(crop_mm * 1e-3 / mask.pitch_m)
-        mask = mask.crop((side, side))
+        mask = _cropped(mask, crop_mm)
     # A material of the user's own is named as the configuration names it, by its file.
     material = str(loaded.camera.mask.params.get("material", mask.material.name))
     # Whatever is refused is refused before anything is written.
@@ -70,17 +78,31 @@ def export_mask(
         print("note: the mask's opaque parts have no height; --layers writes them as aperture.png")
 
 
-def _check_file(option: str, path: Path | None, force: bool) -> None:
-    if path is not None and path.exists() and not (force and path.is_file()):
-        cure = "choose another name" + (", or --force to overwrite it" if path.is_file() else "")
-        msg = f"{option}: {path} exists already; {cure}"
+def _cropped(mask: Mask, crop_mm: float) -> Mask:
+    side, pixel_mm = round(crop_mm * 1e-3 / mask.pitch_m), mask.pitch_m * 1e3
+    if not 1 <= side <= min(mask.shape):
+        rows, columns = (n * pixel_mm for n in mask.shape)
+        msg = (
+            f"--crop-mm: got {crop_mm:g}, but the mask is {columns:.4g} x {rows:.4g} mm of pixels of {pixel_mm:g} mm; "
+            f"expected {pixel_mm:g} to {min(rows, columns):.4g}, or none for the whole mask"
+        )
+        raise InputError(msg)
+    return mask.crop((side, side))
+
+
+def _check_overwriting(option: str, path: Path, force: bool) -> None:
+    if path.exists() and not force:
+        msg = f"{option}: {path} exists already; choose another name, or --force to overwrite it"
         raise InputError(msg)
 
 
 def _check_folder(folder: Path | None, force: bool) -> None:
     from simulator.optics.mask_export import APERTURE_FILE, LAYERS_FILE
 
-    if folder is None or not folder.exists():
+    if folder is None:
+        return
+    check_output_folder("--layers", folder)
+    if not folder.exists():
         return
     own = ("layer_*.png", APERTURE_FILE, LAYERS_FILE)
     foreign = not folder.is_dir() or any(not any(path.match(name) for name in own) for path in folder.iterdir())

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from simulator.commands.options import ConfigPath, Overrides
-from simulator.errors import InputError
+from simulator.commands.outputs import check_output_file, check_output_folder
 
 
 def psf(
@@ -27,17 +27,18 @@ def psf(
 ) -> None:
     """Compute the PSF stack of a configuration and say how good it is."""
     from simulator.assemble import build_mask, build_psf_stack, check_calibration, check_psf_stack, wants_full_check
-    from simulator.commands.captured import captured_folder, show_captured
+    from simulator.commands.captured import captured_folder, captured_picture, show_captured
     from simulator.config import load_config
     from simulator.console import Bar, describe_stack
     from simulator.dataset.engines import available_cpus
     from simulator.dataset.psf_files import check_replaceable, write_psf_stack
 
-    if plot and not plot.absolute().parent.is_dir():
-        msg = f"--plot: the folder {plot.parent} does not exist; make it first, or choose another"
-        raise InputError(msg)
+    if plot:
+        for picture in (plot, captured_picture(plot)) if as_captured else (plot,):
+            check_output_file("--plot", picture, (".png",))
     loaded = load_config(config, set_ or [])
     if output:
+        check_output_folder("--output", output)
         check_replaceable(output)
         if as_captured:
             captured_folder(output)

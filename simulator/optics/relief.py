@@ -39,8 +39,8 @@ def relief_solid(mask: Mask, base_m: float) -> tuple[NDArray[np.float64], NDArra
     Raises:
         InputError: for a plate without thickness, a mask without height, or one too large for a mesh.
     """
-    if not base_m > 0:
-        msg = f"base_m: got {base_m:g}, expected a thickness above zero: a body needs a plate under its lowest height"
+    if not 0 < base_m < np.inf:
+        msg = f"base_m: got {base_m:g}, expected a finite thickness above zero: a body needs a plate under its lowest height"
         raise InputError(msg)
     height = np.asarray(to_numpy(mask.height_m), np.float64)
     height = height - height.min()

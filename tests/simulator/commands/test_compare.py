@@ -31,3 +31,5 @@ def test_mistakes(flatlight, one_error, trial, tmp_path: Path) -> None:
     one_error(flatlight("compare", "pinhle", "--config", path, "--output", page), "unknown mask design", "'pinhole'")
     one_error(flatlight("compare", "pinhole", "--config", tmp_path / "no.yaml", "--output", page), "no.yaml")
     assert not page.exists()
+    page.mkdir()
+    one_error(flatlight("compare", HOLE, "--config", path, "--output", page), "exists already and is a folder")

@@ -78,13 +78,41 @@ def test_nothing_is_overwritten_unasked(flatlight, one_error, phase, tmp_path) -
     (tmp_path / "m" / "thesis.txt").write_text("years of work")
     one_error(flatlight(*arguments, "--force"), "exists already and holds other things; choose another name")
     assert (tmp_path / "m" / "thesis.txt").read_text() == "years of work"
-    one_error(
-        flatlight("export-mask", phase, "--stl", tmp_path / "m", "--force"), "exists already; choose another name"
-    )
+    folder = tmp_path / "m.stl"
+    folder.mkdir()
+    one_error(flatlight("export-mask", phase, "--stl", folder, "--force"), "exists already and is a folder")
 
 
 def test_mistakes(flatlight, one_error, phase, trial, tmp_path) -> None:
     one_error(flatlight("export-mask", phase), "nothing to write", "--stl FILE")
-    one_error(flatlight("export-mask", phase, "--tiff", tmp_path / "a" / "m.tif"), "its folder does not exist")
+    one_error(flatlight("export-mask", phase, "--tiff", tmp_path / "a" / "m.tif"), "does not exist; make it first")
     smooth = trial.write(camera={"mask": {"design": "diffusercam", "width_mm": 0.06}})
     one_error(flatlight("export-mask", smooth, "--layers", tmp_path / "m"), "step_um", "at most 255 layers")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--stl", "m.x"), "--stl: got 'm.x', expected a name that ends in .stl"),
+        (("--tiff", "m.stl"), "--tiff: got 'm.stl', expected a name that ends in .tif or .tiff"),
+        (("--stl", "m.stl", "--layers", "m.stl"), "--layers: got m.stl, which --stl writes already"),
+        (("--layers", "phase.yaml/m"), "phase.yaml is a file; choose another folder"),
+        (("--stl", "m.stl", "--base-um", "inf"), "--base-um: got inf, expected a finite number"),
+        (("--tiff", "m.tif", "--crop-mm", "inf"), "--crop-mm: got inf"),
+        (
+            ("--tiff", "m.tif", "--crop-mm", "9"),
+            "--crop-mm: got 9, but the mask is 0.06 x 0.06 mm of pixels of 0.002 mm",
+        ),
+        (("--tiff", "m.tif", "--crop-mm", "0.06001"), None),
+    ],
+)
+def test_impossible_outputs(flatlight, one_error, trial, tmp_path, monkeypatch, arguments, words) -> None:
+    path = trial.write(camera={"mask": {"design": "diffusercam", "width_mm": 0.06}}).rename(tmp_path / "phase.yaml")
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    result = flatlight("export-mask", path, *arguments)
+    if words is None:
+        assert result[0] == 0
+    else:
+        one_error(result, words)
+        assert sorted(tmp_path.iterdir()) == before

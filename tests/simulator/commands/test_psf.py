@@ -26,3 +26,25 @@ def test_writes_and_describes_the_stack(flatlight, trial, tmp_path: Path) -> Non
 def test_replaces_nothing_else(one_error, flatlight, trial, tmp_path: Path) -> None:
     one_error(flatlight("psf", trial.write(), "--output", tmp_path), "plugins.py", "choose another name")
     assert trial.plugins.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--plot", "p.txt"), "--plot: got 'p.txt', expected a name that ends in .png"),
+        (("--plot", "folder.png"), "folder.png exists already and is a folder"),
+        (("--plot", "no/p.png"), "the folder no does not exist; make it first"),
+        (("--plot", "p.png", "--as-captured"), "p_captured.png exists already and is a folder"),
+        (("--output", "plugins.py/x"), "plugins.py is a file; choose another folder"),
+    ],
+)
+def test_places_are_looked_at_before_anything_is_computed(
+    one_error, flatlight, trial, monkeypatch, arguments, words
+) -> None:
+    monkeypatch.chdir(trial.folder)
+    for name in ("folder.png", "p_captured.png"):
+        (trial.folder / name).mkdir()
+    result = flatlight("psf", trial.write(), *arguments)
+    one_error(result, words)
+    assert result[1] == ""
+    assert "PSFs:" not in result[2]

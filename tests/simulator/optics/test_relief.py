@@ -102,8 +102,9 @@ def test_an_stl_file_of_other_programs_readers_is_a_solid():
 def test_what_has_no_body_is_refused():
     with pytest.raises(InputError, match="mask 'relief' is flat"):
         relief_solid(_mask(np.full((3, 3), 1e-6)), 1e-6)
-    with pytest.raises(InputError, match="base_m: got 0, expected a thickness above zero"):
-        relief_solid(_mask(_steps()), 0)
+    for base_m in (0, np.inf):
+        with pytest.raises(InputError, match=f"base_m: got {base_m}, expected a finite thickness above zero"):
+            relief_solid(_mask(_steps()), base_m)
     with pytest.raises(InputError, match=r"1200 x 1200 pixels needs 11529600 triangles.*crop it to 2.2 mm"):
         relief_solid(_mask(_steps((1200, 1200))), 1e-6)
 

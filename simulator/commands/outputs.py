@@ -1,0 +1,61 @@
+"""Places that commands write to, looked at before the work whose result would go there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from simulator.errors import InputError
+
+
+def check_output_file(option: str, path: Path, suffixes: tuple[str, ...]) -> None:
+    """Refuse a file that could not be written, or whose name says that it is of another kind.
+
+    Args:
+        option: how the user gave it, for the message.
+        path: the file.
+        suffixes: what its name may end in, in lower case.
+
+    Raises:
+        InputError: another suffix, a folder of that name, or no folder to write into.
+    """
+    if path.suffix.lower() not in suffixes:
+        msg = f"{option}: got {path.name!r}, expected a name that ends in {' or '.join(suffixes)}"
+        raise InputError(msg)
+    if path.is_dir():
+        msg = f"{option}: {path} exists already and is a folder; choose another name"
+        raise InputError(msg)
+    if not path.absolute().parent.is_dir():
+        msg = f"{option}: the folder {path.parent} does not exist; make it first, or choose another"
+        raise InputError(msg)
+
+
+def check_output_folder(option: str, folder: Path) -> None:
+    """Refuse a folder that could not be made; missing ones above it are made with it.
+
+    Raises:
+        InputError: a part of the path is a file.
+    """
+    above = next(place for place in folder.absolute().parents if place.exists())
+    if not above.is_dir():
+        msg = f"{option}: {folder} cannot be made, {above} is a file; choose another folder"
+        raise InputError(msg)
+
+
+def check_distinct(places: Mapping[str, Path | None]) -> None:
+    """Refuse two outputs at one place.
+
+    Args:
+        places: by their option; None where it was not given.
+
+    Raises:
+        InputError: naming both options.
+    """
+    taken: dict[Path, str] = {}
+    for option, path in places.items():
+        if path is None:
+            continue
+        other = taken.setdefault(path.resolve(), option)
+        if other != option:
+            msg = f"{option}: got {path}, which {other} writes already; choose another name"
+            raise InputError(msg)
