@@ -12,6 +12,8 @@ from simulator.optics.noise import perlin
 
 # A picture's edge begins where its contrast exceeds this share of the picture's range and goes on down to half of it.
 _EDGE_CONTRAST = 0.2
+# Up to this reach, in samples, a disc is drawn at every edge; above it that costs more than the distance from the edges.
+_DISC_REACH = 8
 
 
 def contours(samples: int, cell: float, line: float, seed: int) -> NDArray[np.float32]:
@@ -81,8 +83,10 @@ def contours_of_image(path: Path, samples: int, line: float) -> NDArray[np.float
 
 
 def _widened(edges: NDArray[np.bool_], line: float) -> NDArray[np.float32]:
-    from scipy.ndimage import binary_dilation
+    from scipy.ndimage import binary_dilation, distance_transform_edt
 
     reach = int(line / 2)
+    if reach > _DISC_REACH:
+        return (np.asarray(distance_transform_edt(~edges)) <= line / 2).astype(np.float32)
     y, x = np.ogrid[-reach : reach + 1, -reach : reach + 1]
     return binary_dilation(edges, x**2 + y**2 <= (line / 2) ** 2).astype(np.float32)
