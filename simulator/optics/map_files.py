@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.optics.measured_files import read_measurement
 
+_ROUNDING = 1e-6
+MAX_RELIEF_M = 1e-2
+"""Highest relief that is taken for a mask's, metres, as high as ``max_height_um`` may be; above it the unit is wrong."""
+
 
 def read_height_map(path: Path, unit_m: float | None, max_height_m: float | None) -> NDArray[np.float32]:
     """Read a height map.
@@ -27,7 +31,8 @@ def read_height_map(path: Path, unit_m: float | None, max_height_m: float | None
         ``(H, W)`` metres, as the file counts them.
 
     Raises:
-        InputError: when the file is none of these, or the scale is missing or of the other kind.
+        InputError: when the file is none of these, the scale is missing or of the other kind, or the relief is higher than
+            ``MAX_RELIEF_M``.
     """
     numbers = _grey(path)
     if numbers.dtype.kind == "f":
@@ -37,14 +42,14 @@ def read_height_map(path: Path, unit_m: float | None, max_height_m: float | None
                 "use unit_um (micrometres per unit), or leave both out for metres"
             )
             raise InputError(msg)
-        return (numbers * (1.0 if unit_m is None else unit_m)).astype(np.float32)
+        return _plausible(path, numbers * (1.0 if unit_m is None else unit_m))
     if unit_m is not None or max_height_m is None:
         msg = (
             f"max_height_um: missing for {path}, which holds integers of {8 * numbers.itemsize} bits; give the height of "
             f"the largest code, {_largest_code(numbers, path)}, in micrometres, in place of unit_um"
         )
         raise InputError(msg)
-    return (numbers * (max_height_m / _largest_code(numbers, path))).astype(np.float32)
+    return _plausible(path, numbers * (max_height_m / _largest_code(numbers, path)))
 
 
 def read_unit_map(path: Path) -> NDArray[np.float32]:
@@ -63,6 +68,17 @@ def read_unit_map(path: Path) -> NDArray[np.float32]:
         msg = f"{path} holds numbers from {numbers.min():g} to {numbers.max():g}; expected 0 (opaque) to 1 (open)"
         raise InputError(msg)
     return numbers.astype(np.float32)
+
+
+def _plausible(path: Path, height_m: NDArray[Any]) -> NDArray[np.float32]:
+    relief_m = float(np.ptp(height_m))
+    if relief_m > MAX_RELIEF_M * (1 + _ROUNDING):
+        msg = (
+            f"{path} makes a relief of {relief_m * 1e3:.3g} mm, expected at most {MAX_RELIEF_M * 1e3:g} mm: give the unit "
+            "of its numbers with unit_um (1 for micrometres, 0.001 for nanometres), or max_height_um for integers"
+        )
+        raise InputError(msg)
+    return height_m.astype(np.float32)
 
 
 def _grey(path: Path) -> NDArray[Any]:

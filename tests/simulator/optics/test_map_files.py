@@ -48,6 +48,21 @@ def test_the_scale_must_be_given_and_of_the_right_kind(tmp_path):
         read_height_map(tmp_path / "map.npy", None, 2e-6)
 
 
+def test_a_relief_in_the_wrong_unit_is_refused(tmp_path):
+    """Micrometres taken for metres make a mask as high as a person; without a word its PSF would be noise."""
+    path = tmp_path / "map.npy"
+    np.save(path, METRES * 1e6)
+    with pytest.raises(
+        InputError, match=r"map.npy makes a relief of 2e\+03 mm, expected at most 10 mm: .* unit_um .1 for micro"
+    ):
+        read_height_map(path, None, None)
+    np.testing.assert_allclose(read_height_map(path, 1e-6, None), METRES, rtol=1e-6)
+    np.save(path, CODES)
+    with pytest.raises(InputError, match=r"relief of 20 mm, .* or max_height_um for integers"):
+        read_height_map(path, None, 2e-2)
+    assert read_height_map(path, None, 1e-2).max() == pytest.approx(1e-2)  # the highest that may be asked for
+
+
 def test_a_grey_picture_saved_in_colour_is_grey_and_a_colour_picture_is_refused(tmp_path):
     path = tmp_path / "map.png"
     Image.fromarray(np.stack([CODES] * 3, -1)).save(path)
