@@ -6,6 +6,7 @@ No gamma is removed here and no value scaled: the caller knows whether the numbe
 from __future__ import annotations
 
 import struct
+import warnings
 import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,8 +19,8 @@ from simulator.errors import InputError
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-MAX_PIXELS = 200_000_000
-"""Largest picture that is decoded; a few hundred bytes may claim any size, so the header is judged first."""
+MAX_PIXELS = 178_956_970
+"""Largest picture that is decoded, Pillow's own limit; a few bytes may claim any size, so headers are judged first."""
 
 _BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)
 # Pillow's modes whose pixels are exactly what the file holds, or a palette's colours; alpha is dropped.
@@ -75,12 +76,14 @@ def _open(path: Path) -> Image:
 
     _refuse_deep_colour(path)
     try:
-        image = Image.open(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # from half the limit on
+            image = Image.open(path)
     except UnidentifiedImageError:
         msg = f"{path} is not a picture that can be read (PNG, WebP, JPEG): check the file or fetch it again"
         raise InputError(msg) from None
     except Image.DecompressionBombError as error:
-        msg = f"{path} claims too many pixels ({error}); at most {MAX_PIXELS} are read"
+        msg = f"{path} claims too many pixels; at most {MAX_PIXELS} are read"
         raise InputError(msg) from error
     except _BROKEN as error:
         msg = f"{path} cannot be opened as a picture: {error}"

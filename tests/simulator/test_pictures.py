@@ -70,13 +70,25 @@ def test_broken_files_are_named(tmp_path, rng):
         read_picture(path)
 
 
-@pytest.mark.parametrize("side", [60_000, 2_000_000_000])
-def test_a_tiny_file_that_claims_a_huge_picture_is_refused(tmp_path, side):
+def claim(path, rows: int, columns: int) -> None:
+    """Write a PNG whose header claims a size that its content does not hold."""
+
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
-    header = struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)
+    header = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)
     content = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
-    (tmp_path / "bomb.png").write_bytes(content)
-    with pytest.raises(InputError, match=rf"bomb\.png claims .*{MAX_PIXELS} are read"):
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(60_000,) * 2, (2_000_000_000,) * 2, (13_500,) * 2, (1, MAX_PIXELS + 1)])
+def test_a_tiny_file_that_claims_a_huge_picture_is_refused(tmp_path, rows, columns):
+    claim(tmp_path / "bomb.png", rows, columns)
+    with pytest.raises(InputError, match=rf"bomb\.png claims .*; at most {MAX_PIXELS} are read$"):
         read_picture(tmp_path / "bomb.png")
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_limit_is_what_the_refusal_says_and_below_it_nothing_is_warned_of(tmp_path):
+    claim(tmp_path / "large.png", 1, MAX_PIXELS)
+    assert picture_shape(tmp_path / "large.png") == (1, MAX_PIXELS)
