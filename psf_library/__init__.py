@@ -4,6 +4,7 @@ from pathlib import Path
 
 from simulator.assemble import load_mask
 from simulator.dataset.psf_files import read_psf_stack, stack_folder
+from simulator.errors import InputError
 from simulator.optics.psf_stack import PsfStack
 
 __all__ = ["load_mask", "load_psf_stack"]
@@ -28,4 +29,11 @@ def load_psf_stack(path: Path | str, *, captured: bool = False) -> PsfStack:
         config = load_config(path)
         stack = build_psf_stack(config)
         return build_captured_stack(config, stack) if captured else stack
-    return read_psf_stack(stack_folder(path, captured=captured))
+    folder = stack_folder(path, captured=captured)
+    if captured and not folder.exists():
+        msg = (
+            f"captured: no stack as captured in {folder}; a data set has one with `as_captured: {{}}` in its section psf, "
+            "and `flatlight psf --as-captured --output FOLDER` writes one"
+        )
+        raise InputError(msg)
+    return read_psf_stack(folder)

@@ -54,9 +54,16 @@ def measured_files(config: Config, chosen: MeasuredPsf | StoredPsf) -> list[Path
     if isinstance(chosen, StoredPsf):
         return stack_files(_folder(config, chosen))
     background = _background(config, chosen)
-    return [config.resolve_path(name) for name in chosen.measured] + (
-        [background] if isinstance(background, Path) else []
-    )
+    return _pictures(config, chosen) + ([background] if isinstance(background, Path) else [])
+
+
+def _pictures(config: Config, chosen: MeasuredPsf) -> list[Path]:
+    files = [config.resolve_path(name) for name in chosen.measured]
+    for index, file in enumerate(files):
+        if not file.is_file():
+            msg = f"psf.measured[{index}]: there is no file {file}; relative paths start at the YAML file's folder"
+            raise InputError(msg)
+    return files
 
 
 def _from_pictures(config: Config, chosen: MeasuredPsf) -> PsfStack:
@@ -64,7 +71,7 @@ def _from_pictures(config: Config, chosen: MeasuredPsf) -> PsfStack:
 
     sensor = build_sensor(config)
     stack = load_measured_psf(
-        [config.resolve_path(name) for name in chosen.measured],
+        _pictures(config, chosen),
         [depth * 1e-2 for depth in chosen.depths_cm],
         sensor.binned_pitch_m,
         frame=chosen.frame,

@@ -91,7 +91,7 @@ def registration_shift(reference: NDArray[np.float64], image: NDArray[np.float64
 def describe_captured(nominal: PsfStack, captured: PsfStack) -> str:
     """Return a table of the differences, one line per depth, below what the calibration's light was."""
     lines = [
-        f"as captured under {captured.provenance['response']}",
+        f"as captured by {captured.provenance['response']}",
         f"{'depth':>9}  {'error':>9}  {'differs by':>10}  {'shift x, y (px)':>16}  {'light':>7}  {'SNR':>7}",
     ]
     for row, true in zip(captured_differences(nominal, captured), captured.provenance["true_depths_m"], strict=True):

@@ -53,7 +53,7 @@ def psf_facts(
         coarse, fine = sampling["oversampling"]
         facts.append(("sampling error", f"{share(sampling['error'])} (s = {coarse} vs {fine})"))
         facts.append(("error bar", f"{share(sampling['error_bar'])} of sampling"))
-    facts += _error_facts(provenance.get("errors", {}))
+    facts += _error_facts(provenance.get("errors", {}), stack.channels)
     if provenance.get("kind") == "measured":
         files = sorted({image["file"] for image in provenance["images"]})
         facts.append(("measured", files[0] if len(files) == 1 else f"{len(files)} images"))
@@ -149,10 +149,11 @@ def _range(shares: np.ndarray) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _error_facts(errors: dict[str, Any]) -> list[tuple[str, str]]:
+def _error_facts(errors: dict[str, Any], channels: tuple[str, ...]) -> list[tuple[str, str]]:
     facts = []
     if "spectrum" in errors:
-        worst = ", ".join(f"{channel} {share(error)}" for channel, error in errors["spectrum"]["channels"].items())
+        by_channel = errors["spectrum"]["channels"]  # whose order is lost in a file
+        worst = ", ".join(f"{channel} {share(by_channel[channel])}" for channel in channels)
         facts.append(("spectral error", worst))
     if "model" in errors:
         facts.append(("model error", f"{share(errors['model']['error'])} (against exact)"))

@@ -66,6 +66,8 @@ def read_npy(path: Path) -> NDArray[Any]:
         return np.array(mapped)
     except InputError:
         raise
+    except FileNotFoundError as error:
+        raise InputError(_missing(path, error)) from error
     except (OSError, ValueError, EOFError) as error:
         raise InputError(_unreadable(path, error)) from error
 
@@ -81,7 +83,7 @@ def check_numbers(image: NDArray[Any], path: Path) -> NDArray[Any]:
         raise InputError(msg)
     if image.dtype.kind == "f" and not np.all(np.isfinite(image)):
         bad = int(np.count_nonzero(~np.isfinite(image)))
-        msg = f"{path} holds {bad} values that are NaN or infinite; expected finite light: repair these pixels first"
+        msg = f"{path} holds {bad} values that are NaN or infinite; expected finite numbers: repair these pixels first"
         raise InputError(msg)
     return image
 
@@ -101,6 +103,8 @@ def _read_tiff(path: Path) -> NDArray[Any]:
             image, axes = page.asarray(), page.axes
     except InputError:
         raise
+    except FileNotFoundError as error:
+        raise InputError(_missing(path, error)) from error
     # tifffile reports damage by many kinds of exceptions; whatever it is, the file cannot be used.
     except Exception as error:
         raise InputError(_unreadable(path, error)) from error
@@ -129,3 +133,7 @@ def _check_size(shape: tuple[int, ...], path: Path) -> None:
 
 def _unreadable(path: Path, error: Exception) -> str:
     return f"{path} cannot be read ({type(error).__name__}: {error}): check the file or save it again, uncompressed"
+
+
+def _missing(path: Path, error: FileNotFoundError) -> str:
+    return f"cannot read {path}: {error.strerror}; check its name and folder"

@@ -73,7 +73,10 @@ def _triangles(path: Path) -> Triangles:
         with path.open("rb") as file:
             content = load_stl(file)  # not through a mesh, whose indices would take several times the memory
         # Corner by corner, in the order of the faces; a text file that holds several bodies lists them by name.
-        bodies = content["geometry"].values() if "geometry" in content else [content]
+        bodies = list(content["geometry"].values()) if "geometry" in content else [content]
+        if not bodies:
+            msg = f"{path} holds 0 triangles that can be read: is it an STL file? Export it again, as binary STL"
+            raise InputError(msg)
         triangles = np.concatenate([body["vertices"].reshape(-1, 3, 3) for body in bodies], dtype=np.float64)
     except InputError:
         raise

@@ -77,6 +77,9 @@ def test_pictures_at_other_planes(trial) -> None:
 def test_mistakes_are_named(trial, stored) -> None:
     with pytest.raises(InputError, match=r"no PSF stack in .*nowhere"):
         build(trial, measured="nowhere")
+    pictures = {"measured": ["no.tif"], "depths_cm": [5], "frame": "stored", "throughput_mm2": 1}
+    with pytest.raises(InputError, match=r"^psf\.measured\[0\]: there is no file .*no\.tif; relative paths start"):
+        build(trial, **pictures)
     (trial.folder / "psf.tif").write_bytes(b"")
     with pytest.raises(InputError, match=r"psf\.tif is a file; pictures are given as a list.*measured: \[psf\.tif\]"):
         build(trial, measured="psf.tif")

@@ -15,7 +15,7 @@ def test_true_and_captured_side_by_side(flatlight, trial, tmp_path: Path) -> Non
     place, picture = tmp_path / "stack", tmp_path / "psf.png"
     code, out, err = flatlight("psf", trial.write(), "--as-captured", "--output", place, "--plot", picture)
     assert code == 0, err
-    table = out.split("as captured under")[1].splitlines()
+    table = out.split("as captured by Nikon 5100 (NPL) under")[1].splitlines()
     assert "LED 530 nm" in table[0]
     assert all(words in table[1] for words in ("depth", "differs by", "shift x, y (px)", "SNR"))
     assert [line.split()[0] for line in table[2:5]] == ["3.6", "6.1", "20"]

@@ -80,6 +80,8 @@ def test_without_the_key_there_is_none(trial) -> None:
     root = trial.generate()
     assert not (root / "psf_captured").exists()
     assert verify(root).ok
+    with pytest.raises(InputError, match=r"no stack as captured in .*psf_captured; .*as_captured.*--as-captured"):
+        load_psf_stack(root, captured=True)
 
 
 def _copy(finished, tmp_path):

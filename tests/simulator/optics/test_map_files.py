@@ -78,7 +78,7 @@ def test_numbers_that_are_no_map_are_refused(tmp_path):
         (CODES.astype(np.int32), "holds int32; expected 8 or 16 bit"),
         (np.array([[0.5, 1.5]]), "numbers from 0.5 to 1.5; expected 0 .opaque. to 1 .open."),
         (np.array([[-0.5, 0.5]]), "numbers from -0.5 to 0.5"),
-        (np.array([[np.nan, 0.5]]), "1 values that are NaN"),
+        (np.array([[np.nan, 0.5]]), "1 values that are NaN or infinite; expected finite numbers"),
         (np.zeros((2, 5, 5)), "shape"),
     ):
         np.save(path, numbers)
@@ -86,3 +86,9 @@ def test_numbers_that_are_no_map_are_refused(tmp_path):
             read_unit_map(path)
     with pytest.raises(InputError, match=r"map.jpg is of a kind that is not read"):
         read_unit_map(tmp_path / "map.jpg")
+
+
+@pytest.mark.parametrize("kind", ["tif", "npy"])
+def test_a_missing_file_is_called_missing(tmp_path, kind):
+    with pytest.raises(InputError, match=rf"cannot read .*map\.{kind}: No such file or directory; check its name"):
+        read_height_map(tmp_path / f"map.{kind}", None, None)

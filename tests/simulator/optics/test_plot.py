@@ -1,6 +1,7 @@
 """The PSF picture: nothing overlaps or is cut off, whatever the stack; and the facts that it states."""
 
 import warnings
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -162,8 +163,12 @@ def test_facts_of_a_computed_stack():
     assert facts["error bar"] == f"{share(2 * stack.provenance['sampling']['error'])} of sampling"
     errors = stack.provenance["errors"]
     assert facts["model error"] == f"{share(errors['model']['error'])} (against exact)"
-    for channel in "RGB":
-        assert f"{channel} {share(errors['spectrum']['channels'][channel])}" in facts["spectral error"]
+    by_channel = errors["spectrum"]["channels"]
+    in_order = ", ".join(f"{channel} {share(by_channel[channel])}" for channel in "RGB")
+    assert facts["spectral error"] == in_order
+    read_back = errors | {"spectrum": errors["spectrum"] | {"channels": dict(sorted(by_channel.items()))}}
+    again = replace(stack, provenance=stack.provenance | {"errors": read_back})
+    assert dict(psf_facts(again))["spectral error"] == in_order
     shares = stack.energy_m2() / mask.transmitted_area_m2
     assert facts["light on PSF grid"].startswith(share(shares.min()))
     assert facts["light off sensor"] != "0 %"

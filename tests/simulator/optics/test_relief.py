@@ -219,6 +219,10 @@ def test_files_that_are_no_stl_are_refused(tmp_path):
         path.write_bytes(content)
         with pytest.raises(InputError, match=r"body.stl (cannot be read as STL|holds 0 triangles)"):
             read_stl_height(path, 1e-6, 1e-3)
+    path.write_text("the quick brown fox\n" * 9)
+    with pytest.raises(InputError, match=r"body.stl (cannot be read as|holds 0 triangles.*is it an) STL") as caught:
+        read_stl_height(path, 1e-6, 1e-3)
+    assert "concatenate" not in str(caught.value)
 
 
 def test_files_too_large_are_refused_unread(tmp_path, monkeypatch):
