@@ -107,6 +107,7 @@ def check_calibration(config: Config) -> None:
         InputError: as :func:`build_captured_stack`, naming the key.
     """
     chosen = _chosen(config)
+    _recording(chosen)
     _lit(config, chosen)
     _places(config, chosen)
 
@@ -129,13 +130,18 @@ def _source(chosen: AsCaptured) -> CalibrationSource:
 
 
 def _recording(chosen: AsCaptured) -> Recording:
-    return Recording(
-        chosen.peak_percent * 1e-2,
-        chosen.frames,
-        chosen.pedestal_percent * 1e-2,
-        chosen.glow_percent * 1e-2,
-        chosen.background,
-    )
+    try:
+        return Recording(
+            chosen.peak_percent * 1e-2,
+            chosen.frames,
+            chosen.pedestal_percent * 1e-2,
+            chosen.glow_percent * 1e-2,
+            chosen.background,
+        )
+    except InputError as error:
+        _, _, reason = str(error).partition(": ")  # behind the names of the recording's attributes
+        msg = f"psf.as_captured.peak_percent + pedestal_percent + glow_percent: {reason}"
+        raise InputError(msg) from error
 
 
 def _places(config: Config, chosen: AsCaptured) -> SourcePlaces:

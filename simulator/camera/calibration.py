@@ -12,6 +12,7 @@ from simulator.camera.sensor import Sensor
 from simulator.errors import InputError
 from simulator.optics.measured import border_level
 
+_ROUNDING = 1e-9
 GLOW_REACH = 0.25
 """Length over which the glow of the sensor's edge falls to 1/e, as a share of the picture's width."""
 
@@ -21,7 +22,8 @@ class Recording:
     """How each PSF is recorded. Shares are of the sensor's full scale.
 
     Attributes:
-        peak: share to which each depth's exposure brings the brightest pixel.
+        peak: share to which each depth's exposure brings the brightest pixel; with the stray light at most 1, lest it
+            saturate.
         frames: pictures that are averaged.
         pedestal: stray light, everywhere alike.
         glow: light of the sensor's left edge where it is brightest; it falls off exponentially.
@@ -41,6 +43,13 @@ class Recording:
             raise InputError(msg)
         if self.frames < 1:
             msg = f"frames: got {self.frames}, expected a whole number of pictures from 1"
+            raise InputError(msg)
+        brightest = self.peak + self.pedestal + self.glow
+        if brightest > 1 + _ROUNDING:
+            msg = (
+                f"peak + pedestal + glow: got {brightest:.4g} of full scale, expected at most 1, above which pixels "
+                "saturate and the PSF's peak is cut off; lower the peak"
+            )
             raise InputError(msg)
         if self.background not in ("dark", "border", "none"):
             msg = f"background: got {self.background!r}, expected 'dark', 'border' or 'none'"

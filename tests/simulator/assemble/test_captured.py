@@ -127,6 +127,10 @@ def test_a_measured_psf_is_refused(trial, capture) -> None:
             {"depth_offset_mm": -50},
             r"^psf\.as_captured\.depth_offset_mm, depth_std_mm: the source of 0\.036 m .* behind the mask",
         ),
+        (
+            {"peak_percent": 100, "pedestal_percent": 30, "glow_percent": 0},
+            r"^psf\.as_captured\.peak_percent \+ pedestal_percent \+ glow_percent: got 1\.3 of full scale.* lower the peak",
+        ),
     ],
 )
 def test_a_calibration_that_cannot_be_is_told_beforehand(trial, settings, words) -> None:

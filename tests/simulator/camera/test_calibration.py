@@ -88,11 +88,19 @@ def test_what_is_darker_than_the_dark_becomes_zero_and_is_told(light) -> None:
     assert 0.001 < facts["negative_share"] < 0.2
 
 
+def test_up_to_full_scale_nothing_is_cut_off(light) -> None:
+    """0.6 + 0.3 + 0.1 is 1 but for rounding: the brightest recording that is accepted still gives the light back."""
+    found, _ = record(light, Recording(0.6, 1, 0.3, 0.1), noise=NoNoise())
+    np.testing.assert_allclose(found, light, rtol=0, atol=1e-13 * light.max())
+
+
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
         ({"peak": 0.0}, r"peak: got 0\.0, expected a share"),
         ({"peak": 70}, "peak: got 70, expected a share"),
+        ({"peak": 1.0, "pedestal": 0.3}, r"peak \+ pedestal \+ glow: got 1\.3 of full scale, .* lower the peak"),
+        ({"peak": 0.9, "glow": 0.11}, r"got 1\.01 of full scale"),
         ({"frames": 0}, "frames: got 0, expected"),
         ({"background": "median"}, "background: got 'median', expected 'dark'"),
     ],
