@@ -1,10 +1,10 @@
-"""Our free-space propagation against torchoptics, waveprop and prysm: time and error against the truth, side by side.
+"""Our free-space propagation against torchoptics, waveprop and prysm, side by side; then whole stacks (``stack.py``).
 
 The field is a random smooth phase (400 cosine modes up to 20 cycles/mm, 4.2 rad rms) under a smooth aperture
 exp(-(r / 0.36 mm)^12), 532 nm, propagated over 1.9 mm. The truth is the direct Rayleigh-Sommerfeld sum on the fine
 grid.
 
-Run: uv run --group bench python benchmarks/psf.py [--quick] [--oracle FOLDER]
+Run: uv run --group bench python benchmarks/psf.py [--quick] [--full] [--oracle FOLDER]
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import stack
 from common import measure, relative_error, rows, show, single_threaded, versions
 from peers import PEERS, Propagate
 
@@ -113,6 +114,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="coarse grid and few points only")
     parser.add_argument("--oracle", type=Path, help="folder with e2_smooth_aperture_truth.npz instead of our own sum")
+    parser.add_argument(
+        "--full", action="store_true", help="the exact stack of 25 depths x 15 wavelengths too (minutes)"
+    )
     parser.add_argument("--rounds", type=int, default=5, help="counted rounds per table")
     args = parser.parse_args()
     single_threaded()
@@ -130,6 +134,9 @@ def main() -> int:
             title = f"{samples} x {samples} samples of {pitch_m * 1e6:.3f} um, {np.dtype(dtype)}"
             show(title, rows(seconds, errors, OURS), OURS, "error")
         print(*missing, sep="\n")
+    if not args.quick:
+        print("\nWhole stacks of the default camera")
+        stack.run(threads=2, full=args.full)
     return 0
 
 

@@ -29,6 +29,7 @@ class SamplingWarning(UserWarning):
 
 CROP_M = 1.5e-3  # enough mask for its statistics, little enough to cost under a second
 WARN, REFUSE = 0.01, 0.05
+MOST = 16  # the oversampling that a configuration may ask for
 # With errors that fall like 1 / s or faster, |I(s) - I(2 s)| >= |I(s) - I| / 2: twice the difference holds the whole error.
 BAR = 2.0
 
@@ -101,8 +102,8 @@ def prove_sampling(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
     if report["error"] > limit:
         msg = (
             f"oversampling: {psf_config.oversampling} gives a sampling error of {report['error']:.3f} (PSF on the sensor's "
-            f"pixels against {report['oversampling'][1]}), above the limit of {limit:g}; use oversampling "
-            f"{report['oversampling'][1]}, or set accept_error to allow it"
+            f"pixels against {report['oversampling'][1]}), above the limit of {limit:g}; {_cure(report['oversampling'][1])}, or "
+            "set accept_error to allow it"
         )
         raise InputError(msg)
     if report["error"] > WARN:
@@ -123,6 +124,10 @@ def _refuse_steep_phase(mask: Mask, camera: CameraGeometry, psf_config: PsfConfi
         needed = int(np.ceil(2 * turns * psf_config.oversampling))
         msg = (
             f"oversampling: the smooth mask's phase turns by up to {turns:.2f} turns per sample at {shortest * 1e9:.0f} nm, "
-            f"more than the 0.5 that a grid can hold; use oversampling {needed}, or profile 'staircase' for a fabricated mask"
+            f"more than the 0.5 that a grid can hold; {_cure(needed)}, or profile 'staircase' for a fabricated mask"
         )
         raise InputError(msg)
+
+
+def _cure(oversampling: int) -> str:
+    return f"use oversampling {oversampling}" if oversampling <= MOST else "give the mask finer samples (pixel_um)"

@@ -189,6 +189,12 @@ def test_a_steep_smooth_mask_is_refused_with_a_cure_that_works():
         assert np.isfinite(prove_sampling(mask, _camera(450, 532), config)["error"])
 
 
+def test_a_phase_far_too_steep_needs_a_finer_mask():
+    """No oversampling that a configuration may ask for would do."""
+    with pytest.raises(InputError, match=r"give the mask finer samples \(pixel_um\)"):
+        prove_sampling(_smooth(turns=20), _camera(532), PsfConfig((np.inf,), wavelengths_per_channel=1))
+
+
 def test_accept_error_does_not_excuse_steep_phase():
     config = PsfConfig((np.inf,), wavelengths_per_channel=1, accept_error=10.0)
     with pytest.raises(InputError, match="turns per sample"):
