@@ -100,10 +100,11 @@ def prove_sampling(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
     report = sampling_error(mask, camera, psf_config)
     limit = REFUSE if psf_config.accept_error is None else psf_config.accept_error
     if report["error"] > limit:
+        cure = _cure(report["oversampling"][1])
         msg = (
             f"oversampling: {psf_config.oversampling} gives a sampling error of {report['error']:.3f} (PSF on the sensor's "
-            f"pixels against {report['oversampling'][1]}), above the limit of {limit:g}; {_cure(report['oversampling'][1])}, or "
-            "set accept_error to allow it"
+            f"pixels against {report['oversampling'][1]}), above the limit of {limit:g}; {cure}, or set "
+            "accept_error to allow it"
         )
         raise InputError(msg)
     if report["error"] > WARN:
