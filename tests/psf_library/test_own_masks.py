@@ -56,7 +56,7 @@ def test_height_maps_that_cannot_be_are_refused(tmp_path):
         ("file.*missing", {"pixel_um": 2.0}),
         ("pixel_um.*missing", {"file": "h.npy"}),
         ("material.*glas", {"file": "h.npy", "pixel_um": 2.0, "material": "glas"}),
-        ("cannot be read", {"file": "absent.npy", "pixel_um": 2.0}),
+        ("cannot read", {"file": "absent.npy", "pixel_um": 2.0}),
         ("max_height_um: got 1, but .*h.stl is a body", {"file": "h.stl", "pixel_um": 2.0, "max_height_um": 1.0}),
     ):
         with pytest.raises(InputError, match=words):
