@@ -18,8 +18,8 @@ from simulator.optics.steepness import followed_frequency
 from simulator.optics.transfer import band_edge_m
 from simulator.types import CameraGeometry
 
-# As kernel.ORDERS. More orders need a finer grid here, and the pixel's sinc vanishes at one: 1.2 would take half as long again
-# for 0.4 % more of a PhlatCam's light.
+# As kernel.ORDERS. More orders need a finer grid here, and the pixel's sinc vanishes at one: 1.2 would take half as long
+# again for 0.4 % more of a PhlatCam's light.
 ORDERS = 1.0
 
 

@@ -77,7 +77,7 @@ def compute_psf_stack(
     Returns:
         The stack, ``values`` ``(K, C, N, N)`` with N odd and wide enough for all the light that is followed: the sum of each
         PSF times the pixel area equals the mask's transmitted area for a smooth mask, and falls short of it by the
-        diffraction orders beyond ``kernel.ORDERS`` (5-6 % for a PhlatCam) for a staircase. ``provenance["sampling"]``
+        diffraction orders beyond ``kernel.ORDERS`` (6-9 % for a PhlatCam) for a staircase. ``provenance["sampling"]``
         holds the measured sampling error, which sees the orders up to twice as many; ``provenance["errors"]`` the others.
 
     Raises:
