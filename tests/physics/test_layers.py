@@ -176,7 +176,10 @@ def test_a_window_of_air_changes_nothing_and_one_of_glass_moves_the_source():
     through = next(exact_images(mask, camera, [Source(WAVELENGTH_M, 5e-3, window=window)], 101))
     nearer = next(exact_images(mask, camera, [Source(WAVELENGTH_M, 5e-3 - 0.3e-3 * (1 - 1 / GLASS))], 101))
     plain = next(exact_images(mask, camera, [Source(WAVELENGTH_M, 5e-3)], 101))
-    distance = lambda a, b: np.linalg.norm(a - b) / np.linalg.norm(b)  # noqa: E731
+
+    def distance(a: np.ndarray, b: np.ndarray) -> float:
+        return float(np.linalg.norm(a - b) / np.linalg.norm(b))
+
     assert distance(through, nearer) < 1e-3
     assert distance(plain, nearer) > 20 * distance(through, nearer)
 
