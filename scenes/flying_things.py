@@ -17,7 +17,7 @@ from scenes.layout import Ball, far_end, place_balls
 from scenes.meshes import mesh_library
 from scenes.palettes import draw_ramp, draw_theme
 from scenes.textures import draw_reflectance, tiled
-from simulator.render import Box, Environment, Material, Scene, Sphere, SphereLight, TriangleMesh, render_still
+from simulator.render import Box, Environment, Material, Renderer, Scene, Sphere, SphereLight, TriangleMesh
 from simulator.render.scene import Shape
 from simulator.types import Clip, View
 
@@ -32,7 +32,7 @@ def flying_things(
     *,
     samples_per_pixel: Annotated[int, Field(ge=1, le=4096)] = 16,
     objects: Annotated[int, Field(ge=1, le=200)] = 30,
-    backend: str,
+    renderer: Renderer,
 ) -> FlyingThings:
     """Return the family for a view: each clip is one picture of ``objects`` random solids before a textured wall.
 
@@ -40,13 +40,13 @@ def flying_things(
         view: image shape, pinhole geometry and depth range; ``far_m`` must be at least 1.1 ``near_m``.
         samples_per_pixel: light paths per pixel; noise falls with the square root.
         objects: how many solids; their size adapts, so that they cover about the same share of the picture.
-        backend: the Mitsuba variant, from `simulator.render.choose_backend`.
+        renderer: how to render.
 
     Raises:
         InputError: when the depth range is too thin to hold solids.
     """
     far_end(view)  # refuses a view that cannot be filled, before any work is done
-    return FlyingThings(view, samples_per_pixel, objects, backend)
+    return FlyingThings(view, samples_per_pixel, objects, renderer)
 
 
 @dataclass(frozen=True)
@@ -56,18 +56,17 @@ class FlyingThings:
     view: View
     samples_per_pixel: int
     objects: int
-    backend: str
+    renderer: Renderer
     inputs: tuple[Path, ...] = field(default=(), init=False)
 
     def clip(self, index: int, rng: np.random.Generator) -> Clip:
         """Draw a scene from ``rng`` and render it; ``index`` is only noted."""
         scene = draw_scene(self.view, self.objects, rng)
-        return render_still(
+        return self.renderer.still(
             scene,
             self.view,
             samples_per_pixel=self.samples_per_pixel,
             seed=int(rng.integers(2**32)),
-            backend=self.backend,
             source={"family": "flying_things", "index": index, "objects": self.objects},
         )
 

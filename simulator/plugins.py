@@ -31,7 +31,7 @@ _BUILT_IN = {"mask": (), "scene": (), "source": ("simulator.importers",)}
 # Keys of the section beside the plugin's parameters, which a parameter therefore cannot be called.
 _SCENE_KEYS = ("family", "source", "size", "near_cm", "far_cm")
 SECTION_KEYS = {"mask": ("design",), "scene": _SCENE_KEYS, "source": _SCENE_KEYS}
-_INJECTED = "backend"
+_INJECTED = "renderer"
 
 
 class ParameterError(InputError):
@@ -55,7 +55,7 @@ class Plugin:
         name: as it was written.
         function: what to call.
         parameters: pydantic model of the keyword-only parameters.
-        takes_backend: whether the function wants ``backend``, which is injected and no parameter.
+        takes_renderer: whether the function wants ``renderer``, which is injected and no parameter.
         base_dir: folder from which relative paths are taken.
         path: the source file of a ``./file.py:name``, else None.
     """
@@ -64,7 +64,7 @@ class Plugin:
     name: str
     function: Callable[..., Any]
     parameters: type[BaseModel]
-    takes_backend: bool
+    takes_renderer: bool
     base_dir: Path
     path: Path | None = None
 
@@ -125,8 +125,8 @@ def resolve(kind: str, name: str, base_dir: Path | None = None) -> Plugin:
         known = [key for key, value in vars(module).items() if inspect.isfunction(value) and not key.startswith("_")]
         msg = f"{_LABELS[kind]} {name!r}: {place} defines no function {attribute!r}{nearest(attribute, known)}"
         raise InputError(msg)
-    parameters, takes_backend = _model_of(kind, name, function)
-    return Plugin(kind, name, function, parameters, takes_backend, base_dir, path)
+    parameters, takes_renderer = _model_of(kind, name, function)
+    return Plugin(kind, name, function, parameters, takes_renderer, base_dir, path)
 
 
 def available(kind: str) -> list[str]:
@@ -195,7 +195,7 @@ def _import_module(kind: str, name: str, module: str) -> Any:
 def _model_of(kind: str, name: str, function: Callable[..., Any]) -> tuple[type[BaseModel], bool]:
     """Turn the keyword-only parameters of a signature into a strict model."""
     label = f"{_LABELS[kind]} {name!r}"
-    takes_backend = False
+    takes_renderer = False
     fields: dict[str, Any] = {}
     try:
         parameters = inspect.signature(function).parameters.values()
@@ -206,7 +206,7 @@ def _model_of(kind: str, name: str, function: Callable[..., Any]) -> tuple[type[
         raise InputError(msg) from error
     for parameter in parameters:
         if parameter.name == _INJECTED:
-            takes_backend = True
+            takes_renderer = True
         elif parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
             msg = f"{label}: its parameters cannot be checked because of '{parameter}'; name each one after a '*'"
             raise InputError(msg)
@@ -233,7 +233,7 @@ def _model_of(kind: str, name: str, function: Callable[..., Any]) -> tuple[type[
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # a parameter may be called like a method of BaseModel
-            return create_model(f"{name} parameters", __config__=config, **fields), takes_backend
+            return create_model(f"{name} parameters", __config__=config, **fields), takes_renderer
     except (PydanticUserError, NameError, TypeError) as error:
         reason = str(error).splitlines()[0]
         msg = f"{label}: its parameters cannot come from YAML ({reason}); use plain types such as float, str or Path"

@@ -59,6 +59,8 @@ class Clip:
         frame_edges_s: float64 seconds ``(T + 1,)``, increasing: frame ``t`` lasts from edge ``t`` to ``t + 1``.
         label: the class name of an action, or None.
         source: where the clip came from, JSON-serialisable; it is stored with the sample.
+        extras: more that is known of every pixel, by name: arrays of numbers ``(T, H, W)`` or ``(T, H, W, n)``, finite; see
+            `simulator.render.outputs` for those that rendering gives.
 
     Raises:
         InputError: when shapes, types or values break these rules.
@@ -70,6 +72,7 @@ class Clip:
     frame_edges_s: NDArray[np.float64]
     label: str | None = None
     source: dict[str, Any] = field(default_factory=dict)
+    extras: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.rgb.ndim != 4 or self.rgb.shape[-1] != 3 or self.rgb.dtype != np.float32:
@@ -92,6 +95,12 @@ class Clip:
         if not np.all(self.depth_m > 0):  # also catches NaN
             msg = f"Clip.depth_m must be positive metres from the mask plane, got a minimum of {self.depth_m.min()}"
             raise InputError(msg)
+        for name, values in self.extras.items():
+            if values.ndim not in (3, 4) or values.shape[:3] != frames_shape or not np.all(np.isfinite(values)):
+                msg = (
+                    f"Clip.extras[{name!r}] must be finite {frames_shape} or {(*frames_shape, 'n')}, got {values.shape}"
+                )
+                raise InputError(msg)
 
 
 @runtime_checkable

@@ -44,8 +44,11 @@ def build_source(config: Config, backend: str) -> SceneSource:
     """
     plugin = scene_plugin(config)
     arguments = plugin.bind(config.scene.params)
-    if plugin.takes_backend:
-        arguments["backend"] = backend
+    if plugin.takes_renderer:
+        from simulator.render import Renderer  # imported data sets need no renderer
+
+        chosen = config.render
+        arguments["renderer"] = Renderer(backend, tuple(chosen.outputs), chosen.hidden_layers)
     with plugin_errors(plugin):
         source = plugin.function(build_view(config), **arguments)
     if not isinstance(source, SceneSource):

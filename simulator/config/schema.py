@@ -96,6 +96,12 @@ class RenderConfig(Section):
     backend: Literal["auto", "llvm", "scalar"] = Field(
         default="auto", description="Mitsuba's backend; auto takes llvm where it was proven to work, else scalar"
     )
+    outputs: tuple[Literal["shape_id", "normal", "albedo", "motion", "hidden"], ...] = Field(
+        default=(), description="what is stored of each pixel beside colour and depth; motion needs clips"
+    )
+    hidden_layers: Annotated[int, Range(1, 8)] = Field(
+        default=1, description="how many layers of surfaces behind the picture the output hidden holds"
+    )
 
 
 class Config(Section):

@@ -103,7 +103,7 @@ class _Job:
 
     def run(self) -> tuple[int, int, list[str]]:
         """Return how many samples were made and kept, and what failed."""
-        renders = scene_plugin(self.config).takes_backend
+        renders = scene_plugin(self.config).takes_renderer
         backend = choose_backend(self.config.render.backend) if renders else None
         variant = backend.variant if backend else "none"
         if backend:

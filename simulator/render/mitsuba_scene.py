@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.render.mesh import mitsuba_mesh
-from simulator.render.scene import Box, Environment, Material, Scene, Shape, Sphere, SphereLight, TriangleMesh
+from simulator.render.mesh import cuboid, mitsuba_mesh
+from simulator.render.scene import Box, Environment, EnvironmentMap, Light, Material, Scene, Shape, Sphere
 from simulator.types import View
 
 UNITS_PER_M = 100.0
@@ -31,14 +31,38 @@ def load_scene(scene: Scene, view: View, max_depth: int) -> Any:
     """
     import mitsuba as mi
 
-    parts: dict[str, Any] = {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": max_depth, "block_size": _BLOCK_SIZE},
-        "sensor": pinhole(view),
-    }
-    parts |= {f"light{number:03d}": _light(light) for number, light in enumerate(scene.lights)}
-    parts |= {f"shape{number:04d}": _shape(shape) for number, shape in enumerate(scene.shapes)}
+    parts: dict[str, Any] = {"type": "scene", "integrator": path_tracer(max_depth, scene.hide_lights)}
+    parts["sensor"] = pinhole(view)
+    parts |= {light_name(number): _light(light) for number, light in enumerate(scene.lights)}
+    parts |= {shape_name(number): _shape(shape) for number, shape in enumerate(scene.shapes)}
     return mi.load_dict(parts)
+
+
+def shape_name(number: int) -> str:
+    """Return the name by which Mitsuba knows a shape of a scene."""
+    return f"shape{number:04d}"
+
+
+def light_name(number: int) -> str:
+    """Return the name by which Mitsuba knows a light of a scene."""
+    return f"light{number:03d}"
+
+
+def scene_order(loaded: Any) -> list[int]:
+    """Return, for each shape of a loaded scene, its number: its place among the shapes, lamps after them."""
+    names = [shape.id() for shape in loaded.shapes()]
+    shapes = sum(name.startswith("shape") for name in names)
+    return [int(name[5:]) + (0 if name.startswith("shape") else shapes) for name in names]
+
+
+def path_tracer(max_depth: int, hide_lights: bool = False) -> dict[str, Any]:
+    """Return the integrator as a Mitsuba dictionary.
+
+    Args:
+        max_depth: longest light path, in segments.
+        hide_lights: whether lamps and surroundings are invisible to the camera.
+    """
+    return {"type": "path", "max_depth": max_depth, "hide_emitters": hide_lights, "block_size": _BLOCK_SIZE}
 
 
 def pinhole(view: View) -> dict[str, Any]:
@@ -75,19 +99,17 @@ def pinhole(view: View) -> dict[str, Any]:
 
 def _shape(shape: Shape) -> Any:
     bsdf = _bsdf(shape.material)
-    if isinstance(shape, TriangleMesh):
-        return mitsuba_mesh(shape, bsdf, UNITS_PER_M)
     if isinstance(shape, Sphere):
-        return {"type": "sphere", "to_world": _placed(shape.centre_m, shape.rotation, shape.radius_m), "bsdf": bsdf}
-    assert isinstance(shape, Box)
-    return {"type": "cube", "to_world": _placed(shape.centre_m, shape.rotation, shape.half_size_m), "bsdf": bsdf}
+        return {"type": "sphere", "to_world": placement(shape.centre_m, shape.radius_m, shape.rotation), "bsdf": bsdf}
+    return mitsuba_mesh(cuboid(shape) if isinstance(shape, Box) else shape, bsdf, UNITS_PER_M)
 
 
-def _placed(centre_m: NDArray[np.float64], rotation: NDArray[np.float64], scale_m: float | NDArray[np.float64]) -> Any:
+def placement(centre_m: NDArray[np.float64], radius_m: float, rotation: NDArray[np.float64] | None = None) -> Any:
+    """Return the transform from the unit ball to a ball of the scene."""
     import mitsuba as mi
 
     matrix = np.eye(4)
-    matrix[:3, :3] = rotation * scale_m * UNITS_PER_M  # broadcasts along columns: scale first, then turn
+    matrix[:3, :3] = (np.eye(3) if rotation is None else rotation) * radius_m * UNITS_PER_M
     matrix[:3, 3] = centre_m * UNITS_PER_M
     return mi.ScalarTransform4f(matrix.tolist())
 
@@ -100,18 +122,22 @@ def _bsdf(material: Material) -> dict[str, Any]:
         "bitmap": mi.Bitmap(np.ascontiguousarray(material.reflectance, dtype=np.float32)),
     }
     if material.roughness is None:
-        return {"type": "diffuse", "reflectance": texture}
-    # Not 'roughplastic': it integrates a table on construction, 0.05 CPU-s for every material of every scene.
-    return {"type": "principled", "base_color": texture, "roughness": material.roughness, "specular": 0.5}
+        front: dict[str, Any] = {"type": "diffuse", "reflectance": texture}
+    else:
+        # Not 'roughplastic': it integrates a table on construction, 0.05 CPU-s for every material of every scene.
+        front = {"type": "principled", "base_color": texture, "roughness": material.roughness, "specular": 0.5}
+    return {"type": "twosided", "front": front} if material.two_sided else front
 
 
-def _light(light: SphereLight | Environment) -> dict[str, Any]:
+def _light(light: Light) -> dict[str, Any]:
+    import mitsuba as mi
+
+    if isinstance(light, EnvironmentMap):
+        bitmap = mi.Bitmap(np.ascontiguousarray(light.radiance, dtype=np.float32))
+        upright = mi.ScalarTransform4f().rotate([0, 0, 1], 180)  # Mitsuba's maps have their zenith at +y
+        return {"type": "envmap", "bitmap": bitmap, "to_world": upright}
     radiance = {"type": "rgb", "value": [float(value) for value in light.radiance]}
     if isinstance(light, Environment):
         return {"type": "constant", "radiance": radiance}
-    return {
-        "type": "sphere",
-        "center": [float(value) for value in light.centre_m * UNITS_PER_M],
-        "radius": light.radius_m * UNITS_PER_M,
-        "emitter": {"type": "area", "radiance": radiance},
-    }
+    placed = placement(light.centre_m, light.radius_m)
+    return {"type": "sphere", "to_world": placed, "emitter": {"type": "area", "radiance": radiance}}

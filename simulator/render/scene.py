@@ -23,10 +23,12 @@ class Material:
         reflectance: linear RGB ``(h, w, 3)`` float32 in 0..1, wrapped over the surface's texture coordinates; it repeats.
             There is no transform of these coordinates: Dr.Jit would bake it into the kernel and compile every scene anew.
         roughness: None for a matt (Lambertian) surface, else 0..1: a dielectric coat of that roughness, like plastic.
+        two_sided: whether the back looks like the front, for open surfaces such as paper; else it is black.
     """
 
     reflectance: NDArray[np.float32]
     roughness: float | None = None
+    two_sided: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,16 +85,33 @@ class Environment:
     radiance: Vector
 
 
+@dataclass(frozen=True)
+class EnvironmentMap:
+    """Light from everywhere with a picture of it: ``radiance`` ``(h, 2 h, 3)`` float32 linear RGB, latitude by longitude.
+
+    Row 0 shines from above (-y); columns go once around the horizon, with the middle one straight ahead (+z).
+    """
+
+    radiance: NDArray[np.float32]
+
+
 Shape: TypeAlias = Sphere | Box | TriangleMesh
+Light: TypeAlias = SphereLight | Environment | EnvironmentMap
 
 
 @dataclass(frozen=True)
 class Scene:
     """Shapes and lights.
 
-    With LLVM, scenes that hold the same kinds of shape and material in the same order share their compiled kernels;
+    With LLVM, scenes that hold the same kinds of shape, material and light in the same order share their compiled kernels;
     a new order costs about half a CPU-second. So a family gives each slot a fixed kind.
+
+    Attributes:
+        shapes: what is seen; a shape's number is its id in G-buffers.
+        lights: what shines; lamps are seen too, with ids after those of the shapes.
+        hide_lights: lamps and surroundings shine but are not seen: where no surface is, the picture is black.
     """
 
     shapes: tuple[Shape, ...]
-    lights: tuple[SphereLight | Environment, ...]
+    lights: tuple[Light, ...]
+    hide_lights: bool = False

@@ -12,7 +12,7 @@ import pytest
 from scenes.flying_things import draw_scene, flying_things
 from scenes.layout import far_end, place_balls
 from simulator.errors import InputError
-from simulator.render import Box, Environment, Scene, Sphere, SphereLight, TriangleMesh
+from simulator.render import Box, Environment, Renderer, Scene, Sphere, SphereLight, TriangleMesh
 from simulator.types import SceneSource, View
 
 DEFAULT = View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2)
@@ -102,7 +102,7 @@ def test_light_on_a_white_wall_is_the_drawn_exposure() -> None:
 
 
 def test_a_clip_keeps_the_contract() -> None:
-    source = flying_things(SMALL, samples_per_pixel=4, objects=10, backend="scalar_rgb")
+    source = flying_things(SMALL, samples_per_pixel=4, objects=10, renderer=Renderer("scalar_rgb"))
     assert isinstance(source, SceneSource)
     assert tuple(source.inputs) == ()
     copy = pickle.loads(pickle.dumps(source))
@@ -127,7 +127,7 @@ def test_a_clip_keeps_the_contract() -> None:
 def test_a_depth_range_too_thin_for_solids_is_refused(far_m: float) -> None:
     view = View((24, 24), 102.4e-6, 1.9e-3, 0.036, far_m)
     with pytest.raises(InputError, match=r"solids do not fit between near 0\.036 m and far"):
-        flying_things(view, backend="scalar_rgb")
+        flying_things(view, renderer=Renderer("scalar_rgb"))
 
 
 def test_an_infinite_far_depth_is_filled_to_the_last_disparities() -> None:

@@ -204,11 +204,11 @@ class TestSources:
         assert words in str(caught.value)
         assert "./plugins.py:boxes" in str(caught.value)
 
-    def test_the_backend_goes_to_those_who_want_it(self, trial) -> None:
+    def test_a_renderer_goes_to_those_who_want_it(self, trial) -> None:
         path = trial.write(scene={"family": "flying_things", "size": [16, 20]})
         source = assemble.build_source(load_config(path), "scalar_rgb")
-        assert getattr(source, "backend") == "scalar_rgb"  # noqa: B009
-        assert not assemble.scene_plugin(load_config(trial.write())).takes_backend
+        assert getattr(source, "renderer").backend == "scalar_rgb"  # noqa: B009
+        assert not assemble.scene_plugin(load_config(trial.write())).takes_renderer
 
 
 @pytest.mark.parametrize(

@@ -83,14 +83,14 @@ def test_scenes_and_sources_have_groups_of_their_own(install: Install) -> None:
     install(
         "trial_worlds",
         "[flatlight.scenes]\ntrial = trial_worlds\n[flatlight.sources]\ntrial = trial_worlds\n",
-        room="def room(view, *, objects: int = 2, backend: str): ...\n",
+        room="def room(view, *, objects: int = 2, renderer: object): ...\n",
     )
     assert "room" in available("scene")
     assert "room" in available("source")
     assert "room" not in available("mask")
     assert "flyingthings3d" in available("source")  # simulator.importers needs no entry point
     plugin = resolve("scene", "room")
-    assert plugin.takes_backend
+    assert plugin.takes_renderer
     assert plugin.bind({}) == {"objects": 2}
     assert "unknown mask design, got 'room'" in refused("mask", "room")
 
@@ -231,7 +231,7 @@ PARAMETERS = """
         copy: int = 0,
         json: int = 0,
         model_x: int = 0,
-        backend: str,
+        renderer: object,
     ): ...
 """
 
@@ -239,7 +239,7 @@ PARAMETERS = """
 def test_bind_gives_typed_values_with_defaults(tmp_path: Path) -> None:
     write(tmp_path, PARAMETERS)
     plugin = resolve("mask", "./my_mask.py:vortex", tmp_path)
-    assert plugin.takes_backend
+    assert plugin.takes_renderer
     bound = plugin.bind({"width_mm": 3, "file": "a/b.png", "files": ["c.png", "/d.png"], "pair": [1, 2.5], "copy": 4})
     assert bound == {
         "width_mm": 3.0,
@@ -287,7 +287,7 @@ def test_fill_gives_plain_data_with_paths_as_written(tmp_path: Path) -> None:
         ({"width_mm": 3, "files": "a.png"}, ("files",), ["got 'a.png'; expected a list"]),
         ({"width_mm": 3, "chrge": 1}, ("chrge",), ["unknown key, got 1; expected one of design, width_mm", "'charge'"]),
         ({"width": 3}, ("width",), ["unknown key, got 3", "did you mean 'width_mm'?"]),
-        ({"width_mm": 3, "backend": "llvm"}, ("backend",), ["unknown key, got 'llvm'"]),
+        ({"width_mm": 3, "renderer": "llvm"}, ("renderer",), ["unknown key, got 'llvm'"]),
         ({"width_mm": 3, "view": 1}, ("view",), ["unknown key, got 1"]),
     ],
 )

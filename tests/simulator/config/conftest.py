@@ -16,7 +16,7 @@ def mask(*, width_mm: Annotated[float, Field(gt=0, le=20)] = 3.0, charge: int = 
     return width_mm, charge, kind
 
 
-def room(view, *, path: Path | None = None, reach: float = 1.0, objects: int = 3, backend: str):
+def room(view, *, path: Path | None = None, reach: float = 1.0, objects: int = 3, renderer: object):
     return view
 
 

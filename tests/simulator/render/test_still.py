@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from simulator.errors import InputError
-from simulator.render import Environment, Scene, render_still
-from simulator.render.still import repair
+from simulator.render import Environment, Renderer, Scene
+from simulator.render.repair import repair
 from simulator.types import View
 
 Pictures = Mapping[str, NDArray[Any]]
@@ -152,13 +152,13 @@ def test_repair_replaces_a_broken_pixel_by_its_neighbours() -> None:
 def test_bad_numbers_are_refused(samples: int, seed: int, named: str) -> None:
     scene = Scene((), (Environment(np.ones(3)),))
     with pytest.raises(InputError, match=named):
-        render_still(scene, VIEW, samples_per_pixel=samples, seed=seed, backend="scalar_rgb", source={})
+        Renderer("scalar_rgb").still(scene, VIEW, samples_per_pixel=samples, seed=seed, source={})
 
 
 def test_an_empty_scene_is_all_misses_with_a_finite_depth_even_if_far_is_infinite() -> None:
     scene = Scene((), (Environment(np.array([0.25, 0.5, 1.0])),))
     view = View((4, 6), 19.2e-6, 1.9e-3, 0.036, float("inf"))
-    clip = render_still(scene, view, samples_per_pixel=7, seed=0, backend="scalar_rgb", source={"family": "none"})
+    clip = Renderer("scalar_rgb").still(scene, view, samples_per_pixel=7, seed=0, source={"family": "none"})
     assert not clip.valid.any()
     assert np.all(clip.depth_m == 1e6)
     np.testing.assert_allclose(clip.rgb, np.broadcast_to([0.25, 0.5, 1.0], (1, 4, 6, 3)), rtol=1e-6)

@@ -17,12 +17,12 @@ from simulator.render import (
     Box,
     Environment,
     Material,
+    Renderer,
     Scene,
     Sphere,
     SphereLight,
     TriangleMesh,
     activate,
-    render_still,
 )
 from simulator.types import Clip, View
 
@@ -85,16 +85,17 @@ def as_arrays(name: str, clip: Clip) -> dict[str, NDArray[Any]]:
 
 def run(variant: str, threads: int) -> dict[str, NDArray[Any]]:
     activate(variant, threads)
+    renderer = Renderer(variant)
     arrays: dict[str, NDArray[Any]] = {}
     for name, scene in cases().items():
-        clip = render_still(scene, VIEW, samples_per_pixel=64, seed=3, backend=variant, source={})
+        clip = renderer.still(scene, VIEW, samples_per_pixel=64, seed=3, source={})
         arrays |= as_arrays(name, clip)
     # The order differs with the threads: neither may matter.
-    source = flying_things(SMALL, samples_per_pixel=4, objects=12, backend=variant)
+    source = flying_things(SMALL, samples_per_pixel=4, objects=12, renderer=renderer)
     for index in (0, 1, 2) if threads == 1 else (2, 0, 1):
         arrays |= as_arrays(f"things{index}", source.clip(index, np.random.default_rng(index)))
     scene = draw_scene(SMALL, 12, np.random.default_rng(5))
-    noisy = [render_still(scene, SMALL, samples_per_pixel=16, seed=s, backend=variant, source={}) for s in range(SEEDS)]
+    noisy = [renderer.still(scene, SMALL, samples_per_pixel=16, seed=s, source={}) for s in range(SEEDS)]
     arrays["noisy"] = np.stack([clip.rgb[0] for clip in noisy])
     return arrays
 

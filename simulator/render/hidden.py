@@ -1,0 +1,192 @@
+"""The surfaces behind those that are seen, by peeling: a ray is sent on until it meets the front of another shape.
+
+A coded mask looks around the edges of near objects: what a pinhole does not see may still light the sensor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.render.gbuffer import NOTHING, centre_rays, film_shape, is_scalar
+from simulator.render.library import drjit, mitsuba
+from simulator.render.mitsuba_scene import UNITS_PER_M, path_tracer, scene_order
+from simulator.render.scene import Scene, TriangleMesh
+
+# A ray that has crossed so many surfaces without finding another shape sees nothing more.
+_MOST_SURFACES = 64
+
+
+@dataclass(frozen=True)
+class HiddenLayer:
+    """One layer behind the picture.
+
+    Attributes:
+        rgb: ``(H, W, 3)`` float32, linear radiance towards the camera if nothing stood before it; zero where there is none.
+        depth_m: ``(H, W)`` float64, z of its surface; ``inf`` where there is none.
+        shape_id: ``(H, W)`` int32.
+    """
+
+    rgb: NDArray[np.float32]
+    depth_m: NDArray[np.float64]
+    shape_id: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class _Paths:
+    """How the light of a layer is traced: Mitsuba's integrator and sampler, paths per pixel, seed."""
+
+    integrator: Any
+    sampler: Any
+    samples: int
+    seed: int
+
+
+def hidden_layers(
+    loaded: Any, scene: Scene, layers: int, *, samples: int, seed: int, max_depth: int
+) -> list[HiddenLayer]:
+    """Return the layers behind what each pixel's centre sees, nearest first.
+
+    The next layer is the next surface of another shape that faces the camera. Backs do not count (they are inside of
+    something) unless their shape is open, such as a sheet of paper. All samples of a pixel go through its centre, so that
+    colour and depth belong to the same surface.
+
+    Args:
+        loaded: the ``mitsuba.Scene`` of ``scene``.
+        scene: says which shapes are open.
+        layers: how many, at least 1.
+        samples: light paths per pixel.
+        seed: of the light paths.
+        max_depth: longest light path, in segments.
+    """
+    mi = mitsuba()
+
+    numbers = scene_order(loaded)
+    open_shapes = {number for number, shape in enumerate(scene.shapes) if is_open(shape)}
+    integrator = mi.load_dict(path_tracer(max_depth, scene.hide_lights))
+    paths = _Paths(integrator, mi.load_dict({"type": "independent"}), samples, seed)
+    peel = _peel_one_by_one if is_scalar() else _peel_all
+    found = peel(loaded, numbers, open_shapes, layers, paths)
+    rows, columns = film_shape(loaded)
+    result = []
+    for rgb, z, shape_id in found:
+        valid = shape_id != NOTHING
+        depth = np.where(valid, z / UNITS_PER_M, np.inf).reshape(rows, columns)
+        light = np.where(valid[:, np.newaxis], rgb, 0).astype(np.float32).reshape(rows, columns, 3)
+        result.append(HiddenLayer(light, depth, shape_id.astype(np.int32).reshape(rows, columns)))
+    return result
+
+
+def is_open(shape: object) -> bool:
+    """Whether a surface has an edge, or shows both its sides: one may look at the back of it."""
+    if not isinstance(shape, TriangleMesh):
+        return False
+    if shape.material.two_sided:
+        return True
+    # Seams have two vertices at one place; rounding to a millionth of the size brings them together.
+    vertices = shape.vertices_m - shape.vertices_m.min(axis=0)
+    size = vertices.max() or 1.0
+    _, place = np.unique(np.round(vertices / size * 1e6), axis=0, return_inverse=True)
+    corners = place.ravel()[shape.faces]
+    edges = np.sort(np.concatenate([corners[:, (0, 1)], corners[:, (1, 2)], corners[:, (2, 0)]]), axis=1)
+    edges = edges[edges[:, 0] != edges[:, 1]]  # of triangles without area
+    _, uses = np.unique(edges, axis=0, return_counts=True)
+    return bool(np.any(uses % 2))
+
+
+def _peel_all(
+    loaded: Any, numbers: list[int], open_shapes: set[int], layers: int, paths: _Paths
+) -> list[tuple[NDArray[Any], ...]]:
+    dr = drjit()
+    mi = mitsuba()
+
+    registry = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]) for shape in loaded.shapes()]
+    order = np.full(max(registry, default=0) + 1, NOTHING)
+    order[registry] = numbers
+    opened = mi.Bool(np.isin(order, list(open_shapes)))
+    ray = mi.Ray3f(centre_rays(loaded))
+    hit = loaded.ray_intersect(ray)
+    current, active = dr.reinterpret_array(mi.UInt32, hit.shape), hit.is_valid()
+    result = []
+    for layer in range(layers):
+        layer_shape, layer_point = dr.zeros(mi.UInt32, dr.width(ray)), dr.zeros(mi.Point3f, dr.width(ray))
+        layer_found = dr.zeros(mi.Bool, dr.width(ray))
+        searching = mi.Bool(active)
+        for _ in range(_MOST_SURFACES):
+            following = loaded.ray_intersect(hit.spawn_ray(ray.d), searching)
+            shape = dr.reinterpret_array(mi.UInt32, following.shape)
+            searching &= following.is_valid()
+            facing = (dr.dot(following.n, ray.d) < 0) | dr.gather(mi.Bool, opened, shape, searching)
+            reached = searching & (shape != current) & facing
+            layer_shape = dr.select(reached, shape, layer_shape)
+            layer_point = dr.select(reached, following.p, layer_point)
+            layer_found |= reached
+            hit = dr.select(searching, following, hit)
+            searching &= ~reached
+            dr.eval(hit, searching, layer_shape, layer_point, layer_found)
+            if not dr.any(searching):
+                break
+        current, active = layer_shape, layer_found
+        rgb = _shade_all(loaded, ray.d, layer_point, layer_found, paths, layer)
+        numbered = np.where(np.array(layer_found), order[np.array(layer_shape)], NOTHING)
+        result.append((rgb, np.array(layer_point.z, dtype=np.float64), numbered))
+    return result
+
+
+def _shade_all(loaded: Any, direction: Any, point: Any, found: Any, paths: _Paths, layer: int) -> NDArray[np.float32]:
+    dr = drjit()
+    mi = mitsuba()
+
+    count, samples = dr.width(direction), paths.samples
+    paths.sampler.seed((paths.seed + layer) % 2**32, count * samples)
+    pixel = dr.arange(mi.UInt32, count * samples) // samples
+    towards = dr.gather(mi.Vector3f, direction, pixel)
+    origin = dr.gather(mi.Point3f, point, pixel) - towards * _step_back(dr.gather(mi.Float, point.z, pixel))
+    ray = mi.RayDifferential3f(mi.Ray3f(origin, towards))
+    light, _, _ = paths.integrator.sample(loaded, paths.sampler, ray, active=dr.gather(mi.Bool, found, pixel))
+    return np.array(light, dtype=np.float64).T.reshape(count, samples, 3).mean(axis=1).astype(np.float32)
+
+
+def _step_back(z: Any) -> Any:
+    """How far before a surface the path to it begins, in Mitsuba's units: more than float32's rounding, else a miss."""
+    return 1e-4 * z
+
+
+def _peel_one_by_one(
+    loaded: Any, numbers: list[int], open_shapes: set[int], layers: int, paths: _Paths
+) -> list[tuple[NDArray[Any], ...]]:
+    mi = mitsuba()
+
+    order = dict(zip((shape.id() for shape in loaded.shapes()), numbers, strict=True))
+    rows, columns = film_shape(loaded)
+    count = rows * columns
+    rgb, z = np.zeros((layers, count, 3), np.float32), np.full((layers, count), np.inf)
+    ids = np.full((layers, count), NOTHING)
+    paths.sampler.seed(paths.seed, 1)
+    for pixel, ray in enumerate(centre_rays(loaded)):
+        hit = loaded.ray_intersect(ray)
+        for layer in range(layers):
+            if not hit.is_valid():
+                break
+            current = hit.shape.id()
+            for _ in range(_MOST_SURFACES):
+                hit = loaded.ray_intersect(hit.spawn_ray(ray.d))
+                if not hit.is_valid():
+                    break
+                number = order[hit.shape.id()]
+                facing = np.dot(np.array(hit.n), np.array(ray.d)) < 0 or number in open_shapes
+                if hit.shape.id() != current and facing:
+                    break
+            else:
+                break
+            if not hit.is_valid():
+                break
+            ids[layer, pixel], z[layer, pixel] = order[hit.shape.id()], hit.p.z
+            start = mi.Point3f(np.array(hit.p) - np.array(ray.d) * _step_back(hit.p.z))
+            towards = mi.RayDifferential3f(mi.Ray3f(start, ray.d))
+            light = [np.array(paths.integrator.sample(loaded, paths.sampler, towards)[0]) for _ in range(paths.samples)]
+            rgb[layer, pixel] = np.mean(light, axis=0)
+    return list(zip(rgb, z, ids, strict=True))

@@ -1,0 +1,224 @@
+"""Scenes become clips: stills and frame sequences, by path tracing, with what else is known of each pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import InputError
+from simulator.render.backend import activate
+from simulator.render.gbuffer import GBuffer, centre_depth, centre_gbuffer
+from simulator.render.hidden import HiddenLayer, hidden_layers
+from simulator.render.library import mitsuba
+from simulator.render.motion import motion_vectors, moved_points, seen_points
+from simulator.render.outputs import check_outputs
+from simulator.render.repair import repair
+from simulator.render.scene import Scene
+from simulator.render.stage import Stage
+from simulator.types import FARTHEST_M, Clip, View
+
+# Light paths of camera - surface - ... - light: enough for light to fill the shadows of a crowded scene.
+DEFAULT_MAX_DEPTH = 5
+
+
+@dataclass(frozen=True)
+class Renderer:
+    """How scenes are rendered; small, picklable, and handed to every scene family.
+
+    Attributes:
+        backend: the Mitsuba variant, see `simulator.render.choose_backend`.
+        outputs: what clips hold in ``extras`` beside colour and depth, see `simulator.render.outputs.OUTPUTS`.
+        hidden: how many layers behind the picture the output ``hidden`` holds.
+        max_depth: longest light path, in segments.
+
+    Raises:
+        InputError: when ``outputs`` names something else.
+    """
+
+    backend: str
+    outputs: tuple[str, ...] = ()
+    hidden: int = 1
+    max_depth: int = DEFAULT_MAX_DEPTH
+
+    def __post_init__(self) -> None:
+        check_outputs(self.outputs)
+        if self.hidden < 1:
+            msg = f"render.hidden_layers: got {self.hidden}, expected at least 1"
+            raise InputError(msg)
+
+    def still(
+        self,
+        scene: Scene,
+        view: View,
+        *,
+        samples_per_pixel: int,
+        seed: int,
+        source: dict[str, Any],
+        label: str | None = None,
+    ) -> Clip:
+        """Render one picture: a clip of a single frame that lasts from 0 to 1 s.
+
+        The arguments and errors are those of `clip`.
+        """
+        if "motion" in self.outputs:
+            msg = "render.outputs: motion needs clips of at least 2 frames, and this scene is a still; leave it out"
+            raise InputError(msg)
+        return self.clip(
+            [scene],
+            view,
+            frames_per_second=1,
+            samples_per_pixel=samples_per_pixel,
+            seed=seed,
+            source=source,
+            label=label,
+        )
+
+    def clip(
+        self,
+        frames: Iterable[Scene],
+        view: View,
+        *,
+        frames_per_second: float,
+        samples_per_pixel: int,
+        seed: int,
+        source: dict[str, Any],
+        label: str | None = None,
+    ) -> Clip:
+        """Render scenes through the pinhole of a view: linear RGB by path tracing, depth by centre rays.
+
+        The same arguments give the same bytes, whatever the number of threads and the scenes rendered before.
+
+        Args:
+            frames: the scene in the middle of each frame, all with the same slots; what does not move should be the same
+                object from frame to frame. They may be made lazily.
+            view: image shape, pinhole geometry and depth range.
+            frames_per_second: frame t lasts from ``t / frames_per_second`` to ``(t + 1) / frames_per_second``.
+            samples_per_pixel: light paths per pixel, at least 1; a number that is not close to a x b with a and b near its
+                root is rounded up (7 to 8), and what was used is recorded.
+            seed: of the path tracer, 0 <= seed < 2**32; draw it from the sample's generator. Each frame has noise of its own.
+            source: where the scene came from, JSON-serialisable; seed, samples, variant and the number of repaired pixels
+                are added to it.
+            label: class name of an action, or None.
+
+        Returns:
+            The clip. Where no surface is seen ``valid`` is false and the depth is the view's far depth (`FARTHEST_M` if
+            that is infinite: a depth is never inf).
+
+        Raises:
+            InputError: when the samples, the seed or the frame rate are out of range, there is no frame, or frames have
+                different slots.
+            RuntimeError: when more than 0.1 % of a frame's pixels are not finite.
+        """
+        _check_numbers(samples_per_pixel, seed, frames_per_second)
+        activate(self.backend)
+        taken = list(self._trace(iter(frames), view, samples_per_pixel, seed))
+        if not taken:
+            msg = "frames: got none, expected at least one scene"
+            raise InputError(msg)
+        facts = {
+            "samples_per_pixel": taken[0].samples,
+            "render_seed": seed,
+            "variant": self.backend,
+            "repaired_pixels": sum(frame.repaired for frame in taken),
+        }
+        depth = np.stack([frame.depth_m for frame in taken])
+        valid = np.isfinite(depth)
+        return Clip(
+            rgb=np.stack([frame.rgb for frame in taken]),
+            depth_m=np.where(valid, depth, min(view.far_m, FARTHEST_M)).astype(np.float32),
+            valid=valid,
+            frame_edges_s=np.arange(len(taken) + 1) / frames_per_second,
+            label=label,
+            source=source | facts,
+            extras=self._extras(taken, view),
+        )
+
+    def _trace(self, frames: Iterator[Scene], view: View, samples_per_pixel: int, seed: int) -> Iterator[_Frame]:
+        """Yield the frames one by one; on return no Mitsuba object is left, else the next clip would recompile."""
+        stage: Stage | None = None
+        before: tuple[GBuffer, Scene] | None = None
+        for number, scene in enumerate(frames):
+            if stage is None:
+                stage = Stage(scene, view, self.max_depth)
+            else:
+                stage.show(scene)
+            frame = self._frame(stage, samples_per_pixel, _frame_seed(seed, number))
+            if before is not None and "motion" in self.outputs:
+                points = moved_points(before[0], before[1], scene)
+                frame.came_from = (motion_vectors(points, before[0], view), seen_points(stage.loaded, points, view))
+            if frame.hits is not None:
+                before = (frame.hits, scene)
+            yield frame
+
+    def _frame(self, stage: Stage, samples_per_pixel: int, seed: int) -> _Frame:
+        mi = mitsuba()
+
+        loaded = stage.loaded
+        image = mi.render(loaded, spp=samples_per_pixel, seed=seed)
+        rgb, repaired = repair(np.array(image, dtype=np.float32))
+        samples = int(loaded.sensors()[0].sampler().sample_count())
+        hits = centre_gbuffer(loaded) if self.outputs else None
+        depth = centre_depth(loaded) if hits is None else hits.depth_m
+        layers = []
+        if "hidden" in self.outputs:
+            layers = hidden_layers(
+                loaded, stage.scene, self.hidden, samples=samples, seed=seed, max_depth=self.max_depth
+            )
+        return _Frame(rgb, depth, samples, repaired, hits, layers)
+
+    def _extras(self, frames: list[_Frame], view: View) -> dict[str, NDArray[Any]]:
+        """Collect what was asked for."""
+        extras: dict[str, NDArray[Any]] = {}
+        for name in ("shape_id", "normal", "albedo"):
+            if name in self.outputs:
+                extras[name] = np.stack([getattr(frame.hits, name) for frame in frames])
+        if "motion" in self.outputs:
+            shape = frames[0].rgb.shape
+            last = (np.zeros(shape, np.float32), np.zeros(shape[:2], bool))
+            moves = [*(frame.came_from or last for frame in frames[1:]), last]
+            extras["motion"] = np.stack([motion for motion, _ in moves])
+            extras["motion_valid"] = np.stack([seen for _, seen in moves])
+        if "hidden" in self.outputs:
+            for layer in range(self.hidden):
+                found = [frame.layers[layer] for frame in frames]
+                valid = np.stack([np.isfinite(one.depth_m) for one in found])
+                depth = np.stack([one.depth_m for one in found])
+                name = f"hidden{layer + 1}"
+                extras[f"{name}_rgb"] = np.stack([repair(one.rgb)[0] for one in found])
+                extras[f"{name}_depth_m"] = np.where(valid, depth, min(view.far_m, FARTHEST_M)).astype(np.float32)
+                extras[f"{name}_valid"] = valid
+        return extras
+
+
+@dataclass
+class _Frame:
+    """One rendered frame; ``came_from`` is the motion of the frame before it, and which of its points are seen here."""
+
+    rgb: NDArray[np.float32]
+    depth_m: NDArray[np.float64]
+    samples: int
+    repaired: int
+    hits: GBuffer | None
+    layers: list[HiddenLayer]
+    came_from: tuple[NDArray[np.float32], NDArray[np.bool_]] | None = None
+
+
+def _frame_seed(seed: int, number: int) -> int:
+    """The first frame's noise is that of a still with the same seed; the others' are unrelated to it."""
+    return seed if number == 0 else int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
+
+
+def _check_numbers(samples_per_pixel: int, seed: int, frames_per_second: float) -> None:
+    if samples_per_pixel < 1:
+        msg = f"samples_per_pixel: got {samples_per_pixel}, expected at least 1"
+        raise InputError(msg)
+    if not 0 <= seed < 2**32:
+        msg = f"seed: got {seed}, expected 0 <= seed < 2**32"
+        raise InputError(msg)
+    if not 0 < frames_per_second < np.inf:
+        msg = f"frames_per_second: got {frames_per_second}, expected a positive number"
+        raise InputError(msg)

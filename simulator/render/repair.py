@@ -1,0 +1,39 @@
+"""Broken pixels of a rendered picture, mended from their neighbours."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+# More broken pixels than this mean a broken scene, not a path tracer's rare accident.
+_MAX_BROKEN_SHARE = 1e-3
+
+
+def repair(rgb: NDArray[np.float32]) -> tuple[NDArray[np.float32], int]:
+    """Replace pixels that are not finite or are negative by the median of their sound neighbours.
+
+    A path tracer divides by probabilities and now and then yields a NaN; one such pixel would spread over the whole
+    measurement. Bright pixels are left alone: clamping them would bias the light.
+
+    Args:
+        rgb: ``(H, W, 3)``.
+
+    Returns:
+        The repaired picture and the number of pixels that were replaced.
+
+    Raises:
+        RuntimeError: when more than 0.1 % of the pixels (and more than one) are broken.
+    """
+    broken = ~np.all(np.isfinite(rgb) & (rgb >= 0), axis=-1)
+    count = int(np.count_nonzero(broken))
+    if count == 0:
+        return rgb, 0
+    if count > max(1, _MAX_BROKEN_SHARE * broken.size):
+        msg = f"{count} of {broken.size} rendered pixels are not finite or negative: the scene holds broken values"
+        raise RuntimeError(msg)
+    repaired = rgb.copy()
+    for row, column in np.argwhere(broken):
+        window = (slice(max(row - 1, 0), row + 2), slice(max(column - 1, 0), column + 2))
+        sound = rgb[window][~broken[window]]
+        repaired[row, column] = np.median(sound, axis=0) if len(sound) else 0.0
+    return repaired, count
