@@ -5,7 +5,6 @@ In the spirit of FlyingThings3D (Mayer et al., CVPR 2016): nothing to recognise,
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +14,7 @@ from pydantic import Field
 
 from scenes.layout import Ball, far_end, place_balls
 from scenes.meshes import mesh_library
+from scenes.motion import random_rotation
 from scenes.palettes import draw_ramp, draw_theme
 from scenes.textures import draw_reflectance, tiled
 from simulator.render import Box, Environment, Material, Renderer, Scene, Sphere, SphereLight, TriangleMesh
@@ -83,7 +83,7 @@ def _solid(slot: int, ball: Ball, theme: np.ndarray, rng: np.random.Generator) -
     """Fill a ball with the kind of solid that belongs to its slot."""
     reflectance = draw_reflectance(rng, draw_ramp(rng, theme), _TEXTURE_SIZE)
     roughness = float(rng.uniform(0.15, 0.5)) if _COATED[slot % len(_COATED)] else None
-    rotation = _random_rotation(rng)
+    rotation = random_rotation(rng)
     kind = _KINDS[slot % len(_KINDS)]
     down, across = (int(2**power) for power in rng.integers(0, 2, 2))
     if kind == "sphere":  # its texture spans twice as much around as from pole to pole
@@ -154,15 +154,3 @@ def _lights(view: View, rng: np.random.Generator) -> tuple[SphereLight | Environ
 def _tint(warmth: float) -> np.ndarray:
     """Return R, G, B around white with mean 1: reddish for positive warmth, bluish for negative."""
     return np.array([1 + warmth, 1.0, 1 - warmth])
-
-
-def _random_rotation(rng: np.random.Generator) -> np.ndarray:
-    """Return a uniformly distributed rotation matrix, from a random unit quaternion (Shoemake, 1992)."""
-    w, x, y, z = (q := rng.standard_normal(4)) / math.sqrt(float(q @ q))
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )

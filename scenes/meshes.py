@@ -13,6 +13,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes.surfaces import face_cross, grid_faces, smooth_normals, unit, welded
+
 Array = NDArray[np.float64]
 _LIBRARY_SEED = 20260102
 
@@ -41,7 +43,7 @@ def mesh_library() -> tuple[UnitMesh, ...]:
     ]
     faceted = [
         *(_hull(points) for points in (_TETRAHEDRON, _OCTAHEDRON, _ICOSAHEDRON)),
-        *(_hull(_unit(rng.standard_normal((count, 3))) * (1, 0.8, 0.6)) for count in (9, 14, 20)),
+        *(_hull(unit(rng.standard_normal((count, 3))) * (1, 0.8, 0.6)) for count in (9, 14, 20)),
         *(_prism(outline) for outline in (_star(5, 0.45), _star(8, 0.7), _CROSS, _ARROW)),
     ]
     return tuple(smooth + faceted)
@@ -54,20 +56,14 @@ def _surface(position: Callable[[Array, Array], tuple[Array, Array, Array]], col
     """Triangulate ``position(u, v)``; where the surface closes on itself, normals are averaged over the seam."""
     v, u = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
     vertices = _normalised(np.stack(position(u, v), axis=-1).reshape(-1, 3))
-    corner = (np.arange(rows)[:, np.newaxis] * (columns + 1) + np.arange(columns)).ravel()
-    right, below = corner + 1, corner + columns + 1
-    faces = np.concatenate([np.stack([corner, right, below], 1), np.stack([right, below + 1, below], 1)])
-    cross = _face_cross(vertices, faces)
+    faces = grid_faces(rows + 1, columns + 1)
+    cross = face_cross(vertices, faces)
     kept = np.linalg.norm(cross, axis=1) > 1e-9  # at poles one of the two triangles has no area
-    faces, cross = faces[kept], cross[kept]
-    if np.einsum("fi,fi->", vertices[faces[:, 0]], cross) < 0:  # a negative volume: the grid is seen from inside
-        faces, cross = faces[:, ::-1], -cross
-    # Vertices at the same place share one normal, so that no seam shows.
-    _, place = np.unique(np.round(vertices, 6), axis=0, return_inverse=True)
-    sums = np.zeros((place.max() + 1, 3))
-    for side in range(3):
-        np.add.at(sums, place.ravel()[faces[:, side]], cross)
-    return UnitMesh(vertices, _unit(sums[place.ravel()]), np.stack([u, v], axis=-1).reshape(-1, 2), faces)
+    faces = faces[kept]
+    if np.einsum("fi,fi->", vertices[faces[:, 0]], cross[kept]) < 0:  # a negative volume: the grid is seen from inside
+        faces = faces[:, ::-1]
+    normals = smooth_normals(vertices, faces, welded(vertices))
+    return UnitMesh(vertices, normals, np.stack([u, v], axis=-1).reshape(-1, 2), faces)
 
 
 def _superellipsoid(e_v: float, e_u: float) -> UnitMesh:
@@ -107,11 +103,11 @@ def _knot(p: int, q: int) -> UnitMesh:
         return np.stack([radius * np.cos(p * t), 0.42 * np.sin(q * t), radius * np.sin(p * t)], axis=-1)
 
     def position(u: Array, v: Array) -> tuple[Array, Array, Array]:
-        along = _unit(centre(u + 1e-4) - centre(u - 1e-4))
+        along = unit(centre(u + 1e-4) - centre(u - 1e-4))
         # The ring's own axis circle gives a frame that closes after one turn.
         t = 2 * np.pi * u
         outwards = centre(u) - np.stack([np.cos(p * t), 0 * t, np.sin(p * t)], axis=-1)
-        across = _unit(np.cross(along, outwards))
+        across = unit(np.cross(along, outwards))
         upwards = np.cross(across, along)
         angle = 2 * np.pi * v[..., np.newaxis]
         tube = centre(u) + 0.17 * (np.cos(angle) * across + np.sin(angle) * upwards)
@@ -210,7 +206,7 @@ def _star(points: int, inner: float) -> Array:
 def _hull(points: Array) -> UnitMesh:
     """Convex hull of a few points in general position: the triples with all other points on one side."""
     triples = np.array(list(combinations(range(len(points)), 3)))
-    cross = _face_cross(points, triples)
+    cross = face_cross(points, triples)
     side = np.einsum("fi,fpi->fp", cross, points[np.newaxis] - points[triples[:, :1]])
     side[np.abs(side) < 1e-9] = 0
     outwards = np.all(side <= 0, axis=1)
@@ -235,20 +231,10 @@ def _faceted(points: Array, faces: NDArray[np.integer]) -> UnitMesh:
     """Give each triangle its own vertices; texture coordinates are the two axes its plane faces least."""
     vertices = _normalised(points)[faces].reshape(-1, 3)
     own = np.arange(len(vertices)).reshape(-1, 3)
-    normals = np.repeat(_unit(_face_cross(vertices, own)), 3, axis=0)
+    normals = np.repeat(unit(face_cross(vertices, own)), 3, axis=0)
     facing = np.argmax(np.abs(normals), axis=1)
     axes = np.array([(2, 1), (0, 2), (0, 1)])[facing]
     return UnitMesh(vertices, normals, 0.5 + 0.5 * np.take_along_axis(vertices, axes, axis=1), own)
-
-
-def _face_cross(vertices: Array, faces: NDArray[np.integer]) -> Array:
-    """Normals of the triangles, as long as twice their areas."""
-    a, b, c = (vertices[faces[:, side]] for side in range(3))
-    return np.cross(b - a, c - a)
-
-
-def _unit(vectors: Array) -> Array:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def _normalised(points: Array) -> Array:
