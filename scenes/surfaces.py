@@ -47,7 +47,7 @@ def smooth_normals(vertices: Array, faces: NDArray[np.integer], weld: NDArray[np
 
 
 def welded(vertices: Array, tolerance: float = 1e-6) -> NDArray[np.int64]:
-    """Return group numbers ``(V,)``: vertices at the same place, within a tolerance in the units of ``vertices``, share one."""
+    """Return group numbers ``(V,)`` that vertices at the same place share, within a tolerance in their own units."""
     _, place = np.unique(np.round(vertices / tolerance), axis=0, return_inverse=True)
     return place.ravel()
 
