@@ -21,7 +21,7 @@ from simulator.render import Box, Environment, Material, Renderer, Scene, Sphere
 from simulator.render.scene import Shape
 from simulator.types import Clip, View
 
-_TEXTURE_SIZE = 128
+_TEXTURE_SIZE, _WALL_TEXTURE_SIZE = 64, 128
 # Kind and coat of each slot, repeated: fixed, so that no kernel is compiled after the first scene (see render.Scene).
 _KINDS = ("mesh", "sphere", "mesh", "box", "mesh", "mesh")
 _COATED = (False, True, False, False, True)
@@ -116,7 +116,7 @@ def _wall(view: View, theme: np.ndarray, rng: np.random.Generator) -> TriangleMe
     disparity = farthest + np.abs(slant).sum() + directions / half @ slant
     corners = np.column_stack([directions, np.ones(4)]) / disparity[:, np.newaxis]
     normal = np.cross(corners[3] - corners[0], corners[1] - corners[0])
-    reflectance = draw_reflectance(rng, draw_ramp(rng, theme, saturation=(0.05, 0.5)), _TEXTURE_SIZE)
+    reflectance = draw_reflectance(rng, draw_ramp(rng, theme, saturation=(0.05, 0.5)), _WALL_TEXTURE_SIZE)
     repeats = float(rng.uniform(1.0, 2.5))
     aspect = view.shape[0] / view.shape[1]
     return TriangleMesh(

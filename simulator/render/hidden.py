@@ -81,11 +81,9 @@ def hidden_layers(
 
 
 def is_open(shape: object) -> bool:
-    """Whether a surface has an edge, or shows both its sides: one may look at the back of it."""
+    """Whether a surface has an edge, like a sheet of paper: one may look at the back of it."""
     if not isinstance(shape, TriangleMesh):
         return False
-    if shape.material.two_sided:
-        return True
     # Seams have two vertices at one place; rounding to a millionth of the size brings them together.
     vertices = shape.vertices_m - shape.vertices_m.min(axis=0)
     size = vertices.max() or 1.0

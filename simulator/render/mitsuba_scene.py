@@ -126,7 +126,7 @@ def _bsdf(material: Material) -> dict[str, Any]:
     else:
         # Not 'roughplastic': it integrates a table on construction, 0.05 CPU-s for every material of every scene.
         front = {"type": "principled", "base_color": texture, "roughness": material.roughness, "specular": 0.5}
-    return {"type": "twosided", "front": front} if material.two_sided else front
+    return {"type": "twosided", "front": front}
 
 
 def _light(light: Light) -> dict[str, Any]:

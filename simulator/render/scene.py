@@ -17,18 +17,16 @@ Vector: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface reflects.
+    """How a surface reflects, on both its sides: there are no black backs, nor rims where smoothed normals lean away.
 
     Attributes:
         reflectance: linear RGB ``(h, w, 3)`` float32 in 0..1, wrapped over the surface's texture coordinates; it repeats.
             There is no transform of these coordinates: Dr.Jit would bake it into the kernel and compile every scene anew.
         roughness: None for a matt (Lambertian) surface, else 0..1: a dielectric coat of that roughness, like plastic.
-        two_sided: whether the back looks like the front, for open surfaces such as paper; else it is black.
     """
 
     reflectance: NDArray[np.float32]
     roughness: float | None = None
-    two_sided: bool = False
 
 
 @dataclass(frozen=True)

@@ -109,9 +109,8 @@ def _kind(shape: Shape) -> str:
     if isinstance(shape, TriangleMesh):
         kind += f" of {len(shape.vertices_m)} vertices and {len(shape.faces)} faces"
     coat = "matt" if material.roughness is None else "coated"
-    sides = "two-sided " if material.two_sided else ""
     rows, columns = material.reflectance.shape[:2]
-    return f"{kind}, {sides}{coat}, with a texture of {rows} x {columns}"
+    return f"{kind}, {coat}, with a texture of {rows} x {columns}"
 
 
 def _tensor(values: NDArray[np.float32]) -> Any:

@@ -33,12 +33,14 @@ def test_normals_are_unit_and_point_out_of_their_faces(mesh: UnitMesh) -> None:
     cosine = np.einsum("fvi,fi->fv", mesh.normals[mesh.faces], flat) / area[:, np.newaxis]
     # Smoothed normals lean away from their faces where a shape is sharply rounded, on a small part of the area.
     leaning = area[np.any(cosine < 0.5, axis=1)].sum() / area.sum()
-    assert leaning < 0.05
-    assert np.average(cosine.mean(axis=1), weights=area) > 0.95
+    assert leaning < 0.08
+    # Faces up to 45 degrees apart (around the octagonal tubes) share a normal, which leans by up to 23 degrees from each.
+    assert np.average(cosine.mean(axis=1), weights=area) > 0.84
 
 
 def test_the_library_is_varied_and_cheap() -> None:
     library = mesh_library()
     assert len(library) >= 25
-    assert max(len(mesh.faces) for mesh in library) < 5000
+    assert max(len(mesh.faces) for mesh in library) < 1100, "loading a scene takes time by the triangle"
+    assert np.mean([len(mesh.faces) for mesh in library]) < 600
     assert mesh_library() is library
