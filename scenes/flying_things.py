@@ -13,11 +13,12 @@ import numpy as np
 from pydantic import Field
 
 from scenes.layout import Ball, far_end, place_balls
+from scenes.lights import draw_room, tint
 from scenes.meshes import mesh_library
 from scenes.motion import random_rotation
 from scenes.palettes import draw_ramp, draw_theme
 from scenes.textures import draw_reflectance, tiled
-from simulator.render import Box, Environment, Material, Renderer, Scene, Sphere, SphereLight, TriangleMesh
+from simulator.render import Box, Light, Material, Renderer, Scene, Sphere, SphereLight, TriangleMesh
 from simulator.render.scene import Shape
 from simulator.types import Clip, View
 
@@ -128,8 +129,8 @@ def _wall(view: View, theme: np.ndarray, rng: np.random.Generator) -> TriangleMe
     )
 
 
-def _lights(view: View, rng: np.random.Generator) -> tuple[SphereLight | Environment, ...]:
-    """Return a key and a fill lamp behind the camera and light from all sides, with white balanced only roughly.
+def _lights(view: View, rng: np.random.Generator) -> tuple[Light, ...]:
+    """Return a key and a fill lamp behind the camera and a room around all, with white balanced only roughly.
 
     Together they give a white surface that faces the camera a radiance of ``exposure``, so that pictures come out alike.
     """
@@ -138,8 +139,8 @@ def _lights(view: View, rng: np.random.Generator) -> tuple[SphereLight | Environ
     shares = np.array([rng.uniform(0.45, 0.7), rng.uniform(0.1, 0.25)])
     warmth = rng.uniform(-0.18, 0.18)
     side = rng.choice([-1.0, 1.0])
-    lamps: list[SphereLight | Environment] = []
-    for share, tint, towards in ((shares[0], warmth, side), (shares[1], -warmth, -side)):
+    lamps: list[Light] = []
+    for share, colour, towards in ((shares[0], warmth, side), (shares[1], -warmth, -side)):
         direction = np.array([towards * rng.uniform(0.3, 1.1), rng.uniform(-1.2, -0.1), -1.0])
         direction /= np.linalg.norm(direction)
         distance = reach * rng.uniform(2.5, 4.0)
@@ -147,10 +148,5 @@ def _lights(view: View, rng: np.random.Generator) -> tuple[SphereLight | Environ
         # A lamp of radiance L seen under the half angle asin(r / D) gives pi L (r / D)^2 cos(angle) of irradiance.
         radiance = exposure * share * (distance / radius) ** 2 / -direction[2]
         middle = np.array([0, 0, reach / 2])
-        lamps.append(SphereLight(middle + distance * direction, radius, radiance * _tint(tint)))
-    return (*lamps, Environment(exposure * (1 - shares.sum()) * _tint(-warmth / 2)))
-
-
-def _tint(warmth: float) -> np.ndarray:
-    """Return R, G, B around white with mean 1: reddish for positive warmth, bluish for negative."""
-    return np.array([1 + warmth, 1.0, 1 - warmth])
+        lamps.append(SphereLight(middle + distance * direction, radius, radiance * tint(colour)))
+    return (*lamps, draw_room(rng, exposure * (1 - shares.sum()), -warmth / 2))
