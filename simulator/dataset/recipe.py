@@ -58,7 +58,7 @@ class SampleMaker:
     def exposure(self, split: str, index: int) -> tuple[Clip, NDArray[np.float32]]:
         """Return the clip of a sample and the noiseless exposure ``(C, H, W)`` that it gives."""
         with plugin_errors(self._plugin):
-            clip = self._source.clip(clip_index(split, index), generator(self._seed, split, index, "scene"))
+            clip = scene_clip(self._source, self._seed, split, index)
         return clip, self._model.forward_clip(clip)
 
     def sample(self, split: str, index: int) -> Sample:
@@ -89,7 +89,20 @@ class SampleMaker:
             clip.label,
             self._stack.channels,
             metadata,
+            clip.extras,
         )
+
+
+def scene_clip(source: SceneSource, seed: int, split: str, index: int) -> Clip:
+    """Return the clip that a sample shows, drawn from the sample's own generator.
+
+    Args:
+        source: the scene source.
+        seed: the data set's root seed.
+        split: ``train``, ``validation``, ``test`` or ``pilot``.
+        index: the sample's number within its split.
+    """
+    return source.clip(clip_index(split, index), generator(seed, split, index, "scene"))
 
 
 def clip_index(split: str, index: int) -> int:

@@ -2,7 +2,8 @@
 
 ``measurement.exr`` holds the channels (DN / 2^bits) and, beside them, ``noiseless.<channel>``: an OpenEXR part has one
 size, and the noiseless measurement has the sensor's, not the scene's. ``ground_truth.exr`` holds linear radiance
-R, G, B, depth ``Z`` in metres and ``valid`` (0 or 1). ``sample.json`` repeats their metadata and adds the hashes.
+R, G, B, depth ``Z`` in metres and ``valid`` (0 or 1), and the extras that the scene was asked for, in the channels that
+`simulator.channels` names. ``sample.json`` repeats their metadata, says which extras there are, and adds the hashes.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.channels import TRUTH, describe_extras, frame_channels, frame_extras, layout_channels
 from simulator.dataset.plain import plain, readable_json
 from simulator.errors import InputError
 from simulator.exr import decode_exr, write_exr
@@ -40,6 +42,7 @@ class Sample:
         label: class name, or None.
         channels: one name per measurement channel.
         metadata: how the sample came about, JSON-serialisable; no clock times: the same seed gives the same bytes.
+        extras: more that is known of every scene pixel, by name, ``(T, h, w)`` or ``(T, h, w, n)``; see `Clip.extras`.
 
     Raises:
         InputError: shapes, types or channel names that contradict each other.
@@ -54,6 +57,7 @@ class Sample:
     label: str | None = None
     channels: tuple[str, ...] = ("R", "G", "B")
     metadata: dict[str, Any] = field(default_factory=dict)
+    extras: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _expect("measurement", self.measurement, np.float32, "(C, H, W)", self.measurement.ndim == 3)
@@ -70,6 +74,10 @@ class Sample:
         if not isinstance(self.seed, int) or not isinstance(self.label, str | None):
             msg = f"Sample.seed must be a whole number and label text or None, got {self.seed!r} and {self.label!r}"
             raise InputError(msg)
+        for name, values in self.extras.items():
+            if values.ndim not in (3, 4) or values.shape[:3] != frames:
+                msg = f"Sample.extras[{name!r}] must be {frames} or {(*frames, 'n')} like rgb, got {values.shape}"
+                raise InputError(msg)
 
 
 @dataclass(frozen=True)
@@ -154,8 +162,10 @@ def write_sample(root: Path | str, split: str, index: int, sample: Sample) -> Sa
     if frames != 1:
         msg = f"sample {folder.name} has {frames} frames; only stills (one frame) can be stored"
         raise InputError(msg)
+    layout = {"extras": describe_extras(sample.extras)} if sample.extras else {}
     description = plain(
-        {
+        layout
+        | {
             "channels": sample.channels,
             "frames": frames,
             "id": folder.name,
@@ -171,8 +181,8 @@ def write_sample(root: Path | str, split: str, index: int, sample: Sample) -> Sa
     )
     measured = dict(zip(sample.channels, sample.measurement, strict=True))
     measured |= {NOISELESS + name: values for name, values in zip(sample.channels, sample.noiseless, strict=True)}
-    truth = {name: sample.rgb[0, ..., position] for position, name in enumerate("RGB")}
-    truth |= {"Z": sample.depth_m[0], "valid": sample.valid[0].astype(np.float32)}
+    extras = {name: values[0] for name, values in sample.extras.items()}
+    truth = frame_channels(sample.rgb[0], sample.depth_m[0], sample.valid[0], extras)
     with committed_folder(folder) as temporary:
         hashes = {
             MEASUREMENT: sha256_bytes(write_exr(temporary / MEASUREMENT, measured, description)),
@@ -198,6 +208,7 @@ def read_description(folder: Path) -> tuple[dict[str, Any], bytes]:
         complete = complete and set(description["files"]) == {MEASUREMENT, GROUND_TRUTH}
         complete = complete and all(isinstance(name, str) for name in description["channels"])
         complete = complete and isinstance(description["metadata"], dict)
+        layout_channels(description.get("extras", {}) if complete else {})
     except OSError as error:
         msg = f"cannot read {path}: {error.strerror or error}; is {folder} a sample?"
         raise InputError(msg) from error
@@ -234,7 +245,8 @@ def sample_from_bytes(folder: Path, description: dict[str, Any], files: dict[str
     measured, truth = channels[MEASUREMENT], channels[GROUND_TRUTH]
     names = tuple(description["channels"])
     _expect_channels(folder / MEASUREMENT, measured, [*names, *(NOISELESS + name for name in names)])
-    _expect_channels(folder / GROUND_TRUTH, truth, ["R", "G", "B", "Z", "valid"])
+    layout = description.get("extras", {})
+    _expect_channels(folder / GROUND_TRUTH, truth, [*TRUTH, *layout_channels(layout)])
     return Sample(
         measurement=np.stack([measured[name] for name in names]),
         noiseless=np.stack([measured[NOISELESS + name] for name in names]),
@@ -245,6 +257,7 @@ def sample_from_bytes(folder: Path, description: dict[str, Any], files: dict[str
         label=description["label"],
         channels=names,
         metadata=description["metadata"],
+        extras={name: values[None] for name, values in frame_extras(truth, layout).items()},
     )
 
 

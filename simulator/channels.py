@@ -1,0 +1,149 @@
+"""What is known of a frame as named float32 channels, the form in which OpenEXR holds it; and back, exactly.
+
+R, G, B, ``Z`` and ``valid`` are always there; `Clip.extras` become channels of their own. A layout, plain JSON, says which
+channels an extra became and what it was, so that reading restores its type and shape.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import InputError
+
+TRUTH = ("R", "G", "B", "Z", "valid")
+
+# What each extra is called in a file: its channel, or prefix and components.
+_NAMES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "shape_id": ("id", ()),
+    "normal": ("N", ("X", "Y", "Z")),
+    "albedo": ("albedo", ("R", "G", "B")),
+    "motion": ("motion", ("X", "Y", "Z")),
+    "motion_valid": ("motion.valid", ()),
+}
+# The same for what follows the layer's number in hidden1_rgb.
+_HIDDEN: dict[str, tuple[str, tuple[str, ...]]] = {
+    "rgb": ("", ("R", "G", "B")),
+    "depth_m": (".Z", ()),
+    "valid": (".valid", ()),
+}
+_DTYPES = ("bool", "uint8", "int16", "uint16", "int32", "float16", "float32")
+_LARGEST_WHOLE = 2**24  # up to here float32 holds every whole number
+_MOST_COMPONENTS = 1000  # the names of bands have three digits
+
+Layout = dict[str, dict[str, Any]]
+
+
+def extra_channels(name: str, components: int | None) -> list[str]:
+    """Return the channels of an extra; one that rendering does not know keeps its own name.
+
+    Args:
+        name: key of `Clip.extras`.
+        components: numbers per pixel of ``(T, H, W, n)``, None for ``(T, H, W)``.
+
+    Example:
+        >>> extra_channels("hidden2_rgb", 3), extra_channels("shape_id", None), extra_channels("bands", 2)
+        (['hidden2.R', 'hidden2.G', 'hidden2.B'], ['id'], ['band000', 'band001'])
+    """
+    if name == "bands" and components is not None:
+        return [f"band{number:03d}" for number in range(components)]
+    prefix, letters = _NAMES.get(name, (name, ()))
+    hidden = re.fullmatch(r"(hidden\d+)_(rgb|depth_m|valid)", name)
+    if hidden:
+        suffix, letters = _HIDDEN[hidden[2]]
+        prefix = hidden[1] + suffix
+    if components is None:
+        return [prefix]
+    if len(letters) != components:
+        letters = tuple(map(str, range(components)))
+    return [f"{prefix}.{letter}" for letter in letters]
+
+
+def describe_extras(extras: Mapping[str, NDArray[Any]]) -> Layout:
+    """Return the layout of extras: channels, dtype and components (numbers per pixel, or None) by name.
+
+    Raises:
+        InputError: a type or value that float32 cannot hold exactly, or two extras that would share a channel.
+    """
+    layout: Layout = {}
+    taken: dict[str, str] = dict.fromkeys(TRUTH, "the scene")
+    for name, values in extras.items():
+        if values.dtype.name not in _DTYPES or (values.dtype.kind in "iu" and np.abs(values).max() > _LARGEST_WHOLE):
+            most = f", up to {np.abs(values).max()}" if values.dtype.kind in "iu" else ""
+            msg = (
+                f"extras[{name!r}]: got {values.dtype}{most}; expected one of {', '.join(_DTYPES)} with whole numbers up to "
+                "2^24, which 32-bit channels hold exactly; convert it knowingly"
+            )
+            raise InputError(msg)
+        components = values.shape[3] if values.ndim == 4 else None
+        channels = extra_channels(name, components)
+        for channel in channels:
+            if channel in taken:
+                msg = f"extras[{name!r}]: its channel {channel!r} is that of {taken[channel]}; rename it"
+                raise InputError(msg)
+            taken[channel] = name
+        layout[name] = {"channels": channels, "components": components, "dtype": values.dtype.name}
+    return layout
+
+
+def frame_channels(
+    rgb: NDArray[np.float32],
+    depth_m: NDArray[np.float32],
+    valid: NDArray[np.bool_],
+    extras: Mapping[str, NDArray[Any]],
+) -> dict[str, NDArray[np.float32]]:
+    """Return one frame as channels.
+
+    Args:
+        rgb: ``(H, W, 3)``.
+        depth_m: ``(H, W)``, finite.
+        valid: ``(H, W)``.
+        extras: ``(H, W)`` or ``(H, W, n)`` by name, as `describe_extras` accepts them.
+    """
+    channels = {name: rgb[..., position] for position, name in enumerate("RGB")}
+    channels |= {"Z": depth_m, "valid": valid.astype(np.float32)}
+    for name, values in extras.items():
+        flat = values.ndim == 2
+        planes = values[..., None] if flat else values
+        for position, channel in enumerate(extra_channels(name, None if flat else values.shape[2])):
+            channels[channel] = planes[..., position].astype(np.float32)
+    return channels
+
+
+def frame_extras(channels: Mapping[str, NDArray[np.float32]], layout: Layout) -> dict[str, NDArray[Any]]:
+    """Return the extras of one frame, ``(H, W)`` or ``(H, W, n)`` by name: the inverse of `frame_channels`."""
+    extras: dict[str, NDArray[Any]] = {}
+    for name, entry in layout.items():
+        planes = [channels[channel] for channel in entry["channels"]]
+        values = planes[0] if entry["components"] is None else np.stack(planes, axis=-1)
+        extras[name] = values.astype(entry["dtype"])
+    return extras
+
+
+def layout_channels(layout: object) -> list[str]:
+    """Return all channels of a layout that somebody else may have written.
+
+    Raises:
+        InputError: it is no layout.
+    """
+    entries = layout.items() if isinstance(layout, dict) else [("", None)]
+    channels = [channel for name, entry in entries for channel in _listed(name, entry)]
+    if "" in channels or len(set(channels)) != len(channels):
+        msg = f"extras: got {layout!r}, expected channels, components and dtype by name"
+        raise InputError(msg)
+    return channels
+
+
+def _listed(name: str, entry: object) -> list[str]:
+    """Return the channels that a well-formed entry of a layout lists, else an empty name."""
+    if not isinstance(entry, dict) or set(entry) != {"channels", "components", "dtype"}:
+        return [""]
+    count = entry["components"]
+    counted = count is None or (type(count) is int and 0 < count <= _MOST_COMPONENTS)
+    if not counted or entry["dtype"] not in _DTYPES or entry["channels"] != extra_channels(name, count):
+        return [""]
+    return entry["channels"]
