@@ -18,7 +18,7 @@ from simulator.types import View
 
 UNITS_PER_M = 100.0
 # Scalar rendering seeds its sampler block by block and sizes blocks by the number of threads unless told a size.
-_BLOCK_SIZE = 16
+BLOCK_SIZE = 16
 
 
 def load_scene(scene: Scene, view: View, max_depth: int) -> Any:
@@ -31,11 +31,15 @@ def load_scene(scene: Scene, view: View, max_depth: int) -> Any:
     """
     import mitsuba as mi
 
+    return mi.load_dict(scene_parts(scene, view, max_depth))
+
+
+def scene_parts(scene: Scene, view: View, max_depth: int) -> dict[str, Any]:
+    """Return the same as Mitsuba's dictionary, whose shapes are objects of the active variant."""
     parts: dict[str, Any] = {"type": "scene", "integrator": path_tracer(max_depth, scene.hide_lights)}
     parts["sensor"] = pinhole(view)
     parts |= {light_name(number): _light(light) for number, light in enumerate(scene.lights)}
-    parts |= {shape_name(number): _shape(shape) for number, shape in enumerate(scene.shapes)}
-    return mi.load_dict(parts)
+    return parts | {shape_name(number): _shape(shape) for number, shape in enumerate(scene.shapes)}
 
 
 def shape_name(number: int) -> str:
@@ -62,7 +66,7 @@ def path_tracer(max_depth: int, hide_lights: bool = False) -> dict[str, Any]:
         max_depth: longest light path, in segments.
         hide_lights: whether lamps and surroundings are invisible to the camera.
     """
-    return {"type": "path", "max_depth": max_depth, "hide_emitters": hide_lights, "block_size": _BLOCK_SIZE}
+    return {"type": "path", "max_depth": max_depth, "hide_emitters": hide_lights, "block_size": BLOCK_SIZE}
 
 
 def pinhole(view: View) -> dict[str, Any]:
