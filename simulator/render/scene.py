@@ -11,6 +11,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.errors import InputError
+
 Vector: TypeAlias = NDArray[np.float64]
 """Three numbers: a position or size in metres, or R, G, B."""
 
@@ -27,6 +29,15 @@ class Material:
 
     reflectance: NDArray[np.float32]
     roughness: float | None = None
+
+    def __post_init__(self) -> None:
+        shape = self.reflectance.shape
+        if len(shape) != 3 or shape[-1] != 3 or 0 in shape:
+            msg = f"Material.reflectance must be (h, w, 3) linear RGB, got {shape}"
+            raise InputError(msg)
+        if self.roughness is not None and not 0 <= self.roughness <= 1:
+            msg = f"Material.roughness must be None or 0..1, got {self.roughness}"
+            raise InputError(msg)
 
 
 @dataclass(frozen=True)
@@ -58,6 +69,9 @@ class TriangleMesh:
         normals: ``(V, 3)`` unit shading normals, pointing outwards.
         uv: ``(V, 2)`` texture coordinates.
         faces: ``(F, 3)`` vertex numbers, counter-clockwise seen from outside.
+
+    Raises:
+        InputError: no faces, other shapes, numbers that are not finite, or faces of vertices that are not there.
     """
 
     vertices_m: NDArray[np.float64]
@@ -65,6 +79,23 @@ class TriangleMesh:
     uv: NDArray[np.float64]
     faces: NDArray[np.integer]
     material: Material
+
+    def __post_init__(self) -> None:
+        count = len(self.vertices_m)
+        for name, width in (("vertices_m", 3), ("normals", 3), ("uv", 2)):
+            values = getattr(self, name)
+            if values.shape != (count, width) or not np.all(np.isfinite(values)):
+                msg = (
+                    f"TriangleMesh.{name} must be ({count}, {width}) finite numbers, got {values.shape}; NaN is refused"
+                )
+                raise InputError(msg)
+        if self.faces.ndim != 2 or self.faces.shape[1] != 3 or len(self.faces) == 0:
+            msg = f"TriangleMesh.faces must be (F, 3) with at least one face, got {self.faces.shape}"
+            raise InputError(msg)
+        if self.faces.min() < 0 or self.faces.max() >= count:
+            span = f"{self.faces.min()} to {self.faces.max()}"
+            msg = f"TriangleMesh.faces must be numbers of its {count} vertices, 0 to {count - 1}; got {span}"
+            raise InputError(msg)
 
 
 @dataclass(frozen=True)
@@ -108,8 +139,16 @@ class Scene:
         shapes: what is seen; a shape's number is its id in G-buffers.
         lights: what shines; lamps are seen too, with ids after those of the shapes.
         hide_lights: lamps and surroundings shine but are not seen: where no surface is, the picture is black.
+
+    Raises:
+        InputError: no light.
     """
 
     shapes: tuple[Shape, ...]
     lights: tuple[Light, ...]
     hide_lights: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.lights:
+            msg = "Scene.lights must hold at least one light, got none: the picture would be black; add an Environment"
+            raise InputError(msg)
