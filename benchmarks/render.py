@@ -4,9 +4,8 @@
     uv run python benchmarks/render.py --scenes 50
 
 Each part runs in a process of its own with an empty kernel cache. "Path tracing" is the time inside Mitsuba's rendering
-calls: `mi.render` and the rays of the depth map. The naive loop is what one writes first: as many things as chance will have
-(30 on average), in any order, a new `load_dict` with the `aov` integrator for every picture, held in a variable until the next
-one replaces it.
+calls: `mi.render` and the rays of the depth map. The naive loop is what one writes first: 20 to 40 things in any order, a new
+`load_dict` with the `aov` integrator for every picture, held in a variable until the next one replaces it.
 """
 
 from __future__ import annotations

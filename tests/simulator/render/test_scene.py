@@ -40,7 +40,7 @@ def test_a_broken_mesh_is_refused(changes: dict, words: str) -> None:
 def test_a_material_is_a_colour_picture_and_a_share() -> None:
     with pytest.raises(InputError, match=r"\(h, w, 3\) linear RGB, got \(4, 4\)"):
         Material(np.ones((4, 4), np.float32))
-    with pytest.raises(InputError, match="0..1, got 1.5"):
+    with pytest.raises(InputError, match=r"0\.\.1, got 1\.5"):
         replace(GREY, roughness=1.5)
 
 
