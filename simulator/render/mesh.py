@@ -37,14 +37,24 @@ def mitsuba_mesh(mesh: TriangleMesh, bsdf: dict[str, Any], units_per_m: float) -
     return shape
 
 
-def mesh_arrays(mesh: TriangleMesh, units_per_m: float) -> dict[str, np.ndarray]:
-    """Return the arrays of a mesh under Mitsuba's names, flat, in its number types."""
-    return {
+def mesh_arrays(mesh: TriangleMesh, units_per_m: float, unlike: TriangleMesh | None = None) -> dict[str, np.ndarray]:
+    """Return the arrays of a mesh under Mitsuba's names, flat, in its number types.
+
+    Args:
+        mesh: the surface, metres.
+        units_per_m: Mitsuba world units per metre.
+        unlike: leave out texture coordinates and faces that are the same objects as this mesh's.
+    """
+    arrays = {
+        # Always together: Mitsuba computes normals of its own for vertices that come without.
         "vertex_positions": np.ravel(mesh.vertices_m * units_per_m).astype(np.float32),
         "vertex_normals": np.ravel(mesh.normals).astype(np.float32),
-        "vertex_texcoords": np.ravel(mesh.uv).astype(np.float32),
-        "faces": np.ravel(mesh.faces).astype(np.uint32),
     }
+    if unlike is None or unlike.uv is not mesh.uv:
+        arrays["vertex_texcoords"] = np.ravel(mesh.uv).astype(np.float32)
+    if unlike is None or unlike.faces is not mesh.faces:
+        arrays["faces"] = np.ravel(mesh.faces).astype(np.uint32)
+    return arrays
 
 
 def cuboid(box: Box) -> TriangleMesh:

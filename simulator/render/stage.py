@@ -78,8 +78,9 @@ class Stage:
         if isinstance(after, Sphere):
             self._set(slot, ".to_world", placement(after.centre_m, after.radius_m, after.rotation))
         else:
-            mesh = cuboid(after) if isinstance(after, Box) else after
-            for name, values in mesh_arrays(mesh, UNITS_PER_M).items():
+            old, new = (cuboid(shape) if isinstance(shape, Box) else shape for shape in (before, after))
+            assert isinstance(old, TriangleMesh)
+            for name, values in mesh_arrays(new, UNITS_PER_M, unlike=old).items():
                 self._set(slot, f".{name}", values)
         if after.material is not before.material:
             texture = np.ascontiguousarray(after.material.reflectance, dtype=np.float32)
