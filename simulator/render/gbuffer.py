@@ -133,9 +133,11 @@ def _look_at_all(scene: Any) -> dict[str, NDArray[Any]]:
     numbers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]) for shape in scene.shapes()]
     order = np.full(max(numbers, default=0) + 1, NOTHING)
     order[numbers] = scene_order(scene)
+    shape = dr.reinterpret_array(mi.UInt32, hit.shape)
+    instance = dr.reinterpret_array(mi.UInt32, hit.instance)
     return {
         "seen": np.array(seen),
-        "shape": order[np.array(dr.select(seen, dr.reinterpret_array(mi.UInt32, hit.shape), 0))],
+        "shape": order[np.array(dr.select(seen, dr.select(instance != 0, instance, shape), 0))],
         "point": _columns(dr.select(seen, hit.p, 0)),
         "triangle": np.array(dr.select(seen, first.prim_index, 0)),
         "barycentric": _columns(dr.select(seen, first.prim_uv, 0)),
@@ -166,7 +168,7 @@ def _look_one_by_one(scene: Any) -> dict[str, NDArray[Any]]:
         hit = first.compute_surface_interaction(ray, mi.RayFlags.All)
         normal = np.array(hit.sh_frame.n)
         found["seen"][pixel] = True
-        found["shape"][pixel] = order[hit.shape.id()]
+        found["shape"][pixel] = order[(hit.instance or hit.shape).id()]
         found["point"][pixel] = hit.p
         found["triangle"][pixel] = first.prim_index
         found["barycentric"][pixel] = first.prim_uv

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from simulator.render.hidden import HiddenLayer, hidden_layers
 from simulator.render.library import mitsuba
 from simulator.render.motion import motion_vectors, moved_points, seen_points
 from simulator.render.outputs import check_outputs
+from simulator.render.own_scene import OwnScene, load_own_scene
 from simulator.render.repair import repair
 from simulator.render.scene import Scene
 from simulator.render.stage import Stage
@@ -119,6 +121,55 @@ class Renderer:
         if not taken:
             msg = "frames: got none, expected at least one scene"
             raise InputError(msg)
+        return self._as_clip(taken, view, frames_per_second, seed=seed, source=source, label=label)
+
+    def own_still(
+        self,
+        path: Path,
+        view: View,
+        *,
+        metres_per_unit: float | None,
+        samples_per_pixel: int,
+        seed: int,
+        source: dict[str, Any],
+    ) -> Clip:
+        """Render a user's own Mitsuba scene from where its camera stands, through the pinhole of a view: one frame of 1 s.
+
+        Args:
+            path: its XML file.
+            view: image shape, pinhole geometry and depth range.
+            metres_per_unit: what one unit of the scene stands for; None scales it about its camera into the depth range.
+            samples_per_pixel: as in `clip`.
+            seed: as in `clip`.
+            source: as in `clip`; the scale and the shapes' own names are added too.
+
+        Raises:
+            InputError: as `clip`, and for all that `simulator.render.own_scene` refuses.
+        """
+        _check_numbers(samples_per_pixel, seed, 1)
+        for name in ("motion", "hidden"):
+            if name in self.outputs:
+                msg = f"render.outputs: {name} is not known of a Mitsuba scene from a file, {path}; leave it out"
+                raise InputError(msg)
+        activate(self.backend)
+        own = load_own_scene(path, view, self.max_depth)
+        hits, scale = own.look(view, metres_per_unit)
+        frame = self._frame(own, samples_per_pixel, seed)
+        frame.depth_m, frame.hits = hits.depth_m, hits
+        facts = source | {"metres_per_unit": scale, "shape_names": list(own.shape_ids)}
+        return self._as_clip([frame], view, 1, seed=seed, source=facts, label=None)
+
+    def _as_clip(
+        self,
+        taken: list[_Frame],
+        view: View,
+        frames_per_second: float,
+        *,
+        seed: int,
+        source: dict[str, Any],
+        label: str | None,
+    ) -> Clip:
+        """Put frames together."""
         facts = {
             "samples_per_pixel": taken[0].samples,
             "render_seed": seed,
@@ -154,7 +205,7 @@ class Renderer:
                 before = (frame.hits, scene)
             yield frame
 
-    def _frame(self, stage: Stage, samples_per_pixel: int, seed: int) -> _Frame:
+    def _frame(self, stage: Stage | OwnScene, samples_per_pixel: int, seed: int) -> _Frame:
         mi = mitsuba()
 
         loaded = stage.loaded
@@ -165,6 +216,7 @@ class Renderer:
         depth = centre_depth(loaded) if hits is None else hits.depth_m
         layers = []
         if "hidden" in self.outputs:
+            assert isinstance(stage, Stage)
             layers = hidden_layers(
                 loaded, stage.scene, self.hidden, samples=samples, seed=seed, max_depth=self.max_depth
             )

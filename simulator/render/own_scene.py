@@ -1,0 +1,261 @@
+"""A user's own Mitsuba scene, seen through our pinhole: its shapes, materials and lights, from where its camera stands.
+
+Its integrator, film and field of view are replaced, its file names made absolute, its shapes numbered. Mitsuba's parser
+runs first and says which files the scene is made of; only then is anything loaded.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import InputError
+from simulator.render.gbuffer import GBuffer, centre_gbuffer
+from simulator.render.library import mitsuba
+from simulator.render.mitsuba_scene import UNITS_PER_M, path_tracer, pinhole, shape_name
+from simulator.types import View
+
+# Parsing gives the same for every variant; loading needs the active one.
+_ANY_VARIANT = "scalar_rgb"
+# An infinite far depth is filled this many times the near depth deep, as by the families that are drawn.
+_DEPTHS_OF_INFINITY = 50.0
+_ROUNDING = 1e-5
+# Mitsuba's own defaults, in the scene's units: what its author's camera sees is seen here.
+_CLIPPING = {"near_clip": 1e-2, "far_clip": 1e4}
+
+
+@dataclass(frozen=True)
+class OwnScene:
+    """A loaded scene; it takes a stage's place in a `Renderer`.
+
+    Attributes:
+        path: its file.
+        loaded: the ``mitsuba.Scene``.
+        to_world: ``(4, 4)``, from camera axes (x right, y down, z into the scene) to the scene's world, in its units.
+        shape_ids: the names by which the file calls its shapes, in the order of their numbers.
+    """
+
+    path: Path
+    loaded: Any
+    to_world: NDArray[np.float64]
+    shape_ids: tuple[str, ...]
+
+    def look(self, view: View, metres_per_unit: float | None) -> tuple[GBuffer, float]:
+        """Return what the pixels' centres see, in metres and camera axes, and the metres that one unit stands for.
+
+        Args:
+            view: the depths that it must fit.
+            metres_per_unit: None scales the scene about its camera, so that its depths lie in the middle (in log z) of the
+                view's.
+
+        Raises:
+            InputError: when nothing is seen, or depths lie outside near..far.
+        """
+        hits = centre_gbuffer(self.loaded)
+        points = (hits.point_m * UNITS_PER_M - self.to_world[:3, 3]) @ self.to_world[:3, :3]
+        seen = np.isfinite(hits.depth_m)
+        if not seen.any():
+            msg = (
+                f"{self.path}: its camera sees no surface: the scene lies behind it or beside the view "
+                f"({_degrees(view.tan_half_width)} x {_degrees(view.tan_half_height)} degrees); turn its sensor's to_world"
+            )
+            raise InputError(msg)
+        depth = points[seen, 2]
+        scale = _fitting_scale(self.path, depth, view) if metres_per_unit is None else metres_per_unit
+        check_depths(str(self.path), depth * scale, seen.size, view)
+        local = replace(
+            hits,
+            depth_m=np.where(seen, points[..., 2] * scale, np.inf),
+            point_m=(points * scale).astype(np.float32),
+            normal=(hits.normal @ self.to_world[:3, :3]).astype(np.float32),
+        )
+        return local, scale
+
+
+def load_own_scene(path: Path, view: View, max_depth: int) -> OwnScene:
+    """Load a Mitsuba XML file with the active variant, a path tracer and the view's pinhole at its first sensor's place.
+
+    A scene without a sensor is seen from its origin, along its z axis, with its y axis pointing down.
+
+    Args:
+        path: the XML file.
+        view: image shape and pinhole geometry.
+        max_depth: longest light path, in segments.
+
+    Raises:
+        InputError: when Mitsuba rejects the file, a file that it names is missing, nothing shines, or it holds what has no
+            depth (participating media).
+    """
+    mi = mitsuba()
+
+    state, _ = _parsed(path)
+    root = state.root
+    sensor_to_world, clipping = None, _CLIPPING
+    names = []
+    for key, node in _children(state):
+        if node.type == mi.ObjectType.Sensor and sensor_to_world is None:
+            sensor_to_world = np.array(node.props.get("to_world", mi.ScalarTransform4d()).matrix, dtype=np.float64)
+            clipping = {key: float(node.props.get(key, default)) for key, default in _CLIPPING.items()}
+        if node.type in (mi.ObjectType.Sensor, mi.ObjectType.Integrator):
+            del root.props[key]
+        elif node.type == mi.ObjectType.Shape and node.props.plugin_name() != "shapegroup":
+            names.append(node.props.id())
+            node.props.set_id(shape_name(len(names) - 1))
+    if sensor_to_world is None:
+        sensor_to_world = np.diag([-1.0, -1.0, 1.0, 1.0])
+    camera = pinhole(view) | clipping | {"to_world": mi.ScalarTransform4f(sensor_to_world)}
+    with _mitsuba_errors(path):
+        root.props["sensor"] = mi.load_dict(camera)
+        root.props["integrator"] = mi.load_dict(path_tracer(max_depth))
+        loaded = mi.parser.instantiate(_config(mi.variant()), state)
+    if not loaded.emitters():
+        msg = f"{path}: nothing in it shines, its picture would be black; add an emitter such as <emitter type='constant'/>"
+        raise InputError(msg)
+    # Mitsuba's cameras have x to the left and y up.
+    return OwnScene(path, loaded, sensor_to_world @ np.diag([-1.0, -1.0, 1.0, 1.0]), tuple(names))
+
+
+def own_scene_files(path: Path) -> list[Path]:
+    """Return the files that a Mitsuba XML file is made of, itself first: includes, meshes, textures, spectra, volumes.
+
+    Raises:
+        InputError: when it cannot be parsed, or a file is missing.
+    """
+    return _parsed(path)[1]
+
+
+def check_depths(name: str, depth_m: NDArray[np.floating], pixels: int, view: View) -> None:
+    """Refuse depths outside of the view's range.
+
+    Args:
+        name: of the file, for the message.
+        depth_m: depths that are seen, metres.
+        pixels: of the whole picture.
+        view: near and far.
+
+    Raises:
+        InputError: with the share of the pixels, the range that was found and the cure.
+    """
+    outside = (depth_m < view.near_m * (1 - _ROUNDING)) | (depth_m > view.far_m * (1 + _ROUNDING))
+    if outside.any():
+        msg = (
+            f"{name}: {np.count_nonzero(outside) / pixels:.1%} of the pixels see a depth outside near..far = "
+            f"{view.near_m * 100:.4g}..{view.far_m * 100:.4g} cm; the depths seen are "
+            f"{depth_m.min() * 100:.4g}..{depth_m.max() * 100:.4g} cm: change length_of_unit_cm (leave it out to fit), move "
+            "the scene, or set scene.near_cm and scene.far_cm"
+        )
+        raise InputError(msg)
+
+
+def _fitting_scale(path: Path, depth: NDArray[np.float64], view: View) -> float:
+    near, far = view.near_m, min(view.far_m, _DEPTHS_OF_INFINITY * view.near_m)
+    nearest, farthest = float(depth.min()), float(depth.max())
+    if nearest <= 0 or farthest / nearest > far / near * (1 + _ROUNDING):
+        msg = (
+            f"{path}: it is seen from {nearest:.4g} to {farthest:.4g} of its units deep, a ratio of "
+            f"{farthest / nearest:.4g}; near..far = {near * 100:.4g}..{far * 100:.4g} cm is a ratio of {far / near:.4g}: "
+            "widen scene.near_cm and scene.far_cm, or bring its back wall nearer to its camera"
+        )
+        raise InputError(msg)
+    return math.sqrt(near * far / (nearest * farthest))
+
+
+def _degrees(tan_half: float) -> str:
+    return f"{2 * math.degrees(math.atan(tan_half)):.3g}"
+
+
+def _parsed(path: Path) -> tuple[Any, list[Path]]:
+    """Return the parsed scene with absolute file names and in today's syntax, and the files that it is made of."""
+    mi = mitsuba()
+
+    if not path.is_file():
+        msg = f"{path}: no such file; expected a Mitsuba scene in XML"
+        raise InputError(msg)
+    before = mi.file_resolver()
+    resolver = mi.FileResolver(before)
+    resolver.prepend(str(path.parent.resolve()))
+    mi.set_file_resolver(resolver)
+    try:
+        config = _config(_ANY_VARIANT)
+        with _mitsuba_errors(path):
+            state = mi.parser.parse_file(config, str(path))
+            mi.parser.transform_all(config, state)
+        files = [path, *(Path(str(resolver.resolve(str(name)))) for name in state.files[1:])]
+        for node in state.nodes:
+            for key in node.props.keys():  # noqa: SIM118 (no dictionary)
+                # Only these are looked at: Mitsuba takes what was looked at for known, and would keep misspelt names quiet.
+                if key.endswith("filename") and node.props.type(key) == mi.Properties.Type.String:
+                    value = str(node.props[key])
+                    file = Path(str(resolver.resolve(value))).absolute()
+                    _check_part(path, node, value, file)
+                    node.props[key] = str(file)
+                    files.append(file)
+    finally:
+        mi.set_file_resolver(before)
+    _refuse_what_has_no_depth(path, state)
+    return state, list(dict.fromkeys(files))
+
+
+def _check_part(path: Path, node: Any, value: str, file: Path) -> None:
+    if not file.is_file():
+        kind = str(node.type).rpartition(".")[2].lower()
+        msg = (
+            f"{path}: its {kind} {node.props.plugin_name()!r} needs the file {value!r}, and there is none at {file}; "
+            "put it beside the XML file, or write its path from there"
+        )
+        raise InputError(msg)
+
+
+def _refuse_what_has_no_depth(path: Path, state: Any) -> None:
+    mi = mitsuba()
+
+    if state.root.type != mi.ObjectType.Scene:
+        msg = f"{path}: its outermost element is a {state.root.props.plugin_name()!r}, expected <scene>"
+        raise InputError(msg)
+    if any(node.type == mi.ObjectType.Medium for node in state.nodes):
+        msg = (
+            f"{path}: it holds a participating medium (fog, smoke), which has no depth of its own; remove its <medium>"
+        )
+        raise InputError(msg)
+
+
+def _children(state: Any) -> list[tuple[str, Any]]:
+    """Return the scene's own parts and the names of their properties, in the file's order."""
+    mi = mitsuba()
+
+    references = [(key, value) for key, value in state.root.props.items()]
+    return [
+        (key, state.nodes[value.index()])
+        for key, value in references
+        if isinstance(value, mi.Properties.ResolvedReference)
+    ]
+
+
+def _config(variant: str) -> Any:
+    """Return how to parse: shapes stay apart, so that each keeps its number."""
+    mi = mitsuba()
+
+    config = mi.parser.ParserConfig(variant)
+    config.merge_meshes = False
+    config.merge_equivalent = False
+    config.parallel = False
+    return config
+
+
+@contextmanager
+def _mitsuba_errors(path: Path) -> Iterator[None]:
+    """Turn what Mitsuba says against a file into one line."""
+    try:
+        yield
+    except (RuntimeError, ValueError, TypeError) as error:
+        said = " ".join(re.sub(r"\[[\w.]+:\d+\] ", "", str(error)).split())
+        msg = f"{path}: Mitsuba rejects it: {said}"
+        raise InputError(msg) from error
