@@ -48,7 +48,7 @@ def build_source(config: Config, backend: str) -> SceneSource:
         from simulator.render import Renderer  # imported data sets need no renderer
 
         chosen = config.render
-        arguments["renderer"] = Renderer(backend, tuple(chosen.outputs), chosen.hidden_layers)
+        arguments["renderer"] = Renderer(backend, tuple(chosen.outputs), chosen.hidden_layers, denoise=chosen.denoise)
     with plugin_errors(plugin):
         source = plugin.function(build_view(config), **arguments)
     if not isinstance(source, SceneSource):

@@ -102,6 +102,10 @@ class RenderConfig(Section):
     hidden_layers: Annotated[int, Range(1, 8)] = Field(
         default=1, description="how many layers of surfaces behind the picture the output hidden holds"
     )
+    denoise: bool = Field(
+        default=False,
+        description="pass pictures through Open Image Denoise: less noise, but biased; pip install 'flatlight[denoise]'",
+    )
 
 
 class Config(Section):

@@ -66,9 +66,10 @@ def build_fingerprint(
         inputs[name] = sha256_file(path)
     if len(inputs) > _LISTED_INPUTS:
         inputs = {f"{len(inputs)} files": hashlib.sha256(canonical_json(inputs)).hexdigest()}
-    parts = plain(
-        {"backend": backend, "config": kept, "inputs": inputs, "versions": package_versions()}, "configuration"
-    )
+    versions = package_versions()
+    if isinstance(kept.get("render"), Mapping) and kept["render"].get("denoise"):
+        versions["pyoidn"] = metadata.version("pyoidn")
+    parts = plain({"backend": backend, "config": kept, "inputs": inputs, "versions": versions}, "configuration")
     return hashlib.sha256(canonical_json(parts)).hexdigest(), parts
 
 

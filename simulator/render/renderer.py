@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.render.backend import activate
+from simulator.render.denoise import check_denoiser, denoise, denoiser_name, guides
 from simulator.render.gbuffer import GBuffer, centre_depth, centre_gbuffer
 from simulator.render.hidden import HiddenLayer, hidden_layers
 from simulator.render.library import mitsuba
@@ -36,21 +37,26 @@ class Renderer:
         outputs: what clips hold in ``extras`` beside colour and depth, see `simulator.render.outputs.OUTPUTS`.
         hidden: how many layers behind the picture the output ``hidden`` holds.
         max_depth: longest light path, in segments.
+        denoise: whether the picture passes a trained denoiser: less noise, but biased (see `simulator.render.denoise`). The
+            clip's ``source`` says so; hidden layers are left as they are.
 
     Raises:
-        InputError: when ``outputs`` names something else.
+        InputError: when ``outputs`` names something else, or the denoiser is not installed.
     """
 
     backend: str
     outputs: tuple[str, ...] = ()
     hidden: int = 1
     max_depth: int = DEFAULT_MAX_DEPTH
+    denoise: bool = False
 
     def __post_init__(self) -> None:
         check_outputs(self.outputs)
         if self.hidden < 1:
             msg = f"render.hidden_layers: got {self.hidden}, expected at least 1"
             raise InputError(msg)
+        if self.denoise:
+            check_denoiser()
 
     def still(
         self,
@@ -176,6 +182,8 @@ class Renderer:
             "variant": self.backend,
             "repaired_pixels": sum(frame.repaired for frame in taken),
         }
+        if self.denoise:
+            facts["denoised"] = denoiser_name()
         depth = np.stack([frame.depth_m for frame in taken])
         valid = np.isfinite(depth)
         return Clip(
@@ -212,6 +220,8 @@ class Renderer:
         image = mi.render(loaded, spp=samples_per_pixel, seed=seed)
         rgb, repaired = repair(np.array(image, dtype=np.float32))
         samples = int(loaded.sensors()[0].sampler().sample_count())
+        if self.denoise:
+            rgb = denoise(rgb, *guides(loaded, seed))
         hits = centre_gbuffer(loaded) if self.outputs else None
         depth = centre_depth(loaded) if hits is None else hits.depth_m
         layers = []
