@@ -1,5 +1,7 @@
 """Fixtures that all tests share."""
 
+import os
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,7 +10,37 @@ from typing import Any
 import pytest
 import yaml
 
-SHARED = Path(__file__).resolve().parents[2] / "shared"
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT.parent / "shared"
+
+
+def run_python(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run Python in the checkout with additional environment variables."""
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="session")
+def python() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run Python in a process of its own: one process renders with one Mitsuba variant."""
+    return run_python
+
+
+@pytest.fixture(scope="session")
+def needs_llvm() -> None:
+    from simulator.render import choose_backend
+
+    backend = choose_backend("auto")
+    if backend.llvm_version is None:
+        pytest.skip(f"{backend.message}. {backend.advice}")
+
 
 # What a tiny configuration may name: a mask without symmetry, and scenes that cost no rendering. Scenes count what they
 # are asked for in a file, and misbehave on request.
