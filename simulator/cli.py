@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from simulator import __version__
-from simulator.commands import about, compare, datasets, masks, plugins, psf
+from simulator.commands import about, compare, datasets, masks, plugins, psf, render
 from simulator.errors import InputError
 
 app = typer.Typer(
@@ -23,6 +23,7 @@ app = typer.Typer(
 for command in (
     datasets.init,
     datasets.generate,
+    render.render,
     psf.psf,
     compare.compare,
     plugins.masks,

@@ -6,7 +6,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from simulator.dataset.contact_sheet import contact_sheet, depth_colours
+from simulator.dataset.contact_sheet import contact_sheet
 from simulator.dataset.dataset_info import write_info
 from simulator.dataset.manifest import ManifestWriter
 from simulator.dataset.sample import write_sample
@@ -83,12 +83,3 @@ def test_refusals(dataset: Path, tmp_path: Path) -> None:
         contact_sheet(dataset, tmp_path / "s.png", count=0)
     with pytest.raises(StorageError, match="does not exist"):
         contact_sheet(dataset, tmp_path / "no" / "s.png")
-
-
-def test_colours_are_monotone_in_lightness() -> None:
-    depths = (1 / np.linspace(1 / 0.04, 1 / 0.2, 100, dtype=np.float32))[None]  # even steps of the scale
-    colours = depth_colours(depths, np.ones_like(depths, bool), 0.04, 0.2)[0]
-    luminance = colours @ np.array([0.2126, 0.7152, 0.0722])
-    assert np.all(np.diff(luminance) < 0)  # near is light, far is dark, also in greyscale
-    flat = depth_colours(depths, np.ones_like(depths, bool), 0.1, 0.1)
-    assert flat.shape == (1, 100, 3)

@@ -1,0 +1,162 @@
+"""``render``: the scenes of a configuration as pictures, without any camera."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from simulator.commands.options import ConfigPath, Overrides
+from simulator.commands.outputs import check_output_file
+from simulator.errors import InputError
+
+if TYPE_CHECKING:
+    from simulator.config import Config
+    from simulator.console import Bar
+    from simulator.types import Clip
+
+# What users write, and what the renderer calls it.
+_OUTPUTS = {"ids": "shape_id", "normals": "normal", "albedo": "albedo", "motion": "motion", "hidden": "hidden"}
+_SAMPLES = {".png": 16, ".gif": 9, ".webp": 9, ".exr": 1}
+
+
+def render(
+    config: ConfigPath,
+    set_: Overrides = None,
+    split: Annotated[str, typer.Option("--split", help="train, validation or test")] = "train",
+    index: Annotated[int, typer.Option("--index", min=0, help="number of the first sample within its split")] = 0,
+    samples: Annotated[
+        int | None,
+        typer.Option("--samples", min=1, help="how many; 16 on a sheet, 9 in an animation", show_default=False),
+    ] = None,
+    outputs: Annotated[
+        str | None,
+        typer.Option(
+            "--outputs", metavar="LIST", help=f"what to show beside colour and depth: some of {','.join(_OUTPUTS)}"
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            help="contact sheet (.png), animation (.gif, .webp) or linear values of one sample (.exr)",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Render scenes as `generate` would see them: a contact sheet, an animation, or OpenEXR."""
+    from simulator.config import load_config
+    from simulator.console import Bar
+    from simulator.dataset.clip_files import write_linear
+    from simulator.files import write_atomic
+    from simulator.preview import ANIMATIONS, animation, clip_sheet
+    from simulator.preview.drawing import png_bytes
+
+    path = output or Path(f"{config.stem}_{split}.png")
+    check_output_file("--output", path, tuple(_SAMPLES))
+    kind = path.suffix.lower()
+    count = _count(kind, samples)
+    _check_split(split)
+    asked = [] if outputs is None else [f"render.outputs={json.dumps(_renderer_names(outputs))}"]
+    loaded = load_config(config, [*(set_ or []), *asked])
+    numbers = range(index, index + count)
+    with Bar() as bar:
+        clips = _clips(loaded, split, numbers, bar, free=outputs is None and kind == ".png")
+        if kind == ".exr":
+            written = write_linear(path, clips[0])
+        else:
+            title = _title(loaded, split, numbers, clips)
+            captions = [_caption(split, number, clip) for number, clip in zip(numbers, clips, strict=True)]
+            if kind in ANIMATIONS:
+                bar.say("drawing the animation")
+                content = animation(clips, captions, title, kind)
+            else:
+                content = png_bytes(clip_sheet(clips, captions, title))
+            write_atomic(path, content)
+            written = [path]
+    print(f"look at {written[0]}" + (f" to {written[-1].name}" if len(written) > 1 else ""))
+
+
+def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) -> list[Clip]:
+    """Return the clips of samples.
+
+    Args:
+        config: the configuration.
+        split: of the samples.
+        numbers: of the samples within their split.
+        bar: shows progress.
+        free: nobody said what to show, so that moving scenes may also show their motion.
+    """
+    from simulator.assemble import build_source, scene_plugin
+    from simulator.dataset.engines import available_cpus
+    from simulator.dataset.recipe import scene_clip
+    from simulator.plugins import plugin_errors
+    from simulator.render.backend import activate, choose_backend
+
+    plugin = scene_plugin(config)
+    variant = "none"
+    if plugin.takes_renderer:
+        backend = choose_backend(config.render.backend)
+        bar.say(f"rendering with {backend.message}" + (f". {backend.advice}" if backend.advice else ""))
+        variant = backend.variant
+        activate(variant, threads=available_cpus())
+    elif config.render.outputs:
+        wanted = ", ".join(config.render.outputs)
+        msg = f"--outputs: got {wanted}, but {plugin.name} is not rendered: it holds colour and depth; leave them out"
+        raise InputError(msg)
+    clips: list[Clip] = []
+    with plugin_errors(plugin):
+        source = build_source(config, variant)
+        for number in numbers:
+            clip = scene_clip(source, config.seed, split, number)
+            if free and not clips and plugin.takes_renderer and len(clip.rgb) > 1 and not config.render.outputs:
+                # Only now is it known that something moves.
+                moving = config.render.model_copy(update={"outputs": ("motion",)})
+                source = build_source(config.model_copy(update={"render": moving}), variant)
+                clip = scene_clip(source, config.seed, split, number)
+            clips.append(clip)
+            bar.update("samples rendered", len(clips), len(numbers))
+    return clips
+
+
+def _title(config: Config, split: str, numbers: range, clips: list[Clip]) -> str:
+    rows, columns = config.scene.size
+    which = f"{split} {numbers[0]}" + (f" to {numbers[-1]}" if len(numbers) > 1 else "")
+    frames = max(len(clip.rgb) for clip in clips)
+    several = f", {frames} frames" if frames > 1 else ""
+    samples = clips[0].source.get("samples_per_pixel")
+    paths = f", {samples} samples per pixel" if samples else ""
+    return f"{config.scene.family or config.scene.source}: {which}, {rows} x {columns} pixels{several}{paths}"
+
+
+def _caption(split: str, number: int, clip: Clip) -> str:
+    return f"{split} {number}" + (f": {clip.label}" if clip.label else "")
+
+
+def _renderer_names(text: str) -> list[str]:
+    from simulator.validation import nearest
+
+    names = [word.strip() for word in text.split(",") if word.strip()]
+    for name in names:
+        if name not in _OUTPUTS:
+            msg = f"--outputs: got {name!r}, expected some of {','.join(_OUTPUTS)}{nearest(name, list(_OUTPUTS))}"
+            raise InputError(msg)
+    return [_OUTPUTS[name] for name in dict.fromkeys(names)]
+
+
+def _count(kind: str, samples: int | None) -> int:
+    if kind == ".exr" and samples not in (None, 1):
+        msg = f"--samples: got {samples}, but an EXR holds the values of one sample; choose it with --index"
+        raise InputError(msg)
+    return _SAMPLES[kind] if samples is None else samples
+
+
+def _check_split(split: str) -> None:
+    from simulator.dataset.sample import SPLITS
+    from simulator.validation import nearest
+
+    if split not in SPLITS:
+        msg = f"--split: got {split!r}, expected one of {', '.join(SPLITS)}{nearest(split, list(SPLITS))}"
+        raise InputError(msg)

@@ -1,0 +1,147 @@
+"""``render`` as users meet it: what it writes is what `generate` would see."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from simulator.exr import read_exr
+from simulator.plugin_files import import_file
+from simulator.types import View
+
+pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+
+# A ball that rolls to the right before a wall, as a family in a file of its own.
+ROLLING = '''
+"""A rolling ball."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from simulator.render import Box, Environment, Material, Renderer, Scene, Sphere
+
+
+@dataclass(frozen=True)
+class Rolling:
+    view: object
+    frames: int
+    renderer: Renderer
+    inputs: tuple = ()
+
+    def clip(self, index, rng):
+        grey = Material(np.full((2, 2, 3), 0.5))
+        start = rng.uniform(-0.004, 0)
+        wall = Box(np.array([0, 0, 0.19]), np.array([0.5, 0.5, 0.01]), grey, np.eye(3))
+        light = (Environment(np.ones(3)),)
+
+        def scene(frame):
+            ball = Sphere(np.array([start + 0.002 * frame, 0, 0.1]), 0.003, grey, np.eye(3))
+            return Scene((wall, ball), light)
+
+        scenes = [scene(frame) for frame in range(self.frames)]
+        options = {"samples_per_pixel": 1, "seed": int(rng.integers(2**32)), "source": {"family": "rolling"}}
+        if self.frames == 1:
+            return self.renderer.still(scenes[0], self.view, **options)
+        return self.renderer.clip(scenes, self.view, frames_per_second=1000, label="rolling", **options)
+
+
+def rolling(view, *, frames: Annotated[int, Field(ge=1)] = 3, renderer: Renderer):
+    return Rolling(view, frames, renderer)
+'''
+
+
+@pytest.fixture
+def rolling(trial) -> Path:
+    """A configuration whose scenes roll."""
+    (trial.folder / "rolling.py").write_text(ROLLING, encoding="utf-8")
+    return trial.write(scene={"family": "./rolling.py:rolling", "size": [16, 20]})
+
+
+def test_a_sheet_of_clips(flatlight, rolling: Path, tmp_path: Path) -> None:
+    code, out, err = flatlight("render", rolling, "--samples", 2, "--output", tmp_path / "s.png")
+    assert (code, out) == (0, f"look at {tmp_path / 's.png'}\n")
+    assert "rendering with scalar_rgb" in err
+    assert "samples rendered: 2 of 2" in err
+    sheet = np.asarray(Image.open(tmp_path / "s.png").convert("RGB")).astype(int)
+    # Tiles of 128 x 160: three frames, depth and, as nobody said otherwise, motion.
+    motion = sheet[76 : 76 + 128, 12 + 4 * 162 : 12 + 4 * 162 + 160]
+    found = {tuple(colour) for colour in motion.reshape(-1, 3)}
+    assert (255, 255, 255) in found  # the wall rests
+    assert any(red > 200 > 100 > green and blue == green for red, green, blue in found)  # the ball moves to the right
+
+
+def test_an_animation(flatlight, rolling: Path, tmp_path: Path) -> None:
+    for name in ("a.gif", "a.webp"):
+        code, out, _ = flatlight("render", rolling, "--samples", 1, "--output", tmp_path / name)
+        assert (code, out) == (0, f"look at {tmp_path / name}\n")
+        with Image.open(tmp_path / name) as image:
+            assert getattr(image, "n_frames", 1) == 3
+            assert image.size[1] == 58 + 18 + 128 + 20 + 12
+
+
+def test_the_frames_of_a_clip_as_exr(flatlight, rolling: Path, tmp_path: Path) -> None:
+    code, out, _ = flatlight("render", rolling, "--outputs", "motion,ids", "--output", tmp_path / "a.exr")
+    assert (code, out) == (0, f"look at {tmp_path / 'a.0000.exr'} to a.0002.exr\n")
+    channels, metadata = read_exr(tmp_path / "a.0000.exr")
+    ball = channels["id"] == 1
+    assert 20 < ball.sum() < 40  # a disc of 6 pixels: 6 mm from 10 cm through 1.9 mm onto 19.2 um
+    # 2 mm are 1.98 pixels 10 cm away, at the ball's rim, and 2.04 at its front, 3 mm nearer.
+    assert 1.97 < channels["motion.X"][ball].min() < channels["motion.X"][ball].max() < 2.05
+    assert np.abs(channels["motion.X"][~ball]).max() < 1e-4
+    assert (metadata["label"], metadata["frames"]) == ("rolling", 3)
+
+
+@pytest.mark.parametrize(("split", "index", "key", "asked"), [("train", 2, 0, 2), ("test", 1, 2, -4)])
+def test_it_is_the_scene_of_the_data_set(flatlight, trial, split: str, index: int, key: int, asked: int) -> None:
+    """The documented stream and index, to which tests/simulator/dataset/test_recipe.py holds the data set's own scenes."""
+    path = trial.folder / "a.exr"
+    assert flatlight("render", trial.write(), "--split", split, "--index", index, "--output", path)[0] == 0
+    rng = np.random.default_rng(np.random.SeedSequence(11, spawn_key=(key, index, 0)))
+    view = View((16, 20), 8 * 2.4e-6, 1.9e-3, 0.036, 0.2)
+    clip = import_file(trial.plugins, "plugins").boxes(view).clip(asked, rng)
+    channels, metadata = read_exr(path)
+    np.testing.assert_array_equal(np.stack([channels[name] for name in "RGB"], -1), clip.rgb[0])
+    np.testing.assert_array_equal(channels["Z"], clip.depth_m[0])
+    np.testing.assert_array_equal(channels["valid"], clip.valid[0])
+    assert metadata["source"] == {"drawn": asked}
+
+
+def test_a_name_of_its_own_and_everything_that_can_be_shown(
+    flatlight, rolling: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    arguments = ("--set", "scene.frames=1", "--samples", 1, "--split", "validation")
+    code, out, _ = flatlight("render", rolling, *arguments, "--outputs", "hidden, albedo,normals,ids,ids")
+    assert (code, out) == (0, "look at trial_validation.png\n")
+    plain, _ = Image.open(tmp_path / "trial_validation.png").size
+    assert flatlight("render", rolling, *arguments)[0] == 0
+    assert plain - Image.open(tmp_path / "trial_validation.png").size[0] >= 5 * 162 - 200
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--output", "a.jpg"], ["--output", "'a.jpg'", ".png or .gif or .webp or .exr"]),
+        (["--output", "no/a.png"], ["--output", "does not exist"]),
+        (["--split", "trian"], ["--split: got 'trian'", "did you mean 'train'"]),
+        (["--outputs", "id,motion"], ["--outputs: got 'id'", "did you mean 'ids'"]),
+        (["--samples", "2", "--output", "a.exr"], ["--samples: got 2", "--index"]),
+        (["--set", "scene.frame=2"], ["scene.frame", "did you mean 'frames'"]),
+        (["--set", "scene.frames=1", "--outputs", "motion"], ["motion needs clips", "leave it out"]),
+        (["--set", "scene.frames=1", "--output", "a.gif"], ["stills", ".png"]),
+    ],
+)
+def test_mistakes(flatlight, one_error, rolling: Path, monkeypatch, arguments: list[str], words: list[str]) -> None:
+    monkeypatch.chdir(rolling.parent)
+    before = set(rolling.parent.iterdir())
+    one_error(flatlight("render", rolling, *arguments), *words)
+    assert {path for path in rolling.parent.iterdir() if path.name != "__pycache__"} <= before
+
+
+def test_scenes_that_are_not_rendered_have_colour_and_depth_only(flatlight, one_error, trial) -> None:
+    one_error(flatlight("render", trial.write(), "--outputs", "ids"), "boxes is not rendered", "leave them out")
+    assert flatlight("render", trial.write(), "--output", trial.folder / "a.png")[0] == 0
