@@ -6,7 +6,9 @@ Tests that render inside the test process use ``scalar_rgb`` only: it works ever
 from __future__ import annotations
 
 import functools
+import importlib.util
 import subprocess
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -43,3 +45,26 @@ def pictures(request: pytest.FixtureRequest, render_cases: Callable[[str, int], 
     if request.param == "llvm_ad_rgb":
         request.getfixturevalue("needs_llvm")
     return render_cases(request.param, 1)
+
+
+def _load(name: str) -> Any:
+    """Import a module that stands beside the tests: pytest's import mode puts no folder of tests on the path."""
+    spec = importlib.util.spec_from_file_location(f"render_tests_{name}", Path(__file__).with_name(f"{name}.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="session")
+def analytic() -> Any:
+    """The module analytic.py: rays against surfaces in closed form."""
+    return _load("analytic")
+
+
+@pytest.fixture(scope="session")
+def geometry() -> Any:
+    """The module geometry_cases.py: the scenes that worker.py renders."""
+    return _load("geometry_cases")

@@ -6,9 +6,11 @@ A process keeps to one Mitsuba variant, so that the tests of both run this scrip
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import geometry_cases
 import numpy as np
 from numpy.typing import NDArray
 
@@ -97,7 +99,7 @@ def run(variant: str, threads: int) -> dict[str, NDArray[Any]]:
     scene = draw_scene(SMALL, 12, np.random.default_rng(5))
     noisy = [renderer.still(scene, SMALL, samples_per_pixel=16, seed=s, source={}) for s in range(SEEDS)]
     arrays["noisy"] = np.stack([clip.rgb[0] for clip in noisy])
-    return arrays
+    return arrays | geometry_cases.arrays(partial(Renderer, variant))
 
 
 if __name__ == "__main__":
