@@ -33,7 +33,7 @@ _TOP = ((0, 0.8), (0.1, 0.78), (0.1, 0.35), (0.75, 0.15), (0.8, 0), (0.5, -0.35)
 def round_bodies() -> tuple[UnitMesh, ...]:
     """Return balls of which every vertex is within 10 % of the unit sphere: they touch where a ball would."""
     rng = np.random.default_rng(_SEED)
-    return (_ball(_no_lumps), *(_ball(_lumps(rng, 0.06)) for _ in range(2)), _ball(_ribs(8, 0.05)))
+    return (_ball(_no_lumps), *(_ball(_lumps(rng, 0.045)) for _ in range(2)), _ball(_ribs(8, 0.05)))
 
 
 @functools.cache

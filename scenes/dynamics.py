@@ -217,9 +217,11 @@ def _landing(gap_m: float, speed_m_s: float, pull_m_s2: float) -> float:
     """Return when ``gap + speed t + pull t^2 / 2`` reaches zero from above; infinity when it does not."""
     gap_m = max(gap_m, 0.0)
     root = speed_m_s**2 - 2 * pull_m_s2 * gap_m
-    if root <= 0 or (pull_m_s2 >= 0 and speed_m_s >= 0):
+    if pull_m_s2 >= 0 and (speed_m_s >= 0 or root <= 0):
         return math.inf
     if speed_m_s <= 0:
+        if gap_m == 0:
+            return 0.0
         return 2 * gap_m / (math.sqrt(root) - speed_m_s)  # this form loses no digits
     return -(speed_m_s + math.sqrt(root)) / pull_m_s2
 

@@ -18,7 +18,9 @@ from simulator.types import View
 
 Array = NDArray[np.float64]
 _MARGIN = 1.005
-_FACES = np.array([(0, 1, 2), (0, 2, 3)])
+# A wall or floor is one triangle, larger than the picture: a ray that hits an edge between two triangles can slip through in
+# float32, and the diagonal of a rectangle runs through many pixels' centres when it is the picture's own.
+_FACE = np.array([(0, 1, 2)])
 
 
 @dataclass(frozen=True)
@@ -82,25 +84,22 @@ def draw_room(view: View, rng: np.random.Generator) -> Room:
 
 def wall_of(room: Room, theme: Array, size: int, rng: np.random.Generator) -> TriangleMesh:
     """Return a textured plane that fills the picture behind the room; its disparity is linear over the picture."""
-    corner = np.array([(-1.0, -1), (1, -1), (1, 1), (-1, 1)])
-    disparity = (1 - abs(room.wall_slant) + room.wall_slant * corner[:, 0]) / room.wall_m
-    corners = np.column_stack([corner * 1.02 * room.half, np.ones(4)]) / disparity[:, np.newaxis]
-    repeats = rng.uniform(1.0, 2.5)
-    uv = repeats * (corner + 1) / 2 * (1, room.view.shape[0] / room.view.shape[1])
+    across = np.array([(-1.1, -1.1), (3.4, -1.1), (-1.1, 3.4)])
+    disparity = (1 - abs(room.wall_slant) + room.wall_slant * across[:, 0]) / room.wall_m
+    corners = np.column_stack([across * room.half, np.ones(3)]) / disparity[:, np.newaxis]
+    uv = corners[:, :2] * rng.uniform(1.0, 2.5) / (2 * room.view.tan_half_width * room.wall_m)
     return _plane(corners, uv, _muted(theme, size, rng))
 
 
 def floor_of(room: Room, theme: Array, size: int, rng: np.random.Generator) -> TriangleMesh:
-    """Return the textured floor, from outside of the picture to behind the wall."""
-    front = 0.5 * room.floor_begins_m
+    """Return the textured floor, a wedge from behind the camera to behind the wall."""
+    tip = -0.2 * room.wall_m
     back = 1.3 * room.wall_m / (1 - 2 * abs(room.wall_slant))
-    reach = 1.1 * room.view.tan_half_width * back
-    corners = np.array([(-reach, room.floor_m, back), (reach, room.floor_m, back)])
-    corners = np.concatenate([corners, corners[::-1] * (1, 1, 0) + (0, 0, front)])
+    reach = 1.1 * room.view.tan_half_width * (back - tip)
+    corners = np.array([(-reach, room.floor_m, back), (reach, room.floor_m, back), (0, room.floor_m, tip)])
     turn = rng.uniform(0, np.pi)
     along = np.array([np.cos(turn), np.sin(turn)])
-    scale = rng.uniform(0.6, 1.4) / room.wall_m
-    ground = corners[:, [0, 2]] * scale
+    ground = corners[:, [0, 2]] * rng.uniform(0.6, 1.4) / room.wall_m
     uv = np.stack([ground @ along, ground @ (-along[1], along[0])], axis=1)
     return _plane(corners, uv, _muted(theme, size, rng))
 
@@ -132,9 +131,9 @@ def _muted(theme: Array, size: int, rng: np.random.Generator) -> NDArray[np.floa
 
 
 def _plane(corners: Array, uv: Array, reflectance: NDArray[np.float32]) -> TriangleMesh:
-    """Return a quadrilateral that faces the camera."""
-    normal = unit(face_cross(corners, _FACES)[0])
-    faces = _FACES
+    """Return a triangle that faces the camera."""
+    normal = unit(face_cross(corners, _FACE)[0])
+    faces = _FACE
     if normal @ corners[0] > 0:
-        normal, faces = -normal, _FACES[:, ::-1]
-    return TriangleMesh(corners, np.tile(normal, (4, 1)), uv, faces, Material(reflectance))
+        normal, faces = -normal, _FACE[:, ::-1]
+    return TriangleMesh(corners, np.tile(normal, (3, 1)), uv, faces, Material(reflectance))

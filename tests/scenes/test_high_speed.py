@@ -1,0 +1,305 @@
+"""The high-speed clips: continuous motion inside the depth range, exact motion vectors, black where nothing is."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from scenes.courses import straight
+from scenes.events import EVENTS, MOST_ACTORS, Event
+from scenes.high_speed import Play, draw_play, event_of, high_speed, is_black
+from scenes.layout import far_end
+from simulator.errors import InputError
+from simulator.render import Renderer, Scene, TriangleMesh
+from simulator.types import Clip, SceneSource, View
+
+DEFAULT = View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2)
+SMALL = View((24, 24), 102.4e-6, 1.9e-3, 0.036, 0.2)
+VIEWS = {
+    "default": DEFAULT,
+    "wide": View((64, 128), 60e-6, 1.9e-3, 0.01, 0.2),
+    "narrow": View((384, 320), 2.4e-6, 1.0e-2, 0.1, 0.5),
+    "infinite": View((128, 128), 19.2e-6, 1.9e-3, 0.036, math.inf),
+    "thin": View((128, 128), 19.2e-6, 1.9e-3, 0.1, 0.115),
+}
+DURATION_S = 0.01
+
+
+def play(event: Event, seed: int, *, view: View = DEFAULT, black: bool = True) -> Play:
+    return draw_play(view, event, black, DURATION_S, np.random.default_rng(seed))
+
+
+def acting(drawn: Play, frames: int) -> list[np.ndarray]:
+    """Return the vertices ``(T, V, 3)`` of everything that is an actor, in frames evenly over the clip."""
+    scenes = list(drawn.scenes((np.arange(frames) + 0.5) * DURATION_S / frames))
+    slots = [slot for slot, (_, actor) in enumerate(drawn.slots) if actor is not None]
+    return [np.stack([mesh(scene, slot + 2).vertices_m for scene in scenes]) for slot in slots]
+
+
+def mesh(scene: Scene, slot: int) -> TriangleMesh:
+    shape = scene.shapes[slot]
+    assert isinstance(shape, TriangleMesh)
+    return shape
+
+
+def in_pixels(points: np.ndarray, view: View) -> np.ndarray:
+    return points[..., :2] / points[..., 2:] * view.distance_m / view.pixel_pitch_m
+
+
+@pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS.keys())
+@pytest.mark.parametrize("event", EVENTS)
+def test_everything_stays_in_the_depth_range_above_the_floor_and_mostly_in_view(event: Event, view: View) -> None:
+    for seed in range(2):
+        drawn = play(event, seed, view=view, black=seed == 0)
+        assert 1 <= len(drawn.actors) <= MOST_ACTORS
+        for points in acting(drawn, 8):
+            assert view.near_m < points[..., 2].min() < points[..., 2].max() < far_end(view)
+            # Figures run on the floor with round soles, which a mesh of 16 checked phases fits to 3 % of its size.
+            size = np.ptp(points[0], axis=0).max()
+            assert points[..., 1].max() < drawn.room.floor_m + 0.03 * size
+            half = np.array(view.shape[::-1]) / 2
+            seen = np.all(np.abs(in_pixels(points.mean(axis=1), view)) < 1.15 * half, axis=-1)
+            assert seen.mean() >= 0.5
+
+
+@pytest.mark.parametrize("event", EVENTS)
+def test_motion_is_fast_and_nothing_pops(event: Event) -> None:
+    """With four times the frames the largest step is close to a quarter; where a thing jumped it would stay."""
+    for seed in range(2):
+        coarse, fine = (acting(play(event, seed), frames) for frames in (20, 80))
+        steps = [
+            max(np.linalg.norm(np.diff(in_pixels(points, DEFAULT), axis=0), axis=-1).max() for points in frames)
+            for frames in (coarse, fine)
+        ]
+        # A hit or the beginning of a contact can fall between the coarse frames and make their step smaller.
+        assert steps[1] < 0.42 * steps[0]
+        assert 1.5 < steps[0] < 0.25 * 128, "pixels per frame of the fastest vertex, of 128"
+
+
+@pytest.mark.parametrize("event", ["translation", "rotation", "occlusion", "collision"])
+def test_rigid_bodies_keep_their_distances(event: Event) -> None:
+    for points in acting(play(event, 7), 6):
+        some = points[:, :: max(1, points.shape[1] // 12)]
+        spans = np.linalg.norm(some[:, :, np.newaxis] - some[:, np.newaxis], axis=-1)
+        np.testing.assert_allclose(spans, np.broadcast_to(spans[0], spans.shape), atol=1e-12)
+
+
+def test_a_flight_crosses_the_picture_as_far_as_its_speed_says() -> None:
+    for seed in range(6):
+        drawn = play("translation", seed)
+        actor = drawn.actors[0]
+        way = actor.centre(DURATION_S) - actor.centre(0.0)
+        assert actor.facts["speed_m_s"] == pytest.approx(np.linalg.norm(way) / DURATION_S)
+        ends = in_pixels(np.stack([actor.centre(0.0), actor.centre(DURATION_S)]), DEFAULT)
+        # The drawn share is 0.45 to 1 of the width; the ends' depths differ by a few percent.
+        assert 0.4 * 128 < np.linalg.norm(ends[1] - ends[0]) < 1.1 * 128
+
+
+def test_balls_fall_with_the_gravity_that_is_told() -> None:
+    told = set()
+    for seed in range(3):
+        for actor in play("bouncing", seed).actors:
+            told.add((seed, actor.facts["gravity_m_s2"]))
+            times = np.linspace(0, DURATION_S, 200)
+            height = np.array([actor.centre(time)[1] for time in times])
+            pull = np.diff(height, 2) / (times[1] - times[0]) ** 2
+            # Free flight is most of the time, and there the second difference is the acceleration.
+            assert np.median(pull) == pytest.approx(actor.facts["gravity_m_s2"], rel=1e-6)
+    assert len(told) == 3, "one gravity for all balls of a clip"
+
+
+def test_a_squashed_ball_touches_the_floor() -> None:
+    touched = 0
+    for seed in range(4):
+        drawn = play("bouncing", seed)
+        for points in acting(drawn, 60):
+            below = points[..., 1].max(axis=1)
+            height = np.ptp(points[..., 1], axis=1)
+            squashed = height < 0.8 * height.max()
+            # The mesh of a round body lies up to 13 % inside its ball.
+            assert below.max() < drawn.room.floor_m + 1e-12
+            assert np.all(below[squashed] > drawn.room.floor_m - 0.13 * height.max() / 2)
+            touched += squashed.any()
+    assert touched >= 3
+
+
+def test_balls_hit_without_touching_before_and_keep_their_momentum() -> None:
+    for seed in range(5):
+        actors = play("collision", seed).actors
+        radii = np.array([actor.radius_m for actor in actors])
+        times = np.linspace(0, DURATION_S, 300)
+        places = np.array([[actor.centre(time) for actor in actors] for time in times])
+        offsets = np.linalg.norm(places[:, :, np.newaxis] - places[:, np.newaxis], axis=-1)
+        pairs = np.triu_indices(len(actors), 1)
+        gaps = (offsets - radii - radii[:, np.newaxis])[:, *pairs]
+        assert gaps.min() > -1e-12
+        assert gaps.min() < 0.03 * radii.max()
+        velocities = np.diff(places, axis=0) / (times[1] - times[0])
+        momentum = radii**3 @ velocities
+        # Nothing pulls sideways: the floor can only push up, and steps that hold an impact mix two velocities evenly.
+        for axis in (0, 2):
+            np.testing.assert_allclose(momentum[:, axis], momentum[0, axis], atol=1e-9 * np.abs(velocities).max())
+
+
+def test_the_nearer_thing_hides_the_farther_at_some_time() -> None:
+    crossed = 0
+    for seed in range(5):
+        things = acting(play("occlusion", seed), 10)
+        for one, first in enumerate(things):
+            for second in things[:one]:
+                middle = in_pixels(np.stack([first.mean(axis=1), second.mean(axis=1)]), DEFAULT)
+                size = np.ptp(in_pixels(first, DEFAULT), axis=1).max() / 2
+                if np.linalg.norm(middle[0] - middle[1], axis=-1).min() < size:
+                    crossed += 1
+                    break
+    assert crossed >= 5
+
+
+def test_slots_are_the_same_for_every_event_and_background() -> None:
+    """Else Dr.Jit compiles new kernels for new clips."""
+
+    def slots(scene: Scene) -> list[object]:
+        shapes = [
+            (type(shape), shape.material.roughness is None, shape.material.reflectance.shape) for shape in scene.shapes
+        ]
+        return [*shapes, *map(type, scene.lights), scene.hide_lights]
+
+    found = [
+        slots(next(play(event, seed, black=black).scenes(np.array([0.001]))))
+        for event in EVENTS
+        for seed, black in ((0, True), (1, False))
+    ]
+    assert all(one == found[0] for one in found)
+
+
+def test_what_rests_is_the_same_object_in_every_frame() -> None:
+    scenes = list(play("bouncing", 2, black=False).scenes(np.array([0.001, 0.002])))
+    drawn = play("bouncing", 2, black=False)
+    for number, (before, after) in enumerate(zip(scenes[0].shapes, scenes[1].shapes, strict=True)):
+        actor = drawn.slots[number - 2][1] if number >= 2 else None
+        assert (before is after) == (actor is None or actor.still)
+    assert scenes[0].lights is scenes[1].lights
+
+
+def test_events_and_backgrounds_are_balanced_by_index() -> None:
+    drawn = [(event_of("mixed", index), is_black("mixed", index)) for index in range(-28, 28)]
+    assert set(Counter(drawn).values()) == {4}
+    assert event_of("collision", 3) == "collision"
+    assert is_black("black", 9)
+    assert not is_black("room", 9)
+
+
+def clip(event: Event, background: str, *, view: View = SMALL, outputs: tuple[str, ...] = (), frames: int = 3) -> Clip:
+    source = high_speed(
+        view,
+        frames=frames,
+        samples_per_pixel=1,
+        event=event,
+        background=background,  # pyright: ignore[reportArgumentType]
+        renderer=Renderer("scalar_rgb", outputs=outputs),
+    )
+    return source.clip(0, np.random.default_rng(11))
+
+
+def test_a_clip_keeps_the_contract() -> None:
+    source = high_speed(SMALL, frames=3, frames_per_second=3000.0, samples_per_pixel=1, renderer=Renderer("scalar_rgb"))
+    assert isinstance(source, SceneSource)
+    assert tuple(source.inputs) == ()
+    copy = pickle.loads(pickle.dumps(source))
+    one, again = source.clip(5, np.random.default_rng(5)), copy.clip(5, np.random.default_rng(5))
+    other = source.clip(5, np.random.default_rng(6))
+    assert one.rgb.tobytes() == again.rgb.tobytes()
+    assert one.depth_m.tobytes() == again.depth_m.tobytes()
+    assert not np.array_equal(one.rgb, other.rgb)
+    np.testing.assert_array_equal(one.frame_edges_s, np.arange(4) / 3000)
+    facts = json.loads(json.dumps(one.source))
+    assert (facts["family"], facts["index"], facts["event"], facts["background"]) == (
+        "high_speed",
+        5,
+        "collision",
+        "black",
+    )
+    assert facts["frames_per_second"] == 3000
+    assert one.label == "collision"
+    assert len(facts["actors"]) >= 2
+    assert all(actor["speed_m_s"] >= 0 and actor["radius_m"] > 0 for actor in facts["actors"])
+
+
+def test_black_is_exactly_black_and_a_room_fills_the_picture() -> None:
+    empty = clip("rotation", "black", outputs=("shape_id",))
+    missed = ~empty.valid
+    assert 0.2 < missed.mean() < 1
+    assert np.all(empty.extras["shape_id"][missed] == -1)
+    assert np.all(empty.depth_m[missed] == np.float32(SMALL.far_m))
+    # A pixel whose centre misses may hold the rim of a thing, but none that is a pixel away from all vertices' boxes.
+    drawn = draw_play(SMALL, "rotation", True, 3 / 2000, np.random.default_rng(11))
+    row, column = np.mgrid[:24, :24]
+    for rgb, scene in zip(empty.rgb, drawn.scenes((np.arange(3) + 0.5) / 2000), strict=True):
+        holds = np.zeros((24, 24), bool)
+        for slot, (_, actor) in enumerate(drawn.slots):
+            if actor is not None:
+                spots = in_pixels(mesh(scene, slot + 2).vertices_m, SMALL) + 11.5
+                (left, top), (right, bottom) = spots.min(axis=0) - 0.5, spots.max(axis=0) + 0.5
+                holds |= (column >= left) & (column <= right) & (row >= top) & (row <= bottom)
+        assert np.mean(~holds) > 0.3
+        assert np.all(rgb[~holds] == 0)
+        assert np.any(rgb[holds] > 0)
+    assert empty.rgb[empty.valid].mean() > 0.05
+    full = clip("rotation", "room", outputs=("shape_id",))
+    assert full.valid.all()
+    assert {0, 1} < set(np.unique(full.extras["shape_id"]).tolist()), "wall, floor and things"
+    assert full.depth_m.min() >= SMALL.near_m
+    assert full.depth_m.max() <= SMALL.far_m
+    assert full.rgb.mean() > 0.1
+
+
+@pytest.mark.parametrize("event", EVENTS)
+def test_motion_vectors_lead_to_the_same_surface_in_the_next_frame(event: Event) -> None:
+    view = View((40, 40), 61.44e-6, 1.9e-3, 0.036, 0.2)
+    taken = clip(event, "room", view=view, outputs=("shape_id", "motion"), frames=3)
+    shape, motion, seen = (taken.extras[name] for name in ("shape_id", "motion", "motion_valid"))
+    column, row = np.meshgrid(np.arange(40), np.arange(40))
+    hits, errors = [], []
+    moved = 0.0
+    for frame in range(2):
+        chosen = seen[frame] & (shape[frame] >= 2)
+        moved = max(moved, np.abs(motion[frame][chosen][:, :2]).max(initial=0))
+        x, y = column[chosen] + motion[frame][chosen][:, 0], row[chosen] + motion[frame][chosen][:, 1]
+        inside = (x >= 0) & (y >= 0) & (x <= 39) & (y <= 39)
+        x, y = x[inside], y[inside]
+        depth = (taken.depth_m[frame][chosen] + motion[frame][chosen][:, 2])[inside]
+        nearest = shape[frame + 1][np.rint(y).astype(int), np.rint(x).astype(int)]
+        hits.append(nearest == shape[frame][chosen][inside])
+        # The depth map of the next frame between its pixels: linear in disparity, as a plane's is.
+        i, j = np.minimum(y.astype(int), 38), np.minimum(x.astype(int), 38)
+        corners = [(i, j), (i, j + 1), (i + 1, j), (i + 1, j + 1)]
+        same = np.all([shape[frame + 1][corner] == shape[frame][chosen][inside] for corner in corners], axis=0)
+        around = np.stack([taken.depth_m[frame + 1][corner] for corner in corners])
+        same &= around.max(axis=0) < 1.02 * around.min(axis=0)  # no step from one limb to another
+        u, v = x - j, y - i
+        shares = [(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v]
+        disparity = sum(share / taken.depth_m[frame + 1][corner] for share, corner in zip(shares, corners, strict=True))
+        errors.append(np.abs(depth * disparity - 1)[same])
+    hit, error = np.concatenate(hits), np.concatenate(errors)
+    assert moved > 0.5, "pixels of 40 per frame"
+    assert len(error) > 20
+    # Within half a pixel of an edge the nearest pixel shows the neighbour: one pixel in seven on limbs 3 pixels wide.
+    assert hit.mean() > 0.8
+    # A curved surface leaves the plane between four pixels of 3 mm by a few thousandths of its depth.
+    assert np.median(error) < 2.5e-3
+    assert error.max() < 0.015
+
+
+def test_a_depth_range_too_thin_for_solids_is_refused() -> None:
+    with pytest.raises(InputError, match="solids do not fit between near"):
+        high_speed(View((24, 24), 102.4e-6, 1.9e-3, 0.036, 0.037), renderer=Renderer("scalar_rgb"))
+
+
+def test_a_straight_course_is_even() -> None:
+    course = straight(np.array([0.0, 0, 1]), np.array([1.0, 2, 3]), 2.0)
+    np.testing.assert_allclose([course(0.5), course(2.0)], [(0.25, 0.5, 1.5), (1, 2, 3)])
