@@ -13,18 +13,31 @@ from simulator.errors import InputError
 
 
 def init(
-    path: Annotated[Path, typer.Argument(help="file to write")] = Path("sim_config.yaml"),
+    path: Annotated[
+        Path | None, typer.Argument(help="file to write; sim_config.yaml, or PRESET.yaml", show_default=False)
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option("--preset", metavar="NAME", help="another beginning; --preset help lists them")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="overwrite an existing file")] = False,
 ) -> None:
     """Write a commented sim_config.yaml that runs as it is."""
-    from simulator.config import default_config_text
     from simulator.files import write_atomic
+    from simulator.presets import DEFAULT, preset_names, preset_text
 
+    if preset == "help":
+        for name in preset_names():
+            print(f"{name:<18} {preset_text(name).splitlines()[0].removeprefix('# ')}")
+        return
+    text = preset_text(preset or DEFAULT)
+    path = path or Path("sim_config.yaml" if preset is None else f"{preset}.yaml")
     if path.exists() and not force:
         msg = f"{path} exists already; choose another name, or --force to overwrite it"
         raise InputError(msg)
-    write_atomic(path, default_config_text().encode())
-    print(f"wrote {path}; make its data set with: flatlight generate {path}")
+    write_atomic(path, text.encode())
+    print(f"wrote {path}; look at its scenes with: flatlight render {path}")
+    if "flatlight generate" in text:
+        print(f"make its data set with: flatlight generate {path}")
 
 
 def generate(config: ConfigPath, set_: Overrides = None) -> None:

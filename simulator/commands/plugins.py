@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from simulator.commands.outputs import check_output_file
 
 
 def masks(
@@ -16,12 +19,36 @@ def masks(
     print_plugins("mask", "camera.mask.design", names or ())
 
 
-def scenes() -> None:
-    """List the scene families and imported sources with their parameters."""
+def scenes(
+    names: Annotated[list[str] | None, typer.Argument(help="families and sources to list; all when left out")] = None,
+    thumbnails: Annotated[
+        Path | None, typer.Option("--thumbnails", help="picture to write: a few samples of each family (.png)")
+    ] = None,
+) -> None:
+    """List the scene families and imported sources with their parameters; --thumbnails shows them too."""
     from simulator.plugin_listing import print_plugins
+    from simulator.plugins import available, resolve
 
-    print_plugins("scene", "scene.family")
-    print_plugins("source", "scene.source")
+    if thumbnails is not None:
+        check_output_file("--thumbnails", thumbnails, (".png",))
+    sources = available("source")
+    wanted = {
+        "scene": [name for name in names if name not in sources] if names else available("scene"),
+        "source": [name for name in names if name in sources] if names else sources,
+    }
+    plugins = [resolve(kind, name) for kind, chosen in wanted.items() for name in chosen]
+    for kind, key in (("scene", "scene.family"), ("source", "scene.source")):
+        if wanted[kind]:
+            print_plugins(kind, key, wanted[kind])
+    if thumbnails is not None:
+        from simulator.commands.thumbnails import draw_thumbnails
+        from simulator.console import Bar
+
+        with Bar() as bar:
+            left_out = draw_thumbnails(plugins, thumbnails, bar)
+        if left_out:
+            print(f"not drawn: {'; '.join(left_out)}")
+        print(f"look at {thumbnails}")
 
 
 def materials() -> None:

@@ -26,6 +26,16 @@ def font(size: int) -> Any:
     return ImageFont.load_default(size)
 
 
+def fitted(text: str, size: int, width: int) -> str:
+    """Return a text, shortened with an ellipsis where it is wider than ``width`` pixels."""
+    letters = font(size)
+    if letters.getlength(text) <= width:
+        return text
+    while text and letters.getlength(f"{text}…") > width:
+        text = text[:-1]
+    return f"{text.rstrip()}…"
+
+
 def white_level(pictures: Iterable[NDArray[np.float32]]) -> float:
     """Return the radiance that a set of pictures shows as white; 1 where all is black."""
     lit = np.concatenate([picture[picture > 0] for picture in pictures])

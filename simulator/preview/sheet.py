@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simulator.preview.drawing import INK, PAPER, centimetres, font, resized
+from simulator.preview.drawing import INK, PAPER, centimetres, fitted, font, resized
 from simulator.preview.legends import LEGEND_WIDTH, draw_depth_legend, draw_motion_legend, draw_normal_legend
 from simulator.preview.tiles import Scales, Tile, common_scales, depth_tile, extra_tiles, radiance_tile
 from simulator.types import Clip
@@ -106,10 +106,11 @@ def draw_sheet(cells: Sequence[Cell], title: str, line: str, scales: Scales, dra
         above = [tile.name for tile in cells[number - columns].tiles] if number >= columns else []
         for name, picture in zip(names, row, strict=True):
             if names != above:
-                draw.text((x, y + 2), name, fill=INK, font=font(11))
+                draw.text((x, y + 2), fitted(name, 11, picture.width), fill=INK, font=font(11))
             sheet.paste(picture, (x, y + _NAME))
             x += picture.width + _NEXT
-        draw.text((_GAP + (number % columns) * wide, y + _NAME + height + 2), cell.caption, fill=INK, font=font(11))
+        caption = fitted(cell.caption, 11, wide - _GAP)
+        draw.text((_GAP + (number % columns) * wide, y + _NAME + height + 2), caption, fill=INK, font=font(11))
     top = _HEAD + _NAME
     for space, legend in legends:
         legend(sheet, draw, left, top)

@@ -13,6 +13,7 @@ import pytest
 
 from simulator.config import default_config_text
 from simulator.dataset import verify
+from simulator.presets import preset_names, preset_text
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 
@@ -56,6 +57,19 @@ class TestInit:
     def test_where_there_is_no_folder(self, one_error, flatlight, tmp_path: Path) -> None:
         one_error(flatlight("init", tmp_path / "a" / "b.yaml"), "its folder does not exist")
         assert list(tmp_path.iterdir()) == []
+
+    def test_presets(self, flatlight, one_error, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.chdir(tmp_path)
+        code, out, _ = flatlight("init", "--preset", "flying_things_64")
+        assert code == 0
+        assert "flatlight render flying_things_64.yaml" in out
+        assert "flatlight generate flying_things_64.yaml" in out
+        assert (tmp_path / "flying_things_64.yaml").read_text() == preset_text("flying_things_64")
+        code, out, _ = flatlight("init", "--preset", "flying_things", "mine.yaml")
+        assert (tmp_path / "mine.yaml").read_text() == default_config_text()
+        one_error(flatlight("init", "--preset", "endoscopi"), "got 'endoscopi'", "did you mean 'endoscopy'")
+        _, out, _ = flatlight("init", "--preset", "help")
+        assert [line.split()[0] for line in out.splitlines()] == preset_names()
 
 
 class TestVerify:

@@ -1,0 +1,101 @@
+"""``scenes --thumbnails``: what the scene families look like, a few samples of each in one picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from simulator.errors import InputError
+
+if TYPE_CHECKING:
+    from simulator.console import Bar
+    from simulator.plugins import Plugin
+    from simulator.types import Clip, View
+
+SAMPLES = 6
+_SIDE = 96  # pixels; the field of view is the preset's
+
+
+def draw_thumbnails(plugins: Sequence[Plugin], path: Path, bar: Bar) -> list[str]:
+    """Render samples of each family with its defaults, seen by the camera of its preset, and draw the middle of each.
+
+    Args:
+        plugins: families and sources.
+        path: the picture to write (PNG).
+        bar: shows progress.
+
+    Returns:
+        What was left out, each with the reason.
+
+    Raises:
+        InputError: nothing is left to draw.
+    """
+    from simulator.files import write_atomic
+    from simulator.plugin_listing import summary
+    from simulator.preview.drawing import png_bytes
+    from simulator.preview.sheet import Cell, describe_scales, draw_sheet
+    from simulator.preview.tiles import common_scales, radiance_tile
+
+    shown: list[tuple[Plugin, list[Clip]]] = []
+    left_out: list[str] = []
+    for plugin in plugins:
+        needed = [name for name, field in plugin.parameters.model_fields.items() if field.is_required()]
+        if needed or not plugin.takes_renderer:
+            left_out.append(f"{plugin.name} (needs {', '.join(needed) or 'files'})")
+            continue
+        try:
+            shown.append((plugin, _samples(plugin, bar)))
+        except InputError as error:
+            left_out.append(f"{plugin.name} ({error})")
+    if not shown:
+        msg = f"--thumbnails: nothing can be drawn: {'; '.join(left_out)}"
+        raise InputError(msg)
+    clips = [clip for _, family in shown for clip in family]
+    scales = common_scales(clips, [[_middle(clip)] for clip in clips])
+    cells = [
+        Cell(
+            f"{plugin.name}: {summary(plugin)}",
+            [radiance_tile(clip, _middle(clip), scales, clip.label or "") for clip in family],
+        )
+        for plugin, family in shown
+    ]
+    line = f"{_SIDE} x {_SIDE} pixels, default parameters; {describe_scales(scales, set())}"
+    write_atomic(path, png_bytes(draw_sheet(cells, "scene families", line, scales, set())))
+    return left_out
+
+
+def _samples(plugin: Plugin, bar: Bar) -> list[Clip]:
+    from simulator.dataset.engines import available_cpus
+    from simulator.dataset.recipe import scene_clip
+    from simulator.plugins import plugin_errors
+    from simulator.render import Renderer
+    from simulator.render.backend import activate, choose_backend
+
+    variant = choose_backend().variant
+    activate(variant, threads=available_cpus())
+    clips: list[Clip] = []
+    with plugin_errors(plugin):
+        source = plugin.function(_view(plugin.name), **plugin.bind({}), renderer=Renderer(variant))
+        for number in range(SAMPLES):
+            clips.append(scene_clip(source, 0, "train", number))
+            bar.update(plugin.name, number + 1, SAMPLES)
+    return clips
+
+
+def _view(family: str) -> View:
+    """Return the view of the family's preset, or of the default one: families differ in the depths that they need."""
+    import yaml
+
+    from simulator.assemble import build_view
+    from simulator.config import config_from_dict
+    from simulator.presets import DEFAULT, preset_names, preset_text
+
+    chosen = next((name for name in preset_names() if name.startswith(family)), DEFAULT)
+    view = build_view(config_from_dict(yaml.safe_load(preset_text(chosen))))
+    return replace(view, shape=(_SIDE, _SIDE), pixel_pitch_m=view.pixel_pitch_m * view.shape[1] / _SIDE)
+
+
+def _middle(clip: Clip) -> int:
+    return len(clip.rgb) // 2

@@ -1,0 +1,70 @@
+"""Every preset is a valid configuration whose scenes its camera can see and its sensor can hold."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulator.assemble import build_source, build_view, scene_plugin
+from simulator.config import load_config
+from simulator.errors import InputError
+from simulator.presets import preset_names, preset_text
+from simulator.seeds import generator
+
+NAMES = preset_names()
+SMALL = [name for name in NAMES if name.endswith("_64")]
+
+
+@pytest.fixture
+def preset(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    path = tmp_path / f"{request.param}.yaml"
+    path.write_text(preset_text(request.param), encoding="utf-8")
+    return path
+
+
+def test_names() -> None:
+    assert NAMES[0] == "flying_things"
+    assert {"flying_things_64", "endoscopy", "endoscopy_64", "high_speed_64", "activity_64"} <= set(NAMES)
+    with pytest.raises(InputError, match="did you mean 'endoscopy_64'"):
+        preset_text("endoscopy64")
+
+
+@pytest.mark.parametrize("preset", NAMES, indirect=True)
+def test_a_preset_says_what_it_is_and_how_to_use_it(preset: Path) -> None:
+    lines = preset.read_text().splitlines()
+    assert lines[0].startswith("# ")
+    assert max(map(len, lines)) <= 120
+    assert any("flatlight " in line for line in lines[1:5])
+
+
+@pytest.mark.parametrize("preset", NAMES, indirect=True)
+def test_the_whole_psf_and_scene_fit_the_sensor(preset: Path) -> None:
+    """Along its longer side the sensor takes in what a mask casts from the picture's edges at the nearest depth."""
+    config = load_config(preset)
+    view = build_view(config)
+    assert config.camera.mask is not None
+    cast_m = config.camera.mask.params["width_mm"] * 1e-3 * (1 + view.distance_m / view.near_m)
+    needed = cast_m / view.pixel_pitch_m + view.shape[1]
+    assert needed <= config.camera.sensor.shape[1] * 1.001
+    assert 60 < np.degrees(2 * np.arctan(view.tan_half_width)) < 70  # as wide as the default camera
+
+
+@pytest.mark.parametrize("preset", SMALL, indirect=True)
+def test_its_scenes_are_rendered_for_learning(preset: Path) -> None:
+    """The documented size, samples and frames; one clip, here in tiny pictures, lies between near and far."""
+    config = load_config(preset, ["scene.samples_per_pixel=1"])
+    assert config.scene.size == (64, 64)
+    assert load_config(preset).scene.params["samples_per_pixel"] == 4
+    frames = config.scene.params.get("frames", 1)
+    assert frames == (20 if preset.stem in ("high_speed_64", "activity_64") else 1)
+    view = build_view(config)
+    tiny = replace(view, shape=(8, 8), pixel_pitch_m=view.pixel_pitch_m * 8)
+    source = replace(build_source(config, "scalar_rgb"), view=tiny)  # pyright: ignore[reportArgumentType]
+    clip = source.clip(0, generator(config.seed, "train", 0, "scene"))
+    assert len(clip.rgb) == frames
+    seen = clip.depth_m[clip.valid]
+    assert seen.size > 0.05 * clip.depth_m.size
+    assert view.near_m <= seen.min()
+    assert seen.max() <= view.far_m
+    assert scene_plugin(config).takes_renderer
