@@ -101,8 +101,8 @@ def test_barycentric_weights_lead_back_to_the_point(pictures: Pictures, geometry
     z = pictures["hits.depth_m"]
     np.testing.assert_array_equal(np.isfinite(z), ids >= 0)
     point = analytic.directions(geometry.VIEW).reshape(*z.shape, 3) * np.where(ids >= 0, z, 0)[..., np.newaxis]
-    # float32 rays: 2e-7 of 0.2 m.
-    np.testing.assert_allclose(pictures["hits.point_m"][ids >= 0], point[ids >= 0], atol=4e-8)
+    # float32 rays: 5e-7 of 0.2 m, for points are found along the ray for the depth, on the triangle for themselves.
+    np.testing.assert_allclose(pictures["hits.point_m"][ids >= 0], point[ids >= 0], atol=1e-7)
     shapes = geometry.solids().shapes
     for number, mesh in ((BOX, cuboid(shapes[BOX])), (SHEET, shapes[SHEET])):
         second, third = np.moveaxis(pictures["hits.barycentric"][ids == number].astype(float), -1, 0)
@@ -128,7 +128,7 @@ def test_depth_does_not_depend_on_the_near_end(geometry: Any, analytic: Any) -> 
 def test_depth_alone_is_that_of_the_whole_buffer(geometry: Any) -> None:
     activate("scalar_rgb")
     loaded = load_scene(geometry.solids(), replace(geometry.VIEW, shape=(18, 24), pixel_pitch_m=51.2e-6), 5)
-    np.testing.assert_allclose(centre_depth(loaded), centre_gbuffer(loaded).depth_m, rtol=1e-6)
+    assert centre_depth(loaded).tobytes() == centre_gbuffer(loaded).depth_m.tobytes()
 
 
 def test_only_what_was_asked_for_is_there(geometry: Any) -> None:
