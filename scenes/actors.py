@@ -23,6 +23,7 @@ Phase = Callable[[float], float]
 """A time in seconds to radians."""
 
 _CHECKED = 48
+_IN_VIEW = 0.7
 
 
 @dataclass(frozen=True)
@@ -70,13 +71,13 @@ class Act:
         """Return the length of a course over the clip's duration, m/s."""
         return float(np.linalg.norm(np.diff(self.path(course), axis=0), axis=1).sum() / self.duration_s)
 
-    def accepts(self, group: Sequence[Actor], others: Sequence[Actor], *, in_view: float = 0.7) -> bool:
-        """Whether actors stay in the room, are in the picture for a share of the time, and run into no others."""
+    def accepts(self, group: Sequence[Actor], others: Sequence[Actor]) -> bool:
+        """Whether actors stay in the room, are in the picture most of the time, and run into no others."""
         paths = [self.path(actor.centre) for actor in group]
         for actor, path in zip(group, paths, strict=True):
             if not self.room.holds(path, actor.radius_m, above_floor=not actor.grounded):
                 return False
-            if self.room.seen(path).mean() < in_view:
+            if self.room.seen(path).mean() < _IN_VIEW:
                 return False
         for other in others:
             there = self.path(other.centre)

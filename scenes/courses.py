@@ -12,7 +12,10 @@ from scenes.dynamics import Tumble
 from scenes.motion import random_rotation
 
 Array = NDArray[np.float64]
+# A ball that just fits still does after rounding.
 _ROUNDING = 1e-9
+# How far most ways across the picture lean, standard deviation in radians.
+_LEAN = 0.35
 
 
 def draw_depth(
@@ -36,21 +39,20 @@ def draw_depth(
     return relative * depth, depth
 
 
-def draw_line(
-    act: Act, depth_m: float, radius_m: float, share: tuple[float, float], *, level: float = 0.35
-) -> tuple[Array, Array]:
+def draw_line(act: Act, depth_m: float, radius_m: float, share: tuple[float, float]) -> tuple[Array, Array]:
     """Draw a straight way across the picture that stays above the floor if it can: its first and last point.
+
+    Three ways in four are about level, the others have any slope.
 
     Args:
         act: the stage.
         depth_m: about the depth of its middle.
         radius_m: of what moves.
         share: range of its length in the picture, as a share of the width.
-        level: standard deviation of its angle to the horizontal, radians; one way in four has any angle.
     """
     room, rng = act.room, act.rng
     length = rng.uniform(*share)
-    angle = rng.normal(0, level) if rng.random() < 0.75 else rng.uniform(-math.pi / 2, math.pi / 2)
+    angle = rng.normal(0, _LEAN) if rng.random() < 0.75 else rng.uniform(-math.pi / 2, math.pi / 2)
     aspect = room.view.shape[1] / room.view.shape[0]
     step = rng.choice([-1.0, 1.0]) * length * np.array([math.cos(angle), aspect * math.sin(angle)])
     lowest = min(0.75, (room.floor_m - radius_m) / (room.half[1] * depth_m))
@@ -92,7 +94,7 @@ def straight(start_m: Array, end_m: Array, duration_s: float) -> Course:
     return lambda time: start_m + velocity * time
 
 
-def swaying(act: Act, spot_m: Array, radius_m: float, share: float) -> Course:
+def swaying(act: Act, spot_m: Array, share: float) -> Course:
     """Return a slow drift around a place: over a share of the width in the whole clip, with a little depth."""
     angle = act.rng.uniform(0, 2 * math.pi)
     width = 2 * act.room.view.tan_half_width * spot_m[2]
@@ -100,21 +102,13 @@ def swaying(act: Act, spot_m: Array, radius_m: float, share: float) -> Course:
     return straight(spot_m - step, spot_m + step, act.duration_s)
 
 
-def tumbling(
-    act: Act, turns: tuple[float, float], *, inertia_ratio: float = 1.0, wobble_rad: float | None = None
-) -> Tumble:
-    """Draw a tumble of so many turns in the clip.
+def tumbling(act: Act, turns: tuple[float, float], inertia_ratio: float = 1.0) -> Tumble:
+    """Draw a tumble about any axis, of so many turns in the clip.
 
     Args:
         act: the stage.
-        turns: range of the precession's turns; the sense is drawn.
+        turns: range of the precession's turns.
         inertia_ratio: of the body, see `Tumble`.
-        wobble_rad: angle between the body's axis and the angular momentum; None draws any.
     """
-    rng = act.rng
-    start = random_rotation(rng)
-    momentum = random_rotation(rng)[0]
-    if wobble_rad is not None:
-        momentum = math.cos(wobble_rad) * start[:, 1] + math.sin(wobble_rad) * start[:, 0]
-    rate = 2 * math.pi * rng.uniform(*turns) / act.duration_s
-    return Tumble(start, momentum, rate, inertia_ratio)
+    rate = 2 * math.pi * act.rng.uniform(*turns) / act.duration_s
+    return Tumble(random_rotation(act.rng), random_rotation(act.rng)[0], rate, inertia_ratio)

@@ -76,14 +76,14 @@ def _rotation(act: Act) -> list[Actor]:
     def propose(shrink: float, number: int) -> list[Actor]:
         rng = act.rng
         radius, depth = draw_depth(act, (0.45, 0.85) if number == 0 else (0.25, 0.55), shrink)
-        course = swaying(act, draw_spot(act, depth, radius), radius, rng.uniform(0.0, 0.25))
+        course = swaying(act, draw_spot(act, depth, radius), rng.uniform(0.0, 0.25))
         stretch = rng.choice([1.0, rng.uniform(0.35, 0.7)])
         axis = bool(rng.random() < 0.5)
         size = radius * np.array([stretch, 1, stretch] if axis else [1, stretch, 1])
         # The moments of inertia of an ellipsoid with these axes.
         ratio = (1 + stretch**2) / (2 * stretch**2) if axis else (1 + stretch**2) / 2
         # A rod precesses slowly and spins fast: limit both.
-        tumble = tumbling(act, (0.35, 1.6 if ratio < 2 else 0.9), inertia_ratio=ratio)
+        tumble = tumbling(act, (0.35, 1.6 if ratio < 2 else 0.9), ratio)
         facts = {"speed_m_s": act.mean_speed(course), "turns_per_s": tumble.rate_rad_s / (2 * math.pi)}
         return [rigid("top", _pick(rng, bodies()), size, course, tumble.turn, facts=facts)]
 
@@ -101,8 +101,8 @@ def _articulation(act: Act) -> list[Actor]:
         phase, rate = _beats(act, 0.8, 2.0)
         size = (0.85, 1.15) if number == 0 else (0.5, 0.85)
         radius, depth = draw_depth(act, size, shrink)
-        heading = -math.pi / 2 + rng.choice([-1.0, 1.0]) * (math.pi / 2 + rng.uniform(-0.5, 0.5))
-        turn = rotation([0, 1, 0], heading)
+        # Seen from about the side, going right or left.
+        turn = rotation([0, 1, 0], math.pi * rng.integers(2) + rng.uniform(-0.5, 0.5))
         grounded = kind == "runner"
         if grounded:
             relative = radius / depth
@@ -120,7 +120,7 @@ def _articulation(act: Act) -> list[Actor]:
             heading = math.atan2(-float(ahead[2]) * 0.5, float(ahead[0]))
             turn = rotation([0, 1, 0], heading) @ rotation([1, 0, 0], rng.uniform(-0.6, 0.6))
         else:
-            course = swaying(act, draw_spot(act, depth, radius), radius, rng.uniform(0.0, 0.35))
+            course = swaying(act, draw_spot(act, depth, radius), rng.uniform(0.0, 0.35))
             turn = turn @ rotation([0, 0, 1], rng.uniform(-math.pi, math.pi))
         turns_per_s = 0.0 if kind in ("runner", "bird") else float(rng.normal(0, 0.15)) / act.duration_s
 
@@ -146,7 +146,7 @@ def _deformation(act: Act) -> list[Actor]:
         phase, rate = _beats(act, 0.8, 2.2)
         # Fine triangles bend; the bodies of few large ones would show their edges move.
         mesh = _pick(rng, [body for body in bodies() if len(body.faces) > 300])
-        course = swaying(act, draw_spot(act, depth, radius), radius, rng.uniform(0.0, 0.35))
+        course = swaying(act, draw_spot(act, depth, radius), rng.uniform(0.0, 0.35))
         tumble = tumbling(act, (0.0, 0.15))
         facts = {"speed_m_s": act.mean_speed(course), "beats_per_s": rate}
         return [soft(name, Soft(mesh, bend), radius, course, tumble.turn, phase, facts=facts)]
@@ -170,11 +170,12 @@ def _cloth(act: Act, shrink: float) -> Actor:
     rng = act.rng
     radius, depth = draw_depth(act, (0.7, 1.0), shrink)
     phase, rate = _beats(act, 0.8, 2.2)
-    turn = rotation([0, 1, 0], rng.uniform(-0.7, 0.7) + math.pi * rng.integers(2))
+    # Never square to the camera, where waves would be seen by their shading only.
+    turn = rotation([0, 1, 0], rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 1.0) + math.pi * rng.integers(2))
     mesh = sheet(13, 21, rng.uniform(0.5, 0.9))
     if rng.random() < 0.5:
         bend = flapping(rng.uniform(0.2, 0.35), rng.uniform(0.7, 1.4), rng.normal(0, 0.6))
-        course = swaying(act, draw_spot(act, depth, radius), radius, rng.uniform(0.0, 0.1))
+        course = swaying(act, draw_spot(act, depth, radius), rng.uniform(0.0, 0.1))
         name = "flag"
     else:
         bend = rippling(rng.uniform(0.15, 0.35), rng.uniform(0.4, 1.1), rng.normal(0, 0.8))

@@ -48,7 +48,7 @@ def high_speed(
 
     Speeds follow from the picture: over the clip a thing crosses 0.2 to 1 of the width, or makes about one turn or beat.
     Twenty frames at 2000 per second last 10 ms, so at 10 cm a thing flies at 3 to 13 m/s. Gravity is scaled alike: a fall
-    takes a third to two thirds of the clip, as if time ran faster by a factor that the metadata tell.
+    takes a third to two thirds of the clip, as if time ran faster; the sample's metadata tell gravity and speeds.
 
     Args:
         view: image shape, pinhole geometry and depth range; ``far_m`` must be at least 1.1 ``near_m``.
