@@ -106,7 +106,7 @@ def activate(variant: str, threads: int | None = None) -> None:
     if threads is not None and threads < 1:
         msg = f"threads: got {threads}, expected at least 1"
         raise InputError(msg)
-    with _private_home_if_needed(), _quiet_stderr():
+    with home_for_kernels(), _quiet_stderr():
         import drjit as dr
         import mitsuba as mi
 
@@ -139,7 +139,7 @@ def _prove_llvm(library: str | None) -> _Proof:
     del library
     script = Path(__file__).with_name("llvm_proof.py")
     try:
-        with _private_home_if_needed():
+        with home_for_kernels():
             done = subprocess.run(
                 [sys.executable, "-P", str(script)],
                 capture_output=True,
@@ -211,7 +211,7 @@ def _quiet_stderr() -> Iterator[None]:
 
 
 @contextmanager
-def _private_home_if_needed() -> Iterator[None]:
+def home_for_kernels() -> Iterator[None]:
     """Lend Dr.Jit a home while it starts, if the real one cannot hold its kernel cache ``~/.drjit``.
 
     Dr.Jit 1.4 aborts the process on import when it cannot create that folder (containers, read-only homes) and knows no

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
+from simulator.render.backend import home_for_kernels
 from simulator.render.gbuffer import GBuffer, centre_gbuffer
 from simulator.render.library import mitsuba
 from simulator.render.mitsuba_scene import UNITS_PER_M, path_tracer, pinhole, shape_name
@@ -174,11 +175,11 @@ def _degrees(tan_half: float) -> str:
 
 def _parsed(path: Path) -> tuple[Any, list[Path]]:
     """Return the parsed scene with absolute file names and in today's syntax, and the files that it is made of."""
-    mi = mitsuba()
-
     if not path.is_file():
         msg = f"{path}: no such file; expected a Mitsuba scene in XML"
         raise InputError(msg)
+    with home_for_kernels():  # a process that only parses has not activated a variant
+        mi = mitsuba()
     before = mi.file_resolver()
     resolver = mi.FileResolver(before)
     resolver.prepend(str(path.parent.resolve()))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -154,6 +156,17 @@ def test_its_files_are_found_beside_it_wherever_one_stands(tmp_path: Path, monke
     (tmp_path / "parts" / "red.png").unlink()
     with pytest.raises(InputError, match=r"its texture 'bitmap' needs the file 'parts/red\.png', and there is none"):
         own_scene_files(path)
+
+
+def test_files_are_listed_where_the_home_cannot_be_written(
+    tmp_path: Path, python: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    """Dr.Jit would abort the process that lists a data set's inputs, before any variant is chosen."""
+    path = write(tmp_path, SENSOR, LIGHT, BALL)
+    script = "import sys; from pathlib import Path; from simulator.render.own_scene import own_scene_files as files; "
+    done = python("-c", script + "print(*files(Path(sys.argv[1])))", str(path), HOME="/dev/null/home")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == str(path)
 
 
 AWAY = SENSOR.replace('target="0, 0, 0"', 'target="6, 0, 0"')
