@@ -57,7 +57,7 @@ def shadow_psfs(
         pitch = mask_pitch_m * magnification / pixel_pitch_m
         rows, columns = (_shares(count, pitch, reach, source) for count in transmittance.shape)
         shadows.append(rows @ transmittance @ columns.T / magnification**2)
-    return np.asarray(np.flip(np.stack(shadows), (-2, -1)), np.float64)
+    return np.flip(np.stack(shadows), (-2, -1))
 
 
 def _shares(cells: int, pitch: float, reach: int, source: Source) -> NDArray[np.float64]:
@@ -69,4 +69,4 @@ def _shares(cells: int, pitch: float, reach: int, source: Source) -> NDArray[np.
     else:  # the even patch of one pixel, seen by the even pixel: a triangle
         near = np.clip(offsets, -1, 1)
         covered = near - 0.5 * np.sign(near) * near**2
-    return np.diff(covered, axis=1)
+    return np.asarray(np.diff(covered, axis=1), np.float64)

@@ -84,7 +84,9 @@ def clips(scene: Scene, outputs: tuple[str, ...] = ()) -> list[Clip]:
     return [renderer.still(scene, VIEW, samples_per_pixel=64, seed=1000 + s, source={}) for s in range(RUNS // 2)]
 
 
-def modelled(seen: list[Clip], mask: NDArray[np.float64], depths_m: Any) -> NDArray[np.float32]:
+def modelled(
+    seen: list[Clip], mask: NDArray[np.float64], depths_m: Any, vignetting: bool = True
+) -> NDArray[np.float32]:
     """The forward model of pinhole pictures, ``(runs, H, W, 3)``.
 
     With PSFs of pixels the edges of the surfaces, which lie between pixels, cost it no accuracy.
@@ -93,8 +95,23 @@ def modelled(seen: list[Clip], mask: NDArray[np.float64], depths_m: Any) -> NDAr
     stack = PsfStack(
         np.repeat(psfs[:, np.newaxis], 3, axis=1), np.asarray(depths_m, float), 19.2e-6, ("R", "G", "B"), "test"
     )
-    model = ForwardModel(stack, SENSOR, VIEW.shape, irradiance=mask_irradiance(VIEW))
+    model = ForwardModel(stack, SENSOR, VIEW.shape, irradiance=mask_irradiance(VIEW, vignetting))
     return np.stack([np.moveaxis(model.forward_clip(clip), 0, -1) for clip in seen])
+
+
+def modelled_by_cells(seen: list[Clip], mask: NDArray[np.float64], depth_m: float) -> NDArray[np.float32]:
+    """The same for one plane, but each cell of the mask has cos^4 of its own rays instead of the centre's."""
+    rows, columns = mask.shape
+    stored_y, stored_x = ((np.arange(n) - (n - 1) / 2) * 19.2e-6 for n in SENSOR)
+    total = np.zeros((len(seen), *SENSOR, 3))
+    for row, column in np.argwhere(mask):
+        alone = np.zeros_like(mask)
+        alone[row, column] = mask[row, column]
+        y, x = (row - (rows - 1) / 2) * PITCH_M, (column - (columns - 1) / 2) * PITCH_M
+        cosine_squared = 1 / (1 + ((stored_y[:, np.newaxis] + y) ** 2 + (stored_x + x) ** 2) / 1.9e-3**2)
+        light = modelled(seen, alone, [depth_m], vignetting=False)
+        total += light * cosine_squared[..., np.newaxis] ** 2
+    return total.astype(np.float32)
 
 
 def hidden(clip: Clip) -> Clip:
@@ -102,11 +119,15 @@ def hidden(clip: Clip) -> Clip:
     return Clip(extras["hidden1_rgb"], extras["hidden1_depth_m"], extras["hidden1_valid"], clip.frame_edges_s)
 
 
-def plane_case(corner_depths_m: Any, planes_m: Any, samples: int) -> dict[str, NDArray[Any]]:
+def plane_case(corner_depths_m: Any, planes_m: Any, samples: int, by_cells: bool = False) -> dict[str, NDArray[Any]]:
     """A textured plane that stands alone."""
     mask = random_mask(9)
     scene = lit(patch(EDGES, corner_depths_m, smooth_material(32, 1)))
-    return {"measured": measured(scene, mask, samples), "modelled": modelled(clips(scene), mask, planes_m)}
+    seen = clips(scene)
+    arrays = {"measured": measured(scene, mask, samples), "modelled": modelled(seen, mask, planes_m)}
+    if by_cells:
+        arrays["by_cells"] = modelled_by_cells(seen, mask, planes_m[0])
+    return arrays
 
 
 def occlusion_case(samples: int) -> dict[str, NDArray[Any]]:
@@ -121,8 +142,8 @@ def occlusion_case(samples: int) -> dict[str, NDArray[Any]]:
     }
 
 
-def run(depths_m: tuple[float, ...], samples: int) -> dict[str, NDArray[Any]]:
-    cases = {f"{depth_m:g} m": plane_case(depth_m, [depth_m], samples) for depth_m in depths_m}
+def run(depths_m: tuple[float, ...], samples: int, by_cells: bool = False) -> dict[str, NDArray[Any]]:
+    cases = {f"{depth_m:g} m": plane_case(depth_m, [depth_m], samples, by_cells) for depth_m in depths_m}
     cases["slanted"] = plane_case(slanted_depths(), depth_planes(0.036, 0.2, 25), samples)
     cases["occlusion"] = occlusion_case(samples // 2)
     sky = Scene((), (Environment(np.array(SKY)),))
@@ -135,5 +156,6 @@ def run(depths_m: tuple[float, ...], samples: int) -> dict[str, NDArray[Any]]:
 
 if __name__ == "__main__":
     activate(VARIANT, 2)
-    arrays = {"quick": lambda: run((0.036, 0.2), 64), "slow": lambda: run((0.07, 0.2, 2.0), 576)}[sys.argv[1]]()
+    quick, depths_m = sys.argv[1] == "quick", (0.036, 0.2)
+    arrays = run(depths_m, 64) if quick else run((*depths_m, 0.07, 2.0), 576, by_cells=True)
     np.savez(Path(sys.argv[2]), allow_pickle=False, **arrays)
