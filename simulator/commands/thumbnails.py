@@ -53,7 +53,8 @@ def draw_thumbnails(plugins: Sequence[Plugin], path: Path, bar: Bar) -> list[str
         msg = f"--thumbnails: nothing can be drawn: {'; '.join(left_out)}"
         raise InputError(msg)
     clips = [clip for _, family in shown for clip in family]
-    scales = common_scales(clips, [[_middle(clip)] for clip in clips])
+    frames = [[_middle(clip)] for clip in clips]
+    scales = common_scales(clips, frames, frames)
     cells = [
         Cell(
             f"{plugin.name}: {summary(plugin)}",

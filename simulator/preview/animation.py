@@ -38,7 +38,8 @@ def animation(clips: Sequence[Clip], captions: Sequence[str], title: str, suffix
     if count < 2:
         msg = "these scenes are stills, of one frame each, and nothing moves; write a contact sheet (.png) instead"
         raise InputError(msg)
-    scales = common_scales(clips, [range(len(clip.rgb)) for clip in clips])
+    frames = [range(len(clip.rgb)) for clip in clips]
+    scales = common_scales(clips, frames, frames)
     shown_ms = frame_milliseconds(count)
     lasting_s = float(np.mean(np.diff(clips[0].frame_edges_s)))
     slower = f"{1 / lasting_s:.4g} frames/s, shown {shown_ms * 1e-3 / lasting_s:.3g} times slower"

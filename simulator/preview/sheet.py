@@ -31,19 +31,22 @@ class Cell:
     tiles: Sequence[Tile]
 
 
-def clip_sheet(clips: Sequence[Clip], captions: Sequence[str], title: str) -> Image.Image:
+def clip_sheet(
+    clips: Sequence[Clip], captions: Sequence[str], title: str, most_frames: int = FRAMES_SHOWN
+) -> Image.Image:
     """Draw clips: several frames each where there are several, depth and extras of one of them.
 
     Args:
         clips: at least one, of one scene shape.
         captions: a few words for each.
         title: first line of the sheet.
+        most_frames: of a clip that are shown.
 
     Returns:
         The sheet; its second line states the scales.
     """
-    frames = [shown_frames(len(clip.rgb)) for clip in clips]
-    scales = common_scales(clips, frames)
+    frames = [shown_frames(len(clip.rgb), most_frames) for clip in clips]
+    scales = common_scales(clips, frames, [[_key(shown)] for shown in frames])
     cells = [
         Cell(caption, _tiles(clip, shown, scales)) for clip, caption, shown in zip(clips, captions, frames, strict=True)
     ]
@@ -51,14 +54,14 @@ def clip_sheet(clips: Sequence[Clip], captions: Sequence[str], title: str) -> Im
     return draw_sheet(cells, title, describe_scales(scales, drawn), scales, drawn)
 
 
-def shown_frames(count: int) -> list[int]:
-    """Return up to five evenly spaced frames of a clip.
+def shown_frames(count: int, most: int = FRAMES_SHOWN) -> list[int]:
+    """Return up to ``most`` evenly spaced frames of a clip.
 
     Example:
         >>> shown_frames(1), shown_frames(20)
         ([0], [0, 5, 10, 14, 19])
     """
-    return sorted({int(frame) for frame in np.linspace(0, count - 1, min(count, FRAMES_SHOWN)).round()})
+    return sorted({int(frame) for frame in np.linspace(0, count - 1, min(count, most)).round()})
 
 
 def describe_scales(scales: Scales, drawn: set[str]) -> str:
@@ -119,11 +122,16 @@ def draw_sheet(cells: Sequence[Cell], title: str, line: str, scales: Scales, dra
 
 
 def _tiles(clip: Clip, frames: list[int], scales: Scales) -> list[Tile]:
-    key = frames[(len(frames) - 1) // 2]  # never the last one, which does not move on
+    key = _key(frames)
     names = [f"frame {frame}" if len(frames) > 1 else "radiance" for frame in frames]
     shown = [radiance_tile(clip, frame, scales, name) for frame, name in zip(frames, names, strict=True)]
     about_key = [depth_tile(clip, key, scales), *extra_tiles(clip, key, scales)]
     return [*shown, *about_key]
+
+
+def _key(frames: list[int]) -> int:
+    """Return the frame whose depth and extras are shown: in the middle, and never the last, which does not move on."""
+    return frames[(len(frames) - 1) // 2]
 
 
 def _tile_height(rows: int) -> int:

@@ -14,7 +14,7 @@ from simulator.preview.drawing import encoded, white_level
 from simulator.types import Clip
 
 _AT_REST_PX = 0.01
-_FAST_PERCENTILE = 99.5  # of what moves: a single point that grazes the camera must not pale all the rest
+_FAST_PERCENTILE = 98  # of what moves: a finger's tip that flies past the camera must not pale all the rest
 _HIDDEN_DEPTH = re.compile(r"hidden(\d+)_depth_m")
 
 
@@ -43,28 +43,34 @@ class Scales:
     motion_px: float
 
 
-def common_scales(clips: Sequence[Clip], frames: Sequence[Sequence[int]]) -> Scales:
-    """Return scales that suit some frames of each clip."""
-    chosen = [(clip, list(shown)) for clip, shown in zip(clips, frames, strict=True)]
-    seen = [clip.depth_m[shown][clip.valid[shown]] for clip, shown in chosen]
-    speeds: list[NDArray[np.float32]] = []
-    for clip, shown in chosen:
+def common_scales(clips: Sequence[Clip], lit: Sequence[Sequence[int]], coloured: Sequence[Sequence[int]]) -> Scales:
+    """Return scales that suit what is shown of each clip.
+
+    Args:
+        clips: at least one.
+        lit: frames of each whose radiance is shown.
+        coloured: frames of each whose depth and extras are shown.
+    """
+    seen: list[NDArray[np.float32]] = []
+    moving = [np.zeros(0, np.float32)]
+    for clip, frames in zip(clips, map(list, coloured), strict=True):
+        seen.append(clip.depth_m[frames][clip.valid[frames]])
         for name, depth in clip.extras.items():
             if found := _HIDDEN_DEPTH.fullmatch(name):
-                seen.append(depth[shown][clip.extras[f"hidden{found[1]}_valid"][shown]])
+                seen.append(depth[frames][clip.extras[f"hidden{found[1]}_valid"][frames]])
         if "motion" in clip.extras:
-            moved = clip.extras["motion"][shown][clip.valid[shown]]
+            moved = clip.extras["motion"][frames][clip.valid[frames]]
             speed = np.hypot(moved[:, 0], moved[:, 1])
-            speeds.append(speed[speed > _AT_REST_PX])
-    moving = np.concatenate([*speeds, np.zeros(0, np.float32)])
+            moving.append(speed[speed > _AT_REST_PX])
     depths = np.concatenate(seen)
     if depths.size == 0:
-        depths = np.concatenate([clip.depth_m[shown].ravel() for clip, shown in chosen])
+        depths = np.concatenate([clip.depth_m.ravel() for clip in clips])
+    speeds = np.concatenate(moving)
     return Scales(
-        white_level(clip.rgb[shown] for clip, shown in chosen),
+        white_level(clip.rgb[list(frames)] for clip, frames in zip(clips, lit, strict=True)),
         float(depths.min()),
         float(depths.max()),
-        float(np.percentile(moving, _FAST_PERCENTILE)) if moving.size else 0.0,
+        float(np.percentile(speeds, _FAST_PERCENTILE)) if speeds.size else 0.0,
     )
 
 
