@@ -59,7 +59,7 @@ def _of_obj(path: Path) -> Iterator[tuple[Path, str]]:
             if name.strip().startswith("-"):
                 msg = f"{materials}: its texture {line.strip()!r} has options, which are not read; remove them"
                 raise InputError(msg)
-            yield materials, name.strip()
+            yield path, name.strip()  # beside the OBJ file, even if its material file is elsewhere
 
 
 def _of_ply(path: Path) -> Iterator[tuple[Path, str]]:

@@ -272,7 +272,7 @@ def test_a_broken_file_is_named_with_its_fault(tmp_path: Path, name: str) -> Non
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("map_Kd gone.png", r"quad\.mtl: it needs the file 'gone\.png', and there is none"),
+        ("map_Kd gone.png", r"quad\.obj: it needs the file 'gone\.png', and there is none"),
         ("map_Kd text.png", r"text\.png is not a picture"),
         ("map_Kd -s 2 2 2 text.png", "has options, which are not read"),
     ],
@@ -281,6 +281,19 @@ def test_a_missing_or_broken_texture_is_named(tmp_path: Path, line: str, message
     (tmp_path / "text.png").write_text("no picture")
     with pytest.raises(InputError, match=message):
         show(quad_obj(tmp_path, UPRIGHT, line + "\n"))
+
+
+def test_a_material_file_elsewhere_has_its_textures_beside_the_mesh(tmp_path: Path) -> None:
+    """Where trimesh looks for them; it would leave out a missing one without a word."""
+    (tmp_path / "paint").mkdir()
+    light = four_colours(tmp_path / "paint" / "four.png")
+    path = quad_obj(tmp_path, UPRIGHT, "Kd 1 1 1\nmap_Kd four.png\n")
+    path.write_text(path.read_text().replace("quad.mtl", "paint/quad.mtl"))
+    (tmp_path / "quad.mtl").rename(tmp_path / "paint" / "quad.mtl")
+    with pytest.raises(InputError, match=r"needs the file 'four\.png', and there is none at"):
+        show(path)
+    (tmp_path / "paint" / "four.png").rename(tmp_path / "four.png")
+    np.testing.assert_allclose(show(path, "albedo").extras["albedo"][0][CORNER_PIXELS[0, 0]], light[0, 0], rtol=1e-4)
 
 
 @pytest.mark.shared
