@@ -62,6 +62,13 @@ def files(
     if pose == "as_is" and length_of_unit_cm is None:
         msg = "pose: as_is takes the file's coordinates for the camera's, which needs length_of_unit_cm; give it too"
         raise InputError(msg)
+    for key, value, suffixes in (
+        ("plane_cm", plane_cm, _PICTURES),
+        ("length_of_unit_cm", length_of_unit_cm, (*_SCENES, *MESH_SUFFIXES)),
+    ):
+        if value is not None and not any(_is(file, suffixes) for file in found):
+            msg = f"{key}: got {value:g}, but none of the files is one that it is for ({', '.join(suffixes)}); leave it out"
+            raise InputError(msg)
     if any(_is(file, MESH_SUFFIXES) for file in found):
         far_end(view)  # refuses a view that cannot be filled, before any work is done
     depth_m = plane_depth(view, plane_cm)

@@ -203,6 +203,8 @@ def test_parameters_come_from_yaml_and_explain_themselves(tmp_path: Path) -> Non
         ("a.docx", {}, r"whose suffix '\.docx' is unknown; expected Mitsuba scenes \(\.xml\), meshes"),
         ("empty", {}, "the folder .*empty holds nothing that can be shown; expected"),
         ("tetra.obj", {"pose": "as_is"}, "pose: as_is .* needs length_of_unit_cm"),
+        ("tetra.obj", {"plane_cm": 5.0}, r"plane_cm: got 5, but none of the files .*\.png.* leave it out"),
+        ("a.png", {"length_of_unit_cm": 5.0}, r"length_of_unit_cm: got 5, but none of the files .*\.xml.*\.obj"),
         ("a.png", {"plane_cm": 30.0}, r"plane_cm: got 30, which is outside near\.\.far = 3\.6\.\.20 cm"),
     ],
 )
