@@ -112,9 +112,11 @@ def _wall(view: View, theme: np.ndarray, rng: np.random.Generator) -> TriangleMe
     """
     nearest, farthest = 1 / view.near_m, 1 / (0.98 * far_end(view))
     slant = rng.uniform(-1, 1, 2) * 0.12 * (nearest - farthest) / 2
-    half = np.array([view.tan_half_width, view.tan_half_height]) * 1.05  # the pixels' outer edges, and a margin
-    directions = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
-    disparity = farthest + np.abs(slant).sum() + directions / half @ slant
+    # The diagonal between the two triangles must not pass through pixel centres, where rays may slip between them: so the
+    # wall is no centred rectangle, and its edges lie at odd places beyond the picture's.
+    places = np.array([(-1.05, -1.05), (1.3137, -1.05), (1.3137, 1.1741), (-1.05, 1.1741)])
+    directions = places * (view.tan_half_width, view.tan_half_height)
+    disparity = farthest - np.min(places @ slant) + places @ slant
     corners = np.column_stack([directions, np.ones(4)]) / disparity[:, np.newaxis]
     normal = np.cross(corners[3] - corners[0], corners[1] - corners[0])
     reflectance = draw_reflectance(rng, draw_ramp(rng, theme, saturation=(0.05, 0.5)), _WALL_TEXTURE_SIZE)

@@ -81,9 +81,9 @@ def seen_points(scene: Any, points_m: NDArray[np.float64], view: View) -> NDArra
     with np.errstate(invalid="ignore", divide="ignore"):
         place = project(points_m, view)
         inside = np.all((place > -0.5) & (place < np.array(view.shape)[::-1] - 0.5), axis=-1) & (points_m[..., 2] > 0)
-    targets = points_m[inside] * UNITS_PER_M
-    inside[inside] = ~_blocked(scene, targets)
-    return inside
+    # Points that need no ray get one all the same: as many rays in every frame use one compiled kernel.
+    targets = np.where(inside[..., np.newaxis], points_m * UNITS_PER_M, (0.0, 0.0, 1.0)).reshape(-1, 3)
+    return inside & ~_blocked(scene, targets).reshape(inside.shape)
 
 
 def _blocked(scene: Any, targets: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -93,14 +93,13 @@ def _blocked(scene: Any, targets: NDArray[np.float64]) -> NDArray[np.bool_]:
     distance = np.linalg.norm(targets, axis=-1)
     directions = targets / distance[:, np.newaxis]
     reach = distance * (1 - _CLEARANCE)
-    if not len(targets):
-        return np.zeros(0, bool)
     if is_scalar():
-        rays = (
-            mi.Ray3f(o=[0.0, 0.0, 0.0], d=direction.tolist(), maxt=float(limit), time=0.0, wavelengths=[])
-            for direction, limit in zip(directions, reach, strict=True)
-        )
-        return np.array([bool(scene.ray_test(ray)) for ray in rays])
+        blocked = np.zeros(len(targets), bool)
+        for number, (direction, limit) in enumerate(zip(directions, reach, strict=True)):
+            ray = mi.Ray3f([0.0, 0.0, 0.0], direction.tolist())
+            ray.maxt = float(limit)
+            blocked[number] = scene.ray_test(ray)
+        return blocked
     ray = mi.Ray3f(o=mi.Point3f(0.0), d=mi.Vector3f(directions.T.astype(np.float32)))
     ray.maxt = mi.Float(reach.astype(np.float32))
     return np.array(scene.ray_test(ray))
