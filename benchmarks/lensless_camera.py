@@ -148,6 +148,7 @@ def agreement(rays: float) -> None:
     print(
         f"  {'':24} {'mean ratio':>10} {'noise %':>8} {'z mean':>7} {'z^2/exp.':>8} {'min p':>8} {'Sidak':>8} {'L2 %':>7}"
     )
+    cases: dict[str, tuple[Any, NDArray[np.float64]]]
     cases = {f"plane at {z_m:g} m": (1 / z_m, np.array([z_m])) for z_m in (0.036, 0.07, 0.2, 2.0)}
     corner = 16 + np.array([(-20 + 15), (20 + 15), (20 - 15), (-20 - 15)]) * 26 * PITCH_M / DISTANCE_M
     cases["slanted"] = (corner, depth_planes(0.036, WALL_M, 25))
