@@ -137,22 +137,22 @@ def _peel_all(
 
 
 def _shade_all(loaded: Any, direction: Any, start: Any, found: Any, paths: _Paths, layer: int) -> NDArray[np.float32]:
-    """Trace the light of the pixels that have something in this layer, and of no others, from a point just before it."""
+    """Trace the light of the pixels that have something in this layer, from a point just before it.
+
+    The others take part as idle lanes: every number of rays would be compiled as a kernel of its own.
+    """
     dr = drjit()
     mi = mitsuba()
 
-    pixels, samples = dr.compress(found), paths.samples
-    light = np.zeros((dr.width(direction), 3), np.float32)
-    count = dr.width(pixels)
-    if count == 0:
-        return light
-    paths.sampler.seed((paths.seed + layer) % 2**32, count * samples)
-    pixel = dr.gather(mi.UInt32, pixels, dr.arange(mi.UInt32, count * samples) // samples)
-    towards = dr.gather(mi.Vector3f, direction, pixel)
-    ray = mi.RayDifferential3f(mi.Ray3f(dr.gather(mi.Point3f, start, pixel), towards))
-    radiance, _, _ = paths.integrator.sample(loaded, paths.sampler, ray)
-    light[np.array(pixels)] = np.array(radiance, dtype=np.float64).T.reshape(count, samples, 3).mean(axis=1)
-    return light
+    count, samples = dr.width(direction), paths.samples
+    # Opaque, for every seed would be a constant of another kernel.
+    paths.sampler.seed(dr.opaque(mi.UInt32, (paths.seed + layer) % 2**32), count * samples)
+    pixel = dr.arange(mi.UInt32, count * samples) // samples
+    towards, begin = dr.gather(mi.Vector3f, direction, pixel), dr.gather(mi.Point3f, start, pixel)
+    ray, active = mi.RayDifferential3f(mi.Ray3f(begin, towards)), dr.gather(mi.Bool, found, pixel)
+    radiance, _, _ = paths.integrator.sample(loaded, paths.sampler, ray, active=active)
+    radiance = dr.select(active, radiance, 0)
+    return np.array(radiance, dtype=np.float64).T.reshape(count, samples, 3).mean(axis=1).astype(np.float32)
 
 
 def _step_back(z: Any) -> Any:
