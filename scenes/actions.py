@@ -149,7 +149,7 @@ def _resting(cast: Cast) -> HandState | None:
     """Return the other hand where it lies on the table, aside."""
     if not cast.second_rests:
         return None
-    place = np.array([cast.second.side * (0.19 + 0.03 * cast.luck[1]), -0.03, -0.05 + 0.05 * cast.luck[2]])
+    place = np.array([cast.second.side * (0.22 + 0.05 * cast.luck[1]), -0.03, -0.16 + 0.05 * cast.luck[2]])
     return cast.second.resting(place)
 
 

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from scenes.acting import Actor, Pose
 from scenes.actions import ACTIONS, GRAINS, Cast, Moment, course
-from scenes.activity_looks import BACKGROUNDS, Looks, draw_looks
+from scenes.activity_looks import BACKGROUNDS, Looks, draw_looks, paint
 from scenes.hand import hand_surface
 from scenes.meshes import UnitMesh
 from scenes.props import draw_thing, grains_mesh
@@ -151,8 +151,8 @@ def draw_parameters(action: str, view: View, rng: np.random.Generator, *, durati
     elbow = 0.06 + 0.08 * shares[3]
     cast = Cast(
         thing=thing,
-        main=Actor(looks.hand.size, left, math.radians(42 + 38 * shares[4]), elevation, elbow),
-        second=Actor(looks.hand.size, not left, math.radians(42 + 38 * shares[5]), elevation, elbow),
+        main=Actor(looks.hand_size, left, math.radians(42 + 38 * shares[4]), elevation, elbow),
+        second=Actor(looks.hand_size, not left, math.radians(42 + 38 * shares[5]), elevation, elbow),
         second_rests=bool(shares[6] < 0.25),
         spot_m=np.array([0.06 * (2 * shares[7] - 1), 0.04 * (2 * shares[8] - 1)]),
         aloft_m=0.055 + 0.045 * shares[9],
@@ -182,8 +182,9 @@ class _SetUp:
     """Puts moments into scenes; what has not moved since the moment before stays the same object."""
 
     def __init__(self, drawn: Parameters, view: View) -> None:
-        looks = drawn.looks
+        looks = paint(drawn.looks)
         self._drawn = drawn
+        self._looks = looks
         self._backdrop = (
             table_mesh(view, drawn.viewpoint, looks.table, looks.repeats[0]),
             wall_mesh(view, drawn.viewpoint, looks.wall, looks.repeats[1]),
@@ -230,7 +231,7 @@ class _SetUp:
                     mesh.normals @ pose.turn.T,
                     mesh.uv,
                     mesh.faces,
-                    self._drawn.looks.thing,
+                    self._looks.thing,
                 )
             )
 
@@ -244,7 +245,7 @@ class _SetUp:
         sizes = np.full(GRAINS, self._drawn.cast.grain_m * self._drawn.viewpoint.scale)
         sizes[inside[:, 0]] *= 1e-3
         mesh = grains_mesh(world, sizes)
-        return TriangleMesh(mesh.vertices, mesh.normals, mesh.uv, mesh.faces, self._drawn.looks.grains)
+        return TriangleMesh(mesh.vertices, mesh.normals, mesh.uv, mesh.faces, self._looks.grains)
 
     def _kept(self, slot: str, key: bytes, build: Any) -> TriangleMesh:
         if slot not in self._last or self._last[slot][0] != key:

@@ -36,10 +36,29 @@ BACKGROUNDS = tuple(f"{table} table, {wall} wall" for table in _TABLES for wall 
 
 @dataclass(frozen=True)
 class Looks:
-    """Materials; ``background`` and ``skin`` number their kinds, ``repeats`` are textures per metre of table and wall."""
+    """What is drawn of looks; `paint` makes the materials.
+
+    Attributes:
+        background: number in `BACKGROUNDS`.
+        skin: number of the tone, light to dark.
+        hand_size: 1 is an adult's hand of 0.19 m.
+        hand_slim: thickness over that of the model.
+        sleeved: whether a sleeve covers the arm.
+        seed: of colours and patterns.
+    """
 
     background: int
     skin: int
+    hand_size: float
+    hand_slim: float
+    sleeved: bool
+    seed: int
+
+
+@dataclass(frozen=True)
+class Paint:
+    """Materials; ``repeats`` are textures per metre of table and wall."""
+
     table: Material
     wall: Material
     repeats: tuple[float, float]
@@ -49,32 +68,38 @@ class Looks:
 
 
 def draw_looks(rng: np.random.Generator) -> Looks:
-    """Draw all looks."""
+    """Draw all looks; painting, which costs more, is left for when they are seen."""
+    return Looks(
+        background=int(rng.integers(len(BACKGROUNDS))),
+        skin=int(rng.integers(SKINS)),
+        hand_size=float(rng.uniform(0.9, 1.04)),
+        hand_slim=float(rng.uniform(0.9, 1.06)),
+        sleeved=bool(rng.random() < 0.5),
+        seed=int(rng.integers(2**32)),
+    )
+
+
+def paint(looks: Looks) -> Paint:
+    """Make the materials of looks."""
+    rng = np.random.default_rng(looks.seed)
     theme = draw_theme(rng)
-    background = int(rng.integers(len(BACKGROUNDS)))
-    table_kind, wall_kind = tuple(_TABLES)[background // len(_WALLS)], tuple(_WALLS)[background % len(_WALLS)]
+    table_number, wall_number = divmod(looks.background, len(_WALLS))
+    table_kind, wall_kind = tuple(_TABLES)[table_number], tuple(_WALLS)[wall_number]
     hue, saturation, contrast = _TABLES[table_kind]
     hues = theme if hue is None else np.full(4, hue)
     ramp = draw_ramp(rng, hues, saturation=saturation) * (0.3 if table_kind == "dark" else 0.8)
     table = _flattened(draw_reflectance(rng, ramp, _SIZE), rng.uniform(*contrast))
     paper = draw_reflectance(rng, 0.85 * draw_ramp(rng, theme, saturation=(0.0, 0.4)), _SIZE)
-    wall = _flattened(paper, rng.uniform(*_WALLS[wall_kind]))
-    gloss = float(rng.uniform(0.35, 0.7))
-    skin = int(rng.integers(SKINS))
-    hand = _draw_hand(skin, theme, rng)
     thing = draw_reflectance(rng, draw_ramp(rng, draw_theme(rng)), _SIZE)
-    grain = draw_reflectance(rng, draw_ramp(rng, draw_theme(rng)), _SIZE)[
-        :: _SIZE // _GRAIN_SIZE, :: _SIZE // _GRAIN_SIZE
-    ]
-    return Looks(
-        background,
-        skin,
-        Material(table, gloss),
-        Material(wall),
-        (float(rng.uniform(1.5, 4)), float(rng.uniform(1.0, 3))),
-        hand,
-        Material(thing, float(rng.uniform(0.25, 0.6))),
-        Material(np.ascontiguousarray(grain)),
+    grain = draw_reflectance(rng, draw_ramp(rng, draw_theme(rng)), _SIZE)
+    coarse = slice(None, None, _SIZE // _GRAIN_SIZE)
+    return Paint(
+        table=Material(table, float(rng.uniform(0.35, 0.7))),
+        wall=Material(_flattened(paper, rng.uniform(*_WALLS[wall_kind]))),
+        repeats=(float(rng.uniform(1.5, 4)), float(rng.uniform(1.0, 3))),
+        hand=_paint_hand(looks, theme, rng),
+        thing=Material(thing, float(rng.uniform(0.25, 0.6))),
+        grains=Material(np.ascontiguousarray(grain[coarse, coarse])),
     )
 
 
@@ -83,24 +108,21 @@ def _flattened(reflectance: NDArray[np.float32], contrast: float) -> NDArray[np.
     return mean + np.float32(contrast) * (reflectance - mean)
 
 
-def _draw_hand(skin: int, theme: Array, rng: np.random.Generator) -> HandLook:
-    """Draw skin near a tone of the scale, blotched faintly, and for half of the hands a sleeve."""
+def _paint_hand(looks: Looks, theme: Array, rng: np.random.Generator) -> HandLook:
+    """Paint skin near a tone of the scale, blotched faintly, and a striped sleeve."""
     tones = skin_tones()
-    other = int(np.clip(skin + rng.choice([-1, 1]), 0, SKINS - 1))
-    tone = tones[skin] + 0.35 * rng.random() * (tones[other] - tones[skin])
-    blotches = _blotches()
-    shift = rng.integers(_SKIN_SIZE, size=2)
-    texture = tone * (1 + 0.25 * (np.roll(blotches, tuple(shift), axis=(0, 1)) - 0.5))[..., np.newaxis]
-    sleeved = bool(rng.random() < 0.5)
-    ramp = draw_ramp(rng, theme)
-    stripes, strength = rng.random(_SKIN_SIZE), 0.5 * rng.random()
-    cuff = int(CUFF_ROW_SHARE * _SKIN_SIZE)
-    if sleeved:
-        cloth = ramp[0] + strength * stripes[:cuff, np.newaxis] * (ramp[-1] - ramp[0])
-        texture[:cuff] = cloth[:, np.newaxis]
-    size, slim = 0.9 + 0.14 * rng.random(), 0.9 + 0.16 * rng.random()
+    other = int(np.clip(looks.skin + rng.choice([-1, 1]), 0, SKINS - 1))
+    tone = tones[looks.skin] + 0.35 * rng.random() * (tones[other] - tones[looks.skin])
+    blotches = np.roll(_blotches(), tuple(rng.integers(_SKIN_SIZE, size=2)), axis=(0, 1))
+    texture = tone * (1 + 0.25 * (blotches - 0.5))[..., np.newaxis]
+    if looks.sleeved:
+        ramp = draw_ramp(rng, theme)
+        cuff = int(CUFF_ROW_SHARE * _SKIN_SIZE)
+        stripes = 0.5 * rng.random() * rng.random((cuff, 1, 1))
+        texture[:cuff] = ramp[0] + stripes * (ramp[-1] - ramp[0])
     material = Material(np.clip(texture, 0.01, 0.9).astype(np.float32))
-    return HandLook(material, float(size), float(slim), left=False, sleeve_m=0.005 if sleeved else 0.0)
+    sleeve_m = 0.005 if looks.sleeved else 0.0
+    return HandLook(material, looks.hand_size, looks.hand_slim, sleeve_m=sleeve_m)
 
 
 @functools.cache

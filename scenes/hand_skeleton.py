@@ -24,15 +24,15 @@ FINGERS = ("thumb", "index", "middle", "ring", "little")
 # Where each finger's first bone starts, and how long its three bones are.
 _ROOTS_M = np.array(
     [
-        (0.022, 0.026, -0.010),
-        (0.092, 0.027, 0.001),
-        (0.096, 0.005, 0.004),
-        (0.089, -0.016, 0.002),
-        (0.079, -0.035, -0.003),
+        (0.021, 0.025, -0.010),
+        (0.088, 0.026, 0.001),
+        (0.092, 0.005, 0.004),
+        (0.086, -0.015, 0.002),
+        (0.076, -0.034, -0.003),
     ]
 )
 _LENGTHS_M = np.array(
-    [(0.046, 0.033, 0.026), (0.045, 0.026, 0.021), (0.050, 0.030, 0.022), (0.046, 0.028, 0.022), (0.036, 0.021, 0.019)]
+    [(0.043, 0.031, 0.024), (0.042, 0.024, 0.019), (0.046, 0.028, 0.020), (0.042, 0.026, 0.020), (0.033, 0.020, 0.017)]
 )
 # Fingers are spread at rest, so that their surfaces do not grow together.
 _SPREAD_RAD = np.radians([0.0, 11.0, 2.0, -8.0, -18.0])
@@ -111,7 +111,8 @@ def between(start: Array, end: Array) -> Array:
     """Return the smallest rotation from one unit vector to another."""
     axis = np.cross(start, end)
     if np.linalg.norm(axis) < 1e-9:
-        return np.eye(3) if start @ end > 0 else rotation([start[1], -start[0], 1e-3], np.pi)
+        across = np.cross(start, np.eye(3)[np.argmin(np.abs(start))])
+        return np.eye(3) if start @ end > 0 else rotation(across, np.pi)
     return rotation(axis, float(np.arctan2(np.linalg.norm(axis), start @ end)))
 
 
@@ -122,7 +123,7 @@ def _pose(*rows: tuple[float, float, float, float]) -> Array:
 OPEN = _pose((25, 0, 5, 5), (0, 8, 10, 5), (0, 6, 10, 5), (0, 8, 12, 6), (2, 10, 14, 8))
 RELAXED = _pose((35, 5, 15, 15), (-4, 22, 30, 15), (0, 28, 34, 18), (4, 32, 36, 20), (8, 35, 36, 20))
 POINTING = _pose((60, 15, 35, 30), (-6, 4, 6, 3), (-2, 80, 95, 50), (5, 84, 95, 50), (11, 86, 92, 50))
-_CLOSED = _pose((78, 6, 12, 28), (-9, 58, 46, 22), (-2, 60, 46, 22), (6, 62, 48, 24), (13, 64, 50, 26))
+_CLOSED = _pose((88, -10, 2, 24), (-9, 59, 48, 25), (-2, 61, 48, 25), (6, 63, 50, 25), (13, 65, 52, 25))
 _WIDE = _pose((82, -34, 2, 6), (-5, 14, 26, 14), (0, 14, 26, 14), (4, 16, 28, 15), (8, 18, 30, 16))
 _GRIP_FINGERS = (1, 2, 3)
 
@@ -168,7 +169,8 @@ def widest_grip_m() -> float:
 
 
 def grip(width_m: float) -> Grip:
-    """Return the grip whose pads are ``width_m`` apart, as near as the hand gets."""
+    """Return the grip whose pads are ``width_m`` apart: at least 8 mm, since pads are soft, and as far as the hand gets."""
+    width_m = max(width_m, 0.008)
     openness, widths = _grip_widths()
     angles = grip_angles(float(np.interp(width_m, widths, openness)))
     thumb, fingers = _pads(angles)

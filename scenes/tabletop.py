@@ -27,7 +27,7 @@ _WALL_YAW_RAD = math.radians(14)
 _AIM_M = 0.1
 # Half of the picture's smaller side at the action, and the least distance to it.
 _HALF_EXTENT_M = (0.22, 0.28)
-_CLOSEST_M = 0.35
+_CLOSEST_M = 0.37
 # Hands and things seldom come nearer to the camera than the action's place by more; see `Viewpoint.placed`.
 _REACH_M = 0.2
 _WALL_M = (0.15, 0.8)
@@ -45,6 +45,7 @@ class Viewpoint:
         wall_yaw_rad: by which the wall is turned about the vertical.
         pitch_rad: by which the camera looks down.
         near_m: the view's near depth.
+        knee_m: depth of what is 0.2 m of the set nearer than the action.
     """
 
     turn: Array
@@ -54,6 +55,7 @@ class Viewpoint:
     wall_yaw_rad: float
     pitch_rad: float
     near_m: float
+    knee_m: float
 
     def to_world(self, points_m: Array) -> Array:
         """Return points of the set ``(..., 3)`` in the rendered world."""
@@ -62,14 +64,16 @@ class Viewpoint:
     def placed(self, mesh: TriangleMesh) -> TriangleMesh:
         """Return a mesh of the set in the rendered world, where it is nearer than the near depth pushed back behind it.
 
-        Points move along their line of sight, so that the picture stays as it is; the depths from 0.3 to 1.4 near depths are
-        compressed to 1 to 1.4 of them. Only an arm or a thing that is shown comes that close.
+        Points move along their line of sight, so that the picture stays as it is; all depths below ``knee_m`` are
+        compressed into those from the near depth to it. Only an arm or a thing that is shown comes that close.
         """
         points = self.to_world(mesh.vertices_m)
-        depth = points[:, 2:] / self.near_m
-        wanted = np.interp(depth, [0.0, 0.3, 1.4], [1.0, 1.02, 1.4])
-        ahead = (depth > 0.02) & (depth < 1.4)
-        points = np.where(ahead, points * np.divide(wanted, depth, where=ahead, out=np.ones_like(depth)), points)
+        # What is beside or behind the camera goes far aside, out of the picture.
+        depth = np.maximum(points[:, 2:], 0.02 * self.near_m)
+        spare = self.knee_m - self.near_m
+        stops = ([0, 0.25 * self.knee_m, self.knee_m], self.near_m + spare * np.array([0.02, 0.1, 1]))
+        pushed = np.where(depth < self.knee_m, np.interp(depth, *stops), depth)
+        points = np.column_stack([points[:, :2] * pushed / depth, pushed])
         return TriangleMesh(points, mesh.normals @ self.turn.T, mesh.uv, mesh.faces, mesh.material)
 
 
@@ -93,7 +97,8 @@ def draw_viewpoint(view: View, rng: np.random.Generator) -> Viewpoint:
     else:
         raise InputError(_too_thin(view, far_end(view) * least / most))
     scale = least * min(most / least, 1.6) ** shares[5]
-    return Viewpoint(turn, eye, scale, wall, ease * yaw, pitch, view.near_m)
+    knee = scale * (_distance(turn, eye) - _REACH_M)
+    return Viewpoint(turn, eye, scale, wall, ease * yaw, pitch, view.near_m, knee)
 
 
 def _too_thin(view: View, needed_m: float) -> str:
@@ -126,6 +131,11 @@ def _camera(view: View, pitch: float, roll: float, extent_m: float) -> tuple[Arr
     return turn, np.array([0, -_AIM_M, 0]) - distance * turn[2]
 
 
+def _distance(turn: Array, eye: Array) -> float:
+    """Return the depth of the set's origin, metres of the set."""
+    return float(-eye @ turn[2])
+
+
 def _scales(view: View, turn: Array, eye: Array, wall_m: float, yaw: float) -> tuple[float, float]:
     """Return the least and the greatest scale at which what is seen keeps to the depth range."""
     across, down = np.meshgrid(np.linspace(-1.02, 1.02, 9), np.linspace(-1.02, 1.02, 33))
@@ -136,7 +146,7 @@ def _scales(view: View, turn: Array, eye: Array, wall_m: float, yaw: float) -> t
         ahead = rays @ facing
         wall = np.where(ahead > 0, (wall_m * facing[2] - eye @ facing) / ahead, np.inf)
     depth = np.minimum(table, wall)
-    nearest = min(float(depth.min()), float(-eye @ turn[2]) - _REACH_M)
+    nearest = min(float(depth.min()), (_distance(turn, eye) - _REACH_M) / 1.09)
     # The edge between table and wall runs between the rays: a little margin.
     return 1.01 * view.near_m / nearest, 0.97 * far_end(view) / float(depth.max())
 

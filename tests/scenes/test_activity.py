@@ -1,0 +1,201 @@
+"""The activity family: labels in balance and independent of all else, fixed slots, depths in range, the clip's contract."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import pickle
+from collections import Counter
+from typing import get_args
+
+import numpy as np
+import pytest
+from scipy.stats import chi2_contingency
+
+from scenes.actions import ACTIONS
+from scenes.activity import Action, Parameters, activity, clip_scenes, draw_parameters
+from scenes.activity_looks import BACKGROUNDS, SKINS, skin_tones
+from scenes.props import KINDS
+from scenes.tabletop import LIGHTS
+from simulator.errors import InputError
+from simulator.render import Renderer, Scene, SphereLight, TriangleMesh
+from simulator.types import SceneSource, View
+
+DEFAULT = View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2)
+SMALL = View((24, 24), 102.4e-6, 1.9e-3, 0.036, 0.2)
+VIEWS = {
+    "default": DEFAULT,
+    "wide": View((64, 128), 60e-6, 1.9e-3, 0.01, 0.2),
+    "narrow": View((384, 320), 2.4e-6, 1.0e-2, 0.1, 0.5),
+    "infinite": View((128, 128), 19.2e-6, 1.9e-3, 0.036, math.inf),
+}
+SCALAR = Renderer("scalar_rgb")
+DRAWS = 2000
+
+
+@pytest.fixture(scope="module")
+def drawn() -> list[Parameters]:
+    return [draw_parameters(ACTIONS[index % 10], DEFAULT, np.random.default_rng((7, index))) for index in range(DRAWS)]
+
+
+TRAITS = {
+    "object": lambda p: p.cast.thing.kind,
+    "background": lambda p: p.looks.background,
+    "light": lambda p: p.light,
+    "skin": lambda p: p.looks.skin,
+    "hand": lambda p: p.cast.main.left,
+    "second hand": lambda p: p.cast.second_rests,
+    "viewpoint": lambda p: int(8 * (math.degrees(p.viewpoint.pitch_rad) - 14) / 34.001),
+    "sleeve": lambda p: p.looks.sleeved,
+}
+CHOICES = {"object": len(KINDS), "background": len(BACKGROUNDS), "light": len(LIGHTS), "skin": SKINS, "viewpoint": 8}
+
+
+@pytest.mark.parametrize("trait", TRAITS)
+def test_the_label_is_independent_of_all_else(trait: str, drawn: list[Parameters]) -> None:
+    labels = np.array([ACTIONS.index(p.action) for p in drawn])
+    values, codes = np.unique([str(TRAITS[trait](p)) for p in drawn], return_inverse=True)
+    assert len(values) == CHOICES.get(trait, 2), "every choice occurs"
+    table = np.zeros((len(ACTIONS), len(values)))
+    np.add.at(table, (labels, codes), 1)
+    # Eight tests at fixed seeds: p below 0.005 would come up once in 25 such sets by chance.
+    _, chance, _, _ = chi2_contingency(table)
+    assert chance > 0.005
+
+
+def test_nothing_but_the_action_depends_on_the_label() -> None:
+    """Stronger than a chi-squared test: the same generator gives the same clip but for the action."""
+    first, *others = (draw_parameters(action, DEFAULT, np.random.default_rng(3)) for action in ACTIONS)
+    for other in others:
+        assert pickle.dumps(dataclasses.replace(other, action=first.action)) == pickle.dumps(first)
+        assert other.action != first.action
+
+
+def test_labels_are_balanced_in_every_run_of_ten() -> None:
+    assert get_args(Action) == ACTIONS
+    assert len(set(ACTIONS)) == 10
+    source = activity(SMALL, frames=1, samples_per_pixel=1, renderer=SCALAR)
+    labels = [source.clip(index, np.random.default_rng(1)).label for index in range(-2, 8)]
+    assert Counter(labels) == Counter(ACTIONS)
+    assert labels[2:] == list(ACTIONS[:8])
+    some = activity(SMALL, frames=1, samples_per_pixel=1, actions=["poking", "holding"], renderer=SCALAR)
+    assert some.clip(3, np.random.default_rng(0)).label == "holding"
+    with pytest.raises(InputError, match="actions: got poking, poking, expected each at most once"):
+        activity(SMALL, actions=["poking", "poking"], renderer=SCALAR)
+
+
+def slots(scene: Scene) -> list[tuple]:
+    kinds: list[tuple] = []
+    for shape in scene.shapes:
+        assert isinstance(shape, TriangleMesh)
+        texture = shape.material.reflectance
+        kinds.append((shape.material.roughness is None, texture.shape, texture.dtype))
+    return kinds + [(type(light).__name__,) for light in scene.lights]
+
+
+def test_slots_keep_their_kind_whatever_the_action() -> None:
+    """Else Dr.Jit compiles new kernels for new scenes."""
+    seen = set()
+    for number, action in enumerate(ACTIONS):
+        scenes = list(clip_scenes(draw_parameters(action, DEFAULT, np.random.default_rng(number)), DEFAULT, 3))
+        seen |= {tuple(slots(scene)) for scene in scenes}
+        counts = {tuple((len(s.vertices_m), len(s.faces)) for s in meshes(scene)) for scene in scenes}
+        assert len(counts) == 1, "a mesh keeps its size within a clip"
+        assert all(scene.shapes[0] is scenes[0].shapes[0] for scene in scenes), "the table is one object"
+        assert all(
+            a.uv is b.uv for scene in scenes for a, b in zip(meshes(scene)[2:6], meshes(scenes[0])[2:6], strict=True)
+        )
+    assert len(seen) == 1
+    assert len(next(iter(seen))) == 7 + 3
+
+
+def meshes(scene: Scene) -> list[TriangleMesh]:
+    return [shape for shape in scene.shapes if isinstance(shape, TriangleMesh)]
+
+
+def test_a_thing_at_rest_stays_the_same_object() -> None:
+    scenes = list(clip_scenes(draw_parameters("picking_up", DEFAULT, np.random.default_rng(0)), DEFAULT, 20))
+    assert scenes[0].shapes[4] is scenes[3].shapes[4]
+    assert scenes[0].shapes[4] is not scenes[-1].shapes[4]
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_what_is_seen_lies_in_the_depth_range(name: str) -> None:
+    """All that is seen of hands and things, by their vertices and the middles of their edges; and the backdrop's planes."""
+    view = VIEWS[name]
+    limits = np.array([view.tan_half_width, view.tan_half_height])
+    for number, action in enumerate(ACTIONS):
+        drawn = draw_parameters(action, view, np.random.default_rng(number))
+        in_view = []
+        for scene in clip_scenes(drawn, view, 4):
+            for mesh in meshes(scene)[2:]:
+                a, b = mesh.vertices_m[mesh.faces], mesh.vertices_m[np.roll(mesh.faces, 1, axis=1)]
+                points = np.concatenate([mesh.vertices_m, ((a + b) / 2).reshape(-1, 3)])
+                points = points[points[:, 2] > 0]
+                seen = points[(np.abs(points[:, :2] / points[:, 2:]) < limits).all(axis=1)]
+                assert seen.size == 0 or (seen[:, 2].min() >= view.near_m and seen[:, 2].max() <= view.far_m)
+            centre = np.concatenate([mesh.vertices_m for mesh in meshes(scene)[4:6]]).mean(axis=0)
+            in_view.append(bool(np.all(np.abs(centre[:2] / centre[2]) < limits)))
+            for light in scene.lights:
+                if isinstance(light, SphereLight):
+                    assert light.centre_m[2] < light.radius_m, "a lamp would be seen"
+        assert np.mean(in_view) >= 0.75, "the thing is in the picture"
+
+
+def test_table_and_wall_fill_the_picture_in_range() -> None:
+    source = activity(SMALL, frames=1, samples_per_pixel=1, renderer=SCALAR)
+    for index in range(10):
+        clip = source.clip(index, np.random.default_rng(index))
+        assert clip.valid.all()
+        assert SMALL.near_m <= clip.depth_m.min() < clip.depth_m.max() <= SMALL.far_m
+
+
+def test_a_clip_keeps_the_contract() -> None:
+    source = activity(SMALL, frames=3, frames_per_second=6, samples_per_pixel=4, renderer=SCALAR)
+    assert isinstance(source, SceneSource)
+    assert tuple(source.inputs) == ()
+    copy = pickle.loads(pickle.dumps(source))
+    assert len(pickle.dumps(source)) < 2000
+    clip, again = source.clip(7, np.random.default_rng(5)), copy.clip(7, np.random.default_rng(5))
+    assert clip.rgb.tobytes() == again.rgb.tobytes()
+    assert clip.depth_m.tobytes() == again.depth_m.tobytes()
+    other = source.clip(7, np.random.default_rng(6))
+    assert not np.array_equal(clip.rgb, other.rgb)
+    assert clip.rgb.shape == (3, 24, 24, 3)
+    np.testing.assert_allclose(clip.frame_edges_s, np.arange(4) / 6)
+    assert clip.label == "pouring"
+    assert 0.05 < clip.rgb.mean() < 0.9
+    facts = json.loads(json.dumps(clip.source))
+    assert facts["family"] == "activity"
+    assert facts["index"] == 7
+    assert facts["object"] in KINDS
+    assert facts["light"] in LIGHTS
+    assert facts["background"] in BACKGROUNDS
+
+
+def test_short_clips_show_the_whole_action_faster() -> None:
+    """In 20 frames at 2000 per second, a thing that is dropped still lands."""
+    source = activity(DEFAULT, frames=20, frames_per_second=2000, renderer=SCALAR)
+    seconds = max(source.frames / source.frames_per_second, 1.4)
+    drawn = draw_parameters("dropping", DEFAULT, np.random.default_rng(0), duration_s=seconds)
+    scenes = list(clip_scenes(drawn, DEFAULT, 20))
+    assert scenes[-1].shapes[4] is scenes[-2].shapes[4], "at rest"
+    assert scenes[-1].shapes[4] is not scenes[0].shapes[4]
+
+
+def test_a_depth_range_too_thin_is_refused_with_the_one_that_is_needed() -> None:
+    with pytest.raises(
+        InputError, match=r"do not fit between near 0\.036 m and far 0\.06 m; expected far of at least 0\.1"
+    ):
+        activity(View((24, 24), 102.4e-6, 1.9e-3, 0.036, 0.06), renderer=SCALAR)
+
+
+def test_skin_tones_go_from_light_to_dark_and_are_reddish() -> None:
+    tones = skin_tones()
+    assert tones.shape == (SKINS, 3)
+    brightness = tones @ (0.2126, 0.7152, 0.0722)
+    assert brightness[0] < 0.75, "light skin reflects 0.45 to 0.7 of green light"
+    assert brightness[-1] > 0.01
+    assert np.all(np.diff(brightness[2:]) < 0)
+    assert np.all(tones[:, 0] > tones[:, 2])
