@@ -244,7 +244,7 @@ def exposed(
 ) -> tuple[SphereLight, ...]:
     """Return the lamps so bright that direct light gives the walls in view a mean radiance of ``exposure``.
 
-    The mean is over the 7 x 7 rays of `scenes.sight.glance` and over the meshes (frames of a clip):
+    The mean is over the 9 x 9 rays of `scenes.sight.glance` and over the meshes (frames of a clip):
     albedo x lamp intensity x mean(cos / distance^2) = exposure. It is known before anything is rendered, like the automatic
     exposure of an endoscope, and holds for a whole clip.
     """

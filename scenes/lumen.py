@@ -50,8 +50,10 @@ class Course:
         below = np.minimum(place.astype(np.int64), len(self.points_m) - 2)
         share = (place - below)[..., np.newaxis]
         points = self.points_m[below] * (1 - share) + self.points_m[below + 1] * share
-        share = share[..., np.newaxis]
-        return points, unit(self.frames[below] * (1 - share) + self.frames[below + 1] * share)
+        tangent = unit(self.frames[below, 2] * (1 - share) + self.frames[below + 1, 2] * share)
+        across = self.frames[below, 0] * (1 - share) + self.frames[below + 1, 0] * share
+        across = unit(across - (across * tangent).sum(axis=-1, keepdims=True) * tangent)
+        return points, np.stack([across, np.cross(tangent, across), tangent], axis=-2)
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,7 @@ def find_shot(
         course = segment.back if backwards else wall.course
         arcs = (-start if backwards else start) + travel_m
         poses = draw_poses(course, arcs, seconds, _LOOSE_M, _TILT_RAD, bend, rng)
-        if not all(_encloses(view, pose, wall) for pose in {id(p): p for p in (poses[0], poses[-1])}.values()):
+        if not all(_encloses(view, pose, wall) for pose in poses[:: max(1, len(poses) - 1)]):
             continue
         if all(clears(view, pose.seen(wall.vertices_m)) for pose in poses):
             return _ahead(view, wall, poses), poses

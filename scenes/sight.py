@@ -11,7 +11,7 @@ from simulator.types import View
 
 Array = NDArray[np.float64]
 
-_RAYS = 7
+_RAYS = 9
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Glance:
 
 
 def glance(view: View, vertices_m: Array, faces: NDArray[np.integer]) -> Glance:
-    """Follow 7 x 7 rays, evenly over the picture and to its very edges, to the nearest face that looks at the camera.
+    """Follow 9 x 9 rays, evenly over the picture and to its very edges, to the nearest face that looks at the camera.
 
     A ray r meets the triangle (a, b, c) where the triple products r.(a x b), r.(b x c), r.(c x a) agree in sign; their sum is
     r.n with the normal n, and the depth is a.n / r.n (homogeneous rasterisation, Olano and Greer, 1997).
