@@ -48,7 +48,10 @@ def build_source(config: Config, backend: str) -> SceneSource:
         from simulator.render import Renderer  # imported data sets need no renderer
 
         chosen = config.render
-        arguments["renderer"] = Renderer(backend, tuple(chosen.outputs), chosen.hidden_layers, denoise=chosen.denoise)
+        bands_nm = chosen.bands.edges if chosen.bands else ()
+        arguments["renderer"] = Renderer(
+            backend, tuple(chosen.outputs), chosen.hidden_layers, denoise=chosen.denoise, bands_nm=bands_nm
+        )
     with plugin_errors(plugin):
         source = plugin.function(build_view(config), **arguments)
     if not isinstance(source, SceneSource):

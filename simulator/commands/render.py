@@ -98,7 +98,7 @@ def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) 
     plugin = scene_plugin(config)
     variant = "none"
     if plugin.takes_renderer:
-        backend = choose_backend(config.render.backend)
+        backend = choose_backend(config.render.backend, config.render.bands is not None)
         bar.say(f"rendering with {backend.message}" + (f". {backend.advice}" if backend.advice else ""))
         variant = backend.variant
         activate(variant, threads=available_cpus())

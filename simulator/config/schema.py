@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -90,6 +91,43 @@ class DatasetConfig(Section):
         return self
 
 
+Nanometres = Annotated[float, Range(360, 830, "nm")]
+
+
+class BandsConfig(Section):
+    """Wavelength bands: equal ones (from_nm, to_nm, count), or any by their edges."""
+
+    from_nm: Nanometres | None = Field(default=None, description="where the first of equal bands begins")
+    to_nm: Nanometres | None = Field(default=None, description="where the last of equal bands ends")
+    count: Annotated[int, Range(1, 100)] | None = Field(default=None, description="how many equal bands")
+    edges_nm: tuple[Nanometres, ...] | None = Field(
+        default=None, description="edges of contiguous bands, one more than bands", min_length=2, max_length=101
+    )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        equal = (self.from_nm, self.to_nm, self.count)
+        if (self.edges_nm is None) == (None in equal) or (self.edges_nm is not None and equal != (None, None, None)):
+            text = "needs from_nm, to_nm and count, or edges_nm alone"
+            raise refusal(text)
+        edges = self.edges
+        if any(second - first < 1 for first, second in pairwise(edges)):
+            text = f"got edges {[round(edge, 3) for edge in edges]}, expected them to increase by at least 1 nm"
+            raise refusal(text, "edges_nm" if self.edges_nm is not None else "to_nm")
+        return self
+
+    @property
+    def edges(self) -> tuple[float, ...]:
+        """The bands' edges in nanometres."""
+        if self.edges_nm is not None:
+            return self.edges_nm
+        assert self.from_nm is not None
+        assert self.to_nm is not None
+        assert self.count is not None
+        step = (self.to_nm - self.from_nm) / self.count
+        return (*(self.from_nm + step * number for number in range(self.count)), self.to_nm)
+
+
 class RenderConfig(Section):
     """How scenes are rendered."""
 
@@ -105,6 +143,11 @@ class RenderConfig(Section):
     denoise: bool = Field(
         default=False,
         description="pass pictures through Open Image Denoise: less noise, but biased; pip install 'flatlight[denoise]'",
+    )
+
+    bands: BandsConfig | None = Field(
+        default=None,
+        description="wavelength bands that are stored beside RGB: spectral rendering, 16 of them cost a third more",
     )
 
 

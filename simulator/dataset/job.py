@@ -104,7 +104,7 @@ class _Job:
     def run(self) -> tuple[int, int, list[str]]:
         """Return how many samples were made and kept, and what failed."""
         renders = scene_plugin(self.config).takes_renderer
-        backend = choose_backend(self.config.render.backend) if renders else None
+        backend = choose_backend(self.config.render.backend, self.config.render.bands is not None) if renders else None
         variant = backend.variant if backend else "none"
         if backend:
             self.say(f"rendering with {backend.message}" + (f". {backend.advice}" if backend.advice else ""))

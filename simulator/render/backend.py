@@ -24,6 +24,9 @@ from simulator.render.llvm_advice import LLVM_VERSIONS, how_to_get_llvm
 Request = Literal["auto", "llvm", "scalar"]
 LLVM_VARIANT = "llvm_ad_rgb"
 SCALAR_VARIANT = "scalar_rgb"
+LLVM_SPECTRAL = "llvm_ad_spectral"
+SCALAR_SPECTRAL = "scalar_spectral"
+VARIANTS = (LLVM_VARIANT, SCALAR_VARIANT, LLVM_SPECTRAL, SCALAR_SPECTRAL)
 
 # Importing Mitsuba from a cold network disk takes most of this; the proof itself takes about a second.
 _PROOF_TIMEOUT_S = 120.0
@@ -55,12 +58,14 @@ class _Proof:
     problem: str
 
 
-def choose_backend(requested: Request = "auto") -> Backend:
+def choose_backend(requested: Request = "auto", spectral: bool = False) -> Backend:
     """Choose the Mitsuba variant, proving LLVM once per process by a small render in a subprocess.
 
     Args:
         requested: ``auto`` takes LLVM when it is proven and the scalar variant otherwise; ``llvm`` insists on LLVM;
             ``scalar`` does not even look for it.
+        spectral: whether wavelengths are rendered instead of RGB. LLVM is proven in RGB all the same: what may fail is the
+            library, not the kind of colour.
 
     Raises:
         InputError: when ``requested`` is no such word, or is ``llvm`` and LLVM cannot be proven.
@@ -72,19 +77,20 @@ def choose_backend(requested: Request = "auto") -> Backend:
     if requested not in get_args(Request):
         msg = f"render.backend: got {requested!r}, expected one of auto, llvm, scalar"
         raise InputError(msg)
+    llvm, scalar = (LLVM_SPECTRAL, SCALAR_SPECTRAL) if spectral else (LLVM_VARIANT, SCALAR_VARIANT)
     if requested == "scalar":
-        return Backend(SCALAR_VARIANT, None, "scalar_rgb, as asked")
+        return Backend(scalar, None, f"{scalar}, as asked")
     library = os.environ.get("DRJIT_LIBLLVM_PATH")
     proof = _prove_llvm(library)
     if not proof.problem:
-        return Backend(LLVM_VARIANT, proof.version, f"llvm_ad_rgb, proven with libLLVM {proof.version}")
+        return Backend(llvm, proof.version, f"{llvm}, proven with libLLVM {proof.version}")
     advice = how_to_get_llvm(library)
     if requested == "llvm":
         msg = (
             f"render.backend: llvm was asked for but {proof.problem}. {advice}, or set render.backend to auto or scalar"
         )
         raise InputError(msg)
-    return Backend(SCALAR_VARIANT, None, f"scalar_rgb, because {proof.problem}", f"To render faster: {advice}")
+    return Backend(scalar, None, f"{scalar}, because {proof.problem}", f"To render faster: {advice}")
 
 
 def activate(variant: str, threads: int | None = None) -> None:
@@ -100,8 +106,8 @@ def activate(variant: str, threads: int | None = None) -> None:
             its render threads did not survive the fork.
     """
     global _activated
-    if variant not in (LLVM_VARIANT, SCALAR_VARIANT):
-        msg = f"variant: got {variant!r}, expected {LLVM_VARIANT} or {SCALAR_VARIANT} (see choose_backend)"
+    if variant not in VARIANTS:
+        msg = f"variant: got {variant!r}, expected one of {', '.join(VARIANTS)} (see choose_backend)"
         raise InputError(msg)
     if threads is not None and threads < 1:
         msg = f"threads: got {threads}, expected at least 1"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.render.bands import albedo_of
 from simulator.render.library import drjit, mitsuba
 from simulator.render.mitsuba_scene import UNITS_PER_M, scene_order
 
@@ -128,7 +129,7 @@ def _look_at_all(scene: Any) -> dict[str, NDArray[Any]]:
     first = scene.ray_intersect_preliminary(ray)
     seen = first.is_valid()
     hit = first.compute_surface_interaction(ray, mi.RayFlags.All, seen)
-    albedo = hit.bsdf(ray).eval_diffuse_reflectance(hit, seen)
+    albedo = _albedo(hit.bsdf(ray), hit, seen)
     normal = dr.select(dr.dot(hit.sh_frame.n, ray.d) > 0, -hit.sh_frame.n, hit.sh_frame.n)
     # Dr.Jit's registry numbers shapes as they are made; the scene's own order is what users know.
     numbers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]) for shape in scene.shapes()]
@@ -146,6 +147,12 @@ def _look_at_all(scene: Any) -> dict[str, NDArray[Any]]:
         "normal": _columns(dr.select(seen, normal, 0)),
         "albedo": _columns(dr.select(seen, albedo, 0)),
     }
+
+
+def _albedo(bsdf: Any, hit: Any, *more: Any) -> Any:
+    if mitsuba().is_spectral:
+        return albedo_of(bsdf, hit, *more)
+    return bsdf.eval_diffuse_reflectance(hit, *more)
 
 
 def _columns(vectors: Any) -> NDArray[Any]:
@@ -177,5 +184,5 @@ def _look_one_by_one(scene: Any) -> dict[str, NDArray[Any]]:
         found["triangle"][pixel] = first.prim_index
         found["barycentric"][pixel] = first.prim_uv
         found["normal"][pixel] = -normal if normal @ np.array(ray.d) > 0 else normal
-        found["albedo"][pixel] = hit.bsdf().eval_diffuse_reflectance(hit)
+        found["albedo"][pixel] = _albedo(hit.bsdf(), hit)
     return found

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.render.bands import band_film
 from simulator.render.mesh import cuboid, mitsuba_mesh
 from simulator.render.scene import Box, Environment, EnvironmentMap, Light, Material, Scene, Shape, Sphere
 from simulator.types import View
@@ -21,23 +22,24 @@ UNITS_PER_M = 100.0
 BLOCK_SIZE = 16
 
 
-def load_scene(scene: Scene, view: View, max_depth: int) -> Any:
+def load_scene(scene: Scene, view: View, max_depth: int, bands_nm: tuple[float, ...] = ()) -> Any:
     """Return a ``mitsuba.Scene`` with a path tracer and the view's pinhole camera; needs an active variant.
 
     Args:
         scene: shapes and lights.
         view: image shape, pinhole geometry and depth range.
         max_depth: longest light path, in segments.
+        bands_nm: edges of wavelength bands; needs a spectral variant (see `simulator.render.bands`).
     """
     import mitsuba as mi
 
-    return mi.load_dict(scene_parts(scene, view, max_depth))
+    return mi.load_dict(scene_parts(scene, view, max_depth, bands_nm))
 
 
-def scene_parts(scene: Scene, view: View, max_depth: int) -> dict[str, Any]:
+def scene_parts(scene: Scene, view: View, max_depth: int, bands_nm: tuple[float, ...] = ()) -> dict[str, Any]:
     """Return the same as Mitsuba's dictionary, whose shapes are objects of the active variant."""
     parts: dict[str, Any] = {"type": "scene", "integrator": path_tracer(max_depth, scene.hide_lights)}
-    parts["sensor"] = pinhole(view)
+    parts["sensor"] = pinhole(view, bands_nm)
     parts |= {light_name(number): _light(light) for number, light in enumerate(scene.lights)}
     return parts | {shape_name(number): _shape(shape) for number, shape in enumerate(scene.shapes)}
 
@@ -69,7 +71,7 @@ def path_tracer(max_depth: int, hide_lights: bool = False) -> dict[str, Any]:
     return {"type": "path", "max_depth": max_depth, "hide_emitters": hide_lights, "block_size": BLOCK_SIZE}
 
 
-def pinhole(view: View) -> dict[str, Any]:
+def pinhole(view: View, bands_nm: tuple[float, ...] = ()) -> dict[str, Any]:
     """Return the pinhole camera at the mask centre as a Mitsuba dictionary.
 
     The box film keeps pixels apart (a wider filter would mix neighbours, and its result depends on the threads).
@@ -91,12 +93,11 @@ def pinhole(view: View) -> dict[str, Any]:
         # A fifth of the variance of independent samples at 6 % more time, and no correlation between pixels.
         "sampler": {"type": "multijitter"},
         "film": {
-            "type": "hdrfilm",
             "width": columns,
             "height": rows,
             "rfilter": {"type": "box"},
-            "pixel_format": "rgb",
             "component_format": "float32",
+            **({"type": "specfilm"} | band_film(bands_nm) if bands_nm else {"type": "hdrfilm", "pixel_format": "rgb"}),
         },
     }
 
@@ -118,18 +119,20 @@ def placement(centre_m: NDArray[np.float64], radius_m: float, rotation: NDArray[
     return mi.ScalarTransform4f(matrix.tolist())
 
 
-def _bsdf(material: Material) -> dict[str, Any]:
+def texture(reflectance: NDArray[np.float32]) -> dict[str, Any]:
+    """Return a texture as a Mitsuba dictionary."""
     import mitsuba as mi
 
-    texture = {
-        "type": "bitmap",
-        "bitmap": mi.Bitmap(np.ascontiguousarray(material.reflectance, dtype=np.float32)),
-    }
+    return {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(reflectance, dtype=np.float32))}
+
+
+def _bsdf(material: Material) -> dict[str, Any]:
+    reflectance = texture(material.reflectance)
     if material.roughness is None:
-        front: dict[str, Any] = {"type": "diffuse", "reflectance": texture}
+        front: dict[str, Any] = {"type": "diffuse", "reflectance": reflectance}
     else:
         # Not 'roughplastic': it integrates a table on construction, 0.05 CPU-s for every material of every scene.
-        front = {"type": "principled", "base_color": texture, "roughness": material.roughness, "specular": 0.5}
+        front = {"type": "principled", "base_color": reflectance, "roughness": material.roughness, "specular": 0.5}
     return {"type": "twosided", "front": front}
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.render.backend import activate
+from simulator.render.bands import check_edges, split_film
 from simulator.render.denoise import check_denoiser, denoise, denoiser_name, guides
 from simulator.render.gbuffer import GBuffer, centre_depth, centre_gbuffer
 from simulator.render.hidden import HiddenLayer, hidden_layers
@@ -40,8 +41,12 @@ class Renderer:
         denoise: whether the picture passes a trained denoiser: less noise, but biased (see `simulator.render.denoise`). The
             clip's ``source`` says so; hidden layers are left as they are.
 
+        bands_nm: edges of wavelength bands in nanometres, none or at least two: clips then hold ``bands`` in ``extras``,
+            float32 ``(T, H, W, N)``, mean spectral radiance of each band in the scale of `simulator.render.bands`.
+
     Raises:
-        InputError: when ``outputs`` names something else, or the denoiser is not installed.
+        InputError: when ``outputs`` names something else, the denoiser is not installed, or bands are asked for of a variant
+            that is not spectral, or together with what does not know them.
     """
 
     backend: str
@@ -49,6 +54,7 @@ class Renderer:
     hidden: int = 1
     max_depth: int = DEFAULT_MAX_DEPTH
     denoise: bool = False
+    bands_nm: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         check_outputs(self.outputs)
@@ -57,6 +63,18 @@ class Renderer:
             raise InputError(msg)
         if self.denoise:
             check_denoiser()
+        if self.bands_nm:
+            self._check_bands()
+
+    def _check_bands(self) -> None:
+        check_edges(self.bands_nm)
+        if not self.backend.endswith("_spectral"):
+            msg = f"render.bands: got the variant {self.backend}, expected a spectral one (see choose_backend)"
+            raise InputError(msg)
+        for name, wanted in (("render.denoise", self.denoise), ("render.outputs: hidden", "hidden" in self.outputs)):
+            if wanted:
+                msg = f"{name}: does not know render.bands, which are asked for too; leave one of them out"
+                raise InputError(msg)
 
     def still(
         self,
@@ -153,6 +171,9 @@ class Renderer:
             InputError: as `clip`, and for all that `simulator.render.own_scene` refuses.
         """
         _check_numbers(samples_per_pixel, seed, 1)
+        if self.bands_nm:
+            msg = f"render.bands: a Mitsuba scene from a file, {path}, is rendered in RGB only; leave them out"
+            raise InputError(msg)
         for name in ("motion", "hidden"):
             if name in self.outputs:
                 msg = f"render.outputs: {name} is not known of a Mitsuba scene from a file, {path}; leave it out"
@@ -184,6 +205,8 @@ class Renderer:
         }
         if self.denoise:
             facts["denoised"] = denoiser_name()
+        if self.bands_nm:
+            facts["band_edges_nm"] = list(self.bands_nm)
         depth = np.stack([frame.depth_m for frame in taken])
         valid = np.isfinite(depth)
         return Clip(
@@ -202,7 +225,7 @@ class Renderer:
         before: tuple[GBuffer, Scene] | None = None
         for number, scene in enumerate(frames):
             if stage is None:
-                stage = Stage(scene, view, self.max_depth)
+                stage = Stage(scene, view, self.max_depth, self.bands_nm)
             else:
                 stage.show(scene)
             frame = self._frame(stage, samples_per_pixel, _frame_seed(seed, number))
@@ -218,7 +241,10 @@ class Renderer:
 
         loaded = stage.loaded
         image = mi.render(loaded, spp=samples_per_pixel, seed=seed)
-        rgb, repaired = repair(np.array(image, dtype=np.float32))
+        picture, bands = np.array(image, dtype=np.float32), None
+        if self.bands_nm:
+            picture, bands = split_film(picture)
+        rgb, repaired = repair(picture)
         samples = int(loaded.sensors()[0].sampler().sample_count())
         if self.denoise:
             rgb = denoise(rgb, *guides(loaded, seed))
@@ -230,11 +256,13 @@ class Renderer:
             layers = hidden_layers(
                 loaded, stage.scene, self.hidden, samples=samples, seed=seed, max_depth=self.max_depth
             )
-        return _Frame(rgb, depth, samples, repaired, hits, layers)
+        return _Frame(rgb, depth, samples, repaired, hits, layers, bands)
 
     def _extras(self, frames: list[_Frame], view: View) -> dict[str, NDArray[Any]]:
         """Collect what was asked for."""
         extras: dict[str, NDArray[Any]] = {}
+        if self.bands_nm:
+            extras["bands"] = np.stack([frame.bands for frame in frames if frame.bands is not None])
         for name in ("shape_id", "normal", "albedo"):
             if name in self.outputs:
                 extras[name] = np.stack([getattr(frame.hits, name) for frame in frames])
@@ -266,6 +294,7 @@ class _Frame:
     repaired: int
     hits: GBuffer | None
     layers: list[HiddenLayer]
+    bands: NDArray[np.float32] | None = None
     came_from: tuple[NDArray[np.float32], NDArray[np.bool_]] | None = None
 
 

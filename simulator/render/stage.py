@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.render.library import mitsuba
 from simulator.render.mesh import cuboid, mesh_arrays
-from simulator.render.mitsuba_scene import UNITS_PER_M, light_name, load_scene, placement, shape_name
+from simulator.render.mitsuba_scene import UNITS_PER_M, light_name, load_scene, placement, shape_name, texture
 from simulator.render.scene import Box, EnvironmentMap, Light, Scene, Shape, Sphere, SphereLight, TriangleMesh
 from simulator.types import View
 
@@ -27,9 +27,9 @@ class Stage:
         loaded: the ``mitsuba.Scene``.
     """
 
-    def __init__(self, scene: Scene, view: View, max_depth: int) -> None:
+    def __init__(self, scene: Scene, view: View, max_depth: int, bands_nm: tuple[float, ...] = ()) -> None:
         self.scene = scene
-        self.loaded = load_scene(scene, view, max_depth)
+        self.loaded = load_scene(scene, view, max_depth, bands_nm)
         self._parameters: Any = None
         self._keys: dict[str, list[str]] = defaultdict(list)
 
@@ -80,11 +80,11 @@ class Stage:
         else:
             old, new = (cuboid(shape) if isinstance(shape, Box) else shape for shape in (before, after))
             assert isinstance(old, TriangleMesh)
+            assert isinstance(new, TriangleMesh)
             for name, values in mesh_arrays(new, UNITS_PER_M, unlike=old).items():
                 self._set(slot, f".{name}", values)
         if after.material is not before.material:
-            texture = np.ascontiguousarray(after.material.reflectance, dtype=np.float32)
-            self._set(slot, ".data", _tensor(texture))
+            self._set(slot, ".data", _texture_data(after.material.reflectance))
             if after.material.roughness is not None:
                 self._set(slot, ".roughness.value", after.material.roughness)
 
@@ -98,7 +98,8 @@ class Stage:
                 f"frames: light {number} is an EnvironmentMap, which cannot change within a clip; keep the same object"
             )
             raise InputError(msg)
-        self._set(slot, ".radiance.value", [float(value) for value in after.radiance])
+        for name, value in _radiance_parameters(after.radiance).items():
+            self._set(slot, f".{name}", value)
         if isinstance(after, SphereLight):
             self._set(slot, ".to_world", placement(after.centre_m, after.radius_m))
 
@@ -114,10 +115,24 @@ def _kind(shape: Shape) -> str:
     return f"{kind}, {coat}, with a texture of {rows} x {columns}"
 
 
-def _tensor(values: NDArray[np.float32]) -> Any:
+def _texture_data(reflectance: NDArray[np.float32]) -> Any:
+    """Return a texture's data: its colours, or in a spectral variant the coefficients that Mitsuba makes of them."""
     mi = mitsuba()
 
-    return mi.TensorXf(values)
+    if mi.is_spectral:
+        return _traversed(mi.load_dict(texture(reflectance)))["data"]
+    return mi.TensorXf(np.ascontiguousarray(reflectance, dtype=np.float32))
+
+
+def _radiance_parameters(radiance: NDArray[np.float64]) -> dict[str, Any]:
+    """Return a light's parameters: its colour, or in a spectral variant a spectrum's coefficients and a scaled D65."""
+    mi = mitsuba()
+
+    colour = [float(value) for value in radiance]
+    if not mi.is_spectral:
+        return {"radiance.value": colour}
+    light = _traversed(mi.load_dict({"type": "constant", "radiance": {"type": "rgb", "value": colour}}))
+    return {name: light[name] for name in ("radiance.value", "radiance.d65.values")}
 
 
 def _traversed(loaded: Any) -> Any:
