@@ -38,10 +38,19 @@ _PARENTS = np.array([1, 0, *np.ravel([(1, 2 + 3 * f, 3 + 3 * f) for f in range(5
 
 @dataclass(frozen=True)
 class HandSurface:
-    """The rest surface; ``mesh`` is in metres (not of unit size), ``weights`` ``(V, 17)`` sum to 1 over the bones."""
+    """The rest surface.
+
+    Attributes:
+        mesh: in metres, not of unit size.
+        left_faces: its triangles when it is mirrored.
+        weights: ``(V, 17)``, shares of the bones in each vertex.
+        joints_m: ``(17, 3)`` where the bones start.
+    """
 
     mesh: UnitMesh
+    left_faces: NDArray[np.int64]
     weights: Array
+    joints_m: Array
 
 
 def _cone(points: Array, start: Array, end: Array, r0: float, r1: float) -> Array:
@@ -112,7 +121,8 @@ def hand_surface() -> HandSurface:
     uv = np.column_stack(
         [vertices[:, 1] / 0.2 + 0.5, (vertices[:, 0] - _UV_SPAN_M[0]) / (_UV_SPAN_M[1] - _UV_SPAN_M[0])]
     )
-    return HandSurface(UnitMesh(vertices, unit(_gradient(vertices)), uv, faces), _weights(vertices))
+    mesh = UnitMesh(vertices, unit(_gradient(vertices)), uv, faces)
+    return HandSurface(mesh, faces[:, ::-1].copy(), _weights(vertices), pose_bones(np.zeros((5, 4))).starts_m)
 
 
 def _weights(vertices: Array) -> Array:
@@ -215,12 +225,11 @@ def posed_hand(look: HandLook, bones: Bones, frame: Array, wrist_m: Array) -> Tr
     if look.sleeve_m:
         cover = np.clip((_CUFF_M + 0.005 - rest[:, :1]) / 0.01, 0, 1)
         rest = rest + look.sleeve_m * cover * surface.mesh.normals
-    anchors = pose_bones(np.zeros((5, 4))).starts_m
-    shifts = bones.starts_m - np.einsum("bij,bj->bi", bones.turns, anchors)
+    shifts = bones.starts_m - np.einsum("bij,bj->bi", bones.turns, surface.joints_m)
     blended = np.einsum("vb,bij->vij", surface.weights, bones.turns)
     local = np.einsum("vij,vj->vi", blended, rest) + surface.weights @ shifts
     normals = np.einsum("vij,vj->vi", blended, surface.mesh.normals)
-    faces = surface.mesh.faces[:, ::-1] if look.left else surface.mesh.faces
+    faces = surface.left_faces if look.left else surface.mesh.faces
     return TriangleMesh(
         vertices_m=wrist_m + look.size * local @ frame.T,
         normals=unit(normals @ frame.T),

@@ -168,6 +168,7 @@ def widest_grip_m() -> float:
     return float(_grip_widths()[1][-1])
 
 
+@functools.lru_cache(maxsize=64)
 def grip(width_m: float) -> Grip:
     """Return the grip whose pads are ``width_m`` apart: at least 8 mm, since pads are soft, and as far as the hand gets."""
     width_m = max(width_m, 0.008)
