@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from scenes.acting import Actor, Pose
-from scenes.actions import ACTIONS, GRAINS, Cast, Moment, course
-from scenes.activity_looks import BACKGROUNDS, Looks, draw_looks, paint
-from scenes.hand import hand_surface
+from scenes.acting.actions import ACTIONS, GRAINS, Cast, Moment, course
+from scenes.acting.hand import hand_surface
+from scenes.acting.holds import Actor, Pose
+from scenes.acting.looks import BACKGROUNDS, Looks, draw_looks, paint
+from scenes.acting.props import draw_thing, grains_mesh
+from scenes.acting.tabletop import Viewpoint, check_range, draw_lights, draw_viewpoint, table_mesh, wall_mesh
 from scenes.meshes import UnitMesh
-from scenes.props import draw_thing, grains_mesh
-from scenes.tabletop import Viewpoint, check_range, draw_lights, draw_viewpoint, table_mesh, wall_mesh
 from simulator.errors import InputError
 from simulator.render import Environment, Material, Renderer, Scene, SphereLight, TriangleMesh
 from simulator.types import Clip, View

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from scenes.endoscope import (
+from scenes.anatomy.endoscope import (
     CLEARANCE_M,
     Pose,
     brightened,
@@ -25,11 +25,11 @@ from scenes.endoscope import (
     fits,
     pressed,
 )
-from scenes.lumen import Wall
-from scenes.mucosa import draw_mucosa
-from scenes.organs import ORGANS
-from scenes.segmented import Segment, find_shot, read_segment
-from scenes.sight import glance
+from scenes.anatomy.lumen import Wall
+from scenes.anatomy.mucosa import draw_mucosa
+from scenes.anatomy.organs import ORGANS
+from scenes.anatomy.segmented import Segment, find_shot, read_segment
+from scenes.anatomy.sight import glance
 from scenes.surfaces import unit
 from simulator.errors import InputError
 from simulator.render import Material, Renderer, Scene, SphereLight, TriangleMesh
@@ -198,7 +198,7 @@ def draw_shot(
 
     Args:
         view: the camera's view.
-        organ: a key of `scenes.organs.ORGANS`.
+        organ: a key of `scenes.anatomy.organs.ORGANS`.
         travel_m: ``(T,)`` how far the camera has moved along the organ in each frame.
         seconds: ``(T,)`` time of each frame.
         rng: decides everything.
@@ -244,7 +244,7 @@ def exposed(
 ) -> tuple[SphereLight, ...]:
     """Return the lamps so bright that direct light gives the walls in view a mean radiance of ``exposure``.
 
-    The mean is over the 9 x 9 rays of `scenes.sight.glance` and over the meshes (frames of a clip):
+    The mean is over the 9 x 9 rays of `scenes.anatomy.sight.glance` and over the meshes (frames of a clip):
     albedo x lamp intensity x mean(cos / distance^2) = exposure. It is known before anything is rendered, like the automatic
     exposure of an endoscope, and holds for a whole clip.
     """

@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field
 
 from scenes.layout import far_end
-from scenes.mesh_files import MESH_SUFFIXES, Up, load_model
-from scenes.mesh_references import mesh_inputs
-from scenes.model_scene import Pose, back_m, model_scene, model_shapes, place_model
-from scenes.picture_plane import picture_clip, plane_depth
+from scenes.models.mesh_files import MESH_SUFFIXES, Up, load_model
+from scenes.models.mesh_references import mesh_inputs
+from scenes.models.model_scene import Pose, back_m, model_scene, model_shapes, place_model
+from scenes.models.picture_plane import picture_clip, plane_depth
 from simulator.errors import InputError
 from simulator.render import Renderer
 from simulator.render.own_scene import check_depths, own_scene_files

@@ -13,14 +13,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from scenes.actors import Act, Actor, rigid
-from scenes.bodies import bodies
-from scenes.courses import floor_depth
-from scenes.events import EVENTS, MOST_ACTORS, Event, cast_event
+from scenes.fast.actors import Act, Actor, rigid
+from scenes.fast.bodies import bodies
+from scenes.fast.courses import floor_depth
+from scenes.fast.events import EVENTS, MOST_ACTORS, Event, cast_event
+from scenes.fast.rooms import Room, draw_room, floor_of, lamps_of, wall_of
 from scenes.layout import far_end
 from scenes.motion import random_rotation
 from scenes.palettes import draw_ramp, draw_theme
-from scenes.rooms import Room, draw_room, floor_of, lamps_of, wall_of
 from scenes.textures import draw_reflectance
 from simulator.render import Light, Material, Renderer, Scene, TriangleMesh
 from simulator.types import Clip, View

@@ -29,8 +29,8 @@ def rotation(axis: ArrayLike, angle_rad: float) -> Array:
     """Return the matrix that turns by an angle about an axis, right-handed (Rodrigues).
 
     Example:
-        >>> rotation([0, 0, 1], math.pi / 2).round(6) @ [1, 0, 0]
-        array([0., 1., 0.])
+        >>> (rotation([0, 0, 1], math.pi / 2) @ [1, 0, 0]).round(6).tolist()
+        [0.0, 1.0, 0.0]
     """
     x, y, z = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -41,8 +41,8 @@ def minimum_jerk(share: ArrayLike) -> Array:
     """Return how far a reaching hand is, 0..1, after a share 0..1 of its time (Flash and Hogan, 1985); clipped outside.
 
     Example:
-        >>> minimum_jerk([0.0, 0.5, 1.0])
-        array([0. , 0.5, 1. ])
+        >>> minimum_jerk([0.0, 0.5, 1.0]).tolist()
+        [0.0, 0.5, 1.0]
     """
     t = np.clip(share, 0, 1)
     return t**3 * (10 - 15 * t + 6 * t**2)

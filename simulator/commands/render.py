@@ -104,7 +104,7 @@ def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) 
         activate(variant, threads=available_cpus())
     elif config.render.outputs:
         wanted = ", ".join(config.render.outputs)
-        msg = f"--outputs: got {wanted}, but {plugin.name} is not rendered: it holds colour and depth; leave them out"
+        msg = f"render.outputs: got {wanted}, but {plugin.name} is not rendered: it holds colour and depth; leave them out"
         raise InputError(msg)
     clips: list[Clip] = []
     with plugin_errors(plugin):

@@ -45,7 +45,7 @@ def mesh_arrays(mesh: TriangleMesh, units_per_m: float, unlike: TriangleMesh | N
         units_per_m: Mitsuba world units per metre.
         unlike: leave out texture coordinates and faces that are the same objects as this mesh's.
     """
-    arrays = {
+    arrays: dict[str, np.ndarray] = {
         # Always together: Mitsuba computes normals of its own for vertices that come without.
         "vertex_positions": np.ravel(mesh.vertices_m * units_per_m).astype(np.float32),
         "vertex_normals": np.ravel(mesh.normals).astype(np.float32),

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from scenes.actions import ACTIONS
+from scenes.acting.actions import ACTIONS
+from scenes.acting.looks import BACKGROUNDS, SKINS, skin_tones
+from scenes.acting.props import KINDS
+from scenes.acting.tabletop import LIGHTS
 from scenes.activity import Action, Parameters, activity, clip_scenes, draw_parameters
-from scenes.activity_looks import BACKGROUNDS, SKINS, skin_tones
-from scenes.props import KINDS
-from scenes.tabletop import LIGHTS
 from simulator.errors import InputError
 from simulator.render import Renderer, Scene, SphereLight, TriangleMesh
 from simulator.types import SceneSource, View

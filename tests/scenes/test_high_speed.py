@@ -10,8 +10,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from scenes.courses import straight
-from scenes.events import EVENTS, MOST_ACTORS, Event
+from scenes.fast.courses import straight
+from scenes.fast.events import EVENTS, MOST_ACTORS, Event
 from scenes.high_speed import Play, draw_play, event_of, high_speed, is_black
 from scenes.layout import far_end
 from simulator.errors import InputError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from scenes.bodies import bodies
+from scenes.fast.bodies import bodies
 from scenes.motion import minimum_jerk, placed, random_rotation, rotation
 from scenes.surfaces import face_cross
 from simulator.render import Material

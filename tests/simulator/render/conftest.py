@@ -17,6 +17,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+# Scripts that other processes run, with their own folder on the path; doctest need not import them.
+collect_ignore_glob = ["*worker.py"]
+
 VARIANTS = ("scalar_rgb", "llvm_ad_rgb")
 Pictures = Mapping[str, NDArray[Any]]
 
