@@ -162,6 +162,7 @@ class Endoscopy:
             seed=int(rng.integers(2**32)),
             source={"family": "endoscopy", "index": index, "organ": organ},
             label=organ,
+            dim_fireflies=True,
         )
 
 

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.render.backend import activate
 from simulator.render.bands import check_edges, split_film
 from simulator.render.denoise import check_denoiser, denoise, denoiser_name, guides
+from simulator.render.frames import Frame, dim_fireflies_in, join_frames
 from simulator.render.gbuffer import GBuffer, centre_depth, centre_gbuffer
-from simulator.render.hidden import HiddenLayer, hidden_layers
+from simulator.render.hidden import hidden_layers
 from simulator.render.library import mitsuba
 from simulator.render.motion import motion_vectors, moved_points, seen_points
 from simulator.render.outputs import check_outputs
@@ -23,7 +23,7 @@ from simulator.render.own_scene import OwnScene, load_own_scene
 from simulator.render.repair import repair
 from simulator.render.scene import Scene
 from simulator.render.stage import Stage
-from simulator.types import FARTHEST_M, Clip, View
+from simulator.types import Clip, View
 
 # Light paths of camera - surface - ... - light: enough for light to fill the shadows of a crowded scene.
 DEFAULT_MAX_DEPTH = 5
@@ -113,6 +113,7 @@ class Renderer:
         seed: int,
         source: dict[str, Any],
         label: str | None = None,
+        dim_fireflies: bool = False,
     ) -> Clip:
         """Render scenes through the pinhole of a view: linear RGB by path tracing, depth by centre rays.
 
@@ -129,6 +130,9 @@ class Renderer:
             source: where the scene came from, JSON-serialisable; seed, samples, variant and the number of repaired pixels
                 are added to it.
             label: class name of an action, or None.
+            dim_fireflies: for wet scenes with small lamps, whose lone glaring pixels are noise that more paths hardly mend:
+                see `simulator.render.repair.firefly_dimming`. Their share and that of the light they lose is added to
+                ``source``.
 
         Returns:
             The clip. Where no surface is seen ``valid`` is false and the depth is the view's far depth (`FARTHEST_M` if
@@ -145,7 +149,9 @@ class Renderer:
         if not taken:
             msg = "frames: got none, expected at least one scene"
             raise InputError(msg)
-        return self._as_clip(taken, view, frames_per_second, seed=seed, source=source, label=label)
+        if dim_fireflies:
+            source = source | dim_fireflies_in(taken)
+        return join_frames(taken, view, frames_per_second, source | self._facts(seed), label)
 
     def own_still(
         self,
@@ -184,42 +190,18 @@ class Renderer:
         frame = self._frame(own, samples_per_pixel, seed)
         frame.depth_m, frame.hits = hits.depth_m, hits
         facts = source | {"metres_per_unit": scale, "shape_names": list(own.shape_ids)}
-        return self._as_clip([frame], view, 1, seed=seed, source=facts, label=None)
+        return join_frames([frame], view, 1, facts | self._facts(seed), None)
 
-    def _as_clip(
-        self,
-        taken: list[_Frame],
-        view: View,
-        frames_per_second: float,
-        *,
-        seed: int,
-        source: dict[str, Any],
-        label: str | None,
-    ) -> Clip:
-        """Put frames together."""
-        facts = {
-            "samples_per_pixel": taken[0].samples,
-            "render_seed": seed,
-            "variant": self.backend,
-            "repaired_pixels": sum(frame.repaired for frame in taken),
-        }
+    def _facts(self, seed: int) -> dict[str, Any]:
+        """What a clip's source says of its rendering."""
+        facts: dict[str, Any] = {"render_seed": seed, "variant": self.backend}
         if self.denoise:
             facts["denoised"] = denoiser_name()
         if self.bands_nm:
             facts["band_edges_nm"] = list(self.bands_nm)
-        depth = np.stack([frame.depth_m for frame in taken])
-        valid = np.isfinite(depth)
-        return Clip(
-            rgb=np.stack([frame.rgb for frame in taken]),
-            depth_m=np.where(valid, depth, min(view.far_m, FARTHEST_M)).astype(np.float32),
-            valid=valid,
-            frame_edges_s=np.arange(len(taken) + 1) / frames_per_second,
-            label=label,
-            source=source | facts,
-            extras=self._extras(taken, view),
-        )
+        return facts
 
-    def _trace(self, frames: Iterator[Scene], view: View, samples_per_pixel: int, seed: int) -> Iterator[_Frame]:
+    def _trace(self, frames: Iterator[Scene], view: View, samples_per_pixel: int, seed: int) -> Iterator[Frame]:
         """Yield the frames one by one; on return no Mitsuba object is left, else the next clip would recompile."""
         stage: Stage | None = None
         before: tuple[GBuffer, Scene] | None = None
@@ -236,7 +218,7 @@ class Renderer:
                 before = (frame.hits, scene)
             yield frame
 
-    def _frame(self, stage: Stage | OwnScene, samples_per_pixel: int, seed: int) -> _Frame:
+    def _frame(self, stage: Stage | OwnScene, samples_per_pixel: int, seed: int) -> Frame:
         mi = mitsuba()
 
         loaded = stage.loaded
@@ -256,46 +238,7 @@ class Renderer:
             layers = hidden_layers(
                 loaded, stage.scene, self.hidden, samples=samples, seed=seed, max_depth=self.max_depth
             )
-        return _Frame(rgb, depth, samples, repaired, hits, layers, bands)
-
-    def _extras(self, frames: list[_Frame], view: View) -> dict[str, NDArray[Any]]:
-        """Collect what was asked for."""
-        extras: dict[str, NDArray[Any]] = {}
-        if self.bands_nm:
-            extras["bands"] = np.stack([frame.bands for frame in frames if frame.bands is not None])
-        for name in ("shape_id", "normal", "albedo"):
-            if name in self.outputs:
-                extras[name] = np.stack([getattr(frame.hits, name) for frame in frames])
-        if "motion" in self.outputs:
-            shape = frames[0].rgb.shape
-            last = (np.zeros(shape, np.float32), np.zeros(shape[:2], bool))
-            moves = [*(frame.came_from or last for frame in frames[1:]), last]
-            extras["motion"] = np.stack([motion for motion, _ in moves])
-            extras["motion_valid"] = np.stack([seen for _, seen in moves])
-        if "hidden" in self.outputs:
-            for layer in range(self.hidden):
-                found = [frame.layers[layer] for frame in frames]
-                valid = np.stack([np.isfinite(one.depth_m) for one in found])
-                depth = np.stack([one.depth_m for one in found])
-                name = f"hidden{layer + 1}"
-                extras[f"{name}_rgb"] = np.stack([repair(one.rgb)[0] for one in found])
-                extras[f"{name}_depth_m"] = np.where(valid, depth, min(view.far_m, FARTHEST_M)).astype(np.float32)
-                extras[f"{name}_valid"] = valid
-        return extras
-
-
-@dataclass
-class _Frame:
-    """One rendered frame; ``came_from`` is the motion of the frame before it, and which of its points are seen here."""
-
-    rgb: NDArray[np.float32]
-    depth_m: NDArray[np.float64]
-    samples: int
-    repaired: int
-    hits: GBuffer | None
-    layers: list[HiddenLayer]
-    bands: NDArray[np.float32] | None = None
-    came_from: tuple[NDArray[np.float32], NDArray[np.bool_]] | None = None
+        return Frame(rgb, depth, samples, repaired, self.outputs, hits, layers, bands)
 
 
 def _frame_seed(seed: int, number: int) -> int:

@@ -1,4 +1,4 @@
-"""Broken pixels of a rendered picture, mended from their neighbours."""
+"""Pixels of a rendered picture that stand out falsely, mended from their neighbours: broken ones, and fireflies."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 # More broken pixels than this mean a broken scene, not a path tracer's rare accident.
 _MAX_BROKEN_SHARE = 1e-3
+_FIREFLY_RATIO = np.float32(1.25)
 
 
 def repair(rgb: NDArray[np.float32]) -> tuple[NDArray[np.float32], int]:
@@ -37,3 +38,21 @@ def repair(rgb: NDArray[np.float32]) -> tuple[NDArray[np.float32], int]:
         sound = rgb[window][~broken[window]]
         repaired[row, column] = np.median(sound, axis=0) if len(sound) else 0.0
     return repaired, count
+
+
+def firefly_dimming(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the factors ``(H, W)`` in 0..1 that dim lone bright pixels to 1.25 times their second brightest neighbour.
+
+    Where small lamps light wet walls, one path in thousands finds a lamp's mirror image by way of another wall; its pixel
+    glares for want of the other paths that would share its light. Highlights of 2 x 2 pixels and more stay, and lines but for their ends.
+
+    Args:
+        rgb: ``(H, W, 3)``, at least 2 x 2 pixels.
+    """
+    light = rgb.mean(axis=-1)
+    rows, columns = light.shape
+    around = np.pad(light, 1, constant_values=-np.inf)
+    places = [(row, column) for row in range(3) for column in range(3) if (row, column) != (1, 1)]
+    neighbours = np.stack([around[row : row + rows, column : column + columns] for row, column in places])
+    limit = _FIREFLY_RATIO * np.partition(neighbours, -2, axis=0)[-2]
+    return np.where(light > limit, limit / np.maximum(light, np.finfo(np.float32).tiny), 1).astype(np.float32)

@@ -12,7 +12,7 @@ from scipy import stats
 
 from simulator.errors import InputError
 from simulator.render import Environment, Renderer, Scene
-from simulator.render.repair import repair
+from simulator.render.repair import firefly_dimming, repair
 from simulator.types import View
 
 Pictures = Mapping[str, NDArray[Any]]
@@ -171,3 +171,21 @@ def test_an_empty_scene_is_all_misses_with_a_finite_depth_even_if_far_is_infinit
         "repaired_pixels": 0,
     }
     assert clip.source == expected
+
+
+def test_lone_glaring_pixels_are_dimmed_and_highlights_and_lines_are_not() -> None:
+    rgb = np.full((20, 30, 3), 0.2, dtype=np.float32)
+    rgb[4, 5] = (8, 4, 0)  # a firefly
+    rgb[10, 10:12] = 8.0  # the end of a highlight: each pixel has only one bright neighbour
+    rgb[15, 0:30] = 8.0  # a line
+    rgb[0, 29] = 8.0  # a firefly in a corner
+    factor = firefly_dimming(rgb)
+    expected = np.ones((20, 30))
+    expected[4, 5] = 1.25 * 0.2 / 4
+    expected[10, 10:12] = 1.25 * 0.2 / 8
+    expected[15, [0, 29]] = 1.25 * 0.2 / 8
+    expected[0, 29] = 1.25 * 0.2 / 8
+    np.testing.assert_allclose(factor, expected, rtol=1e-6)
+    np.testing.assert_array_equal(firefly_dimming(np.zeros((4, 4, 3), np.float32)), np.ones((4, 4)))
+    rgb[10:12, 10:12] = 8.0  # a highlight of 2 x 2 pixels stays
+    assert np.all(firefly_dimming(rgb)[10:12, 10:12] == 1)
