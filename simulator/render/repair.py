@@ -44,7 +44,8 @@ def firefly_dimming(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the factors ``(H, W)`` in 0..1 that dim lone bright pixels to 1.25 times their second brightest neighbour.
 
     Where small lamps light wet walls, one path in thousands finds a lamp's mirror image by way of another wall; its pixel
-    glares for want of the other paths that would share its light. Highlights of 2 x 2 pixels and more stay, and lines but for their ends.
+    glares for want of the other paths that would share its light. Highlights of 2 x 2 pixels and more stay, and lines but
+    for their ends.
 
     Args:
         rgb: ``(H, W, 3)``, at least 2 x 2 pixels.
