@@ -128,6 +128,8 @@ def documented_arguments(docstring: str) -> dict[str, str]:
 def _as_yaml(value: Any) -> str:
     if isinstance(value, bool | NoneType):
         return {True: "true", False: "false", None: "null"}[value]
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_as_yaml, value))}]"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 

@@ -93,7 +93,7 @@ def test_same_in_another_process() -> None:
 def test_versions_are_those_installed() -> None:
     versions = package_versions()
     assert versions["numpy"] == np.__version__
-    assert set(versions) == {"flatlight", "numpy", "scipy", "mitsuba", "drjit", "OpenEXR", "colour-science"}
+    assert {"flatlight", "mitsuba", "drjit", "OpenEXR", "pillow", "trimesh"} < set(versions)
     assert "absent" not in versions.values()
 
 
