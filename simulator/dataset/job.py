@@ -91,6 +91,16 @@ def generate(
     return GenerateResult(job.root, made, kept, tuple(failed), sheet, time.perf_counter() - begin)
 
 
+def _refuse_clips(frames: object) -> None:
+    """Say before any work that clips cannot be stored, of a rendered family whose clips have so many frames."""
+    if isinstance(frames, int) and frames > 1:
+        msg = (
+            f"scene.frames: got {frames}, but data sets hold stills so far; take frames=1, or look at the clips with "
+            "`flatlight render`"
+        )
+        raise InputError(msg)
+
+
 @dataclass
 class _Job:
     config: Config
@@ -103,7 +113,10 @@ class _Job:
 
     def run(self) -> tuple[int, int, list[str]]:
         """Return how many samples were made and kept, and what failed."""
-        renders = scene_plugin(self.config).takes_renderer
+        plugin = scene_plugin(self.config)
+        renders = plugin.takes_renderer
+        if renders:
+            _refuse_clips(plugin.fill(self.config.scene.params).get("frames"))
         backend = choose_backend(self.config.render.backend, self.config.render.bands is not None) if renders else None
         variant = backend.variant if backend else "none"
         if backend:

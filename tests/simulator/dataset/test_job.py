@@ -318,6 +318,12 @@ class TestRefusals:
         assert "no clip 2 today" in message
         assert "plugins.py:" in message
 
+    def test_clips_of_several_frames(self, trial) -> None:
+        """Before the PSFs are computed, not after."""
+        with pytest.raises(InputError, match=r"scene\.frames: got 20, but data sets hold stills so far; take frames=1"):
+            trial.generate(scene={"family": "high_speed", "size": [16, 20]})
+        assert not list(trial.folder.rglob("psf.json"))
+
     def test_scenes_without_light(self, trial) -> None:
         text = trial.plugins.read_text()
         trial.plugins.write_text(text.replace("3), 0.1,", "3), 0,").replace("rng.random(3)", "0"))
