@@ -117,7 +117,7 @@ class SceneSource(Protocol):
         ...
 
     def clip(self, index: int, rng: np.random.Generator) -> Clip:
-        """Return the clip of this sample index; it may be negative, counting from the end."""
+        """Return the clip of this sample index; of a source with a length it may be negative, counting from the end."""
         ...
 
 

@@ -14,7 +14,18 @@ from typing import Any
 from simulator.dataset.plain import canonical_json, plain
 from simulator.files import sha256_file
 
-PACKAGES = ("flatlight", "numpy", "scipy", "mitsuba", "drjit", "OpenEXR", "colour-science", "pillow", "tifffile", "trimesh")
+PACKAGES = (
+    "flatlight",
+    "numpy",
+    "scipy",
+    "mitsuba",
+    "drjit",
+    "OpenEXR",
+    "colour-science",
+    "pillow",
+    "tifffile",
+    "trimesh",
+)
 """Packages whose version may change a sample's bytes."""
 _FREE_IN_PSF = ("check",)  # how closely errors are looked at changes no value
 _FREE_IN_DATASET = ("output", "workers", "engine", "train", "validation", "test")  # where, how fast, how many: not what

@@ -278,8 +278,7 @@ class _Job:
         needed = clips_needed(self._counts())
         if hasattr(source, "__len__") and len(source) < needed:
             self.say(
-                f"note: the source has {len(source)} clips and the splits ask for {needed}: splits will share clips "
-                "(cropped elsewhere)"
+                f"note: the source has {len(source)} clips and the splits ask for {needed}: splits will share clips"
             )
 
 

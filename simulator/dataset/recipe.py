@@ -96,21 +96,25 @@ class SampleMaker:
 def scene_clip(source: SceneSource, seed: int, split: str, index: int) -> Clip:
     """Return the clip that a sample shows, drawn from the sample's own generator.
 
+    Splits of a source with a length count from its two ends (see `clip_index`). A source without end is asked for 0, 1, 2, ...
+    in every split: what it takes in turn, such as its classes, comes in equal parts; the generator makes the splits differ.
+
     Args:
         source: the scene source.
         seed: the data set's root seed.
         split: ``train``, ``validation``, ``test`` or ``pilot``.
         index: the sample's number within its split.
     """
-    return source.clip(clip_index(split, index), generator(seed, split, index, "scene"))
+    place = clip_index(split, index) if hasattr(source, "__len__") else index
+    return source.clip(place, generator(seed, split, index, "scene"))
 
 
 def clip_index(split: str, index: int) -> int:
-    """Return the index at which a sample asks its source for a clip.
+    """Return the index at which a sample asks a source of so and so many clips for one.
 
     Training samples count from the front, the others (every second one each) from the back, so that splits of a source
     of N clips share none as long as there are enough, and raising a count never moves a clip. Negative indices count from
-    the end, as in any Python sequence; sources that draw everything from the generator ignore the index.
+    the end, as in any Python sequence.
     """
     if SPLITS[split] in (SPLITS["train"], SPLITS["pilot"]):
         return index

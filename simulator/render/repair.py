@@ -48,12 +48,15 @@ def firefly_dimming(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
     for their ends.
 
     Args:
-        rgb: ``(H, W, 3)``, at least 2 x 2 pixels.
+        rgb: ``(H, W, 3)``; pictures of one row or column are left as they are.
     """
     light = rgb.mean(axis=-1)
     rows, columns = light.shape
+    if min(rows, columns) < 2:
+        return np.ones_like(light)
     around = np.pad(light, 1, constant_values=-np.inf)
     places = [(row, column) for row in range(3) for column in range(3) if (row, column) != (1, 1)]
     neighbours = np.stack([around[row : row + rows, column : column + columns] for row, column in places])
     limit = _FIREFLY_RATIO * np.partition(neighbours, -2, axis=0)[-2]
-    return np.where(light > limit, limit / np.maximum(light, np.finfo(np.float32).tiny), 1).astype(np.float32)
+    glaring = light > limit
+    return np.divide(limit, light, out=np.ones_like(light), where=glaring)

@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import fftconvolve
 
 from simulator.dataset import open_dataset
-from simulator.dataset.recipe import clip_index, clips_needed
+from simulator.dataset.recipe import clip_index, clips_needed, scene_clip
 from simulator.exr import decode_exr
 from simulator.plugin_files import import_file
 from simulator.types import Clip, View
@@ -187,6 +187,31 @@ def test_splits_share_no_clip_as_long_as_there_are_enough() -> None:
                 assert len({index % max(needed, 1) for index in asked}) == len(asked)
                 if train and needed > 1:  # one clip fewer, and two samples meet
                     assert len({index % (needed - 1) for index in asked}) < len(asked)
+
+
+class Endless:
+    """A source that takes ten things in turn, as the families take their classes."""
+
+    inputs = ()
+
+    def clip(self, index: int, rng: np.random.Generator) -> Clip:
+        pixel = np.full((1, 1, 1), 0.1, np.float32)
+        return Clip(np.zeros((1, 1, 1, 3), np.float32), pixel, pixel > 0, np.array([0.0, 1.0]), label=str(index % 10))
+
+
+class Finite(Endless):
+    def __len__(self) -> int:
+        return 7
+
+
+@pytest.mark.parametrize("split", ["train", "validation", "test"])
+def test_every_split_of_an_endless_source_has_all_classes_in_equal_parts(split: str) -> None:
+    labels = [scene_clip(Endless(), SEED, split, index).label for index in range(30)]
+    assert sorted(labels) == sorted(3 * [str(number) for number in range(10)])
+
+
+def test_splits_of_a_finite_source_count_from_its_ends() -> None:
+    assert [scene_clip(Finite(), SEED, split, 1).label for split in ("train", "validation", "test")] == ["1", "7", "6"]
 
 
 def test_raising_a_count_moves_no_clip() -> None:

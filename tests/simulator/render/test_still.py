@@ -186,6 +186,9 @@ def test_lone_glaring_pixels_are_dimmed_and_highlights_and_lines_are_not() -> No
     expected[15, [0, 29]] = 1.25 * 0.2 / 8
     expected[0, 29] = 1.25 * 0.2 / 8
     np.testing.assert_allclose(factor, expected, rtol=1e-6)
-    np.testing.assert_array_equal(firefly_dimming(np.zeros((4, 4, 3), np.float32)), np.ones((4, 4)))
+    with np.errstate(all="raise"):
+        for dark in ((4, 4), (1, 9), (9, 1), (1, 1)):
+            np.testing.assert_array_equal(firefly_dimming(np.zeros((*dark, 3), np.float32)), np.ones(dark))
+    np.testing.assert_array_equal(firefly_dimming(rgb[15:16]), np.ones((1, 30)))
     rgb[10:12, 10:12] = 8.0  # a highlight of 2 x 2 pixels stays
     assert np.all(firefly_dimming(rgb)[10:12, 10:12] == 1)
