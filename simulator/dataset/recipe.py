@@ -96,8 +96,9 @@ class SampleMaker:
 def scene_clip(source: SceneSource, seed: int, split: str, index: int) -> Clip:
     """Return the clip that a sample shows, drawn from the sample's own generator.
 
-    Splits of a source with a length count from its two ends (see `clip_index`). A source without end is asked for 0, 1, 2, ...
-    in every split: what it takes in turn, such as its classes, comes in equal parts; the generator makes the splits differ.
+    Splits of a source with a length count from its two ends (see `clip_index`). A source without end is asked for 0, 1, 2
+    and so on in every split: what it takes in turn, such as its classes, comes in equal parts; the generator makes the
+    splits differ.
 
     Args:
         source: the scene source.

@@ -90,9 +90,6 @@ class Renderer:
 
         The arguments and errors are those of `clip`.
         """
-        if "motion" in self.outputs:
-            msg = "render.outputs: motion needs clips of at least 2 frames, and this scene is a still; leave it out"
-            raise InputError(msg)
         return self.clip(
             [scene],
             view,
@@ -139,8 +136,8 @@ class Renderer:
             that is infinite: a depth is never inf).
 
         Raises:
-            InputError: when the samples, the seed or the frame rate are out of range, there is no frame, or frames have
-                different slots.
+            InputError: when the samples, the seed or the frame rate are out of range, there is no frame, frames have
+                different slots, or motion is asked for of a still.
             RuntimeError: when more than 0.1 % of a frame's pixels are not finite.
         """
         _check_numbers(samples_per_pixel, seed, frames_per_second)
@@ -148,6 +145,9 @@ class Renderer:
         taken = list(self._trace(iter(frames), view, samples_per_pixel, seed))
         if not taken:
             msg = "frames: got none, expected at least one scene"
+            raise InputError(msg)
+        if "motion" in self.outputs and len(taken) == 1:
+            msg = "render.outputs: motion needs clips of at least 2 frames, and this scene is a still; leave it out"
             raise InputError(msg)
         if dim_fireflies:
             source = source | dim_fireflies_in(taken)
