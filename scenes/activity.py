@@ -161,7 +161,7 @@ def draw_parameters(action: str, view: View, rng: np.random.Generator, *, durati
         duration_s=duration_s,
         margins=(0.02 + 0.12 * shares[10], 0.02 + 0.12 * shares[11]),
         tremor_m=0.0006 + 0.0012 * shares[12],
-        grain_m=0.0035 + 0.002 * shares[13],
+        grain_m=0.0065 + 0.003 * shares[13],
         luck=rng.random(32),
     )
     return Parameters(action, cast, looks, viewpoint, light, lights)

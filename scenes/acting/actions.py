@@ -216,7 +216,9 @@ def _fetched(cast: Cast, times_s: list[float], stops_m: list[Array]) -> Course:
         if time_s >= gripped_s if forwards else time_s <= gripped_s:
             point = _steadied(cast, point, time_s)
             return cast.main.gripping(point, width, shoulder), cast.carried(point)
-        hand = cast.main.gripping(point + 0.5 * cast.shake_m(time_s), width, shoulder)
+        # The free hand is steady where it closes, as the thing on the table is: else it would jump at that moment.
+        steady = min(0.5, float(np.linalg.norm(point - cast.on_table_m)) / 0.1)
+        hand = cast.main.gripping(point + steady * cast.shake_m(time_s), width, shoulder)
         return hand, cast.carried(cast.on_table_m)
 
     return _one_hand(cast, act)
@@ -304,9 +306,9 @@ def _pouring(cast: Cast) -> Course:
     thing, actor = cast.thing, cast.main
     low, high = cast.in_air_m, cast.in_air_m.copy()
     high[1] = min(high[1], -0.06 - np.hypot(thing.height_m - cast.grip_height_m, thing.width_m))
-    # Mostly inwards, as a forearm turns.
-    tilt = float(np.radians(112 + 33 * cast.luck[10]) * (-1 if cast.luck[11] < 0.75 else 1) * actor.side)
-    tilting, end = cast.times(0.18, 0.55), cast.times(1)[0]
+    # Inwards, as a forearm turns, and so towards the viewer: the stream falls before the hand, not behind its fingers.
+    tilt = -actor.side * math.radians(112 + 33 * cast.luck[10])
+    tilting, end = cast.times(0.05, 0.4), cast.times(1)[0]
     shoulder = actor.shoulder(high)
     second = _resting(cast)
 
@@ -315,7 +317,7 @@ def _pouring(cast: Cast) -> Course:
         angle = float(keyed(time_s, tilting, [0.0, tilt]))
         return _steadied(cast, point, time_s), rotation(actor.forwards, angle)
 
-    opening = cast.times(0.42)[0]
+    opening = cast.times(0.3)[0]
     released = opening + (0.9 * end - opening) * np.sort(np.random.default_rng(_seed(cast)).random(GRAINS))
     flights = _Flights(cast, carry, released, math.copysign(1, tilt))
 

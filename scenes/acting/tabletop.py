@@ -31,6 +31,8 @@ _CLOSEST_M = 0.37
 # Hands and things seldom come nearer to the camera than the action's place by more; see `Viewpoint.placed`.
 _REACH_M = 0.2
 _WALL_M = (0.15, 0.8)
+# Sizes differ at most by this factor from clip to clip: deep ranges would else be full of tiny hands.
+_SIZES = 2.5
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,10 @@ class Viewpoint:
 def draw_viewpoint(view: View, rng: np.random.Generator) -> Viewpoint:
     """Draw a viewpoint and a wall; everything that can be seen lies between near and far.
 
+    The set's size is drawn log-uniformly from those that fit, but never larger than life where life's size fits or is too
+    large, and as near to it as can be where only larger sizes fit; and never more than 2.5 times below the largest of
+    these. A hand is about 3 to 6 cm long between 3.6 and 20 cm, and 6 to 19 cm between 3.6 cm and 1 m or more.
+
     Raises:
         InputError: when the depth range is too thin for any.
     """
@@ -96,9 +102,15 @@ def draw_viewpoint(view: View, rng: np.random.Generator) -> Viewpoint:
             break
     else:
         raise InputError(_too_thin(view, far_end(view) * least / most))
-    scale = least * min(most / least, 1.6) ** shares[5]
+    scale = _size(least, most, shares[5])
     knee = scale * (_distance(turn, eye) - _REACH_M)
     return Viewpoint(turn, eye, scale, wall, ease * yaw, pitch, view.near_m, knee)
+
+
+def _size(least: float, most: float, share: float) -> float:
+    largest = min(most, max(1.0, least))
+    smallest = max(least, largest / _SIZES)
+    return smallest * (largest / smallest) ** share
 
 
 def _too_thin(view: View, needed_m: float) -> str:

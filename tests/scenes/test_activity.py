@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from scenes.acting.actions import ACTIONS
 from scenes.acting.looks import BACKGROUNDS, SKINS, skin_tones
 from scenes.acting.props import KINDS
-from scenes.acting.tabletop import LIGHTS
+from scenes.acting.tabletop import LIGHTS, draw_viewpoint
 from scenes.activity import Action, Parameters, activity, clip_scenes, draw_parameters
 from simulator.errors import InputError
 from simulator.render import Renderer, Scene, SphereLight, TriangleMesh
@@ -28,6 +28,7 @@ VIEWS = {
     "default": DEFAULT,
     "wide": View((64, 128), 60e-6, 1.9e-3, 0.01, 0.2),
     "narrow": View((384, 320), 2.4e-6, 1.0e-2, 0.1, 0.5),
+    "deep": View((128, 128), 19.2e-6, 1.9e-3, 0.036, 1.0),
     "infinite": View((128, 128), 19.2e-6, 1.9e-3, 0.036, math.inf),
 }
 SCALAR = Renderer("scalar_rgb")
@@ -150,6 +151,26 @@ def test_table_and_wall_fill_the_picture_in_range() -> None:
         clip = source.clip(index, np.random.default_rng(index))
         assert clip.valid.all()
         assert SMALL.near_m <= clip.depth_m.min() < clip.depth_m.max() <= SMALL.far_m
+
+
+@pytest.mark.parametrize(
+    ("near_m", "far_m", "smallest", "largest"),
+    [
+        (0.036, 1.0, 0.33, 1.0),
+        (0.036, math.inf, 0.4, 1.0),
+        (0.036, 0.2, 0.13, 0.35),
+        # Only sets larger than life fit here: 0.3 m is 8.3 times 0.036 m, where the least is 0.13 to 0.204.
+        (0.3, 3.0, 1.08, 1.71),
+    ],
+)
+def test_the_set_is_never_tiny_in_a_deep_range_nor_larger_than_it_has_to_be(
+    near_m: float, far_m: float, smallest: float, largest: float
+) -> None:
+    view = View((128, 128), 19.2e-6, 1.9e-3, near_m, far_m)
+    scales = np.array([draw_viewpoint(view, np.random.default_rng(seed)).scale for seed in range(60)])
+    assert smallest < scales.min()
+    assert scales.max() <= largest
+    assert 1.4 < scales.max() / scales.min() < 3
 
 
 def test_a_clip_keeps_the_contract() -> None:

@@ -62,6 +62,31 @@ def test_nothing_goes_into_the_table_or_jumps(action: str) -> None:
         assert np.linalg.norm(np.diff(wrists, axis=0), axis=1).max() < 0.06
 
 
+@pytest.mark.parametrize("action", ["picking_up", "putting_down", "poking"])
+def test_the_hand_does_not_jump_when_it_closes_or_touches(action: str) -> None:
+    """In steps of 1 ms the speed changes steadily: a jump of x would show as a second difference of x.
+
+    A reach of 0.3 m in 0.4 s accelerates by at most 5.8 D / T^2 = 11 m/s^2 (minimum jerk) and the wrist by as much again
+    as the fingers open, which is 2.2e-5 m per step squared; the tremor adds 1.8 mm * 0.25 * (2 pi 9.2 Hz)^2 = 1.5 m/s^2.
+    """
+    for seed in SEEDS:
+        cast, at, _ = acted(action, seed)
+        wrists = np.array([at(time).hand.wrist_m for time in np.arange(0, cast.duration_s, 1e-3)])
+        assert np.abs(np.diff(wrists, 2, axis=0)).max() < 2.5e-5
+
+
+def test_grains_are_poured_early_and_on_the_viewers_side_of_the_hand() -> None:
+    for seed in range(6):
+        cast, at, times = acted("pouring", seed)
+        first = next(time for time in times if at(time).grains_m is not None)
+        assert 0.25 < first / cast.duration_s < 0.5
+        moment = at(times[-1])
+        assert moment.grains_m is not None
+        thumb, fingers = pads_m(cast, moment.hand)
+        grains = np.nanmean(moment.grains_m, axis=0)
+        assert (grains - (thumb + fingers) / 2)[2] < 0, "nearer than the grip"
+
+
 @pytest.mark.parametrize(("action", "sign"), [("moving_right_to_left", -1), ("moving_left_to_right", 1)])
 def test_moving_crosses_the_picture_in_its_direction(action: str, sign: int) -> None:
     for seed in SEEDS:
