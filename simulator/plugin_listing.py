@@ -144,10 +144,21 @@ def _expected(annotation: Any, metadata: Iterable[Any] = ()) -> str:
     if origin is Literal:
         return " | ".join(_as_yaml(value) for value in get_args(annotation))
     if origin in (tuple, list):
-        return "list"
+        return _several(get_args(annotation), fixed=origin is tuple)
     words = _TYPES.get(annotation, getattr(annotation, "__name__", str(annotation)))
     limits = _limits(metadata)
     return f"{words} {limits}" if limits else words
+
+
+def _several(items: tuple[Any, ...], *, fixed: bool) -> str:
+    """Return a list's items in words: ``list of paths``, ``3 numbers from 0``, ``list of round | square``."""
+    kinds = [_expected(item) for item in items if item is not Ellipsis]
+    if not kinds:
+        return "list"
+    if len(set(kinds)) > 1:
+        return f"list of {', '.join(kinds)}"
+    many = re.sub(r"^(number|whole number|path|text|list)\b", r"\1s", kinds[0])
+    return f"{len(kinds)} {many}" if fixed and Ellipsis not in items else f"list of {many}"
 
 
 def _limits(metadata: Iterable[Any]) -> str:

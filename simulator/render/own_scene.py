@@ -180,23 +180,28 @@ def _parsed(path: Path) -> tuple[Any, list[Path]]:
         raise InputError(msg)
     with home_for_kernels():  # a process that only parses has not activated a variant
         mi = mitsuba()
-    before = mi.file_resolver()
-    resolver = mi.FileResolver(before)
-    resolver.prepend(str(path.parent.resolve()))
+    before, folder = mi.file_resolver(), path.parent.resolve()
+    resolver = mi.FileResolver()
+    resolver.clear()  # of the current directory, on which data must not depend
+    resolver.append(str(folder))
     mi.set_file_resolver(resolver)
     try:
         config = _config(_ANY_VARIANT)
         with _mitsuba_errors(path):
-            state = mi.parser.parse_file(config, str(path))
+            state = mi.parser.parse_file(config, str(path.absolute()))
             mi.parser.transform_all(config, state)
-        files = [path, *(Path(str(resolver.resolve(str(name)))) for name in state.files[1:])]
+        files = [path]
+        for name in state.files[1:]:
+            files.append(_beside(resolver, folder, str(name)))
+            _check_part(path, "an <include>", str(name), files[-1])
         for node in state.nodes:
             for key in node.props.keys():  # noqa: SIM118 (no dictionary)
                 # Only these are looked at: Mitsuba takes what was looked at for known, and would keep misspelt names quiet.
                 if key.endswith("filename") and node.props.type(key) == mi.Properties.Type.String:
                     value = str(node.props[key])
-                    file = Path(str(resolver.resolve(value))).absolute()
-                    _check_part(path, node, value, file)
+                    file = _beside(resolver, folder, value)
+                    kind = str(node.type).rpartition(".")[2].lower()
+                    _check_part(path, f"its {kind} {node.props.plugin_name()!r}", value, file)
                     node.props[key] = str(file)
                     files.append(file)
     finally:
@@ -205,11 +210,16 @@ def _parsed(path: Path) -> tuple[Any, list[Path]]:
     return state, list(dict.fromkeys(files))
 
 
-def _check_part(path: Path, node: Any, value: str, file: Path) -> None:
+def _beside(resolver: Any, folder: Path, name: str) -> Path:
+    """Return the absolute path of a file that is named from the XML file's folder, or from a ``<path>`` of its own."""
+    found = Path(str(resolver.resolve(name)))  # as it was given where there is none
+    return found if found.is_absolute() else folder / found
+
+
+def _check_part(path: Path, user: str, value: str, file: Path) -> None:
     if not file.is_file():
-        kind = str(node.type).rpartition(".")[2].lower()
         msg = (
-            f"{path}: its {kind} {node.props.plugin_name()!r} needs the file {value!r}, and there is none at {file}; "
+            f"{path}: {user} needs the file {value!r}, and there is none at {file}; "
             "put it beside the XML file, or write its path from there"
         )
         raise InputError(msg)

@@ -28,6 +28,12 @@ def shape(
     depth_cm: Annotated[float, Field(ge=0.5)] | None = None,
     kind: Literal["round", "square"] = "round",
     open: bool = True,
+    size_mm: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (1.0, 2.5),
+    kinds: Annotated[list[Literal["round", "square"]], Field(min_length=1)] | None = None,
+    files: Path | list[Path] = Path("a"),
+    rows: list[list[int]] = [],
+    offsets: tuple[float, ...] = (),
+    named: tuple[str, int] = ("a", 1),
 ):
     """Return nothing.
 
@@ -59,6 +65,12 @@ def test_parameters_have_type_range_default_and_meaning(plugin) -> None:
         ("depth_cm", "null", "number from 0.5", ""),
         ("kind", "round", "round | square", "round or not"),
         ("open", "true", "true or false", ""),
+        ("size_mm", "[1, 2.5]", "2 numbers over 0", ""),
+        ("kinds", "null", "list of round | square", ""),
+        ("files", "a", "path or list of paths", ""),
+        ("rows", "[]", "list of lists of whole numbers", ""),
+        ("offsets", "[]", "list of numbers", ""),
+        ("named", "[a, 1]", "list of text, whole number", ""),
     ]
 
 

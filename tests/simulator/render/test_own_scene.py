@@ -216,6 +216,48 @@ def test_outputs_that_are_not_known_are_refused(tmp_path: Path, output: str) -> 
         render(write(tmp_path, SENSOR, LIGHT, BALL), outputs=(output,))
 
 
+TRIANGLE = "v 1 1 1\nv -1 -1 1\nv -1 1 -1\nf 1 2 3\n"
+INCLUDED = f'<scene version="3.0.0">{LIGHT}</scene>'
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "content"),
+    [
+        ('<shape type="obj"><string name="filename" value="part.obj"/></shape>', "part.obj", TRIANGLE),
+        ('<include filename="part.xml"/>', "part.xml", INCLUDED),
+    ],
+)
+def test_a_file_in_the_current_directory_does_not_stand_in_for_one_beside_the_xml(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: str, name: str, content: str
+) -> None:
+    (tmp_path / "xml").mkdir()
+    path = write(tmp_path / "xml", SENSOR, LIGHT, part)
+    (tmp_path / name).write_text(content, encoding="utf-8")
+    beside = tmp_path / "xml" / name
+    monkeypatch.chdir(tmp_path)
+    for given in (path, Path("xml") / path.name):
+        with pytest.raises(
+            InputError, match=rf"needs the file .*{name}', and there is none at {beside}; put it beside"
+        ):
+            own_scene_files(given)
+        with pytest.raises(InputError, match=f"there is none at {beside}"):
+            load_own_scene(given, VIEW, 3)
+    beside.write_text(content, encoding="utf-8")
+    assert own_scene_files(path) == [path, beside]
+    (tmp_path / name).unlink()
+    assert own_scene_files(path) == [path, beside], "whatever the current directory holds"
+
+
+def test_a_folder_that_the_file_adds_is_looked_into(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    part = tmp_path / "xml" / "parts" / "part.obj"
+    part.parent.mkdir(parents=True)
+    part.write_text(TRIANGLE, encoding="utf-8")
+    shape = '<shape type="obj"><string name="filename" value="part.obj"/></shape>'
+    write(tmp_path / "xml", '<path value="parts"/>', LIGHT, shape)
+    monkeypatch.chdir(tmp_path)
+    assert own_scene_files(Path("xml/own.xml")) == [Path("xml/own.xml"), part]
+
+
 def test_a_missing_file_and_one_that_is_no_scene_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nothing\.xml: no such file"):
         load_own_scene(tmp_path / "nothing.xml", VIEW, 3)
