@@ -42,7 +42,8 @@ def files(
     Args:
         view: image shape, pinhole geometry and depth range.
         path: a file, a list of files, or a folder, of which the scenes and meshes are taken in the order of their names, or
-            its pictures if it has neither.
+            its pictures if it has neither; pictures are turned as their EXIF data say, and what is transparent is seen before
+            black.
         samples_per_pixel: light paths per pixel; noise falls with the square root.
         length_of_unit_cm: what one unit of an XML scene or a mesh stands for; without it, scenes are scaled about their
             camera, and meshes about their middle, to fit the view and its depths.

@@ -1,6 +1,9 @@
 """Lossless reading of picture files (PNG, WebP, JPEG, 8 bit or 16 bit grey) as the integers that they hold.
 
 No gamma is removed here and no value scaled: the caller knows whether the numbers are sRGB codes or linear counts.
+
+Data sets and measurements are read as they are stored, pixel by pixel beside their depths and masks (`read_picture`); the
+user's own photographs as a viewer shows them, upright and with their transparency (`read_shown_picture`).
 """
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ import struct
 import warnings
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +26,7 @@ MAX_PIXELS = 178_956_970
 """Largest picture that is decoded, Pillow's own limit; a few bytes may claim any size, so headers are judged first."""
 
 _BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)
+_ORIENTATION = 274  # the tag of EXIF and of TIFF
 # Pillow's modes whose pixels are exactly what the file holds, or a palette's colours; alpha is dropped.
 _CONVERT = {
     "1": "L",
@@ -58,6 +62,52 @@ def read_picture(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
             raise InputError(msg)
         loaded = _load(image, path)
         return np.asarray(loaded if loaded.mode == _CONVERT[mode] else loaded.convert(_CONVERT[mode]))
+
+
+def read_shown_picture(path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint16], NDArray[np.uint8] | None]:
+    """Read one picture as it is meant to be seen: turned as its EXIF data say, and with its transparency.
+
+    Args:
+        path: a file that Pillow reads.
+
+    Returns:
+        The picture as :func:`read_picture` gives it, but upright; and its straight alpha ``(H, W)``, 255 for opaque, or None
+        where it has none.
+
+    Raises:
+        InputError: as for :func:`read_picture`; when its EXIF data are damaged, or 16 bit grey has a transparent value.
+    """
+    values = read_picture(path)
+    alpha = None
+    with _open(path) as image:
+        loaded = _load(image, path)
+        if loaded.has_transparency_data:
+            if values.dtype == np.uint16:
+                msg = (
+                    f"{path} has 16 bit grey with a transparent value, which is not read; save it without transparency"
+                )
+                raise InputError(msg)
+            alpha = np.asarray(loaded.convert("RGBA"))[..., 3]
+        try:
+            orientation = loaded.getexif().get(_ORIENTATION, 1)
+        except _BROKEN as error:
+            msg = f"{path} has damaged EXIF data ({error}): save it again without them"
+            raise InputError(msg) from error
+    return upright(values, orientation), None if alpha is None else upright(alpha, orientation)
+
+
+def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
+    """Return a picture ``(H, W)`` or ``(H, W, C)`` turned and mirrored as EXIF and TIFF number it; 1 is upright already.
+
+    Example:
+        >>> upright(np.array([[1, 2], [3, 4]]), 6).tolist()
+        [[3, 1], [4, 2]]
+    """
+    if orientation in (5, 6, 7, 8):
+        values = values.swapaxes(0, 1)
+    if orientation in (2, 3, 6, 7):
+        values = values[:, ::-1]
+    return values[::-1] if orientation in (3, 4, 7, 8) else values
 
 
 def picture_shape(path: Path) -> tuple[int, int]:

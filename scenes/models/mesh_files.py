@@ -28,6 +28,7 @@ MESH_SUFFIXES = (".obj", ".ply", ".stl", ".gltf", ".glb")
 _CREASE_COS = np.cos(np.radians(35))
 # From the file's axes to ours: x stays to the right, up becomes -y, and what looks at the viewer keeps doing so.
 _TO_OURS = {"y": np.diag([1.0, -1, -1]), "z": np.array([(1.0, 0, 0), (0, 0, -1), (0, 1, 0)])}
+_STL_HEAD = 84
 
 
 @dataclass(frozen=True)
@@ -80,12 +81,28 @@ def _load(path: Path, axis: str, turn_degrees: float, *_when: int) -> Model:
     to_ours = rotation([0, 1, 0], np.radians(turn_degrees)) @ _TO_OURS[axis] if turn_degrees else _TO_OURS[axis]
     pieces = [_triangles(path, *node, to_ours) for node in _nodes(path)]
     if not pieces:
+        _refuse_cut_stl(path)
         msg = f"{path} holds no faces: a point cloud or an empty file; export it as triangles"
         raise InputError(msg)
     every = np.concatenate([corners for corners, _, _ in pieces])
     low, high = every.min(axis=0), every.max(axis=0)
     centre = (low + high) / 2
     return Model(tuple(_merged(pieces)), centre, float(np.linalg.norm(every - centre, axis=1).max()))
+
+
+def _refuse_cut_stl(path: Path) -> None:
+    """Name the fault of a binary STL file, of 50 bytes a triangle after 80 and their count, whose length is not that."""
+    head, size = path.read_bytes()[:_STL_HEAD], path.stat().st_size
+    if path.suffix.lower() != ".stl" or len(head) < _STL_HEAD or b"facet" in head:
+        return
+    count = int.from_bytes(head[80:84], "little")
+    expected = _STL_HEAD + 50 * count
+    if size != expected:
+        msg = (
+            f"{path} is damaged or cut short: its header promises {count} triangles, which are {expected} bytes, "
+            f"and it has {size}; fetch it or export it again"
+        )
+        raise InputError(msg)
 
 
 def _nodes(path: Path) -> list[tuple[Any, Array]]:

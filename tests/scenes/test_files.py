@@ -185,6 +185,27 @@ def test_exr_and_float_tiff_are_linear_and_16_bit_tiff_is_srgb(tmp_path: Path) -
     np.testing.assert_allclose(clips[3], linear(codes / 257), rtol=1e-6)
 
 
+def test_pictures_are_upright_and_what_is_transparent_is_before_black(tmp_path: Path) -> None:
+    codes = np.random.default_rng(2).integers(0, 256, (*VIEW.shape, 4), dtype=np.uint8)
+    before_black = linear(codes[..., :3]) * codes[..., 3:] / 255
+    exif = Image.Exif()
+    exif[274] = 6  # stored lying on its left: what is up in the stored picture belongs to the right
+    lying = np.rot90(codes)
+    Image.fromarray(lying).save(tmp_path / "a.png", exif=exif)
+    tag = [(274, "H", 1, 6, True)]
+    straight: dict[str, Any] = {"photometric": "rgb", "extrasamples": ["unassalpha"], "extratags": tag}
+    tifffile.imwrite(tmp_path / "b.tif", lying, **straight)
+    light = np.concatenate([linear(codes[..., :3]), codes[..., 3:] / 255], axis=-1).astype(np.float32)
+    tifffile.imwrite(tmp_path / "c.tif", np.rot90(light), **straight)
+    tifffile.imwrite(tmp_path / "d.tif", codes, photometric="rgb", extrasamples=["assocalpha"])
+    family = source(tmp_path)
+    for index in range(3):
+        clip = family.clip(index, np.random.default_rng(0))
+        np.testing.assert_allclose(clip.rgb[0], before_black, rtol=1e-6)
+    with pytest.raises(InputError, match=r"d\.tif has a fourth channel that is no straight alpha .*; save it as RGB"):
+        family.clip(3, np.random.default_rng(0))
+
+
 def test_parameters_come_from_yaml_and_explain_themselves(tmp_path: Path) -> None:
     tetra(tmp_path)
     plugin = resolve("scene", "files", tmp_path)

@@ -6,10 +6,10 @@ import zlib
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageOps
 
 from simulator.errors import InputError
-from simulator.pictures import MAX_PIXELS, picture_shape, read_picture
+from simulator.pictures import MAX_PIXELS, picture_shape, read_picture, read_shown_picture
 
 
 @pytest.fixture
@@ -49,6 +49,48 @@ def test_16_bit_colour_is_refused_rather_than_halved(tmp_path, rng):
     cv2.imwrite(str(tmp_path / "deep.png"), rng.integers(0, 65535, (6, 4, 3), dtype=np.uint16))
     with pytest.raises(InputError, match=r"deep\.png is a 16 bit colour PNG.*TIFF"):
         read_picture(tmp_path / "deep.png")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".webp"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_shown_picture_is_upright_as_pillow_turns_it_and_a_read_one_as_it_is_stored(
+    tmp_path, rng, suffix, orientation
+):
+    rgba = rng.integers(0, 255, (5, 7, 4), dtype=np.uint8, endpoint=True)
+    rgba[..., 3] |= 1  # WebP may drop the colour of what cannot be seen
+    exif = Image.Exif()
+    exif[274] = orientation
+    path = tmp_path / f"a{suffix}"
+    Image.fromarray(rgba).save(path, exif=exif, lossless=True)
+    with Image.open(path) as image:
+        expected = np.asarray(ImageOps.exif_transpose(image))
+    codes, alpha = read_shown_picture(path)
+    assert alpha is not None
+    assert np.array_equal(codes, expected[..., :3])
+    assert np.array_equal(alpha, expected[..., 3])
+    assert np.array_equal(read_picture(path), rgba[..., :3])
+
+
+def test_a_colour_of_a_palette_or_of_8_bits_may_be_transparent_and_16_bits_are_upright(tmp_path, rng):
+    image = Image.fromarray(np.array([[0, 1], [1, 0]], np.uint8), "L").convert("P")
+    image.putpalette([10, 20, 30, 200, 100, 50])
+    image.save(tmp_path / "a.png", transparency=1)
+    codes, alpha = read_shown_picture(tmp_path / "a.png")
+    assert alpha is not None
+    assert alpha.tolist() == [[255, 0], [0, 255]]
+    assert codes[0, 0].tolist() == [10, 20, 30]
+    Image.fromarray(np.array([[[9, 9, 9], [1, 2, 3]]], np.uint8)).save(tmp_path / "b.png", transparency=(1, 2, 3))
+    assert np.array_equal(np.asarray(read_shown_picture(tmp_path / "b.png")[1]), [[255, 0]])
+    grey = rng.integers(0, 65535, (6, 4), dtype=np.uint16, endpoint=True)
+    exif = Image.Exif()
+    exif[274] = 6
+    Image.fromarray(grey).save(tmp_path / "c.png", exif=exif)
+    codes, alpha = read_shown_picture(tmp_path / "c.png")
+    assert alpha is None
+    assert np.array_equal(codes, np.rot90(grey, -1))
+    Image.fromarray(grey).save(tmp_path / "d.png", transparency=5)
+    with pytest.raises(InputError, match=r"d\.png has 16 bit grey with a transparent value"):
+        read_shown_picture(tmp_path / "d.png")
 
 
 def test_unknown_pixel_kinds_are_refused(tmp_path):

@@ -270,6 +270,24 @@ def test_a_broken_file_is_named_with_its_fault(tmp_path: Path, name: str) -> Non
 
 
 @pytest.mark.parametrize(
+    ("cut", "message"),
+    [
+        (slice(0, 1000), "is damaged or cut short: its header promises 80 triangles, .* 4084 bytes, and it has 1000"),
+        (slice(0, 84), "promises 80 triangles, which are 4084 bytes, and it has 84"),
+        (slice(0, 40), "holds no faces"),
+    ],
+)
+def test_a_binary_stl_that_is_cut_short_is_called_so(tmp_path: Path, cut: slice, message: str) -> None:
+    trimesh: Any = importlib.import_module("trimesh")
+    whole = trimesh.creation.icosphere(subdivisions=1).export(file_type="stl")
+    path = tmp_path / "ball.stl"
+    for head in (whole, b"solid" + whole[5:]):  # as some programs begin binary files too
+        path.write_bytes(head[cut])
+        with pytest.raises(InputError, match=rf"ball\.stl .*{message}"):
+            load_model(path)
+
+
+@pytest.mark.parametrize(
     ("line", "message"),
     [
         ("map_Kd gone.png", r"quad\.obj: it needs the file 'gone\.png', and there is none"),
