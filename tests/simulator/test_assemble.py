@@ -210,6 +210,27 @@ class TestSources:
         assert getattr(source, "renderer").backend == "scalar_rgb"  # noqa: B009
         assert not assemble.scene_plugin(load_config(trial.write())).takes_renderer
 
+    @pytest.mark.parametrize(
+        ("render", "fields"),
+        [
+            ({}, {"outputs": (), "hidden": 1, "denoise": False, "bands_nm": ()}),
+            ({"outputs": ["normal", "hidden"]}, {"outputs": ("normal", "hidden"), "hidden": 1}),
+            ({"outputs": ["hidden"], "hidden_layers": 3}, {"outputs": ("hidden",), "hidden": 3}),
+            ({"denoise": True}, {"denoise": True, "outputs": (), "bands_nm": ()}),
+            ({"bands": {"from_nm": 400, "to_nm": 700, "count": 3}}, {"bands_nm": (400, 500, 600, 700)}),
+        ],
+    )
+    def test_what_is_asked_of_rendering_reaches_the_renderer(
+        self, trial, monkeypatch: pytest.MonkeyPatch, render: dict, fields: dict
+    ) -> None:
+        monkeypatch.setattr("simulator.render.renderer.check_denoiser", lambda: None)  # it need not be installed
+        scene = {"family": "flying_things", "size": [16, 20]}
+        config = load_config(trial.write(scene=scene, render={"backend": "scalar"} | render))
+        variant = "scalar_spectral" if "bands" in render else "scalar_rgb"
+        renderer = getattr(assemble.build_source(config, variant), "renderer")  # noqa: B009
+        assert {name: getattr(renderer, name) for name in fields} == fields
+        assert renderer.backend == variant
+
 
 @pytest.mark.parametrize(
     ("camera", "words"),

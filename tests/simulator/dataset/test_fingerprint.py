@@ -3,6 +3,7 @@
 import copy
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,22 @@ def test_versions_are_those_installed() -> None:
     assert versions["numpy"] == np.__version__
     assert {"flatlight", "mitsuba", "drjit", "OpenEXR", "pillow", "trimesh"} < set(versions)
     assert "absent" not in versions.values()
+
+
+def test_the_denoiser_counts_where_it_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its version changes what it makes of a picture, and nothing of pictures that it never sees."""
+    version = metadata.version
+    found = {}
+    for number in ("1.0", "2.0"):
+        monkeypatch.setattr(metadata, "version", lambda name, n=number: n if name == "pyoidn" else version(name))
+        for denoise in (True, False):
+            config = CONFIG | {"render": {"backend": "auto", "denoise": denoise}}
+            found[denoise, number], parts = build_fingerprint(config, "llvm_ad_rgb")
+            assert parts["versions"].get("pyoidn") == (number if denoise else None)
+        assert build_fingerprint(CONFIG, "llvm_ad_rgb")[1]["versions"].get("pyoidn") is None
+    assert found[True, "1.0"] != found[True, "2.0"]
+    assert found[False, "1.0"] == found[False, "2.0"]
+    assert found[True, "1.0"] != found[False, "1.0"]
 
 
 def test_differences_are_readable(tmp_path: Path) -> None:
