@@ -5,6 +5,7 @@ import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ CONFIG = {
 def changed(*path: object) -> dict:
     """A copy of the configuration with the value at ``path[:-1]`` replaced by ``path[-1]``."""
     config = copy.deepcopy(CONFIG)
-    inner = config
+    inner: Any = config
     for key in path[:-2]:
         inner = inner[key]
     inner[path[-2]] = path[-1]
