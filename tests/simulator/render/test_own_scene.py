@@ -98,6 +98,12 @@ def test_without_a_scale_depths_lie_in_the_middle_of_the_range(tmp_path: Path) -
     assert np.all(clip.depth_m[~clip.valid] == np.float32(VIEW.far_m))
 
 
+def test_a_light_that_lights_nothing_is_refused(tmp_path: Path) -> None:
+    dark = '<emitter type="constant"><rgb name="radiance" value="0"/></emitter>'
+    with pytest.raises(InputError, match=r"renders black: none of its lights reaches what its camera sees"):
+        render(write(tmp_path, SENSOR, dark, BALL))
+
+
 def test_its_own_light_and_material_shine(tmp_path: Path) -> None:
     """A matt ball of reflectance rho under uniform light of radiance L has radiance rho L wherever it is seen."""
     grey = '<bsdf type="diffuse" id="grey"><rgb name="reflectance" value="0.2, 0.4, 0.6"/></bsdf>'
@@ -123,17 +129,45 @@ def test_without_a_camera_it_is_seen_from_the_origin_in_our_axes(tmp_path: Path)
     assert row == pytest.approx(11.5 - 0.3 * scale, abs=0.5)
 
 
-def test_instances_have_ids_of_their_own(tmp_path: Path) -> None:
+def instances(folder: Path) -> Path:
+    """Two of a kind, one beside the other."""
     group = '<shape type="shapegroup" id="g"><shape type="sphere"><float name="radius" value="0.3"/></shape></shape>'
     one, two = (
         f'<shape type="instance" id="{name}">{place(0, y, 0, 1)}<ref id="g"/></shape>'
         for name, y in (("left", -0.7), ("right", 0.7))
     )
-    clip = render(write(tmp_path, SENSOR, LIGHT, group, one, two), outputs=("shape_id",))
+    return write(folder, SENSOR, LIGHT, group, one, two)
+
+
+def test_instances_have_ids_of_their_own(tmp_path: Path) -> None:
+    clip = render(instances(tmp_path), outputs=("shape_id",))
     shape_id = clip.extras["shape_id"][0]
     assert clip.source["shape_names"] == ["left", "right"]
     assert set(shape_id[:, :16].ravel()) == {-1, 0}
     assert set(shape_id[:, 16:].ravel()) == {-1, 1}
+
+
+@pytest.mark.usefixtures("needs_llvm")
+def test_instances_have_ids_of_their_own_with_llvm_too(
+    tmp_path: Path, python: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    """Where all pixels are looked at together, by other code."""
+    script = (
+        "import sys, numpy as np\nfrom pathlib import Path\n"
+        "from simulator.render import Renderer\nfrom simulator.types import View\n"
+        "clip = Renderer('llvm_ad_rgb', ('shape_id',)).own_still(\n"
+        "    Path(sys.argv[1]), View((24, 32), 80e-6, 1.9e-3, 0.036, 0.2), metres_per_unit=None,\n"
+        "    samples_per_pixel=1, seed=1, source={})\n"
+        "np.save(sys.argv[2], clip.extras['shape_id'][0])\n"
+    )
+    path = instances(tmp_path)
+    done = python("-c", script, str(path), str(tmp_path / "ids.npy"))
+    assert done.returncode == 0, done.stderr
+    alone = render(path, outputs=("shape_id",)).extras["shape_id"][0]
+    shape_id = np.load(tmp_path / "ids.npy")
+    assert set(shape_id[:, :16].ravel()) == {-1, 0}
+    assert set(shape_id[:, 16:].ravel()) == {-1, 1}
+    assert np.sum(shape_id != alone) <= 2, "a ray that meets an outline may go either way"
 
 
 def test_its_files_are_found_beside_it_wherever_one_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
