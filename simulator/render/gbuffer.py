@@ -83,7 +83,7 @@ def centre_gbuffer(scene: Any) -> GBuffer:
         triangle=shaped["triangle"].astype(np.int64),
         barycentric=shaped["barycentric"].astype(np.float32),
         normal=shaped["normal"].astype(np.float32),
-        albedo=shaped["albedo"].astype(np.float32),
+        albedo=np.clip(shaped["albedo"], 0, 1).astype(np.float32),  # rough metals of a user's own scene say 20
     )
 
 

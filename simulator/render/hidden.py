@@ -18,6 +18,8 @@ from simulator.render.scene import Scene, TriangleMesh
 
 # A ray that has crossed so many surfaces without finding another shape sees nothing more.
 _MOST_SURFACES = 64
+# A second hit of the same shape no further than this is the same place, met once more at an edge between triangles.
+_CLEARANCE = 1 + 1e-3
 
 
 @dataclass(frozen=True)
@@ -50,9 +52,10 @@ def hidden_layers(
 ) -> list[HiddenLayer]:
     """Return the layers behind what each pixel's centre sees, nearest first.
 
-    The next layer is the next surface of another shape that faces the camera. Backs do not count (they are inside of
-    something) unless their shape is open, such as a sheet of paper. All samples of a pixel go through its centre, so that
-    colour and depth belong to the same surface.
+    The next layer is the next surface that faces the camera, be it of another shape or of the same one further on (the far
+    side of a ring, the wall behind a fold). Backs do not count, for they are inside of something, unless they are another
+    shape's that is open, such as a sheet of paper. All samples of a pixel go through its centre, so that colour and depth
+    belong to the same surface.
 
     Args:
         loaded: the ``mitsuba.Scene`` of ``scene``.
@@ -107,7 +110,7 @@ def _peel_all(
     opened = mi.Bool(np.isin(order, list(open_shapes)))
     ray = mi.Ray3f(centre_rays(loaded))
     hit = loaded.ray_intersect(ray)
-    current, active = dr.reinterpret_array(mi.UInt32, hit.shape), hit.is_valid()
+    current, current_z, active = dr.reinterpret_array(mi.UInt32, hit.shape), mi.Float(hit.p.z), hit.is_valid()
     result = []
     for layer in range(layers):
         layer_shape, layer_z = dr.zeros(mi.UInt32, dr.width(ray)), dr.zeros(mi.Float, dr.width(ray))
@@ -117,8 +120,9 @@ def _peel_all(
             following = loaded.ray_intersect(mi.Ray3f(hit.p + ray.d * _step(hit.p.z), ray.d), searching)
             shape = dr.reinterpret_array(mi.UInt32, following.shape)
             searching &= following.is_valid()
-            facing = (dr.dot(following.n, ray.d) < 0) | dr.gather(mi.Bool, opened, shape, searching)
-            reached = searching & (shape != current) & facing
+            other = shape != current
+            front = (dr.dot(following.n, ray.d) < 0) & (other | (following.p.z > _CLEARANCE * current_z))
+            reached = searching & (front | (other & dr.gather(mi.Bool, opened, shape, searching)))
             layer_shape = dr.select(reached, shape, layer_shape)
             back = dr.minimum(_step_back(following.p.z), following.t / 2)
             layer_start = dr.select(reached, following.p - ray.d * back, layer_start)
@@ -129,7 +133,7 @@ def _peel_all(
             dr.eval(hit, searching, layer_shape, layer_start, layer_z, layer_found)
             if not dr.any(searching):
                 break
-        current, active = layer_shape, layer_found
+        current, current_z, active = layer_shape, layer_z, layer_found
         rgb = _shade_all(loaded, ray.d, layer_start, layer_found, paths, layer)
         numbered = np.where(np.array(layer_found), order[np.array(layer_shape)], NOTHING)
         result.append((rgb, np.array(layer_z, dtype=np.float64), numbered))
@@ -193,14 +197,14 @@ def _peel_one_by_one(
         for layer in range(layers):
             if not hit.is_valid():
                 break
-            current = hit.shape.id()
+            current, current_z = hit.shape.id(), hit.p.z
             for _ in range(_MOST_SURFACES):
                 hit = loaded.ray_intersect(mi.Ray3f(_moved(hit.p, ray.d, _step(hit.p.z)), ray.d))
                 if not hit.is_valid():
                     break
-                number = order[hit.shape.id()]
-                facing = np.dot(np.array(hit.n), np.array(ray.d)) < 0 or number in open_shapes
-                if hit.shape.id() != current and facing:
+                other = hit.shape.id() != current
+                front = np.dot(np.array(hit.n), np.array(ray.d)) < 0 and (other or hit.p.z > _CLEARANCE * current_z)
+                if front or (other and order[hit.shape.id()] in open_shapes):
                     break
             else:
                 break

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from simulator.render.library import aligned
 from simulator.render.scene import Box, TriangleMesh
 
 
@@ -45,15 +46,13 @@ def mesh_arrays(mesh: TriangleMesh, units_per_m: float, unlike: TriangleMesh | N
         units_per_m: Mitsuba world units per metre.
         unlike: leave out texture coordinates and faces that are the same objects as this mesh's.
     """
-    arrays: dict[str, np.ndarray] = {
-        # Always together: Mitsuba computes normals of its own for vertices that come without.
-        "vertex_positions": np.ravel(mesh.vertices_m * units_per_m).astype(np.float32),
-        "vertex_normals": np.ravel(mesh.normals).astype(np.float32),
-    }
+    # Positions and normals always together: Mitsuba computes normals of its own for vertices that come without.
+    floats = {"vertex_positions": mesh.vertices_m * units_per_m, "vertex_normals": mesh.normals}
     if unlike is None or unlike.uv is not mesh.uv:
-        arrays["vertex_texcoords"] = np.ravel(mesh.uv).astype(np.float32)
+        floats["vertex_texcoords"] = mesh.uv
+    arrays = {name: aligned(np.ravel(values).astype(np.float32)) for name, values in floats.items()}
     if unlike is None or unlike.faces is not mesh.faces:
-        arrays["faces"] = np.ravel(mesh.faces).astype(np.uint32)
+        arrays["faces"] = aligned(np.ravel(mesh.faces).astype(np.uint32))
     return arrays
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.render.gbuffer import GBuffer, is_scalar
-from simulator.render.library import mitsuba
+from simulator.render.library import aligned, mitsuba
 from simulator.render.mesh import cuboid
 from simulator.render.mitsuba_scene import UNITS_PER_M
 from simulator.render.scene import Box, Material, Scene, Sphere, SphereLight, TriangleMesh
@@ -100,8 +100,8 @@ def _blocked(scene: Any, targets: NDArray[np.float64]) -> NDArray[np.bool_]:
             ray.maxt = float(limit)
             blocked[number] = scene.ray_test(ray)
         return blocked
-    ray = mi.Ray3f(o=mi.Point3f(0.0), d=mi.Vector3f(directions.T.astype(np.float32)))
-    ray.maxt = mi.Float(reach.astype(np.float32))
+    ray = mi.Ray3f(o=mi.Point3f(0.0), d=mi.Vector3f(aligned(directions.T.astype(np.float32))))
+    ray.maxt = mi.Float(aligned(reach.astype(np.float32)))
     return np.array(scene.ray_test(ray))
 
 

@@ -188,6 +188,11 @@ class Renderer:
         own = load_own_scene(path, view, self.max_depth)
         hits, scale = own.look(view, metres_per_unit)
         frame = self._frame(own, samples_per_pixel, seed)
+        if not frame.rgb.any():
+            msg = (
+                f"{path} renders black: none of its lights reaches what its camera sees; check their radiance and place"
+            )
+            raise InputError(msg)
         frame.depth_m, frame.hits = hits.depth_m, hits
         facts = source | {"metres_per_unit": scale, "shape_names": list(own.shape_ids)}
         return join_frames([frame], view, 1, facts | self._facts(seed), None)
@@ -223,10 +228,11 @@ class Renderer:
 
         loaded = stage.loaded
         image = mi.render(loaded, spp=samples_per_pixel, seed=seed)
-        picture, bands = np.array(image, dtype=np.float32), None
+        picture = np.array(image, dtype=np.float32)
         if self.bands_nm:
-            picture, bands = split_film(picture)
-        rgb, repaired = repair(picture)
+            picture = np.concatenate(split_film(picture), axis=-1)
+        picture, repaired = repair(picture)
+        rgb, bands = picture[..., :3], picture[..., 3:] if self.bands_nm else None
         samples = int(loaded.sensors()[0].sampler().sample_count())
         if self.denoise:
             rgb = denoise(rgb, *guides(loaded, seed))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 # More broken pixels than this mean a broken scene, not a path tracer's rare accident.
 _MAX_BROKEN_SHARE = 1e-3
-_FIREFLY_RATIO = np.float32(1.25)
+_FIREFLY_RATIO = np.float32(2)
 
 
 def repair(rgb: NDArray[np.float32]) -> tuple[NDArray[np.float32], int]:
@@ -17,7 +17,7 @@ def repair(rgb: NDArray[np.float32]) -> tuple[NDArray[np.float32], int]:
     measurement. Bright pixels are left alone: clamping them would bias the light.
 
     Args:
-        rgb: ``(H, W, 3)``.
+        rgb: ``(H, W, n)``, colour and any bands.
 
     Returns:
         The repaired picture and the number of pixels that were replaced.
@@ -41,7 +41,7 @@ def repair(rgb: NDArray[np.float32]) -> tuple[NDArray[np.float32], int]:
 
 
 def firefly_dimming(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the factors ``(H, W)`` in 0..1 that dim lone bright pixels to 1.25 times their second brightest neighbour.
+    """Return the factors ``(H, W)`` in 0..1 that dim lone bright pixels to twice their second brightest neighbour.
 
     Where small lamps light wet walls, one path in thousands finds a lamp's mirror image by way of another wall; its pixel
     glares for want of the other paths that would share its light. Highlights of 2 x 2 pixels and more stay, and lines but

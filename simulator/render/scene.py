@@ -38,6 +38,11 @@ class Material:
         if self.roughness is not None and not 0 <= self.roughness <= 1:
             msg = f"Material.roughness must be None or 0..1, got {self.roughness}"
             raise InputError(msg)
+        mean = float(self.reflectance.mean())
+        # Texels that only steer interpolation, beside what is seen, may lie outside; the mean may not.
+        if not (np.all(np.isfinite(self.reflectance)) and 0 <= mean <= 1):
+            msg = f"Material.reflectance must be finite and 0..1, got a mean of {mean:g}; more than 1 would make light"
+            raise InputError(msg)
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,9 @@ class Sphere:
     material: Material
     rotation: NDArray[np.float64]
 
+    def __post_init__(self) -> None:
+        _check_ball("Sphere", self.centre_m, self.radius_m)
+
 
 @dataclass(frozen=True)
 class Box:
@@ -58,6 +66,11 @@ class Box:
     half_size_m: Vector
     material: Material
     rotation: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if not (np.all(np.isfinite(self.centre_m)) and np.all(np.asarray(self.half_size_m) > 0)):
+            msg = f"Box needs a finite centre and positive half edges, got {self.centre_m} and {self.half_size_m}"
+            raise InputError(msg)
 
 
 @dataclass(frozen=True)
@@ -106,12 +119,19 @@ class SphereLight:
     radius_m: float
     radiance: Vector
 
+    def __post_init__(self) -> None:
+        _check_ball("SphereLight", self.centre_m, self.radius_m)
+        _check_radiance("SphereLight", self.radiance)
+
 
 @dataclass(frozen=True)
 class Environment:
     """Light of equal radiance (linear RGB) from everywhere, seen where no surface is."""
 
     radiance: Vector
+
+    def __post_init__(self) -> None:
+        _check_radiance("Environment", self.radiance)
 
 
 @dataclass(frozen=True)
@@ -122,6 +142,26 @@ class EnvironmentMap:
     """
 
     radiance: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        shape = self.radiance.shape
+        if len(shape) != 3 or shape[0] < 2 or shape[1:] != (2 * shape[0], 3):
+            msg = f"EnvironmentMap.radiance must be (h, 2 h, 3) with h of at least 2, got {shape}"
+            raise InputError(msg)
+        _check_radiance("EnvironmentMap", self.radiance)
+
+
+def _check_ball(kind: str, centre_m: Vector, radius_m: float) -> None:
+    if not (np.all(np.isfinite(centre_m)) and 0 < radius_m < np.inf):
+        msg = f"{kind} needs a finite centre and a positive radius, got {centre_m} and {radius_m} m"
+        raise InputError(msg)
+
+
+def _check_radiance(kind: str, radiance: Vector | NDArray[np.float32]) -> None:
+    low, high = np.min(radiance), np.max(radiance)
+    if not (low >= 0 and high < np.inf):  # also catches NaN
+        msg = f"{kind}.radiance must be finite and not negative, got {low:g} to {high:g}"
+        raise InputError(msg)
 
 
 Shape: TypeAlias = Sphere | Box | TriangleMesh
@@ -141,7 +181,7 @@ class Scene:
         hide_lights: lamps and surroundings shine but are not seen: where no surface is, the picture is black.
 
     Raises:
-        InputError: no light.
+        InputError: no light, none that shines, or two surroundings.
     """
 
     shapes: tuple[Shape, ...]
@@ -151,4 +191,11 @@ class Scene:
     def __post_init__(self) -> None:
         if not self.lights:
             msg = "Scene.lights must hold at least one light, got none: the picture would be black; add an Environment"
+            raise InputError(msg)
+        if not any(np.any(light.radiance) for light in self.lights):
+            msg = f"Scene.lights: all {len(self.lights)} have radiance 0, so the picture would be black; let one shine"
+            raise InputError(msg)
+        surroundings = sum(not isinstance(light, SphereLight) for light in self.lights)
+        if surroundings > 1:
+            msg = f"Scene.lights: got {surroundings} surroundings (Environment, EnvironmentMap), expected at most one"
             raise InputError(msg)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.render.library import mitsuba
+from simulator.render.library import aligned, mitsuba
 from simulator.render.mesh import cuboid, mesh_arrays
 from simulator.render.mitsuba_scene import UNITS_PER_M, light_name, load_scene, placement, shape_name, texture
 from simulator.render.scene import Box, EnvironmentMap, Light, Scene, Shape, Sphere, SphereLight, TriangleMesh
@@ -52,6 +52,9 @@ class Stage:
                 f"frames: one has {len(old.shapes)} shapes and {len(old.lights)} lights, the next {len(scene.shapes)} and "
                 f"{len(scene.lights)}; frames of a clip share their slots: park what is unused out of view"
             )
+            raise InputError(msg)
+        if old.hide_lights != scene.hide_lights:
+            msg = "frames: hide_lights changes within a clip; it belongs to the compiled path tracer, so keep it"
             raise InputError(msg)
         for number, (before, after) in enumerate(zip(old.shapes, scene.shapes, strict=True)):
             if before is not after:
@@ -121,7 +124,7 @@ def _texture_data(reflectance: NDArray[np.float32]) -> Any:
 
     if mi.is_spectral:
         return _traversed(mi.load_dict(texture(reflectance)))["data"]
-    return mi.TensorXf(np.ascontiguousarray(reflectance, dtype=np.float32))
+    return mi.TensorXf(aligned(reflectance.astype(np.float32)))
 
 
 def _radiance_parameters(radiance: NDArray[np.float64]) -> dict[str, Any]:

@@ -181,10 +181,10 @@ def test_lone_glaring_pixels_are_dimmed_and_highlights_and_lines_are_not() -> No
     rgb[0, 29] = 8.0  # a firefly in a corner
     factor = firefly_dimming(rgb)
     expected = np.ones((20, 30))
-    expected[4, 5] = 1.25 * 0.2 / 4
-    expected[10, 10:12] = 1.25 * 0.2 / 8
-    expected[15, [0, 29]] = 1.25 * 0.2 / 8
-    expected[0, 29] = 1.25 * 0.2 / 8
+    expected[4, 5] = 2 * 0.2 / 4
+    expected[10, 10:12] = 2 * 0.2 / 8
+    expected[15, [0, 29]] = 2 * 0.2 / 8
+    expected[0, 29] = 2 * 0.2 / 8
     np.testing.assert_allclose(factor, expected, rtol=1e-6)
     with np.errstate(all="raise"):
         for dark in ((4, 4), (1, 9), (9, 1), (1, 1)):
