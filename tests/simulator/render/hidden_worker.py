@@ -15,7 +15,8 @@ from simulator.types import View
 
 VIEW = View((9, 12), 120e-6, 1.9e-3, 0.036, 0.2)
 SEEDS = 12
-# A round room with the camera in it, a small lamp behind the camera, and a small black ball before it.
+# A round room with the camera in it, a small lamp behind the camera, and a small ball before it, as white
+# as the wall: a black one would take more of its light.
 ROOM_CENTRE_M, ROOM_RADIUS_M, ROOM_REFLECTANCE = np.array([0.0, 0.0, -0.03]), 0.18, 0.8
 ROOM_LAMP = SphereLight(np.array([0.07, 0.0, -0.05]), 0.006, np.array([100.0, 200.0, 300.0]))
 DEPTHS = (2, 5)
@@ -63,8 +64,9 @@ def run(variant: str) -> dict[str, NDArray[Any]]:
             result[f"noisy{samples}.rgb{layer}"] = np.stack([extras[f"hidden{layer}_rgb"][0] for extras in taken])
             result[f"noisy.valid{layer}"] = taken[0][f"hidden{layer}_valid"][0]
     ball = Sphere(np.array([0.0, 0.0, 0.05]), 0.012, plain(0.0, 0.0, 0.0), EYE)
+    white = Sphere(ball.centre_m, ball.radius_m, room().material, EYE)
     for depth in DEPTHS:
-        extras = render(Scene((ball, room()), (ROOM_LAMP,)), 1, 16, 3, depth)
+        extras = render(Scene((white, room()), (ROOM_LAMP,)), 1, 16, 3, depth)
         result[f"room.rgb{depth}"] = extras["hidden1_rgb"][0]
         result["room.valid"], result["room.depth_m"] = extras["hidden1_valid"][0], extras["hidden1_depth_m"][0]
     lamp = SphereLight(np.array([0.0, 0.0, 0.12]), 0.02, GLOW)

@@ -196,9 +196,9 @@ def test_light_in_a_round_room_takes_as_many_bounces_as_are_asked_for(
     direct = (radius / distance) ** 2 * cosine
     bounced = (radius / cases.ROOM_RADIUS_M) ** 2 * sum(rho**bounce for bounce in range(1, max_depth - 1))
     expected = rho * np.outer(direct + bounced, cases.ROOM_LAMP.radiance).mean(axis=0)
-    # The ball takes (0.012 / 0.18)^2 of the light, the chords 0.2 %, and 700 paths have less than 1 % of noise. One bounce
-    # more or less would be 10 % of all.
-    np.testing.assert_allclose(light[f"room.rgb{max_depth}"][valid].mean(axis=0), expected, rtol=0.02)
+    # 700 paths scatter by 0.7 %, and the ball's dim back is 1.4 % of what the wall behind it sees. One bounce more or less
+    # would be 10 % of all.
+    np.testing.assert_allclose(light[f"room.rgb{max_depth}"][valid].mean(axis=0), expected, rtol=0.03)
 
 
 def test_a_lamp_behind_something_shines_unless_lights_are_hidden(light: Pictures, hidden_cases: Any) -> None:
