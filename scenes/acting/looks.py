@@ -94,7 +94,7 @@ def paint(looks: Looks) -> Paint:
     grain = draw_reflectance(rng, draw_ramp(rng, draw_theme(rng)), _SIZE)
     coarse = slice(None, None, _SIZE // _GRAIN_SIZE)
     return Paint(
-        table=Material(table, float(rng.uniform(0.35, 0.7))),
+        table=Material(table),
         wall=Material(_flattened(paper, rng.uniform(*_WALLS[wall_kind]))),
         repeats=(float(rng.uniform(1.5, 4)), float(rng.uniform(1.0, 3))),
         hand=_paint_hand(looks, theme, rng),

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.layout import far_end
+from scenes.lights import tint
 from scenes.motion import rotation
 from simulator.errors import InputError
 from simulator.render import Environment, Material, SphereLight, TriangleMesh
@@ -219,7 +220,7 @@ def draw_lights(viewpoint: Viewpoint, rng: np.random.Generator) -> tuple[str, tu
     shares = (share * (0.9 + 0.2 * draws[2]), 0.12 + 0.1 * draws[3])
     span = float(np.linalg.norm(viewpoint.eye_m))
     lamps: list[SphereLight | Environment] = []
-    for part, towards, tint, width, angles in (
+    for part, towards, colour, width, angles in (
         (shares[0], side, warmth, size, draws[4:6]),
         (shares[1], -side, -warmth / 2, 0.2, draws[6:8]),
     ):
@@ -230,10 +231,5 @@ def draw_lights(viewpoint: Viewpoint, rng: np.random.Generator) -> tuple[str, tu
         # A lamp of radiance L seen under the half angle asin(r / D) gives pi L (r / D)^2 sin(elevation) of irradiance.
         radiance = exposure * part / width**2 / math.sin(elevation)
         centre = viewpoint.to_world(distance * direction)
-        lamps.append(SphereLight(centre, viewpoint.scale * distance * width, radiance * _tint(tint)))
-    return kind, (*lamps, Environment(exposure * (1 - sum(shares)) * _tint(-warmth / 3)))
-
-
-def _tint(warmth: float) -> Array:
-    """Return R, G, B around white with mean 1: reddish for positive warmth, bluish for negative."""
-    return np.array([1 + warmth, 1.0, 1 - warmth])
+        lamps.append(SphereLight(centre, viewpoint.scale * distance * width, radiance * tint(colour)))
+    return kind, (*lamps, Environment(exposure * (1 - sum(shares)) * tint(-warmth / 3)))

@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from simulator.render import Environment, Material, Renderer, Scene, TriangleMesh
 from simulator.render.hidden import is_open
 from simulator.render.mesh import cuboid
+from simulator.types import View
 
 Pictures = Mapping[str, NDArray[Any]]
 STACKS = ("ball", "box", "paper", "back", "nested", "bare")
@@ -23,7 +25,7 @@ STACKS = ("ball", "box", "paper", "back", "nested", "bare")
 def expected_layers(
     scene: Any, crossings: Any, count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-    """The rule, ray by ray: the next surface of another shape whose outside faces the camera, or that is open.
+    """The rule, ray by ray: the next surface whose outside faces the camera, or another shape's that is open.
 
     Returns:
         Shapes and depths ``(1 + count, N)`` from the first surface on, -1 and inf where there is none, and which rays are
@@ -37,7 +39,7 @@ def expected_layers(
         for shape, z, facing in zip(crossings.shape[ray], crossings.z[ray], crossings.facing[ray], strict=True):
             if shape < 0 or layer == count:
                 break
-            if layer < 0 or (shape != shapes[layer, ray] and (facing or shape in open_shapes)):
+            if layer < 0 or (facing or (shape != shapes[layer, ray] and shape in open_shapes)):
                 layer += 1
                 shapes[layer, ray], depths[layer, ray] = shape, z
     clear = np.all((crossings.grazing > 0.03) | (crossings.shape < 0), axis=1)
@@ -206,3 +208,30 @@ def test_a_lamp_behind_something_shines_unless_lights_are_hidden(light: Pictures
     assert seen.sum() > 10
     np.testing.assert_allclose(light["shown.rgb"][seen], np.tile(hidden_cases.GLOW, (seen.sum(), 1)), rtol=1e-5)
     assert not light["unseen.rgb"].any()
+
+
+def test_the_far_side_of_a_ring_is_behind_its_near_side() -> None:
+    """One mesh hides itself; the backs between the two sides are no layers."""
+    ring_m, tube_m, away_m = 0.02, 0.006, 0.1
+    around, across = np.meshgrid(*(np.linspace(0, 2 * np.pi, 97) for _ in range(2)), indexing="ij")
+    outwards = np.stack([np.cos(around), 0 * around, np.sin(around)], axis=-1)
+    up = np.array([0.0, 1.0, 0.0])
+    normals = (np.cos(across)[..., np.newaxis] * outwards + np.sin(across)[..., np.newaxis] * up).reshape(-1, 3)
+    vertices = ring_m * outwards.reshape(-1, 3) + tube_m * normals + (0, 0, away_m)
+    corner = (np.arange(96)[:, np.newaxis] * 97 + np.arange(96)).ravel()
+    faces = np.concatenate(
+        [np.stack([corner, corner + 1, corner + 97], 1), np.stack([corner + 1, corner + 98, corner + 97], 1)]
+    )
+    a, b, c = (vertices[faces[:, side]] for side in range(3))
+    if np.sum(np.cross(b - a, c - a) * normals[faces[:, 0]]) < 0:
+        faces = faces[:, ::-1]
+    ring = TriangleMesh(
+        vertices, normals, np.zeros((len(vertices), 2)), faces, Material(np.full((1, 1, 3), 0.5, np.float32))
+    )
+    view = View((1, 1), 19.2e-6, 1.9e-3, 0.036, 0.2)
+    scene = Scene((ring,), (Environment(np.ones(3)),))
+    clip = Renderer("scalar_rgb", ("hidden",), 2).still(scene, view, samples_per_pixel=4, seed=0, source={})
+    # Chords of 96 sides lie below their circles by r (1 - cos(pi / 96)): 14 um of the ring, 3 um of the tube.
+    assert clip.depth_m[0, 0, 0] == pytest.approx(away_m - ring_m - tube_m, abs=2e-5)
+    assert clip.extras["hidden1_depth_m"][0, 0, 0] == pytest.approx(away_m + ring_m - tube_m, abs=2e-5)
+    assert not clip.extras["hidden2_valid"].any()
