@@ -7,7 +7,7 @@ view lies 0.5 to 12 cm away.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -38,6 +38,8 @@ from simulator.types import Clip, View
 # How free bends and pose are in each try; in the last the tube is straight and the camera in its middle, which always fits.
 _TRIES = (1.0, 1.0, 1.0, 0.9, 0.9, 0.8, 0.7, 0.6, 0.45, 0.3, 0.15, 0.0)
 _POSES = 6
+# Inside of a closed wall every path goes on: a fifth segment would add 3 % of the light and a quarter of the time.
+_MAX_DEPTH = 4
 _DEEPEST = 0.96  # share of the far depth that walls may fill
 _LARGEST_TRAVEL = 0.35  # share of the shortest lumen
 
@@ -159,7 +161,7 @@ class Endoscopy:
         else:
             wall, poses = find_shot(self.view, segment, travel, seconds, rng)
         scenes = draw_scenes(self.view, organ, wall, poses, rng)
-        return self.renderer.clip(
+        return replace(self.renderer, max_depth=_MAX_DEPTH).clip(
             scenes,
             self.view,
             frames_per_second=1.0 if self.frames == 1 else self.frames_per_second,

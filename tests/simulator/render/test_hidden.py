@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from scenes.surfaces import grid_faces
 from simulator.render import Environment, Material, Renderer, Scene, TriangleMesh
 from simulator.render.hidden import is_open
 from simulator.render.mesh import cuboid
@@ -218,10 +219,7 @@ def test_the_far_side_of_a_ring_is_behind_its_near_side() -> None:
     up = np.array([0.0, 1.0, 0.0])
     normals = (np.cos(across)[..., np.newaxis] * outwards + np.sin(across)[..., np.newaxis] * up).reshape(-1, 3)
     vertices = ring_m * outwards.reshape(-1, 3) + tube_m * normals + (0, 0, away_m)
-    corner = (np.arange(96)[:, np.newaxis] * 97 + np.arange(96)).ravel()
-    faces = np.concatenate(
-        [np.stack([corner, corner + 1, corner + 97], 1), np.stack([corner + 1, corner + 98, corner + 97], 1)]
-    )
+    faces = grid_faces(97, 97)
     a, b, c = (vertices[faces[:, side]] for side in range(3))
     if np.sum(np.cross(b - a, c - a) * normals[faces[:, 0]]) < 0:
         faces = faces[:, ::-1]
