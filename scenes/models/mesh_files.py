@@ -114,6 +114,7 @@ def _nodes(path: Path) -> list[tuple[Any, Array]]:
             warnings.simplefilter("ignore")  # of NaN, which gets a message of its own
             scene = trimesh.load_scene(path, process=False)
     except Exception as error:  # trimesh raises whatever the broken bytes lead to
+        _refuse_cut_stl(path)
         msg = f"{path} cannot be read as a mesh ({type(error).__name__}: {error}); export it again"
         raise InputError(msg) from error
     placed = [scene.graph[node] for node in scene.graph.nodes_geometry]

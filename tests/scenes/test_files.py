@@ -24,7 +24,8 @@ from simulator.types import FARTHEST_M, SceneSource, View
 VIEW = View((12, 16), 160e-6, 1.9e-3, 0.036, 0.2)
 SCENE = '<scene version="3.0.0"><emitter type="constant"/>'
 SCENE += '<shape type="sphere"><point name="center" x="0" y="0" z="4"/></shape>'
-SCENE += '<shape type="obj"><string name="filename" value="tetra.obj"/></shape></scene>'
+SCENE += '<shape type="obj"><string name="filename" value="tetra.obj"/>'
+SCENE += '<transform name="to_world"><translate x="2" z="5"/></transform></shape></scene>'
 TETRA = "v 1 1 1\nv -1 -1 1\nv -1 1 -1\nv 1 -1 -1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 
