@@ -9,13 +9,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from scenes.acting.actions import ACTIONS, GRAINS, Cast, Moment, course
+from scenes.acting.actions import ACTIONS, GRAINS, Action, Cast, Moment, course
 from scenes.acting.hand import hand_surface
 from scenes.acting.holds import Actor, Pose
 from scenes.acting.looks import BACKGROUNDS, Looks, draw_looks, paint
@@ -27,18 +27,6 @@ from simulator.render import Environment, Material, Renderer, Scene, SphereLight
 from simulator.types import Clip, View
 
 Array = NDArray[np.float64]
-Action = Literal[
-    "dropping",
-    "moving_right_to_left",
-    "moving_left_to_right",
-    "picking_up",
-    "putting_down",
-    "poking",
-    "tearing",
-    "pouring",
-    "holding",
-    "showing",
-]
 # A shorter clip shows an action of this length in quick motion, gravity and all; a longer one a slower action.
 _SHORTEST_S = 1.4
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ from scenes.acting.skeleton import widest_grip_m
 from scenes.motion import rotation
 
 Array = NDArray[np.float64]
-ACTIONS = (
+Action = Literal[
     "dropping",
     "moving_right_to_left",
     "moving_left_to_right",
@@ -39,7 +40,8 @@ ACTIONS = (
     "pouring",
     "holding",
     "showing",
-)
+]
+ACTIONS: tuple[Action, ...] = get_args(Action)
 GRAINS = 72
 
 
