@@ -36,7 +36,7 @@ def init(
         raise InputError(msg)
     write_atomic(path, text.encode())
     print(f"wrote {path}; look at its scenes with: flatlight render {path}")
-    if "flatlight generate" in text:
+    if "# Run it:" in text:  # not where a preset makes clips, which cannot be stored so far
         print(f"make its data set with: flatlight generate {path}")
 
 

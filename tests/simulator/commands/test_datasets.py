@@ -65,6 +65,8 @@ class TestInit:
         assert "flatlight render flying_things_64.yaml" in out
         assert "flatlight generate flying_things_64.yaml" in out
         assert (tmp_path / "flying_things_64.yaml").read_text() == preset_text("flying_things_64")
+        _, out, _ = flatlight("init", "--preset", "high_speed_64")
+        assert "flatlight generate" not in out, "it makes clips, which generate refuses so far"
         code, out, _ = flatlight("init", "--preset", "flying_things", "mine.yaml")
         assert (tmp_path / "mine.yaml").read_text() == default_config_text()
         one_error(flatlight("init", "--preset", "endoscopi"), "got 'endoscopi'", "did you mean 'endoscopy'")
