@@ -108,7 +108,12 @@ class SceneSource(Protocol):
     """Anything that yields clips: a rendered family, an imported data set, the user's own class.
 
     The same index and a generator in the same state give the same clip, in any process and order. A source of finitely
-    many clips also has ``len(source)``, so that a job can say when its splits must share them.
+    many clips also has ``len(source)``, and may have
+
+    - ``groups``: the number of the video (or sequence) that each clip comes from, ``len(source)`` whole numbers that never
+      fall; no two splits of a data set share a video. Without it every clip is a video of its own.
+    - ``problems``: lines ``"file: reason"`` about what was found and cannot be used; a job refuses them unless it is asked to
+      go on without.
     """
 
     @property

@@ -1,14 +1,19 @@
-"""Convolution of scene planes with their PSFs onto the sensor, and its adjoint.
+"""Convolution of scene planes with their PSFs onto the sensor, over time and with weights per row, and its adjoint.
 
-y = crop sum_k H_k (*) V_k for every channel: summed over depth in the Fourier domain before one inverse transform, in
-real arithmetic, with rows of zeros and (on NumPy) empty planes left out. NumPy or torch, gradients included.
+y[c, r, x] = crop sum_t w[t, r] sum_k (H[k, c] (*) V[t, k, c])[r, x]: summed over depth in the Fourier domain, over time where
+only columns are still transformed, since weights of rows stand in no other's way: two passes and one inverse pass per
+frame, and one last inverse pass for all. Real arithmetic; rows of zeros and (on NumPy) empty planes are left out. NumPy or
+torch, gradients included.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Iterable
 
-from simulator.arrays import Array, fft, ifft, irfft, is_torch, namespace, next_fast_len, rfft
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.arrays import Array, fft, ifft, irfft, is_torch, like, namespace, next_fast_len, rfft
 from simulator.errors import InputError
 
 
@@ -57,35 +62,93 @@ class StackConvolution:
 
     def forward(self, planes: Array) -> Array:
         """Return the sensor image ``(C, H, W)`` of planes ``(K, C, h, w)``."""
+        return self.forward_rows([planes], np.ones((1, self.sensor_shape[0])))
+
+    def forward_rows(self, frames: Iterable[Array], row_weights: NDArray[np.floating]) -> Array:
+        """Return the sensor image ``(C, H, W)`` of frames, each weighted row by row.
+
+        Frames whose weights are alike in all rows are added up before they are convolved.
+
+        Args:
+            frames: T times planes ``(K, C, h, w)``; taken one by one.
+            row_weights: ``(T, H)``; a frame that weighs nothing is not transformed.
+        """
+        total, alike = None, None
+        for planes, weights in zip(frames, row_weights, strict=True):
+            self._check_planes(planes)
+            if not np.any(weights):
+                continue
+            if np.all(weights == weights[0]):
+                alike = _plus(alike, planes * float(weights[0]))
+            else:
+                total = _plus(total, self._columns(planes) * like(weights, planes))
+        if alike is not None:
+            total = _plus(total, self._columns(alike))
+        if total is None:
+            total = self._dark()
+        rows = namespace(total).moveaxis(total, -1, -2)
+        return irfft(rows, self._lengths[1], -1)[..., : self.sensor_shape[1]]
+
+    def adjoint(self, image: Array) -> Array:
+        """Return the planes ``(K, C, h, w)`` of a sensor image ``(C, H, W)``: the transpose of ``forward``."""
+        return self.adjoint_rows(image, np.ones((1, self.sensor_shape[0])))[0]
+
+    def adjoint_rows(self, image: Array, row_weights: NDArray[np.floating]) -> Array:
+        """Return the frames ``(T, K, C, h, w)`` of a sensor image ``(C, H, W)``: the transpose of ``forward_rows``."""
+        columns = namespace(image).moveaxis(rfft(image, self._lengths[1], -1), -1, -2)
+        plain = None  # the frame of a weight of 1: others that are alike in all rows are multiples of it
+        frames = []
+        for weights in row_weights:
+            if not np.all(weights == weights[0]):
+                frames.append(self._frame(columns * like(weights, image)))
+                continue
+            plain = self._frame(columns) if plain is None else plain
+            frames.append(plain * float(weights[0]))
+        return namespace(image).stack(frames)
+
+    def _check_planes(self, planes: Array) -> None:
         expected = (*self._spectrum.shape[:2], *self.scene_shape)
         if tuple(planes.shape) != tuple(expected):
             msg = f"planes must be (K, C, h, w) = {tuple(expected)}, got {tuple(planes.shape)}"
             raise InputError(msg)
-        xp = namespace(planes)
-        total = xp.zeros(self._spectrum.shape[1:], dtype=self._spectrum.dtype, device=planes.device)
-        for plane, spectrum in zip(planes, self._spectrum, strict=True):
-            if is_torch(planes):  # a plane of zeros may still want a gradient
-                total = total + self._transform(plane) * spectrum
-            elif plane.any():
-                total += self._transform(plane) * spectrum
-        return self._inverse(total, self.sensor_shape)
 
-    def adjoint(self, image: Array) -> Array:
-        """Return the planes ``(K, C, h, w)`` of a sensor image ``(C, H, W)``: the transpose of ``forward``."""
-        xp = namespace(image)
-        transformed = self._transform(image)
-        planes = [self._inverse(transformed * xp.conj(spectrum), self.scene_shape) for spectrum in self._spectrum]
-        return xp.stack(planes)
+    def _columns(self, planes: Array) -> Array:
+        """Return the sum of the convolved planes, columns still transformed: ``(C, columns, H)``."""
+        total = None
+        for plane, spectrum in zip(planes, self._spectrum, strict=True):
+            if is_torch(planes) or plane.any():  # in torch a plane of zeros may still want a gradient
+                total = _plus(total, self._transform(plane) * spectrum)
+        return self._dark() if total is None else ifft(total, -1, overwrite=True)[..., : self.sensor_shape[0]]
+
+    def _dark(self) -> Array:
+        """Return what ``_columns`` is without light."""
+        return self._spectrum[0, ..., : self.sensor_shape[0]] * 0
+
+    def _frame(self, columns: Array) -> Array:
+        """Return the planes ``(K, C, h, w)`` of a sensor image whose columns are still transformed."""
+        transformed = fft(columns, self._lengths[0], -1)
+        xp = namespace(columns)
+        return xp.stack([self._inverse(transformed * xp.conj(spectrum)) for spectrum in self._spectrum])
 
     def _transform(self, image: Array) -> Array:
         """Return the spectrum ``(..., columns, rows)``: transposed, so that each pass runs along contiguous memory."""
         columns = namespace(image).moveaxis(rfft(image, self._lengths[1], -1), -1, -2)
         return fft(columns, self._lengths[0], -1)
 
-    def _inverse(self, spectrum: Array, shape: tuple[int, int]) -> Array:
-        """Return the first ``shape`` rows and columns of a spectrum's image."""
-        rows = namespace(spectrum).moveaxis(ifft(spectrum, -1)[..., : shape[0]], -1, -2)
-        return irfft(rows, self._lengths[1], -1)[..., : shape[1]]
+    def _inverse(self, spectrum: Array) -> Array:
+        """Return a spectrum's image on the scene's rows and columns."""
+        height, width = self.scene_shape
+        rows = namespace(spectrum).moveaxis(ifft(spectrum, -1, overwrite=True)[..., :height], -1, -2)
+        return irfft(rows, self._lengths[1], -1)[..., :width]
+
+
+def _plus(total: Array | None, part: Array) -> Array:
+    if total is None:
+        return part
+    if is_torch(part):
+        return total + part
+    total += part
+    return total
 
 
 def _axis_plan(size: int, sensor: int, scene: int, circular: bool) -> tuple[int, np.ndarray, np.ndarray]:

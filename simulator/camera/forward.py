@@ -1,20 +1,25 @@
-"""The forward model of the lensless camera: light of a scene -> exposure of the sensor, with its adjoint.
+"""The forward model of the lensless camera: light of a scene over time -> exposure of the sensor, with its adjoint.
 
 y[c,r,x] = crop sum_t dt_t S[t,r] sum_k ( H[k,c] (*) V[t,k,c] )[r,x]
+
+2D is K = 1, a still T = 1, a global shutter a S that is the same for all rows: one call for all of them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.arrays import Array, like, namespace
+from simulator.arrays import Array
 from simulator.camera.colour import to_camera
 from simulator.camera.convolution import StackConvolution
 from simulator.camera.planes import clamped_share, split_planes
-from simulator.camera.shutter import GlobalShutter
+from simulator.camera.shutter import Shutter
+from simulator.camera.slivers import exposed_part, sliver_length, sliver_weights
 from simulator.errors import InputError
 from simulator.optics.psf_stack import PsfStack
 from simulator.types import Clip
@@ -44,9 +49,10 @@ class ForwardModel:
         stack: PsfStack,
         sensor_shape: tuple[int, int],
         scene_shape: tuple[int, int],
-        shutter: GlobalShutter | None = None,
+        shutter: Shutter | None = None,
         boundary: str = "linear",
         *,
+        time: Literal["integral", "mean"] = "integral",
         irradiance: NDArray[np.float32] | None = None,
         scene_to_camera: NDArray[np.floating] | None = None,
         depth_rule: DepthRule | None = None,
@@ -60,6 +66,8 @@ class ForwardModel:
             shutter: None takes one frame with weight 1, so that y is an irradiance; with a shutter y is an exposure,
                 irradiance x seconds.
             boundary: ``linear`` or ``circular``.
+            time: ``integral`` gives exposures, ``mean`` divides them by each row's exposure time: the mean irradiance while
+                the row was open, on the scale of a single frame.
             irradiance: ``(h, w)`` from ``mask_irradiance``, used by ``forward_clip``; None means 1.
             scene_to_camera: ``(C, 3)`` from linear sRGB to the stack's channels, used by ``forward_clip``; None takes red,
                 green and blue as they are.
@@ -68,7 +76,10 @@ class ForwardModel:
         Raises:
             InputError: when the shapes do not fit.
         """
-        self.stack, self.shutter = stack, shutter
+        if time not in ("integral", "mean"):
+            msg = f"time: got {time!r}, expected 'integral' or 'mean'"
+            raise InputError(msg)
+        self.stack, self.shutter, self.time = stack, shutter, time
         self.sensor_shape, self.scene_shape = sensor_shape, scene_shape
         self._convolution = StackConvolution(stack.values, sensor_shape, scene_shape, boundary)
         self._irradiance = np.ones(scene_shape, np.float32) if irradiance is None else irradiance
@@ -89,10 +100,7 @@ class ForwardModel:
         if volume.ndim != 5 or tuple(volume.shape[1:]) != tuple(expected):
             msg = f"volume must be (T, K, C, h, w) with (K, C, h, w) = {tuple(expected)}, got {tuple(volume.shape)}"
             raise InputError(msg)
-        weights = self._row_weights(volume.shape[0], frame_edges_s)
-        return sum(
-            like(w[:, None], volume) * self._convolution.forward(v) for w, v in zip(weights, volume, strict=True)
-        )
+        return self._convolution.forward_rows(volume, self.row_weights(volume.shape[0], frame_edges_s))
 
     def adjoint(self, image: Array, frame_edges_s: NDArray[np.float64] | None = None) -> Array:
         """Apply the transpose of ``forward`` to an image ``(C, H, W)``: the result is a volume ``(T, K, C, h, w)``."""
@@ -101,18 +109,88 @@ class ForwardModel:
             msg = f"image must be (C, H, W) = {tuple(expected)}, got {tuple(image.shape)}"
             raise InputError(msg)
         frames = 1 if frame_edges_s is None else len(frame_edges_s) - 1
-        weights = self._row_weights(frames, frame_edges_s)
-        return namespace(image).stack([self._convolution.adjoint(like(w[:, None], image) * image) for w in weights])
+        return self._convolution.adjoint_rows(image, self.row_weights(frames, frame_edges_s))
 
     def forward_clip(self, clip: Clip) -> NDArray[np.float32]:
-        """Return the exposure ``(C, H, W)`` of a clip; its planes are built one frame at a time.
+        """Return the exposure ``(C, H, W)`` of a clip.
+
+        Its planes are built one frame at a time: memory does not grow with the number of frames. A clip of one frame is a
+        scene that stands still for as long as the shutter is open.
 
         Raises:
-            InputError: when the clip's size or channels do not fit, or more depths than allowed lie outside the planes.
+            InputError: when the clip's size or channels do not fit, it is shorter than the shutter, or more depths than
+                allowed lie outside the planes.
         """
-        frames, height, width, _ = clip.rgb.shape
-        if (height, width) != tuple(self.scene_shape):
-            msg = f"clip: its frames are {(height, width)}, but the model was made for scenes of {self.scene_shape}"
+        clip = self._checked(clip)
+        frames = len(clip.rgb)
+        weights = self.row_weights(frames, clip.frame_edges_s if frames > 1 else None)
+        return self._convolution.forward_rows(self._planes(clip), weights)
+
+    def global_measurements(self, clip: Clip, slivers: int) -> NDArray[np.float32]:
+        """Return what a global shutter would give for each sliver, ``(N, C, H, W)``: MeasNet's targets.
+
+        The mean of the sliver's frames, seen by every row for the row's exposure time, so that they are on the scale of
+        ``forward_clip``. See `simulator.camera.slivers`.
+
+        Raises:
+            InputError: as ``forward_clip``, and when the frames that the shutter sees cannot be shared equally.
+        """
+        clip = self._checked(clip)
+        length = sliver_length(len(clip.rgb), slivers)
+        planes = self._planes(clip)
+        mean = np.full((length, self.sensor_shape[0]), 1 / length)
+        exposures = self._exposures().astype(np.float32)[:, None]
+        group = [self._convolution.forward_rows((next(planes) for _ in mean), mean) for _ in range(slivers)]
+        return np.stack(group) * exposures
+
+    def row_weights(self, frames: int = 1, frame_edges_s: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+        """Return the weight of each frame in each row of the stored image, ``(T, H)``: dt S, or dt S / T_exp.
+
+        Args:
+            frames: how many.
+            frame_edges_s: ``(T + 1,)`` seconds; not needed for one frame, which is taken to last long enough.
+
+        Raises:
+            InputError: several frames without a shutter or edges, or edges that do not cover the shutter.
+        """
+        if frames == 1 and frame_edges_s is None:
+            return self._exposures()[None]
+        if self.shutter is None or frame_edges_s is None:
+            msg = f"volume: {frames} frames need a shutter and frame_edges_s; without them only one frame has a meaning"
+            raise InputError(msg)
+        # Shutter rows are physical; the stored image is turned by 180 degrees.
+        seconds = np.diff(frame_edges_s)[:, None] * self.shutter.weights(self.sensor_shape[0], frame_edges_s)[:, ::-1]
+        return seconds if self.time == "integral" else seconds / self._open_s()
+
+    def sliver_weights(self, frame_edges_s: NDArray[np.float64], slivers: int) -> NDArray[np.float64]:
+        """Return the mean of S over each sliver's frames, for the stored image's rows: ``(N, H)``.
+
+        Args:
+            frame_edges_s: ``(T + 1,)`` seconds of the frames that the shutter sees.
+            slivers: N, which divides T.
+
+        Raises:
+            InputError: no shutter, edges that do not cover it, or frames that cannot be shared equally.
+        """
+        if self.shutter is None:
+            msg = "shutter: got None, but slivers are what a shutter cuts a capture into; give the model a shutter"
+            raise InputError(msg)
+        return sliver_weights(self.shutter.weights(self.sensor_shape[0], frame_edges_s), slivers)[:, ::-1]
+
+    def _open_s(self) -> NDArray[np.float64]:
+        """Return the exposure times of the stored image's rows, ``(H,)`` seconds; ones without a shutter."""
+        rows = self.sensor_shape[0]
+        return np.ones(rows) if self.shutter is None else self.shutter.exposures_s(rows)[::-1]
+
+    def _exposures(self) -> NDArray[np.float64]:
+        """Return what an irradiance of 1 that lasts gives in the stored image's rows, ``(H,)``."""
+        return self._open_s() if self.time == "integral" else np.ones(self.sensor_shape[0])
+
+    def _checked(self, clip: Clip) -> Clip:
+        """Return the part of a clip that the shutter sees, after all checks."""
+        shape = clip.rgb.shape[1:3]
+        if shape != tuple(self.scene_shape):
+            msg = f"clip: its frames are {shape}, but the model was made for scenes of {self.scene_shape}"
             raise InputError(msg)
         channels = self.stack.channels
         if len(self.scene_to_camera) != len(channels):
@@ -121,6 +199,8 @@ class ForwardModel:
                 f"({', '.join(channels)}); give a row of three numbers per channel"
             )
             raise InputError(msg)
+        if self.shutter is not None:
+            clip = exposed_part(clip, self.shutter, self.sensor_shape[0])
         depths_m = self.stack.depths_m
         share = clamped_share(clip.depth_m, clip.valid, depths_m)
         if share > self._rule.max_clamped:
@@ -131,22 +211,10 @@ class ForwardModel:
                 "forward.max_clamped to clamp them"
             )
             raise InputError(msg)
-        weights = self._row_weights(frames, clip.frame_edges_s if frames > 1 else None)
-        total = np.zeros((self.stack.values.shape[1], *self.sensor_shape), np.float32)
-        for rgb, depth_m, row_weight in zip(clip.rgb, clip.depth_m, weights, strict=True):
-            light = to_camera(rgb, self.scene_to_camera) * self._irradiance
-            planes = split_planes(light, depth_m, depths_m, self._rule.assignment)
-            total += row_weight.astype(np.float32)[:, None] * self._convolution.forward(planes)
-        return total
+        return clip
 
-    def _row_weights(self, frames: int, frame_edges_s: NDArray[np.float64] | None) -> NDArray[np.float64]:
-        """Return dt_t S[t, r] for the stored image's rows, ``(T, H)``."""
-        rows = self.sensor_shape[0]
-        if frames == 1 and frame_edges_s is None:
-            return np.full((1, rows), 1.0 if self.shutter is None else self.shutter.exposure_s)
-        if self.shutter is None or frame_edges_s is None:
-            msg = f"volume: {frames} frames need a shutter and frame_edges_s; without them only one frame has a meaning"
-            raise InputError(msg)
-        # Shutter rows are physical; the stored image is turned by 180 degrees.
-        shares = self.shutter.weights(rows, frame_edges_s)[:, ::-1]
-        return np.diff(frame_edges_s)[:, None] * shares
+    def _planes(self, clip: Clip) -> Iterator[NDArray[np.float32]]:
+        """Yield the irradiance at the mask of each frame on the depth planes, ``(K, C, h, w)``."""
+        for rgb, depth_m in zip(clip.rgb, clip.depth_m, strict=True):
+            light = to_camera(rgb, self.scene_to_camera) * self._irradiance
+            yield split_planes(light, depth_m, self.stack.depths_m, self._rule.assignment)

@@ -1,8 +1,14 @@
-"""Shutters: which share of each frame interval every sensor row sees."""
+"""Shutters: when every sensor row is open, and which share of each frame interval it therefore sees.
+
+Rows are the physical sensor's, top first; the stored image is turned by 180 degrees (`ForwardModel` turns the weights with
+it). A row opens at its time after the capture's start and stays open for its exposure time.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,39 +16,206 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 
 
+class Shutter(ABC):
+    """A shutter: the window of time in which each row is open.
+
+    Attributes:
+        binning: physical rows that a stored row averages.
+    """
+
+    binning: int
+
+    @abstractmethod
+    def physical_windows_s(self, rows: int) -> NDArray[np.float64]:
+        """Return opening and closing of each of so many physical rows, seconds ``(rows, 2)``, top first."""
+
+    def windows_s(self, rows: int) -> NDArray[np.float64]:
+        """Return opening and closing of the physical rows behind each of so many stored rows, ``(rows, binning, 2)``."""
+        return self.physical_windows_s(rows * self.binning).reshape(rows, self.binning, 2)
+
+    def exposures_s(self, rows: int) -> NDArray[np.float64]:
+        """Return the exposure time of each stored row (the mean of its physical rows'), seconds ``(rows,)``."""
+        windows = self.windows_s(rows)
+        return (windows[..., 1] - windows[..., 0]).mean(axis=1)
+
+    def duration_s(self, rows: int) -> float:
+        """Return how long a capture of so many stored rows lasts, from time zero until its last row closes, seconds."""
+        return float(self.windows_s(rows)[..., 1].max())
+
+    def separable_frames(self, rows: int) -> int:
+        """Return how many frames one capture of so many stored rows can tell apart.
+
+        The most windows of rows of which no two are open at the same time: a frame as long as a window is then seen by rows
+        that see nothing of the others. Shorter frames mix in every row; they come apart only as far as neighbouring rows
+        differ (line by line, at most as many as there are different windows) and as the noise allows. A global shutter
+        separates 1.
+        """
+        count, free_from = 0, -np.inf
+        windows = self.windows_s(rows).reshape(-1, 2)
+        for opening, closing in windows[np.argsort(windows[:, 1], kind="stable")]:
+            if opening >= free_from - 1e-9 * (closing - opening):
+                count, free_from = count + 1, closing
+        return count
+
+    def weights(self, rows: int, frame_edges_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return S ``(T, rows)``: the share, 0..1, of each frame interval that lies inside each row's window.
+
+        With dt the frame durations, sum_t dt_t S[t, r] is the exposure time of row r.
+
+        Args:
+            rows: stored rows in the physical sensor's order, top first; each is the mean of its ``binning`` physical rows.
+            frame_edges_s: ``(T + 1,)`` increasing seconds; must cover the capture.
+
+        Raises:
+            InputError: when the clip does not last from the first row's opening to the last one's closing.
+        """
+        edges = np.asarray(frame_edges_s, np.float64)
+        windows = self.windows_s(rows)
+        first, last = float(windows[..., 0].min()), float(windows[..., 1].max())
+        slack = 1e-9 * (last - first)
+        if edges[0] > first + slack or edges[-1] < last - slack:
+            msg = (
+                f"the clip lasts from {edges[0]:g} to {edges[-1]:g} s, but the shutter is open from {first:g} to {last:g} s; "
+                "use a longer clip (more frames, or fewer per second) or a faster shutter"
+            )
+            raise InputError(msg)
+        reached = np.concatenate([[min(edges[0], first)], edges[1:-1], [max(edges[-1], last)]])
+        open_until = np.clip(reached[:, None, None], windows[..., 0], windows[..., 1]).mean(axis=-1)
+        return np.clip(np.diff(open_until, axis=0) / np.diff(edges)[:, None], 0, 1)
+
+
 @dataclass(frozen=True)
-class GlobalShutter:
+class GlobalShutter(Shutter):
     """All rows are exposed together, from time zero.
 
     Attributes:
         exposure_s: seconds.
+        binning: physical rows that a stored row averages.
     """
 
     exposure_s: float
+    binning: int = 1
 
     def __post_init__(self) -> None:
-        if not 0 < self.exposure_s < np.inf:
-            msg = f"exposure_s: got {self.exposure_s!r}, expected positive seconds (10 ms is 0.01)"
+        _check_times(self.binning, exposure_s=self.exposure_s)
+
+    def physical_windows_s(self, rows: int) -> NDArray[np.float64]:
+        """Return ``(rows, 2)`` seconds; see `Shutter`."""
+        return _windows(np.zeros(rows), self.exposure_s)
+
+
+@dataclass(frozen=True)
+class RollingShutter(Shutter):
+    """One row after another: row r opens at r times the line time.
+
+    Attributes:
+        exposure_s: seconds that each row is open.
+        line_time_s: seconds from one physical row's opening to the next.
+        direction: ``down`` begins with the physical sensor's top row, ``up`` with its bottom row.
+        binning: physical rows that a stored row averages.
+    """
+
+    exposure_s: float
+    line_time_s: float
+    direction: Literal["down", "up"] = "down"
+    binning: int = 1
+
+    def __post_init__(self) -> None:
+        _check_times(self.binning, exposure_s=self.exposure_s, line_time_s=self.line_time_s)
+        _check_choice("direction", self.direction, ("down", "up"))
+
+    def physical_windows_s(self, rows: int) -> NDArray[np.float64]:
+        """Return ``(rows, 2)`` seconds; see `Shutter`."""
+        lines = np.arange(rows) if self.direction == "down" else np.arange(rows)[::-1]
+        return _windows(lines * self.line_time_s, self.exposure_s)
+
+
+@dataclass(frozen=True)
+class DualRollingShutter(Shutter):
+    """Two halves, read at once: two rows, mirrored at the sensor's middle, open together.
+
+    Attributes:
+        exposure_s: seconds that each row is open.
+        line_time_s: seconds from one pair of physical rows to the next.
+        order: ``outside_in`` begins with the top and bottom rows (pco.edge), ``centre_out`` with the middle (Zyla).
+        binning: physical rows that a stored row averages.
+    """
+
+    exposure_s: float
+    line_time_s: float
+    order: Literal["outside_in", "centre_out"] = "outside_in"
+    binning: int = 1
+
+    def __post_init__(self) -> None:
+        _check_times(self.binning, exposure_s=self.exposure_s, line_time_s=self.line_time_s)
+        _check_choice("order", self.order, ("outside_in", "centre_out"))
+
+    def physical_windows_s(self, rows: int) -> NDArray[np.float64]:
+        """Return ``(rows, 2)`` seconds; see `Shutter`. Of an odd number, the middle row has no partner."""
+        lines = np.minimum(np.arange(rows), np.arange(rows)[::-1])
+        if self.order == "centre_out":
+            lines = lines.max() - lines
+        return _windows(lines * self.line_time_s, self.exposure_s)
+
+
+@dataclass(frozen=True, eq=False)
+class RowShutter(Shutter):
+    """Any shutter whose rows have windows of their own: global reset, interlaced, coded exposures, a measured table.
+
+    Attributes:
+        table_s: opening and closing of every physical row, seconds ``(rows, 2)``, top first.
+        binning: physical rows that a stored row averages.
+    """
+
+    table_s: NDArray[np.float64]
+    binning: int = 1
+
+    def __post_init__(self) -> None:
+        _check_times(self.binning)
+        table = np.asarray(self.table_s, np.float64)
+        if table.ndim != 2 or table.shape[1:] != (2,) or not len(table) or not np.all(np.isfinite(table)):
+            msg = f"table_s must hold opening and closing of every row, finite seconds (rows, 2), got {table.shape}"
             raise InputError(msg)
-
-    def weights(self, rows: int, frame_edges_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return S ``(T, rows)``: the share, 0..1, of each frame interval inside each row's window.
-
-        With dt the frame durations, sum_t dt_t S[t, r] is the exposure time for every row.
-
-        Args:
-            rows: physical sensor rows, top first.
-            frame_edges_s: ``(T + 1,)`` increasing seconds; must cover the exposure.
-
-        Raises:
-            InputError: when the clip is shorter than the exposure.
-        """
-        edges = np.asarray(frame_edges_s, np.float64)
-        if edges[0] > 0 or edges[-1] < self.exposure_s * (1 - 1e-12):
+        wrong = np.flatnonzero((table[:, 0] < 0) | (table[:, 1] <= table[:, 0]))
+        if wrong.size:
+            row = int(wrong[0])
             msg = (
-                f"the clip lasts from {edges[0]:g} to {edges[-1]:g} s, but the shutter is open from 0 to "
-                f"{self.exposure_s:g} s; use a longer clip or a shorter exposure"
+                f"table_s: row {row} opens at {table[row, 0]:g} s and closes at {table[row, 1]:g} s; expected times from "
+                "zero on, and a row that closes after it opens"
             )
             raise InputError(msg)
-        seen = np.clip(np.minimum(edges[1:], self.exposure_s) - np.maximum(edges[:-1], 0), 0, None)
-        return np.repeat((seen / np.diff(edges))[:, None], rows, axis=1)
+        object.__setattr__(self, "table_s", table)
+
+    def physical_windows_s(self, rows: int) -> NDArray[np.float64]:
+        """Return ``(rows, 2)`` seconds; see `Shutter`.
+
+        Raises:
+            InputError: the table is of another number of rows.
+        """
+        if rows != len(self.table_s):
+            msg = (
+                f"table_s: windows of {len(self.table_s)} rows were given, but the sensor has {rows} physical rows "
+                f"({rows // self.binning} of {self.binning}); give one window per physical row"
+            )
+            raise InputError(msg)
+        return self.table_s
+
+
+def _windows(opening_s: NDArray[np.floating], exposure_s: float) -> NDArray[np.float64]:
+    return np.stack([opening_s, opening_s + exposure_s], axis=-1).astype(np.float64)
+
+
+def _check_times(binning: int, **times_s: float) -> None:
+    for name, value in times_s.items():
+        if not 0 < value < np.inf:
+            msg = f"{name}: got {value!r}, expected positive seconds (10 ms is 0.01)"
+            raise InputError(msg)
+    if binning < 1:
+        msg = f"binning: got {binning}, expected at least 1 physical row per stored row"
+        raise InputError(msg)
+
+
+def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        msg = f"{name}: got {value!r}, expected {' or '.join(map(repr, choices))}"
+        raise InputError(msg)
