@@ -1,0 +1,104 @@
+"""What importers of films share: a video whose frames are read when they are wanted, and how clips are cut out of videos."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import InputError
+
+
+class Video(Protocol):
+    """A film, cheap to hold and to pickle: names and numbers only, frames are read when they are asked for."""
+
+    @property
+    def name(self) -> str:
+        """What it is called, in records and messages."""
+        ...
+
+    @property
+    def frames_per_second(self) -> float:
+        """Its own frame rate."""
+        ...
+
+    @property
+    def label(self) -> str | None:
+        """Its class, or None."""
+        ...
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files that it is made of; they are hashed into the data set's fingerprint."""
+        ...
+
+    def __len__(self) -> int:
+        """Return how many frames can be used."""
+        ...
+
+    def read(self, start: int, stop: int) -> NDArray[np.float32]:
+        """Return frames as linear light ``(T, H, W, 3)`` in 0..1, all of one size, black where nothing is to be seen.
+
+        Raises:
+            InputError: naming the file that is broken.
+        """
+        ...
+
+    def record(self, start: int, stop: int) -> dict[str, Any]:
+        """Return where these frames come from and what was done to them, JSON-serialisable."""
+        ...
+
+
+@dataclass(frozen=True)
+class ClipPlan:
+    """How clips are cut out of videos.
+
+    Attributes:
+        frames: of a clip, after raising.
+        frames_per_second: rate at which a clip is taken to have been filmed; None is the video's own, raised. A shutter of
+            some milliseconds sees motion in a film of 24 frames per second only if that is taken to run faster.
+        raise_by: frames that one of the video's becomes, by interpolation; 1 leaves them.
+        clips_per_video: how many clips a video gives, evenly spread over it; 1 begins anywhere, as the sample's random
+            stream says.
+        crop: where the view is cut out of the picture: in the ``centre`` or at a ``random`` place, the same for all frames.
+    """
+
+    frames: int
+    frames_per_second: float | None = None
+    raise_by: int = 1
+    clips_per_video: int = 1
+    crop: Literal["centre", "random"] = "centre"
+
+    @property
+    def needed(self) -> int:
+        """The video's frames that a clip takes: r times as many frames between each two, and the last one."""
+        return -(-(self.frames - 1) // self.raise_by) + 1
+
+    def start(self, available: int, number: int, rng: np.random.Generator) -> int:
+        """Return the first frame of a video's clip.
+
+        Args:
+            available: frames that the video has.
+            number: which of the video's clips, from 0.
+            rng: the sample's.
+
+        Raises:
+            InputError: the video is too short.
+        """
+        spare = available - self.needed
+        if spare < 0:
+            raise InputError(self.too_short(available))
+        if self.clips_per_video == 1:
+            return int(rng.integers(spare + 1))
+        return round(number * spare / (self.clips_per_video - 1))
+
+    def too_short(self, available: int) -> str:
+        """Say why a video of so many frames gives no clip."""
+        raised = f", raised by {self.raise_by}" if self.raise_by > 1 else ""
+        return (
+            f"has {available} frames, but a clip of {self.frames}{raised} takes {self.needed}: ask for fewer frames, or raise "
+            "them by more"
+        )
