@@ -99,6 +99,6 @@ class ClipPlan:
         """Say why a video of so many frames gives no clip."""
         raised = f", raised by {self.raise_by}" if self.raise_by > 1 else ""
         return (
-            f"has {available} frames, but a clip of {self.frames}{raised} takes {self.needed}: ask for fewer frames, or raise "
+            f"has {available} frames, but a clip of {self.frames}{raised} takes {self.needed}: ask for fewer, or raise "
             "them by more"
         )
