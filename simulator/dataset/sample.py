@@ -43,6 +43,10 @@ class Sample:
         channels: one name per measurement channel.
         metadata: how the sample came about, JSON-serialisable; no clock times: the same seed gives the same bytes.
         extras: more that is known of every scene pixel, by name, ``(T, h, w)`` or ``(T, h, w, n)``; see `Clip.extras`.
+        frame_edges_s: ``(T + 1,)`` increasing seconds: frame ``t`` (a sliver, or a frame of the scene) lasts from edge
+            ``t`` to ``t + 1``; None for a still, which lasts.
+        global_measurements: float32 ``(T, C, H, W)``, DN / 2^bits: what a global shutter would have given of each frame; or
+            None.
 
     Raises:
         InputError: shapes, types or channel names that contradict each other.
@@ -58,6 +62,8 @@ class Sample:
     channels: tuple[str, ...] = ("R", "G", "B")
     metadata: dict[str, Any] = field(default_factory=dict)
     extras: dict[str, NDArray[Any]] = field(default_factory=dict)
+    frame_edges_s: NDArray[np.float64] | None = None
+    global_measurements: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         _expect("measurement", self.measurement, np.float32, "(C, H, W)", self.measurement.ndim == 3)
@@ -78,6 +84,10 @@ class Sample:
             if values.ndim not in (3, 4) or values.shape[:3] != frames:
                 msg = f"Sample.extras[{name!r}] must be {frames} or {(*frames, 'n')} like rgb, got {values.shape}"
                 raise InputError(msg)
+        _check_edges(frames[0], self.frame_edges_s)
+        if (measured := self.global_measurements) is not None:
+            every = (frames[0], *shape)
+            _expect("global_measurements", measured, np.float32, f"{every} like measurement", measured.shape == every)
 
 
 @dataclass(frozen=True)
@@ -273,6 +283,17 @@ def _expect_channels(path: Path, found: dict[str, Any], expected: list[str]) -> 
     if sorted(found) != sorted(expected):
         msg = f"{path} must have the channels {sorted(expected)}, got {sorted(found)}"
         raise InputError(msg)
+
+
+def _check_edges(frames: int, edges_s: NDArray[np.float64] | None) -> None:
+    if edges_s is None and frames > 1:
+        msg = f"Sample.frame_edges_s must hold the {frames + 1} times that {frames} frames begin and end at, got None"
+        raise InputError(msg)
+    if edges_s is not None:
+        _expect("frame_edges_s", edges_s, np.float64, f"({frames + 1},)", edges_s.shape == (frames + 1,))
+        if not np.all(np.isfinite(edges_s)) or not np.all(np.diff(edges_s) > 0):
+            msg = f"Sample.frame_edges_s must be finite and increasing seconds, got {edges_s.tolist()}"
+            raise InputError(msg)
 
 
 def _expect(name: str, values: NDArray[Any], kind: type, wanted: str, fits: bool) -> None:

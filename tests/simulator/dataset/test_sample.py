@@ -133,6 +133,11 @@ def test_descriptions_with_wrong_fields(samples: ModuleType, tmp_path: Path, cha
         ({"channels": ("R", "R", "G")}, "3 different names"),
         ({"channels": ("noiseless.R", "G", "B")}, "none starting"),
         ({"label": 3}, "text or None"),
+        ({"frame_edges_s": np.arange(3.0)}, r"frame_edges_s must be float64 \(2,\)"),
+        ({"frame_edges_s": np.arange(2)}, "got int64"),
+        ({"frame_edges_s": np.array([1.0, 1.0])}, "finite and increasing"),
+        ({"frame_edges_s": np.array([0.0, np.inf])}, "finite and increasing"),
+        ({"global_measurements": np.zeros((2, 3, 24, 36), np.float32)}, r"\(1, 3, 24, 36\) like measurement"),
     ],
 )
 def test_contradictions_are_refused(samples: ModuleType, changes: dict, words: str) -> None:
@@ -147,6 +152,7 @@ def test_values_that_cannot_be_stored_leave_nothing(samples: ModuleType, tmp_pat
     with pytest.raises(InputError, match=r"s00000000\.metadata\.a is NaN"):
         write_sample(tmp_path, "train", 0, samples.make_sample(0, metadata={"a": float("nan")}))
     clip = {"rgb": np.zeros((2, 4, 4, 3), np.float32), "depth_m": np.ones((2, 4, 4), np.float32)}
+    clip |= {"frame_edges_s": np.arange(3.0)}
     with pytest.raises(InputError, match="2 frames; only stills"):
         write_sample(tmp_path, "train", 0, samples.make_sample(0, **clip, valid=np.ones((2, 4, 4), bool)))
     assert [path for path in tmp_path.rglob("*") if path.name.startswith((".tmp", "s0"))] == []
