@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -39,8 +40,11 @@ class Video(Protocol):
         """Return how many frames can be used."""
         ...
 
-    def read(self, start: int, stop: int) -> NDArray[np.float32]:
-        """Return frames as linear light ``(T, H, W, 3)`` in 0..1, all of one size, black where nothing is to be seen.
+    def read(self, start: int, stop: int) -> Iterable[NDArray[np.float32]]:
+        """Give frames one after the other as linear light ``(H, W, 3)``, all of one size, black where nothing is to be seen.
+
+        An array ``(T, H, W, 3)`` will do; reading them one by one keeps large frames out of memory. Full scale is 1; pictures
+        of linear light may hold more.
 
         Raises:
             InputError: naming the file that is broken.
