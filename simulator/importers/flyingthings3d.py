@@ -1,4 +1,4 @@
-"""FlyingThings3D stereo frames as scenes: one picture with its disparity gives one still with depth.
+"""FlyingThings3D, Monkaa and Driving (the SceneFlow data sets): pictures with disparity as stills or clips with depth.
 
 Source: Mayer et al., A Large Dataset to Train Convolutional Networks for Disparity, Optical Flow, and Scene Flow
 Estimation, CVPR 2016. A picture is taken as seen through the camera's own pinhole view; its disparity gives z.
@@ -6,7 +6,7 @@ Estimation, CVPR 2016. A picture is taken as seen through the camera's own pinho
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,13 +17,15 @@ from pydantic import Field
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
 from simulator.importers._depth_scaling import AffineKind, DepthMap, FixedDepth, affine_map
-from simulator.importers._pfm import read_pfm
-from simulator.importers._sceneflow import Eye, Frame, PicturePass, Subset, list_frames
+from simulator.importers._runs import check_rate, find_runs, problem_line
+from simulator.importers._sceneflow import FOCAL_PX, Eye, Frame, PicturePass, Subset, list_frames
+from simulator.importers._sceneflow_survey import recognises, survey
+from simulator.importers._stereo import disparity_range, read_disparity
 from simulator.pictures import read_picture
 from simulator.types import Clip, View
 
-FOCAL_PX = 1050.0
-"""35 mm lens on a 32 mm wide film of 960 pixels (the data set's documentation)."""
+__all__ = ["FlyingThings3D", "flyingthings3d", "recognises", "survey"]
+
 BASELINE_UNITS = 1.0
 """Distance of the two cameras in the data set's units."""
 
@@ -32,6 +34,8 @@ def flyingthings3d(
     view: View,
     *,
     path: Path,
+    frames: Annotated[int, Field(gt=0)] = 1,
+    frames_per_second: Annotated[float, Field(gt=0)] | None = None,
     picture_pass: PicturePass = "cleanpass",
     eye: Eye = "left",
     subset: Subset = "all",
@@ -41,34 +45,41 @@ def flyingthings3d(
     crop: Literal["random", "centre"] = "random",
     downscale: Annotated[int, Field(gt=0)] | Literal["auto"] = "auto",
 ) -> FlyingThings3D:
-    """Read stills from a FlyingThings3D folder, in the original or the flattened layout.
+    """Read stills or clips from a folder of FlyingThings3D (original or flattened layout), Monkaa or Driving.
 
     The files are listed at once and read when a clip is asked for; only ``per: set`` reads every disparity file at
-    construction, to find the set's range. Frame ``index`` modulo the number of frames, in sorted order, is cut where
-    the generator says.
+    construction, to find the set's range. Clip ``index`` modulo the number of clips, in sorted order, is cut where the
+    generator says, all its frames at the same place. Clips of a sequence lie one after the other, share no frame and never
+    cross a gap in the frames' numbers.
 
     Args:
         view: the camera's view: size of the crop, near and far depth.
         path: the folder that holds ``frames_cleanpass`` (or ``RGB_cleanpass``) and ``disparity``.
+        frames: of a clip, with consecutive numbers; 1 gives stills.
+        frames_per_second: rate at which a clip's frames were taken; the data sets state none, so clips need it.
         picture_pass: the rendering without or with blur, fog and other effects.
         eye: which of the two cameras.
-        subset: only the data set's own ``TRAIN`` or ``TEST`` part (original layout).
+        subset: only the data set's own ``TRAIN`` or ``TEST`` part (FlyingThings3D's original layout).
         depth_scaling: ``affine_disparity`` maps disparity, ``affine_depth`` depth, affinely onto the view's near..far;
-            ``fixed`` keeps the geometry (z = f B / disparity x ``metres_per_unit``) and clamps nothing.
-        per: the affine maps' range is that of the whole image (not of its crop) or that of all images in the folder.
+            ``fixed`` keeps the geometry (z = f B / disparity x ``metres_per_unit``) and clamps nothing; f is 1050 pixels,
+            450 for Driving's 15 mm lens.
+        per: the affine maps' range is that of the whole image (not of its crop), for a clip that of all its images
+            together, so that depths do not pulse; or that of all images in the folder.
         metres_per_unit: metres per unit of the data set; needed by ``fixed`` and meaningless otherwise.
         crop: where the view is cut out.
         downscale: pixels per side that are averaged into one (colour, in linear light); depth takes the centre
             sample, so that fore- and background never mix. ``auto`` is the largest at which the picture fills the view.
 
     Returns:
-        A scene source. A clip holds one frame of 1 s; where the disparity is zero, ``valid`` is false and the depth
-        far.
+        A scene source. A still holds one frame of 1 s; where the disparity is zero, ``valid`` is false and the depth
+        far. Pictures without disparity, sequences too short for a clip and, with ``per: set``, broken disparities are its
+        ``problems``; a sequence is a group.
 
     Raises:
-        InputError: for missing folders or pairs, and when the parameters contradict one another.
+        InputError: for missing folders, when nothing in them can be used, and when the parameters contradict one another.
     """
-    root, frames = list_frames(Path(path), picture_pass, eye, subset)
+    check_rate(frames, frames_per_second)
+    root, found, problems = list_frames(Path(path), picture_pass, eye, subset)
     if depth_scaling != "fixed" and metres_per_unit is not None:
         msg = (
             f"metres_per_unit is {metres_per_unit}, but depth_scaling: {depth_scaling} fills near..far: "
@@ -84,12 +95,26 @@ def flyingthings3d(
             raise InputError(msg)
         depth: DepthMap | AffineKind = FixedDepth(FOCAL_PX, BASELINE_UNITS, metres_per_unit)
     elif per == "set":
-        ranges = [_disparity_range(_read_disparity(root / frame.disparity), frame) for frame in frames]
+        found, ranges, broken = _usable(root, found)
+        problems += broken
         lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
         depth = affine_map(depth_scaling, lowest, highest, view.near_m, view.far_m, f"path: {root}")
     else:
         depth = depth_scaling
-    return FlyingThings3D(view, root, frames, depth, crop, downscale)
+    runs = find_runs([frame.sequence for frame in found], [frame.number for frame in found], frames)
+    return FlyingThings3D(
+        view,
+        root,
+        found,
+        runs.starts,
+        runs.groups,
+        frames,
+        frames_per_second,
+        depth,
+        crop,
+        downscale,
+        problems + runs.problems,
+    )
 
 
 @dataclass(frozen=True)
@@ -99,22 +124,32 @@ class FlyingThings3D:
     Attributes:
         view: the camera's view.
         root: the data set's folder.
-        frames: the pairs of files, relative to ``root``.
-        depth: how disparity becomes metres: one map for all frames, or the kind of map that each image gets.
+        frames: the pairs of files, relative to ``root``, sequence after sequence.
+        starts: index of each clip's first frame.
+        groups: number of the sequence that each clip comes from.
+        length: frames of a clip.
+        frames_per_second: of clips; None for stills.
+        depth: how disparity becomes metres: one map for all frames, or the kind of map that each clip gets.
         crop: where the view is cut out.
         downscale: pixels per side that become one, or ``auto``.
+        problems: what was found and cannot be used.
     """
 
     view: View
     root: Path
     frames: tuple[Frame, ...]
+    starts: tuple[int, ...]
+    groups: tuple[int, ...]
+    length: int
+    frames_per_second: float | None
     depth: DepthMap | AffineKind
     crop: Literal["random", "centre"]
     downscale: int | Literal["auto"]
+    problems: tuple[str, ...] = ()
 
     def __len__(self) -> int:
-        """Return how many different frames there are."""
-        return len(self.frames)
+        """Return how many different clips there are."""
+        return len(self.starts)
 
     @property
     def inputs(self) -> list[Path]:
@@ -122,52 +157,69 @@ class FlyingThings3D:
         return [self.root / file for frame in self.frames for file in (frame.picture, frame.disparity)]
 
     def clip(self, index: int, rng: np.random.Generator) -> Clip:
-        """Cut one still out of frame ``index`` (modulo their number).
+        """Cut clip ``index`` (modulo their number) out of its frames.
 
         Raises:
-            InputError: naming the file, when it is broken, when picture and disparity differ in size, or when the view
+            InputError: naming the file, when it is broken, when pictures and disparities differ in size, or when the view
                 is larger than the picture.
         """
-        frame = self.frames[index % len(self.frames)]
-        picture = read_picture(self.root / frame.picture)
-        disparity = _read_disparity(self.root / frame.disparity)
-        if picture.shape != (*disparity.shape, 3):
-            msg = (
-                f"{self.root / frame.picture} is {' x '.join(map(str, picture.shape))} and its disparity "
-                f"{frame.disparity} is {' x '.join(map(str, disparity.shape))}: expected an RGB picture of the same "
-                "size, fetch both again"
-            )
-            raise InputError(msg)
-        depth_map = self._depth_map(disparity, frame)
-
-        factor = self._factor(disparity.shape, frame)
+        start = self.starts[index % len(self.starts)]
+        frames = self.frames[start : start + self.length]
+        disparities = [read_disparity(self.root / frame.disparity) for frame in frames]
+        depth_map = self._depth_map(disparities, frames)
+        shape = disparities[0].shape
+        factor = self._factor(shape, frames[0])
         rows, columns = (size * factor for size in self.view.shape)
-        row, column = self._corner(disparity.shape[0] - rows, disparity.shape[1] - columns, rng)
+        row, column = self._corner(shape[0] - rows, shape[1] - columns, rng)
         window = np.s_[row : row + rows, column : column + columns]
-        rgb = _box_mean(decode_srgb_picture(picture[window]), factor)
         centres = np.s_[factor // 2 :: factor, factor // 2 :: factor]
-        cut = disparity[window][centres].astype(np.float64)
+        rgb = np.empty((self.length, *self.view.shape, 3), np.float32)
+        for t, frame in enumerate(frames):
+            picture = self._read_picture(frame, disparities[t].shape, shape)
+            rgb[t] = _box_mean(decode_srgb_picture(picture[window]), factor)
+        cut = np.stack([disparity[window][centres] for disparity in disparities]).astype(np.float64)
         valid = cut > 0
         depth = np.full(cut.shape, self.view.far_m)
         depth[valid] = depth_map.depth_m(cut[valid])
-        source: dict[str, Any] = {
+        source = {
             "importer": "flyingthings3d",
-            "picture": frame.picture.as_posix(),
-            "disparity": frame.disparity.as_posix(),
+            **_names(frames),
             "corner_px": [row, column],
             "downscale": factor,
             "per": "image" if isinstance(self.depth, str) else "set",
             **depth_map.record(),
         }
-        edges_s = np.array([0.0, 1.0])
-        return Clip(rgb[None], depth.astype(np.float32)[None], valid[None], edges_s, source=source)
+        edges_s = np.arange(self.length + 1) / (self.frames_per_second or 1.0)
+        return Clip(rgb, depth.astype(np.float32), valid, edges_s, source=source)
 
-    def _depth_map(self, disparity: NDArray[np.float32], frame: Frame) -> DepthMap:
+    def _read_picture(
+        self, frame: Frame, shape: tuple[int, ...], first: tuple[int, ...]
+    ) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        picture = read_picture(self.root / frame.picture)
+        if picture.shape != (*shape, 3):
+            msg = (
+                f"{self.root / frame.picture} is {' x '.join(map(str, picture.shape))} and its disparity "
+                f"{frame.disparity} is {' x '.join(map(str, shape))}: expected an RGB picture of the same "
+                "size, fetch both again"
+            )
+            raise InputError(msg)
+        if shape != first:
+            msg = (
+                f"{self.root / frame.picture} is {shape[0]} x {shape[1]}, but the clip's first frame is "
+                f"{first[0]} x {first[1]}: expected one size in a sequence, fetch it again"
+            )
+            raise InputError(msg)
+        return picture
+
+    def _depth_map(self, disparities: list[NDArray[np.float32]], frames: tuple[Frame, ...]) -> DepthMap:
+        if isinstance(self.depth, FixedDepth):
+            return replace(self.depth, focal_px=frames[0].focal_px)
         if not isinstance(self.depth, str):
             return self.depth
-        lowest, highest = _disparity_range(disparity, frame)
-        name = str(self.root / frame.disparity)
-        return affine_map(self.depth, lowest, highest, self.view.near_m, self.view.far_m, name)
+        names = [self.root / frame.disparity for frame in frames]
+        ranges = [disparity_range(disparity, name) for disparity, name in zip(disparities, names, strict=True)]
+        lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
+        return affine_map(self.depth, lowest, highest, self.view.near_m, self.view.far_m, str(names[0]))
 
     def _factor(self, shape: tuple[int, ...], frame: Frame) -> int:
         largest = min(shape[0] // self.view.shape[0], shape[1] // self.view.shape[1])
@@ -187,25 +239,37 @@ class FlyingThings3D:
         return int(rng.integers(spare_rows + 1)), int(rng.integers(spare_columns + 1))
 
 
-def _read_disparity(path: Path) -> NDArray[np.float32]:
-    """Disparity without its sign, ``(H, W)``; releases of the data set differ in the sign, but never within a file."""
-    disparity = read_pfm(path)
-    if disparity.ndim != 2:
-        msg = f"{path} has three channels ('PF'); expected a disparity map with one ('Pf')"
+def _usable(
+    root: Path, frames: tuple[Frame, ...]
+) -> tuple[tuple[Frame, ...], list[tuple[float, float]], tuple[str, ...]]:
+    """The frames whose disparity can be read, the range of each, and a line for each of the others."""
+    usable, ranges, problems = [], [], []
+    for frame in frames:
+        name = root / frame.disparity
+        try:
+            ranges.append(disparity_range(read_disparity(name), name))
+        except InputError as error:
+            if len(frames) == 1:
+                raise
+            problems.append(problem_line(error, name))
+        else:
+            usable.append(frame)
+    if not usable:
+        msg = f"none of the {len(frames)} disparities in {root} can be used; the first: {problems[0]}"
         raise InputError(msg)
-    if disparity.min() < 0 < disparity.max():
-        msg = f"{path} mixes disparities of both signs ({disparity.min():g}..{disparity.max():g} px): expected one sign"
-        raise InputError(msg)
-    return np.abs(disparity)
+    return tuple(usable), ranges, tuple(problems)
 
 
-def _disparity_range(disparity: NDArray[np.float32], frame: Frame) -> tuple[float, float]:
-    """Smallest and largest disparity that is not zero (zero means infinitely far: no surface)."""
-    seen = disparity[disparity > 0]
-    if seen.size == 0:
-        msg = f"{frame.disparity} is zero everywhere, so it says nothing about depth: leave this frame out"
-        raise InputError(msg)
-    return float(seen.min()), float(seen.max())
+def _names(frames: tuple[Frame, ...]) -> dict[str, Any]:
+    """A clip's files: those of a still, or the first and the last of consecutive ones."""
+    if len(frames) == 1:
+        return {"picture": frames[0].picture.as_posix(), "disparity": frames[0].disparity.as_posix()}
+    return {
+        "sequence": frames[0].sequence,
+        "frames": len(frames),
+        "pictures": [frame.picture.as_posix() for frame in (frames[0], frames[-1])],
+        "disparities": [frame.disparity.as_posix() for frame in (frames[0], frames[-1])],
+    }
 
 
 def _box_mean(linear: NDArray[np.float32], factor: int) -> NDArray[np.float32]:

@@ -243,7 +243,14 @@ class TestMistakes:
     def test_a_picture_without_disparity(self, root, rgb, disparity):
         write_frame(root, "TRAIN/A/0032/left/0007", rgb, disparity)
         (root / "disparity/TRAIN/A/0032/left/0007.pfm").unlink()
-        with pytest.raises(InputError, match=r"1 of 2 pictures .*left/0007\.png, needs disparity/TRAIN.*0007\.pfm"):
+        source = self.make(root)
+        assert len(source) == 1
+        (problem,) = source.problems
+        assert problem.startswith(
+            f"{root}/frames_cleanpass/TRAIN/A/0032/left/0007.png: has no disparity disparity/TRAIN"
+        )
+        (root / "disparity/TRAIN/A/0032/left/0006.pfm").unlink()
+        with pytest.raises(InputError, match=r"none of the 2 pictures .*the first, .*left/0006\.png: has no disparity"):
             self.make(root)
 
     def test_subset_needs_the_original_layout(self, tmp_path, rgb, disparity):
