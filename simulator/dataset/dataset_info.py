@@ -7,6 +7,8 @@ from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from simulator.camera.shutter import Shutter
+from simulator.camera.shutter_record import shutter_from_record
 from simulator.dataset.plain import readable_json
 from simulator.dataset.sample import SPLITS
 from simulator.errors import InputError
@@ -36,6 +38,8 @@ class DatasetInfo:
         sensor_shape: rows, columns of the measurement.
         channels: names of the measurement's channels.
         scene_to_camera: ``matrix``, the rows that take the ground truth's linear sRGB to the channels, and its origin.
+        time: how the measurements were exposed and taken apart: ``shutter`` (see `simulator.camera.shutter_record`),
+            ``slivers`` per sample (None where every frame is one), and what else the job recorded.
 
     Raises:
         InputError: a field has the wrong type or a senseless value.
@@ -53,11 +57,12 @@ class DatasetInfo:
     sensor_shape: tuple[int, int]
     channels: tuple[str, ...]
     scene_to_camera: dict[str, Any] = field(default_factory=dict)
+    time: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("name", "fingerprint", "backend"):
             _expect(name, isinstance(getattr(self, name), str), "text", getattr(self, name))
-        for name in ("config", "fingerprint_parts", "versions", "exposure", "counts", "scene_to_camera"):
+        for name in ("config", "fingerprint_parts", "versions", "exposure", "counts", "scene_to_camera", "time"):
             _expect(name, isinstance(getattr(self, name), dict), "a dict", getattr(self, name))
         hexadecimal = len(self.fingerprint) == 64 and set(self.fingerprint) <= set("0123456789abcdef")
         _expect("fingerprint", hexadecimal, "64 hexadecimal digits", self.fingerprint)
@@ -69,6 +74,20 @@ class DatasetInfo:
             _expect(name, fits, "a tuple of two sizes", shape)
         texts = isinstance(self.channels, tuple) and all(isinstance(name, str) for name in self.channels)
         _expect("channels", texts and len(self.channels) > 0, "a tuple of names", self.channels)
+
+    @property
+    def shutter(self) -> Shutter | None:
+        """The shutter through which the measurements were exposed; None where none is recorded.
+
+        Raises:
+            InputError: a damaged record, or one of another version's.
+        """
+        record = self.time.get("shutter")
+        try:
+            return None if record is None else shutter_from_record(record)
+        except InputError as error:
+            msg = f"{FILE}: time.shutter: {error}"
+            raise InputError(msg) from error
 
 
 def write_info(root: Path | str, info: DatasetInfo) -> None:

@@ -6,9 +6,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, overload
 
-from simulator.dataset.dataset_info import DatasetInfo, read_info
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.camera.shutter import Shutter
+from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info
 from simulator.dataset.manifest import load_manifest
-from simulator.dataset.sample import SPLITS, Sample, read_sample, sample_folder, sample_index
+from simulator.dataset.sample import SPLITS, Sample, sample_folder, sample_index
+from simulator.dataset.stored_sample import StoredSample
 from simulator.errors import InputError
 
 
@@ -39,7 +44,7 @@ class Dataset(Sequence[Sample]):
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """Exposure, versions, backend, sizes and channels of the data set."""
+        """Exposure, versions, backend, sizes, channels and times of the data set."""
         return {
             "name": self.info.name,
             "exposure": self.info.exposure,
@@ -48,6 +53,7 @@ class Dataset(Sequence[Sample]):
             "scene_shape": self.info.scene_shape,
             "sensor_shape": self.info.sensor_shape,
             "channels": self.info.channels,
+            "time": self.info.time,
         }
 
     def folder(self, position: int) -> Path:
@@ -77,11 +83,49 @@ class Dataset(Sequence[Sample]):
         """
         if isinstance(position, slice):
             return Dataset(self.root, self.split, self.ids[position], self.info)
+        return self.stored(position).sample()
+
+    def stored(self, position: int) -> StoredSample:
+        """Return the sample at a position for reading only a part of it: its measurement, its label, single frames.
+
+        Raises:
+            IndexError: no such position.
+            InputError: the sample's ``sample.json`` is missing or damaged.
+        """
         folder = self.folder(position)
         if not folder.is_dir():
             msg = f"sample {folder} is in the manifest but not on disk; `flatlight verify {self.root}` lists all faults"
             raise InputError(msg)
-        return read_sample(folder)
+        return StoredSample(folder)
+
+    @property
+    def shutter(self) -> Shutter | None:
+        """The shutter through which the measurements were exposed; None where ``dataset.json`` names none.
+
+        Raises:
+            InputError: a damaged or foreign record.
+        """
+        return self.info.shutter
+
+    def sliver_weights(self, sample: Sample | StoredSample) -> NDArray[np.float64]:
+        """Return the share of each sliver's time in which each row was open, ``(N, H)``, in the stored orientation.
+
+        With `simulator.camera.slivers.split_measurement`, the slivers of the sample's measurement. As S is the share of an
+        interval, S of a whole sliver is the mean of S over its frames, which are equally long. The one sliver of a still,
+        which lasts as long as any row is open, is the measurement itself: ones.
+
+        Raises:
+            InputError: a clip in a data set that records no shutter, or times that do not cover its capture.
+        """
+        rows = self.info.sensor_shape[0]
+        if sample.frame_edges_s is None:
+            return np.ones((1, rows))
+        if (shutter := self.shutter) is None:
+            msg = f"{self.root / FILE} records no shutter (time.shutter), which slivers need; make the data set again"
+            raise InputError(msg)
+        return shutter.weights(rows, sample.frame_edges_s)[
+            :, ::-1
+        ]  # shutter rows are physical, images turned by 180 deg
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[position] for position in range(len(self)))

@@ -1,14 +1,15 @@
-"""One sample: what the camera measured, what was there, and how both lie on disk.
+"""One sample: what the camera measured, what was there, and how both are written to disk.
 
 ``measurement.exr`` holds the channels (DN / 2^bits) and, beside them, ``noiseless.<channel>``: an OpenEXR part has one
-size, and the noiseless measurement has the sensor's, not the scene's. ``ground_truth.exr`` holds linear radiance
-R, G, B, depth ``Z`` in metres and ``valid`` (0 or 1), and the extras that the scene was asked for, in the channels that
-`simulator.channels` names. ``sample.json`` repeats their metadata, says which extras there are, and adds the hashes.
+size, and the noiseless measurement has the sensor's, not the scene's. ``ground_truth.exr``, or for a clip a file per frame,
+holds linear radiance R, G, B, depth ``Z`` in metres and ``valid`` (0 or 1), and the extras that the scene was asked for, in
+the channels that `simulator.channels` names. ``sample.json`` repeats their metadata, says which extras and frames there are,
+and adds the hashes. See `simulator.dataset.sample_layout` for the names.
 """
 
 from __future__ import annotations
 
-import json
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,15 +17,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.channels import TRUTH, describe_extras, frame_channels, frame_extras, layout_channels
+from simulator.channels import describe_extras, frame_channels
 from simulator.dataset.plain import plain, readable_json
+from simulator.dataset.sample_layout import (
+    DESCRIPTION,
+    FRAMES,
+    MEASUREMENT,
+    MOST_FRAMES,
+    NOISELESS,
+    digest_of,
+    file_metadata,
+    global_file,
+    truth_file,
+)
 from simulator.errors import InputError
-from simulator.exr import decode_exr, write_exr
+from simulator.exr import write_exr
 from simulator.files import committed_folder, sha256_bytes, write_atomic
 
 SPLITS = ("train", "validation", "test")
-MEASUREMENT, GROUND_TRUTH, DESCRIPTION = "measurement.exr", "ground_truth.exr", "sample.json"
-NOISELESS = "noiseless."
 _LAST_INDEX = 99_999_999  # ids have eight digits, so that names sort
 
 
@@ -149,11 +159,6 @@ def sample_folder(root: Path, split: str, index: int) -> Path:
     return Path(root) / split / f"{index // 1000:04d}" / sample_id(index)
 
 
-def digest_of(hashes: dict[str, str]) -> str:
-    """Return the digest of a sample from the SHA-256 of its files by name, ``sample.json`` included."""
-    return sha256_bytes("".join(f"{name} {hashes[name]}\n" for name in sorted(hashes)).encode())
-
-
 def write_sample(root: Path | str, split: str, index: int, sample: Sample) -> SampleRecord:
     """Write a sample's folder, which appears whole or not at all; the same sample gives the same bytes.
 
@@ -161,42 +166,18 @@ def write_sample(root: Path | str, split: str, index: int, sample: Sample) -> Sa
         root: the data set's folder; made when missing.
         split: ``train``, ``validation`` or ``test``.
         index: number within the split.
-        sample: a still (one frame).
+        sample: a still (one frame) or a clip of up to 10 000 frames.
 
     Raises:
-        InputError: more than one frame, or values that cannot be stored (NaN, inf).
+        InputError: too many frames, or values that cannot be stored (NaN, inf).
         StorageError: the disk is full or protected; nothing is left of this sample.
     """
     folder = sample_folder(Path(root), split, index)
-    frames = sample.rgb.shape[0]
-    if frames != 1:
-        msg = f"sample {folder.name} has {frames} frames; only stills (one frame) can be stored"
-        raise InputError(msg)
-    layout = {"extras": describe_extras(sample.extras)} if sample.extras else {}
-    description = plain(
-        layout
-        | {
-            "channels": sample.channels,
-            "frames": frames,
-            "id": folder.name,
-            "index": index,
-            "label": sample.label,
-            "metadata": sample.metadata,
-            "scene_shape": sample.rgb.shape[1:3],
-            "seed": sample.seed,
-            "sensor_shape": sample.measurement.shape[1:],
-            "split": split,
-        },
-        f"sample {folder.name}",
-    )
-    measured = dict(zip(sample.channels, sample.measurement, strict=True))
-    measured |= {NOISELESS + name: values for name, values in zip(sample.channels, sample.noiseless, strict=True)}
-    extras = {name: values[0] for name, values in sample.extras.items()}
-    truth = frame_channels(sample.rgb[0], sample.depth_m[0], sample.valid[0], extras)
+    description = _describe(sample, split, index)
     with committed_folder(folder) as temporary:
         hashes = {
-            MEASUREMENT: sha256_bytes(write_exr(temporary / MEASUREMENT, measured, description)),
-            GROUND_TRUTH: sha256_bytes(write_exr(temporary / GROUND_TRUTH, truth, description)),
+            name: sha256_bytes(write_exr(temporary / name, channels, file_metadata(description, frame)))
+            for name, frame, channels in _files(temporary, sample)
         }
         data = readable_json(description | {"files": hashes})
         write_atomic(temporary / DESCRIPTION, data)
@@ -204,85 +185,51 @@ def write_sample(root: Path | str, split: str, index: int, sample: Sample) -> Sa
     return SampleRecord(folder.name, split, digest, sample.seed, sample.label)
 
 
-def read_description(folder: Path) -> tuple[dict[str, Any], bytes]:
-    """Read ``sample.json``: its content and its bytes.
-
-    Raises:
-        InputError: missing or not what ``write_sample`` wrote.
-    """
-    path = Path(folder) / DESCRIPTION
-    try:
-        data = path.read_bytes()
-        description = json.loads(data)
-        complete = {"channels", "files", "id", "index", "label", "metadata", "seed", "split"} <= set(description)
-        complete = complete and set(description["files"]) == {MEASUREMENT, GROUND_TRUTH}
-        complete = complete and all(isinstance(name, str) for name in description["channels"])
-        complete = complete and isinstance(description["metadata"], dict)
-        layout_channels(description.get("extras", {}) if complete else {})
-    except OSError as error:
-        msg = f"cannot read {path}: {error.strerror or error}; is {folder} a sample?"
-        raise InputError(msg) from error
-    except (ValueError, TypeError, RecursionError) as error:
-        msg = f"{path} is not a sample description ({error}); make the sample again or restore it from a copy"
-        raise InputError(msg) from error
-    if not complete:
-        msg = f"{path} lacks fields of a sample description; make the sample again or restore it from a copy"
+def _describe(sample: Sample, split: str, index: int) -> dict[str, Any]:
+    """Return the content of ``sample.json`` without the hashes; what a sample has not is not mentioned."""
+    identifier, frames = sample_id(index), sample.rgb.shape[0]
+    if frames > MOST_FRAMES:
+        msg = (
+            f"sample {identifier} has {frames} frames, more than the {MOST_FRAMES} that can be stored; give it fewer frames, "
+            "or only its slivers (dataset.slivers)"
+        )
         raise InputError(msg)
-    return description, data
+    description: dict[str, Any] = {
+        "channels": sample.channels,
+        "frames": frames,
+        "id": identifier,
+        "index": index,
+        "label": sample.label,
+        "metadata": sample.metadata,
+        "scene_shape": sample.rgb.shape[1:3],
+        "seed": sample.seed,
+        "sensor_shape": sample.measurement.shape[1:],
+        "split": split,
+    }
+    if sample.extras:
+        description["extras"] = describe_extras(sample.extras)
+    if sample.frame_edges_s is not None:
+        description["frame_edges_s"] = sample.frame_edges_s
+    if sample.global_measurements is not None:
+        description["global_measurements"] = True
+    return plain(description, f"sample {identifier}")
 
 
-def read_sample(folder: Path | str) -> Sample:
-    """Read a sample's folder.
-
-    Raises:
-        InputError: a file is missing, damaged, or belongs to another sample; it is named.
-    """
-    folder = Path(folder)
-    description, _ = read_description(folder)
-    files: dict[str, bytes] = {}
-    for name in (MEASUREMENT, GROUND_TRUTH):
-        try:
-            files[name] = (folder / name).read_bytes()
-        except OSError as error:
-            msg = f"cannot read {folder / name}: {error.strerror or error}"
-            raise InputError(msg) from error
-    return sample_from_bytes(folder, description, files)
-
-
-def sample_from_bytes(folder: Path, description: dict[str, Any], files: dict[str, bytes]) -> Sample:
-    """Build a sample from the content of its files; ``folder`` only names them in errors."""
-    channels = {name: _read_paired(folder / name, data, description) for name, data in files.items()}
-    measured, truth = channels[MEASUREMENT], channels[GROUND_TRUTH]
-    names = tuple(description["channels"])
-    _expect_channels(folder / MEASUREMENT, measured, [*names, *(NOISELESS + name for name in names)])
-    layout = description.get("extras", {})
-    _expect_channels(folder / GROUND_TRUTH, truth, [*TRUTH, *layout_channels(layout)])
-    return Sample(
-        measurement=np.stack([measured[name] for name in names]),
-        noiseless=np.stack([measured[NOISELESS + name] for name in names]),
-        rgb=np.stack([truth[name] for name in "RGB"], axis=-1)[None],
-        depth_m=truth["Z"][None],
-        valid=(truth["valid"] != 0)[None],
-        seed=description["seed"],
-        label=description["label"],
-        channels=names,
-        metadata=description["metadata"],
-        extras={name: values[None] for name, values in frame_extras(truth, layout).items()},
-    )
-
-
-def _read_paired(path: Path, data: bytes, description: dict[str, Any]) -> dict[str, NDArray[np.float32]]:
-    channels, metadata = decode_exr(data, path, require_checksums=True)
-    if metadata != {key: value for key, value in description.items() if key != "files"}:
-        msg = f"{path} does not belong to the {DESCRIPTION} beside it: their metadata differ (mixed-up or edited files)"
-        raise InputError(msg)
-    return channels
-
-
-def _expect_channels(path: Path, found: dict[str, Any], expected: list[str]) -> None:
-    if sorted(found) != sorted(expected):
-        msg = f"{path} must have the channels {sorted(expected)}, got {sorted(found)}"
-        raise InputError(msg)
+def _files(folder: Path, sample: Sample) -> Iterator[tuple[str, int | None, dict[str, NDArray[np.float32]]]]:
+    """Yield name, frame number (None where a sample has one such file) and channels of each EXR file."""
+    measured = dict(zip(sample.channels, sample.measurement, strict=True))
+    noiseless = {NOISELESS + name: values for name, values in zip(sample.channels, sample.noiseless, strict=True)}
+    yield MEASUREMENT, None, measured | noiseless
+    frames = len(sample.rgb)
+    if frames > 1 or sample.global_measurements is not None:
+        (folder / FRAMES).mkdir()
+    for frame in range(frames):
+        extras = {name: values[frame] for name, values in sample.extras.items()}
+        truth = frame_channels(sample.rgb[frame], sample.depth_m[frame], sample.valid[frame], extras)
+        yield truth_file(frame, frames), frame if frames > 1 else None, truth
+        if sample.global_measurements is not None:
+            planes = sample.global_measurements[frame]
+            yield global_file(frame), frame, dict(zip(sample.channels, planes, strict=True))
 
 
 def _check_edges(frames: int, edges_s: NDArray[np.float64] | None) -> None:

@@ -6,24 +6,18 @@ Reads files only; code that the data set names is never imported.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from simulator.dataset.dataset_info import CAPTURED_FOLDER, PSF_FOLDER, DatasetInfo, read_info
 from simulator.dataset.engines import run
 from simulator.dataset.manifest import MANIFEST, Entry, Manifest, load_manifest
 from simulator.dataset.psf_files import read_psf_stack
-from simulator.dataset.sample import (
-    DESCRIPTION,
-    SPLITS,
-    digest_of,
-    read_description,
-    sample_folder,
-    sample_from_bytes,
-    sample_index,
-)
+from simulator.dataset.sample import SPLITS, sample_folder, sample_index
+from simulator.dataset.sample_layout import DESCRIPTION, digest_of, read_description
+from simulator.dataset.stored_sample import StoredSample
 from simulator.errors import InputError
 from simulator.files import leftovers, sha256_bytes
 
@@ -78,6 +72,10 @@ def verify(path: Path | str, *, workers: int | str = 1, progress: Callable[[int,
     except InputError as error:
         return Report((str(error),), dict.fromkeys(info.counts, 0), info.counts)
     problems += _check_lists(root, info, manifest)
+    try:
+        _ = info.shutter
+    except InputError as error:
+        problems.append(str(error))
     fingerprint = ""
     try:
         fingerprint = read_psf_stack(root / PSF_FOLDER).fingerprint
@@ -108,10 +106,7 @@ def check_sample(root: Path, info: DatasetInfo, psf_fingerprint: str, entry: Ent
         description, data = read_description(folder)
     except InputError as error:
         return [f"{where}: {error}"]
-    problems: list[str] = []
-    wanted = {**description["files"], DESCRIPTION: None}
-    present = {path.name for path in folder.iterdir()}
-    problems += [f"{where}: unexpected file {name}" for name in sorted(present - wanted.keys())]
+    problems = [f"{where}: unexpected file {name}" for name in _unexpected(folder, description["files"])]
     files: dict[str, bytes] = {}
     hashes = {DESCRIPTION: sha256_bytes(data)}
     for name, expected in description["files"].items():
@@ -131,7 +126,7 @@ def check_sample(root: Path, info: DatasetInfo, psf_fingerprint: str, entry: Ent
     if identity != (entry.id, entry.split, entry.seed, entry.label):
         problems.append(f"{where}: {DESCRIPTION} speaks of another sample: {identity}")
     try:
-        sample = sample_from_bytes(folder, description, files)
+        sample = StoredSample(folder, description, files).sample()
     except InputError as error:
         return [*problems, f"{where}: {error}"]
     sizes = {
@@ -148,6 +143,14 @@ def check_sample(root: Path, info: DatasetInfo, psf_fingerprint: str, entry: Ent
         if promised is not None and found != promised:
             problems.append(f"{where}: it was made with {name} = {found}, the data set says {promised}")
     return problems
+
+
+def _unexpected(folder: Path, files: Iterable[str]) -> list[str]:
+    """Return what lies in a sample's folder beside its files; of a folder that should not be there its name only."""
+    wanted = {DESCRIPTION, *files}
+    folders = {PurePosixPath(name).parent for name in wanted}
+    found = sorted(PurePosixPath(path.relative_to(folder).as_posix()) for path in folder.rglob("*"))
+    return [str(path) for path in found if path.parent in folders and path not in folders and str(path) not in wanted]
 
 
 def _check_captured(root: Path, info: DatasetInfo, psf_fingerprint: str) -> list[str]:

@@ -24,3 +24,9 @@ def samples(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
 def dataset(samples: ModuleType, tmp_path: Path) -> Path:
     """A small whole data set on disk."""
     return samples.make_dataset(tmp_path / "set")
+
+
+@pytest.fixture
+def clips(samples: ModuleType, tmp_path: Path) -> Path:
+    """The same of clips: samples of three frames with global measurements."""
+    return samples.make_dataset(tmp_path / "clips", samples.make_clip_sample)

@@ -1,5 +1,6 @@
 """Small synthetic samples and data sets that the tests of this folder share."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,20 @@ def make_sample(index: int = 0, sensor: tuple[int, int] = SENSOR, scene: tuple[i
     return Sample(**(values | changes))
 
 
+def make_clip_sample(index: int = 0, frames: int = 3, **changes) -> Sample:
+    """A sample of several frames with a global measurement for each."""
+    rng = np.random.default_rng(1000 + index)
+    values = {
+        "rgb": rng.random((frames, *SCENE, 3), dtype=np.float32),
+        "depth_m": rng.uniform(0.036, 0.2, (frames, *SCENE)).astype(np.float32),
+        "valid": rng.random((frames, *SCENE)) > 0.2,
+        "extras": {"shape_id": rng.integers(-1, 9, (frames, *SCENE), np.int32)},
+        "frame_edges_s": np.linspace(0, 0.01, frames + 1),
+        "global_measurements": rng.random((frames, 3, *SENSOR), dtype=np.float32),
+    }
+    return make_sample(index, **(values | changes))
+
+
 def make_info(**changes) -> DatasetInfo:
     values = {
         "name": "small",
@@ -47,7 +62,7 @@ def make_info(**changes) -> DatasetInfo:
     return DatasetInfo(**(values | changes))
 
 
-def make_dataset(root: Path, **changes) -> Path:
+def make_dataset(root: Path, make: Callable[[int], Sample] = make_sample, **changes) -> Path:
     """Write a whole data set: three training samples (finished in another order) and one for validation."""
     info = make_info(**changes)
     root.mkdir()
@@ -56,5 +71,5 @@ def make_dataset(root: Path, **changes) -> Path:
     write_psf_stack(root / "psf", PsfStack(values, np.array([0.036, 0.2]), 2e-5, ("R", "G", "B"), "a" * 64))
     with ManifestWriter(root) as manifest:
         for split, index in (("train", 2), ("train", 0), ("validation", 0), ("train", 1)):
-            manifest.append(write_sample(root, split, index, make_sample(index)), seconds=0.1)
+            manifest.append(write_sample(root, split, index, make(index)), seconds=0.1)
     return root

@@ -7,7 +7,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from simulator.dataset.sample import read_sample, sample_folder, sample_id, sample_index, write_sample
+from simulator.dataset.sample import sample_folder, sample_id, sample_index, write_sample
+from simulator.dataset.stored_sample import read_sample
 from simulator.errors import InputError
 from simulator.exr import read_exr
 from simulator.files import sha256_bytes, sha256_file
@@ -151,10 +152,6 @@ def test_values_that_cannot_be_stored_leave_nothing(samples: ModuleType, tmp_pat
         write_sample(tmp_path, "train", 0, samples.make_sample(0, depth_m=depth))
     with pytest.raises(InputError, match=r"s00000000\.metadata\.a is NaN"):
         write_sample(tmp_path, "train", 0, samples.make_sample(0, metadata={"a": float("nan")}))
-    clip = {"rgb": np.zeros((2, 4, 4, 3), np.float32), "depth_m": np.ones((2, 4, 4), np.float32)}
-    clip |= {"frame_edges_s": np.arange(3.0)}
-    with pytest.raises(InputError, match="2 frames; only stills"):
-        write_sample(tmp_path, "train", 0, samples.make_sample(0, **clip, valid=np.ones((2, 4, 4), bool)))
     assert [path for path in tmp_path.rglob("*") if path.name.startswith((".tmp", "s0"))] == []
 
 
