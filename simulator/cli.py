@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from simulator import __version__
-from simulator.commands import about, compare, datasets, masks, plugins, psf, render
+from simulator.commands import about, compare, datasets, importing, masks, plugins, psf, render
 from simulator.errors import InputError
 
 app = typer.Typer(
@@ -35,6 +35,7 @@ for command in (
     about.doctor,
 ):
     app.command()(command)
+app.command("import")(importing.import_check)  # a word that no function can be called
 
 
 def _version(wanted: bool) -> None:

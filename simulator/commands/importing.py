@@ -1,0 +1,90 @@
+"""``import``: what a data set's folder holds, before a configuration relies on it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from simulator.errors import InputError
+
+if TYPE_CHECKING:
+    from simulator.importers._survey import Survey
+    from simulator.plugins import Plugin
+
+_EXAMPLE_SIZE = "[128, 128]"
+
+
+def import_check(
+    check: Annotated[
+        Path, typer.Option("--check", metavar="PATH", help="folder or film to read and report on", show_default=False)
+    ],
+    source: Annotated[
+        str | None,
+        typer.Option("--source", metavar="NAME", help="importer; found by the folder's layout when left out"),
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="a parameter of the importer, e.g. subset=val"),
+    ] = None,
+    skip_bad: Annotated[bool, typer.Option("--skip-bad", help="list what is bad, but do not fail for it")] = False,
+) -> None:
+    """Read a data set in its original layout once and report what was found; nothing is copied or changed."""
+    from simulator.config.overrides import apply_overrides
+    from simulator.config.yaml_loader import parse_yaml
+    from simulator.console import Bar
+    from simulator.importers._check import choose, find_candidates, run_survey
+    from simulator.plugins import resolve
+
+    if not check.exists():
+        msg = f"--check: there is no file or folder {check}; expected a data set in its original layout"
+        raise InputError(msg)
+    options, _ = apply_overrides(parse_yaml("{}", "--set"), set_ or [], "--set")
+    with Bar() as bar:
+        if source is not None:
+            plugin = resolve("source", source)
+        else:
+            candidates = find_candidates(check)
+            for line in candidates.broken:
+                bar.say(f"warning: this source cannot be asked: {line}")
+            plugin = choose(check, candidates)
+        survey = run_survey(plugin, check, options, lambda done, total: bar.update("read", done, total))
+    print(survey)
+    _judge(survey, skip_bad)
+    print(_usage(plugin, check, options))
+
+
+def _judge(survey: Survey, skip_bad: bool) -> None:
+    if not survey.usable:
+        msg = f"{survey.path}: nothing can be used; mend the problems above, or check the path"
+        raise InputError(msg)
+    if survey.problems and not skip_bad:
+        msg = (
+            f"{survey.path}: {len(survey.problems)} problems, listed above; mend them, or go on without what is bad: "
+            "--skip-bad, here and in flatlight generate"
+        )
+        raise InputError(msg)
+
+
+def _usage(plugin: Plugin, path: Path, options: dict[str, Any]) -> str:
+    """The lines of a configuration that use the folder; what has no default is left open and explained."""
+    from simulator.plugin_listing import parameter_lines
+
+    required = [
+        line for line in parameter_lines(plugin) if line.default == "required" and line.name not in ("path", *options)
+    ]
+    values = {
+        "source": plugin.name,
+        "path": json.dumps(str(path.resolve()), ensure_ascii=False),
+        "size": _EXAMPLE_SIZE,
+        **{name: json.dumps(value, ensure_ascii=False) for name, value in options.items()},
+        **{line.name: "..." for line in required},
+    }
+    lines = [
+        "use it in sim_config.yaml with",
+        f"  scene: {{{', '.join(f'{key}: {value}' for key, value in values.items())}}}",
+    ]
+    lines += [f"  where {line.name} is a {line.expected}: {line.meaning}" for line in required]
+    return "\n".join(lines)

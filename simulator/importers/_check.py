@@ -1,0 +1,138 @@
+"""Which importer reads a folder, and its survey: what ``flatlight import --check`` does.
+
+The module of a source may hold two functions beside the one of its own name: ``recognises(path) -> bool``, which looks at
+names only, and ``survey(path, progress, **options) -> Survey``, whose options are some of the source's own parameters.
+Modules without them, such as a user's own, are left out. Nothing that the folder names is imported.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from pydantic import create_model
+
+from simulator.errors import InputError
+from simulator.importers._survey import Progress, Survey
+from simulator.plugins import Plugin, available, plugin_errors, resolve
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """The sources that might read a folder.
+
+    Attributes:
+        recognised: those that say that they can.
+        others: those that say that they cannot.
+        silent: those that cannot tell, as their module has no ``recognises``.
+        broken: names and reasons of those that failed.
+    """
+
+    recognised: tuple[Plugin, ...]
+    others: tuple[Plugin, ...]
+    silent: tuple[Plugin, ...]
+    broken: tuple[str, ...]
+
+
+def find_candidates(path: Path) -> Candidates:
+    """Ask every installed source whether it recognises a folder or file."""
+    recognised: list[Plugin] = []
+    others: list[Plugin] = []
+    silent: list[Plugin] = []
+    broken: list[str] = []
+    for name in available("source"):
+        try:
+            plugin = resolve("source", name)
+            recognises = getattr(_module(plugin), "recognises", None)
+            kind = silent if not callable(recognises) else recognised if recognises(path) else others
+        except Exception as error:  # another package's fault must not keep ours from answering
+            broken.append(f"{name}: {type(error).__name__}: {error}")
+        else:
+            kind.append(plugin)
+    return Candidates(tuple(recognised), tuple(others), tuple(silent), tuple(broken))
+
+
+def choose(path: Path, candidates: Candidates) -> Plugin:
+    """Return the one source that recognises a folder.
+
+    Raises:
+        InputError: none does, or several do; the message lists the sources and what each expects.
+    """
+    if len(candidates.recognised) == 1:
+        return candidates.recognised[0]
+    if candidates.recognised:
+        listed = _lines(candidates.recognised)
+        msg = f"--check: {path} is recognised by several sources; choose one with --source:{listed}"
+        raise InputError(msg)
+    msg = f"--check: {path} is laid out like none of these; check the path, or choose one with --source:"
+    msg += _lines(candidates.others)
+    if candidates.silent:
+        msg += f"\nnot asked, as they do not say what they expect:{_lines(candidates.silent)}"
+    raise InputError(msg)
+
+
+def run_survey(plugin: Plugin, path: Path, options: Mapping[str, Any], progress: Progress | None = None) -> Survey:
+    """Survey a folder by one source.
+
+    Args:
+        plugin: the source.
+        path: folder or file.
+        options: of the source's parameters, plain data, those that decide what is read (such as ``subset``).
+        progress: called as the survey goes on.
+
+    Raises:
+        InputError: the source has no survey, an option is unknown or wrong, or as the survey does.
+    """
+    survey = getattr(_module(plugin), "survey", None)
+    if not callable(survey):
+        msg = (
+            f"--source: {plugin.name!r} has no survey(path, progress) in its module, so nothing can be checked before use; "
+            f"`flatlight render` shows what it makes of {path}"
+        )
+        raise InputError(msg)
+    values = _options(plugin, survey, options)
+    with plugin_errors(plugin):
+        result = survey(path, progress, **values)
+    if not isinstance(result, Survey):
+        msg = f"source {plugin.name!r}: its survey returned {type(result).__name__}, expected a Survey"
+        raise InputError(msg)
+    return result
+
+
+def _module(plugin: Plugin) -> ModuleType:
+    """The module that defines a source; already imported."""
+    return sys.modules[plugin.function.__module__]
+
+
+def _options(plugin: Plugin, survey: Any, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Validate options by those of the source's parameters that its survey takes too."""
+    taken = inspect.signature(survey).parameters.values()
+    anything = any(parameter.kind is parameter.VAR_KEYWORD for parameter in taken)
+    names = {parameter.name for parameter in taken if parameter.kind is parameter.KEYWORD_ONLY}
+    fields: dict[str, Any] = {
+        name: (field.annotation, field)
+        for name, field in plugin.parameters.model_fields.items()
+        if name in names or (anything and name != "path" and name in options)
+    }
+    model = create_model(f"{plugin.name} survey", __config__=plugin.parameters.model_config, **fields)
+    bound = dataclasses.replace(plugin, parameters=model).bind(options)
+    required = {name for name, field in model.model_fields.items() if field.is_required()}
+    return {name: value for name, value in bound.items() if name in options or name in required}
+
+
+def _lines(plugins: tuple[Plugin, ...]) -> str:
+    return "".join(f"\n  {plugin.name}: {_summary(plugin)}" for plugin in plugins)
+
+
+def _summary(plugin: Plugin) -> str:
+    """The first line of the source's module, then where its docstring says what ``path`` is."""
+    from simulator.plugin_listing import parameter_lines, summary
+
+    meaning = next((line.meaning for line in parameter_lines(plugin) if line.name == "path"), "")
+    return f"{summary(plugin)}{f' path: {meaning}' if meaning else ''}"

@@ -1,0 +1,175 @@
+"""Data sets of videos with object masks: what YouTube-VOS and DAVIS share, from listing their folders to the scene source.
+
+Both keep a folder of pictures and a folder of masks per video, the files of a frame named alike; masks may be fewer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from simulator.errors import InputError
+from simulator.importers._flat_videos import FlatVideos, choose_raiser, flat_videos, plane_depth
+from simulator.importers._masked_video import MaskedVideo, frame_number
+from simulator.importers._video import ClipPlan
+from simulator.types import View
+
+RaiseWith: TypeAlias = Literal["optical_flow", "superslomo"]
+Categories: TypeAlias = Mapping[int, str | None]
+Fault: TypeAlias = tuple[str, str]  # where, what and what to do
+
+_PICTURES = {".jpg", ".jpeg", ".png", ".webp"}
+_EXAMPLES = 3
+
+
+@dataclass(frozen=True)
+class Found:
+    """The videos of a data set, as the names of its files tell.
+
+    Attributes:
+        root: the folder that messages shorten paths by.
+        videos: those with a frame that can be used, sorted by name.
+        faults: of the others: the video's name and the reason.
+        unannotated: how many pictures have no mask.
+        stray: how many masks have no picture.
+    """
+
+    root: Path
+    videos: tuple[MaskedVideo, ...]
+    faults: tuple[Fault, ...]
+    unannotated: int
+    stray: int
+
+
+def masked_source(
+    importer: str,
+    view: View,
+    found: Found,
+    plan: ClipPlan,
+    *,
+    plane_cm: float | None,
+    raise_with: RaiseWith,
+    superslomo_checkpoint: Path | None,
+    other_inputs: Iterable[Path] = (),
+) -> FlatVideos:
+    """Return the videos as flat scenes; those that are too short are among its problems, in few lines.
+
+    Raises:
+        InputError: no video can be used, or as `plane_depth` and `choose_raiser` of `simulator.importers._flat_videos`.
+    """
+    kept = tuple(video for video in found.videos if len(video) >= plan.needed)
+    short = [video for video in found.videos if len(video) < plan.needed]
+    faults = list(found.faults)
+    if short:
+        lengths = sorted({len(video) for video in found.videos})
+        kind = "frames" if short[0].keep_background else "frames with a mask"
+        raised = f", raised by {plan.raise_by}," if plan.raise_by > 1 else ""
+        reason = (
+            f"fewer {kind} than the {plan.needed} that a clip of {plan.frames}{raised} takes (videos here have {lengths[0]} "
+            f"to {lengths[-1]}): ask for fewer, or raise them by more"
+        )
+        faults += [(video.name, reason) for video in short]
+    return flat_videos(
+        importer,
+        view,
+        kept,
+        plan=plan,
+        plane_m=plane_depth(view, plane_cm),
+        raiser=choose_raiser(plan.raise_by, raise_with, superslomo_checkpoint),
+        problems=grouped(faults),
+        other_inputs=other_inputs,
+    )
+
+
+def find_videos(
+    root: Path,
+    pictures: Path,
+    masks: Path,
+    filmed_at: float,
+    *,
+    names: Iterable[str] | None = None,
+    categories: Mapping[str, Categories] | None = None,
+    keep_background: bool = False,
+) -> Found:
+    """List videos and match masks with pictures, by name; no file is opened.
+
+    Args:
+        root: the data set's folder.
+        pictures: folder with a folder of pictures per video.
+        masks: folder with a folder of masks per video.
+        filmed_at: rate at which pictures are numbered, 1/s.
+        names: the videos wanted; None takes all.
+        categories: of each video's objects, by the video's name; None when the data set lists none.
+        keep_background: use pictures without a mask too.
+
+    Raises:
+        InputError: when there is no folder of pictures at all.
+    """
+    here = folders(pictures)
+    if not here:
+        msg = f"path: {pictures} holds no video; expected a folder of pictures for each, fetch them"
+        raise InputError(msg)
+    videos: list[MaskedVideo] = []
+    faults: list[Fault] = []
+    unannotated = stray = 0
+    for name in sorted(set(here) | set(categories or ()) if names is None else set(names)):
+        annotated = {file.stem for file in (masks / name).glob("*.png")}
+        try:
+            if categories is not None and not categories.get(name):
+                msg = "meta.json lists no object of it: fetch pictures and meta.json from the same release"
+                raise InputError(msg)
+            frames = _frames(pictures / name)
+            matched = tuple(frame for frame in frames if Path(frame).stem in annotated)
+            if not frames:
+                msg = f"no pictures in {pictures.relative_to(root)}: fetch them, or take its name off the list"
+                raise InputError(msg)
+            if not (matched or keep_background):
+                msg = f"no mask in {masks.relative_to(root)} for any picture: fetch them, or use keep_background: true"
+                raise InputError(msg)
+        except InputError as error:
+            faults.append((name, str(error)))
+            continue
+        unannotated += len(frames) - len(matched)
+        stray += len(annotated) - len(matched)
+        known = (categories or {}).get(name, {})
+        used = frames if keep_background else matched
+        videos.append(MaskedVideo(name, pictures / name, masks / name, used, filmed_at, known, keep_background))
+    return Found(root, tuple(videos), tuple(faults), unannotated, stray)
+
+
+def grouped(faults: Iterable[Fault]) -> tuple[str, ...]:
+    """Return one line ``"where: reason"`` per reason; a reason that many share names a few and counts the others.
+
+    Example:
+        >>> grouped([("a", "too short"), ("b", "no mask"), ("c", "too short")])
+        ('a, c: too short', 'b: no mask')
+    """
+    places: dict[str, list[str]] = {}
+    for where, reason in faults:
+        places.setdefault(reason, []).append(where)
+    return tuple(f"{examples(where)}: {reason}" for reason, where in places.items())
+
+
+def folders(path: Path) -> list[str]:
+    """Return the sorted names of the folders in a folder; none where there is no such folder."""
+    return sorted(child.name for child in path.iterdir() if child.is_dir()) if path.is_dir() else []
+
+
+def examples(names: list[str]) -> str:
+    """Return a few names and how many more there are."""
+    more = len(names) - _EXAMPLES
+    return ", ".join(names) if more <= 0 else f"{', '.join(names[:_EXAMPLES])} and {more} more"
+
+
+def _frames(folder: Path) -> tuple[str, ...]:
+    """The pictures of a video in the order of their numbers."""
+    found = [file.name for file in folder.iterdir() if file.suffix.lower() in _PICTURES] if folder.is_dir() else []
+    numbered = sorted((frame_number(name), name) for name in found)
+    for (number, name), (following, other) in pairwise(numbered):
+        if number == following:
+            msg = f"{name} and {other} are both frame {number}: take one of them away"
+            raise InputError(msg)
+    return tuple(name for _, name in numbered)

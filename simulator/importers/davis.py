@@ -1,0 +1,164 @@
+"""DAVIS 2016 and 2017 videos as flat scenes: the annotated objects without their background.
+
+Source: Perazzi et al., A Benchmark Dataset and Evaluation Methodology for Video Object Segmentation, CVPR 2016 (one binary
+mask per frame), and Pont-Tuset et al., The 2017 DAVIS Challenge on Video Object Segmentation, arXiv 1704.00675 (one number
+per object). Films of 24 frames per second.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from simulator.errors import InputError
+from simulator.importers._flat_videos import FlatVideos
+from simulator.importers._survey import Progress, Survey
+from simulator.importers._video import ClipPlan
+from simulator.importers._vos import Found, RaiseWith, find_videos, folders, masked_source
+from simulator.importers._vos_survey import survey_videos
+from simulator.types import View
+
+FILMED_AT = 24.0
+"""Frames per second (Perazzi et al., section 3)."""
+
+Resolution = Literal["480p", "1080p", "Full-Resolution"]
+_RESOLUTIONS = ("480p", "1080p", "Full-Resolution")
+_IMAGE_SETS = "ImageSets"
+
+
+def davis(
+    view: View,
+    *,
+    path: Path,
+    frames: Annotated[int, Field(ge=1)],
+    subset: str | None = None,
+    resolution: Resolution = "480p",
+    frames_per_second: Annotated[float, Field(gt=0)] | None = None,
+    clips_per_video: Annotated[int, Field(ge=1)] = 1,
+    crop: Literal["centre", "random"] = "centre",
+    plane_cm: Annotated[float, Field(gt=0)] | None = None,
+    keep_background: bool = False,
+    raise_by: Annotated[int, Field(ge=1)] = 1,
+    raise_with: RaiseWith = "optical_flow",
+    superslomo_checkpoint: Path | None = None,
+) -> FlatVideos:
+    """Read clips of the annotated objects of DAVIS.
+
+    Files are listed at once and read when a clip is asked for. Only annotated frames are used. What belongs to no object is
+    black, void (index 255 of a palette) included.
+
+    Args:
+        view: the camera's view: size of the clips, far depth.
+        path: the folder that holds JPEGImages and Annotations (or Annotations_unsupervised); or ``images`` and ``masks``
+            with a folder per video.
+        frames: frames of a clip, after raising; videos have 25 to 104.
+        subset: a list of ImageSets, such as train or val (of 2017 where both years have it), or 2016/val; null takes all.
+        resolution: which folder of JPEGImages.
+        frames_per_second: rate at which a clip is taken to run; null is the video's own, 24 per second, times raise_by.
+        clips_per_video: clips that one video gives, evenly spread; 1 begins at a random frame.
+        crop: where the largest window of the view's proportions is cut out, the same for all frames of a clip.
+        plane_cm: depth of the plane that shows the clip; null is the far depth.
+        keep_background: leave pictures as they are; then frames without a mask are used too.
+        raise_by: frames that one becomes by interpolation, after the background is removed; 1 leaves them.
+        raise_with: how frames are interpolated.
+        superslomo_checkpoint: file of the published network's weights, for superslomo.
+
+    Returns:
+        A scene source; its clips have no label, as DAVIS names no categories.
+
+    Raises:
+        InputError: for missing folders and lists, or when no video is long enough.
+    """
+    found = find(Path(path), subset=subset, resolution=resolution, keep_background=keep_background)
+    plan = ClipPlan(frames, frames_per_second, raise_by, clips_per_video, crop)
+    return masked_source(
+        "davis",
+        view,
+        found,
+        plan,
+        plane_cm=plane_cm,
+        raise_with=raise_with,
+        superslomo_checkpoint=superslomo_checkpoint,
+    )
+
+
+def recognises(path: Path) -> bool:
+    """Whether a folder is laid out like DAVIS; looks at names only."""
+    original = any((path / "JPEGImages" / resolution).is_dir() for resolution in _RESOLUTIONS)
+    return original or _is_flat(path)
+
+
+def survey(
+    path: Path,
+    progress: Progress | None = None,
+    *,
+    subset: str | None = None,
+    resolution: Resolution = "480p",
+    keep_background: bool = False,
+) -> Survey:
+    """Read every annotated frame and its mask once and say what is there.
+
+    Raises:
+        InputError: as :func:`davis`.
+    """
+    found = find(path, subset=subset, resolution=resolution, keep_background=keep_background)
+    return survey_videos("davis", found, progress)
+
+
+def find(
+    path: Path, *, subset: str | None = None, resolution: Resolution = "480p", keep_background: bool = False
+) -> Found:
+    """List the videos.
+
+    Raises:
+        InputError: for missing folders and lists.
+    """
+    if _is_flat(path):
+        if subset is not None:
+            msg = f"subset is {subset!r}, but {path} holds images and masks without {_IMAGE_SETS}: leave subset out"
+            raise InputError(msg)
+        return find_videos(path, path / "images", path / "masks", FILMED_AT, keep_background=keep_background)
+    pictures = path / "JPEGImages" / resolution
+    if not pictures.is_dir():
+        there = ", ".join(folders(path / "JPEGImages")) or "none"
+        msg = (
+            f"path: {path} has no folder JPEGImages/{resolution} (resolutions there: {there}): name the folder that holds "
+            "JPEGImages and Annotations, or another resolution"
+        )
+        raise InputError(msg)
+    annotations = next((name for name in ("Annotations", "Annotations_unsupervised") if (path / name).is_dir()), None)
+    masks = path / (annotations or "Annotations") / resolution
+    names = None if subset is None else read_image_set(path / _IMAGE_SETS, subset, resolution)
+    return find_videos(path, pictures, masks, FILMED_AT, names=names, keep_background=keep_background)
+
+
+def read_image_set(folder: Path, subset: str, resolution: str) -> list[str]:
+    """Return the names of the videos that a list holds.
+
+    Args:
+        folder: ``ImageSets``.
+        subset: a list's name, looked for in ``2017``, ``2016`` and the resolution's folder, or with its folder in front.
+        resolution: names the folder of the original release of 2016, whose lists name each frame's picture and mask.
+
+    Raises:
+        InputError: there is no such list, or it names no video.
+    """
+    files = {file.relative_to(folder).with_suffix("").as_posix(): file for file in sorted(folder.glob("*/*.txt"))}
+    wanted = [f"2017/{subset}", f"2016/{subset}", f"{resolution}/{subset}", subset]
+    name = next((name for name in wanted if name in files), None)
+    if name is None:
+        msg = f"subset: got {subset!r}, expected one of the lists in {folder}: {', '.join(files) or 'there are none'}"
+        raise InputError(msg)
+    lines = [line.split() for line in files[name].read_text(encoding="utf-8").splitlines() if line.strip()]
+    names = [Path(line[0]).parent.name if "/" in line[0] else line[0] for line in lines]
+    if not names:
+        msg = f"{files[name]} names no video: fetch it again"
+        raise InputError(msg)
+    return list(dict.fromkeys(names))
+
+
+def _is_flat(path: Path) -> bool:
+    """Whether pictures and masks lie in folders of that name, one folder per video in each."""
+    return bool(set(folders(path / "images")) & set(folders(path / "masks")))
