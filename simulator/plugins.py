@@ -1,4 +1,4 @@
-"""Resolves the names of mask designs, scene families and imported sources.
+"""Resolves the names of mask designs, scene families, imported sources and shutters.
 
 A name is a module of a package that an entry point names (one new file is one new design), ``./file.py:name`` or
 ``package.module:name``. Nothing is imported before it is used; a plugin's signature is the schema of its parameters.
@@ -24,13 +24,23 @@ from simulator.plugin_files import describe_failure, import_file, modules_defini
 from simulator.validation import Problem, find_problems, nearest, validate
 
 # What messages call each kind, its entry-point group, and the packages that need no entry point.
-_LABELS = {"mask": "mask design", "scene": "scene family", "source": "imported source"}
-_GROUPS = {"mask": "flatlight.masks", "scene": "flatlight.scenes", "source": "flatlight.sources"}
-_BUILT_IN = {"mask": (), "scene": (), "source": ("simulator.importers",)}
+_LABELS = {"mask": "mask design", "scene": "scene family", "source": "imported source", "shutter": "shutter function"}
+_GROUPS = {
+    "mask": "flatlight.masks",
+    "scene": "flatlight.scenes",
+    "source": "flatlight.sources",
+    "shutter": "flatlight.shutters",
+}
+_BUILT_IN = {"mask": (), "scene": (), "source": ("simulator.importers",), "shutter": ()}
 
 # Keys of the section beside the plugin's parameters, which a parameter therefore cannot be called.
 _SCENE_KEYS = ("family", "source", "size", "near_cm", "far_cm")
-SECTION_KEYS = {"mask": ("design",), "scene": _SCENE_KEYS, "source": _SCENE_KEYS}
+SECTION_KEYS = {
+    "mask": ("design",),
+    "scene": _SCENE_KEYS,
+    "source": _SCENE_KEYS,
+    "shutter": ("type", "file", "function"),
+}
 _INJECTED = "renderer"
 
 
@@ -51,7 +61,7 @@ class Plugin:
     """A function with named parameters, found by its name.
 
     Attributes:
-        kind: ``mask``, ``scene`` or ``source``.
+        kind: ``mask``, ``scene``, ``source`` or ``shutter``.
         name: as it was written.
         function: what to call.
         parameters: pydantic model of the keyword-only parameters.
@@ -101,7 +111,7 @@ def resolve(kind: str, name: str, base_dir: Path | None = None) -> Plugin:
     """Find a plugin by its name and import it.
 
     Args:
-        kind: ``mask``, ``scene`` or ``source``.
+        kind: ``mask``, ``scene``, ``source`` or ``shutter``.
         name: a bare name, ``./file.py:name`` or ``package.module:name``.
         base_dir: folder from which relative paths are taken; None is the current one.
 
@@ -133,7 +143,7 @@ def available(kind: str) -> list[str]:
     """Return the sorted bare names of a kind, without importing their modules.
 
     Args:
-        kind: ``mask``, ``scene`` or ``source``.
+        kind: ``mask``, ``scene``, ``source`` or ``shutter``.
     """
     return sorted({name for package in _packages(kind) for name in modules_defining(package, kind)})
 

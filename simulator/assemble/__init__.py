@@ -9,6 +9,7 @@ from simulator.assemble.light import build_camera_colour, build_response
 from simulator.assemble.masks import build_mask, load_mask
 from simulator.assemble.psfs import build_geometry, build_psf_config, build_psf_stack
 from simulator.assemble.scenes import build_source, build_view, scene_plugin
+from simulator.assemble.shutter import build_shutter
 
 __all__ = [
     "build_camera_colour",
@@ -20,6 +21,7 @@ __all__ = [
     "build_psf_stack",
     "build_response",
     "build_sensor",
+    "build_shutter",
     "build_source",
     "build_view",
     "check_calibration",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from simulator.assemble.layers import build_gap
+from simulator.assemble.shutter import exposure_s
 from simulator.camera.noise import GaussianNoise, Noise, NoNoise, PhysicalNoise
 from simulator.camera.sensor import MODELS, Sensor
 from simulator.config import camera as camera_config
@@ -40,7 +41,7 @@ def build_sensor(config: Config, full_scale: float = 1.0) -> Sensor:
         name=chosen.model,
         binning=chosen.binning,
         shape=chosen.shape,
-        exposure_s=camera.shutter.exposure_ms * 1e-3,
+        exposure_s=exposure_s(config),
         full_scale=full_scale,
         noise=_noise(camera.noise),
         **numbers,

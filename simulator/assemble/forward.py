@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 from simulator.assemble.light import build_camera_colour
 from simulator.assemble.scenes import build_view
+from simulator.assemble.shutter import build_shutter
 from simulator.camera.forward import DepthRule, ForwardModel
 from simulator.camera.planes import mask_irradiance
-from simulator.camera.shutter import GlobalShutter
 from simulator.optics.psf_stack import PsfStack
 
 if TYPE_CHECKING:
@@ -22,8 +22,9 @@ def build_forward_model(config: Config, stack: PsfStack) -> ForwardModel:
         stack,
         config.camera.sensor.shape,
         config.scene.size,
-        GlobalShutter(config.camera.shutter.exposure_ms * 1e-3),
+        build_shutter(config),
         chosen.boundary,
+        time=chosen.time,
         irradiance=mask_irradiance(build_view(config), chosen.vignetting),
         scene_to_camera=build_camera_colour(config, stack.channels).matrix,
         depth_rule=DepthRule(chosen.depth_assignment, chosen.max_clamped),

@@ -11,6 +11,7 @@ from simulator.assemble.light import light_files
 from simulator.assemble.masks import mask_arguments
 from simulator.assemble.measured import measured_files
 from simulator.assemble.scenes import scene_plugin
+from simulator.assemble.shutter import shutter_files, shutter_plugin
 from simulator.config.psf import ComputedPsf
 from simulator.plugins import Plugin, resolve
 from simulator.types import SceneSource
@@ -22,8 +23,10 @@ _OWN_PACKAGES = ("simulator", "scenes", "psf_library")
 
 
 def input_files(config: Config, source: SceneSource) -> list[Path]:
-    """Return all files whose contents decide the samples: plugins' code, materials, spectra, measured PSFs, frames."""
-    files = [*_own_code(scene_plugin(config)), *layer_files(config), *light_files(config)]
+    """Return all files whose contents decide the samples: plugins' code, materials, spectra, shutters, PSFs, frames."""
+    files = [*_own_code(scene_plugin(config)), *layer_files(config), *light_files(config), *shutter_files(config)]
+    if (shutter := shutter_plugin(config)) is not None:
+        files += _own_code(shutter)
     if config.camera.mask is not None:
         plugin = resolve("mask", config.camera.mask.design, config.base_dir)
         files += [*_own_code(plugin), *mask_arguments(plugin, config.camera.mask.params)[1]]

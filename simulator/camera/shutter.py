@@ -45,14 +45,16 @@ class Shutter(ABC):
     def separable_frames(self, rows: int) -> int:
         """Return how many frames one capture of so many stored rows can tell apart.
 
-        The most windows of rows of which no two are open at the same time: a frame as long as a window is then seen by rows
-        that see nothing of the others. Shorter frames mix in every row; they come apart only as far as neighbouring rows
-        differ (line by line, at most as many as there are different windows) and as the noise allows. A global shutter
-        separates 1.
+        The most stored rows of which no two are open at the same time, each from its first physical row's opening to its last
+        one's closing: a frame as long as that is then seen by rows that see nothing of the others. Shorter frames mix in
+        every row; they come apart only as far as neighbouring rows differ (line by line, at most as many as there are
+        different windows) and as the noise allows. A global shutter separates 1.
         """
+        windows = self.windows_s(rows)
+        spans = np.stack([windows[..., 0].min(axis=1), windows[..., 1].max(axis=1)], axis=-1)
         count, free_from = 0, -np.inf
-        windows = self.windows_s(rows).reshape(-1, 2)
-        for opening, closing in windows[np.argsort(windows[:, 1], kind="stable")]:
+        # Always taking the row that closes first is optimal: the textbook's interval scheduling.
+        for opening, closing in spans[np.argsort(spans[:, 1], kind="stable")]:
             if opening >= free_from - 1e-9 * (closing - opening):
                 count, free_from = count + 1, closing
         return count
@@ -67,9 +69,13 @@ class Shutter(ABC):
             frame_edges_s: ``(T + 1,)`` increasing seconds; must cover the capture.
 
         Raises:
-            InputError: when the clip does not last from the first row's opening to the last one's closing.
+            InputError: when the clip does not last from the first row's opening to the last one's closing, or its edges do
+                not increase.
         """
         edges = np.asarray(frame_edges_s, np.float64)
+        if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
+            msg = f"frame_edges_s: got shape {edges.shape}, expected at least two times in seconds, strictly increasing"
+            raise InputError(msg)
         windows = self.windows_s(rows)
         first, last = float(windows[..., 0].min()), float(windows[..., 1].max())
         slack = 1e-9 * (last - first)
@@ -173,15 +179,15 @@ class RowShutter(Shutter):
     def __post_init__(self) -> None:
         _check_times(self.binning)
         table = np.asarray(self.table_s, np.float64)
-        if table.ndim != 2 or table.shape[1:] != (2,) or not len(table) or not np.all(np.isfinite(table)):
-            msg = f"table_s must hold opening and closing of every row, finite seconds (rows, 2), got {table.shape}"
+        if table.ndim != 2 or table.shape[1:] != (2,) or not len(table):
+            msg = f"table_s: got shape {table.shape}, expected opening and closing of every row, seconds (rows, 2)"
             raise InputError(msg)
-        wrong = np.flatnonzero((table[:, 0] < 0) | (table[:, 1] <= table[:, 0]))
-        if wrong.size:
+        wrong = np.flatnonzero(~((table[:, 0] >= 0) & (table[:, 1] > table[:, 0]) & (table[:, 1] < np.inf)))
+        if wrong.size:  # NaN is wrong too: it compares as false
             row = int(wrong[0])
             msg = (
-                f"table_s: row {row} opens at {table[row, 0]:g} s and closes at {table[row, 1]:g} s; expected times from "
-                "zero on, and a row that closes after it opens"
+                f"table_s: row {row} (from 0, top first) opens at {table[row, 0]:g} s and closes at {table[row, 1]:g} s; "
+                "expected times from zero on, and a row that closes after it opens"
             )
             raise InputError(msg)
         object.__setattr__(self, "table_s", table)
@@ -194,8 +200,8 @@ class RowShutter(Shutter):
         """
         if rows != len(self.table_s):
             msg = (
-                f"table_s: windows of {len(self.table_s)} rows were given, but the sensor has {rows} physical rows "
-                f"({rows // self.binning} of {self.binning}); give one window per physical row"
+                f"table_s: got windows of {len(self.table_s)} rows, expected {rows}: {rows // self.binning} rows of the "
+                f"picture x binning {self.binning}; give one window per physical row"
             )
             raise InputError(msg)
         return self.table_s

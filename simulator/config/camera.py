@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from simulator.config.base import PluginSection, Range, Section, refusal
 from simulator.config.layers import GapLayer, Substrate
 from simulator.config.light import IlluminantConfig, SceneToCamera
+from simulator.config.shutter import GlobalShutter, ShutterConfig
 
 Pixels = Annotated[int, Range(1, 32768, below="a picture has at least one pixel on each side")]
 Shape = tuple[Pixels, Pixels]
@@ -50,15 +51,6 @@ class SensorConfig(Section):
     bit_depth: Annotated[int, Range(4, 24, "bits")] | None = Field(default=None, description="bits of the converter")
     spectral_response: Annotated[str, Field(min_length=1)] | None = Field(
         default=None, description="name of a camera's spectral curves, or their file (.csv, .json)"
-    )
-
-
-class ShutterConfig(Section):
-    """The shutter: all rows are exposed at once."""
-
-    type: Literal["global"] = "global"
-    exposure_ms: Annotated[float, Range(1e-4, 1e5, "ms", below="without exposure time there is no light")] = Field(
-        default=10.0, description="exposure time, milliseconds"
     )
 
 
@@ -136,7 +128,7 @@ class CameraConfig(Section):
         default="auto",
         description="rows of the matrix from linear sRGB to the camera's channels; auto fits it to their curves and light",
     )
-    shutter: ShutterConfig = Field(default_factory=ShutterConfig)
+    shutter: ShutterConfig = Field(default_factory=GlobalShutter, description="when the sensor's rows are open")
     exposure: ExposureConfig = Field(default_factory=ExposureConfig)
     noise: NoiseConfig = Field(default_factory=NoNoise)
 

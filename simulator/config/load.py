@@ -14,6 +14,7 @@ from simulator.config.layers import material_problems
 from simulator.config.light import curve_problems
 from simulator.config.overrides import Origins, apply_overrides
 from simulator.config.schema import Config
+from simulator.config.shutter import shutter_problems
 from simulator.config.yaml_loader import read_yaml
 from simulator.errors import InputError
 from simulator.validation import KeyPath, Problem, find_problems, show, validate
@@ -103,14 +104,16 @@ def _build(data: dict[str, Any], base_dir: Path, origins: Origins, check_plugins
         problems += [problem for problem in find_problems(error, Config, filled) if problem.path not in known]
     else:
         config._base_dir = base_dir
-        problems += [*material_problems(config), *curve_problems(config)] if check_plugins else []
+        problems += (
+            [*material_problems(config), *curve_problems(config), *shutter_problems(config)] if check_plugins else []
+        )
         if not problems:
             return config
     raise ConfigError(problems, origins)
 
 
 def _fill_plugins(data: dict[str, Any], base_dir: Path) -> tuple[dict[str, Any], list[Problem]]:
-    """Check the parameters of mask and scene, and fill in their defaults."""
+    """Check the parameters of mask, shutter and scene, and fill in their defaults."""
     data = dict(data)
     problems: list[Problem] = []
     camera = data.get("camera")
@@ -119,6 +122,9 @@ def _fill_plugins(data: dict[str, Any], base_dir: Path) -> tuple[dict[str, Any],
         camera["mask"] = _fill(camera.get("mask"), "mask", "design", ("camera", "mask"), base_dir, problems)
         if camera["mask"] is None:
             del camera["mask"]
+        shutter = camera.get("shutter")
+        if isinstance(shutter, dict) and shutter.get("type") == "windows":
+            camera["shutter"] = _fill(shutter, "shutter", "function", ("camera", "shutter"), base_dir, problems)
     for kind, key in (("scene", "family"), ("source", "source")):
         if "scene" in data:
             data["scene"] = _fill(data["scene"], kind, key, ("scene",), base_dir, problems)

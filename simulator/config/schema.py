@@ -27,6 +27,11 @@ class ForwardConfig(Section):
         default="linear", description="linear convolution with crop (real), or circular (for closed-form inversions)"
     )
     vignetting: bool = Field(default=True, description="the cos^4 fall-off towards the edge of the field")
+    time: Literal["integral", "mean"] = Field(
+        default="integral",
+        description="what a pixel adds up while its row is open: exposure (irradiance x seconds), or divided by the row's "
+        "exposure time, the mean irradiance",
+    )
     max_clamped: Annotated[float, Range(0, 1)] = Field(
         default=0.01, description="share of scene pixels outside the planes' range that is accepted"
     )

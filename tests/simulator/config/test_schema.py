@@ -168,7 +168,6 @@ REFUSED = [
     (NOISE, "noise: ^3", "", ["camera.noise: got 3; expected a mapping of keys to values"]),
     (NOISE, "noise: ^{psnr_db: 40}", "", ["expected a mapping with the key 'type'"]),
     (NOISE, "noise: {type: ^gausian}", "", ["camera.noise.type: got 'gausian'", "did you mean 'gaussian'?"]),
-    ("exposure_ms: 5", "type: ^rolling", "", ["camera.shutter.type: got 'rolling'; expected 'global'"]),
     ("train: 2", "train: 2, engine: ^locl", "", ["expected one of inline, local", "did you mean 'local'?"]),
     (SENSOR, "sensor: ^[64, 96]", "", ["camera.sensor: got [64, 96]; expected a mapping"]),
     # keys
