@@ -36,25 +36,39 @@ def init(
         raise InputError(msg)
     write_atomic(path, text.encode())
     print(f"wrote {path}; look at its scenes with: flatlight render {path}")
-    if "# Run it:" in text:  # not where a preset makes clips, which cannot be stored so far
-        print(f"make its data set with: flatlight generate {path}")
+    print(f"make its data set with: flatlight generate {path}")
 
 
-def generate(config: ConfigPath, set_: Overrides = None) -> None:
+def generate(
+    config: ConfigPath,
+    set_: Overrides = None,
+    skip_bad: Annotated[
+        bool, typer.Option("--skip-bad", help="leave out files and samples that cannot be used, and list them")
+    ] = False,
+) -> None:
     """Make a data set, or finish one that was begun."""
     from simulator.console import Bar
     from simulator.dataset.job import generate as run
+    from simulator.dataset.skipped import PROBLEMS, SKIPPED, shortened
 
     with Bar() as bar:
-        result = run(config, set_ or [], progress=bar.update, say=bar.say)
+        result = run(config, set_ or [], skip_bad=skip_bad, progress=bar.update, say=bar.say)
     kept = f", {result.kept} were there before" if result.kept else ""
     print(f"{result.made} samples made in {result.seconds:.0f} s{kept}: {result.path}")
     if result.contact_sheet:
         print(f"look at {result.contact_sheet}")
+    if result.problems:
+        print(f"{len(result.problems)} files of the source were left out: {result.path / PROBLEMS} says which and why")
+    if result.skipped:
+        print(
+            f"{len(result.skipped)} samples were left out: {result.path / SKIPPED} says which and why", file=sys.stderr
+        )
+        print(shortened(result.skipped), file=sys.stderr)
     for line in result.failed:
         print(f"failed: {line}", file=sys.stderr)
     if result.failed:
         print(f"{len(result.failed)} samples failed; run the same command again to retry them", file=sys.stderr)
+    if result.failed or not result.made + result.kept:
         raise typer.Exit(1)
 
 

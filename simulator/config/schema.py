@@ -88,6 +88,27 @@ class DatasetConfig(Section):
         default="local", description="this process (inline) or a pool of them (local)"
     )
 
+    slivers: Annotated[int, Range(1, 10_000, below="a capture is one sliver at least")] | None = Field(
+        default=None,
+        description="parts in time that a capture is taken apart into; null makes one of every frame that the shutter sees",
+    )
+    ground_truth: Literal["slivers", "frames"] = Field(
+        default="slivers", description="the mean picture of each sliver's frames, or every frame that the shutter sees"
+    )
+    global_measurements: bool = Field(
+        default=False, description="store what a global shutter would have measured of each sliver, too"
+    )
+
+    @model_validator(mode="after")
+    def _a_truth_per_measurement(self) -> Self:
+        if self.global_measurements and self.ground_truth == "frames":
+            text = (
+                "got true beside ground_truth: frames, but each global measurement belongs to a sliver; keep one of the two "
+                "(slivers: null makes every frame a sliver)"
+            )
+            raise refusal(text, "global_measurements")
+        return self
+
     @model_validator(mode="after")
     def _not_empty(self) -> Self:
         if self.train + self.validation + self.test == 0:

@@ -16,21 +16,27 @@ from typing import Any
 
 import numpy as np
 
-from simulator.assemble import build_camera_colour, build_source, input_files, scene_plugin
+from simulator.assemble import build_camera_colour, build_shutter, build_source, input_files, scene_plugin
 from simulator.camera.exposure import PERCENTILE, PILOTS, TARGET, full_scale_from_pilots
 from simulator.config import Config, dump, load_config
 from simulator.dataset.contact_sheet import contact_sheet
-from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER, DatasetInfo, read_info, write_info
+from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER, DatasetInfo, write_info
 from simulator.dataset.engines import Outcome, WorkerError, available_cpus, run
-from simulator.dataset.fingerprint import build_fingerprint, difference, package_versions
+from simulator.dataset.existing import existing_info
+from simulator.dataset.fingerprint import build_fingerprint, package_versions
 from simulator.dataset.manifest import MANIFEST, ManifestWriter, load_manifest
-from simulator.dataset.recipe import Recipe, clips_needed, make_pilot, make_sample, start_worker
+from simulator.dataset.recipe import Recipe, make_pilot, make_sample, scene_clip, start_worker
 from simulator.dataset.sample import SPLITS, sample_id
+from simulator.dataset.skipped import SkippedWriter, list_problems, load_skipped, refuse_problems
+from simulator.dataset.splits import clip_order
 from simulator.dataset.stacks import data_set_stack
+from simulator.dataset.timing import ClipTimesError, check_clip, check_parameters
 from simulator.errors import InputError
-from simulator.files import TEMPORARY_PREFIX, StorageError, remove_leftovers, storage_errors
+from simulator.files import StorageError, remove_leftovers, storage_errors
 from simulator.optics.psf_stack import PsfStack
+from simulator.plugins import Plugin, plugin_errors
 from simulator.render.backend import choose_backend
+from simulator.types import SceneSource
 
 SHEET = "contact_sheet.png"
 OFF_SENSOR_WARNING = 0.01
@@ -50,6 +56,8 @@ class GenerateResult:
         failed: one line per sample that could not be made: id and reason.
         contact_sheet: picture of some samples; None when there is no sample.
         seconds: wall time.
+        skipped: one line per sample that this run or one before left out for good: id and reason.
+        problems: lines about what the source cannot use.
     """
 
     path: Path
@@ -58,12 +66,15 @@ class GenerateResult:
     failed: tuple[str, ...]
     contact_sheet: Path | None
     seconds: float
+    skipped: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
 
 
 def generate(
     config: Config | Path | str,
     overrides: Sequence[str] = (),
     *,
+    skip_bad: bool = False,
     progress: Report | None = None,
     say: Say | None = None,
 ) -> GenerateResult:
@@ -72,6 +83,9 @@ def generate(
     Args:
         config: a configuration or the path of a ``sim_config.yaml``. ``dataset.output`` is relative to the current folder.
         overrides: ``a.b=value`` settings, when ``config`` is a path.
+        skip_bad: go on without what cannot be used, and list it: files that the source names as its ``problems``, and
+            samples that fail by an ``InputError`` (they are not tried again). Without it the former are refused, the latter
+            reported and tried again by the next run.
         progress: called with (stage, done, total).
         say: called with lines worth reading: the backend, measured errors, warnings.
 
@@ -83,30 +97,24 @@ def generate(
     begin = time.perf_counter()
     if not isinstance(config, Config):
         config = load_config(config, overrides)
-    job = _Job(config, progress or (lambda stage, done, total: None), say or (lambda line: None))
+    job = _Job(config, skip_bad, progress or (lambda stage, done, total: None), say or (lambda line: None))
     made, kept, failed = job.run()
     sheet = None
     if made + kept:
         sheet = contact_sheet(job.root, job.root / SHEET)
-    return GenerateResult(job.root, made, kept, tuple(failed), sheet, time.perf_counter() - begin)
-
-
-def _refuse_clips(frames: object) -> None:
-    """Say before any work that clips cannot be stored, of a rendered family whose clips have so many frames."""
-    if isinstance(frames, int) and frames > 1:
-        msg = (
-            f"scene.frames: got {frames}, but data sets hold stills so far; take frames=1, or look at the clips with "
-            "`flatlight render`"
-        )
-        raise InputError(msg)
+    skipped = tuple(f"{split}/{name}: {reason}" for (split, name), reason in load_skipped(job.root).items())
+    seconds = time.perf_counter() - begin
+    return GenerateResult(job.root, made, kept, tuple(failed), sheet, seconds, skipped, job.problems)
 
 
 @dataclass
 class _Job:
     config: Config
+    skip_bad: bool
     progress: Report
     say: Say
     root: Path = field(init=False)
+    problems: tuple[str, ...] = field(init=False, default=())
 
     def __post_init__(self) -> None:
         self.root = Path(self.config.dataset.output).expanduser()
@@ -114,20 +122,22 @@ class _Job:
     def run(self) -> tuple[int, int, list[str]]:
         """Return how many samples were made and kept, and what failed."""
         plugin = scene_plugin(self.config)
+        timed = self._check_times(plugin)
         renders = plugin.takes_renderer
-        if renders:
-            _refuse_clips(plugin.fill(self.config.scene.params).get("frames"))
         backend = choose_backend(self.config.render.backend, self.config.render.bands is not None) if renders else None
         variant = backend.variant if backend else "none"
         if backend:
             self.say(f"rendering with {backend.message}" + (f". {backend.advice}" if backend.advice else ""))
         source = build_source(self.config, variant)
+        self._check_source(source)
         fingerprint, parts = build_fingerprint(dump(self.config), variant, input_files(self.config, source))
-        existing = self._existing(fingerprint, parts)
+        existing = existing_info(self.root, self._counts(), fingerprint, parts)
+        if existing is None and not timed and not renders:
+            self._look_at_a_clip(plugin, source)
         with self._folder(), ManifestWriter(self.root) as manifest, self._all_or_nothing():
             remove_leftovers(self.root)
             stack = data_set_stack(self.config, self.root, self.progress, self.say)
-            portable = scene_plugin(self.config).path is None
+            portable = plugin.path is None
             recipe = Recipe(self.config, variant, (self.root / PSF_FOLDER).resolve(), source if portable else None)
             if existing is None:
                 colour = build_camera_colour(self.config, stack.channels)
@@ -147,8 +157,41 @@ class _Job:
                     scene_to_camera=colour.origin | {"matrix": colour.matrix.tolist()},
                 )
             write_info(self.root, replace(existing, counts=self._counts(), config=dump(self.config)))
-            self._warn(source, stack)
+            self._warn(stack)
+            if self.problems:
+                self.say(list_problems(self.root, self.problems))
             return self._samples(replace(recipe, full_scale=float(existing.exposure["full_scale"])), manifest)
+
+    def _check_times(self, plugin: Plugin) -> bool:
+        """Refuse scenes whose parameters show that their clips do not suit the shutter; return whether they show it."""
+        if ":" in plugin.name:
+            return False  # a user's parameters may be called alike and mean something else
+        params = plugin.bind(self.config.scene.params)
+        shutter, rows = build_shutter(self.config), self.config.camera.sensor.shape[0]
+        return check_parameters(params, shutter, rows, self.config.dataset)
+
+    def _check_source(self, source: SceneSource) -> None:
+        """Refuse a source with problems, unless they are to be skipped, and splits that would share a video."""
+        self.problems = tuple(getattr(source, "problems", ()))
+        if not self.skip_bad:
+            refuse_problems(self.problems)
+        order = clip_order(source)
+        if order is not None:
+            order.check(self._counts())
+
+    def _look_at_a_clip(self, plugin: Plugin, source: SceneSource) -> None:
+        """Refuse clips that do not suit the shutter before there is anything else to undo."""
+        try:
+            with plugin_errors(plugin):
+                clip = scene_clip(source, self.config.seed, "pilot", 0)
+        except InputError:
+            return  # a clip that cannot be had at all is reported as its sample's failure
+        shutter, rows = build_shutter(self.config), self.config.camera.sensor.shape[0]
+        try:
+            check_clip(clip, shutter, rows, self.config.dataset.slivers)
+        except ClipTimesError:
+            if not self.skip_bad:
+                raise
 
     @contextmanager
     def _folder(self) -> Iterator[None]:
@@ -180,77 +223,63 @@ class _Job:
     def _counts(self) -> dict[str, int]:
         return {split: getattr(self.config.dataset, split) for split in SPLITS}
 
-    def _existing(self, fingerprint: str, parts: dict[str, Any]) -> DatasetInfo | None:
-        """Return the description of a data set that is begun here already, or refuse another one's folder."""
-        if not self.root.exists():
-            return None
-        if not self.root.is_dir():
-            msg = f"dataset.output: {self.root} is a file; choose another folder"
-            raise InputError(msg)
-        if not (self.root / FILE).exists():
-            foreign = [path.name for path in sorted(self.root.iterdir()) if not _left_by_a_start(path)]
-            if foreign:
-                msg = (
-                    f"dataset.output: {self.root} is not empty and holds no data set ({foreign[0]}, ...); choose another "
-                    "folder, or empty this one"
-                )
-                raise InputError(msg)
-            return None
-        info = read_info(self.root)
-        if info.fingerprint != fingerprint:
-            msg = (
-                f"dataset.output: {self.root} holds a data set of another configuration; choose another folder, or undo "
-                f"the change:\n{difference(info.fingerprint_parts, parts)}"
-            )
-            raise InputError(msg)
-        for split, count in self._counts().items():
-            if count < info.counts.get(split, 0):
-                msg = (
-                    f"dataset.{split}: got {count}, but the data set in {self.root} already has {info.counts[split]}; counts "
-                    "can grow later, not shrink: choose another folder for a smaller one"
-                )
-                raise InputError(msg)
-        return info
-
     def _exposure(self, recipe: Recipe) -> dict[str, Any]:
         """Return the one number that maps exposure to full scale, and where it comes from."""
         chosen = self.config.camera.exposure.full_scale
         if chosen != "auto":
             return {"full_scale": float(chosen), "from": "configuration"}
         pilots: dict[int, Any] = {}
+        bad: dict[int, Exception] = {}
         for outcome in self._outcomes(make_pilot, range(PILOTS), recipe):
-            if outcome.error is not None:
+            if outcome.error is None:
+                pilots[outcome.task] = outcome.value
+            elif self._skips(outcome.error):
+                bad[outcome.task] = outcome.error
+            else:
                 raise outcome.error
-            pilots[outcome.task] = outcome.value
-            self.progress("exposure pilots", len(pilots), PILOTS)
-        full_scale = full_scale_from_pilots([pilots[i] for i in range(PILOTS)])
+            self.progress("exposure pilots", len(pilots) + len(bad), PILOTS)
+        if not pilots:
+            raise bad[0]
+        if bad:
+            self.say(f"note: {len(bad)} of {PILOTS} exposure pilots cannot be made and are left out: {bad[min(bad)]}")
+        full_scale = full_scale_from_pilots([pilots[i] for i in sorted(pilots)])
         return {
             "full_scale": full_scale,
             "from": "pilots",
-            "pilots": PILOTS,
+            "pilots": len(pilots),
             "percentile": PERCENTILE,
             "target": TARGET,
         }
 
+    def _skips(self, error: Exception) -> bool:
+        """Whether an error is one that ``skip_bad`` passes over."""
+        return self.skip_bad and isinstance(error, InputError) and not isinstance(error, StorageError)
+
     def _samples(self, recipe: Recipe, manifest: ManifestWriter) -> tuple[int, int, list[str]]:
         """Make what the manifest lacks; a failed sample is reported and does not stop the others."""
-        done = load_manifest(self.root).entries
+        finished, skipped = load_manifest(self.root).entries, load_skipped(self.root)
         wanted = [(split, index) for split, count in self._counts().items() for index in range(count)]
-        tasks = [(str(self.root), s, i) for s, i in wanted if (s, sample_id(i)) not in done]
-        made, failed = 0, []
+        missing = [(split, index) for split, index in wanted if (split, sample_id(index)) not in finished]
+        tasks = [(str(self.root), split, i) for split, i in missing if (split, sample_id(i)) not in skipped]
+        made, passed_over, failed = 0, 0, []
         self.progress("samples", len(wanted) - len(tasks), len(wanted))
         for outcome in self._outcomes(make_sample, tasks, recipe):
             if isinstance(outcome.error, StorageError):
                 raise outcome.error
             _, split, index = outcome.task
-            if outcome.error is not None:
+            if outcome.error is not None and self._skips(outcome.error):
+                with SkippedWriter(self.root) as skipping:
+                    skipping.append(split, index, str(outcome.error))
+                passed_over += 1
+            elif outcome.error is not None:
                 failed.append(f"{split}/{sample_id(index)}: {_reason(outcome.error)}")
                 continue
-            assert outcome.value is not None
-            manifest.append(outcome.value, outcome.seconds)
-            made += 1
-            self.progress("samples", len(wanted) - len(tasks) + made, len(wanted))
-        return made, len(wanted) - len(tasks), sorted(failed)
+            else:
+                assert outcome.value is not None
+                manifest.append(outcome.value, outcome.seconds)
+                made += 1
+            self.progress("samples", len(wanted) - len(tasks) + made + passed_over, len(wanted))
+        return made, len(wanted) - len(missing), sorted(failed)
 
     def _outcomes(
         self, function: Callable[[Any], Any], tasks: Sequence[Any], recipe: Recipe
@@ -264,7 +293,7 @@ class _Job:
         with closing(outcomes):
             yield from outcomes
 
-    def _warn(self, source: Any, stack: PsfStack) -> None:
+    def _warn(self, stack: PsfStack) -> None:
         """Say what the user should know before relying on the data."""
         sampling = stack.provenance.get("sampling")
         if sampling:
@@ -275,17 +304,6 @@ class _Job:
                 f"note: up to {lost:.1%} of the scene's light falls off the sensor (mean over the field), as in a "
                 "real camera; a smaller mask, a nearer mask or a larger sensor keeps it"
             )
-        needed = clips_needed(self._counts())
-        if hasattr(source, "__len__") and len(source) < needed:
-            self.say(
-                f"note: the source has {len(source)} clips and the splits ask for {needed}: splits will share clips"
-            )
-
-
-def _left_by_a_start(path: Path) -> bool:
-    """Whether a run that was killed before ``dataset.json`` leaves such a file: it holds nothing of worth."""
-    empty_manifest = path.name == MANIFEST and path.stat().st_size == 0
-    return empty_manifest or path.name in (PSF_FOLDER, CAPTURED_FOLDER) or path.name.startswith(TEMPORARY_PREFIX)
 
 
 def _reason(error: Exception) -> str:

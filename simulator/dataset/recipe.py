@@ -16,11 +16,14 @@ from simulator.assemble import build_forward_model, build_sensor, build_source, 
 from simulator.camera.colour import clipped_share
 from simulator.camera.noise import GaussianNoise
 from simulator.camera.planes import clamped_share
+from simulator.camera.slivers import exposed_part, sliver_means
 from simulator.config import Config
 from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.sample import Sample, SampleRecord, write_sample
+from simulator.dataset.splits import ClipOrder, clip_order
+from simulator.dataset.timing import check_clip, durations_s
 from simulator.plugins import plugin_errors
-from simulator.seeds import SPLITS, generator
+from simulator.seeds import generator
 from simulator.types import FARTHEST_M, Clip, SceneSource
 
 
@@ -44,21 +47,26 @@ class Recipe:
 
 
 class SampleMaker:
-    """A recipe with its tools laid out: PSF spectra, sensor, scene source."""
+    """A recipe with its tools laid out: PSF spectra, shutter, sensor, scene source."""
 
     def __init__(self, recipe: Recipe) -> None:
         """Read the PSF stack and prepare the forward model: about a second."""
-        self._seed = recipe.config.seed
+        self._seed, self._chosen = recipe.config.seed, recipe.config.dataset
         self._stack = read_psf_stack(recipe.psf_folder)
         self._model = build_forward_model(recipe.config, self._stack)
         self._plugin = scene_plugin(recipe.config)
         self._source = recipe.source or build_source(recipe.config, recipe.backend)
+        self._order = clip_order(self._source)
         self._sensor = build_sensor(recipe.config, recipe.full_scale or 1.0)
 
     def exposure(self, split: str, index: int) -> tuple[Clip, NDArray[np.float32]]:
-        """Return the clip of a sample and the noiseless exposure ``(C, H, W)`` that it gives."""
+        """Return the part of a sample's clip that the shutter sees, and the noiseless exposure ``(C, H, W)`` it gives."""
         with plugin_errors(self._plugin):
-            clip = scene_clip(self._source, self._seed, split, index)
+            clip = scene_clip(self._source, self._seed, split, index, self._order)
+        shutter, rows = self._model.shutter, self._model.sensor_shape[0]
+        if shutter is not None:
+            check_clip(clip, shutter, rows, self._chosen.slivers)
+            clip = exposed_part(clip, shutter, rows)
         return clip, self._model.forward_clip(clip)
 
     def sample(self, split: str, index: int) -> Sample:
@@ -70,7 +78,10 @@ class SampleMaker:
             "split": split,
             "index": index,
             "scene": clip.source,
-            "clipped_colour_share": clipped_share(clip.rgb[0], self._model.scene_to_camera),
+            # One picture of all frames' rows: the share is that of all values.
+            "clipped_colour_share": clipped_share(
+                clip.rgb.reshape(-1, *clip.rgb.shape[2:]), self._model.scene_to_camera
+            ),
             "psf": self._stack.fingerprint,
             "full_scale": self._sensor.full_scale,
             "saturated_share": float(np.mean(exposure >= self._sensor.full_scale)),
@@ -79,25 +90,39 @@ class SampleMaker:
         noise = self._sensor.noise
         if isinstance(noise, GaussianNoise):
             metadata["noise_std"] = noise.standard_deviation(noiseless)
+        frames = len(clip.rgb)
+        slivers = self._chosen.slivers or frames
+        if frames > 1:
+            metadata |= {
+                "frames_seen": frames,
+                "slivers": slivers,
+                "frame_durations_s": durations_s(clip.frame_edges_s),
+            }
+        truth = clip if self._chosen.ground_truth == "frames" else sliver_means(clip, slivers)
+        measured = None
+        if self._chosen.global_measurements:
+            measured = np.stack([self._sensor.noiseless(e) for e in self._model.global_measurements(clip, slivers)])
         return Sample(
             measurement,
             noiseless,
-            clip.rgb,
-            np.minimum(clip.depth_m, np.float32(FARTHEST_M)),
-            clip.valid,
+            truth.rgb,
+            np.minimum(truth.depth_m, np.float32(FARTHEST_M)),
+            truth.valid,
             self._seed,
             clip.label,
             self._stack.channels,
             metadata,
-            clip.extras,
+            truth.extras,
+            frame_edges_s=truth.frame_edges_s if frames > 1 else None,
+            global_measurements=measured,
         )
 
 
-def scene_clip(source: SceneSource, seed: int, split: str, index: int) -> Clip:
+def scene_clip(source: SceneSource, seed: int, split: str, index: int, order: ClipOrder | None = None) -> Clip:
     """Return the clip that a sample shows, drawn from the sample's own generator.
 
-    Splits of a source with a length count from its two ends (see `clip_index`). A source without end is asked for 0, 1, 2
-    and so on in every split: what it takes in turn, such as its classes, comes in equal parts; the generator makes the
+    Splits of a source with a length share no video (see `simulator.dataset.splits`). A source without end is asked for 0, 1,
+    2 and so on in every split: what it takes in turn, such as its classes, comes in equal parts; the generator makes the
     splits differ.
 
     Args:
@@ -105,27 +130,11 @@ def scene_clip(source: SceneSource, seed: int, split: str, index: int) -> Clip:
         seed: the data set's root seed.
         split: ``train``, ``validation``, ``test`` or ``pilot``.
         index: the sample's number within its split.
+        order: ``clip_order(source)``, where it is at hand.
     """
-    place = clip_index(split, index) if hasattr(source, "__len__") else index
+    order = order or clip_order(source)
+    place = index if order is None else order.place(split, index)
     return source.clip(place, generator(seed, split, index, "scene"))
-
-
-def clip_index(split: str, index: int) -> int:
-    """Return the index at which a sample asks a source of so and so many clips for one.
-
-    Training samples count from the front, the others (every second one each) from the back, so that splits of a source
-    of N clips share none as long as there are enough, and raising a count never moves a clip. Negative indices count from
-    the end, as in any Python sequence.
-    """
-    if SPLITS[split] in (SPLITS["train"], SPLITS["pilot"]):
-        return index
-    return -(2 * index + SPLITS[split])
-
-
-def clips_needed(counts: dict[str, int]) -> int:
-    """Return how many clips a source must have so that no two splits share one."""
-    back = max(2 * counts.get(split, 0) - (2 - SPLITS[split]) for split in ("validation", "test"))
-    return counts.get("train", 0) + max(back, 0)
 
 
 _maker: SampleMaker | None = None

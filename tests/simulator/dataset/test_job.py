@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from simulator.dataset import generate, open_dataset, verify
@@ -318,12 +317,6 @@ class TestRefusals:
         assert "no clip 2 today" in message
         assert "plugins.py:" in message
 
-    def test_clips_of_several_frames(self, trial) -> None:
-        """Before the PSFs are computed, not after."""
-        with pytest.raises(InputError, match=r"scene\.frames: got 20, but data sets hold stills so far; take frames=1"):
-            trial.generate(scene={"family": "high_speed", "size": [16, 20]})
-        assert not list(trial.folder.rglob("psf.json"))
-
     def test_scenes_without_light(self, trial) -> None:
         text = trial.plugins.read_text()
         trial.plugins.write_text(text.replace("3), 0.1,", "3), 0,").replace("rng.random(3)", "0"))
@@ -343,26 +336,3 @@ def _tree(folder: Path) -> dict[str, str]:
         for path in folder.rglob("*")
         if "__pycache__" not in path.parts
     }
-
-
-@pytest.mark.parametrize(("frames", "shared"), [(1, True), (4, True), (5, False)])
-def test_splits_that_must_share_clips_are_told(trial, frames: int, shared: bool) -> None:
-    """Three training samples count from the front, validation and test (one each) from the back: five clips are enough."""
-    from PIL import Image
-
-    for name in ("RGB_cleanpass", "disparity"):
-        (trial.folder / "frames" / name / "left").mkdir(parents=True)
-    for number in range(frames):
-        picture = np.full((16, 20, 3), 20 * number + 40, np.uint8)
-        Image.fromarray(picture).save(trial.folder / f"frames/RGB_cleanpass/left/{number}.png")
-        data = np.linspace(1, 9, 320, dtype="<f4").tobytes()
-        (trial.folder / f"frames/disparity/left/{number}.pfm").write_bytes(b"Pf\n20 16\n-1.0\n" + data)
-    scene = {"source": "flyingthings3d", "path": str(trial.folder / "frames"), "size": [16, 20]}
-    said: list[str] = []
-    root = generate(trial.write(scene=scene), say=said.append).path
-    assert any("splits will share clips" in line for line in said) == shared
-    if not shared:  # and then none is shared: each frame has a brightness of its own
-        seen = [
-            {float(sample.rgb[0, 0, 0, 0]) for sample in open_dataset(root, s)} for s in ("train", "validation", "test")
-        ]
-        assert len(set().union(*seen)) == 5

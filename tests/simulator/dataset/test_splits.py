@@ -1,0 +1,114 @@
+"""Splits of a finite source: no video in two of them, no clip moved by a larger count, no clip left out."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulator.dataset.splits import ClipOrder, clip_order
+from simulator.errors import InputError
+
+SPLITS = ("train", "validation", "test")
+GROUPS = st.lists(st.integers(1, 4), min_size=1, max_size=9).map(
+    lambda sizes: [7 * video + 3 for video, size in enumerate(sizes) for _ in range(size)]
+)
+COUNTS = st.fixed_dictionaries(dict.fromkeys(SPLITS, st.integers(0, 12)))
+
+
+def places(order: ClipOrder, counts: dict[str, int]) -> dict[str, list[int]]:
+    return {split: [order.place(split, index) for index in range(count)] for split, count in counts.items()}
+
+
+@given(GROUPS, COUNTS)
+def test_counts_are_accepted_exactly_where_no_two_splits_share_a_video(groups: list[int], counts: dict) -> None:
+    order = ClipOrder(groups)
+    videos = {split: {groups[place] for place in taken} for split, taken in places(order, counts).items()}
+    shared = sum(map(len, videos.values())) > len(set().union(*videos.values()))
+    repeated = sum(count > 0 for count in counts.values()) > 1 and max(counts.values()) > len(groups)
+    if shared or repeated:
+        with pytest.raises(InputError, match=f"the source has {len(set(groups))} videos"):
+            order.check(counts)
+    else:
+        order.check(counts)
+
+
+@given(GROUPS, st.sampled_from(SPLITS), st.integers(0, 40))
+def test_one_split_alone_shows_every_clip_before_it_shows_one_again(groups: list[int], split: str, more: int) -> None:
+    order = ClipOrder(groups)
+    order.check({split: len(groups) + more})
+    walk = places(order, {split: 2 * len(groups)})[split]
+    assert sorted(walk[: len(groups)]) == list(range(len(groups)))
+    assert walk[len(groups) :] == walk[: len(groups)]
+    runs = [groups[place] for place in walk[: len(groups)]]
+    assert sum(one != other for one, other in pairwise(runs)) == len(set(groups)) - 1  # none is cut
+
+
+@given(st.integers(1, 30), st.integers(0, 30), st.integers(0, 30))
+def test_clips_without_videos_lie_where_they_always_did(clips: int, validation: int, test: int) -> None:
+    """Data sets that exist: training from the front, 1st, 3rd, ... from the back validation, 2nd, 4th, ... test."""
+    order = ClipOrder(clips)
+    assert [order.place("train", i) for i in range(clips)] == list(range(clips))
+    assert [order.place("pilot", i) for i in range(16)] == [i % clips for i in range(16)]
+    backwards = range(clips - 1, -1, -1)
+    assert places(order, {"validation": validation})["validation"][: -(-clips // 2)] == [*backwards[::2]][:validation]
+    assert places(order, {"test": test})["test"][: clips // 2] == [*backwards[1::2]][:test]
+
+
+def test_all_clips_of_a_video_come_before_the_next_one() -> None:
+    order = ClipOrder([0, 0, 1, 2, 2, 2, 5, 5])
+    counts = {"train": 2, "validation": 2, "test": 3}
+    order.check(counts)
+    assert places(order, counts) == {"train": [0, 1], "validation": [6, 7], "test": [3, 4, 5]}
+    assert places(order, {"validation": 4})["validation"] == [6, 7, 2, 3]
+
+
+def test_what_is_missing_is_said() -> None:
+    with pytest.raises(InputError) as caught:
+        ClipOrder([0, 0, 1, 1, 2, 2]).check({"train": 3, "validation": 2, "test": 1})
+    message = str(caught.value)
+    assert "the source has 3 videos (6 clips)" in message
+    assert "train needs 2 for 3 samples, validation needs 1 for 2 samples, test needs 1 for 1 samples" in message
+    assert "in all 4" in message
+    assert message.endswith("ask for fewer samples, take more clips of each video, or bring more videos")
+    with pytest.raises(
+        InputError, match=r"the source has 3 clips, .* in all 4 .*; ask for fewer samples, or bring more clips$"
+    ):
+        ClipOrder(3).check({"train": 2, "test": 1})
+
+
+class Source:
+    inputs: tuple[Path, ...] = ()
+
+    def __init__(self, length: int, groups: object = None) -> None:
+        self.length = length
+        if groups is not None:
+            self.groups = groups
+
+    def __len__(self) -> int:
+        return self.length
+
+
+@pytest.mark.parametrize(
+    ("length", "groups", "words"),
+    [
+        (0, None, "has no clip"),
+        (0, [], "has no clip"),
+        (3, [0, 1], "3 clips but 2 groups"),
+        (3, [0, 2, 1], "never fall"),
+        (3, [0.0, 1.0, 2.0], "whole numbers"),
+        (2, [[0], [1]], "one per clip"),
+    ],
+)
+def test_sources_that_contradict_themselves(length: int, groups: object, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        clip_order(Source(length, groups))  # type: ignore[arg-type]
+
+
+def test_sources_may_give_their_videos_as_an_array() -> None:
+    order = clip_order(Source(4, np.array([0, 0, 3, 3], np.uint8)))  # type: ignore[arg-type]
+    assert order is not None
+    assert (order.clips, order.videos, order.place("validation", 0)) == (4, 2, 2)
+    assert clip_order(object()) is None  # type: ignore[arg-type]
