@@ -105,6 +105,56 @@ def test_every_fault_is_named(dataset: Path, fault: str) -> None:
     assert any(re.search(words, line) for line in report.problems), report
 
 
+def exchange(one: Path, other: Path) -> None:
+    first, second = one.read_bytes(), other.read_bytes()
+    one.write_bytes(second)
+    other.write_bytes(first)
+
+
+FRAMES = FIRST / "frames"
+CLIP_FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "no frame": (
+        lambda root: (root / FRAMES / "ground_truth.0001.exr").unlink(),
+        r"frames/ground_truth\.0001\.exr cannot be read",
+    ),
+    "flipped bit": (
+        lambda root: flip(root / FRAMES / "global.0002.exr"),
+        r"frames/global\.0002\.exr has other content",
+    ),
+    "torn": (lambda root: tear(root / FRAMES / "ground_truth.0000.exr"), r"ground_truth\.0000\.exr is truncated"),
+    "exchanged": (
+        lambda root: exchange(root / FRAMES / "ground_truth.0001.exr", root / FRAMES / "ground_truth.0002.exr"),
+        r"ground_truth\.0001\.exr is frame 2 of this sample, not frame 1",
+    ),
+    "one more": (
+        lambda root: shutil.copy(root / FRAMES / "global.0002.exr", root / FRAMES / "global.0003.exr"),
+        r"unexpected file frames/global\.0003\.exr",
+    ),
+    "other file": (lambda root: (root / FRAMES / "notes.txt").touch(), r"unexpected file frames/notes\.txt"),
+    "other folder": (
+        lambda root: shutil.copytree(root / FRAMES, root / FRAMES / "old"),
+        r"unexpected file frames/old$",
+    ),
+    "a still's truth": (lambda root: (root / FIRST / "ground_truth.exr").touch(), r"unexpected file ground_truth\.exr"),
+    "other times": (lambda root: edit(root / FIRST / "sample.json", frame_edges_s=[0, 1, 2, 3]), "digest differs"),
+}
+
+
+@pytest.mark.parametrize("fault", CLIP_FAULTS)
+def test_every_fault_of_a_clip_is_named(clips: Path, fault: str) -> None:
+    assert verify(clips).ok
+    spoil, words = CLIP_FAULTS[fault]
+    spoil(clips)
+    problems = verify(clips).problems
+    assert all("train/s00000000: " in line for line in problems)
+    assert any(re.search(words, line) for line in problems), problems
+
+
+def test_frames_beside_a_still_are_one_fault(dataset: Path, clips: Path) -> None:
+    shutil.copytree(clips / FRAMES, dataset / FRAMES)
+    assert verify(dataset).problems == ("train/s00000000: unexpected file frames",)
+
+
 def test_only_the_damaged_sample_is_counted_out(dataset: Path) -> None:
     flip(dataset / FIRST / "measurement.exr")
     report = verify(dataset)
