@@ -1,0 +1,224 @@
+"""Something-Something V2 as flat scenes that move: short films of hands and things, each labelled by what is done.
+
+Source: Goyal et al., The "something something" video database for learning and evaluating visual common sense, ICCV 2017
+(arXiv:1706.04261); V2 has 220847 WebM clips of about 4 s and 12 frames per second in 174 classes.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from simulator.errors import InputError
+from simulator.importers._film_check import FilmCheck
+from simulator.importers._films import open_films
+from simulator.importers._flat_videos import FlatVideos, choose_raiser, flat_videos, plane_depth
+from simulator.importers._ssv2_labels import COARSE_TABLE, Subset, find_labels, read_entries, read_table, read_templates
+from simulator.importers._survey import Progress, Survey
+from simulator.importers._video import ClipPlan
+from simulator.types import View
+
+_CLIP_FOLDERS = ("20bn-something-something-v2", "clips", ".")
+
+
+def something_something_v2(
+    view: View,
+    *,
+    path: Path,
+    frames: Annotated[int, Field(gt=0)],
+    subset: Subset | None = None,
+    classes: Literal["all", "coarse"] | Path = "all",
+    frames_per_second: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
+    raise_by: Annotated[int, Field(gt=0)] = 1,
+    raise_with: Literal["optical_flow", "superslomo"] = "optical_flow",
+    superslomo_checkpoint: Path | None = None,
+    clips_per_video: Annotated[int, Field(gt=0)] = 1,
+    crop: Literal["centre", "random"] = "centre",
+    plane_cm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
+) -> FlatVideos:
+    """Read labelled clips from a Something-Something V2 folder.
+
+    Clips that the label file lists but the folder does not hold are passed over: a part of the data set will do.
+
+    Args:
+        view: the camera's view: size of the scene, near and far depth.
+        path: the folder that holds ``20bn-something-something-v2`` (or ``clips``) with ``74225.webm`` and so on, and the
+            label files ``something-something-v2-labels.json``, ``-train.json``, ``-validation.json`` (or ``labels.json``,
+            ``train.json``, ``validation.json``), there or in ``labels``.
+        frames: of a clip, after raising.
+        subset: the data set's own part; without it ``train`` where that is there, else ``validation``.
+        classes: ``all`` labels a clip by its template, one of 174; ``coarse`` by one of 10 classes of 41 templates, a table
+            that was reconstructed from the paper; or a table of your own, a CSV file with the columns template and class.
+            Clips of templates that a table does not list are left out.
+        frames_per_second: rate at which a clip is taken to have been filmed; without it the film's own, raised.
+        raise_by: frames that one of the film's becomes, by interpolation.
+        raise_with: how frames are interpolated.
+        superslomo_checkpoint: the published weights, for ``superslomo``.
+        clips_per_video: how many clips a film gives, evenly spread; 1 begins anywhere.
+        crop: where the view's proportions are cut out of the picture, the same for all frames of a clip.
+        plane_cm: depth of the plane on which the film is seen; without it the view's far depth.
+
+    Returns:
+        A scene source; films that are damaged or too short are among its ``problems``.
+
+    Raises:
+        InputError: missing folders or files, an unknown label, no clip that can be used, contradicting parameters.
+    """
+    plan = ClipPlan(frames, frames_per_second, raise_by, clips_per_video, crop)
+    depth_m = plane_depth(view, plane_cm)
+    raiser = choose_raiser(raise_by, raise_with, superslomo_checkpoint)
+    found = _list(Path(path), subset, classes)
+    films, problems = open_films(found.root, found.films)
+    return flat_videos(
+        "something_something_v2",
+        view,
+        films,
+        plan=plan,
+        plane_m=depth_m,
+        raiser=raiser,
+        problems=problems,
+        other_inputs=found.label_files,
+    )
+
+
+def recognises(path: Path) -> bool:
+    """Whether a folder holds the data set's files of labels and of a subset, judged by names alone."""
+    root = Path(path)
+    return find_labels(root, "labels") is not None and any(find_labels(root, name) for name in ("train", "validation"))
+
+
+def survey(
+    path: Path,
+    progress: Progress | None = None,
+    *,
+    subset: Subset | None = None,
+    classes: Literal["all", "coarse"] | Path = "all",
+    frames: int | None = None,
+    raise_by: int = 1,
+) -> Survey:
+    """Decode every clip once and count classes.
+
+    Args:
+        path: as for :func:`something_something_v2`.
+        progress: told after each clip.
+        subset: see :func:`something_something_v2`.
+        classes: see :func:`something_something_v2`.
+        frames: of a clip; with it, films that are too short are among the problems.
+        raise_by: see :func:`something_something_v2`.
+
+    Raises:
+        InputError: missing folders or files, or an unknown label.
+    """
+    found = _list(Path(path), subset, classes)
+    check = FilmCheck(None if frames is None else ClipPlan(frames, raise_by=raise_by))
+    counts: Counter[str] = Counter()
+    for done, (name, label) in enumerate(found.films, start=1):
+        if check.add_film(found.root, name):
+            counts[label] += 1
+        if progress is not None:
+            progress(done, len(found.films))
+    if found.absent:
+        check.notes.append(
+            f"{found.absent} of the {found.listed} clips in {found.label_files[1].name} are not in the folder"
+        )
+    if found.unlabelled:
+        check.notes.append(f"{found.unlabelled} clips are of templates that {found.label_files[-1].name} leaves out")
+    if classes == "coarse":
+        check.notes.append("the coarse classes are reconstructed from the paper, not the authors' own file")
+    facts = {
+        "subset": f"{found.subset}, {found.listed} clips listed, {found.listed - found.absent} in the folder",
+        "classes": f"{len(counts)} of {found.classes}: "
+        + (", ".join(f"{name} ({count})" for name, count in counts.most_common(5)) or "none")
+        + (", ..." if len(counts) > 5 else ""),
+    }
+    return check.result("something_something_v2", Path(path), facts)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What the folder's names and its label files say.
+
+    Attributes:
+        root: the folder.
+        subset: which part was chosen.
+        films: names relative to ``root`` and labels, in the label file's order.
+        label_files: of labels, of the subset, and the table of classes if there is one.
+        listed: clips in the subset's file.
+        absent: how many of them the folder does not hold.
+        unlabelled: how many of those there the table of classes leaves out.
+        classes: how many classes there could be.
+    """
+
+    root: Path
+    subset: str
+    films: list[tuple[str, str]]
+    label_files: tuple[Path, ...]
+    listed: int
+    absent: int
+    unlabelled: int
+    classes: int
+
+
+def _list(root: Path, subset: Subset | None, classes: Literal["all", "coarse"] | Path) -> _Found:
+    if not root.is_dir():
+        msg = f"path: {root} is no folder; expected the one that holds the clips' folder and the label files"
+        raise InputError(msg)
+    labels = _label_file(root, "labels")
+    chosen: Subset = subset or ("train" if find_labels(root, "train") else "validation")
+    entries_file = _label_file(root, chosen)
+    templates = read_templates(labels)
+    entries = read_entries(entries_file, templates, labels)
+    if classes == "all":
+        table, files = {template: template for template in templates}, (labels, entries_file)
+    else:
+        place = COARSE_TABLE if classes == "coarse" else Path(classes)
+        table, files = read_table(place, templates, labels), (labels, entries_file, place)
+
+    folder = next((name for name in _CLIP_FOLDERS if (root / name).is_dir() and _any_film(root / name)), None)
+    if folder is None:
+        msg = f"path: {root} holds no clips: expected 74225.webm and so on in {' or '.join(_CLIP_FOLDERS[:2])}"
+        raise InputError(msg)
+    there = {name.removesuffix(".webm") for name in os.listdir(root / folder) if name.endswith(".webm")}
+    present = [entry for entry in entries if entry.identity in there]
+    if not present:
+        msg = (
+            f"path: none of the {len(there)} clips in {root / folder} is listed in {entries_file.name} (of {len(entries)}, "
+            f"the first {entries[0].identity}): expected files named by their id"
+        )
+        raise InputError(msg)
+    films = [
+        ((Path(folder) / f"{entry.identity}.webm").as_posix(), table[entry.template])
+        for entry in present
+        if entry.template in table
+    ]
+    if not films:
+        msg = f"classes: none of the {len(present)} clips in {root / folder} is of a template that {files[-1]} lists"
+        raise InputError(msg)
+    return _Found(
+        root=root,
+        subset=chosen,
+        films=films,
+        label_files=files,
+        listed=len(entries),
+        absent=len(entries) - len(present),
+        unlabelled=len(present) - len(films),
+        classes=len(set(table.values())),
+    )
+
+
+def _any_film(folder: Path) -> bool:
+    with os.scandir(folder) as entries:
+        return any(entry.name.endswith(".webm") for entry in entries)
+
+
+def _label_file(root: Path, name: str) -> Path:
+    place = find_labels(root, name)
+    if place is None:
+        msg = f"path: {root} holds no something-something-v2-{name}.json (or {name}.json), there or in labels"
+        raise InputError(msg)
+    return place
