@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from simulator.assemble.layers import build_gap
+from simulator.assemble.light import build_electron_rates
 from simulator.assemble.shutter import exposure_s
 from simulator.camera.noise import GaussianNoise, Noise, NoNoise, PhysicalNoise
-from simulator.camera.sensor import MODELS, Sensor
+from simulator.camera.sensor import Sensor
+from simulator.camera.sensor_models import MODELS
 from simulator.config import camera as camera_config
 from simulator.errors import InputError
 from simulator.optics.layers import air_equivalent_m
@@ -18,9 +20,23 @@ if TYPE_CHECKING:
 EQUIVALENT_WAVELENGTH_M = 550e-9
 """Where a layer's thickness becomes a distance in air: the middle of the visible."""
 
+_CFA = "RGGB"
+_REPLACEABLE = (
+    "full_well_e",
+    "read_noise_e",
+    "row_noise_e",
+    "dark_current_e_per_s",
+    "dsnu_e",
+    "black_level_dn",
+    "bit_depth",
+    "peak_quantum_efficiency",
+)
+
 
 def build_sensor(config: Config, full_scale: float = 1.0) -> Sensor:
     """Return the sensor: the model's numbers, with those that the configuration replaces.
+
+    Where the configuration gives the scene's illuminance, channels count as many electrons as their spectral responses say.
 
     Raises:
         InputError: for an unknown model, or a picture larger than the sensor.
@@ -30,7 +46,7 @@ def build_sensor(config: Config, full_scale: float = 1.0) -> Sensor:
         msg = f"camera.sensor.model: got {chosen.model!r}, expected one of {', '.join(MODELS)}"
         raise InputError(msg)
     numbers = dict(MODELS[chosen.model])
-    for name in ("full_well_e", "read_noise_e", "dark_current_e_per_s", "black_level_dn", "bit_depth"):
+    for name in _REPLACEABLE:
         if getattr(chosen, name) is not None:
             numbers[name] = getattr(chosen, name)
     if chosen.pixel_pitch_um is not None:
@@ -43,6 +59,10 @@ def build_sensor(config: Config, full_scale: float = 1.0) -> Sensor:
         shape=chosen.shape,
         exposure_s=exposure_s(config),
         full_scale=full_scale,
+        responsivity=None if camera.exposure.illuminance_lux is None else _responsivity(config),
+        readout=chosen.readout,
+        cfa=chosen.cfa or _CFA,
+        pattern_seed=chosen.pattern_seed,
         noise=_noise(camera.noise),
         **numbers,
     )
@@ -59,6 +79,11 @@ def distance_m(config: Config) -> float:
         assert config.camera.mask_to_sensor_mm is not None
         return config.camera.mask_to_sensor_mm * 1e-3
     return air_equivalent_m(gap, EQUIVALENT_WAVELENGTH_M)
+
+
+def _responsivity(config: Config) -> tuple[float, ...]:
+    rates = build_electron_rates(config)
+    return tuple(rate / max(rates.values()) for rate in rates.values())
 
 
 def _noise(chosen: Any) -> Noise:

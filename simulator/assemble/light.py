@@ -15,6 +15,7 @@ from simulator.files import sha256_file
 from simulator.optics.cache import Entry, cached
 from simulator.optics.camera_colour import CameraColour, fit_camera_colour
 from simulator.optics.curves import Led, curve_file
+from simulator.optics.photometry import electron_rates
 from simulator.optics.spectrum import NOMINAL_CAMERA, spectral_response
 from simulator.types import SpectralResponse
 
@@ -57,17 +58,35 @@ def build_camera_colour(config: Config, channels: tuple[str, ...]) -> CameraColo
     return colour
 
 
-def _fitted(config: Config) -> CameraColour:
-    # The key is made without colour-science, which takes a second to import in every worker.
-    hashes = [sha256_file(path) for path in light_files(config)]
-    named = (_camera(config), _illuminant(config), hashes, metadata.version("colour-science"), optics_code())
+def build_electron_rates(config: Config) -> dict[str, float]:
+    """Return the electrons that white gives in each channel (cached); see `simulator.optics.photometry.electron_rates`.
 
+    Raises:
+        InputError: as :func:`build_response`, or for a light that the eye does not see.
+    """
+
+    def compute() -> Entry:
+        rates = electron_rates(_camera(config), _illuminant(config), config.base_dir)
+        return {"rates": np.array(list(rates.values()))}, {"channels": list(rates)}
+
+    arrays, described = cached("photometry", _key(config), compute)
+    return dict(zip(described["channels"], arrays["rates"].tolist(), strict=True))
+
+
+def _fitted(config: Config) -> CameraColour:
     def compute() -> Entry:
         colour = fit_camera_colour(build_response(config))
         return {"matrix": colour.matrix}, {"origin": colour.origin}
 
-    arrays, described = cached("colour", hashlib.sha256(repr(named).encode()).hexdigest(), compute)
+    arrays, described = cached("colour", _key(config), compute)
     return CameraColour(arrays["matrix"], described["origin"])
+
+
+def _key(config: Config) -> str:
+    """Return a hash of the camera and its light, without colour-science, which every worker would import for a second."""
+    hashes = [sha256_file(path) for path in light_files(config)]
+    named = (_camera(config), _illuminant(config), hashes, metadata.version("colour-science"), optics_code())
+    return hashlib.sha256(repr(named).encode()).hexdigest()
 
 
 def light_files(config: Config) -> list[Path]:

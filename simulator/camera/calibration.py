@@ -71,7 +71,8 @@ class Recording:
         Args:
             light: ``(C, H, W)`` irradiance per irradiance at the mask.
             gains: ``(C,)`` relative photons that the channels count under this light.
-            sensor: the sensor with its noise; it is taken to be as large as the PSF's grid.
+            sensor: the sensor with its noise; it is taken to be as large as the PSF's grid, and a mosaic to be read as if
+                every value had all colours.
             rng: random numbers of this measurement.
 
         Returns:
@@ -84,6 +85,9 @@ class Recording:
             shape=(rows, columns),
             physical_shape=(rows * sensor.binning, columns * sensor.binning),
             full_scale=1.0,
+            exposure_s=float(np.mean(sensor.exposure_s)),
+            responsivity=None,  # `gains` are the channels' own
+            readout="binned_rgb",
         )
         photons = light * gains[:, None, None]
         exposure = self.peak / photons.max()

@@ -5,20 +5,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-import numpy as np
-
-from simulator.arrays import Array, like, namespace, normal, poisson
+from simulator.arrays import Array, like, namespace, normal, number, poisson
 from simulator.errors import InputError
 
 if TYPE_CHECKING:
     from simulator.camera.sensor import Sensor
 
+_SURELY_FULL = 1e6
+"""Share of full scale beyond which nothing changes, where Poisson numbers still fit 64 bits."""
+
 
 class Noise(Protocol):
-    """What happens between a perfect signal and the stored number."""
+    """What happens between a perfect signal and the stored number.
+
+    Signals are shares of full scale, in the shape of the stored picture.
+    """
+
+    def fill(self, signal: Array, sensor: Sensor) -> Array:
+        """Return the expected share of full scale that the pixels reach: from 1 on they are saturated."""
+        ...
 
     def noiseless(self, signal: Array, sensor: Sensor) -> Array:
-        """Return DN / 2^bits without noise for a signal in shares of full scale, ``(C, H, W)``."""
+        """Return DN / 2^bits without noise."""
         ...
 
     def apply(self, signal: Array, sensor: Sensor, rng: Any) -> Array:
@@ -29,6 +37,10 @@ class Noise(Protocol):
 @dataclass(frozen=True)
 class NoNoise:
     """The perfect sensor: the signal itself, neither clipped nor quantised."""
+
+    def fill(self, signal: Array, sensor: Sensor) -> Array:
+        """Return the signal."""
+        return signal
 
     def noiseless(self, signal: Array, sensor: Sensor) -> Array:
         """Return the signal."""
@@ -41,7 +53,7 @@ class NoNoise:
 
 @dataclass(frozen=True)
 class GaussianNoise:
-    """White Gaussian noise, as the literature's simulations add it; black level zero.
+    """White Gaussian noise, as the literature's simulations add it; black level zero, the same in all channels.
 
     Attributes:
         std: standard deviation as a share of full scale, or None.
@@ -67,8 +79,12 @@ class GaussianNoise:
         if self.std is not None:
             return self.std
         assert self.psnr_db is not None
-        peak = float(namespace(signal).max(signal)) if self.peak == "sample" else 1.0
+        peak = number(namespace(signal).max(signal)) if self.peak == "sample" else 1.0
         return peak * 10 ** (-self.psnr_db / 20)
+
+    def fill(self, signal: Array, sensor: Sensor) -> Array:
+        """Return the signal."""
+        return signal
 
     def noiseless(self, signal: Array, sensor: Sensor) -> Array:
         """Return the signal."""
@@ -87,44 +103,40 @@ class GaussianNoise:
 
 @dataclass(frozen=True)
 class PhysicalNoise:
-    """Photons, dark current, pixel and row errors, read noise, black level, clipping, quantisation, in this order.
+    """Photons, dark current, pixel and row errors, read noise, black level, clipping, quantisation, white balance, in order.
 
-    Every physical pixel is read and digitised by itself; a stored value is the digital mean (or sum) of the ``n`` pixels of
+    Every physical pixel is read and digitised by itself; a stored value is the digital mean of the ``n`` pixels of
     its colour in the bin. The n pixels see one irradiance, so their electrons are drawn as one Poisson number, and the
-    rounding errors of all but the sum's own enter as their variance, 1/12 DN^2 each. Source: EMVA standard 1288, release
-    4.0, section 2.
+    rounding errors of all but the sum's own enter as their variance, 1/12 DN^2 each. The converter's range ends at the full
+    well, so one clip is both; charge does not spill over. At last a channel of responsivity r is divided by r, above the
+    black level. Source: EMVA standard 1288, release 4.0, section 2.
     """
 
+    def fill(self, signal: Array, sensor: Sensor) -> Array:
+        """Return the expected electrons, dark ones included, as a share of the full well."""
+        return signal * sensor.balance(signal) + sensor.dark_electrons(signal) * (1 / sensor.full_well_e)
+
     def noiseless(self, signal: Array, sensor: Sensor) -> Array:
-        """Return the expected DN / 2^bits below saturation, dark current included."""
-        dark_dn = sensor.dark_current_e_per_s * sensor.exposure_s * sensor.dn_per_electron
-        return (sensor.black_level_dn + dark_dn + signal * sensor.dn_range) / 2**sensor.bit_depth
+        """Return the expected DN / 2^bits below saturation, dark current included, averaged over the fixed patterns."""
+        share = self.fill(signal, sensor) / sensor.balance(signal)
+        return (sensor.black_level_dn + share * sensor.dn_range) / 2**sensor.bit_depth
 
     def apply(self, signal: Array, sensor: Sensor, rng: Any) -> Array:
         """Draw one measurement; see the class."""
         xp = namespace(signal)
         shape = tuple(signal.shape)
-        pixels = like(np.asarray(sensor.pixels_per_channel(shape[0]), np.float64)[:, None, None], signal)
-        dark = sensor.dark_current_e_per_s * sensor.exposure_s
-        electrons = poisson(rng, xp.clip(signal, 0, None) * (sensor.full_well_e * pixels))
-        electrons = electrons + poisson(rng, xp.zeros_like(signal) + dark * pixels)
-        electrons = electrons * like(sensor.response_map(shape), signal)
-        row = self._row_errors(signal, sensor, rng)
+        pixels, balance = sensor.pixels(signal), sensor.balance(signal)
+        light = xp.clip(signal, 0, _SURELY_FULL) * balance
+        electrons = poisson(rng, light * (sensor.full_well_e * pixels))
+        electrons = electrons + poisson(rng, xp.zeros_like(signal) + sensor.dark_electrons(signal) * pixels)
+        electrons = electrons * like(sensor.response_map(shape), signal) + like(sensor.dark_map(shape), signal) * pixels
         rounding_e2 = (pixels - 1) / 12 / sensor.dn_per_electron**2
         read = normal(rng, signal) * xp.sqrt(pixels * sensor.read_noise_e**2 + rounding_e2)
+        row = sensor.row_errors(signal, rng)
         numbers = (electrons + read + row * pixels) * sensor.dn_per_electron + pixels * sensor.black_level_dn
         top = pixels * (2**sensor.bit_depth - 1)
         numbers = xp.round(xp.where(numbers < 0, 0 * numbers, xp.where(numbers > top, top + 0 * numbers, numbers)))
-        return numbers / pixels / 2**sensor.bit_depth
-
-    @staticmethod
-    def _row_errors(signal: Array, sensor: Sensor, rng: Any) -> Array:
-        """Return the mean row error of every channel's pixels in a bin, ``(C, H, 1)`` electrons.
-
-        Of a Bayer bin's rows one half holds red and green pixels, the other green and blue: red and blue see different
-        errors, green sees both.
-        """
-        bayer = signal.shape[0] == 3 and sensor.binning >= 2
-        groups = 2 if bayer else 1
-        each = normal(rng, signal[:groups, :, :1]) * (sensor.row_noise_e / (sensor.binning / groups) ** 0.5)
-        return namespace(signal).stack([each[0], (each[0] + each[1]) / 2, each[1]]) if bayer else each
+        numbers = numbers / pixels
+        if sensor.responsivity is not None:
+            numbers = (numbers - sensor.black_level_dn) / balance + sensor.black_level_dn
+        return numbers / 2**sensor.bit_depth

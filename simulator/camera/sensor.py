@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.arrays import Array
+from simulator.arrays import Array, like, to_numpy
 from simulator.camera.noise import Noise, NoNoise
+from simulator.camera.readout import BayerReadout, BinnedReadout
 from simulator.errors import InputError
 
-BAYER_SHARE = (0.25, 0.5, 0.25)  # of the physical pixels in a bin, for R, G, B
+_PRNU, _DSNU = (1288,), (1288, 1)  # spawn keys of the two fixed patterns
 
 
 @dataclass(frozen=True)
 class Sensor:
     """A CMOS sensor with square bins.
+
+    Signals are shares of full scale, equal in all channels for a white surface. Where channels count different numbers of
+    electrons for it (``responsivity``), the digital numbers are balanced after conversion: the noiseless signal keeps its
+    one scale, the less sensitive channels are noisier, and they are full only at 1 / responsivity.
 
     Attributes:
         name: the model's name.
@@ -25,17 +30,24 @@ class Sensor:
         physical_shape: physical rows and columns.
         binning: physical pixels per stored value and axis; the stored value is the digital mean of its colour's pixels.
         shape: stored rows and columns, H and W, cut from the middle.
-        full_well_e: electrons at full scale, per physical pixel.
+        full_well_e: electrons at full scale, per physical pixel; there the converter's range ends too.
         read_noise_e: standard deviation per read, electrons.
-        row_noise_e: standard deviation of a row's common error, electrons.
+        row_noise_e: standard deviation of a physical row's common error, electrons.
         dark_current_e_per_s: electrons per second and physical pixel.
         prnu: relative standard deviation of the pixels' responsivity; a fixed pattern of this sensor.
         black_level_dn: digital number of darkness.
         bit_depth: of the converter.
-        exposure_s: seconds, for the dark current.
-        full_scale: radiant exposure (of a forward model) at which a pixel is full.
+        dsnu_e: standard deviation of the pixels' dark signal, electrons; a fixed pattern of this sensor.
+        peak_quantum_efficiency: electrons per photon where the most sensitive channel's spectral response peaks.
+        exposure_s: seconds, for the dark current; one for each stored row, top first, where they differ.
+        full_scale: radiant exposure (of a forward model) at which a pixel of responsivity 1 is full.
+        responsivity: electrons of each channel of the light for a white surface, relative to the channel with the most;
+            None means 1 for all.
         noise: the noise model.
-        pattern_seed: seed of the fixed pattern.
+        readout: ``binned_rgb``: every stored value has all channels; ``bayer``: a mosaic of one colour each.
+        cfa: colour filter array of the ``bayer`` readout: the colours of the stored window's own upper left 2 x 2 values
+            on the physical sensor, row by row.
+        pattern_seed: seed of the fixed patterns.
         source: where the numbers come from; ``nominal`` marks stand-ins.
     """
 
@@ -51,17 +63,26 @@ class Sensor:
     prnu: float
     black_level_dn: float
     bit_depth: int
-    exposure_s: float = 0.01
+    dsnu_e: float = 0.0
+    peak_quantum_efficiency: float = 1.0
+    exposure_s: float | tuple[float, ...] = 0.01
     full_scale: float = 1.0
+    responsivity: tuple[float, ...] | None = None
     noise: Noise = field(default_factory=NoNoise)
+    readout: Literal["binned_rgb", "bayer"] = "binned_rgb"
+    cfa: str = "RGGB"
     pattern_seed: int = 0
     source: str = ""
 
     def __post_init__(self) -> None:
+        if self.readout not in ("binned_rgb", "bayer"):
+            msg = f"readout: got {self.readout!r}, expected 'binned_rgb' or 'bayer'"
+            raise InputError(msg)
         for axis, stored, physical in zip(("rows", "columns"), self.shape, self.physical_shape, strict=True):
-            if stored * self.binning > physical:
+            needed = self._readout.extent(stored)
+            if needed > physical:
                 msg = (
-                    f"shape: {stored} {axis} of {self.binning} x {self.binning} bins need {stored * self.binning} physical "
+                    f"shape: {stored} {axis} of {self.binning} x {self.binning} bins need {needed} physical "
                     f"{axis}, but sensor {self.name!r} has {physical}; at most {physical // self.binning}"
                 )
                 raise InputError(msg)
@@ -70,6 +91,12 @@ class Sensor:
             raise InputError(msg)
         if not 0 <= self.black_level_dn < 2**self.bit_depth - 1:
             msg = f"black_level_dn: got {self.black_level_dn}, expected 0 to below {2**self.bit_depth - 1}"
+            raise InputError(msg)
+        if np.size(self.exposure_s) not in (1, self.shape[0]) or not np.all(np.greater(self.exposure_s, 0)):
+            msg = f"exposure_s: expected positive seconds, one or {self.shape[0]} (the rows), got {self.exposure_s!r}"
+            raise InputError(msg)
+        if self.responsivity is not None and not all(0 < share <= 1 for share in self.responsivity):
+            msg = f"responsivity: got {self.responsivity}, expected shares above 0, at most 1"
             raise InputError(msg)
 
     @property
@@ -87,22 +114,54 @@ class Sensor:
         """Conversion gain: full well comes out as the largest digital number."""
         return self.dn_range / self.full_well_e
 
-    def pixels_per_channel(self, channels: int) -> tuple[float, ...]:
-        """Return how many physical pixels stand behind one stored value of each channel.
+    @property
+    def stored_cfa(self) -> str | None:
+        """Colours of the stored picture's upper left 2 x 2 values, row by row; None where values have all channels."""
+        return self._readout.stored_pattern if isinstance(self._readout, BayerReadout) else None
 
-        A colour bin holds a quarter red, half green and a quarter blue pixels (Bayer). Below a 2 x 2 bin a stored value
-        is one idealised pixel per colour.
+    def channels(self, stack_channels: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names of the measurement's channels for those of the light (of the PSF stack).
+
+        Raises:
+            InputError: when this sensor cannot read such light.
         """
-        pixels = self.binning**2
-        if channels != 3 or self.binning < 2:
-            return (float(pixels),) * channels
-        return tuple(max(1.0, pixels * share) for share in BAYER_SHARE)
+        if self.responsivity is not None and len(self.responsivity) != len(stack_channels):
+            msg = (
+                f"camera.exposure.illuminance_lux: the spectral response has {len(self.responsivity)} channels, but the PSF "
+                f"stack has {', '.join(stack_channels)}; choose a camera.sensor.spectral_response with as many"
+            )
+            raise InputError(msg)
+        return self._readout.channels(stack_channels)
+
+    def pixels_per_channel(self, channels: int) -> tuple[float, ...]:
+        """Return how many physical pixels stand behind one stored value, for light of so many channels."""
+        return tuple(self._readout.pixels(channels).ravel().tolist())
 
     def response_map(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
         """Return the fixed pattern of responsivity ``(C, H, W)``, 1 on average: the same for every picture."""
-        rng = np.random.default_rng(np.random.SeedSequence(self.pattern_seed, spawn_key=(1288,)))
-        pixels = np.asarray(self.pixels_per_channel(shape[0]))[:, None, None]
-        return (1 + self.prnu / np.sqrt(pixels) * rng.standard_normal(shape)).astype(np.float32)
+        return self._pattern(shape, self.prnu, _PRNU) + 1
+
+    def dark_map(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
+        """Return the fixed pattern of the dark signal ``(C, H, W)``, electrons per pixel, 0 on average."""
+        return self._pattern(shape, self.dsnu_e, _DSNU)
+
+    def dark_electrons(self, signal: Array) -> Array | float:
+        """Return the mean dark current of a pixel's exposure, electrons, in a form that fits the signal."""
+        if isinstance(self.exposure_s, tuple):
+            return like(np.asarray(self.exposure_s)[:, None] * self.dark_current_e_per_s, signal)
+        return self.exposure_s * self.dark_current_e_per_s
+
+    def balance(self, signal: Array) -> Array | float:
+        """Return the responsivity behind each stored value, in a form that fits the signal."""
+        return 1.0 if self.responsivity is None else like(self._readout.spread(self.responsivity), signal)
+
+    def pixels(self, signal: Array) -> Array:
+        """Return the number of physical pixels behind each stored value, in a form that fits the signal."""
+        return like(self._readout.pixels(signal.shape[0]), signal)
+
+    def row_errors(self, signal: Array, rng: Any) -> Array:
+        """Draw the mean error of the physical rows behind each stored row, electrons, in a form that fits the signal."""
+        return self._readout.row_errors(signal, self.row_noise_e, rng)
 
     def expose(self, irradiance: Array, rng: Any) -> Array:
         """Return DN / 2^bits of one picture.
@@ -111,34 +170,38 @@ class Sensor:
             irradiance: radiant exposure ``(C, H, W)`` from a forward model; ``full_scale`` of it fills a pixel.
             rng: ``numpy.random.Generator``, or ``torch.Generator`` for tensors.
 
+        Returns:
+            ``(C, H, W)``, or ``(1, H, W)`` of a mosaic.
+
         Raises:
-            InputError: for a wrong shape.
+            InputError: for a wrong shape, or channels that this sensor cannot read.
         """
         return self.noise.apply(self._signal(irradiance), self, rng)
 
     def noiseless(self, irradiance: Array) -> Array:
-        """Return the expected DN / 2^bits, neither clipped nor quantised; see ``expose``."""
+        """Return the expected DN / 2^bits, dark current included, neither clipped nor quantised; see ``expose``."""
         return self.noise.noiseless(self._signal(irradiance), self)
+
+    def saturated_share(self, irradiance: Array) -> float:
+        """Return the share of stored values that are expected to reach full scale; see ``expose``."""
+        return float(np.mean(to_numpy(self.noise.fill(self._signal(irradiance), self)) >= 1))
+
+    @property
+    def _readout(self) -> BinnedReadout | BayerReadout:
+        if self.readout == "bayer":
+            return BayerReadout(self.binning, self.cfa, self.shape)
+        return BinnedReadout(self.binning)
+
+    def _pattern(self, shape: tuple[int, ...], std: float, key: tuple[int, ...]) -> NDArray[np.float32]:
+        rng = np.random.default_rng(np.random.SeedSequence(self.pattern_seed, spawn_key=key))
+        pixels = self._readout.pixels(shape[0])
+        return (std / np.sqrt(pixels) * rng.standard_normal(shape)).astype(np.float32)
 
     def _signal(self, irradiance: Array) -> Array:
         if irradiance.ndim != 3 or tuple(irradiance.shape[1:]) != self.shape:
             msg = f"irradiance must be (C, H, W) with (H, W) = {self.shape}, got {tuple(irradiance.shape)}"
             raise InputError(msg)
-        return irradiance * (1 / self.full_scale)
-
-
-# Numbers that makers do not publish are typical of the class; every stand-in is labelled nominal in the metadata.
-MODELS: dict[str, dict[str, Any]] = {
-    "imx183": {
-        "pixel_pitch_m": 2.4e-6,
-        "physical_shape": (3648, 5472),
-        "full_well_e": 15000.0,
-        "read_noise_e": 2.7,
-        "row_noise_e": 0.3,
-        "dark_current_e_per_s": 0.1,
-        "prnu": 0.006,
-        "black_level_dn": 64.0,
-        "bit_depth": 12,
-        "source": "Sony IMX183 format (5472 x 3648 of 2.4 um); full well, noise and spectral response nominal",
-    }
-}
+        if self.responsivity is not None and len(self.responsivity) != irradiance.shape[0]:
+            msg = f"irradiance has {irradiance.shape[0]} channels, responsivity {len(self.responsivity)}; give one for each"
+            raise InputError(msg)
+        return self._readout.read(irradiance) * (1 / self.full_scale)

@@ -39,8 +39,14 @@ class SensorConfig(Section):
     read_noise_e: Annotated[float, Range(0, 1e4, "e (electrons)")] | None = Field(
         default=None, description="standard deviation of the read noise, electrons"
     )
+    row_noise_e: Annotated[float, Range(0, 1e4, "e (electrons)")] | None = Field(
+        default=None, description="standard deviation of the error that a physical row's pixels share, electrons"
+    )
     dark_current_e_per_s: Annotated[float, Range(0, 1e6, "e/s (electrons per second)")] | None = Field(
         default=None, description="dark current of a physical pixel, electrons per second"
+    )
+    dsnu_e: Annotated[float, Range(0, 1e4, "e (electrons)")] | None = Field(
+        default=None, description="dark-signal non-uniformity, standard deviation in electrons"
     )
     prnu_percent: Annotated[float, Range(0, 50, "percent")] | None = Field(
         default=None, description="photo-response non-uniformity, standard deviation in percent"
@@ -52,6 +58,30 @@ class SensorConfig(Section):
     spectral_response: Annotated[str, Field(min_length=1)] | None = Field(
         default=None, description="name of a camera's spectral curves, or their file (.csv, .json)"
     )
+    peak_quantum_efficiency: (
+        Annotated[float, Range(1e-3, 1, below="a sensor that counts no photons sees nothing")] | None
+    ) = Field(
+        default=None, description="electrons per photon where the most sensitive channel's spectral response peaks"
+    )
+    readout: Literal["binned_rgb", "bayer"] = Field(
+        default="binned_rgb", description="whether each value has all colours, or one (a mosaic, as in raw files)"
+    )
+    cfa: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = Field(
+        default=None,
+        description="with readout bayer: colours of the picture's upper left 2 x 2 values on the sensor itself; default RGGB",
+    )
+    pattern_seed: Annotated[int, Range(0, 2**31, below="a seed is not negative; 0 is a seed")] = Field(
+        default=0, description="seed of the fixed patterns: another one is another sensor of the same model"
+    )
+
+    @model_validator(mode="after")
+    def _pattern_of_a_mosaic(self) -> Self:
+        if self.cfa is not None and self.readout != "bayer":
+            text = (
+                f"got {self.cfa} with readout {self.readout}, whose values have all colours; leave it out, or set bayer"
+            )
+            raise refusal(text, "cfa", on_key=True)
+        return self
 
 
 class ExposureConfig(Section):
@@ -61,6 +91,19 @@ class ExposureConfig(Section):
         default="auto",
         description="exposure (irradiance x seconds) that fills a pixel; auto finds it from 16 pilot samples",
     )
+    illuminance_lux: Annotated[float, Range(1e-6, 1e9, "lux", below="without light there is no picture")] | None = (
+        Field(
+            default=None,
+            description="light on a white surface, which has scene radiance 1; sets full_scale by counting photons",
+        )
+    )
+
+    @model_validator(mode="after")
+    def _one_scale(self) -> Self:
+        if self.illuminance_lux is not None and self.full_scale != "auto":
+            text = f"got {self.illuminance_lux:g} beside full_scale, which it decides; keep one of the two"
+            raise refusal(text, "illuminance_lux", on_key=True)
+        return self
 
 
 class NoNoise(Section):

@@ -7,7 +7,8 @@ import pytest
 
 from simulator.camera.exposure import full_scale_from_pilots
 from simulator.camera.noise import GaussianNoise, NoNoise, PhysicalNoise
-from simulator.camera.sensor import MODELS, Sensor
+from simulator.camera.sensor import Sensor
+from simulator.camera.sensor_models import MODELS
 from simulator.errors import InputError
 
 SHAPE = (600, 600)  # times three channels: more than 10^6 values
@@ -52,7 +53,9 @@ def test_no_noise_returns_the_signal():
 @pytest.mark.parametrize("binning", [1, 2, 6])
 def test_physical_noise_has_the_photon_transfer_curve(binning):
     """Mean without bias, and variance = shot + dark + read + row + quantisation, at several levels (EMVA 1288)."""
-    sensor = _sensor(noise=PhysicalNoise(), prnu=0.0, binning=binning, exposure_s=2.0, dark_current_e_per_s=20.0)
+    sensor = _sensor(
+        noise=PhysicalNoise(), prnu=0.0, dsnu_e=0.0, binning=binning, exposure_s=2.0, dark_current_e_per_s=20.0
+    )
     for level in (0.0, 0.02, 0.5):
         signal = np.full((3, *SHAPE), level, np.float32)
         numbers = sensor.expose(signal, np.random.default_rng(1)).astype(np.float64) * 4096

@@ -1,0 +1,131 @@
+"""An absolute scale: electrons counted by hand from lux, and what a fast shutter costs."""
+
+import numpy as np
+import pytest
+
+from simulator import assemble
+from simulator.assemble.exposure import fixed_exposure
+from simulator.config import load_config
+from simulator.errors import InputError
+from simulator.optics.curves import camera_curves
+from simulator.types import Clip
+
+pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+H, C = 6.62607015e-34, 299792458.0
+
+
+def _config(trial, *, ms=5.0, camera=None, **changes):
+    lit = {"exposure": {"illuminance_lux": 800}, "shutter": {"exposure_ms": ms}, "noise": {"type": "physical"}}
+    return load_config(trial.write(camera=lit | (camera or {}), **changes))
+
+
+def _white(level=1.0):
+    rgb = np.full((1, 16, 20, 3), level, np.float32)
+    return Clip(rgb, np.full((1, 16, 20), 0.1, np.float32), np.ones((1, 16, 20), bool), np.array([0.0, 1.0]))
+
+
+def test_electrons_of_a_white_pixel_are_those_counted_by_hand(trial):
+    """Lux to watts to photons through the mask's openings, for a light of one colour: nothing is taken from our own code."""
+    light = {"illuminant": {"led_nm": 540, "fwhm_nm": 1}}
+    config = _config(trial, camera=light)
+    record = fixed_exposure(config)
+    assert record is not None
+    sensor = assemble.build_sensor(config, record["full_scale"])
+    model = assemble.build_forward_model(config, assemble.build_psf_stack(config))
+    clip = _white(0.0)
+    clip.rgb[0, 8, 10] = 1
+    signal = model.forward_clip(clip) / sensor.full_scale
+    collected = signal.sum((1, 2)) * sensor.full_well_e * np.array(sensor.responsivity) * sensor.binning**2
+
+    radiance = 800 / 683 / 0.954 / np.pi  # W / (m2 sr); V(540 nm) = 0.954 (CIE 018:2019)
+    mask = assemble.build_mask(config)
+    assert mask is not None
+    opening_m2 = mask.amplitude.sum() * 4e-6**2
+    tan2 = 2 * (0.5 * 19.2e-6 / 1.9e-3) ** 2  # the pixel beside the middle
+    steradian = (19.2e-6 / 1.9e-3) ** 2 / (1 + tan2) ** 2
+    photons = radiance * opening_m2 * steradian * 5e-3 * 540e-9 / (H * C)
+    curves = camera_curves("Nikon 5100 (NPL)")
+    at_540 = curves.values[:, np.argmin(np.abs(curves.wavelengths_m - 540e-9))]
+    # 4 % of the light is scattered off the PSF's grid and the sensor by the edges of the openings.
+    ratio = collected / (photons * 0.6 * at_540 / curves.values.max())
+    assert ratio == pytest.approx(np.full(3, 0.96), abs=0.04)
+    # The channels see one wavelength, so their PSFs are one and their ratio is that of their efficiencies.
+    assert ratio == pytest.approx(np.full(3, ratio[1]), rel=2e-3)
+    assert record["electrons_per_exposure"] == pytest.approx(sensor.full_well_e / record["full_scale"])
+    assert max(record["responsivity"].values()) == 1
+
+
+def test_half_the_time_is_half_the_electrons_and_noisier_by_the_root_of_two(trial):
+    noise, mean = [], []
+    for ms in (4.0, 2.0):
+        # Shot noise alone; a converter fine enough not to be seen.
+        quiet = {"read_noise_e": 0, "row_noise_e": 0, "dark_current_e_per_s": 0, "dsnu_e": 0, "prnu_percent": 0}
+        sensor_config = {"shape": [48, 60], "binning": 8, "bit_depth": 24, "full_well_e": 1e6} | quiet
+        # A thousand electrons at most: this mask is small.
+        bright = {"exposure": {"illuminance_lux": 80000}}
+        config = _config(trial, ms=ms, camera={"sensor": sensor_config} | bright)
+        record = fixed_exposure(config)
+        assert record is not None
+        sensor = assemble.build_sensor(config, record["full_scale"])
+        exposure = assemble.build_forward_model(config, assemble.build_psf_stack(config)).forward_clip(_white())
+        # 120 pictures of 3 x 48 x 60: 1.04e6 values.
+        rng, black = np.random.default_rng(1), sensor.black_level_dn / 2**24
+        pictures = np.array([sensor.expose(exposure, rng) for _ in range(120)], np.float64) - black
+        expected = sensor.noiseless(exposure).astype(np.float64) - black
+        # Standard errors: 1e-3 of the deviation for the mean, about 1e-3 for the deviation.
+        error = pictures - expected
+        assert abs(error.mean()) < 4e-3 * error.std()
+        electrons = expected * 2**24 / sensor.dn_per_electron * np.array(sensor.responsivity)[:, None, None]
+        shot = error * 2**24 / sensor.dn_per_electron * np.array(sensor.responsivity)[:, None, None]
+        variance = electrons / np.array(sensor.pixels_per_channel(3))[:, None, None]
+        assert shot.var() == pytest.approx(variance.mean(), rel=0.01)
+        noise.append(error.std() / pictures.mean())
+        mean.append(pictures.mean())
+    assert mean[1] == pytest.approx(mean[0] / 2, rel=1e-4)
+    assert noise[1] / noise[0] == pytest.approx(2**0.5, rel=5e-3)
+
+
+def test_the_scale_does_not_depend_on_the_time_and_follows_what_it_should(trial):
+    def scale(**numbers):
+        sensor = {"shape": [48, 60], "binning": 8} | numbers.pop("sensor", {})
+        record = fixed_exposure(_config(trial, camera={"sensor": sensor} | numbers.pop("camera", {}), **numbers))
+        assert record is not None
+        return record["full_scale"]
+
+    reference = scale()
+    assert scale(ms=0.1) == reference
+    assert scale(camera={"exposure": {"illuminance_lux": 80}}) == pytest.approx(10 * reference)
+    assert scale(sensor={"peak_quantum_efficiency": 0.3}) == pytest.approx(2 * reference)
+    assert scale(sensor={"pixel_pitch_um": 4.8, "binning": 4}) == pytest.approx(reference / 4)
+    assert scale(sensor={"full_well_e": 30000}) == pytest.approx(2 * reference)
+
+
+def test_without_lux_the_channels_are_alike(trial):
+    config = load_config(trial.write())
+    assert fixed_exposure(config) == {"full_scale": 3e-6, "from": "configuration"}
+    assert assemble.build_sensor(config).responsivity is None
+    assert fixed_exposure(load_config(trial.write(camera={"exposure": {"full_scale": "auto"}}))) is None
+
+
+def test_a_mean_over_time_has_no_photons_to_count(trial):
+    config = load_config(trial.write(camera={"exposure": {"illuminance_lux": 800}}), ["forward.time=mean"])
+    with pytest.raises(InputError, match=r"forward\.time: 'mean' takes the exposure time out"):
+        fixed_exposure(config)
+
+
+def test_the_readout_and_the_patterns_reach_the_sensor(trial):
+    chosen = {"shape": [48, 60], "binning": 8, "readout": "bayer", "cfa": "GBRG", "pattern_seed": 4, "dsnu_e": 2.5}
+    sensor = assemble.build_sensor(_config(trial, camera={"sensor": chosen | {"row_noise_e": 1.5}}))
+    assert (sensor.readout, sensor.cfa, sensor.stored_cfa) == ("bayer", "GBRG", "GRBG")
+    assert (sensor.pattern_seed, sensor.dsnu_e, sensor.row_noise_e) == (4, 2.5, 1.5)
+    assert sensor.channels(("R", "G", "B")) == ("mosaic",)
+    assert assemble.build_sensor(load_config(trial.write())).cfa == "RGGB"
+
+
+def test_a_response_of_other_channels_is_refused(trial):
+    (trial.folder / "grey.csv").write_text("400,1\n700,1\n")
+    sensor = {"shape": [48, 60], "binning": 8, "spectral_response": "grey.csv"}
+    mono = assemble.build_sensor(_config(trial, camera={"sensor": sensor}))
+    assert mono.channels(("Y",)) == ("Y",)
+    with pytest.raises(InputError, match=r"has 1 channels, but the PSF stack has R, G, B"):
+        mono.channels(("R", "G", "B"))
