@@ -62,8 +62,8 @@ def _judge(survey: Survey, skip_bad: bool) -> None:
         raise InputError(msg)
     if survey.problems and not skip_bad:
         msg = (
-            f"{survey.path}: {len(survey.problems)} problems, listed above; mend them, or go on without what is bad: "
-            "--skip-bad, here and in flatlight generate"
+            f"{survey.path}: problems above: {len(survey.problems)}; mend them, or go on without what is bad: --skip-bad, "
+            "here and in flatlight generate"
         )
         raise InputError(msg)
 

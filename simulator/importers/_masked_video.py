@@ -165,8 +165,10 @@ class MaskedVideo:
 
     def _numbers(self, frame: str) -> NDArray[np.uint8]:
         numbers = read_object_numbers(self.mask(frame))
+        if not self.categories:
+            return numbers
         unknown = [number for number in _objects(numbers) if number not in self.categories]
-        if self.categories and unknown:
+        if unknown:
             msg = (
                 f"{self.mask(frame)} has object {_listed(unknown)}, but meta.json gives video {self.name} only "
                 f"{_listed(self.categories)}: fetch masks and meta.json from the same release"

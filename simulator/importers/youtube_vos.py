@@ -46,7 +46,8 @@ def youtube_vos(
     """Read clips of the labelled objects of YouTube-VOS.
 
     Files are listed at once and read when a clip is asked for. Only annotated frames are used. What is not labelled is black:
-    the background is all pixels that belong to no object of the frame's mask.
+    the background is all pixels that belong to no object of the frame's mask. The masks of ``valid`` and ``test`` hold each
+    object only in the frame where it appears first.
 
     Args:
         view: the camera's view: size of the clips, far depth.

@@ -1,0 +1,216 @@
+"""``import --check``: which importer, what it found, and what a user is told to do next."""
+
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+
+@pytest.fixture
+def davis_root(tmp_path) -> Path:
+    root = tmp_path / "set of: videos"  # a path that YAML would misread without quotes
+    for name in ("bear", "dog"):
+        for number in range(3):
+            for folder in ("JPEGImages", "Annotations"):
+                (root / folder / "480p" / name).mkdir(parents=True, exist_ok=True)
+            picture = np.full((8, 12, 3), 90, np.uint8)
+            Image.fromarray(picture).save(root / "JPEGImages" / "480p" / name / f"{number:05d}.jpg")
+            mask = Image.fromarray(np.eye(8, 12, dtype=np.uint8), "P")
+            mask.putpalette([0, 0, 0, 128, 0, 0])
+            mask.save(root / "Annotations" / "480p" / name / f"{number:05d}.png")
+    return root
+
+
+def spoil(root: Path) -> None:
+    (root / "JPEGImages" / "480p" / "dog" / "00001.jpg").write_bytes(b"no picture")
+
+
+def test_a_good_folder(flatlight, davis_root) -> None:
+    code, out, err = flatlight("import", "--check", davis_root)
+    assert code == 0
+    assert f"{davis_root}: davis, 2 usable" in out
+    assert "6 (3 to 3 per video, median 3)" in out
+    assert "problem" not in out
+    assert "read: 6 of 6" in err
+
+
+def test_the_line_to_use_is_yaml_that_loads(flatlight, davis_root, tmp_path, make_trial) -> None:
+    _, out, _ = flatlight("import", "--check", davis_root, "--set", "keep_background=true")
+    (line,) = [line for line in out.splitlines() if line.startswith("  scene: ")]
+    scene: dict[str, Any] = yaml.safe_load(line)["scene"]
+    assert scene == {
+        "source": "davis",
+        "path": str(davis_root),
+        "size": [128, 128],
+        "keep_background": True,
+        "frames": "...",
+    }
+    assert "where frames is a whole number from 1: " in out
+    from simulator.config import load_config
+
+    trial = make_trial(tmp_path / "trial")
+    assert load_config(trial.write(scene=scene | {"frames": 3, "size": [16, 20]})).scene.source == "davis"
+
+
+def test_problems_fail_unless_they_are_skipped(flatlight, davis_root, one_error) -> None:
+    spoil(davis_root)
+    result = flatlight("import", "--check", davis_root)
+    one_error(result, "problems above: 1;", "--skip-bad")
+    assert "problem: JPEGImages/480p/dog/00001.jpg: is not a picture that can be read" in result[1]
+    assert "scene:" not in result[1]
+    code, out, _ = flatlight("import", "--check", davis_root, "--skip-bad")
+    assert code == 0
+    assert "davis, 1 usable" in out
+    assert "problem: JPEGImages/480p/dog/00001.jpg" in out
+    assert "scene: {source: davis" in out
+
+
+def test_skipping_all_leaves_nothing(flatlight, davis_root, one_error) -> None:
+    for mask in davis_root.rglob("*.png"):
+        mask.write_bytes(b"no picture")
+    one_error(flatlight("import", "--check", davis_root, "--skip-bad"), "nothing can be used")
+
+
+def test_options_are_those_of_the_survey(flatlight, davis_root, one_error) -> None:
+    run = "import", "--check", davis_root, "--set"
+    one_error(flatlight(*run, "subset=train"), "subset: got 'train'", "there are none")
+    one_error(flatlight(*run, "subse=train"), "subse: unknown key", "did you mean 'subset'")
+    one_error(flatlight(*run, "frames=3"), "frames: unknown key")  # decides how clips are cut, not what is there
+    one_error(flatlight(*run, "keep_background=3"), "keep_background", "expected true or false")
+
+
+def test_what_no_importer_knows(flatlight, tmp_path, one_error) -> None:
+    (tmp_path / "empty").mkdir()
+    result = flatlight("import", "--check", tmp_path / "empty")
+    one_error(
+        result,
+        "is laid out like none of these",
+        "--source",
+        "davis: DAVIS 2016 and 2017",
+        "path: the folder that holds",
+    )
+    one_error(flatlight("import", "--check", tmp_path / "no"), "there is no file or folder")
+    one_error(
+        flatlight("import", "--check", tmp_path, "--source", "davs"), "unknown imported source", "did you mean 'davis'"
+    )
+    one_error(flatlight("import", "--check", tmp_path / "empty", "--source", "davis"), "has no folder JPEGImages/480p")
+
+
+def test_nothing_in_the_folder_is_imported(flatlight, davis_root, monkeypatch, tmp_path) -> None:
+    for place in (davis_root, davis_root / "JPEGImages", davis_root / "JPEGImages" / "480p" / "dog"):
+        for name in ("__init__.py", "sitecustomize.py", "numpy.py", "davis.py"):
+            (place / name).write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n", encoding="utf-8")
+    monkeypatch.chdir(davis_root)
+    assert flatlight("import", "--check", ".")[0] == 0
+    assert not (tmp_path / "ran").exists()
+
+
+SOURCE = '''
+"""Boxes of rocks."""
+
+from pathlib import Path
+
+{imports}
+
+def {name}(view, *, path: Path, weight: float, kind: str = "flint"):
+    """Rocks.
+
+    Args:
+        path: a folder that holds rocks.txt.
+        weight: of each, grams.
+    """
+'''
+SURVEY = """
+def recognises(path):
+    {recognises}
+
+def survey(path, progress=None, *, kind="flint"):
+    progress(1, 1)
+    return Survey("{name}", path, 3, {{"rocks": "3", "kind": kind}})
+"""
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Install a package of sources as pip would leave it."""
+
+    def install_package(package: str, **sources: str | None) -> None:
+        site = tmp_path / "site"
+        (site / package).mkdir(parents=True)
+        (site / package / "__init__.py").touch()
+        for name, recognises in sources.items():
+            imports = "" if recognises is None else "from simulator.importers._survey import Survey\n"
+            code = SOURCE.format(name=name, imports=imports)
+            code += "" if recognises is None else SURVEY.format(name=name, recognises=recognises)
+            (site / package / f"{name}.py").write_text(textwrap.dedent(code), encoding="utf-8")
+        info = site / f"{package}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n", encoding="utf-8")
+        (info / "entry_points.txt").write_text(f"[flatlight.sources]\n{package} = {package}\n", encoding="utf-8")
+        monkeypatch.syspath_prepend(str(site))
+
+    return install_package
+
+
+IS_ROCKS = "return (path / 'rocks.txt').is_file()"
+
+
+@pytest.fixture
+def rocks(tmp_path) -> Path:
+    (tmp_path / "rocks").mkdir()
+    (tmp_path / "rocks" / "rocks.txt").touch()
+    return tmp_path / "rocks"
+
+
+def test_a_source_of_another_package(flatlight, install, rocks) -> None:
+    install("geology_one", pebbles=IS_ROCKS)
+    code, out, _ = flatlight("import", "--check", rocks, "--set", "kind=chalk")
+    assert code == 0
+    assert f"{rocks}: pebbles, 3 usable" in out
+    assert "kind   chalk" in out
+    assert 'kind: "chalk", weight: ...}' in out
+    assert "where weight is a number: of each, grams" in out
+
+
+def test_two_that_recognise_the_same(flatlight, install, rocks, one_error) -> None:
+    install("geology_two", boulders=IS_ROCKS, gravel=IS_ROCKS)
+    result = flatlight("import", "--check", rocks)
+    one_error(
+        result, "recognised by several sources", "--source", "boulders: Boxes of rocks.", "gravel: Boxes of rocks."
+    )
+    assert "davis" not in result[2]
+    assert "gravel, 3 usable" in flatlight("import", "--check", rocks, "--source", "gravel")[1]
+
+
+def test_sources_that_cannot_tell_or_fail_do_not_stand_in_the_way(
+    flatlight, install, davis_root, rocks, one_error
+) -> None:
+    install("geology_three", mute=None, faulty="return 1 / 0")
+    code, out, err = flatlight("import", "--check", davis_root)
+    assert code == 0
+    assert "davis, 2 usable" in out
+    assert "warning: this source cannot be asked: faulty: ZeroDivisionError" in err
+    one_error(flatlight("import", "--check", rocks), "not asked, as they do not say what they expect:\n  mute: Boxes")
+    one_error(flatlight("import", "--check", rocks, "--source", "mute"), "'mute' has no survey(path, progress)")
+
+
+def test_a_users_own_file(flatlight, rocks, tmp_path, monkeypatch) -> None:
+    code = SOURCE.format(name="mine", imports="from simulator.importers._survey import Survey\n")
+    (tmp_path / "mine.py").write_text(code + SURVEY.format(name="mine", recognises="return False"), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = flatlight("import", "--check", rocks, "--source", "./mine.py:mine")
+    assert code == 0
+    assert "mine, 3 usable" in out
+    assert "source: ./mine.py:mine" in out
+
+
+@pytest.mark.shared
+def test_the_real_samples(flatlight, shared_data) -> None:
+    code, out, _ = flatlight("import", "--check", shared_data / "davis")
+    assert code == 0
+    assert "davis, 2 usable" in out
+    assert "note: masks a pixel larger or smaller than their picture, resized: 1 (masks/judo/00005.png)" in out
