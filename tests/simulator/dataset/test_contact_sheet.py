@@ -76,6 +76,45 @@ def test_other_channel_counts_and_unseen_scenes(tmp_path: Path, samples: ModuleT
     assert contact_sheet(root, tmp_path / "s.png").stat().st_size > 1000
 
 
+def test_frames_of_a_clip_over_time(tmp_path: Path, samples: ModuleType) -> None:
+    """Frame t has the grey of t / 10 and the depth 4 + t cm; beside the clip there is a still, of one frame only."""
+    from PIL import Image
+
+    root, frames = tmp_path / "set", 11
+    root.mkdir()
+    write_info(root, samples.make_info(sensor_shape=SENSOR, scene_shape=SCENE, counts={"train": 2}))
+    steps = np.arange(frames, dtype=np.float32)[:, None, None]
+    depth_m = np.broadcast_to(0.04 + steps / 100, (frames, *SCENE)).astype(np.float32)
+    rgb = np.broadcast_to(steps[..., None] / 10, (frames, *SCENE, 3))
+    clip = {"rgb": rgb, "depth_m": depth_m, "valid": np.ones(depth_m.shape, bool)}
+    clip["frame_edges_s"] = np.linspace(0, 0.011, frames + 1)
+    still = {name: values[:1] for name, values in clip.items() if name != "frame_edges_s"}
+    with ManifestWriter(root) as manifest:
+        for index, changes in enumerate((clip, still)):
+            sample = samples.make_sample(index, SENSOR, SCENE, **changes)
+            manifest.append(write_sample(root, "train", index, sample), 0.1)
+    sheet = np.asarray(Image.open(contact_sheet(root, tmp_path / "sheet.png")).convert("RGB")).astype(int)
+    step, second = DEPTH_LEFT - SCENE_LEFT, TOP + 192 + 22 + 16 + 12  # clips have a line more, for their times
+    shown = [sheet[TOP + 90, SCENE_LEFT + column * step + 90, 0] / 255 for column in range(5)]
+    expected = [0, 2, 5, 8, 10]  # five of eleven, evenly: 0, 2.5, 5, 7.5, 10
+    decoded = [10 * (value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4) for value in shown]
+    np.testing.assert_allclose(decoded, expected, rtol=0, atol=0.05)  # eight bits of sRGB
+    assert sheet[second + 90, SCENE_LEFT + 90].tolist() == [0, 0, 0]
+    assert sheet[second + 90, SCENE_LEFT + step + 90].tolist() == [250, 250, 250]  # the still has no second frame
+    far = [68, 1, 84]  # of the depths shown, the clip's frame 5 is the farthest, the still the nearest
+    assert sheet[TOP + 90, SCENE_LEFT + 5 * step + 90].tolist() == far
+    assert sheet[second + 90, SCENE_LEFT + 5 * step + 90].tolist() == [253, 231, 37]
+
+
+def test_only_the_frames_shown_are_read(clips: Path, tmp_path: Path, samples: ModuleType) -> None:
+    with ManifestWriter(clips) as manifest:
+        sample = samples.make_clip_sample(0, frames=11)
+        manifest.append(write_sample(clips, "validation", 0, sample), 0.1)
+    for frame in (1, 3, 4, 6, 7, 9):
+        (clips / f"validation/0000/s00000000/frames/ground_truth.{frame:04d}.exr").unlink()
+    assert contact_sheet(clips, tmp_path / "sheet.png", split="validation").stat().st_size > 1000
+
+
 def test_refusals(dataset: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no finished sample in test"):
         contact_sheet(dataset, tmp_path / "s.png", split="test")

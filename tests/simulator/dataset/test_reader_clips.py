@@ -10,7 +10,7 @@ import pytest
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, RowShutter, Shutter
 from simulator.camera.shutter_record import shutter_record
 from simulator.camera.slivers import sliver_weights, split_measurement
-from simulator.dataset.reader import open_dataset
+from simulator.dataset.reader import Dataset, open_dataset
 from simulator.dataset.verify import verify
 from simulator.errors import InputError
 
@@ -38,15 +38,15 @@ def opened(root: Path, samples: ModuleType, shutter: Shutter, edges_s: np.ndarra
 @pytest.mark.parametrize("kind", SHUTTERS)
 @pytest.mark.parametrize(("slivers", "length", "longer"), [(10, 6, 1.0), (3, 7, 1.03), (1, 5, 1.2), (4, 1, 1.0)])
 def test_weights_from_the_edges_of_slivers_are_means_over_the_finer_frames(
-    samples: ModuleType, tmp_path: Path, kind: str, slivers: int, length: int, longer: float
+    samples: ModuleType, kind: str, slivers: int, length: int, longer: float
 ) -> None:
     shutter = SHUTTERS[kind]
     frame_edges_s = np.linspace(0, shutter.duration_s(ROWS) * longer, slivers * length + 1)
-    dataset, sample = opened(tmp_path / "set", samples, shutter, frame_edges_s[::length])
+    dataset = Dataset(Path("nowhere"), "train", (), samples.make_info(time={"shutter": shutter_record(shutter)}))
+    sample = samples.make_clip_sample(0, slivers, frame_edges_s=frame_edges_s[::length])
     found = dataset.sliver_weights(sample)
     of_frames = shutter.weights(ROWS, frame_edges_s)  # for the physical sensor: image row 0 is its last
     np.testing.assert_allclose(found, sliver_weights(of_frames, slivers)[:, ::-1], rtol=0, atol=1e-12)  # float64
-    np.testing.assert_array_equal(dataset.sliver_weights(dataset.stored(1)), found)
     seconds = np.diff(sample.frame_edges_s) @ found  # sum_n dt_n S_n is what each row was exposed for
     np.testing.assert_allclose(seconds, shutter.exposures_s(ROWS)[::-1], rtol=1e-12)
 
@@ -76,6 +76,7 @@ def test_the_shutter_and_the_times_are_said(samples: ModuleType, tmp_path: Path)
         assert verify(root).ok
         assert type(dataset.shutter) is type(shutter)
         assert dataset.shutter.windows_s(ROWS).tobytes() == shutter.windows_s(ROWS).tobytes()
+        np.testing.assert_array_equal(dataset.sliver_weights(dataset.stored(1)), dataset.sliver_weights(sample))
         assert dataset.metadata["time"] == {"shutter": shutter_record(shutter), "slivers": 3}
         assert sample.frame_edges_s.shape == (4,)
 
