@@ -7,7 +7,7 @@ The colour filter array belongs to the physical sensor, whose picture is stored 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,16 +151,13 @@ class BayerReadout:
             InputError: when the light is not red, green and blue.
         """
         if tuple(names) != COLOURS:
-            msg = (
-                f"camera.sensor.readout: 'bayer' needs light of the channels R, G, B, got {', '.join(names)}; use "
-                "binned_rgb, or PSFs and a spectral response of three colours"
-            )
-            raise InputError(msg)
+            self._refuse(", ".join(names))
         return MOSAIC
 
     def read(self, signal: Array) -> Array:
         """Return ``(1, H, W)``: of every pixel the value of its colour."""
-        self.channels(COLOURS if signal.shape[0] == 3 else tuple(f"number {n}" for n in range(signal.shape[0])))
+        if signal.shape[0] != 3:
+            self._refuse(f"{signal.shape[0]} channels")
         xp, colours = namespace(signal), self.colour_map()
         red, green, blue = signal
         is_red, is_blue = (like(colours == n, signal, xp.bool) for n in (0, 2))
@@ -177,3 +174,11 @@ class BayerReadout:
     def row_errors(self, signal: Array, std: float, rng: Any) -> Array:
         """Return ``(1, H, 1)``: the b physical rows of a stored row are its own, whatever their colours."""
         return normal(rng, signal[:, :, :1]) * (std / self.binning**0.5)
+
+    @staticmethod
+    def _refuse(came: str) -> NoReturn:
+        msg = (
+            f"camera.sensor.readout: 'bayer' needs light of the channels R, G, B, got {came}; use binned_rgb, or PSFs and a "
+            "spectral response of three colours"
+        )
+        raise InputError(msg)

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from simulator.camera.exposure import full_scale_from_pilots
+from simulator.camera.forward import ForwardModel
 from simulator.camera.noise import GaussianNoise, NoNoise, PhysicalNoise
 from simulator.camera.sensor import Sensor
 from simulator.camera.sensor_models import MODELS
+from simulator.camera.shutter import RowShutter
 from simulator.errors import InputError
+from simulator.optics.psf_stack import PsfStack
 
 SHAPE = (600, 600)  # times three channels: more than 10^6 values
 
@@ -98,6 +101,82 @@ def test_fixed_pattern_is_the_same_in_every_picture_and_has_the_asked_strength()
     assert covariance == pytest.approx(expected, rel=0.03)
 
 
+def test_the_dark_pattern_is_the_sensors_own():
+    """The same in every picture, of the asked strength after binning, and another sensor's is another."""
+    sensor = _sensor(noise=PhysicalNoise(), prnu=0.0, dsnu_e=30.0, row_noise_e=0.0, binning=6)
+    dark = np.zeros((3, *SHAPE), np.float32)
+    first, second = (sensor.expose(dark, np.random.default_rng(seed)).astype(np.float64) * 4096 for seed in (0, 1))
+    other = replace(sensor, pattern_seed=1).expose(dark, np.random.default_rng(1)).astype(np.float64) * 4096
+    for channel, pixels in enumerate((9, 18, 9)):
+        expected = (30 * sensor.dn_per_electron) ** 2 / pixels
+        # 3.6e5 values: 0.3 %.
+        assert np.cov(first[channel].ravel(), second[channel].ravel())[0, 1] == pytest.approx(expected, rel=0.02)
+        assert abs(np.cov(first[channel].ravel(), other[channel].ravel())[0, 1]) < 0.02 * expected
+    assert first.mean() == pytest.approx(sensor.black_level_dn, abs=0.02)
+    # PRNU and DSNU of one sensor have nothing to do with each other.
+    maps = sensor.dark_map((3, *SHAPE)).ravel(), replace(sensor, prnu=0.1).response_map((3, *SHAPE)).ravel()
+    assert abs(np.corrcoef(*maps)[0, 1]) < 5e-3
+
+
+def test_less_sensitive_channels_are_balanced_noisier_and_full_later():
+    shares = (0.5, 1.0, 0.25)
+    sensor = _sensor(noise=PhysicalNoise(), responsivity=shares, prnu=0.0, dsnu_e=0.0, row_noise_e=0.0)
+    light = np.full((3, *SHAPE), 0.6, np.float32)
+    np.testing.assert_allclose(
+        sensor.noiseless(light), replace(sensor, responsivity=None).noiseless(light), rtol=1e-6, atol=1e-6
+    )
+    numbers = sensor.expose(light, np.random.default_rng(0)).astype(np.float64) * 4096
+    gain = sensor.dn_per_electron
+    for channel, share in enumerate(shares):
+        variance = ((0.6 * 15000 * share + 2.7**2) * gain**2 + 1 / 12) / share**2
+        assert numbers[channel].var() == pytest.approx(variance, rel=0.01)  # 3.6e5 values: 0.24 %
+        error = numbers[channel].mean() - 4096 * float(sensor.noiseless(light)[channel].mean())
+        assert abs(error) < 4 * np.sqrt(variance / numbers[channel].size)
+    full = sensor.expose(np.full((3, *SHAPE), 9, np.float32), np.random.default_rng(0)) * 4096
+    for channel, share in enumerate(shares):
+        assert full[channel].min() == full[channel].max() == pytest.approx(64 + 4031 / share)
+
+
+def test_saturation_counts_light_and_darkness_where_they_fill_the_well():
+    light = _ramp(0, 3)
+    share = [np.mean(light[0] >= at) for at in (2.0, 1.0)]
+    sensor = _sensor(noise=PhysicalNoise(), responsivity=(0.5, 1.0, 0.5), dark_current_e_per_s=0.0, full_scale=1.0)
+    assert sensor.saturated_share(light) == pytest.approx((2 * share[0] + share[1]) / 3)
+    dark = replace(sensor, responsivity=None, dark_current_e_per_s=7500.0, exposure_s=1.0)  # half a well
+    assert dark.saturated_share(light) == pytest.approx(np.mean(light[0] >= 0.5), abs=2 / 600)
+    assert replace(dark, noise=GaussianNoise(std=0.1), full_scale=0.5).saturated_share(light) == pytest.approx(
+        np.mean(light[0] >= 0.5)
+    )
+    beyond = np.full((3, *SHAPE), 1e30, np.float32)  # no Poisson number has as many photons
+    assert sensor.expose(beyond, np.random.default_rng(0))[1].min() * 4096 == 4095
+
+
+def test_every_row_has_the_noise_and_the_darkness_of_its_own_exposure():
+    """A shutter whose rows differ: the top physical row, open longest, is the stored picture's last."""
+    rows = SHAPE[0]
+    exposures_s = np.linspace(0.04, 0.01, rows)  # physical, top first
+    table_s = np.stack([np.zeros(rows), exposures_s], axis=-1)
+    stack = PsfStack(np.ones((1, 3, 1, 1), np.float32), np.array([0.1]), 2.4e-6, ("R", "G", "B"), "point")
+    model = ForwardModel(stack, SHAPE, SHAPE, RowShutter(table_s))
+    sensor = _sensor(
+        noise=PhysicalNoise(),
+        **{"prnu": 0.0, "dsnu_e": 0.0, "row_noise_e": 0.0, "read_noise_e": 0.0, "bit_depth": 16, "full_scale": 0.05},
+        dark_current_e_per_s=20000.0,
+        exposure_s=tuple(exposures_s[::-1].tolist()),
+    )
+    exposure = model.forward(np.ones((1, 1, 3, *SHAPE), np.float32))
+    gain = sensor.dn_per_electron
+    numbers = (sensor.expose(exposure, np.random.default_rng(0)).astype(np.float64) * 65536 - 64) / gain
+    electrons = exposures_s[::-1] * (15000 / 0.05 + 20000)
+    # 1800 values a row: the mean of 600 rows' standardised means and variances is known to 1e-3 of a deviation.
+    z = (numbers - electrons[:, None]) / np.sqrt(electrons[:, None] + 1 / 12 / gain**2)
+    assert abs(z.mean()) < 4e-3
+    for part in np.array_split(z, 6, axis=1):
+        assert part.var() == pytest.approx(1, rel=0.01)  # 1.8e5 values: 0.33 %
+    expected = sensor.noiseless(exposure)[1, :, 0].astype(np.float64) * 65536 - 64
+    np.testing.assert_allclose(expected / gain, electrons, rtol=1e-5)
+
+
 def test_row_noise_is_common_to_a_row():
     sensor = _sensor(noise=PhysicalNoise(), prnu=0.0, row_noise_e=50.0)
     numbers = sensor.expose(np.full((3, *SHAPE), 0.3, np.float32), np.random.default_rng(0))
@@ -145,5 +224,11 @@ def test_bad_sensors_are_refused_with_the_reason():
         _sensor(full_scale=0.0)
     with pytest.raises(InputError, match="irradiance must be"):
         _sensor().expose(np.zeros((3, 4, 4), np.float32), None)
+    with pytest.raises(InputError, match=r"exposure_s: expected positive seconds, one or 600"):
+        _sensor(exposure_s=(0.1, 0.2))
+    with pytest.raises(InputError, match="responsivity"):
+        _sensor(responsivity=(1.0, 1.2, 0.5))
+    with pytest.raises(InputError, match="irradiance has 3 channels, responsivity 1"):
+        _sensor(responsivity=(1.0,)).expose(_ramp(), None)
     with pytest.raises(InputError, match="exactly one"):
         GaussianNoise(std=0.1, psnr_db=40)

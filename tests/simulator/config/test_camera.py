@@ -1,0 +1,34 @@
+"""Keys of the camera that contradict each other, and those that may be left out."""
+
+import pytest
+
+from simulator.config import load_config
+from simulator.errors import InputError
+
+SENSOR = "sensor: {shape: [64, 96], binning: 4}"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (SENSOR, "sensor: {shape: [64, 96], binning: 4, cfa: RGGB}", "got RGGB with readout binned_rgb"),
+        (SENSOR, "sensor: {shape: [64, 96], binning: 4, readout: bayer, cfa: RGBW}", "camera.sensor.cfa: got 'RGBW'"),
+        (SENSOR, "sensor: {shape: [64, 96], binning: 4, readout: raw}", "camera.sensor.readout: got 'raw'"),
+        (SENSOR, "sensor: {shape: [64, 96], peak_quantum_efficiency: 60}", "got 60; expected 0.001 to 1"),
+        (SENSOR, "sensor: {shape: [64, 96], pattern_seed: -1}", "a seed is not negative"),
+        ("full_scale: auto", "full_scale: 2.0, illuminance_lux: 100", "beside full_scale, which it decides"),
+        ("full_scale: auto", "illuminance_lux: 0", "without light there is no picture"),
+    ],
+)
+def test_senseless_cameras_are_refused(write, old, new, words):
+    with pytest.raises(InputError) as caught:
+        load_config(write(old, new))
+    assert words in str(caught.value)
+
+
+def test_one_line_of_each(write):
+    assert load_config(write("full_scale: auto", "illuminance_lux: 1000")).camera.exposure.full_scale == "auto"
+    bayer = load_config(write(SENSOR, "sensor: {shape: [64, 96], binning: 4, readout: bayer}"))
+    assert (bayer.camera.sensor.readout, bayer.camera.sensor.cfa) == ("bayer", None)
+    thesis = load_config(write("noise: {type: gaussian, psnr_db: 40}", "noise: {type: gaussian, std: 0.005}"))
+    assert thesis.camera.noise.type == "gaussian"
