@@ -1,0 +1,253 @@
+"""EndoSLAM, SimCol3D and folders like theirs: pictures with depth charts give stills or clips, undistorted to the view.
+
+Sources: Ozyoruk et al., EndoSLAM dataset and an unsupervised monocular visual odometry and depth estimation approach for
+endoscopic videos, Medical Image Analysis 2021; Rau et al., SimCol3D: 3D reconstruction during colonoscopy challenge,
+Medical Image Analysis 2024. Neither files nor folders say what a depth code means, so the user must.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from simulator.colour import decode_srgb_picture
+from simulator.errors import InputError
+from simulator.importers._border import find_circle
+from simulator.importers._camera_models import Lens, Pinhole
+from simulator.importers._depth_decoding import DepthCode, DepthDecoding, read_codes
+from simulator.importers._endoslam_survey import recognises, survey
+from simulator.importers._intrinsics import Intrinsics, read_intrinsics
+from simulator.importers._rgbd import Pair, list_pairs
+from simulator.importers._runs import check_rate, find_runs
+from simulator.importers._undistort import Circle, Lookup, build_lookup
+from simulator.pictures import picture_shape, read_picture
+from simulator.types import Clip, View
+
+__all__ = ["EndoSlam", "endoslam", "recognises", "survey"]
+
+_LOOKED_AT = 8
+Positive = Annotated[float, Field(gt=0)]
+
+
+def endoslam(
+    view: View,
+    *,
+    path: Path,
+    depth_scale_cm: Positive,
+    depth_code: DepthCode,
+    depth_at_zero_cm: Positive | None = None,
+    depth_full_code: Annotated[int, Field(gt=0, le=65535)] | None = None,
+    depth_along: Literal["axis", "ray"] = "axis",
+    max_cm: Positive = 10.0,
+    frames: Annotated[int, Field(gt=0)] = 1,
+    frames_per_second: Positive | None = None,
+    intrinsics: Intrinsics | None = None,
+    intrinsics_file: Path | None = None,
+    field: Literal["fill", "angles"] = "fill",
+    border: Literal["auto", "none"] | tuple[float, float, Positive] = "auto",
+) -> EndoSlam:
+    """Read stills or clips from pictures with depth charts, paired by their numbers.
+
+    Clip ``index`` modulo the number of clips, in sorted order; clips of a sequence lie one after the other, share no frame
+    and never cross a gap in the frames' numbers. Files are listed at once and read when a clip is asked for; only
+    ``border: auto`` opens up to eight pictures at construction.
+
+    EndoSLAM's UnityCam charts are bright where near, in 8 bits, and no formula was published: ``depth_code: inverse``, with
+    a ``depth_scale_cm`` of your choice. SimCol3D's own code reads 16 bit charts as code / 65280 x 20 cm:
+    ``depth_scale_cm: 20``, ``depth_code: linear``, ``depth_full_code: 65280``.
+
+    Args:
+        view: the camera's view: size, angles, far depth.
+        path: a folder with pictures and depth charts somewhere below it, such as ``Frames`` beside ``Pixelwise Depths``,
+            ``train_frame`` beside ``train_depth``, or ``FrameBuffer_0000.png`` and ``Depth_0000.png`` in one folder.
+        depth_scale_cm: depth at the full code: the farthest of a ``linear`` chart, the nearest of an ``inverse`` one.
+        depth_code: ``linear``: depth is proportional to the code; ``inverse``: one over depth is (bright is near).
+        depth_at_zero_cm: depth at code zero, if that is a depth: null takes it for none (0 or infinity). A reversed depth
+            buffer has its near plane as ``depth_scale_cm`` and its far plane here.
+        depth_full_code: the full code; null is the file's largest number, 255 or 65535.
+        depth_along: whether the chart holds z along the optical axis or distances along each ray (needs intrinsics).
+        max_cm: where the chart says more, ``valid`` is false and the light comes from the view's far depth.
+        frames: of a clip, with consecutive numbers; 1 gives stills.
+        frames_per_second: rate at which a clip's frames were taken; clips need it (UnityCam's was 30).
+        intrinsics: the pictures' camera, with ``model: pinhole``, ``opencv_fisheye`` or ``scaramuzza``; without it, and
+            without a file, they are taken for undistorted and of unknown focal length.
+        intrinsics_file: the same as YAML or JSON, or a text file with the camera matrix's nine numbers, row by row.
+        field: ``fill`` takes the largest part of the picture around its optical axis that fills the view, as if taken with
+            another focal length; ``angles`` keeps each ray's direction (needs intrinsics), black where the picture ends.
+        border: the circle that the lens fills; outside it the picture is black and ``valid`` false. ``auto`` finds it in
+            eight pictures, ``none`` uses the whole picture; or column, row and radius in pixels, the first pixel being 0.
+
+    Returns:
+        A scene source. A still holds one frame of 1 s. Files without partner and sequences too short for a clip are its
+        ``problems``; a sequence is a group.
+
+    Raises:
+        InputError: for missing folders or pairs, and when the parameters contradict one another.
+    """
+    check_rate(frames, frames_per_second)
+    if intrinsics is not None and intrinsics_file is not None:
+        msg = "intrinsics and intrinsics_file are both given: leave one of them out"
+        raise InputError(msg)
+    known = intrinsics or (read_intrinsics(intrinsics_file) if intrinsics_file is not None else None)
+    if known is None and (field == "angles" or depth_along == "ray"):
+        what = "field: angles" if field == "angles" else "depth_along: ray"
+        msg = f"{what} needs the directions of the pictures' rays: give intrinsics or intrinsics_file"
+        raise InputError(msg)
+    if depth_at_zero_cm == depth_scale_cm:
+        msg = f"depth_at_zero_cm and depth_scale_cm are both {depth_scale_cm:g}: every code would mean the same depth"
+        raise InputError(msg)
+    root = Path(path)
+    pairs, problems = list_pairs(root)
+    runs = find_runs([pair.sequence for pair in pairs], [pair.number for pair in pairs], frames)
+    shape = picture_shape(root / pairs[0].picture)
+    circle = _find_border(root, pairs) if border == "auto" else None if border == "none" else border
+    zero_m = None if depth_at_zero_cm is None else depth_at_zero_cm * 1e-2
+    return EndoSlam(
+        view=view,
+        root=root,
+        pairs=pairs,
+        starts=runs.starts,
+        groups=runs.groups,
+        length=frames,
+        frames_per_second=frames_per_second,
+        decoding=DepthDecoding(depth_code, depth_scale_cm * 1e-2, zero_m, depth_full_code),
+        along=depth_along,
+        max_m=max_cm * 1e-2,
+        lens=known,
+        shape=shape,
+        field=field,
+        circle=circle,
+        intrinsics_file=intrinsics_file,
+        problems=problems + runs.problems,
+    )
+
+
+@dataclass(frozen=True)
+class EndoSlam:
+    """A scene source made by :func:`endoslam`; picklable, it holds names and numbers only.
+
+    Attributes:
+        view: the camera's view.
+        root: the data set's folder.
+        pairs: pictures and depth charts, relative to ``root``, sequence after sequence.
+        starts: index of each clip's first frame.
+        groups: number of the sequence that each clip comes from.
+        length: frames of a clip.
+        frames_per_second: of clips; None for stills.
+        decoding: what the codes mean.
+        along: whether charts hold z or distances along rays.
+        max_m: deepest valid depth, metres.
+        lens: the pictures' camera, or None.
+        shape: rows and columns of all pictures.
+        field: ``fill`` or ``angles``.
+        circle: what the lens fills of the picture, or None.
+        intrinsics_file: where the camera came from, or None.
+        problems: what was found and cannot be used.
+    """
+
+    view: View
+    root: Path
+    pairs: tuple[Pair, ...]
+    starts: tuple[int, ...]
+    groups: tuple[int, ...]
+    length: int
+    frames_per_second: float | None
+    decoding: DepthDecoding
+    along: Literal["axis", "ray"]
+    max_m: float
+    lens: Lens | None
+    shape: tuple[int, int]
+    field: Literal["fill", "angles"]
+    circle: Circle | None
+    intrinsics_file: Path | None
+    problems: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        """Return how many different clips there are."""
+        return len(self.starts)
+
+    @property
+    def inputs(self) -> list[Path]:
+        """All pictures and depth charts, and the file with intrinsics."""
+        files = [self.root / file for pair in self.pairs for file in (pair.picture, pair.depth)]
+        return files if self.intrinsics_file is None else [*files, self.intrinsics_file]
+
+    def clip(self, index: int, rng: np.random.Generator) -> Clip:
+        """Return clip ``index`` (modulo their number); nothing is left to chance.
+
+        Raises:
+            InputError: naming the file, when it is broken or of another size than the others.
+        """
+        del rng
+        start = self.starts[index % len(self.starts)]
+        pairs = self.pairs[start : start + self.length]
+        lookup = build_lookup(self._lens(), self.shape, self.view, self.field, self.circle)
+        rgb = np.empty((self.length, *self.view.shape, 3), np.float32)
+        depth = np.empty((self.length, *self.view.shape))
+        for t, pair in enumerate(pairs):
+            rgb[t] = lookup.colour(decode_srgb_picture(self._read(pair.picture, read_picture, 3)))
+            codes = self._read(pair.depth, read_codes, 2)
+            depth[t] = self.decoding.depth_m(codes.reshape(-1)[lookup.nearest])
+            if self.along == "ray":
+                depth[t] *= lookup.cosine
+        none, beyond = np.isinf(depth) & lookup.seen, np.isfinite(depth) & (depth > self.max_m) & lookup.seen
+        valid = lookup.seen & ~none & ~beyond
+        shares = {
+            "unseen_share": 1 - float(lookup.seen.mean()),
+            "without_depth_share": float(none.mean()),
+            "beyond_max_share": float(beyond.mean()),
+        }
+        edges_s = np.arange(self.length + 1) / (self.frames_per_second or 1.0)
+        metres = np.where(valid, depth, self.view.far_m).astype(np.float32)
+        return Clip(rgb, metres, valid, edges_s, source=self._record(pairs, lookup) | shares)
+
+    def _read(self, name: Path, reader: Any, dimensions: int) -> NDArray[Any]:
+        picture = reader(self.root / name)
+        if picture.shape[:2] != self.shape or picture.ndim != dimensions:
+            what = " x ".join(map(str, picture.shape))
+            kind = "RGB picture" if dimensions == 3 else "depth chart"
+            msg = (
+                f"{self.root / name} is {what}; expected a {kind} of {self.shape[0]} x {self.shape[1]} pixels like "
+                f"{self.pairs[0].picture}: name a path that holds one camera's pictures"
+            )
+            raise InputError(msg)
+        return picture
+
+    def _lens(self) -> Lens:
+        """The camera; where none is known any pinhole does, since ``fill`` finds the focal length."""
+        if self.lens is not None:
+            return self.lens
+        centre = self.circle[:2] if self.circle else ((self.shape[1] - 1) / 2, (self.shape[0] - 1) / 2)
+        side = float(max(self.shape))
+        return Pinhole(fx=side, fy=side, cx=centre[0], cy=centre[1])
+
+    def _record(self, pairs: tuple[Pair, ...], lookup: Lookup) -> dict[str, Any]:
+        ends = pairs[:1] + pairs[1:][-1:]
+        return {
+            "importer": "endoslam",
+            "sequence": ends[0].sequence,
+            "frames": len(pairs),
+            "pictures": [pair.picture.as_posix() for pair in ends],
+            "depths": [pair.depth.as_posix() for pair in ends],
+            **self.decoding.record(),
+            "depth_along": self.along,
+            "max_cm": self.max_m * 100,
+            "intrinsics": None if self.lens is None else self.lens.model_dump(mode="json"),
+            "field": self.field,
+            "field_scale": None if self.lens is None else lookup.scale,
+            "image_circle_px": None if self.circle is None else list(self.circle),
+        }
+
+
+def _find_border(root: Path, pairs: tuple[Pair, ...]) -> Circle | None:
+    """The image circle, from pictures spread over all sequences."""
+    chosen = np.unique(np.linspace(0, len(pairs) - 1, _LOOKED_AT).round().astype(int))
+    shape = picture_shape(root / pairs[0].picture)
+    pictures = [read_picture(root / pairs[k].picture) for k in chosen]
+    alike = [picture for picture in pictures if picture.shape == (*shape, 3)]
+    return find_circle(alike, str(root)) if alike else None
