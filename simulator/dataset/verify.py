@@ -6,8 +6,9 @@ Reads files only; code that the data set names is never imported.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePosixPath
 
@@ -17,6 +18,7 @@ from simulator.dataset.manifest import MANIFEST, Entry, Manifest, load_manifest
 from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.sample import SPLITS, sample_folder, sample_index
 from simulator.dataset.sample_layout import DESCRIPTION, digest_of, read_description
+from simulator.dataset.skipped import load_skipped
 from simulator.dataset.stored_sample import StoredSample
 from simulator.errors import InputError
 from simulator.files import leftovers, sha256_bytes
@@ -30,11 +32,13 @@ class Report:
         problems: one line per fault, each naming its file or sample.
         counts: intact samples per split.
         wanted: samples per split that ``dataset.json`` asks for.
+        skipped: samples per split that ``generate --skip-bad`` left out for good; none where a split is absent.
     """
 
     problems: tuple[str, ...]
     counts: dict[str, int]
     wanted: dict[str, int]
+    skipped: dict[str, int] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
@@ -42,7 +46,11 @@ class Report:
         return not self.problems
 
     def __str__(self) -> str:
-        parts = [f"{split}: {self.counts[split]} of {wanted} intact" for split, wanted in self.wanted.items()]
+        parts = [
+            f"{split}: {self.counts[split]} of {wanted} intact"
+            + (f" ({self.skipped[split]} skipped)" if self.skipped.get(split) else "")
+            for split, wanted in self.wanted.items()
+        ]
         head = ", ".join(parts) if parts else "no splits"
         return "\n".join([head, *self.problems, "all is well" if self.ok else f"{len(self.problems)} problem(s)"])
 
@@ -71,7 +79,12 @@ def verify(path: Path | str, *, workers: int | str = 1, progress: Callable[[int,
         manifest = load_manifest(root)
     except InputError as error:
         return Report((str(error),), dict.fromkeys(info.counts, 0), info.counts)
-    problems += _check_lists(root, info, manifest)
+    skipped: Counter[str] = Counter()
+    try:
+        skipped.update(split for split, name in load_skipped(root) if (split, name) not in manifest.entries)
+    except InputError as error:
+        problems.append(str(error))
+    problems += _check_lists(root, info, manifest, skipped)
     try:
         _ = info.shutter
     except InputError as error:
@@ -93,7 +106,7 @@ def verify(path: Path | str, *, workers: int | str = 1, progress: Callable[[int,
         counts[entry.split] = counts.get(entry.split, 0) + (not found)
         if progress is not None:
             progress(number, len(entries))
-    return Report(tuple(problems), counts, info.counts)
+    return Report(tuple(problems), counts, info.counts, dict(skipped))
 
 
 def check_sample(root: Path, info: DatasetInfo, psf_fingerprint: str, entry: Entry) -> list[str]:
@@ -166,14 +179,15 @@ def _check_captured(root: Path, info: DatasetInfo, psf_fingerprint: str) -> list
     return []
 
 
-def _check_lists(root: Path, info: DatasetInfo, manifest: Manifest) -> list[str]:
+def _check_lists(root: Path, info: DatasetInfo, manifest: Manifest, skipped: Mapping[str, int]) -> list[str]:
     problems = []
     if manifest.torn:
         problems.append(f"{MANIFEST}: the last line is torn; the next generate cuts it and makes that sample again")
     for split, wanted in info.counts.items():
-        found = len(manifest.ids(split))
-        if found < wanted:
-            problems.append(f"{split}: {found} of {wanted} samples are finished; run generate again to resume")
+        found, left_out = len(manifest.ids(split)), skipped.get(split, 0)
+        if found + left_out < wanted:
+            more = f" and {left_out} skipped" if left_out else ""
+            problems.append(f"{split}: {found} of {wanted} samples are finished{more}; run generate again to resume")
         elif found > wanted:
             problems.append(f"{split}: {found} samples in {MANIFEST}, dataset.json says {wanted}")
     for split in sorted({split for split, _ in manifest.entries} - set(info.counts)):

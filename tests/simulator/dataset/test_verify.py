@@ -11,6 +11,7 @@ import pytest
 
 from simulator.dataset.manifest import ManifestWriter
 from simulator.dataset.sample import write_sample
+from simulator.dataset.skipped import SkippedWriter
 from simulator.dataset.verify import verify
 from simulator.errors import InputError
 
@@ -161,6 +162,23 @@ def test_only_the_damaged_sample_is_counted_out(dataset: Path) -> None:
     assert report.counts == {"train": 2, "validation": 1, "test": 0}
     assert all("s00000000" in line for line in report.problems)
     assert "train: 2 of 3 intact" in str(report)
+
+
+def test_skipped_samples_are_counted_and_no_fault(dataset: Path) -> None:
+    edit(dataset / "dataset.json", counts={"train": 5, "validation": 1, "test": 0})
+    with SkippedWriter(dataset) as skipped:
+        skipped.append("train", 4, "clip.webm is truncated")
+        skipped.append("train", 0, "left out once, and made since")
+    report = verify(dataset)
+    assert report.problems == ("train: 3 of 5 samples are finished and 1 skipped; run generate again to resume",)
+    with SkippedWriter(dataset) as skipped:
+        skipped.append("train", 3, "clip.webm is truncated")
+    report = verify(dataset)
+    assert report.ok, report.problems
+    assert (report.counts["train"], report.skipped, report.wanted["train"]) == (3, {"train": 2}, 5)
+    assert str(report).startswith("train: 3 of 5 intact (2 skipped), validation: 1 of 1 intact, ")
+    (dataset / "skipped.jsonl").write_text("{}\n")
+    assert any("skipped.jsonl:1: not a line" in line for line in verify(dataset).problems)
 
 
 def test_a_sample_of_another_size_is_noticed(dataset: Path, samples: ModuleType) -> None:
