@@ -2,7 +2,7 @@
 
 A frame's number is its place in the order of showing. A film is first read without decoding, for its packets' times; frames
 are then found by seeking to the key frame before them and comparing every time that comes out with the list. Where times are
-missing or do not fit (AVI has none), frames are counted from the start instead.
+missing (AVI has none) or do not fit, frames are counted from the start instead.
 """
 
 from __future__ import annotations
@@ -127,9 +127,11 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
         if transfer in _HDR:
             msg = f"{path} is a film of high dynamic range, {_HDR[transfer]}; convert it to standard range (BT.709 or sRGB)"
             raise InputError(msg)
+        avi = container.format.name == "avi"
+        vp8 = stream.codec_context.name == "vp8"
         for packet in container.demux(stream):
             seen += packet.size > 0 or packet.dts is not None  # the last one, of no size and time, is PyAV's own
-            if packet.size and not packet.is_discard:
+            if packet.size and not packet.is_discard and not (vp8 and _hidden(packet)):
                 shown.append(packet.pts)
                 if packet.is_keyframe:
                     keys.append((packet.pts, packet.dts))
@@ -143,7 +145,8 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
     if seen < promised:
         msg = f"{path} holds {seen} of the {promised} frames that its header promises: fetch it again"
         raise InputError(msg)
-    times = _increasing(shown)
+    # AVI holds no times of showing: what libav makes up is the order of decoding, wrong where pictures are out of order.
+    times = None if avi else _increasing(shown)
     variable = False
     if times is not None and len(times) > 1:
         intervals = np.diff(times)
@@ -160,6 +163,11 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
         msg = f"{path} does not say how many frames per second it has: convert it to a film that does"
         raise InputError(msg)
     return FilmIndex(len(shown), float(rate), variable, times, _key_table(times, keys), square)
+
+
+def _hidden(packet: Any) -> bool:
+    """Whether a VP8 packet only serves to predict others: show_frame is not set (RFC 6386, section 9.1)."""
+    return not memoryview(packet)[0] & 0x10
 
 
 def _increasing(shown: list[int | None]) -> NDArray[np.int64] | None:
@@ -181,6 +189,9 @@ def _key_table(times: NDArray[np.int64] | None, keys: list[tuple[int | None, int
 
 def _frames(path: Path, index: FilmIndex, start: int, stop: int) -> Iterator[Any]:
     """Decode frames by number: after seeking where every time fits, else counted from the start."""
+    if not 0 <= start < stop <= index.frames:
+        msg = f"{path}: frames {start} to {stop - 1} were asked of {index.frames}: the file has changed, or is another one"
+        raise InputError(msg)
     wanted = start
     before = index.keys[index.keys[:, 0] <= start]
     if index.times is not None and len(before) and before[-1, 0] > 0:
@@ -208,7 +219,7 @@ def _frames(path: Path, index: FilmIndex, start: int, stop: int) -> Iterator[Any
                 wanted += 1
                 if wanted == stop:
                     return
-    msg = f"{path} gives only {number + 1} of its {index.frames} frames: it is damaged, fetch it again"
+    msg = f"{path} gives only {number + 1} of its {index.frames} frames: it is damaged, fetch or convert it again"
     raise InputError(msg)
 
 

@@ -43,7 +43,7 @@ class FilmCheck:
             return self._problem(name, str(error).removeprefix(str(path)).lstrip(": "))
         if frames < index.frames:
             return self._problem(
-                name, f"gives only {frames} of its {index.frames} frames: it is damaged, fetch it again"
+                name, f"gives only {frames} of its {index.frames} frames: it is damaged, fetch or convert it again"
             )
         if index.variable:
             self.notes.append(

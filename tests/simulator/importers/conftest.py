@@ -1,0 +1,84 @@
+"""Tiny films for the tests of importers."""
+
+from fractions import Fraction
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+LOWEST, STEP = 20, 5
+"""Grey code of frame 0, and how much brighter each next one is: so a frame shows its number whatever codec wrote it."""
+
+
+def _numbered(count: int, size: tuple[int, int] = (48, 64)) -> list[np.ndarray]:
+    """Grey RGB pictures, each as bright as its number says; the left upper quarter is black, to tell a turn."""
+    pictures = []
+    for number in range(count):
+        picture = np.full((*size, 3), LOWEST + STEP * number, np.uint8)
+        picture[: size[0] // 2, : size[1] // 2] = 0
+        pictures.append(picture)
+    return pictures
+
+
+def _number_of(linear: np.ndarray) -> int:
+    """The number that a frame of linear light shows in its right lower part."""
+    encoded = 255 * (1.055 * float(linear[-8:, -8:].mean()) ** (1 / 2.4) - 0.055)
+    return round((encoded - LOWEST) / STEP)
+
+
+def _write(
+    path: Path,
+    pictures: list[np.ndarray],
+    *,
+    codec: str = "libvpx-vp9",
+    rate: int = 12,
+    pixels: str = "yuv420p",
+    key_every: int | None = None,
+    picture_format: str = "rgb24",
+    times_ms: list[int] | None = None,
+    options: dict[str, str] | None = None,
+    container: str | None = None,
+    extra_packet: bytes | None = None,
+    colour: dict[str, int] | None = None,
+) -> Path:
+    """Encode pictures ``(H, W, 3)`` with PyAV."""
+    av = pytest.importorskip("av")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(path), "w", format=container) as film:
+        stream = film.add_stream(codec, rate=rate, options=options or {})
+        stream.height, stream.width = pictures[0].shape[:2]
+        stream.pix_fmt = pixels
+        stream.codec_context.thread_count = 1
+        if key_every is not None:
+            stream.codec_context.gop_size = key_every
+        for name, value in (colour or {}).items():
+            setattr(stream.codec_context, name, value)
+        packets: list[Any] = []
+        for number, picture in enumerate(pictures):
+            frame = av.VideoFrame.from_ndarray(picture, format=picture_format)
+            if colour and "colorspace" in colour:
+                frame = frame.reformat(format=pixels, dst_colorspace=colour["colorspace"])
+                frame.colorspace = colour["colorspace"]
+            frame.pts = number if times_ms is None else times_ms[number]
+            frame.time_base = Fraction(1, rate) if times_ms is None else Fraction(1, 1000)
+            packets += stream.encode(frame)
+        if times_ms is not None:
+            stream.codec_context.time_base = Fraction(1, 1000)
+        packets += stream.encode()
+        if extra_packet is not None:
+            extra = av.Packet(extra_packet)
+            extra.stream, extra.time_base = stream, packets[-1].time_base
+            last = max(packet.pts for packet in packets)
+            extra.pts = extra.dts = last + (packets[-1].duration or 1)
+            packets.append(extra)
+        for packet in packets:
+            film.mux(packet)
+    return path
+
+
+@pytest.fixture(scope="session")
+def films() -> SimpleNamespace:
+    """Functions that make films and read numbers off their frames: ``write``, ``numbered`` and ``number_of``."""
+    return SimpleNamespace(write=_write, numbered=_numbered, number_of=_number_of)

@@ -1,0 +1,191 @@
+"""Films and folders of pictures become clips: what is found, in which order, how it is decoded, and what is refused."""
+
+import pickle
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from simulator.errors import InputError
+from simulator.exr import write_exr
+from simulator.importers.film import film, recognises, survey
+from simulator.types import View
+
+VIEW = View(shape=(24, 24), pixel_pitch_m=19.2e-6, distance_m=1.9e-3, near_m=0.04, far_m=0.2)
+
+
+def write_pictures(folder, pictures, pattern="frame{}.png", first=8):
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, picture in enumerate(pictures, start=first):
+        Image.fromarray(picture).save(folder / pattern.format(number))
+
+
+def clip_of(source, index=0, seed=0):
+    return source.clip(index, np.random.default_rng(seed))
+
+
+def test_a_film_becomes_clips_of_consecutive_frames(films, tmp_path):
+    path = films.write(tmp_path / "a.webm", films.numbered(10))
+    source = film(VIEW, path=path, frames=4)
+    clip = clip_of(pickle.loads(pickle.dumps(source)))
+    start = clip.source["first_frame"]
+    assert [films.number_of(frame) for frame in clip.rgb] == list(range(start, start + 4))
+    assert clip.rgb.shape == (4, 24, 24, 3)
+    np.testing.assert_allclose(np.diff(clip.frame_edges_s), 1 / 12)
+    assert clip.source["video"] == "a.webm"
+    assert source.inputs == [path]
+    assert source.problems == ()
+
+
+def test_pictures_are_taken_in_the_order_of_their_numbers(films, tmp_path):
+    write_pictures(tmp_path / "seq", films.numbered(5))  # frame8, frame9, frame10, frame11, frame12
+    source = film(VIEW, path=tmp_path / "seq", frames=5, frames_per_second=100)
+    clip = clip_of(source)
+    assert [films.number_of(frame) for frame in clip.rgb] == [0, 1, 2, 3, 4]
+    assert clip.frame_edges_s[-1] == pytest.approx(0.05)
+    assert clip.source["video"] == "seq"
+    assert clip.source["pictures"] == ["frame8.png", "frame12.png"]
+    assert [file.name for file in source.inputs][:3] == ["frame8.png", "frame9.png", "frame10.png"]
+
+
+def test_pictures_without_a_rate_are_refused(films, tmp_path):
+    write_pictures(tmp_path / "seq", films.numbered(3))
+    with pytest.raises(InputError, match=r"frames_per_second: pictures such as those in .*seq have no rate"):
+        film(VIEW, path=tmp_path / "seq", frames=2)
+
+
+def test_exr_pictures_are_linear_light_as_they_are_and_may_exceed_white(tmp_path):
+    values = np.random.default_rng(1).uniform(0, 7, (3, 24, 24, 3)).astype(np.float32)
+    for number, picture in enumerate(values):
+        write_exr(tmp_path / f"{number}.exr", {name: picture[..., i] for i, name in enumerate("RGB")}, {})
+    clip = clip_of(film(VIEW, path=tmp_path, frames=3, frames_per_second=10))
+    np.testing.assert_array_equal(clip.rgb, values)
+
+
+def test_sixteen_bit_pictures_keep_their_bits(tmp_path):
+    levels = [100, 101, 33000]
+    for number, level in enumerate(levels):
+        Image.fromarray(np.full((24, 24), level, np.uint16)).save(tmp_path / f"{number}.png")
+    clip = clip_of(film(VIEW, path=tmp_path, frames=3, frames_per_second=10))
+    expected = [100 / 65535 / 12.92, 101 / 65535 / 12.92, ((33000 / 65535 + 0.055) / 1.055) ** 2.4]
+    np.testing.assert_allclose(clip.rgb[:, 5, 5, 1], expected, rtol=1e-6)
+
+
+def test_light_is_averaged_after_the_gamma_is_gone(tmp_path):
+    board = np.zeros((48, 48, 3), np.uint8)
+    board[::2, ::2] = board[1::2, 1::2] = 255
+    write_pictures(tmp_path / "board", [board] * 2)
+    clip = clip_of(film(VIEW, path=tmp_path / "board", frames=2, frames_per_second=10))
+    np.testing.assert_allclose(clip.rgb, 0.5, rtol=1e-6)  # averaged codes would give 0.21
+
+
+def test_a_folder_of_films_and_picture_folders_holds_a_video_each(films, tmp_path):
+    for number in (2, 10, 1):
+        films.write(tmp_path / f"v{number}.webm", films.numbered(4))
+    write_pictures(tmp_path / "v3", films.numbered(5))
+    films.write(tmp_path / "more" / "x.mkv", films.numbered(3), codec="libx264")
+    (tmp_path / ".hidden.webm").write_bytes(b"")
+    (tmp_path / "notes.txt").write_text("")
+    source = film(VIEW, path=tmp_path, frames=3, frames_per_second=10, clips_per_video=2)
+    assert [video.name for video in source.videos] == ["more/x.mkv", "v1.webm", "v2.webm", "v3", "v10.webm"]
+    assert source.groups == (0, 0, 1, 1, 2, 2, 3, 3, 4, 4)
+    assert films.number_of(clip_of(source, 7).rgb[0]) == 2
+
+
+def test_raising_puts_frames_between(films, tmp_path):
+    path = films.write(tmp_path / "a.webm", films.numbered(3))
+    clip = clip_of(film(VIEW, path=path, frames=5, raise_by=2))
+    assert clip.rgb.shape[0] == 5
+    assert [films.number_of(frame) for frame in clip.rgb[::2]] == [0, 1, 2]
+    assert clip.source["raising"]["name"] == "optical_flow"
+    np.testing.assert_allclose(np.diff(clip.frame_edges_s), 1 / 24)
+
+
+def test_broken_and_short_films_are_problems_by_name(films, tmp_path):
+    good = films.write(tmp_path / "good.webm", films.numbered(6))
+    (tmp_path / "cut.webm").write_bytes(good.read_bytes()[:-1500])
+    (tmp_path / "text.mp4").write_text("no film")
+    films.write(tmp_path / "short.webm", films.numbered(3))
+    source = film(VIEW, path=tmp_path, frames=4)
+    assert len(source) == 1
+    names = sorted(problem.partition(":")[0] for problem in source.problems)
+    assert names == ["cut.webm", "short.webm", "text.mp4"]
+    assert any("has 3 frames, but a clip of 4 takes 4" in problem for problem in source.problems)
+    found = survey(tmp_path, frames=4)
+    assert found.usable == 1
+    assert sorted(found.problems) == sorted(source.problems)
+    assert survey(tmp_path).usable == 2
+
+
+def test_survey_decodes_everything_and_tells_its_progress(films, tmp_path):
+    films.write(tmp_path / "a.webm", films.numbered(4))
+    films.write(tmp_path / "b.webm", films.numbered(7, (32, 32)), rate=1000, times_ms=[0, 30, 60, 200, 230, 260, 290])
+    write_pictures(tmp_path / "seq", films.numbered(5))
+    steps = []
+    found = survey(tmp_path, lambda done, total: steps.append((done, total)))
+    assert steps == [(1, 3), (2, 3), (3, 3)]
+    assert (found.importer, found.usable, found.problems) == ("film", 3, ())
+    assert found.facts["films"] == "2"
+    assert found.facts["picture folders"] == "1"
+    assert found.facts["frames"] == "16 (4 to 7 per video)"
+    assert found.facts["sizes"] == "32 x 32, 48 x 64"
+    assert len(found.notes) == 1
+    assert found.notes[0].startswith("b.webm: its frame rate varies")
+
+
+def test_survey_names_damage_that_only_decoding_shows_and_pictures_that_differ(films, tmp_path):
+    av = pytest.importorskip("av")
+    path = films.write(tmp_path / "bad.webm", films.numbered(6))
+    with av.open(str(path)) as opened:
+        packets = [bytes(packet) for packet in opened.demux(video=0) if packet.size]
+    content = bytearray(path.read_bytes())
+    content[content.index(packets[3])] ^= 0xC0  # the frame marker of VP9
+    path.write_bytes(content)
+    write_pictures(tmp_path / "seq", films.numbered(2))
+    write_pictures(tmp_path / "seq", films.numbered(1, (40, 40)), first=20)
+    write_pictures(tmp_path / "torn", films.numbered(2))
+    (tmp_path / "torn" / "frame9.png").write_bytes((tmp_path / "torn" / "frame8.png").read_bytes()[:60])
+    found = survey(tmp_path)
+    assert found.usable == 0
+    assert [problem.partition(":")[0] for problem in found.problems] == ["bad.webm", "seq", "torn/frame9.png"]
+    source = film(VIEW, path=tmp_path, frames=3, frames_per_second=10)
+    with pytest.raises(InputError, match="changes its size from 48 x 64 to 40 x 40"):
+        clip_of(source, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("none", "does not exist"),
+        ("empty", "holds no films"),
+        ("mixed", r"holds both films \(a.webm\) and pictures \(frame8.png\)"),
+        ("mixed/frame8.png", "is one picture; expected a film or a folder"),
+    ],
+)
+def test_what_cannot_be_read_is_refused(films, tmp_path, name, message):
+    (tmp_path / "empty" / "inner").mkdir(parents=True)
+    write_pictures(tmp_path / "mixed", films.numbered(1))
+    (tmp_path / "mixed" / "a.webm").write_bytes(b"")
+    with pytest.raises(InputError, match=message):
+        film(VIEW, path=tmp_path / name, frames=2)
+    assert not recognises(tmp_path / name)
+
+
+def test_films_and_pictures_are_recognised_by_name(films, tmp_path):
+    write_pictures(tmp_path / "top" / "seq", films.numbered(1))
+    (tmp_path / "films").mkdir()
+    (tmp_path / "films" / "a.MP4").write_bytes(b"")
+    for name in ("top", "top/seq", "films", "films/a.MP4"):
+        assert recognises(tmp_path / name)
+
+
+@pytest.mark.shared
+def test_real_clips_are_films(shared_data):
+    source = film(VIEW, path=shared_data / "ssv2" / "clips", frames=49)
+    assert [len(video) for video in source.videos] == [49, 52, 58]
+    clip = clip_of(source)
+    assert clip.source["first_frame"] == 0
+    assert clip.frame_edges_s[-1] == pytest.approx(49 / 12)
+    # A hand is filmed, neither black nor white nor still.
+    assert 0.02 < clip.rgb.mean() < 0.8
+    assert np.abs(clip.rgb[24] - clip.rgb[0]).max() > 0.05

@@ -1,0 +1,261 @@
+"""Something-Something V2 in its original files: labels, tables of classes, and each mistake by name."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from simulator.errors import InputError
+from simulator.importers._ssv2_labels import COARSE_TABLE, read_table, read_templates
+from simulator.importers.something_something_v2 import recognises, something_something_v2, survey
+from simulator.types import View
+
+VIEW = View(shape=(16, 16), pixel_pitch_m=19.2e-6, distance_m=1.9e-3, near_m=0.04, far_m=0.2)
+LABELS = {
+    "Closing something": "0",
+    "Holding something": "1",
+    "Pushing something from left to right": "2",
+    "Putting something, something and something on the table": "3",
+}
+ENTRIES = [
+    ("30", "Closing [something]"),
+    ("4", "Pushing [something] from left to right"),
+    ("100", "Putting [something], [something] and [something] on the table"),
+    ("7", "Closing [something]"),  # its clip is not there
+    ("55", "Holding [something]"),
+]
+
+
+def entry(identity, template):
+    words = [f"thing {i}" for i in range(template.count("["))]
+    return {"id": identity, "label": template.lower(), "template": template, "placeholders": words}
+
+
+def write_json(path, content):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+
+@pytest.fixture
+def root(films, tmp_path):
+    """The original layout with four tiny clips, in the order 30, 4, 100, 55 of 8, 9, 10 and 11 frames."""
+    for number, identity in enumerate(("30", "4", "100", "55")):
+        films.write(tmp_path / "20bn-something-something-v2" / f"{identity}.webm", films.numbered(8 + number, (24, 32)))
+    write_json(tmp_path / "something-something-v2-labels.json", LABELS)
+    write_json(tmp_path / "something-something-v2-validation.json", [entry(*item) for item in ENTRIES])
+    return tmp_path
+
+
+def clips(root, **options):
+    return something_something_v2(VIEW, path=root, **({"frames": 4} | options))
+
+
+def labels_of(source):
+    return [video.label for video in source.videos]
+
+
+def test_clips_carry_their_templates_in_the_files_order(root, films):
+    source = clips(root, frames=8)
+    assert [video.name for video in source.videos] == [
+        f"20bn-something-something-v2/{identity}.webm" for identity in (30, 4, 100, 55)
+    ]
+    assert labels_of(source) == [
+        "Closing something",
+        "Pushing something from left to right",
+        "Putting something, something and something on the table",
+        "Holding something",
+    ]
+    clip = source.clip(0, np.random.default_rng(0))
+    assert clip.label == "Closing something"
+    assert [films.number_of(frame) for frame in clip.rgb] == list(range(8))
+    assert source.problems == ()
+
+
+def test_label_files_count_as_inputs(root):
+    names = {path.name for path in clips(root).inputs}
+    assert {"something-something-v2-labels.json", "something-something-v2-validation.json", "30.webm"} <= names
+    names = {path.name for path in clips(root, classes=table(root)).inputs}
+    assert "table.csv" in names
+
+
+def table(root, text="template,class\nClosing something,shut\nHolding [something],hold\n"):
+    path = root / "table.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_train_is_taken_before_validation_unless_it_is_said(root):
+    write_json(root / "something-something-v2-train.json", [entry("55", "Holding [something]")])
+    assert labels_of(clips(root)) == ["Holding something"]
+    assert len(clips(root, subset="validation")) == 4
+
+
+def test_short_names_and_a_folder_of_labels_do_as_well(root):
+    for name in ("labels", "validation"):
+        (root / "labels").mkdir(exist_ok=True)
+        (root / f"something-something-v2-{name}.json").rename(root / "labels" / f"{name}.json")
+    (root / "20bn-something-something-v2").rename(root / "clips")
+    assert recognises(root)
+    assert clips(root).videos[0].name == "clips/30.webm"
+
+
+def test_a_table_groups_templates_and_leaves_out_the_others(root):
+    source = clips(
+        root, classes=table(root, "# mine\ntemplate,class\n\nClosing [something],shut\nHolding something,hold\n")
+    )
+    assert labels_of(source) == ["shut", "hold"]
+    quoted = '"Putting something, something and something on the table","put, all"'
+    assert labels_of(clips(root, classes=table(root, f"template,class\n{quoted}\n"))) == ["put, all"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("template,class\nClosing somethin,shut\n", r"table.csv:2 .*'Closing somethin'.*mean 'Closing something'"),
+        ("# a\n\ntemplate,class\nClosing something,\n", r"table.csv:4 holds Closing something,"),
+        (
+            "template,class\nClosing something,a\nClosing [something],b\n",
+            r"table.csv:3 lists 'Closing something' a second",
+        ),
+        ("template,class\nPutting something, something and something on the table,put\n", r"table.csv:2 .*in quotes"),
+        ("label,class\nClosing something,a\n", "begins with label,class; expected the line template,class"),
+        ("", "begins with nothing"),
+        ("template,class\n", "expected the line template,class and a line per template"),
+        ('template,class\n"Closing something,a\n', "table.csv:2 is no line of a CSV file"),
+        ("template,class\nPushing something from left to right,x\n", None),
+    ],
+)
+def test_a_wrong_table_is_told_with_its_line(root, text, message):
+    place = table(root, text)
+    if message is None:
+        assert labels_of(clips(root, classes=place)) == ["x"]
+        return
+    with pytest.raises(InputError, match=message):
+        clips(root, classes=place)
+
+
+def test_a_table_that_is_not_there_or_fits_no_clip_is_told(root):
+    with pytest.raises(
+        InputError, match=r"classes: .*coarze cannot be read as a table .*expected all, coarse or a CSV"
+    ):
+        clips(root, classes=root / "coarze")
+    for identity in ("30", "4", "100"):
+        (root / "20bn-something-something-v2" / f"{identity}.webm").unlink()
+    place = table(root, "template,class\nClosing something,shut\n")
+    with pytest.raises(InputError, match=r"none of the 1 clips .* is of a template that .*table\.csv lists"):
+        clips(root, classes=place)
+
+
+def test_an_unknown_label_is_told_with_the_nearest_one(root):
+    name = "something-something-v2-validation.json"
+    write_json(root / name, [entry("30", "Closing [somethings]")])
+    with pytest.raises(
+        InputError,
+        match=rf"{name}: clip 30 has the unknown template 'Closing \[somethings\]'.*mean 'Closing something'",
+    ):
+        clips(root)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ([{"id": "30"}], "clip 30 has no template; the file of the test subset has none"),
+        ([{"template": "Closing [something]"}], "entry 0 has no id of digits"),
+        ([{"id": "../x", "template": "Closing [something]"}], "entry 0 has no id of digits"),
+        ([entry("30", "Closing [something]")] * 2, "lists clip 30 twice"),
+        ({}, "holds no list of clips"),
+        ([], "holds no list of clips"),
+        ("[", "holds no list of clips"),
+    ],
+)
+def test_a_broken_subset_file_is_named(root, content, message):
+    write_json(root / "something-something-v2-validation.json", content)
+    with pytest.raises(InputError, match=f"something-something-v2-validation.json.*{message}"):
+        clips(root)
+
+
+def test_broken_json_and_labels_are_named(root):
+    labels = root / "something-something-v2-labels.json"
+    labels.write_text('{"Closing something": ')
+    with pytest.raises(InputError, match=r"v2-labels\.json cannot be read as JSON"):
+        clips(root)
+    write_json(labels, ["Closing something"])
+    with pytest.raises(InputError, match=r"v2-labels\.json is no file of labels"):
+        clips(root)
+
+
+def test_missing_parts_are_named(root, tmp_path):
+    with pytest.raises(InputError, match=r"holds no something-something-v2-train\.json \(or train\.json\)"):
+        clips(root, subset="train")
+    shutil.rmtree(root / "20bn-something-something-v2")
+    with pytest.raises(InputError, match=r"holds no clips: expected 74225\.webm and so on in 20bn"):
+        clips(root)
+    (root / "clips").mkdir()
+    (root / "clips" / "12345.webm").write_bytes(b"")
+    with pytest.raises(InputError, match=r"none of the 1 clips in .*clips is listed in .*validation\.json"):
+        clips(root)
+    (root / "something-something-v2-labels.json").unlink()
+    with pytest.raises(InputError, match=r"holds no something-something-v2-labels\.json"):
+        clips(root)
+    assert not recognises(root)
+    with pytest.raises(InputError, match="nowhere is no folder"):
+        clips(tmp_path / "nowhere")
+
+
+def test_survey_counts_classes_and_notes_what_is_absent(root):
+    path = root / "20bn-something-something-v2" / "4.webm"
+    path.write_bytes(path.read_bytes()[:-1200])
+    found = survey(root)
+    assert (found.importer, found.usable) == ("something_something_v2", 3)
+    assert found.facts["subset"] == "validation, 5 clips listed, 4 in the folder"
+    assert found.facts["classes"].startswith("3 of 4: ")
+    assert found.facts["frames"] == "29 (8 to 11 per video)"
+    assert [problem.partition(":")[0] for problem in found.problems] == ["20bn-something-something-v2/4.webm"]
+    assert found.notes == ("1 of the 5 clips in something-something-v2-validation.json are not in the folder",)
+    assert clips(root).problems == found.problems
+    found = survey(root, classes=table(root), frames=9)
+    assert found.usable == 1
+    assert "2 clips are of templates that table.csv leaves out" in found.notes
+    assert any("has 8 frames, but a clip of 9 takes 9" in problem for problem in found.problems)
+
+
+def test_the_coarse_table_says_that_it_is_reconstructed_and_has_41_templates_in_10_classes():
+    text = COARSE_TABLE.read_text(encoding="utf-8")
+    assert "RECONSTRUCTED" in text.partition("template,class")[0]
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    assert len(lines) == 42
+
+
+@pytest.mark.shared
+def test_the_coarse_table_fits_the_real_labels(shared_data):
+    labels = shared_data / "ssv2" / "something-something-v2-labels.json"
+    templates = read_templates(labels)
+    assert len(templates) == 174
+    coarse = read_table(COARSE_TABLE, templates, labels)
+    assert len(coarse) == 41
+    assert len(set(coarse.values())) == 10
+
+
+@pytest.mark.shared
+def test_real_clips_and_label_files(shared_data, tmp_path):
+    samples = shared_data / "ssv2"
+    shutil.copy(samples / "something-something-v2-labels.json", tmp_path)
+    listed = json.loads((samples / "something-something-v2-validation.first400.json").read_bytes())
+    write_json(tmp_path / "something-something-v2-validation.json", listed)
+    (tmp_path / "clips").mkdir()
+    # The samples are not of this subset: they stand in for clips that are.
+    known = {"closing_0": ("Closing [something]", 52), "166766": ("Picking [something] up", 49)}
+    for name, (template, _) in known.items():
+        identity = next(item["id"] for item in listed if item["template"] == template)
+        shutil.copy(samples / "clips" / f"{name}.webm", tmp_path / "clips" / f"{identity}.webm")
+    source = something_something_v2(VIEW, path=tmp_path, frames=49)
+    assert {video.label: len(video) for video in source.videos} == {"Closing something": 52, "Picking something up": 49}
+    assert labels_of(something_something_v2(VIEW, path=tmp_path, frames=49, classes="coarse")) == [
+        "Picking something up"
+    ]
+    assert survey(tmp_path).notes == (
+        "398 of the 400 clips in something-something-v2-validation.json are not in the folder",
+    )
+    clip = source.clip(0, np.random.default_rng(0))
+    assert clip.rgb.shape == (49, 16, 16, 3)
