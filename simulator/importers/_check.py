@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import create_model
 
@@ -114,16 +114,19 @@ def _options(plugin: Plugin, survey: Any, options: Mapping[str, Any]) -> dict[st
     """Validate options by those of the source's parameters that its survey takes too."""
     taken = inspect.signature(survey).parameters.values()
     anything = any(parameter.kind is parameter.VAR_KEYWORD for parameter in taken)
-    names = {parameter.name for parameter in taken if parameter.kind is parameter.KEYWORD_ONLY}
+    named = [parameter for parameter in taken if parameter.kind is parameter.KEYWORD_ONLY]
+    names = {parameter.name for parameter in named}
+    required = {parameter.name: ... for parameter in named if parameter.default is parameter.empty}
     fields: dict[str, Any] = {
-        name: (field.annotation, field)
+        name: (Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation, required.get(name))
         for name, field in plugin.parameters.model_fields.items()
-        if name in names or (anything and name != "path" and name in options)
+        if name in names or (anything and name != "path")
     }
-    model = create_model(f"{plugin.name} survey", __config__=plugin.parameters.model_config, **fields)
+    config = plugin.parameters.model_config.copy()
+    config["validate_default"] = False  # what is not given is not passed on
+    model = create_model(f"{plugin.name} survey", __config__=config, **fields)
     bound = dataclasses.replace(plugin, parameters=model).bind(options)
-    required = {name for name, field in model.model_fields.items() if field.is_required()}
-    return {name: value for name, value in bound.items() if name in options or name in required}
+    return {name: value for name, value in bound.items() if name in options}
 
 
 def _lines(plugins: tuple[Plugin, ...]) -> str:

@@ -22,6 +22,8 @@ from simulator.errors import InputError
 from simulator.importers._masks import VOID, fit_mask, object_pixels, read_object_numbers
 from simulator.pictures import picture_shape, read_picture
 
+_WARNED: set[Path] = set()  # data sets whose mask sizes were told of: once for each, not for every mask and reading
+
 
 @dataclass(frozen=True)
 class MaskFacts:
@@ -157,10 +159,7 @@ class MaskedVideo:
         numbers = self._numbers(name)
         fitted = fit_mask(numbers, (linear.shape[0], linear.shape[1]), self.mask(name), picture)
         if fitted.shape != numbers.shape:
-            sizes = " instead of ".join(f"{rows} x {columns}" for rows, columns in (numbers.shape, fitted.shape))
-            warnings.warn(
-                f"{self.mask(name)} is {sizes} pixels: resized to its picture by nearest neighbour", stacklevel=3
-            )
+            _warn_of_size(self.masks.parent, self.mask(name), numbers.shape, fitted.shape)
         return np.where(object_pixels(fitted)[..., None], linear, np.float32(0))
 
     def _numbers(self, frame: str) -> NDArray[np.uint8]:
@@ -192,6 +191,18 @@ def frame_number(picture: str) -> int:
         msg = f"{picture}: expected a name that ends in the frame's number, such as 00005.jpg; rename it"
         raise InputError(msg)
     return int(digits[1])
+
+
+def _warn_of_size(masks: Path, mask: Path, had: tuple[int, ...], wanted: tuple[int, ...]) -> None:
+    if masks in _WARNED:
+        return
+    _WARNED.add(masks)
+    sizes = " instead of ".join(f"{rows} x {columns}" for rows, columns in (had, wanted))
+    warnings.warn(
+        f"{mask} is {sizes} pixels: it is resized to its picture by nearest neighbour, as others like it will be; they are "
+        "named in the samples' records and by flatlight import --check",
+        stacklevel=4,
+    )
 
 
 def _objects(numbers: NDArray[np.uint8]) -> tuple[int, ...]:

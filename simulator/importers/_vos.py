@@ -6,7 +6,7 @@ Both keep a folder of pictures and a folder of masks per video, the files of a f
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal, TypeAlias
@@ -43,6 +43,22 @@ class Found:
     unannotated: int
     stray: int
 
+    def long_enough(self, plan: ClipPlan) -> Found:
+        """Return the same with the videos that are too short for a plan among the faults."""
+        short = [video for video in self.videos if len(video) < plan.needed]
+        if not short:
+            return self
+        lengths = sorted(len(video) for video in self.videos)
+        kind = "frames" if short[0].keep_background else "frames with a mask"
+        raised = f", raised by {plan.raise_by}," if plan.raise_by > 1 else ""
+        reason = (
+            f"fewer {kind} than the {plan.needed} that a clip of {plan.frames}{raised} takes (videos here have {lengths[0]} "
+            f"to {lengths[-1]}): ask for fewer, or raise them by more"
+        )
+        faults = (*self.faults, *((video.name, reason) for video in short))
+        kept = tuple(video for video in self.videos if len(video) >= plan.needed)
+        return replace(self, videos=kept, faults=faults)
+
 
 def masked_source(
     importer: str,
@@ -60,26 +76,15 @@ def masked_source(
     Raises:
         InputError: no video can be used, or as `plane_depth` and `choose_raiser` of `simulator.importers._flat_videos`.
     """
-    kept = tuple(video for video in found.videos if len(video) >= plan.needed)
-    short = [video for video in found.videos if len(video) < plan.needed]
-    faults = list(found.faults)
-    if short:
-        lengths = sorted({len(video) for video in found.videos})
-        kind = "frames" if short[0].keep_background else "frames with a mask"
-        raised = f", raised by {plan.raise_by}," if plan.raise_by > 1 else ""
-        reason = (
-            f"fewer {kind} than the {plan.needed} that a clip of {plan.frames}{raised} takes (videos here have {lengths[0]} "
-            f"to {lengths[-1]}): ask for fewer, or raise them by more"
-        )
-        faults += [(video.name, reason) for video in short]
+    found = found.long_enough(plan)
     return flat_videos(
         importer,
         view,
-        kept,
+        found.videos,
         plan=plan,
         plane_m=plane_depth(view, plane_cm),
         raiser=choose_raiser(plan.raise_by, raise_with, superslomo_checkpoint),
-        problems=grouped(faults),
+        problems=grouped(found.faults),
         other_inputs=other_inputs,
     )
 

@@ -11,6 +11,7 @@ from statistics import median
 from simulator.errors import InputError
 from simulator.importers._masked_video import MaskedVideo
 from simulator.importers._survey import Progress, Survey
+from simulator.importers._video import ClipPlan
 from simulator.importers._vos import Fault, Found, examples, grouped
 from simulator.pictures import read_picture
 
@@ -27,17 +28,21 @@ class _Read:
     void: list[str] = field(default_factory=list)
 
 
-def survey_videos(importer: str, found: Found, progress: Progress | None = None) -> Survey:
+def survey_videos(importer: str, found: Found, progress: Progress | None, frames: int | None, raise_by: int) -> Survey:
     """Read every picture and mask of a data set once and say what is in it.
 
     Args:
         importer: the importer's name.
         found: its videos.
         progress: called with the number of frames done and of all frames.
+        frames: of a clip; with it, videos that are too short are among the problems and not read.
+        raise_by: frames that one becomes by interpolation.
 
     Returns:
         The survey; a video counts as usable when all its frames can be read.
     """
+    if frames is not None:
+        found = found.long_enough(ClipPlan(frames, raise_by=raise_by))
     total, done = sum(len(video) for video in found.videos), 0
 
     def step() -> None:

@@ -35,10 +35,10 @@ def davis(
     frames: Annotated[int, Field(ge=1)],
     subset: str | None = None,
     resolution: Resolution = "480p",
-    frames_per_second: Annotated[float, Field(gt=0)] | None = None,
+    frames_per_second: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
     clips_per_video: Annotated[int, Field(ge=1)] = 1,
     crop: Literal["centre", "random"] = "centre",
-    plane_cm: Annotated[float, Field(gt=0)] | None = None,
+    plane_cm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
     keep_background: bool = False,
     raise_by: Annotated[int, Field(ge=1)] = 1,
     raise_with: RaiseWith = "optical_flow",
@@ -97,14 +97,25 @@ def survey(
     subset: str | None = None,
     resolution: Resolution = "480p",
     keep_background: bool = False,
+    frames: int | None = None,
+    raise_by: int = 1,
 ) -> Survey:
     """Read every annotated frame and its mask once and say what is there.
+
+    Args:
+        path: as all others, see :func:`davis`.
+        progress: called with the number of frames done and of all frames.
+        subset: which list.
+        resolution: which pictures.
+        keep_background: whether frames without a mask count.
+        frames: of a clip; with it, videos that are too short are among the problems.
+        raise_by: counts with ``frames``.
 
     Raises:
         InputError: as :func:`davis`.
     """
     found = find(path, subset=subset, resolution=resolution, keep_background=keep_background)
-    return survey_videos("davis", found, progress)
+    return survey_videos("davis", found, progress, frames, raise_by)
 
 
 def find(

@@ -34,10 +34,10 @@ def youtube_vos(
     path: Path,
     frames: Annotated[int, Field(ge=1)],
     subset: Subset | None = None,
-    frames_per_second: Annotated[float, Field(gt=0)] | None = None,
+    frames_per_second: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
     clips_per_video: Annotated[int, Field(ge=1)] = 1,
     crop: Literal["centre", "random"] = "centre",
-    plane_cm: Annotated[float, Field(gt=0)] | None = None,
+    plane_cm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
     keep_background: bool = False,
     raise_by: Annotated[int, Field(ge=1)] = 1,
     raise_with: RaiseWith = "optical_flow",
@@ -90,14 +90,29 @@ def recognises(path: Path) -> bool:
 
 
 def survey(
-    path: Path, progress: Progress | None = None, *, subset: Subset | None = None, keep_background: bool = False
+    path: Path,
+    progress: Progress | None = None,
+    *,
+    subset: Subset | None = None,
+    keep_background: bool = False,
+    frames: int | None = None,
+    raise_by: int = 1,
 ) -> Survey:
     """Read every annotated frame and its mask once and say what is there.
+
+    Args:
+        path: as all others, see :func:`youtube_vos`.
+        progress: called with the number of frames done and of all frames.
+        subset: which folder.
+        keep_background: whether frames without a mask count.
+        frames: of a clip; with it, videos that are too short are among the problems.
+        raise_by: counts with ``frames``.
 
     Raises:
         InputError: as :func:`youtube_vos`.
     """
-    return survey_videos("youtube_vos", find(path, subset=subset, keep_background=keep_background), progress)
+    found = find(path, subset=subset, keep_background=keep_background)
+    return survey_videos("youtube_vos", found, progress, frames, raise_by)
 
 
 def find(path: Path, *, subset: Subset | None = None, keep_background: bool = False) -> Found:

@@ -79,8 +79,21 @@ def test_options_are_those_of_the_survey(flatlight, davis_root, one_error) -> No
     run = "import", "--check", davis_root, "--set"
     one_error(flatlight(*run, "subset=train"), "subset: got 'train'", "there are none")
     one_error(flatlight(*run, "subse=train"), "subse: unknown key", "did you mean 'subset'")
-    one_error(flatlight(*run, "frames=3"), "frames: unknown key")  # decides how clips are cut, not what is there
+    one_error(flatlight(*run, "crop=centre"), "crop: unknown key")  # decides how clips are cut, not what is there
+    one_error(flatlight(*run, "frames=0"), "frames: ", "1")
     one_error(flatlight(*run, "keep_background=3"), "keep_background", "expected true or false")
+
+
+def test_videos_too_short_for_a_clip_are_problems_once_its_length_is_known(flatlight, davis_root, one_error) -> None:
+    (davis_root / "Annotations" / "480p" / "dog" / "00001.png").unlink()
+    assert flatlight("import", "--check", davis_root)[0] == 0
+    run = "import", "--check", davis_root, "--set", "frames=3"
+    code, out, err = flatlight(*run)
+    one_error((code, out, err), "problems above: 1;")
+    assert "problem: dog: fewer frames with a mask than the 3 that a clip of 3 takes (videos here have 2 to 3)" in out
+    code, out, _ = flatlight(*run, "--set", "raise_by=2")
+    assert code == 0
+    assert "frames: 3, raise_by: 2}" in out
 
 
 def test_what_no_importer_knows(flatlight, tmp_path, one_error) -> None:
