@@ -1,7 +1,10 @@
-"""The folder of a data set before a job begins: empty, begun with the same configuration, or somebody else's."""
+"""The folder of a data set: made, begun already with the same configuration, or somebody else's; cleaned up on errors."""
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +12,7 @@ from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER, Da
 from simulator.dataset.fingerprint import difference
 from simulator.dataset.manifest import MANIFEST
 from simulator.errors import InputError
-from simulator.files import TEMPORARY_PREFIX
+from simulator.files import TEMPORARY_PREFIX, storage_errors
 
 
 def existing_info(root: Path, counts: dict[str, int], fingerprint: str, parts: dict[str, Any]) -> DatasetInfo | None:
@@ -53,6 +56,39 @@ def existing_info(root: Path, counts: dict[str, int], fingerprint: str, parts: d
             )
             raise InputError(msg)
     return info
+
+
+@contextmanager
+def made_folder(root: Path) -> Iterator[None]:
+    """Make the data set's folder; on an error, take away what is empty of the folders made.
+
+    Raises:
+        StorageError: the folder cannot be made.
+    """
+    made = [folder for folder in (root, *root.parents) if not folder.exists()]
+    with storage_errors(root):
+        root.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            for folder in made:
+                folder.rmdir()
+        raise
+
+
+@contextmanager
+def all_or_nothing(root: Path) -> Iterator[None]:
+    """On an error before the data set has its description, leave nothing of it; to be entered under its lock."""
+    try:
+        yield
+    except BaseException:
+        if not (root / FILE).exists():
+            for name in (PSF_FOLDER, CAPTURED_FOLDER):
+                shutil.rmtree(root / name, ignore_errors=True)
+            with suppress(OSError):
+                (root / MANIFEST).unlink()
+        raise
 
 
 def _left_by_a_start(path: Path) -> bool:

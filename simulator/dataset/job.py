@@ -6,10 +6,9 @@ made again, byte by byte the same.
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,14 +16,16 @@ from typing import Any
 import numpy as np
 
 from simulator.assemble import build_camera_colour, build_shutter, build_source, input_files, scene_plugin
+from simulator.assemble.exposure import fixed_exposure
 from simulator.camera.exposure import PERCENTILE, PILOTS, TARGET, full_scale_from_pilots
+from simulator.camera.shutter_record import shutter_record
 from simulator.config import Config, dump, load_config
 from simulator.dataset.contact_sheet import contact_sheet
-from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER, DatasetInfo, write_info
+from simulator.dataset.dataset_info import PSF_FOLDER, DatasetInfo, write_info
 from simulator.dataset.engines import Outcome, WorkerError, available_cpus, run
-from simulator.dataset.existing import existing_info
+from simulator.dataset.existing import all_or_nothing, existing_info, made_folder
 from simulator.dataset.fingerprint import build_fingerprint, package_versions
-from simulator.dataset.manifest import MANIFEST, ManifestWriter, load_manifest
+from simulator.dataset.manifest import ManifestWriter, load_manifest
 from simulator.dataset.recipe import Recipe, make_pilot, make_sample, scene_clip, start_worker
 from simulator.dataset.sample import SPLITS, sample_id
 from simulator.dataset.skipped import SkippedWriter, list_problems, load_skipped, refuse_problems
@@ -32,7 +33,7 @@ from simulator.dataset.splits import clip_order
 from simulator.dataset.stacks import data_set_stack
 from simulator.dataset.timing import ClipTimesError, check_clip, check_parameters
 from simulator.errors import InputError
-from simulator.files import StorageError, remove_leftovers, storage_errors
+from simulator.files import StorageError, remove_leftovers
 from simulator.optics.psf_stack import PsfStack
 from simulator.plugins import Plugin, plugin_errors
 from simulator.render.backend import choose_backend
@@ -134,7 +135,7 @@ class _Job:
         existing = existing_info(self.root, self._counts(), fingerprint, parts)
         if existing is None and not timed and not renders:
             self._look_at_a_clip(plugin, source)
-        with self._folder(), ManifestWriter(self.root) as manifest, self._all_or_nothing():
+        with made_folder(self.root), ManifestWriter(self.root) as manifest, all_or_nothing(self.root):
             remove_leftovers(self.root)
             stack = data_set_stack(self.config, self.root, self.progress, self.say)
             portable = plugin.path is None
@@ -155,6 +156,7 @@ class _Job:
                     sensor_shape=self.config.camera.sensor.shape,
                     channels=stack.channels,
                     scene_to_camera=colour.origin | {"matrix": colour.matrix.tolist()},
+                    time={"shutter": shutter_record(build_shutter(self.config)), **self._slivers()},
                 )
             write_info(self.root, replace(existing, counts=self._counts(), config=dump(self.config)))
             self._warn(stack)
@@ -184,8 +186,8 @@ class _Job:
         try:
             with plugin_errors(plugin):
                 clip = scene_clip(source, self.config.seed, "pilot", 0)
-        except InputError:
-            return  # a clip that cannot be had at all is reported as its sample's failure
+        except Exception:
+            return  # what cannot be had at all is reported as its sample's failure
         shutter, rows = build_shutter(self.config), self.config.camera.sensor.shape[0]
         try:
             check_clip(clip, shutter, rows, self.config.dataset.slivers)
@@ -193,41 +195,17 @@ class _Job:
             if not self.skip_bad:
                 raise
 
-    @contextmanager
-    def _folder(self) -> Iterator[None]:
-        """Make the data set's folder; on an error, take away what is empty of the folders made."""
-        made = [folder for folder in (self.root, *self.root.parents) if not folder.exists()]
-        with storage_errors(self.root):
-            self.root.mkdir(parents=True, exist_ok=True)
-        try:
-            yield
-        except BaseException:
-            with suppress(OSError):
-                for folder in made:
-                    folder.rmdir()
-            raise
-
-    @contextmanager
-    def _all_or_nothing(self) -> Iterator[None]:
-        """On an error before the data set has its description, leave nothing of it; to be entered under its lock."""
-        try:
-            yield
-        except BaseException:
-            if not (self.root / FILE).exists():
-                for name in (PSF_FOLDER, CAPTURED_FOLDER):
-                    shutil.rmtree(self.root / name, ignore_errors=True)
-                with suppress(OSError):
-                    (self.root / MANIFEST).unlink()
-            raise
+    def _slivers(self) -> dict[str, Any]:
+        chosen = self.config.dataset
+        return {"slivers": chosen.slivers, "ground_truth": chosen.ground_truth}
 
     def _counts(self) -> dict[str, int]:
         return {split: getattr(self.config.dataset, split) for split in SPLITS}
 
     def _exposure(self, recipe: Recipe) -> dict[str, Any]:
         """Return the one number that maps exposure to full scale, and where it comes from."""
-        chosen = self.config.camera.exposure.full_scale
-        if chosen != "auto":
-            return {"full_scale": float(chosen), "from": "configuration"}
+        if (fixed := fixed_exposure(self.config)) is not None:
+            return fixed
         pilots: dict[int, Any] = {}
         bad: dict[int, Exception] = {}
         for outcome in self._outcomes(make_pilot, range(PILOTS), recipe):

@@ -65,8 +65,6 @@ class TestInit:
         assert "flatlight render flying_things_64.yaml" in out
         assert "flatlight generate flying_things_64.yaml" in out
         assert (tmp_path / "flying_things_64.yaml").read_text() == preset_text("flying_things_64")
-        _, out, _ = flatlight("init", "--preset", "high_speed_64")
-        assert "flatlight generate" not in out, "it makes clips, which generate refuses so far"
         code, out, _ = flatlight("init", "--preset", "flying_things", "mine.yaml")
         assert (tmp_path / "mine.yaml").read_text() == default_config_text()
         one_error(flatlight("init", "--preset", "endoscopi"), "got 'endoscopi'", "did you mean 'endoscopy'")
@@ -130,6 +128,35 @@ class TestGenerate:
         (trial.folder / "mended").touch()
         assert flatlight("generate", path)[0] == 0
         assert verify(trial.folder / "out").ok
+
+    def test_skip_bad_lists_what_it_leaves_out(self, one_error, flatlight, trial) -> None:
+        source = """
+from simulator.errors import InputError
+
+class Films(Boxes):
+    problems = ("9.webm: has no frames",)
+
+    def __len__(self):
+        return 9
+
+    def clip(self, index, rng):
+        if index == 1:
+            raise InputError("1.webm is truncated")
+        return super().clip(index, rng)
+
+def films(view):
+    return Films(view, 4, None, None, None, None, 0.0)
+"""
+        (trial.folder / "films.py").write_text(trial.plugins.read_text() + source)
+        path = trial.write(scene={"source": "./films.py:films", "size": [16, 20]})
+        one_error(flatlight("generate", path), "cannot use 1 file", "9.webm: has no frames", "--skip-bad")
+        code, out, err = flatlight("generate", path, "--skip-bad")
+        assert code == 0, err
+        assert "4 samples made" in out
+        assert f"1 files of the source were left out: {trial.folder / 'out' / 'source_problems.txt'}" in out
+        assert f"1 samples were left out: {trial.folder / 'out' / 'skipped.jsonl'}" in err
+        assert "train/s00000001: " in err
+        assert "1.webm is truncated" in err
 
     def test_the_swap_of_the_mask_by_one_line(self, one_error, flatlight, trial) -> None:
         path = trial.write(camera={"mask": {"design": "phlatcam", "width_mm": 0.6, "iterations": 2}})

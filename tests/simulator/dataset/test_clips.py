@@ -142,6 +142,16 @@ def test_a_measurement_is_the_sum_over_frames_and_rows(
         assert np.abs(sample.global_measurements[sliver] - expected).max() < 2e-6 * expected.max()
 
 
+def test_slivers_can_be_cut_out_of_what_is_on_disk(made: Path) -> None:
+    """The shares of each row's exposure in which it saw each sliver: over all slivers, the whole exposure."""
+    data = open_dataset(made, "test")
+    assert data.info.time["slivers"] == 4
+    assert data.info.time["ground_truth"] == "slivers"
+    weights = data.sliver_weights(data[0])
+    expected = seconds_open(12).reshape(4, 3, 48).sum(axis=1) / (3 * FRAME_S)
+    np.testing.assert_allclose(weights, expected, rtol=0, atol=1e-12)
+
+
 def test_no_video_is_in_two_splits(made: Path) -> None:
     videos = {split: {s.metadata["scene"]["video"] for s in open_dataset(made, split)} for split in SPLITS}
     assert videos == {"train": {"video_0", "video_1"}, "validation": {"video_5"}, "test": {"video_4"}}

@@ -62,11 +62,14 @@ def test_everything_else_counts(monkeypatch: pytest.MonkeyPatch) -> None:
             (changed("camera", "noise", "psnr_db", 30.0), "llvm_ad_rgb"),
             (changed("psf", "far_cm", 20.0), "llvm_ad_rgb"),
             (changed("dataset", "future_option", True), "llvm_ad_rgb"),
+            (changed("dataset", "slivers", 10), "llvm_ad_rgb"),
+            (changed("dataset", "ground_truth", "frames"), "llvm_ad_rgb"),
+            (changed("dataset", "global_measurements", True), "llvm_ad_rgb"),
         ]
     }
     monkeypatch.setattr("simulator.dataset.fingerprint.package_versions", lambda: {"numpy": "0.0"})
     fingerprints.add(build_fingerprint(CONFIG, "llvm_ad_rgb")[0])
-    assert len(fingerprints) == 7
+    assert len(fingerprints) == 10
 
 
 def test_input_files_count_by_content_not_by_place(tmp_path: Path) -> None:

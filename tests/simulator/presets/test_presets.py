@@ -6,14 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulator.assemble import build_source, build_view, scene_plugin
+from simulator.assemble import build_shutter, build_source, build_view, scene_plugin
 from simulator.config import load_config
+from simulator.dataset.timing import check_parameters
 from simulator.errors import InputError
 from simulator.presets import preset_names, preset_text
 from simulator.seeds import generator
 
 NAMES = preset_names()
 SMALL = [name for name in NAMES if name.endswith("_64")]
+IMPORTED = ["something_something_v2", "youtube_vos"]
+THESIS = ["video_thesis", "youtube_vos"]
+CLIPS = ["activity_64", "high_speed_64", *IMPORTED, "video_thesis"]
 
 
 @pytest.fixture
@@ -25,7 +29,7 @@ def preset(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
 
 def test_names() -> None:
     assert NAMES[0] == "flying_things"
-    assert {"flying_things_64", "endoscopy", "endoscopy_64", "high_speed_64", "activity_64"} <= set(NAMES)
+    assert {"flying_things_64", "endoscopy", "endoscopy_64", *CLIPS} <= set(NAMES)
     with pytest.raises(InputError, match="did you mean 'endoscopy_64'"):
         preset_text("endoscopy64")
 
@@ -36,6 +40,9 @@ def test_a_preset_says_what_it_is_and_how_to_use_it(preset: Path) -> None:
     assert lines[0].startswith("# ")
     assert max(map(len, lines)) <= 120
     assert any("flatlight " in line for line in lines[1:5])
+    assert "# Run it:" in preset.read_text()
+    config = load_config(preset)
+    scene_plugin(config).bind(config.scene.params)  # every parameter is one that its scenes take
 
 
 @pytest.mark.parametrize("preset", NAMES, indirect=True)
@@ -47,7 +54,26 @@ def test_the_whole_psf_and_scene_fit_the_sensor(preset: Path) -> None:
     cast_m = config.camera.mask.params["width_mm"] * 1e-3 * (1 + view.distance_m / view.near_m)
     needed = cast_m / view.pixel_pitch_m + view.shape[1]
     assert needed <= config.camera.sensor.shape[1] * 1.001
-    assert 60 < np.degrees(2 * np.arctan(view.tan_half_width)) < 70  # as wide as the default camera
+    wide = np.degrees(2 * np.arctan(view.tan_half_width))
+    # As wide as the default camera; 160 pixels of 19.2 um at 1.9 mm see 78 degrees.
+    assert 77 < wide < 79 if preset.stem in THESIS else 60 < wide < 70
+
+
+@pytest.mark.parametrize("preset", CLIPS, indirect=True)
+def test_the_shutter_takes_in_the_whole_clip_and_its_slivers_come_out_even(preset: Path) -> None:
+    """The last row closes within the last frame: none is dropped, none is missing."""
+    config = load_config(preset)
+    params, rows, chosen = config.scene.params, config.camera.sensor.shape[0], config.dataset
+    shutter = build_shutter(config)
+    assert check_parameters(params, shutter, rows, chosen)
+    frame_s = 1 / params["frames_per_second"]
+    assert 0 <= params["frames"] * frame_s - shutter.duration_s(rows) < frame_s
+    assert chosen.slivers == 10
+    assert shutter.separable_frames(rows) == 10
+    sizes = {"frames": 60, "size": (160, 160), "shape": (320, 384)}
+    if preset.stem in THESIS:
+        assert sizes == {"frames": params["frames"], "size": config.scene.size, "shape": config.camera.sensor.shape}
+        assert config.camera.noise.std == 0.005  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @pytest.mark.parametrize("preset", SMALL, indirect=True)
