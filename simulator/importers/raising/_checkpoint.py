@@ -19,8 +19,8 @@ def read_checkpoint(path: Path) -> dict[str, dict[str, Any]]:
     """Return the float32 tensors of both networks, by the keys of :data:`NETWORKS`.
 
     A ``.safetensors`` file is flat, so its names are prefixed: ``state_dictFC.conv1.weight``. Any other file is read by
-    ``torch.load`` with ``weights_only``, which refuses all that could run; of more than tensors it lets pass the date at which
-    the public file was saved.
+    ``torch.load`` with ``weights_only``, which refuses all that could run; beside numbers and tensors only the date is let
+    pass at which the public file was saved.
 
     Raises:
         InputError: naming the file, when it is missing, is no checkpoint, or holds other tensors than the two networks need.

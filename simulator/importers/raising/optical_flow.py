@@ -1,4 +1,4 @@
-"""Frames in between by dense optical flow, without any weights."""
+"""Frames in between by dense optical flow: what Flatlight can do without any weights."""
 
 from __future__ import annotations
 
@@ -9,14 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.colour import linear_to_srgb
-from simulator.errors import InputError
 from simulator.importers.raising._between import raise_pairs
+from simulator.importers.raising._dis import look_up, opencv, pixel_places
+from simulator.importers.raising._motion import Motion
+
+FAINT = 1e-4
+"""Visibility of what neither frame shows: it keeps the weights apart from zero, so that such a pixel is a plain blend."""
 
 
 @dataclass(frozen=True)
 class OpticalFlow:
-    """Warps both frames along DIS flow and blends them (T. Kroeger et al., ECCV 2016; S. Baker et al., IJCV 2011)."""
+    """Looks both frames up along the flow and blends them by time and visibility.
+
+    Light beyond 1 is carried through (the flow sees it as white). Nothing in between is darker than black or brighter than
+    the brightest pixel of its two frames.
+    """
 
     @classmethod
     def checked(cls) -> OpticalFlow:
@@ -25,7 +32,7 @@ class OpticalFlow:
         Raises:
             InputError: when OpenCV is not installed.
         """
-        _opencv()
+        opencv()
         return cls()
 
     @property
@@ -38,40 +45,29 @@ class OpticalFlow:
         return raise_pairs(frames, factor, _between)
 
     def record(self) -> dict[str, Any]:
-        """Return the name and what computes the flow."""
-        return {"name": "optical_flow", "flow": "DIS medium", "opencv": _opencv().__version__}
+        """Return the name, the flow and the version of what computes it."""
+        return {"name": "optical_flow", "flow": "DIS medium, both directions", "opencv": opencv().__version__}
 
 
 def _between(first: NDArray[np.float32], second: NDArray[np.float32], times: list[float]) -> NDArray[np.float32]:
-    cv2 = _opencv()
-    least = 32
-    height, width = first.shape[:2]
-    rows, columns = max(0, least - height), max(0, least - width)
-    grey = [
-        cv2.copyMakeBorder(
-            cv2.cvtColor(np.uint8(255 * linear_to_srgb(frame.clip(0, 1)) + 0.5), cv2.COLOR_RGB2GRAY),
-            0, rows, 0, columns, cv2.BORDER_REPLICATE,
-        )
-        for frame in (first, second)
-    ]  # fmt: skip
-    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    there = dis.calc(grey[0], grey[1], None)[:height, :width]
-    back = dis.calc(grey[1], grey[0], None)[:height, :width]
-    grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).astype(np.float32)
-    out = np.empty((len(times), *first.shape), np.float32)
-    for frame, t in zip(out, times, strict=True):
-        to_first = -(1 - t) * t * there + t * t * back
-        to_second = (1 - t) ** 2 * there - t * (1 - t) * back
-        a = cv2.remap(first, grid + to_first, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        b = cv2.remap(second, grid + to_second, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        frame[:] = (1 - t) * a + t * b
-    return out
+    """Blend as equation 5 of Super SloMo (H. Jiang et al., CVPR 2018) does, with visibilities from the two flows."""
+    motion = Motion.of(first, second)
+    places = pixel_places(first.shape[:2])
+    brightest = max(first.max(), second.max())
+    frames = np.empty((len(times), *first.shape), np.float32)
+    for index, time in enumerate(times):
+        velocity, visible = motion.at(time)
+        before, after = places - time * velocity, places + (1 - time) * velocity
+        weight_first = (1 - time) * (visible[..., :1] * _inside(before) + FAINT)
+        weight_second = time * (visible[..., 1:] * _inside(after) + FAINT)
+        blended = weight_first * look_up(first, before) + weight_second * look_up(second, after)
+        frames[index] = (blended / (weight_first + weight_second)).clip(0, brightest)
+    return frames
 
 
-def _opencv() -> Any:
-    try:
-        import cv2
-    except ImportError as error:
-        msg = "raise_with: optical_flow needs OpenCV, which is not installed; pip install 'flatlight[import]'"
-        raise InputError(msg) from error
-    return cv2
+def _inside(places: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return 1 for places in the picture, falling to 0 within a pixel outside of it; ``(H, W, 1)``."""
+    height, width = places.shape[:2]
+    x, y = places[..., :1], places[..., 1:]
+    beyond = np.maximum(np.maximum(-x, x - (width - 1)), np.maximum(-y, y - (height - 1)))
+    return (1 - beyond).clip(0, 1)

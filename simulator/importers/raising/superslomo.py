@@ -1,8 +1,8 @@
 """Frames in between by the network of Super SloMo, with weights from a file that the user has.
 
 Source: H. Jiang et al., "Super SloMo: High quality estimation of multiple intermediate frames for video interpolation", CVPR
-2018, equations 4 and 5, evaluated as the public weights were trained. Those weights were not at hand when this was written: it
-is tested against the formulas, the quality of its pictures is not measured.
+2018, equations 4 and 5, evaluated as the public weights were trained. Those weights were not at hand when this was written:
+it is tested against the formulas, the quality of its pictures is not measured.
 """
 
 from __future__ import annotations
@@ -126,8 +126,8 @@ def backwarp(picture: Any, flow: Any) -> Any:
     """Look up each pixel of a picture where the flow points to, bilinearly, as the public weights were trained to expect.
 
     Their training divides places by W and H where W - 1 and H - 1 were meant, so pixel ``x`` is looked up at
-    ``(x + flow) * (W - 1) / W``. The networks learned flows that make up for it; a warp without it would shift what they make.
-    Outside the picture is the mean colour.
+    ``(x + flow) * (W - 1) / W``, up to a pixel off at the far edges. Weights are run with the warp that they were trained
+    with. Outside the picture is the mean colour.
 
     Args:
         picture: torch ``(N, C, H, W)``.
@@ -152,7 +152,7 @@ def _encoded(frame: NDArray[np.float32]) -> Any:
 
     height, width = frame.shape[:2]
     padding = ((0, -height % STRIDE), (0, -width % STRIDE), (0, 0))
-    encoded = np.pad(linear_to_srgb(frame), padding, mode="edge") - np.float32(MEAN_RGB)
+    encoded = np.pad(linear_to_srgb(frame), padding, mode="edge") - np.array(MEAN_RGB, np.float32)
     return torch.from_numpy(np.ascontiguousarray(encoded.transpose(2, 0, 1)[None]))
 
 
