@@ -1,5 +1,6 @@
 """Tiny films for the tests of importers."""
 
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
@@ -78,7 +79,21 @@ def _write(
     return path
 
 
+def _edit_packet(path: Path, number: int, change: Callable[[int], int]) -> None:
+    """Change the first byte of a packet where it lies in the file."""
+    av = pytest.importorskip("av")
+    with av.open(str(path)) as film:
+        packets = [bytes(packet) for packet in film.demux(video=0) if packet.size]
+    content = bytearray(path.read_bytes())
+    place = 0
+    for packet in packets[:number]:  # one after the other, as packets may be alike
+        place = content.index(packet, place) + len(packet)
+    place = content.index(packets[number], place)
+    content[place] = change(content[place])
+    path.write_bytes(content)
+
+
 @pytest.fixture(scope="session")
 def films() -> SimpleNamespace:
-    """Functions that make films and read numbers off their frames: ``write``, ``numbered`` and ``number_of``."""
-    return SimpleNamespace(write=_write, numbered=_numbered, number_of=_number_of)
+    """Functions that make films and read numbers off frames: ``write``, ``numbered``, ``number_of``, ``edit_packet``."""
+    return SimpleNamespace(write=_write, numbered=_numbered, number_of=_number_of, edit_packet=_edit_packet)

@@ -144,19 +144,9 @@ def test_a_variable_rate_is_told_and_its_mean_taken(films, tmp_path):
     assert [films.number_of(frame) for frame in read_film(path, 4, 9)] == [4, 5, 6, 7, 8]
 
 
-def edit_packet(path, number, change):
-    """Change the first byte of a packet in the file."""
-    with av.open(str(path)) as film:
-        packets = [bytes(packet) for packet in film.demux(video=0) if packet.size]
-    content = bytearray(path.read_bytes())
-    place = content.index(packets[number])
-    content[place] = change(content[place])
-    path.write_bytes(content)
-
-
 def test_hidden_vp8_packets_are_no_frames(films, tmp_path):
-    path = films.write(tmp_path / "hidden.webm", films.numbered(COUNT), codec="libvpx", options={"crf": "4", "b": "2M"})
-    edit_packet(path, 12, lambda byte: byte & ~0x10)
+    path = films.write(tmp_path / "hidden.webm", films.numbered(COUNT), codec="libvpx", key_every=10)
+    films.edit_packet(path, 12, lambda byte: byte & ~0x10)
     assert index_film(path).frames == COUNT - 1
     shown = [number for number in range(COUNT) if number != 12]
     assert [films.number_of(frame) for frame in read_film(path, 0, COUNT - 1)] == shown
@@ -165,7 +155,7 @@ def test_hidden_vp8_packets_are_no_frames(films, tmp_path):
 
 def test_fewer_frames_than_packets_promise_are_told(films, tmp_path):
     path = films.write(tmp_path / "hidden.webm", films.numbered(COUNT))
-    edit_packet(path, 12, lambda byte: byte & ~0x02)  # VP9's show_frame
+    films.edit_packet(path, 12, lambda byte: byte & ~0x02)  # VP9's show_frame
     assert index_film(path).frames == COUNT
     assert count_decodable(path)[0] == COUNT - 1
     with pytest.raises(InputError, match=r"hidden\.webm gives only 29 of its 30 frames"):
@@ -194,10 +184,10 @@ def test_a_film_cut_short_is_told(written, tmp_path, name, kept):
         index_film(path)
 
 
-def test_overwritten_bytes_are_told(written, tmp_path):
+def test_overwritten_bytes_are_told(films, written, tmp_path):
     path = tmp_path / "damaged.webm"
     path.write_bytes(written["vp9.webm"].read_bytes())
-    edit_packet(path, 10, lambda byte: byte ^ 0xC0)  # VP9's frame marker, of a key frame
+    films.edit_packet(path, 10, lambda byte: byte ^ 0xC0)  # VP9's frame marker, of a key frame
     with pytest.raises(InputError, match=r"damaged\.webm"):
         list(read_film(path, 12, 15))
     with pytest.raises(InputError, match=r"damaged\.webm"):
