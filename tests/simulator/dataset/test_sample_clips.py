@@ -4,10 +4,11 @@ import errno
 import json
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -24,6 +25,13 @@ from simulator.files import StorageError, sha256_file
 
 ARRAYS = ("measurement", "noiseless", "rgb", "depth_m", "valid", "frame_edges_s", "global_measurements")
 DTYPES = ("bool", "uint8", "int16", "uint16", "int32", "float16", "float32")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_fsync() -> Iterator[None]:
+    """Most of the time goes there, and no power cut is tested here."""
+    with mock.patch("os.fsync"):
+        yield
 
 
 def any_values(rng: np.random.Generator, shape: tuple[int, ...], dtype: str) -> np.ndarray:
@@ -92,9 +100,7 @@ def assert_same_bits(one: np.ndarray | None, other: np.ndarray | None) -> None:
 @settings(max_examples=40, deadline=None)
 def test_any_clip_comes_back_bit_by_bit(tmp_path_factory: pytest.TempPathFactory, sample: Sample) -> None:
     root = tmp_path_factory.getbasetemp() / "clips"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "fsync", lambda descriptor: None)  # no power cut is tested here
-        write_sample(root, "train", 1, sample)
+    write_sample(root, "train", 1, sample)
     folder = sample_folder(root, "train", 1)
     back = read_sample(folder)
     for name in ARRAYS:
