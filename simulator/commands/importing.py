@@ -86,5 +86,5 @@ def _usage(plugin: Plugin, path: Path, options: dict[str, Any]) -> str:
         "use it in sim_config.yaml with",
         f"  scene: {{{', '.join(f'{key}: {value}' for key, value in values.items())}}}",
     ]
-    lines += [f"  where {line.name} is a {line.expected}: {line.meaning}" for line in required]
+    lines += [f"  where {line.name} is: {line.expected}; {line.meaning}" for line in required]
     return "\n".join(lines)

@@ -1,9 +1,9 @@
 """Object masks of video data sets: palette PNGs whose indices are object numbers, and binary PNGs.
 
 DAVIS and YouTube-VOS store one number per pixel as a palette index; the palette's colours are for the eye only. DAVIS 2016
-stores 0 and 255, in files of one, three or four channels. Index 255 of a palette is void: the evaluation code of DAVIS 2017
-(Pont-Tuset et al., The 2017 DAVIS Challenge on Video Object Segmentation, arXiv 1704.00675) sets it to background in the
-annotation and leaves it out of the comparison.
+stores 0 and 255; the common readers of DAVIS take the first channel should a file have several. Index 255 of a palette is
+void: the evaluation of DAVIS 2017 (Pont-Tuset et al., arXiv 1704.00675; its code davis2017-evaluation, ``get_all_masks``)
+sets it to background and keeps it apart, for comparisons to leave it out.
 """
 
 from __future__ import annotations

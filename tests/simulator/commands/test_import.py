@@ -49,7 +49,7 @@ def test_the_line_to_use_is_yaml_that_loads(flatlight, davis_root, tmp_path, mak
         "keep_background": True,
         "frames": "...",
     }
-    assert "where frames is a whole number from 1: " in out
+    assert "where frames is: whole number from 1; " in out
     from simulator.config import load_config
 
     trial = make_trial(tmp_path / "trial")
@@ -186,7 +186,7 @@ def test_a_source_of_another_package(flatlight, install, rocks) -> None:
     assert f"{rocks}: pebbles, 3 usable" in out
     assert "kind   chalk" in out
     assert 'kind: "chalk", weight: ...}' in out
-    assert "where weight is a number: of each, grams" in out
+    assert "where weight is: number; of each, grams" in out
 
 
 def test_two_that_recognise_the_same(flatlight, install, rocks, one_error) -> None:
