@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from simulator import __version__
-from simulator.commands import about, compare, datasets, importing, masks, plugins, psf, render
+from simulator.commands import about, compare, datasets, importing, masks, plugins, psf, render, shutter
 from simulator.errors import InputError
 
 app = typer.Typer(
@@ -25,6 +25,7 @@ for command in (
     datasets.generate,
     render.render,
     psf.psf,
+    shutter.shutter,
     compare.compare,
     plugins.masks,
     masks.export_mask,
