@@ -8,6 +8,7 @@ says so; pairs have the same number, and the same names once the words for pictu
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from simulator.errors import InputError
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"}
 _DEPTH = re.compile(r"depth|aov", re.IGNORECASE)
 _WORDS = re.compile(r"pixelwise|depths?|aov|framebuffer|frames?|images?|rgb|colou?r|[\s_-]+", re.IGNORECASE)
-_GLANCE = 2000
+_GLANCE = 1000
 _NAMED = 3
 
 
@@ -56,7 +57,7 @@ def list_pairs(root: Path) -> tuple[tuple[Pair, ...], tuple[str, ...]]:
     pictures: dict[tuple[Path, str, str], dict[int, Path]] = {}
     depths: dict[tuple[Path, str, str], dict[int, Path]] = {}
     problems: list[str] = []
-    for name in sorted(_numbered(root)):
+    for name in sorted(name for _, names in _numbered(root) for name in names):
         key, number, is_depth = _place(name)
         held = (depths if is_depth else pictures).setdefault(key, {})
         if number in held:
@@ -71,7 +72,7 @@ def list_pairs(root: Path) -> tuple[tuple[Pair, ...], tuple[str, ...]]:
         folder = next(iter(files.values())).parent
         if not charts:
             problems.append(
-                f"{root / folder}: holds {len(files)} pictures without any depth chart: name a narrower path"
+                f"{root / folder}: holds pictures without any depth chart ({len(files)}): name a narrower path"
             )
             continue
         sequence = "/".join(part for part in (folder.as_posix(), key[2]) if part)
@@ -81,7 +82,7 @@ def list_pairs(root: Path) -> tuple[tuple[Pair, ...], tuple[str, ...]]:
     for charts in depths.values():
         folder = next(iter(charts.values())).parent
         problems.append(
-            f"{root / folder}: holds {len(charts)} depth charts without any picture: name their common folder"
+            f"{root / folder}: holds depth charts without any picture ({len(charts)}): name their common folder"
         )
     if not pairs:
         found = f"; {problems[0]}" if problems else ""
@@ -94,24 +95,22 @@ def list_pairs(root: Path) -> tuple[tuple[Pair, ...], tuple[str, ...]]:
 
 
 def recognises(path: Path) -> bool:
-    """Return whether a folder looks like pictures with depth charts, by the first names in it alone."""
-    try:
-        keys: dict[bool, set[tuple[Path, str, str]]] = {False: set(), True: set()}
-        for name in islice(_numbered(path), _GLANCE):
+    """Return whether a folder looks like pictures with depth charts, by the first names in each of its folders alone."""
+    keys: dict[bool, set[tuple[Path, str, str]]] = {False: set(), True: set()}
+    for _, names in islice(_numbered(path), _GLANCE):
+        for name in names[:_GLANCE]:
             key, _, is_depth = _place(name)
             keys[is_depth].add(key)
-            if keys[False] & keys[True]:
-                return True
-    except OSError:
-        pass
+        if keys[False] & keys[True]:
+            return True
     return False
 
 
-def _numbered(root: Path) -> Iterator[Path]:
-    """Picture files whose names end in a number, relative to the folder."""
-    for file in root.rglob("*"):
-        if file.suffix.lower() in _SUFFIXES and file.stem[-1].isdecimal():
-            yield file.relative_to(root)
+def _numbered(root: Path) -> Iterator[tuple[Path, list[Path]]]:
+    """Each folder with its picture files whose names end in a number, relative to the root."""
+    for folder, _, files in os.walk(root):
+        names = (Path(folder, file).relative_to(root) for file in files)
+        yield Path(folder), [n for n in names if n.suffix.lower() in _SUFFIXES and n.stem[-1].isdecimal()]
 
 
 def _place(name: Path) -> tuple[tuple[Path, str, str], int, bool]:

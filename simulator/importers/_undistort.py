@@ -20,6 +20,8 @@ from simulator.types import View
 
 Field: TypeAlias = Literal["fill", "angles"]
 Circle: TypeAlias = tuple[float, float, float]
+WIDEST_DEG = 70.0
+"""Angle between the axis and the view's corners at which ``fill`` stops: a fisheye may see farther than any pinhole."""
 _FINEST = 64
 """Most samples per side of a view pixel; pictures that shrink by more are read with gaps."""
 
@@ -59,7 +61,7 @@ def build_lookup(lens: Lens, shape: tuple[int, int], view: View, field: Field, c
         shape: rows and columns of the picture.
         view: the view to fill.
         field: ``angles`` keeps each ray's direction; ``fill`` multiplies all tangents by the largest number at which every
-            pixel of the view is seen, as if the picture had been taken with another focal length.
+            pixel of the view is seen, as if the picture had been taken with another focal length; at most 70 degrees.
         circle: column, row and radius in pixels of the part of the picture that shows anything; None is all of it.
 
     Raises:
@@ -121,9 +123,9 @@ def _fill_scale(lens: Lens, shape: tuple[int, int], view: View, circle: Circle |
         columns, rows = lens.pixels(scale * np.outer(radii, x), scale * np.outer(radii, y))
         return bool(_seen(columns, rows, shape, circle).all())
 
-    low, high = 0.0, 1.0
-    while filled(high):
-        low, high = high, 2 * high
+    low, high = 0.0, np.tan(np.radians(WIDEST_DEG)) / np.hypot(half_width, half_height)
+    if filled(high):
+        return float(high)
     for _ in range(40):
         middle = (low + high) / 2
         low, high = (middle, high) if filled(middle) else (low, middle)

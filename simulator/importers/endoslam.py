@@ -7,6 +7,7 @@ Medical Image Analysis 2024. Neither files nor folders say what a depth code mea
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -77,8 +78,9 @@ def endoslam(
         intrinsics: the pictures' camera, with ``model: pinhole``, ``opencv_fisheye`` or ``scaramuzza``; without it, and
             without a file, they are taken for undistorted and of unknown focal length.
         intrinsics_file: the same as YAML or JSON, or a text file with the camera matrix's nine numbers, row by row.
-        field: ``fill`` takes the largest part of the picture around its optical axis that fills the view, as if taken with
-            another focal length; ``angles`` keeps each ray's direction (needs intrinsics), black where the picture ends.
+        field: ``fill`` takes the largest part of the picture around its optical axis that fills the view, at most 70
+            degrees to its corners, as if taken with another focal length; ``angles`` keeps each ray's direction (needs
+            intrinsics), black where the picture ends.
         border: the circle that the lens fills; outside it the picture is black and ``valid`` false. ``auto`` finds it in
             eight pictures, ``none`` uses the whole picture; or column, row and radius in pixels, the first pixel being 0.
 
@@ -104,8 +106,8 @@ def endoslam(
     root = Path(path)
     pairs, problems = list_pairs(root)
     runs = find_runs([pair.sequence for pair in pairs], [pair.number for pair in pairs], frames)
-    shape = picture_shape(root / pairs[0].picture)
-    circle = _find_border(root, pairs) if border == "auto" else None if border == "none" else border
+    shape = _first_shape(root, pairs)
+    circle = _find_border(root, pairs, shape) if border == "auto" else None if border == "none" else border
     zero_m = None if depth_at_zero_cm is None else depth_at_zero_cm * 1e-2
     return EndoSlam(
         view=view,
@@ -244,10 +246,24 @@ class EndoSlam:
         }
 
 
-def _find_border(root: Path, pairs: tuple[Pair, ...]) -> Circle | None:
+def _first_shape(root: Path, pairs: tuple[Pair, ...]) -> tuple[int, int]:
+    """Rows and columns of the first picture that is one; those that are broken fail when their clip is asked for."""
+    first: InputError | None = None
+    for pair in pairs:
+        try:
+            return picture_shape(root / pair.picture)
+        except InputError as error:
+            first = first or error
+    assert first is not None
+    raise first
+
+
+def _find_border(root: Path, pairs: tuple[Pair, ...], shape: tuple[int, int]) -> Circle | None:
     """The image circle, from pictures spread over all sequences."""
     chosen = np.unique(np.linspace(0, len(pairs) - 1, _LOOKED_AT).round().astype(int))
-    shape = picture_shape(root / pairs[0].picture)
-    pictures = [read_picture(root / pairs[k].picture) for k in chosen]
+    pictures = []
+    for k in chosen:
+        with suppress(InputError):
+            pictures.append(read_picture(root / pairs[k].picture))
     alike = [picture for picture in pictures if picture.shape == (*shape, 3)]
     return find_circle(alike, str(root)) if alike else None

@@ -80,6 +80,8 @@ class TestDepth:
         np.testing.assert_allclose(clip.depth_m[0][clip.valid[0]], expected[clip.valid[0]], rtol=2**-23)
         assert len(np.unique(clip.depth_m[0])) == 65536
         assert clip.source["without_depth_share"] == 1 / 65536
+        whole = clip_of(tmp_path, **choice | {"depth_full_code": None})  # 65535 is then the full code
+        np.testing.assert_allclose(whole.depth_m[0].ravel()[1:], np.arange(1, 65536) / 65535 * 0.20, rtol=2**-23)
 
     @pytest.mark.parametrize(
         ("choice", "formula"),
@@ -213,11 +215,11 @@ class TestClips:
         unity(tmp_path, (0, 1, 2, 3, 5, 6), "UnityCam/Colon")
         unity(tmp_path, (7, 8), "UnityCam/Stomach")
         source = source_of(tmp_path, frames=2, frames_per_second=30.0)
-        assert isinstance(source, SceneSource)
         assert (len(source), list(source.groups), source.problems) == (4, [0, 0, 0, 1], ())
         clip = pickle.loads(pickle.dumps(source)).clip(6, RNG)  # 6 modulo 4
         assert [name.rpartition("_")[2] for name in clip.source["pictures"]] == ["0005.png", "0006.png"]
         np.testing.assert_allclose(clip.frame_edges_s, [0, 1 / 30, 2 / 30], rtol=1e-15)
+        assert isinstance(source, SceneSource)
         stills = source_of(tmp_path)
         assert list(stills.groups) == [0] * 6 + [1] * 2
         assert np.array_equal(stills.clip(5, RNG).rgb[0], clip.rgb[1])
@@ -255,7 +257,7 @@ class TestClips:
         lonely, chart, camera = sorted(source.problems, key=lambda line: ("MiroCam" in line, "aov" in line))
         assert lonely.startswith(f"{tmp_path}/UnityCam/Colon/Frames/image_0002.png: has no depth chart of its number")
         assert chart.startswith(f"{tmp_path}/UnityCam/Colon/Pixelwise Depths/aov_image_0004.png: has no picture")
-        assert camera.startswith(f"{tmp_path}/MiroCam: holds 1 pictures without any depth chart")
+        assert camera.startswith(f"{tmp_path}/MiroCam: holds pictures without any depth chart (1)")
 
 
 class TestMistakes:
@@ -315,13 +317,26 @@ class TestMistakes:
         with pytest.raises(InputError, match=r"aov_image_0000\.png is damaged"):
             clip_of(root)
 
+    def test_a_broken_picture_spoils_its_own_clip_alone(self, tmp_path):
+        unity(tmp_path)
+        broken = tmp_path / "UnityCam/Colon/Frames/image_0000.png"
+        broken.write_bytes(b"no picture")
+        source = source_of(tmp_path, border="auto")
+        assert source.clip(1, RNG).valid.any()
+        with pytest.raises(InputError, match=r"image_0000\.png is not a picture"):
+            source.clip(0, RNG)
+        for number in (1, 2):
+            (tmp_path / f"UnityCam/Colon/Frames/image_{number:04}.png").write_bytes(b"no picture")
+        with pytest.raises(InputError, match=r"image_0000\.png is not a picture"):
+            source_of(tmp_path)
+
     def test_folders(self, tmp_path):
         with pytest.raises(InputError, match=r"there is no folder .*nowhere"):
             source_of(tmp_path / "nowhere")
         with pytest.raises(InputError, match=r"holds no pictures with depth charts \(such as"):
             source_of(tmp_path)
         save(tmp_path / "Frames/image_0000.png", picture())
-        with pytest.raises(InputError, match=r"holds 1 pictures without any depth chart"):
+        with pytest.raises(InputError, match=r"holds pictures without any depth chart \(1\)"):
             source_of(tmp_path)
         assert not recognises(tmp_path)
         assert not recognises(tmp_path / "nowhere")

@@ -123,6 +123,13 @@ class TestLookup:
         lookup = build_lookup(lens, (100, 100), view_of((6, 8), 10.0), "fill", (49.5, 49.5, 40.0))
         assert np.hypot(4, 3) * lookup.scale / 10 * 40 == pytest.approx(40.0, rel=1e-9)  # the corner of a 3:4 view
 
+    def test_fill_stops_at_70_degrees(self):
+        """A fisheye of 50 px focal length sees 90 degrees 79 px from the axis, well inside its picture."""
+        lens = OpencvFisheye(fx=50.0, fy=50.0, cx=99.5, cy=99.5)
+        lookup = build_lookup(lens, (200, 200), view_of((6, 8), 10.0), "fill", None)
+        assert lookup.seen.all()
+        assert np.degrees(np.arctan(0.5 * lookup.scale)) == pytest.approx(70, rel=1e-12)  # corners at hypot(4, 3) / 10
+
     def test_what_the_picture_does_not_show_is_black_and_not_seen(self):
         lens = Pinhole(fx=10.0, fy=10.0, cx=3.5, cy=3.5)
         lookup = build_lookup(lens, (8, 8), view_of((12, 12), 10.0), "angles", None)
