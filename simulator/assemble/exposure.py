@@ -33,6 +33,7 @@ def fixed_exposure(config: Config) -> dict[str, Any] | None:
             "needs to count photons; use time: integral, or give camera.exposure.full_scale"
         )
         raise InputError(msg)
+    chosen_efficiency = config.camera.sensor.peak_quantum_efficiency
     sensor, rates = build_sensor(config), build_electron_rates(config)
     per_lux = max(rates.values()) * sensor.peak_quantum_efficiency * sensor.pixel_pitch_m**2
     electrons = chosen.illuminance_lux * per_lux
@@ -42,6 +43,7 @@ def fixed_exposure(config: Config) -> dict[str, Any] | None:
         "from": "illuminance",
         "illuminance_lux": chosen.illuminance_lux,
         "peak_quantum_efficiency": sensor.peak_quantum_efficiency,
+        "peak_quantum_efficiency_from": sensor.source if chosen_efficiency is None else "configuration",
         "full_well_e": sensor.full_well_e,
         "electrons_per_exposure": electrons,
         "responsivity": dict(zip(rates, sensor.responsivity, strict=True)),

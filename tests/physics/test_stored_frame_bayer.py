@@ -66,9 +66,9 @@ def test_the_stored_psf_is_the_physical_one_turned(mask, stack):
         middle = values.shape[-1] // 2
         stored = values[channel, middle - centre : middle + centre + 1, middle - centre : middle + centre + 1]
         difference = np.linalg.norm(stored[::-1, ::-1] - physical) / np.linalg.norm(physical)
-        assert difference < 0.01, channel  # paraxial against exact: measured below; any other turn gives more than 1
+        assert difference < 5e-3, channel  # paraxial against exact: 3e-3
         for wrong in (stored, stored[::-1], stored[:, ::-1], stored.T[::-1, ::-1]):
-            assert np.linalg.norm(wrong - physical) / np.linalg.norm(physical) > 0.5
+            assert np.linalg.norm(wrong - physical) / np.linalg.norm(physical) > 1
 
 
 @pytest.mark.parametrize("cfa", ["RGGB", "GRBG"])

@@ -108,3 +108,12 @@ def test_up_to_full_scale_nothing_is_cut_off(light) -> None:
 def test_mistakes_are_named(wrong, words) -> None:
     with pytest.raises(InputError, match=words):
         Recording(**wrong)
+
+
+def test_what_a_data_set_does_to_colours_is_no_part_of_a_calibration(light) -> None:
+    """Gains are already those of the channels, and a mosaic's calibration is taken to see all colours everywhere."""
+    picture = np.concatenate([light, light[:1]])
+    plain = replace(SENSOR, exposure_s=0.02, dark_current_e_per_s=50.0)
+    odd = replace(plain, readout="bayer", responsivity=(0.5, 1.0, 0.2), exposure_s=tuple(np.linspace(0.01, 0.03, 8)))
+    found = [Recording().record(picture, np.ones(3), sensor, np.random.default_rng(0))[0] for sensor in (plain, odd)]
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
