@@ -104,8 +104,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
     """Open a film and its video stream, and turn libav's errors into messages that name the file."""
     av = load_extra("av", "PyAV")
     try:
-        # Playlists may name further places; a film may not send us there.
-        with av.open(str(path), options={"protocol_whitelist": "file"}) as container:
+        with av.open(str(path)) as container:
             stream = container.streams.best("video")
             if stream is None or stream.codec_context is None:
                 msg = f"{path} holds no video that can be read: check the file"
@@ -153,7 +152,7 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
         middle = float(np.median(intervals))
         variable = float(intervals.max()) > _UNEVEN * middle
         mean = float(1 / (unit * (int(times[-1] - times[0])) / (len(times) - 1)))
-        if not rate or variable or abs(mean / float(rate) - 1) > 0.01:
+        if not rate or abs(mean / float(rate) - 1) > 0.01:
             rate = mean
         ends_s = float(unit) * (float(times[-1]) + middle)
         if duration_s is not None and duration_s - ends_s > _EARLY_END * middle * float(unit):
@@ -213,6 +212,9 @@ def _frames(path: Path, index: FilmIndex, start: int, stop: int) -> Iterator[Any
     with _opened(path) as (container, stream):
         number = -1
         for number, frame in enumerate(container.decode(stream)):
+            if index.times is not None and (number >= index.frames or frame.pts != index.times[number]):
+                msg = f"{path} does not give its frame {number} at the time it should: it is damaged, fetch it again"
+                raise InputError(msg)
             if number == wanted:
                 _refuse_corrupt(frame, number, path)
                 yield frame

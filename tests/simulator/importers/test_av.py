@@ -1,7 +1,9 @@
 """Films read through PyAV: each frame shows its own number, whatever the container, and damage is told by the file's name."""
 
+import socket
 import struct
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import numpy as np
@@ -153,13 +155,24 @@ def test_hidden_vp8_packets_are_no_frames(films, tmp_path):
     assert count_decodable(path)[0] == COUNT - 1
 
 
-def test_fewer_frames_than_packets_promise_are_told(films, tmp_path):
-    path = films.write(tmp_path / "hidden.webm", films.numbered(COUNT))
+def test_a_frame_that_packets_promise_and_decoding_does_not_give_is_told(films, tmp_path):
+    path = films.write(tmp_path / "hidden.webm", films.numbered(COUNT), key_every=10)
     films.edit_packet(path, 12, lambda byte: byte & ~0x02)  # VP9's show_frame
     assert index_film(path).frames == COUNT
     assert count_decodable(path)[0] == COUNT - 1
-    with pytest.raises(InputError, match=r"hidden\.webm gives only 29 of its 30 frames"):
-        list(read_film(path, 20, COUNT))
+    for start, stop in ((0, COUNT), (11, 14), (13, 15)):
+        with pytest.raises(InputError, match=r"hidden\.webm does not give its frame 12 at the time it should"):
+            list(read_film(path, start, stop))
+    # What lies before it and after the next key frame keeps its number.
+    for start, stop in ((0, 12), (10, 12), (20, 30)):
+        assert [films.number_of(frame) for frame in read_film(path, start, stop)] == list(range(start, stop))
+
+
+def test_the_last_frames_may_be_missing(films, tmp_path):
+    path = films.write(tmp_path / "end.webm", films.numbered(5))
+    films.edit_packet(path, 4, lambda byte: byte & ~0x02)
+    with pytest.raises(InputError, match=r"end\.webm gives only 4 of its 5 frames"):
+        list(read_film(path, 2, 5))
 
 
 def test_frames_beyond_the_end_are_refused(written):
@@ -202,12 +215,30 @@ def test_high_dynamic_range_other_files_and_missing_ones_are_refused(films, tmp_
     text.write_text("no film at all, but some text in a file with a film's name")
     with pytest.raises(InputError, match=r"text\.mp4 is no film"):
         index_film(text)
-    playlist = tmp_path / "list.mp4"
-    playlist.write_text("#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nhttp://127.0.0.1:9/a.ts\n#EXT-X-ENDLIST\n")
-    with pytest.raises(InputError, match=r"list\.mp4"):
-        index_film(playlist)
     with pytest.raises(InputError, match=r"none\.mp4 cannot be read: No such file"):
         index_film(tmp_path / "none.mp4")
+
+
+def test_a_playlist_sends_nobody_into_the_network(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.2)
+        playlist = tmp_path / "list.m3u8"
+        address = f"http://127.0.0.1:{server.getsockname()[1]}/a.ts"
+        playlist.write_text(f"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{address}\n#EXT-X-ENDLIST\n")
+        with ThreadPoolExecutor(1) as pool:
+            asked = pool.submit(answer_once, server)
+            with pytest.raises(InputError, match=r"list\.m3u8"):
+                index_film(playlist)
+            assert not asked.result()
+
+
+def answer_once(server):
+    """Whether somebody connects; the connection is closed at once."""
+    try:
+        server.accept()[0].close()
+    except TimeoutError:
+        return False
+    return True
 
 
 def test_a_sound_file_is_no_video(tmp_path):

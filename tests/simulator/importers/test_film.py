@@ -101,6 +101,13 @@ def test_raising_puts_frames_between(films, tmp_path):
     np.testing.assert_allclose(np.diff(clip.frame_edges_s), 1 / 24)
 
 
+def test_raised_pictures_were_filmed_more_slowly(films, tmp_path):
+    write_pictures(tmp_path / "seq", films.numbered(3))
+    clip = clip_of(film(VIEW, path=tmp_path / "seq", frames=5, frames_per_second=100, raise_by=2))
+    assert clip.source["own_frames_per_second"] == 50
+    np.testing.assert_allclose(np.diff(clip.frame_edges_s), 0.01)
+
+
 def test_broken_and_short_films_are_problems_by_name(films, tmp_path):
     good = films.write(tmp_path / "good.webm", films.numbered(6))
     (tmp_path / "cut.webm").write_bytes(good.read_bytes()[:-1500])
@@ -136,16 +143,24 @@ def test_survey_decodes_everything_and_tells_its_progress(films, tmp_path):
 def test_survey_names_damage_that_only_decoding_shows_and_pictures_that_differ(films, tmp_path):
     path = films.write(tmp_path / "bad.webm", films.numbered(6))
     films.edit_packet(path, 3, lambda byte: byte ^ 0xC0)  # VP9's frame marker
+    path = films.write(tmp_path / "hidden.webm", films.numbered(6))
+    films.edit_packet(path, 3, lambda byte: byte & ~0x02)  # VP9's show_frame
     write_pictures(tmp_path / "seq", films.numbered(2))
     write_pictures(tmp_path / "seq", films.numbered(1, (40, 40)), first=20)
     write_pictures(tmp_path / "torn", films.numbered(2))
     (tmp_path / "torn" / "frame9.png").write_bytes((tmp_path / "torn" / "frame8.png").read_bytes()[:60])
     found = survey(tmp_path)
     assert found.usable == 0
-    assert [problem.partition(":")[0] for problem in found.problems] == ["bad.webm", "seq", "torn/frame9.png"]
+    assert [problem.partition(":")[0] for problem in found.problems] == [
+        "bad.webm",
+        "hidden.webm",
+        "seq",
+        "torn/frame9.png",
+    ]
+    assert "gives only 5 of its 6 frames" in found.problems[1]
     source = film(VIEW, path=tmp_path, frames=3, frames_per_second=10)
     with pytest.raises(InputError, match="changes its size from 48 x 64 to 40 x 40"):
-        clip_of(source, 1)
+        clip_of(source, [video.name for video in source.videos].index("seq"))
 
 
 @pytest.mark.parametrize(
