@@ -66,7 +66,7 @@ class Pinhole(_Lens, frozen=True):
         distortion: k1, k2, p1, p2, k3 in OpenCV's order; none, two, four or five.
     """
 
-    model: Literal["pinhole"] = "pinhole"
+    type: Literal["pinhole"] = "pinhole"
     fx: Positive
     fy: Positive
     distortion: (
@@ -95,7 +95,7 @@ class OpencvFisheye(_Lens, frozen=True):
         distortion: k1 to k4.
     """
 
-    model: Literal["opencv_fisheye"] = "opencv_fisheye"
+    type: Literal["opencv_fisheye"] = "opencv_fisheye"
     fx: Positive
     fy: Positive
     distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -122,7 +122,7 @@ class Scaramuzza(_Lens, frozen=True):
         stretch: rows of the matrix that takes (u, v) to the sensor's pixels (``StretchMatrix``).
     """
 
-    model: Literal["scaramuzza"]
+    type: Literal["scaramuzza"] = "scaramuzza"
     mapping: tuple[Positive, float, float, float]
     stretch: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.0), (0.0, 1.0))
 
@@ -161,7 +161,7 @@ def pinhole_of(matrix: NDArray[np.float64], name: str) -> Pinhole:
     numbers = matrix.tolist()
     if matrix[2, 0] > 0 and matrix[2, 1] > 0 and not matrix[0, 2] and not matrix[1, 2]:
         msg = (
-            f"{name} holds MATLAB's transposed camera matrix {numbers}: write it as intrinsics: {{model: pinhole, "
+            f"{name} holds MATLAB's transposed camera matrix {numbers}: write it as intrinsics: {{type: pinhole, "
             f"fx: {matrix[0, 0]:g}, fy: {matrix[1, 1]:g}, cx: {matrix[2, 0]:g}, cy: {matrix[2, 1]:g}, first_pixel: 1}}"
         )
         raise InputError(msg)

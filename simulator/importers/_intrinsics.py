@@ -13,7 +13,7 @@ from simulator.errors import InputError
 from simulator.importers._camera_models import Lens, OpencvFisheye, Pinhole, Scaramuzza, pinhole_of
 from simulator.validation import find_problems, validate
 
-Intrinsics = Annotated[Pinhole | OpencvFisheye | Scaramuzza, Field(discriminator="model")]
+Intrinsics = Annotated[Pinhole | OpencvFisheye | Scaramuzza, Field(discriminator="type")]
 _MAX_BYTES = 65536
 FILE_NAMES = ("camera_intrinsics.txt", "cam.txt")
 

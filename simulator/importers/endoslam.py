@@ -75,8 +75,10 @@ def endoslam(
         max_cm: where the chart says more, ``valid`` is false and the light comes from the view's far depth.
         frames: of a clip, with consecutive numbers; 1 gives stills.
         frames_per_second: rate at which a clip's frames were taken; clips need it (UnityCam's was 30).
-        intrinsics: the pictures' camera, with ``model: pinhole``, ``opencv_fisheye`` or ``scaramuzza``; without it, and
-            without a file, they are taken for undistorted and of unknown focal length.
+        intrinsics: the pictures' camera in pixels: ``type: pinhole`` (fx, fy, cx, cy, distortion [k1, k2, p1, p2, k3]),
+            ``opencv_fisheye`` (fx, fy, cx, cy, distortion [k1, k2, k3, k4]) or ``scaramuzza`` (mapping [a0, a2, a3, a4], cx,
+            cy, stretch), with ``first_pixel: 1`` for MATLAB's numbers. Without it, and without a file, the pictures are
+            taken for undistorted and of unknown focal length.
         intrinsics_file: the same as YAML or JSON, or a text file with the camera matrix's nine numbers, row by row.
         field: ``fill`` takes the largest part of the picture around its optical axis that fills the view, at most 70
             degrees to its corners, as if taken with another focal length; ``angles`` keeps each ray's direction (needs

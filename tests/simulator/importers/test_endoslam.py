@@ -15,7 +15,7 @@ from simulator.types import SceneSource, View
 SHAPE = (16, 16)
 FOCAL_PX = 20.0
 VIEW = View(shape=SHAPE, pixel_pitch_m=1e-6, distance_m=FOCAL_PX * 1e-6, near_m=0.01, far_m=0.15)
-CAMERA = {"model": "pinhole", "fx": FOCAL_PX, "fy": FOCAL_PX, "cx": 7.5, "cy": 7.5}
+CAMERA = {"type": "pinhole", "fx": FOCAL_PX, "fy": FOCAL_PX, "cx": 7.5, "cy": 7.5}
 RNG = np.random.default_rng(0)
 
 
@@ -168,7 +168,7 @@ class TestPictures:
             "camera_intrinsics.txt": "20,0,7.5,0,20,7.5,0,0,1",
             "cam.txt": "20 0 7.5\n0 20 7.5\n0 0 1\n",
             "camera.json": json.dumps(CAMERA),
-            "camera.yaml": "model: pinhole\nfx: 20\nfy: 20\ncx: 8.5\ncy: 8.5\nfirst_pixel: 1\n",
+            "camera.yaml": "type: pinhole\nfx: 20\nfy: 20\ncx: 8.5\ncy: 8.5\nfirst_pixel: 1\n",
         }
         for name, text in texts.items():
             (tmp_path / name).write_text(text)
@@ -280,6 +280,10 @@ class TestMistakes:
         ]:
             with pytest.raises(InputError, match=message):
                 source_of(root, **choice)
+        with pytest.raises(
+            ParameterError, match=r"intrinsics\.type: got 'pinhol'; expected one of pinhole, opencv_fisheye"
+        ):
+            source_of(root, intrinsics=CAMERA | {"type": "pinhol"})
         with pytest.raises(ParameterError, match=r"intrinsics\.distortion"):
             source_of(root, intrinsics=CAMERA | {"distortion": [0.1, 0.2, 0.3]})  # MATLAB's three radial ones?
 
@@ -289,7 +293,7 @@ class TestMistakes:
             ("cam.txt", "20 0 7.5", r"cam\.txt holds '20 0 7\.5'; expected nine numbers"),
             ("cam.txt", "20 0 0 0 20 0 7.5 7.5 1", r"cam\.txt holds MATLAB's transposed"),
             ("camera.yaml", "model: [", r"camera\.yaml is not valid YAML"),
-            ("camera.yaml", "{model: pinhole, fx: 20, fy: 20, cx: 7}", r"camera\.yaml: .*cy"),
+            ("camera.yaml", "{type: pinhole, fx: 20, fy: 20, cx: 7}", r"camera\.yaml: .*cy"),
             ("camera.yaml", "3", r"camera\.yaml: "),
         ]:
             file = tmp_path / name

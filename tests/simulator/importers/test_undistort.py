@@ -16,11 +16,11 @@ MIRO_PINHOLE = Pinhole(
     first_pixel=1,
 )  # fmt: skip
 MIRO_FISHEYE = Scaramuzza(
-    model="scaramuzza", mapping=(135.999364, -5.68730971e-3, 5.81750636e-5, -2.27853502e-7), cx=163.24233245,
+    mapping=(135.999364, -5.68730971e-3, 5.81750636e-5, -2.27853502e-7), cx=163.24233245,
     cy=161.53438158, first_pixel=1,
 )  # fmt: skip
 PILL_FISHEYE = Scaramuzza(
-    model="scaramuzza", mapping=(71.0290892, 7.41388637e-3, -9.21512669e-5, 1.34438894e-7), cx=130.48390042,
+    mapping=(71.0290892, 7.41388637e-3, -9.21512669e-5, 1.34438894e-7), cx=130.48390042,
     cy=129.77308391, first_pixel=1, stretch=((1.01, 0.004), (-0.003, 1.0)),
 )  # fmt: skip
 
