@@ -97,11 +97,12 @@ def test_a_moving_point_under_a_shutter_is_the_physical_picture_turned(stack, ki
     shutter, opening_of = SHUTTERS[kind]
     edges_s = np.linspace(0, shutter.duration_s(SENSOR[0]), FRAMES + 1)
     image, physical = _measured(stack, shutter, edges_s), _truth(opening_of, edges_s)
-    # Rays know no diffraction: sqrt(532 nm x 2 mm) = 33 um blurs the edges of openings of 200 um, by under a pixel.
-    assert _error(image, physical[::-1, ::-1]) < 0.2
-    assert image.sum() == pytest.approx(physical.sum(), rel=0.03)
+    # Rays know no diffraction: sqrt(532 nm x 2 mm) = 33 um blurs the edges of openings of 200 um and more, by under a pixel.
+    # 0.055 was measured.
+    assert _error(image, physical[::-1, ::-1]) < 0.07
+    assert image.sum() == pytest.approx(physical.sum(), rel=0.005)
     others = [physical, physical[::-1], physical[:, ::-1]]
-    assert min(_error(image, other) for other in others) > 0.6
+    assert min(_error(image, other) for other in others) > 1
 
 
 def test_the_first_row_of_a_shutter_that_rolls_down_is_the_last_stored_one(stack):

@@ -1,0 +1,33 @@
+"""``shutter`` as users meet it."""
+
+import pytest
+
+pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+
+
+def test_says_what_the_shutter_means(flatlight, trial) -> None:
+    shutter = {"type": "rolling", "exposure_ms": 1, "line_time_us": 11}
+    code, out, err = flatlight("shutter", trial.write(camera={"shutter": shutter}))
+    assert code == 0, err
+    # 383 steps of 11 us and an exposure; a row of the picture is open for 1.077 ms, the next opens 88 us later.
+    assert "5.213 ms until the last row closes" in out
+    assert "frames told apart  4: " in out
+    assert err == ""
+
+
+def test_draws_the_figures(flatlight, trial, tmp_path) -> None:
+    code, out, err = flatlight("shutter", trial.write(), "--figures", tmp_path / "a" / "b")
+    assert code == 0, err
+    assert out.count("look at ") == 4
+    assert len(list((tmp_path / "a" / "b").glob("*.png"))) == 4
+
+
+def test_looks_at_the_folder_first(one_error, flatlight, trial) -> None:
+    result = flatlight("shutter", trial.write(), "--figures", trial.plugins / "x")
+    one_error(result, "--figures", "plugins.py is a file")
+    assert result[1] == ""
+
+
+def test_a_mistake_is_one_line(one_error, flatlight, trial) -> None:
+    path = trial.write(camera={"shutter": {"type": "windows", "file": "none.csv"}})
+    one_error(flatlight("shutter", path), f"{path}:", "camera.shutter.file", "none.csv: No such file")

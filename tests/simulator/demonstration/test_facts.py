@@ -1,0 +1,65 @@
+"""What the command says of a shutter, worked out by hand."""
+
+import numpy as np
+import pytest
+
+from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, RowShutter
+from simulator.demonstration.facts import duration, shutter_facts
+
+
+def _facts(shutter, rows, **scene):
+    return dict(shutter_facts(shutter, rows, scene))
+
+
+def test_a_global_shutter():
+    facts = _facts(GlobalShutter(0.01, 8), 100)
+    assert facts["shutter"] == "global shutter"
+    assert facts["exposure"] == "10 ms per row"
+    assert facts["rows"] == "100 in the picture, each the mean of 8 physical rows"
+    assert facts["capture"] == "10 ms until the last row closes; all rows are open from 0 ms to 10 ms"
+    assert facts["frames told apart"].startswith("1: all rows see the same time")
+    assert "line time" not in facts
+    assert "scenes" not in facts
+
+
+def test_a_rolling_shutter():
+    facts = _facts(RollingShutter(0.001, 1e-5, "up", 2), 1000)
+    assert facts["shutter"] == "rolling shutter, up"
+    assert facts["line time"] == "10 µs per physical row"
+    assert facts["capture"].startswith("20.99 ms until the last row closes; at no time are all rows open")
+    # A row of the picture is open for 1.01 ms; one opens every 0.02 ms, so every 51st is apart: 1 + 999 // 51.
+    assert facts["frames told apart"].startswith("20: ")
+
+
+def test_a_dual_rolling_shutter():
+    facts = _facts(DualRollingShutter(0.02, 1e-5), 1000)
+    assert facts["shutter"] == "dual rolling shutter, from the outside in"
+    assert facts["line time"] == "10 µs per physical pair of rows"
+    assert "all rows are open from 4.99 ms to 20 ms" in facts["capture"]
+    assert facts["frames told apart"].startswith("1: any two rows are open together")
+
+
+def test_rows_of_their_own():
+    facts = _facts(RowShutter(np.array([(0, 0.001), (0.001, 0.004)])), 2)
+    assert facts["exposure"] == "1 ms to 3 ms per row, 2 ms on average"
+
+
+@pytest.mark.parametrize(
+    ("frames", "rate", "scenes", "slivers"),
+    [
+        (1, 25.0, "stand still", None),
+        (12, 1000, "12 frames at 1000 per second last 12 ms; the shutter sees all", "1, 2, 3, 4, 6, 12"),
+        (30, 1000, "30 frames at 1000 per second last 30 ms; the shutter sees the first 12", "1, 2, 3, 4, 6, 12"),
+        (11, 1000, "last 11 ms: too short, the shutter needs 12 frames, or at most 916.6 per second", None),
+    ],
+)
+def test_scenes_that_suit_the_shutter_and_such_that_do_not(frames, rate, scenes, slivers):
+    facts = _facts(RollingShutter(0.010, 1e-4), 21, frames=frames, frames_per_second=rate)
+    assert scenes in facts["scenes"]
+    assert (facts.get("slivers") or "").startswith(slivers or "")
+    assert ("slivers" in facts) == (slivers is not None)
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(1.5, "1.5 s"), (0.0042, "4.2 ms"), (9.17e-6, "9.17 µs"), (0, "0 ms")])
+def test_times_in_words(seconds, words):
+    assert duration(seconds) == words
