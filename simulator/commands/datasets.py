@@ -58,7 +58,7 @@ def generate(
     if result.contact_sheet:
         print(f"look at {result.contact_sheet}")
     if result.problems:
-        print(f"{len(result.problems)} files of the source were left out: {result.path / PROBLEMS} says which and why")
+        print(f"of the source was left out what {result.path / PROBLEMS} lists: {len(result.problems)} in all")
     if result.skipped:
         print(
             f"{len(result.skipped)} samples were left out: {result.path / SKIPPED} says which and why", file=sys.stderr

@@ -151,6 +151,16 @@ REFUSED = [
     ("train: 2", "train: ^-1", "", ["got -1", "not negative"]),
     ("train: 2", "train: 2, workers: ^0", "", ["got 0; expected 'auto' or 1 to 1024"]),
     ("train: 2", "train: 2, workers: ^all", "", ["got 'all'; expected 'auto' or a whole number"]),
+    ("train: 2", "train: 2, slivers: ^0", "", ["dataset.slivers: got 0", "one sliver at least"]),
+    ("train: 2", "train: 2, slivers: ^2.5", "", ["dataset.slivers: got 2.5"]),
+    ("train: 2", "train: 2, ground_truth: ^frame", "", ["got 'frame'; expected one of slivers, frames", "'frames'?"]),
+    ("train: 2", "train: 2, global_measurements: ^1", "", ["dataset.global_measurements: got 1"]),
+    (
+        "train: 2",
+        "train: 2, ground_truth: frames, global_measurements: ^true",
+        "",
+        ["got true beside ground_truth: frames", "belongs to a sliver", "slivers: null"],
+    ),
     ("seed: 3", "seed: ^-1", "", ["seed: got -1", "a seed is not negative; 0 is a seed"]),
     ("full_scale: auto", "full_scale: ^0", "", ["got 0; expected 'auto' or 1e-15 to 1e+15"]),
     # one of two
