@@ -123,9 +123,8 @@ class Dataset(Sequence[Sample]):
         if (shutter := self.shutter) is None:
             msg = f"{self.root / FILE} records no shutter (time.shutter), which slivers need; make the data set again"
             raise InputError(msg)
-        return shutter.weights(rows, sample.frame_edges_s)[
-            :, ::-1
-        ]  # shutter rows are physical, images turned by 180 deg
+        # Shutter rows are physical; the stored image is turned by 180 degrees.
+        return shutter.weights(rows, sample.frame_edges_s)[:, ::-1]
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[position] for position in range(len(self)))
