@@ -7,9 +7,12 @@ it is tested against the formulas, the quality of its pictures is not measured.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -24,6 +27,9 @@ from simulator.importers.raising._network import STRIDE, u_net
 
 MEAN_RGB = (0.429, 0.431, 0.397)
 """Subtracted from the encoded frames before the networks see them, as in their training (mean of the Adobe240-fps films)."""
+
+_THREADS = Lock()
+"""Held while torch's number of threads, which the process shares, is another."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +88,7 @@ class SuperSloMo:
         import torch
 
         networks = _networks(self.checkpoint, self.sha256)
-        with torch.inference_mode():
+        with _one_thread(), torch.inference_mode():
             planes = between(networks, _encoded(first), _encoded(second), times)
         height, width = first.shape[:2]
         mean = torch.tensor(MEAN_RGB).reshape(3, 1, 1)
@@ -154,6 +160,20 @@ def _encoded(frame: NDArray[np.float32]) -> Any:
     padding = ((0, -height % STRIDE), (0, -width % STRIDE), (0, 0))
     encoded = np.pad(linear_to_srgb(frame), padding, mode="edge") - np.array(MEAN_RGB, np.float32)
     return torch.from_numpy(np.ascontiguousarray(encoded.transpose(2, 0, 1)[None]))
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let torch work on one thread: how it sums depends on their number, and the same frames shall give the same bytes."""
+    import torch
+
+    with _THREADS:
+        before = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            yield
+        finally:
+            torch.set_num_threads(before)
 
 
 @lru_cache(maxsize=1)
