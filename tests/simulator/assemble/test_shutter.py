@@ -1,0 +1,116 @@
+"""From the configuration to the shutter, to what depends on it, and to the fingerprint's input files."""
+
+import numpy as np
+import pytest
+
+from simulator.assemble import (
+    build_forward_model,
+    build_psf_stack,
+    build_sensor,
+    build_shutter,
+    build_source,
+    input_files,
+)
+from simulator.camera.shutter import DualRollingShutter, RowShutter
+from simulator.config import load_config
+from simulator.types import Clip
+
+pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+
+ROWS = 48 * 8  # physical rows of the trial's sensor
+CODE = """
+from pathlib import Path
+import numpy as np
+
+def later(rows: int, *, table: Path, times: float = 1.0):
+    return np.loadtxt(table, delimiter=",")[:rows] * times
+"""
+
+
+@pytest.fixture
+def table(trial):
+    """Windows that grow from the top row down, in a file beside the configuration."""
+    lasts = np.linspace(1e-3, 4e-3, ROWS)
+    windows = np.stack([np.zeros(ROWS), lasts], axis=1)
+    np.savetxt(trial.folder / "rows.csv", windows, delimiter=",")
+    return windows
+
+
+def test_the_forward_model_has_the_configured_shutter(trial):
+    chosen = {"type": "dual_rolling", "exposure_ms": 2, "line_time_us": 9}
+    config = load_config(trial.write(camera={"shutter": chosen}))
+    model = build_forward_model(config, build_psf_stack(config))
+    assert isinstance(model.shutter, DualRollingShutter)
+    assert model.shutter == DualRollingShutter(2e-3, 9 * 1e-6, "outside_in", 8)
+
+
+def test_the_mean_over_time_is_the_integral_per_exposure_time(trial, table):
+    images = {}
+    for time in ("integral", "mean"):
+        shutter = {"type": "windows", "file": "rows.csv"}
+        config = load_config(trial.write(camera={"shutter": shutter}), [f"forward.time={time}"])
+        shape = (1, *config.scene.size)
+        clip = Clip(
+            np.full((*shape, 3), 0.5, np.float32),
+            np.full(shape, 0.1, np.float32),
+            np.ones(shape, bool),
+            np.array([0, 1]),
+        )
+        images[time] = build_forward_model(config, build_psf_stack(config)).forward_clip(clip)
+    per_row = table[:, 1].reshape(48, 8).mean(axis=1)[::-1]
+    np.testing.assert_allclose(
+        images["integral"], images["mean"] * per_row[:, None], atol=1e-6 * images["integral"].max()
+    )
+
+
+def test_dark_current_runs_for_as_long_as_each_stored_row_is_open(trial, table):
+    equal = {"type": "rolling", "exposure_ms": 3, "line_time_us": 20}
+    assert build_sensor(load_config(trial.write(camera={"shutter": equal}))).exposure_s == 3e-3
+    own = {"type": "windows", "file": "rows.csv"}
+    times = build_sensor(load_config(trial.write(camera={"shutter": own}))).exposure_s
+    # The picture's first row is the sensor's last, which is open longest.
+    assert times == pytest.approx(table[:, 1].reshape(48, 8).mean(axis=1)[::-1])
+    assert times[0] > times[-1]
+
+
+def _names(config):
+    return [path.name for path in input_files(config, build_source(config, "none"))]
+
+
+def test_the_shutter_s_files_are_inputs_of_the_data_set(trial, table):
+    assert _names(load_config(trial.write())).count("rows.csv") == 0
+    config = load_config(trial.write(camera={"shutter": {"type": "windows", "file": "rows.csv"}}))
+    assert _names(config).count("rows.csv") == 1
+    (trial.folder / "shutters.py").write_text(CODE)
+    chosen = {"type": "windows", "function": "./shutters.py:later", "table": "rows.csv", "times": 2.0}
+    config = load_config(trial.write(camera={"shutter": chosen}))
+    assert _names(config).count("shutters.py") == 1
+    assert _names(config).count("rows.csv") == 1
+    shutter = build_shutter(config)
+    assert isinstance(shutter, RowShutter)
+    np.testing.assert_allclose(shutter.table_s, 2 * table, rtol=1e-12)
+
+
+def test_another_table_is_another_data_set(trial, table):
+    from simulator.config import dump
+    from simulator.dataset.fingerprint import build_fingerprint
+
+    config = load_config(trial.write(camera={"shutter": {"type": "windows", "file": "rows.csv"}}))
+
+    def fingerprint():
+        return build_fingerprint(dump(config), "none", input_files(config, build_source(config, "none")))[0]
+
+    before = fingerprint()
+    assert fingerprint() == before
+    np.savetxt(trial.folder / "rows.csv", table * 1.001, delimiter=",")
+    assert fingerprint() != before
+
+
+@pytest.mark.parametrize("chosen", [{"type": "rolling", "line_time_us": 2}, {"type": "windows", "file": "rows.csv"}])
+def test_a_data_set_is_made_with_it(trial, table, chosen):
+    from simulator.dataset import open_dataset, verify
+
+    folder = trial.generate(camera={"shutter": chosen, "noise": {"type": "physical"}})
+    assert verify(folder).ok
+    sample = open_dataset(folder, "train")[0]
+    assert np.isfinite(sample["measurement"] if isinstance(sample, dict) else sample.measurement).all()
