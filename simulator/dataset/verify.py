@@ -18,7 +18,7 @@ from simulator.dataset.manifest import MANIFEST, Entry, Manifest, load_manifest
 from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.sample import SPLITS, sample_folder, sample_index
 from simulator.dataset.sample_layout import DESCRIPTION, digest_of, read_description
-from simulator.dataset.skipped import load_skipped
+from simulator.dataset.skipped import SKIPPED, load_skipped
 from simulator.dataset.stored_sample import StoredSample
 from simulator.errors import InputError
 from simulator.files import leftovers, sha256_bytes
@@ -48,7 +48,7 @@ class Report:
     def __str__(self) -> str:
         parts = [
             f"{split}: {self.counts[split]} of {wanted} intact"
-            + (f" ({self.skipped[split]} skipped)" if self.skipped.get(split) else "")
+            + (f", {self.skipped[split]} skipped ({SKIPPED})" if self.skipped.get(split) else "")
             for split, wanted in self.wanted.items()
         ]
         head = ", ".join(parts) if parts else "no splits"

@@ -176,7 +176,7 @@ def test_skipped_samples_are_counted_and_no_fault(dataset: Path) -> None:
     report = verify(dataset)
     assert report.ok, report.problems
     assert (report.counts["train"], report.skipped, report.wanted["train"]) == (3, {"train": 2}, 5)
-    assert str(report).startswith("train: 3 of 5 intact (2 skipped), validation: 1 of 1 intact, ")
+    assert str(report).startswith("train: 3 of 5 intact, 2 skipped (skipped.jsonl), validation: 1 of 1 intact, ")
     (dataset / "skipped.jsonl").write_text("{}\n")
     assert any("skipped.jsonl:1: not a line" in line for line in verify(dataset).problems)
 
