@@ -76,12 +76,19 @@ def film(
 
 
 def recognises(path: Path) -> bool:
-    """Whether there are films or pictures at a path, judged by names alone."""
+    """Whether there are films or pictures at a path, judged by names alone.
+
+    A folder of folders must hold nothing else: files beside them, or folders without pictures, tell of a data set with a
+    layout of its own.
+    """
+    path = Path(path)
     try:
-        _, films, sequences = _list(Path(path))
+        _list(path)
     except InputError:
         return False
-    return bool(films or sequences)
+    if path.is_file() or any(_look(path)):
+        return True
+    return all(entry.is_dir() and any(_look(entry)) for entry in path.iterdir() if not entry.name.startswith("."))
 
 
 def survey(path: Path, progress: Progress | None = None, *, frames: int | None = None, raise_by: int = 1) -> Survey:

@@ -187,6 +187,13 @@ def test_films_and_pictures_are_recognised_by_name(films, tmp_path):
     (tmp_path / "films" / "a.MP4").write_bytes(b"")
     for name in ("top", "top/seq", "films", "films/a.MP4"):
         assert recognises(tmp_path / name)
+    for name in ("labelled", "parts"):
+        (tmp_path / name / "clips").mkdir(parents=True)
+        (tmp_path / name / "clips" / "a.webm").write_bytes(b"")
+    (tmp_path / "labelled" / "train.json").write_text("[]")
+    (tmp_path / "parts" / "labels").mkdir()
+    assert not recognises(tmp_path / "labelled")
+    assert not recognises(tmp_path / "parts")
 
 
 @pytest.mark.shared

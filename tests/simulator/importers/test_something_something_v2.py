@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
+from simulator.importers import film
 from simulator.importers._ssv2_labels import COARSE_TABLE, read_table, read_templates
 from simulator.importers.something_something_v2 import recognises, something_something_v2, survey
 from simulator.types import View
@@ -97,6 +98,7 @@ def test_short_names_and_a_folder_of_labels_do_as_well(root):
         (root / f"something-something-v2-{name}.json").rename(root / "labels" / f"{name}.json")
     (root / "20bn-something-something-v2").rename(root / "clips")
     assert recognises(root)
+    assert not film.recognises(root)
     assert clips(root).videos[0].name == "clips/30.webm"
 
 
