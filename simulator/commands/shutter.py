@@ -28,7 +28,8 @@ def shutter(
     if figures:
         check_output_folder("--figures", figures)
     loaded = load_config(config, set_ or [])
-    facts = shutter_facts(build_shutter(loaded), loaded.camera.sensor.shape[0], loaded.scene.params)
+    rows = loaded.camera.sensor.shape[0]
+    facts = shutter_facts(build_shutter(loaded), rows, loaded.scene.params, loaded.dataset.slivers)
     width = max(len(what) for what, _ in facts)
     print("\n".join(f"{what:>{width}}  {value}" for what, value in facts))
     if figures:

@@ -36,13 +36,16 @@ def shutter_name(shutter: Shutter) -> str:
     return "row-by-row shutter"
 
 
-def shutter_facts(shutter: Shutter, rows: int, scene: Mapping[str, Any]) -> list[tuple[str, str]]:
+def shutter_facts(
+    shutter: Shutter, rows: int, scene: Mapping[str, Any], slivers: int | None = None
+) -> list[tuple[str, str]]:
     """Return what is worth knowing of a shutter, as (what, value).
 
     Args:
         shutter: the shutter.
         rows: stored rows.
         scene: parameters of the scenes; ``frames`` and ``frames_per_second`` are compared with the shutter.
+        slivers: how many are wanted; None is one per frame.
     """
     facts = [("shutter", shutter_name(shutter)), ("exposure", _exposure(shutter, rows))]
     if isinstance(shutter, RollingShutter | DualRollingShutter):
@@ -54,7 +57,7 @@ def shutter_facts(shutter: Shutter, rows: int, scene: Mapping[str, Any]) -> list
         ("capture", f"{duration(shutter.duration_s(rows))} until the last row closes; {_together(shutter, rows)}"),
         ("frames told apart", _separable(shutter, rows)),
     ]
-    return facts + _scene_facts(shutter, rows, scene)
+    return facts + _scene_facts(shutter, rows, scene, slivers)
 
 
 def _exposure(shutter: Shutter, rows: int) -> str:
@@ -88,24 +91,32 @@ def _slower(rate: float) -> str:
     return f"{np.floor(rate / scale) * scale:.6g}"
 
 
-def _scene_facts(shutter: Shutter, rows: int, scene: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _scene_facts(shutter: Shutter, rows: int, scene: Mapping[str, Any], slivers: int | None) -> list[tuple[str, str]]:
     frames, rate = scene.get("frames"), scene.get("frames_per_second")
+    if not isinstance(frames, int):
+        return []
     if frames == 1:
         return [("scenes", "stand still (1 frame), as long as the shutter is open")]
-    if not isinstance(frames, int) or not isinstance(rate, int | float):
-        return []
     open_s = shutter.duration_s(rows)
+    fastest = _slower(frames / open_s)
+    if not isinstance(rate, int | float):
+        return [
+            ("scenes", f"{frames} frames at a rate of their own; at more than {fastest} per second they are too short")
+        ]
     clips = f"{frames} frames at {rate:g} per second last {duration(frames / rate)}"
     needed = frames_seen(np.arange(int(np.ceil(open_s * rate)) + 2) / rate, shutter, rows)
     if needed > frames:
-        return [
-            (
-                "scenes",
-                f"{clips}: too short, the shutter needs {needed} frames, or at most {_slower(frames / open_s)} per second",
-            )
-        ]
-    divisors = [number for number in range(1, needed + 1) if needed % number == 0]
-    return [
-        ("scenes", f"{clips}; the shutter sees {'all' if needed == frames else f'the first {needed}'}"),
-        ("slivers", f"{', '.join(map(str, divisors))} (equal parts of the {needed} frames seen)"),
-    ]
+        needs = f"too short, the shutter needs {needed} frames, or at most {fastest} per second"
+        return [("scenes", f"{clips}: {needs}")]
+    seen = "all" if needed == frames else f"the first {needed}"
+    return [("scenes", f"{clips}; the shutter sees {seen}"), ("slivers", _slivers(needed, slivers))]
+
+
+def _slivers(frames: int, slivers: int | None) -> str:
+    even = f"{', '.join(str(number) for number in range(1, frames + 1) if frames % number == 0)} come out even"
+    if slivers is None:
+        return f"{frames}, one per frame seen; {even}"
+    if slivers > frames or frames % slivers:
+        return f"{slivers} of {frames} frames seen do not come out even; {even}"
+    each = frames // slivers
+    return f"{slivers} of {each} frame{'s' if each > 1 else ''} each; {even}"

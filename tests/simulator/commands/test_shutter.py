@@ -1,6 +1,9 @@
 """``shutter`` as users meet it."""
 
 import pytest
+from PIL import Image
+
+from simulator.demonstration.figures import FIGURES
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 
@@ -19,7 +22,10 @@ def test_draws_the_figures(flatlight, trial, tmp_path) -> None:
     code, out, err = flatlight("shutter", trial.write(), "--figures", tmp_path / "a" / "b")
     assert code == 0, err
     assert out.count("look at ") == 4
-    assert len(list((tmp_path / "a" / "b").glob("*.png"))) == 4
+    for name in FIGURES:
+        with Image.open(tmp_path / "a" / "b" / name) as picture:
+            picture.load()
+            assert min(picture.size) > 600
 
 
 def test_looks_at_the_folder_first(one_error, flatlight, trial) -> None:

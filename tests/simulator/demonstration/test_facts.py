@@ -48,8 +48,18 @@ def test_rows_of_their_own():
     ("frames", "rate", "scenes", "slivers"),
     [
         (1, 25.0, "stand still", None),
-        (12, 1000, "12 frames at 1000 per second last 12 ms; the shutter sees all", "1, 2, 3, 4, 6, 12"),
-        (30, 1000, "30 frames at 1000 per second last 30 ms; the shutter sees the first 12", "1, 2, 3, 4, 6, 12"),
+        (
+            12,
+            1000,
+            "12 frames at 1000 per second last 12 ms; the shutter sees all",
+            "12, one per frame seen; 1, 2, 3, 4, 6, 12 come out even",
+        ),
+        (
+            30,
+            1000,
+            "30 frames at 1000 per second last 30 ms; the shutter sees the first 12",
+            "12, one per frame seen; 1, 2, 3, 4, 6, 12 come out even",
+        ),
         (11, 1000, "last 11 ms: too short, the shutter needs 12 frames, or at most 916.6 per second", None),
     ],
 )
@@ -58,6 +68,25 @@ def test_scenes_that_suit_the_shutter_and_such_that_do_not(frames, rate, scenes,
     assert scenes in facts["scenes"]
     assert (facts.get("slivers") or "").startswith(slivers or "")
     assert ("slivers" in facts) == (slivers is not None)
+
+
+@pytest.mark.parametrize(
+    ("slivers", "words"),
+    [
+        (4, "4 of 3 frames each; 1, 2, 3, 4, 6, 12 come out even"),
+        (12, "12 of 1 frame each"),
+        (5, "5 of 12 frames seen do not come out even; 1, 2"),
+        (24, "24 of 12 frames seen do not come out even"),
+    ],
+)
+def test_slivers_that_come_out_even_and_such_that_do_not(slivers, words):
+    scene = {"frames": 12, "frames_per_second": 1000}
+    assert dict(shutter_facts(RollingShutter(0.010, 1e-4), 21, scene, slivers))["slivers"].startswith(words)
+
+
+def test_films_at_a_rate_of_their_own():
+    facts = _facts(GlobalShutter(0.1), 4, frames=20, frames_per_second=None)
+    assert facts["scenes"] == "20 frames at a rate of their own; at more than 200 per second they are too short"
 
 
 @pytest.mark.parametrize(("seconds", "words"), [(1.5, "1.5 s"), (0.0042, "4.2 ms"), (9.17e-6, "9.17 µs"), (0, "0 ms")])

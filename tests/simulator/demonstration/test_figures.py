@@ -4,11 +4,10 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from simulator.config import load_config
 from simulator.demonstration.bench import Bench
-from simulator.demonstration.figures import FIGURES, draw_figures
+from simulator.demonstration.figures import FIGURES
 from simulator.demonstration.flashes import across_figure
 from simulator.demonstration.paper import tinted, white_of
 
@@ -29,17 +28,9 @@ def _bench(trial, shutter) -> Bench:
     return Bench(load_config(trial.write(camera={"shutter": shutter})))
 
 
-def test_figures_are_written_whole(trial):
-    bench = _bench(trial, SHUTTERS[2])
-    paths = draw_figures(bench, trial.folder / "new" / "figures")
-    assert [path.name for path in paths] == list(FIGURES)
-    for path in paths:
-        with Image.open(path) as picture:
-            picture.load()
-            assert min(picture.size) > 600
-
-
-@pytest.mark.parametrize("shutter", SHUTTERS, ids=lambda shutter: shutter.get("type", "global"))
+@pytest.mark.parametrize(
+    "shutter", [*(pytest.param(one, marks=pytest.mark.slow) for one in SHUTTERS[:-1]), SHUTTERS[-1]], ids=str
+)
 def test_no_words_lie_on_others_or_leave_the_sheet(trial, shutter):
     bench = _bench(trial, shutter)
     for name, draw in FIGURES.items():
