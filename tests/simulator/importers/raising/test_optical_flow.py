@@ -206,14 +206,51 @@ def test_motion_is_carried_to_its_time() -> None:
     cost = np.zeros((2, 24, 40), np.float32)
     cost[0, 8:16, 16:24] = cost[1, 8:16, 8:16] = 64
     motion = Motion(there, back, velocity, np.concatenate((first_sees, second_sees)).reshape(-1, 2), cost.ravel())
-    found, visible = motion.at(0.5)
-    inner = np.s_[10:14]  # two pixels from edges, which the median of 5 rounds at the corners
-    assert found[inner, 12:20, 0].tolist() == [[8] * 8] * 4
-    assert not found[inner, :12].any()
-    assert not found[inner, 20:].any()
-    assert visible[12, 15].tolist() == pytest.approx([1, 1])
-    assert visible[12, 10, 0] < 0.5 < visible[12, 10, 1]  # left free: only the second frame shows it
-    assert visible[12, 21, 1] < 0.5 < visible[12, 21, 0]  # still to be hidden: only the first frame shows it
+    for time, left in ((0.25, 10), (0.5, 12), (0.75, 14)):
+        found, visible = motion.at(time)
+        inner = np.s_[10:14]  # two pixels from edges, which the median of 5 rounds at the corners
+        assert found[inner, left : left + 8, 0].tolist() == [[8] * 8] * 4
+        assert not found[inner, :left].any()
+        assert not found[inner, left + 8 :].any()
+        assert visible[12, left + 3].tolist() == pytest.approx([1, 1])
+        # Beside the block is ground that the first frame does not show yet, or the second no longer: of the 5 columns about
+        # the pixel over which visibility is smoothed, 3 where so many are free.
+        assert visible[12, left - 1].tolist() == pytest.approx([1 - min(3, left - 8) / 5, 1])
+        assert visible[12, left + 8].tolist() == pytest.approx([1, 1 - min(3, 16 - left) / 5])
+
+
+def test_where_nothing_comes_to_lie_both_flows_are_mixed() -> None:
+    there, back = np.zeros((2, 24, 48, 2), np.float32)
+    there[:, 10:, 0], back[:, 10:, 0] = 16, 12  # by time 1/2 all from column 10 on is at 16 or beyond
+    velocity = np.concatenate((there.reshape(-1, 2), -back.reshape(-1, 2)))
+    found, _ = Motion(there, back, velocity, np.ones_like(velocity), np.zeros(len(velocity), np.float32)).at(0.5)
+    assert found[12, 12:14].tolist() == [[0.5 * 16 - 0.5 * 12, 0]] * 2
+
+
+def test_edges_do_not_overshoot() -> None:
+    frames = np.full((2, 64, 64, 3), 0.1, np.float32)
+    frames[0, 20:40, 20:40] = frames[1, 20:40, 23:43] = 1
+    raised = build_raiser("optical_flow").raise_frames(frames, 2)
+    assert raised.max() == 1  # bicubic look-up alone overshoots beside the edge
+
+
+def test_what_is_hidden_in_one_frame_is_found_out() -> None:
+    motion = Motion.of(drawn(occluding, 0), drawn(occluding, 1))
+    visible = motion.visible.reshape(2, SIZE, SIZE, 2)
+    # Row 53, the disc reaches from column 24 to 68 and then from 33 to 77: a few pixels away from these, by hand.
+    assert visible[0, 53, 71:75, 1].max() < 0.5  # ground that the second frame no longer shows
+    assert visible[1, 53, 27:31, 0].max() < 0.5  # ground that the first frame does not show yet
+    assert visible[0, 53, 35:60].min() > 0.9  # the disc
+    assert visible[1, 53, 44:69].min() > 0.9
+    assert visible[:, 100:, 20:90].min() > 0.9  # ground far away from it
+
+
+def test_a_still_scene_brightens_in_proportion_to_time() -> None:
+    scene = drawn(translating, 0)
+    raised = build_raiser("optical_flow").raise_frames(np.stack([0.6 * scene, 0.8 * scene]), 4)
+    for step in (1, 2, 3):
+        # 0.05 between two steps; a 15th of it is let pass, for the flow is not quite zero where the brightness changes.
+        assert error(raised[step], (0.6 + 0.05 * step) * scene) < 0.05 / 15
 
 
 def test_it_travels_and_says_what_it_is() -> None:
