@@ -100,8 +100,7 @@ def gallery() -> str:
         "# Scene families\n",
         "Written by `docs/scene_gallery.py`; `flatlight scenes` prints the same lists and with `--thumbnails all.png` draws "
         "such pictures; `flatlight render FILE` draws the scenes of a configuration: as a contact sheet, an animation "
-        "(`--output clips.gif`) or linear values (`--output sample.exr`). `flatlight generate` takes stills only so far: set "
-        "`frames: 1` for families of clips.\n",
+        "(`--output clips.gif`) or linear values (`--output sample.exr`).\n",
         f"Each sheet: {SAMPLES} samples of {SIDE} x {SIDE} pixels and their depth; of clips {FRAMES} frames and one depth. "
         "One radiance is white in all of a sheet, and stands on it.\n",
         "Your own family is one function in one file: `./my_scenes.py:name`, or a file put into `scenes/`.\n",

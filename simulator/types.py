@@ -122,7 +122,7 @@ class SceneSource(Protocol):
         ...
 
     def clip(self, index: int, rng: np.random.Generator) -> Clip:
-        """Return the clip of this sample index; of a source with a length it may be negative, counting from the end."""
+        """Return the clip of this number, from 0; a source with a length is only asked for numbers below it."""
         ...
 
 

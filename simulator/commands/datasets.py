@@ -78,7 +78,7 @@ def verify(
 ) -> None:
     """Re-hash and re-read every file of a data set; runs none of its code."""
     from simulator.console import Bar
-    from simulator.dataset.verify import verify as run
+    from simulator.dataset.verification import verify as run
 
     with Bar() as bar:
         report = run(path, workers=workers, progress=lambda done, total: bar.update("samples checked", done, total))

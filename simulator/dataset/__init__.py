@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from simulator.dataset.job import generate
     from simulator.dataset.reader import open_dataset
-    from simulator.dataset.verify import verify
+    from simulator.dataset.verification import verify
 
 __all__ = ["generate", "open_dataset", "verify"]
 
 _HOMES = {
     "generate": "simulator.dataset.job",
     "open_dataset": "simulator.dataset.reader",
-    "verify": "simulator.dataset.verify",
+    "verify": "simulator.dataset.verification",
 }
 
 
@@ -25,7 +25,6 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(msg)
     import importlib
 
-    # Importing simulator.dataset.verify binds the module to that name; the function is what the name stands for.
     value = getattr(importlib.import_module(_HOMES[name]), name)
     globals()[name] = value
     return value

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from simulator.assemble import build_camera_colour, build_shutter, build_source, input_files, scene_plugin
+from simulator.assemble import build_camera_colour, build_sensor, build_shutter, build_source, input_files, scene_plugin
 from simulator.assemble.exposure import fixed_exposure
 from simulator.camera.exposure import PERCENTILE, PILOTS, TARGET, full_scale_from_pilots
 from simulator.camera.shutter_record import shutter_record
@@ -154,7 +154,7 @@ class _Job:
                     counts=self._counts(),
                     scene_shape=self.config.scene.size,
                     sensor_shape=self.config.camera.sensor.shape,
-                    channels=stack.channels,
+                    channels=build_sensor(self.config).channels(stack.channels),
                     scene_to_camera=colour.origin | {"matrix": colour.matrix.tolist()},
                     time={"shutter": shutter_record(build_shutter(self.config)), **self._slivers()},
                 )

@@ -58,6 +58,7 @@ class SampleMaker:
         self._source = recipe.source or build_source(recipe.config, recipe.backend)
         self._order = clip_order(self._source)
         self._sensor = build_sensor(recipe.config, recipe.full_scale or 1.0)
+        self._channels = self._sensor.channels(self._stack.channels)
 
     def exposure(self, split: str, index: int) -> tuple[Clip, NDArray[np.float32]]:
         """Return the part of a sample's clip that the shutter sees, and the noiseless exposure ``(C, H, W)`` it gives."""
@@ -84,9 +85,11 @@ class SampleMaker:
             ),
             "psf": self._stack.fingerprint,
             "full_scale": self._sensor.full_scale,
-            "saturated_share": float(np.mean(exposure >= self._sensor.full_scale)),
+            "saturated_share": self._sensor.saturated_share(exposure),
             "clamped_depth_share": clamped_share(clip.depth_m, clip.valid, self._stack.depths_m),
         }
+        if self._sensor.stored_cfa is not None:
+            metadata["cfa"] = self._sensor.stored_cfa
         noise = self._sensor.noise
         if isinstance(noise, GaussianNoise):
             metadata["noise_std"] = noise.standard_deviation(noiseless)
@@ -110,7 +113,7 @@ class SampleMaker:
             truth.valid,
             self._seed,
             clip.label,
-            self._stack.channels,
+            self._channels,
             metadata,
             truth.extras,
             frame_edges_s=truth.frame_edges_s if frames > 1 else None,

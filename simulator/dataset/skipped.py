@@ -89,7 +89,7 @@ def refuse_problems(problems: Sequence[str]) -> None:
     """
     if problems:
         msg = (
-            f"scene: its source cannot use {_files(len(problems))}:\n{shortened(problems)}\nmend or remove what is named, or "
+            f"scene: its source has {_counted(len(problems))}:\n{shortened(problems)}\nmend or remove what is named, or "
             "leave it out: flatlight generate --skip-bad"
         )
         raise InputError(msg)
@@ -98,8 +98,8 @@ def refuse_problems(problems: Sequence[str]) -> None:
 def list_problems(root: Path, problems: Sequence[str]) -> str:
     """Write down what a source cannot use and return it as lines to be read."""
     write_atomic(root / PROBLEMS, "".join(f"{line}\n" for line in problems).encode())
-    return f"left out {_files(len(problems))} of the source ({PROBLEMS} lists all):\n{shortened(problems)}"
+    return f"{_counted(len(problems))} of the source, gone on without ({PROBLEMS} lists all):\n{shortened(problems)}"
 
 
-def _files(count: int) -> str:
-    return "1 file" if count == 1 else f"{count} files"
+def _counted(count: int) -> str:
+    return "1 problem" if count == 1 else f"{count} problems"

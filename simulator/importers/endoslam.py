@@ -18,14 +18,14 @@ from pydantic import Field
 
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
-from simulator.importers._border import find_circle
-from simulator.importers._camera_models import Lens, Pinhole
-from simulator.importers._depth_decoding import DepthCode, DepthDecoding, read_codes
-from simulator.importers._endoslam_survey import recognises, survey
-from simulator.importers._intrinsics import Intrinsics, read_intrinsics
-from simulator.importers._rgbd import Pair, list_pairs
-from simulator.importers._runs import check_rate, find_runs
-from simulator.importers._undistort import Circle, Lookup, build_lookup
+from simulator.importers.rgbd.border import find_circle
+from simulator.importers.rgbd.camera_models import Lens, Pinhole
+from simulator.importers.rgbd.depth_decoding import DepthCode, DepthDecoding, read_codes
+from simulator.importers.rgbd.frames import Pair, list_pairs
+from simulator.importers.rgbd.intrinsics import Intrinsics, read_intrinsics
+from simulator.importers.rgbd.survey import recognises, survey
+from simulator.importers.rgbd.undistort import Circle, Lookup, build_lookup
+from simulator.importers.stereo.runs import check_rate, find_runs
 from simulator.pictures import picture_shape, read_picture
 from simulator.types import Clip, View
 

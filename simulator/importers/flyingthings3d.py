@@ -16,11 +16,11 @@ from pydantic import Field
 
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
-from simulator.importers._depth_scaling import AffineKind, DepthMap, FixedDepth, affine_map
-from simulator.importers._runs import check_rate, find_runs, problem_line
-from simulator.importers._sceneflow import FOCAL_PX, Eye, Frame, PicturePass, Subset, list_frames
-from simulator.importers._sceneflow_survey import recognises, survey
-from simulator.importers._stereo import disparity_range, read_disparity
+from simulator.importers.stereo.depth_scaling import AffineKind, DepthMap, FixedDepth, affine_map
+from simulator.importers.stereo.pairs import disparity_range, read_disparity
+from simulator.importers.stereo.runs import check_rate, find_runs, problem_line
+from simulator.importers.stereo.sceneflow import FOCAL_PX, Eye, Frame, PicturePass, Subset, list_frames
+from simulator.importers.stereo.survey import recognises, survey
 from simulator.pictures import read_picture
 from simulator.types import Clip, View
 

@@ -15,12 +15,19 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from simulator.errors import InputError
-from simulator.importers._film_check import FilmCheck
-from simulator.importers._films import open_films
-from simulator.importers._flat_videos import FlatVideos, choose_raiser, flat_videos, plane_depth
-from simulator.importers._ssv2_labels import COARSE_TABLE, Subset, find_labels, read_entries, read_table, read_templates
-from simulator.importers._survey import Progress, Survey
-from simulator.importers._video import ClipPlan
+from simulator.importers.films.checks import FilmCheck
+from simulator.importers.films.flat_videos import FlatVideos, choose_raiser, flat_videos, plane_depth
+from simulator.importers.films.sequences import open_films
+from simulator.importers.films.ssv2_labels import (
+    COARSE_TABLE,
+    Subset,
+    find_labels,
+    read_entries,
+    read_table,
+    read_templates,
+)
+from simulator.importers.films.video import ClipPlan
+from simulator.importers.survey import Progress, Survey
 from simulator.types import View
 
 _CLIP_FOLDERS = ("20bn-something-something-v2", "clips", ".")

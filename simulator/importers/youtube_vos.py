@@ -13,11 +13,11 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from simulator.errors import InputError
-from simulator.importers._flat_videos import FlatVideos
-from simulator.importers._survey import Progress, Survey
-from simulator.importers._video import ClipPlan
-from simulator.importers._vos import Categories, Found, RaiseWith, find_videos, masked_source
-from simulator.importers._vos_survey import survey_videos
+from simulator.importers.films.flat_videos import FlatVideos
+from simulator.importers.films.video import ClipPlan
+from simulator.importers.survey import Progress, Survey
+from simulator.importers.vos.survey import survey_videos
+from simulator.importers.vos.videos import Categories, Found, RaiseWith, find_videos, masked_source
 from simulator.types import View
 
 FILMED_AT = 30.0

@@ -149,7 +149,7 @@ def films(view):
 """
         (trial.folder / "films.py").write_text(trial.plugins.read_text() + source)
         path = trial.write(scene={"source": "./films.py:films", "size": [16, 20]})
-        one_error(flatlight("generate", path), "cannot use 1 file", "9.webm: has no frames", "--skip-bad")
+        one_error(flatlight("generate", path), "its source has 1 problem", "9.webm: has no frames", "--skip-bad")
         code, out, err = flatlight("generate", path, "--skip-bad")
         assert code == 0, err
         assert "4 samples made" in out

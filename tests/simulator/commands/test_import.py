@@ -156,7 +156,7 @@ def install(tmp_path, monkeypatch):
         (site / package).mkdir(parents=True)
         (site / package / "__init__.py").touch()
         for name, recognises in sources.items():
-            imports = "" if recognises is None else "from simulator.importers._survey import Survey\n"
+            imports = "" if recognises is None else "from simulator.importers.survey import Survey\n"
             code = SOURCE.format(name=name, imports=imports)
             code += "" if recognises is None else SURVEY.format(name=name, recognises=recognises)
             (site / package / f"{name}.py").write_text(textwrap.dedent(code), encoding="utf-8")
@@ -212,7 +212,7 @@ def test_sources_that_cannot_tell_or_fail_do_not_stand_in_the_way(
 
 
 def test_a_users_own_file(flatlight, rocks, tmp_path, monkeypatch) -> None:
-    code = SOURCE.format(name="mine", imports="from simulator.importers._survey import Survey\n")
+    code = SOURCE.format(name="mine", imports="from simulator.importers.survey import Survey\n")
     (tmp_path / "mine.py").write_text(code + SURVEY.format(name="mine", recognises="return False"), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     code, out, _ = flatlight("import", "--check", rocks, "--source", "./mine.py:mine")

@@ -263,7 +263,7 @@ class TestSkipping:
         with pytest.raises(InputError) as caught:
             generate(path)
         message = str(caught.value)
-        assert "cannot use 23 files" in message
+        assert "its source has 23 problems" in message
         assert all(line in message for line in problems[:20])
         assert problems[20] not in message
         assert "and 3 more" in message

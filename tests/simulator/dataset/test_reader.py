@@ -77,7 +77,7 @@ def test_nothing_heavy_or_foreign_is_imported(dataset: Path) -> None:
     (dataset / "dataset.json").write_text(json.dumps(info))
     (dataset / "evil.py").write_text("raise SystemExit('code of a data set was run')")
     code = (
-        "import sys; from simulator.dataset.reader import open_dataset; from simulator.dataset.verify import verify\n"
+        "import sys; from simulator.dataset.reader import open_dataset; from simulator.dataset.verification import verify\n"
         "print(len(list(open_dataset(sys.argv[1]))), verify(sys.argv[1]).ok)\n"
         "print([name for name in ('torch', 'mitsuba', 'colour', 'matplotlib', 'scipy', 'pebble') if name in sys.modules])"
     )

@@ -11,7 +11,7 @@ from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingS
 from simulator.camera.shutter_record import shutter_record
 from simulator.camera.slivers import sliver_weights, split_measurement
 from simulator.dataset.reader import Dataset, open_dataset
-from simulator.dataset.verify import verify
+from simulator.dataset.verification import verify
 from simulator.errors import InputError
 
 ROWS = 24  # of samples.SENSOR

@@ -8,7 +8,7 @@ import pytest
 
 from simulator.errors import InputError
 from simulator.importers import film
-from simulator.importers._ssv2_labels import COARSE_TABLE, read_table, read_templates
+from simulator.importers.films.ssv2_labels import COARSE_TABLE, read_table, read_templates
 from simulator.importers.something_something_v2 import recognises, something_something_v2, survey
 from simulator.types import View
 

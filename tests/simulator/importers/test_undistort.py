@@ -6,8 +6,8 @@ from PIL import Image
 
 from simulator.colour import decode_srgb_picture, linear_to_srgb
 from simulator.errors import InputError
-from simulator.importers._camera_models import OpencvFisheye, Pinhole, Scaramuzza, pinhole_of
-from simulator.importers._undistort import build_lookup
+from simulator.importers.rgbd.camera_models import OpencvFisheye, Pinhole, Scaramuzza, pinhole_of
+from simulator.importers.rgbd.undistort import build_lookup
 from simulator.types import View
 
 # EndoSLAM's own calibrations, MATLAB's numbers (first pixel 1).

@@ -421,7 +421,7 @@ def test_layouts_are_told_apart(tube, davis_root, tmp_path) -> None:
 
 @pytest.mark.shared
 def test_the_real_judo_and_bike(shared_data, monkeypatch) -> None:
-    monkeypatch.setattr("simulator.importers._masked_video._WARNED", set())
+    monkeypatch.setattr("simulator.importers.vos.masked_video._WARNED", set())
     root = shared_data / "davis"
     view = View((240, 427), VIEW.pixel_pitch_m, VIEW.distance_m, VIEW.near_m, VIEW.far_m)
     source = davis(view, path=root, frames=4)

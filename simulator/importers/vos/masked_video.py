@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
-from simulator.importers._masks import VOID, fit_mask, object_pixels, read_object_numbers
+from simulator.importers.vos.masks import VOID, fit_mask, object_pixels, read_object_numbers
 from simulator.pictures import picture_shape, read_picture
 
 _WARNED: set[Path] = set()  # data sets whose mask sizes were told of: once for each, not for every mask and reading
@@ -42,7 +42,7 @@ class MaskFacts:
 
 @dataclass(frozen=True)
 class MaskedVideo:
-    """A :class:`simulator.importers._video.Video` of pictures and masks of the same names, without its background.
+    """A :class:`simulator.importers.films.video.Video` of pictures and masks of the same names, without its background.
 
     Attributes:
         name: its folder's name.

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
-from simulator.importers import _av
-from simulator.importers._av import count_decodable, index_film, read_film
+from simulator.importers.films import av as reader
+from simulator.importers.films.av import count_decodable, index_film, read_film
 
 av = pytest.importorskip("av")
 
@@ -54,7 +54,7 @@ def test_every_range_gives_the_frames_of_these_numbers(films, written, name):
 
 def test_late_frames_are_found_by_seeking_where_times_can_be_trusted(films, written, monkeypatch):
     decoded = []
-    original = _av._opened
+    original = reader._opened
 
     class Counted:
         def __init__(self, container):
@@ -73,7 +73,7 @@ def test_late_frames_are_found_by_seeking_where_times_can_be_trusted(films, writ
 
     for name in FILMS:
         index_film(written[name])
-    monkeypatch.setattr(_av, "_opened", counting)
+    monkeypatch.setattr(reader, "_opened", counting)
     for name in ("vp9.webm", "h264.mp4", "h264.mkv", "ffv1.mkv"):
         decoded.clear()
         assert [films.number_of(frame) for frame in read_film(written[name], 28, 30)] == [28, 29]

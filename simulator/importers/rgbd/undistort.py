@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from simulator.errors import InputError
-from simulator.importers._camera_models import Lens
+from simulator.importers.rgbd.camera_models import Lens
 from simulator.types import View
 
 Field: TypeAlias = Literal["fill", "angles"]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
-from simulator.importers._extra import load_extra
+from simulator.importers.extra import load_extra
 
 _HDR = {16: "PQ (SMPTE ST 2084)", 18: "HLG (ARIB STD-B67)"}  # transfer characteristics of ITU-T H.273, table 3
 _EARLY_END = 1.5

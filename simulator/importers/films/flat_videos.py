@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from simulator.errors import InputError
-from simulator.importers._fit import fit_frames
-from simulator.importers._video import ClipPlan, Video
+from simulator.importers.films.fit import fit_frames
+from simulator.importers.films.video import ClipPlan, Video
 from simulator.types import FARTHEST_M, Clip, View
 
 if TYPE_CHECKING:

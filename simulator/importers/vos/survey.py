@@ -9,10 +9,10 @@ from pathlib import Path
 from statistics import median
 
 from simulator.errors import InputError
-from simulator.importers._masked_video import MaskedVideo
-from simulator.importers._survey import Progress, Survey
-from simulator.importers._video import ClipPlan
-from simulator.importers._vos import Fault, Found, examples, grouped
+from simulator.importers.films.video import ClipPlan
+from simulator.importers.survey import Progress, Survey
+from simulator.importers.vos.masked_video import MaskedVideo
+from simulator.importers.vos.videos import Fault, Found, examples, grouped
 from simulator.pictures import read_picture
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.importers._av import index_film, read_film
-from simulator.importers._survey import Progress
+from simulator.importers.films.av import index_film, read_film
+from simulator.importers.survey import Progress
 from simulator.light import read_light
 
 FILM_SUFFIXES = frozenset((".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ogv", ".ts", ".webm", ".wmv"))
@@ -53,7 +53,7 @@ class Film:
         return self.frames
 
     def read(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
-        """Give frames of linear light, see `simulator.importers._av.read_film`."""
+        """Give frames of linear light, see `simulator.importers.films.av.read_film`."""
         return read_film(self.root / self.name, start, stop)
 
     def record(self, start: int, stop: int) -> dict[str, Any]:

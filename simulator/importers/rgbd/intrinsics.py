@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, RootModel, ValidationError
 
 from simulator.errors import InputError
-from simulator.importers._camera_models import Lens, OpencvFisheye, Pinhole, Scaramuzza, pinhole_of
+from simulator.importers.rgbd.camera_models import Lens, OpencvFisheye, Pinhole, Scaramuzza, pinhole_of
 from simulator.validation import find_problems, validate
 
 Intrinsics = Annotated[Pinhole | OpencvFisheye | Scaramuzza, Field(discriminator="type")]

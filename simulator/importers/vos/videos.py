@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from simulator.errors import InputError
-from simulator.importers._flat_videos import FlatVideos, choose_raiser, flat_videos, plane_depth
-from simulator.importers._masked_video import MaskedVideo, frame_number
-from simulator.importers._video import ClipPlan
+from simulator.importers.films.flat_videos import FlatVideos, choose_raiser, flat_videos, plane_depth
+from simulator.importers.films.video import ClipPlan
+from simulator.importers.vos.masked_video import MaskedVideo, frame_number
 from simulator.types import View
 
 RaiseWith: TypeAlias = Literal["optical_flow", "superslomo"]
@@ -74,7 +74,7 @@ def masked_source(
     """Return the videos as flat scenes; those that are too short are among its problems, in few lines.
 
     Raises:
-        InputError: no video can be used, or as `plane_depth` and `choose_raiser` of `simulator.importers._flat_videos`.
+        InputError: no video can be used, or as `plane_depth` and `choose_raiser` of `simulator.importers.films.flat_videos`.
     """
     found = found.long_enough(plan)
     return flat_videos(

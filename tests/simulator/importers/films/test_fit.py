@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulator.errors import InputError
-from simulator.importers._fit import Window, fit, fit_frames, largest_window
+from simulator.importers.films.fit import Window, fit, fit_frames, largest_window
 
 # OpenCV adds up to a few hundred float32 numbers per pixel: some roundings of 2**-24 each.
 ROUNDING = {"rtol": 2e-6, "atol": 0}

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from simulator.errors import InputError
-from simulator.importers._masks import fit_mask, object_pixels, read_object_numbers
+from simulator.importers.vos.masks import fit_mask, object_pixels, read_object_numbers
 
 NUMBERS = np.array([[0, 1, 2], [3, 255, 0]], np.uint8)
 

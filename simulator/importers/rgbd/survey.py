@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from simulator.errors import InputError
-from simulator.importers._border import find_circle
-from simulator.importers._depth_decoding import read_codes
-from simulator.importers._intrinsics import nearest_file, read_intrinsics
-from simulator.importers._rgbd import Pair, list_pairs
-from simulator.importers._rgbd import recognises as recognises
-from simulator.importers._runs import problem_line, run_lengths
-from simulator.importers._survey import Progress, Survey
+from simulator.importers.rgbd.border import find_circle
+from simulator.importers.rgbd.depth_decoding import read_codes
+from simulator.importers.rgbd.frames import Pair, list_pairs
+from simulator.importers.rgbd.frames import recognises as recognises
+from simulator.importers.rgbd.intrinsics import nearest_file, read_intrinsics
+from simulator.importers.stereo.runs import problem_line, run_lengths
+from simulator.importers.survey import Progress, Survey
 from simulator.pictures import read_picture
 
 SIMCOL = (

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.importers._undistort import Circle
+from simulator.importers.rgbd.undistort import Circle
 
 DARK_CODE = 12
 """Highest 8 bit sRGB code that counts as black: 0.4 % of white, where compression leaves its traces."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.importers._pfm import read_pfm
+from simulator.importers.stereo.pfm import read_pfm
 
 
 def read_disparity(path: Path) -> NDArray[np.float32]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
-from simulator.importers._pfm import pfm_shape, read_pfm
+from simulator.importers.stereo.pfm import pfm_shape, read_pfm
 from simulator.pictures import read_picture
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from simulator.errors import InputError
-from simulator.importers._av import count_decodable, index_film
-from simulator.importers._survey import Survey
-from simulator.importers._video import ClipPlan
+from simulator.importers.films.av import count_decodable, index_film
+from simulator.importers.films.video import ClipPlan
+from simulator.importers.survey import Survey
 from simulator.light import read_light
 
 

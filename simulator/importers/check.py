@@ -19,7 +19,7 @@ from typing import Annotated, Any
 from pydantic import create_model
 
 from simulator.errors import InputError
-from simulator.importers._survey import Progress, Survey
+from simulator.importers.survey import Progress, Survey
 from simulator.plugins import Plugin, available, plugin_errors, resolve
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
-from simulator.importers._flat_videos import choose_raiser, flat_videos, plane_depth
-from simulator.importers._video import ClipPlan
+from simulator.importers.films.flat_videos import choose_raiser, flat_videos, plane_depth
+from simulator.importers.films.video import ClipPlan
 from simulator.types import FARTHEST_M, SceneSource, View
 
 VIEW = View(shape=(8, 8), pixel_pitch_m=19.2e-6, distance_m=1.9e-3, near_m=0.04, far_m=0.2)
@@ -170,7 +170,7 @@ def test_a_checkpoint_that_nothing_uses_is_refused():
 
 
 def test_thirty_thousand_videos_travel_to_a_worker_in_little_time():
-    from simulator.importers._films import Film
+    from simulator.importers.films.sequences import Film
 
     root = Path("/data/20bn")
     clips = source(

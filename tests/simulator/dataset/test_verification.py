@@ -12,7 +12,7 @@ import pytest
 from simulator.dataset.manifest import ManifestWriter
 from simulator.dataset.sample import write_sample
 from simulator.dataset.skipped import SkippedWriter
-from simulator.dataset.verify import verify
+from simulator.dataset.verification import verify
 from simulator.errors import InputError
 
 FIRST = Path("train/0000/s00000000")

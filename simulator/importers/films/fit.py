@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.importers._extra import load_extra
+from simulator.importers.extra import load_extra
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from simulator.errors import InputError
-from simulator.importers._runs import problem_line, run_lengths
-from simulator.importers._sceneflow import PASSES, Eye, PicturePass, Subset, find_root, list_frames
-from simulator.importers._stereo import disparity_range, read_disparity
-from simulator.importers._survey import Progress, Survey
+from simulator.importers.stereo.pairs import disparity_range, read_disparity
+from simulator.importers.stereo.runs import problem_line, run_lengths
+from simulator.importers.stereo.sceneflow import PASSES, Eye, PicturePass, Subset, find_root, list_frames
+from simulator.importers.survey import Progress, Survey
 from simulator.pictures import read_picture
 
 

@@ -1,0 +1,1 @@
+"""Pictures with depth charts: pairing, decoding, cameras and their distortion."""

@@ -1,0 +1,1 @@
+"""The SceneFlow data sets: stereo frames with disparity, and how that becomes depth."""

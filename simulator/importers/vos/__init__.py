@@ -1,0 +1,1 @@
+"""Video object segmentation data: frames with masks of the labelled objects."""
