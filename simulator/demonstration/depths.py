@@ -19,36 +19,31 @@ _PLACES = ((0.5, 0.3), (0.5, 0.7))  # row, column in the scene
 
 
 def depth_figure(bench: Bench) -> Figure:
-    """Draw where the points are, the PSF of each, and their measurement."""
+    """Draw where the points are, the PSF of each, and their measurement; for a stack of several depths."""
     depths_m = [float(depth) for depth in bench.ends.depths_m]
-    images = [bench.point(*place, depth) for place, depth in zip(_PLACES, depths_m, strict=False)]
+    images = [bench.point(*place, depth) for place, depth in zip(_PLACES, depths_m, strict=True)]
     white = white_of(images)
-    said = " and ".join(f"{centimetres(depth)} ({name})" for depth, name in zip(depths_m, _NAMES, strict=False))
+    said = " and ".join(f"{centimetres(depth)} ({name})" for depth, name in zip(depths_m, _NAMES, strict=True))
     notes = [
         f"Points of one scene pixel at {said}, as the configuration's forward model exposes them under its shutter.",
         "Colours stand for depths; the light itself is white. Sensor pictures are the channels' mean on one scale: white "
         "is the level above which 1 % of the light lies; sRGB-encoded.",
     ]
-    if len(depths_m) == 1:
-        notes.insert(1, "The configuration has one depth only, so there is one point.")
     figure = sheet("PSFs grow as points come near", notes, (13.5, 9.2))
     top, bottom = figure.subplots(2, 2)
     _draw_camera(top[0], depths_m)
-    both = list(zip(images, _COLOURS, strict=False))
+    both = list(zip(images, _COLOURS, strict=True))
     panel(top[1], tinted(both, white), "Measurement: both add up")
-    for axes, depth, part, colour, name in zip(bottom, depths_m, both, _HEX, _NAMES, strict=False):
+    for axes, depth, part, colour, name in zip(bottom, depths_m, both, _HEX, _NAMES, strict=True):
         panel(axes, tinted([part], white), f"Point at {centimetres(depth)} alone ({name})", colour)
-    for axes in bottom[len(depths_m) :]:
-        axes.set_axis_off()
     return figure
 
 
 def _draw_camera(axes: Axes, depths_m: list[float]) -> None:
     """Draw points, mask and sensor from the side, with the edges of the mask's shadows; not to scale."""
     mask, sensor = 0.0, -1.6
-    places = [(5.0, 1.3), (11.0, -1.6)] if len(depths_m) > 1 else [(6.0, 0.8)]
     axes.set_title("Camera from the side (not to scale)", loc="left", fontsize=TITLE, color=INK)
-    for (along, across), depth, colour in zip(places, depths_m, _HEX, strict=False):
+    for (along, across), depth, colour in zip(((5.0, 1.3), (11.0, -1.6)), depths_m, _HEX, strict=True):
         ends = []
         for edge in (-1.0, 1.0):
             end = edge + (edge - across) * (mask - sensor) / along

@@ -1,4 +1,4 @@
-"""The four figures of a configuration, written into a folder."""
+"""The figures of a configuration, written into a folder."""
 
 from __future__ import annotations
 
@@ -15,12 +15,17 @@ from simulator.demonstration.paper import save
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FIGURES: dict[str, Callable[[Bench], Figure]] = {
-    "shutter_diagram.png": diagram_figure,
-    "flashes_along_the_columns.png": along_figure,
-    "flashes_along_the_rows.png": across_figure,
-    "points_at_two_depths.png": depth_figure,
-}
+Draw = Callable[[Bench], "Figure"]
+
+
+def figures_of(bench: Bench) -> dict[str, Draw]:
+    """Return what draws each figure, by file name; a stack of one depth has no two depths to show."""
+    figures: dict[str, Draw] = {
+        "shutter_diagram.png": diagram_figure,
+        "flashes_along_the_columns.png": along_figure,
+        "flashes_along_the_rows.png": across_figure,
+    }
+    return figures if len(bench.ends.depths_m) == 1 else figures | {"points_at_two_depths.png": depth_figure}
 
 
 def draw_figures(bench: Bench, folder: Path) -> list[Path]:
@@ -30,4 +35,4 @@ def draw_figures(bench: Bench, folder: Path) -> list[Path]:
         StorageError: a picture cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    return [save(draw(bench), folder / name) for name, draw in FIGURES.items()]
+    return [save(draw(bench), folder / name) for name, draw in figures_of(bench).items()]

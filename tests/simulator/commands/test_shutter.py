@@ -3,8 +3,6 @@
 import pytest
 from PIL import Image
 
-from simulator.demonstration.figures import FIGURES
-
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 
 
@@ -21,11 +19,20 @@ def test_says_what_the_shutter_means(flatlight, trial) -> None:
 def test_draws_the_figures(flatlight, trial, tmp_path) -> None:
     code, out, err = flatlight("shutter", trial.write(), "--figures", tmp_path / "a" / "b")
     assert code == 0, err
-    assert out.count("look at ") == 4
-    for name in FIGURES:
-        with Image.open(tmp_path / "a" / "b" / name) as picture:
+    drawn = sorted((tmp_path / "a" / "b").iterdir())
+    assert out.count("look at ") == len(drawn) == 4
+    for path in drawn:
+        with Image.open(path) as picture:
             picture.load()
             assert min(picture.size) > 600
+
+
+def test_one_depth_is_no_figure_of_two(flatlight, trial, tmp_path) -> None:
+    psf = {"depths_cm": [20], "wavelengths_per_channel": 1, "accept_error": 1}
+    scene = {"family": "./plugins.py:boxes", "size": [16, 20], "near_cm": 10, "far_cm": 30}
+    code, _, err = flatlight("shutter", trial.write(psf=psf, scene=scene), "--figures", tmp_path)
+    assert code == 0, err
+    assert "points_at_two_depths.png" not in {file.name for file in tmp_path.glob("*.png")}
 
 
 def test_looks_at_the_folder_first(one_error, flatlight, trial) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from simulator.config import load_config
 from simulator.demonstration.bench import Bench
-from simulator.demonstration.figures import FIGURES
+from simulator.demonstration.figures import figures_of
 from simulator.demonstration.flashes import across_figure
 from simulator.demonstration.paper import tinted, white_of
 
@@ -33,7 +33,7 @@ def _bench(trial, shutter) -> Bench:
 )
 def test_no_words_lie_on_others_or_leave_the_sheet(trial, shutter):
     bench = _bench(trial, shutter)
-    for name, draw in FIGURES.items():
+    for name, draw in figures_of(bench).items():
         figure = draw(bench)
         figure.canvas.draw()
         sheet = figure.bbox
