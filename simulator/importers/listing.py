@@ -1,0 +1,95 @@
+"""What lies in the folders of a data set, by name; and messages about many files in few lines."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NoReturn
+
+from simulator.errors import InputError
+
+_JUNK = frozenset(("__macosx", "thumbs.db", "desktop.ini"))
+_EXAMPLES = 3
+
+
+def is_hidden(name: str) -> bool:
+    """Return whether a file's or folder's name is one that systems and editors leave behind, never part of a data set.
+
+    Example:
+        >>> [is_hidden(name) for name in ("._00000.jpg", ".ipynb_checkpoints", "__MACOSX", "Thumbs.db", "00000.jpg")]
+        [True, True, True, True, False]
+    """
+    return name.startswith(".") or name.lower() in _JUNK
+
+
+def list_folder(path: Path) -> tuple[list[str], list[str]]:
+    """Return the names of the folders and of the files in a folder, both sorted, without hidden ones.
+
+    Links are followed. There is nothing in a folder that does not exist.
+
+    Raises:
+        InputError: naming the folder, when it cannot be read.
+    """
+    folders: list[str] = []
+    files: list[str] = []
+    try:
+        with os.scandir(path) as entries:
+            for entry in entries:
+                if not is_hidden(entry.name):
+                    (folders if entry.is_dir() else files).append(entry.name)
+    except (FileNotFoundError, NotADirectoryError):
+        return [], []
+    except OSError as error:
+        refuse_folder(path, error)
+    return sorted(folders), sorted(files)
+
+
+def walk(root: Path) -> Iterator[tuple[Path, list[str]]]:
+    """Give each folder from a root downwards with the names of its files, all sorted, without hidden ones.
+
+    Links are followed, but not one that leads to a folder that it lies in.
+
+    Raises:
+        InputError: naming the folder, when one cannot be read.
+    """
+    return _walk(Path(root), frozenset())
+
+
+def refuse_folder(path: Path, error: OSError) -> NoReturn:
+    """Refuse a folder that the system does not let us read.
+
+    Raises:
+        InputError: always.
+    """
+    msg = f"path: {path} cannot be read: {error.strerror or error}; check who may read it, or name a path without it"
+    raise InputError(msg) from error
+
+
+def grouped(faults: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+    """Return one line ``"where: reason"`` per reason; a reason that many share names a few and counts the others.
+
+    Example:
+        >>> grouped([("a", "too short"), ("b", "no mask"), ("c", "too short")])
+        ('a, c: too short', 'b: no mask')
+    """
+    places: dict[str, list[str]] = {}
+    for where, reason in faults:
+        places.setdefault(reason, []).append(where)
+    return tuple(f"{examples(where)}: {reason}" for reason, where in places.items())
+
+
+def examples(names: list[str]) -> str:
+    """Return a few names and how many more there are."""
+    more = len(names) - _EXAMPLES
+    return ", ".join(names) if more <= 0 else f"{', '.join(names[:_EXAMPLES])} and {more} more"
+
+
+def _walk(folder: Path, above: frozenset[str]) -> Iterator[tuple[Path, list[str]]]:
+    real = os.path.realpath(folder)
+    if real in above:
+        return
+    folders, files = list_folder(folder)
+    yield folder, files
+    for name in folders:
+        yield from _walk(folder / name, above | {real})

@@ -1,0 +1,56 @@
+"""Listing folders: what systems leave behind is not seen, links are followed once, an unreadable folder is named."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from simulator.errors import InputError
+from simulator.importers.listing import is_hidden, list_folder, walk
+
+
+@pytest.mark.parametrize("name", ["._00000.jpg", ".DS_Store", ".ipynb_checkpoints", "__MACOSX", "Thumbs.db"])
+def test_what_systems_leave_behind_is_hidden(tmp_path: Path, name: str) -> None:
+    assert is_hidden(name)
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "00000.jpg").touch()
+    (tmp_path / "00001.jpg").touch()
+    assert list_folder(tmp_path) == ([], ["00001.jpg"])
+    assert list(walk(tmp_path)) == [(tmp_path, ["00001.jpg"])]
+
+
+def test_a_hidden_folder_that_is_named_itself_is_listed(tmp_path: Path) -> None:
+    (tmp_path / ".cache").mkdir()
+    (tmp_path / ".cache" / "a.png").touch()
+    assert list(walk(tmp_path / ".cache")) == [(tmp_path / ".cache", ["a.png"])]
+
+
+def test_links_are_followed_but_never_in_a_circle(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "1.png").touch()
+    root = tmp_path / "root"
+    (root / "a").mkdir(parents=True)
+    (root / "a" / "up").symlink_to(root, target_is_directory=True)
+    (root / "linked").symlink_to(tmp_path / "elsewhere", target_is_directory=True)
+    assert list(walk(root)) == [(root, []), (root / "a", []), (root / "linked", ["1.png"])]
+
+
+def test_a_folder_that_may_not_be_read_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "shut").mkdir()
+    scandir = os.scandir
+
+    def refuse(path: Any) -> Any:
+        if Path(path).name == "shut":
+            raise PermissionError(13, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    with pytest.raises(InputError, match=r"path: .*shut cannot be read: Permission denied"):
+        list(walk(tmp_path))
+
+
+def test_a_folder_that_is_not_there_is_empty(tmp_path: Path) -> None:
+    assert list_folder(tmp_path / "none") == ([], [])
