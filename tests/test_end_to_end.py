@@ -201,7 +201,7 @@ def test_eight_samples_of_the_real_frame_through_phlatcam(trial, shared_data: Pa
     changes: dict[str, Any] = {
         "camera": {"mask": PHLATCAM, "sensor": {"binning": 8, "shape": [96, 128]}, "exposure": {"full_scale": "auto"}},
         "scene": crops(shared_data, (48, 64), downscale=4),
-        "dataset": {"train": 6},
+        "dataset": {"train": 6, "share_videos": True},
     }
     root = trial.generate(**changes)
     check_files(root, (96, 128), (48, 64))
@@ -220,7 +220,7 @@ def test_eight_samples_of_the_real_frame_through_phlatcam(trial, shared_data: Pa
         nearness = 1 / 0.2 + scale * (disparity[window][2::4, 2::4].astype(float) - disparity.min())
         assert 1 / sample.depth_m[0] == pytest.approx(nearness, rel=1e-5)
     assert len(corners) == 6  # each sample another crop
-    again = trial.generate(**changes | {"dataset": {"train": 6, "output": "again"}})
+    again = trial.generate(**changes | {"dataset": changes["dataset"] | {"output": "again"}})
     assert sample_hashes(again) == sample_hashes(root)
 
 
@@ -247,7 +247,7 @@ def test_eight_samples_through_the_measured_diffusercam(trial, shared_data: Path
             "throughput_mm2": 20.0,
         },
         "scene": crops(shared_data, (96, 128), downscale=4),
-        "dataset": {"train": 6},
+        "dataset": {"train": 6, "share_videos": True},
     }
     root = trial.generate(**changes)
     check_files(root, (300, 400), (96, 128))
@@ -270,5 +270,5 @@ def test_eight_samples_through_the_measured_diffusercam(trial, shared_data: Path
     origin = (149 - (300 - 96) // 2, 199 - (400 - 128) // 2)
     expected = full[origin[0] : origin[0] + 300, origin[1] : origin[1] + 400] * 5e-3 / full_scale
     assert np.abs(sample.noiseless[1] - expected).max() < 2e-6 * expected.max()
-    again = trial.generate(**changes | {"dataset": {"train": 6, "output": "again"}})
+    again = trial.generate(**changes | {"dataset": changes["dataset"] | {"output": "again"}})
     assert sample_hashes(again) == sample_hashes(root)

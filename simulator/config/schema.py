@@ -98,6 +98,10 @@ class DatasetConfig(Section):
     global_measurements: bool = Field(
         default=False, description="store what a global shutter would have measured of each sliver, too"
     )
+    share_videos: bool = Field(
+        default=False,
+        description="let splits show the same source videos where there are too few: for a trial, not for results",
+    )
 
     @model_validator(mode="after")
     def _a_truth_per_measurement(self) -> Self:

@@ -178,8 +178,12 @@ class _Job:
         if not self.skip_bad:
             refuse_problems(self.problems)
         order = clip_order(source)
-        if order is not None:
-            order.check(self._counts())
+        shortage = None if order is None else order.shortage(self._counts())
+        if shortage and not self.config.dataset.share_videos:
+            msg = f"dataset: {shortage}, or for a trial let them: dataset.share_videos: true"
+            raise InputError(msg)
+        if shortage:
+            self.say(f"note: splits share source videos, so results on them mean nothing: {shortage}")
 
     def _look_at_a_clip(self, plugin: Plugin, source: SceneSource) -> None:
         """Refuse clips that do not suit the shutter before there is anything else to undo."""

@@ -55,30 +55,27 @@ class ClipOrder:
         """
         return int(self._walk(split)[index % self.clips])
 
-    def check(self, counts: Mapping[str, int]) -> None:
-        """Refuse counts with which two splits would share a video; one split alone may show clips again.
+    def shortage(self, counts: Mapping[str, int]) -> str | None:
+        """Say why so many samples would make two splits share a video; None where none is shared.
+
+        One split alone may show clips again.
 
         Args:
             counts: samples per split.
-
-        Raises:
-            InputError: naming how many videos there are and how many the splits need.
         """
         asked = {split: count for split, count in counts.items() if count > 0}
-        touched = {split: len(np.unique(self._video[self._walk(split)[:count]])) for split, count in asked.items()}
-        front = touched.get("train", 0)
-        back = max(2 * touched.get("validation", 0) - 1, 2 * touched.get("test", 0), 0)
-        if len(asked) < 2 or front + back <= self.videos:
-            return
+        taken = {split: np.unique(self._video[self._walk(split)[:count]]) for split, count in asked.items()}
+        shared = sum(map(len, taken.values())) - len(np.unique(np.concatenate([*taken.values(), []])))
+        if not shared and (len(asked) < 2 or max(asked.values()) <= self.clips):
+            return None
         kind = "clips" if self._counted else "videos"
         held = f"{self.videos} {kind}" + ("" if self._counted else f" ({self.clips} clips)")
-        wanted = ", ".join(f"{split} needs {touched[split]} for {count} samples" for split, count in asked.items())
-        cure = ", or bring more clips" if self._counted else ", take more clips of each video, or bring more videos"
-        msg = (
-            f"dataset: the source has {held}, of which no two splits may share one, but {wanted}, in all {front + back} "
-            f"(validation and test take every second one each, from the back); ask for fewer samples{cure}"
+        wanted = ", ".join(f"{split} takes {len(taken[split])} for {count} samples" for split, count in asked.items())
+        cure = ", bring more clips" if self._counted else ", take more clips of each video, bring more videos"
+        return (
+            f"the source has {held}, of which no two splits may share one, but {wanted} (train from the front, validation "
+            f"and test every second one each from the back); ask for fewer samples{cure}"
         )
-        raise InputError(msg)
 
     def _walk(self, split: str) -> NDArray[np.intp]:
         """Return all places in the order in which a split takes them."""
@@ -115,7 +112,7 @@ def clip_order(source: SceneSource) -> ClipOrder | None:
 def _checked(groups: ArrayLike) -> NDArray[np.integer]:
     numbers = np.asarray(groups)
     whole = numbers.size == 0 or np.issubdtype(numbers.dtype, np.integer)
-    if numbers.ndim != 1 or not whole or np.any(np.diff(numbers) < 0):
+    if numbers.ndim != 1 or not whole or np.any(numbers[1:] < numbers[:-1]):
         msg = "scene: the groups of its source must be whole numbers that never fall, one per clip: the number of its video"
         raise InputError(msg)
     return numbers

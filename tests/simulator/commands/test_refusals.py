@@ -76,7 +76,8 @@ class TestBadInput:
         Image.fromarray(np.zeros((32, 32, 3), np.uint8)).save(trial.folder / "frames/RGB_cleanpass/left/f.png")
         (trial.folder / "frames/disparity/left/f.pfm").write_bytes(content)
         scene = {"source": "flyingthings3d", "path": "frames", "size": [16, 20]}
-        refused("f.pfm", scene=scene, camera={"exposure": {"full_scale": "auto"}})
+        one = {"train": 1, "validation": 0, "test": 0}
+        refused("f.pfm", scene=scene, camera={"exposure": {"full_scale": "auto"}}, dataset=one)
 
     def test_scenes_beyond_the_planes(self, refused) -> None:
         auto = {"exposure": {"full_scale": "auto"}}

@@ -330,10 +330,13 @@ class TestTimes:
         path = write(trial, {"train": 9})
         message = self.refused(trial, path)
         assert "the source has 6 videos (12 clips)" in message
-        assert "train needs 5 for 9 samples" in message
+        assert "train takes 5 for 9 samples" in message
         alone = ["dataset.train=13", "dataset.validation=0", "dataset.test=0"]
         root = generate(path, alone).path
         scenes = [sample.metadata["scene"]["clip"] for sample in open_dataset(root)]
         assert scenes == [*range(12), 0]
         with pytest.raises(InputError, match="no two splits may share"):
             generate(path, [*alone, "dataset.test=1"])
+        said: list[str] = []
+        generate(path, ["dataset.share_videos=true", f"dataset.output={trial.folder / 'shared'}"], say=said.append)
+        assert any("splits share source videos" in line for line in said)
