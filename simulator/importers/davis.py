@@ -15,9 +15,10 @@ from pydantic import Field
 from simulator.errors import InputError
 from simulator.importers.films.flat_videos import FlatVideos
 from simulator.importers.films.video import ClipPlan
+from simulator.importers.listing import is_folder, list_folder
 from simulator.importers.survey import Progress, Survey
 from simulator.importers.vos.survey import survey_videos
-from simulator.importers.vos.videos import Found, RaiseWith, find_videos, folders, masked_source
+from simulator.importers.vos.videos import Found, RaiseWith, find_videos, masked_source
 from simulator.types import View
 
 FILMED_AT = 24.0
@@ -26,6 +27,7 @@ FILMED_AT = 24.0
 Resolution = Literal["480p", "1080p", "Full-Resolution"]
 _RESOLUTIONS = ("480p", "1080p", "Full-Resolution")
 _IMAGE_SETS = "ImageSets"
+_FLAT = ("images", "masks")
 
 
 def davis(
@@ -126,20 +128,24 @@ def find(
     Raises:
         InputError: for missing folders and lists.
     """
-    if _is_flat(path):
+    if is_folder(path / _FLAT[0]) and not is_folder(path / "JPEGImages"):
         if subset is not None:
             msg = f"subset is {subset!r}, but {path} holds images and masks without {_IMAGE_SETS}: leave subset out"
             raise InputError(msg)
-        return find_videos(path, path / "images", path / "masks", FILMED_AT, keep_background=keep_background)
+        images, masks = (path / name for name in _FLAT)
+        if not (is_folder(masks) or keep_background):
+            msg = f"path: {path} has a folder images, but none called masks: fetch the masks, or use keep_background: true"
+            raise InputError(msg)
+        return find_videos(path, images, masks, FILMED_AT, keep_background=keep_background)
     pictures = path / "JPEGImages" / resolution
-    if not pictures.is_dir():
-        there = ", ".join(folders(path / "JPEGImages")) or "none"
+    if not is_folder(pictures):
+        there = ", ".join(list_folder(path / "JPEGImages")[0]) or "none"
         msg = (
             f"path: {path} has no folder JPEGImages/{resolution} (resolutions there: {there}): name the folder that holds "
             "JPEGImages and Annotations, or another resolution"
         )
         raise InputError(msg)
-    annotations = next((name for name in ("Annotations", "Annotations_unsupervised") if (path / name).is_dir()), None)
+    annotations = next((name for name in ("Annotations", "Annotations_unsupervised") if is_folder(path / name)), None)
     masks = path / (annotations or "Annotations") / resolution
     names = None if subset is None else read_image_set(path / _IMAGE_SETS, subset, resolution)
     return find_videos(path, pictures, masks, FILMED_AT, names=names, keep_background=keep_background)
@@ -156,13 +162,19 @@ def read_image_set(folder: Path, subset: str, resolution: str) -> list[str]:
     Raises:
         InputError: there is no such list, or it names no video.
     """
-    files = {file.relative_to(folder).with_suffix("").as_posix(): file for file in sorted(folder.glob("*/*.txt"))}
+    lists = [Path(year, name) for year in list_folder(folder)[0] for name in list_folder(folder / year)[1]]
+    files = {file.with_suffix("").as_posix(): folder / file for file in lists if file.suffix.lower() == ".txt"}
     wanted = [f"2017/{subset}", f"2016/{subset}", f"{resolution}/{subset}", subset]
     name = next((name for name in wanted if name in files), None)
     if name is None:
         msg = f"subset: got {subset!r}, expected one of the lists in {folder}: {', '.join(files) or 'there are none'}"
         raise InputError(msg)
-    lines = [line.split() for line in files[name].read_text(encoding="utf-8").splitlines() if line.strip()]
+    try:
+        text = files[name].read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        msg = f"{files[name]} cannot be read as a list of names ({error}): fetch it again"
+        raise InputError(msg) from error
+    lines = [line.split() for line in text.splitlines() if line.strip()]
     names = [Path(line[0]).parent.name if "/" in line[0] else line[0] for line in lines]
     if not names:
         msg = f"{files[name]} names no video: fetch it again"
@@ -172,4 +184,5 @@ def read_image_set(folder: Path, subset: str, resolution: str) -> list[str]:
 
 def _is_flat(path: Path) -> bool:
     """Whether pictures and masks lie in folders of that name, one folder per video in each."""
-    return bool(set(folders(path / "images")) & set(folders(path / "masks")))
+    images, masks = (list_folder(path / name)[0] for name in _FLAT)
+    return bool(set(images) & set(masks))

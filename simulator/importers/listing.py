@@ -41,7 +41,7 @@ def list_folder(path: Path) -> tuple[list[str], list[str]]:
     except (FileNotFoundError, NotADirectoryError):
         return [], []
     except OSError as error:
-        refuse_folder(path, error)
+        _refuse(Path(error.filename or path), error)
     return sorted(folders), sorted(files)
 
 
@@ -56,14 +56,16 @@ def walk(root: Path) -> Iterator[tuple[Path, list[str]]]:
     return _walk(Path(root), frozenset())
 
 
-def refuse_folder(path: Path, error: OSError) -> NoReturn:
-    """Refuse a folder that the system does not let us read.
+def is_folder(path: Path) -> bool:
+    """Return whether there is such a folder.
 
     Raises:
-        InputError: always.
+        InputError: naming it, when it lies where nothing can be read.
     """
-    msg = f"path: {path} cannot be read: {error.strerror or error}; check who may read it, or name a path without it"
-    raise InputError(msg) from error
+    try:
+        return path.is_dir()
+    except OSError as error:
+        _refuse(path, error)
 
 
 def grouped(faults: Iterable[tuple[str, str]]) -> tuple[str, ...]:
@@ -83,6 +85,11 @@ def examples(names: list[str]) -> str:
     """Return a few names and how many more there are."""
     more = len(names) - _EXAMPLES
     return ", ".join(names) if more <= 0 else f"{', '.join(names[:_EXAMPLES])} and {more} more"
+
+
+def _refuse(path: Path, error: OSError) -> NoReturn:
+    msg = f"path: {path} cannot be read: {error.strerror or error}; check who may read it, or name a path without it"
+    raise InputError(msg) from error
 
 
 def _walk(folder: Path, above: frozenset[str]) -> Iterator[tuple[Path, list[str]]]:

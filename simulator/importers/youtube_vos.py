@@ -15,6 +15,7 @@ from pydantic import Field
 from simulator.errors import InputError
 from simulator.importers.films.flat_videos import FlatVideos
 from simulator.importers.films.video import ClipPlan
+from simulator.importers.listing import is_folder, list_folder
 from simulator.importers.survey import Progress, Survey
 from simulator.importers.vos.survey import survey_videos
 from simulator.importers.vos.videos import Categories, Found, RaiseWith, find_videos, masked_source
@@ -163,9 +164,9 @@ def _candidates(path: Path) -> list[Path]:
 def _root(path: Path, subset: Subset | None) -> Path:
     """The folder that holds pictures, masks and meta.json."""
     wanted = _candidates(path) if subset is None else [path / subset, *([path] if path.name == subset else [])]
-    root = next((folder for folder in wanted if (folder / _PICTURES).is_dir()), None)
+    root = next((folder for folder in wanted if is_folder(folder / _PICTURES)), None)
     if root is None:
-        here = "it does not exist" if not path.is_dir() else f"it holds {', '.join(_names(path)) or 'nothing'}"
+        here = "it does not exist" if not is_folder(path) else f"it holds {', '.join(_names(path)) or 'nothing'}"
         msg = (
             f"path: {path} with subset: {subset or 'null'} has no folder {_PICTURES}; {here}: name the folder that holds "
             f"train or valid, or one of these, with {_PICTURES}, {_MASKS} and {_META} in it"
@@ -175,4 +176,5 @@ def _root(path: Path, subset: Subset | None) -> Path:
 
 
 def _names(path: Path) -> list[str]:
-    return sorted(child.name for child in path.iterdir())[:6]
+    folders, files = list_folder(path)
+    return sorted(folders + files)[:6]

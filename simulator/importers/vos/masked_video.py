@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -49,6 +49,7 @@ class MaskedVideo:
         pictures: folder of its pictures.
         masks: folder of its masks.
         frames: names of the pictures that are used, in the order of their numbers.
+        mask_names: the name of each frame's mask, by its picture's; empty where masks are not used.
         filmed_at: rate at which pictures are numbered, 1/s.
         categories: of each object, by its number; empty when the data set lists no objects, None in it for one that it lists
             without a category.
@@ -59,6 +60,7 @@ class MaskedVideo:
     pictures: Path
     masks: Path
     frames: tuple[str, ...]
+    mask_names: Mapping[str, str]
     filmed_at: float
     categories: Mapping[int, str | None] = field(default_factory=dict)
     keep_background: bool = False
@@ -91,9 +93,14 @@ class MaskedVideo:
         pictures = tuple(self.pictures / name for name in self.frames)
         return pictures if self.keep_background else (*pictures, *map(self.mask, self.frames))
 
+    def files_of(self, frame: str) -> tuple[Path, ...]:
+        """Return a frame's picture and, where it is used, its mask."""
+        picture = self.pictures / frame
+        return (picture,) if self.keep_background else (picture, self.mask(frame))
+
     def mask(self, frame: str) -> Path:
         """Return the file of a frame's mask."""
-        return (self.masks / frame).with_suffix(".png")
+        return self.masks / self.mask_names[frame]
 
     def read(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
         """Give frames one after the other as linear light ``(H, W, 3)`` in 0..1, black outside the objects.
@@ -118,7 +125,7 @@ class MaskedVideo:
         """Return where frames come from and what their masks held; the masks are read for it.
 
         Raises:
-            InputError: as for :meth:`read`, for the masks.
+            InputError: as for :meth:`read`, for the masks; and when none of them has an object, so that all would be black.
         """
         names = self.frames[start:stop]
         found: dict[str, Any] = {
@@ -130,12 +137,21 @@ class MaskedVideo:
         if self.keep_background:
             return found
         facts = {Path(name).stem: self.mask_facts(name) for name in names}
+        if not any(fact.objects for fact in facts.values()):
+            raise InputError(self.nothing_in([self.mask(name) for name in names]))
         return found | {
             "objects": sorted({number for fact in facts.values() for number in fact.objects}),
             "masks_resized_by_a_pixel": [name for name, fact in facts.items() if fact.resized],
             "masks_without_object": [name for name, fact in facts.items() if not fact.objects],
             "masks_with_void": [name for name, fact in facts.items() if fact.void],
         }
+
+    def nothing_in(self, masks: Sequence[Path]) -> str:
+        """Return the message about masks without any object."""
+        return (
+            f"{masks[0]} {f'and the {len(masks) - 1} after it have' if len(masks) > 1 else 'has'} no object, so that nothing "
+            f"is left of the pictures (index {VOID} is void): save objects as 1..{VOID - 1}, or leave video {self.name} out"
+        )
 
     def mask_facts(self, frame: str) -> MaskFacts:
         """Read a frame's mask, but of its picture the header only, and say what it holds.

@@ -10,9 +10,10 @@ from statistics import median
 
 from simulator.errors import InputError
 from simulator.importers.films.video import ClipPlan
+from simulator.importers.listing import examples, grouped
 from simulator.importers.survey import Progress, Survey
 from simulator.importers.vos.masked_video import MaskedVideo
-from simulator.importers.vos.videos import Fault, Found, examples, grouped
+from simulator.importers.vos.videos import Fault, Found
 from simulator.pictures import read_picture
 
 
@@ -60,21 +61,24 @@ def survey_videos(importer: str, found: Found, progress: Progress | None, frames
 def _read(video: MaskedVideo, root: Path, step: Callable[[], None]) -> _Read:
     result, sizes = _Read(video), Counter[tuple[int, ...]]()
     for frame in video.frames:
-        picture, mask = video.pictures / frame, video.mask(frame)
+        picture, *mask = video.files_of(frame)
         try:
             sizes[read_picture(picture).shape[:2]] += 1
             if not video.keep_background:
-                facts, where = video.mask_facts(frame), mask.relative_to(root).as_posix()
+                facts, where = video.mask_facts(frame), mask[0].relative_to(root).as_posix()
                 result.objects.update(facts.objects)
                 result.resized += [where] * facts.resized
                 result.empty += [where] * (not facts.objects)
                 result.void += [where] * facts.void
         except InputError as error:
-            result.faults.append(_fault(str(error), root, picture, mask))
+            result.faults.append(_fault(str(error), root, picture, *mask))
         step()
     if len(sizes) > 1:
         listed = ", ".join(f"{count} of {rows} x {columns}" for (rows, columns), count in sizes.items())
         result.faults.append((video.name, f"frames of several sizes ({listed}): fetch the video again"))
+    if len(result.empty) == len(video):
+        masks = [video.mask(frame) for frame in video.frames]
+        result.faults.append(_fault(video.nothing_in(masks), root, masks[0]))
     return result
 
 

@@ -14,6 +14,7 @@ from typing import Literal, TypeAlias
 from simulator.errors import InputError
 from simulator.importers.films.flat_videos import FlatVideos, choose_raiser, flat_videos, plane_depth
 from simulator.importers.films.video import ClipPlan
+from simulator.importers.listing import grouped, list_folder
 from simulator.importers.vos.masked_video import MaskedVideo, frame_number
 from simulator.types import View
 
@@ -22,7 +23,7 @@ Categories: TypeAlias = Mapping[int, str | None]
 Fault: TypeAlias = tuple[str, str]  # where, what and what to do
 
 _PICTURES = {".jpg", ".jpeg", ".png", ".webp"}
-_EXAMPLES = 3
+_MASK = ".png"
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,8 @@ def find_videos(
     Raises:
         InputError: when there is no folder of pictures at all.
     """
-    here = folders(pictures)
+    here, _ = list_folder(pictures)
+    list_folder(masks)  # one that cannot be read is not the fault of each video
     if not here:
         msg = f"path: {pictures} holds no video; expected a folder of pictures for each, fetch them"
         raise InputError(msg)
@@ -121,8 +123,8 @@ def find_videos(
     faults: list[Fault] = []
     unannotated = stray = 0
     for name in sorted(set(here) | set(categories or ()) if names is None else set(names)):
-        annotated = {file.stem for file in (masks / name).glob("*.png")}
         try:
+            annotated = _masks(masks / name)
             if categories is not None and not categories.get(name):
                 msg = "meta.json lists no object of it: fetch pictures and meta.json from the same release"
                 raise InputError(msg)
@@ -141,37 +143,30 @@ def find_videos(
         stray += len(annotated) - len(matched)
         known = (categories or {}).get(name, {})
         used = frames if keep_background else matched
-        videos.append(MaskedVideo(name, pictures / name, masks / name, used, filmed_at, known, keep_background))
+        of_frames = {} if keep_background else {frame: annotated[Path(frame).stem] for frame in matched}
+        videos.append(
+            MaskedVideo(name, pictures / name, masks / name, used, of_frames, filmed_at, known, keep_background)
+        )
     return Found(root, tuple(videos), tuple(faults), unannotated, stray)
 
 
-def grouped(faults: Iterable[Fault]) -> tuple[str, ...]:
-    """Return one line ``"where: reason"`` per reason; a reason that many share names a few and counts the others.
-
-    Example:
-        >>> grouped([("a", "too short"), ("b", "no mask"), ("c", "too short")])
-        ('a, c: too short', 'b: no mask')
-    """
-    places: dict[str, list[str]] = {}
-    for where, reason in faults:
-        places.setdefault(reason, []).append(where)
-    return tuple(f"{examples(where)}: {reason}" for reason, where in places.items())
-
-
-def folders(path: Path) -> list[str]:
-    """Return the sorted names of the folders in a folder; none where there is no such folder."""
-    return sorted(child.name for child in path.iterdir() if child.is_dir()) if path.is_dir() else []
-
-
-def examples(names: list[str]) -> str:
-    """Return a few names and how many more there are."""
-    more = len(names) - _EXAMPLES
-    return ", ".join(names) if more <= 0 else f"{', '.join(names[:_EXAMPLES])} and {more} more"
+def _masks(folder: Path) -> dict[str, str]:
+    """The masks of a video: the file's name by the name of its frame."""
+    found: dict[str, str] = {}
+    for name in list_folder(folder)[1]:
+        path = Path(name)
+        if path.suffix.lower() != _MASK:
+            continue
+        if path.stem in found:
+            msg = f"{found[path.stem]} and {name} are both the mask of frame {path.stem}: take one of them away"
+            raise InputError(msg)
+        found[path.stem] = name
+    return found
 
 
 def _frames(folder: Path) -> tuple[str, ...]:
     """The pictures of a video in the order of their numbers."""
-    found = [file.name for file in folder.iterdir() if file.suffix.lower() in _PICTURES] if folder.is_dir() else []
+    found = [name for name in list_folder(folder)[1] if Path(name).suffix.lower() in _PICTURES]
     numbered = sorted((frame_number(name), name) for name in found)
     for (number, name), (following, other) in pairwise(numbered):
         if number == following:

@@ -1,7 +1,9 @@
 """YouTube-VOS and DAVIS folders become clips: masks, gamma, edges, frame rates, labels, lists, and each mistake by name."""
 
 import json
+import os
 import pickle
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -244,6 +246,76 @@ def test_a_mask_without_object_gives_a_black_frame_that_is_counted(tube, rng) ->
     assert "make black frames: 1 (Annotations/a1b2/00005.png)" in str(youtube_vos_module.survey(tube.root))
 
 
+@pytest.mark.parametrize("number", [0, 255])
+def test_masks_that_leave_nothing_are_refused_by_name(tmp_path, rng, number) -> None:
+    """Masks of 0 and 255 in a palette are void everywhere, so a clip would be black from end to end."""
+    tube = Tube(tmp_path)
+    tube.video("empty", (0, 5, 10), dict.fromkeys((0, 5, 10), LEFT * number))
+    message = error_of(tube.source().clip, 0, rng)
+    assert re.match(r".*/Annotations/empty/000\d\d\.png and the 1 after it have no object", message)
+    assert "index 255 is void): save objects as 1..254, or leave video empty out" in message
+    survey = youtube_vos_module.survey(tube.root)
+    assert survey.usable == 0
+    assert survey.problems[0].startswith("Annotations/empty/00000.png: and the 2 after it have no object")
+    assert tube.source(keep_background=True).clip(0, rng).rgb.all()
+    write_mask(tube.folder / "Annotations" / "empty" / "00005.png", LEFT)
+    assert tube.source().clip(0, rng).rgb.any(), "one of any two frames has an object"
+
+
+@pytest.mark.parametrize("name", ["._{}", ".ipynb_checkpoints/{}", "__MACOSX/{}", "Thumbs.db"])
+def test_what_systems_leave_behind_is_no_frame_mask_or_video(tube, davis_root, name) -> None:
+    write_picture(davis_root / "images.jpg", 1)
+    junk = (davis_root / "images.jpg").read_bytes()
+    for folder, file in (("JPEGImages", "00000.jpg"), ("Annotations", "00000.png")):
+        for root in (tube.folder / folder, davis_root / folder, davis_root / folder / "480p"):
+            for inside in (
+                root,
+                *(child for child in sorted(root.iterdir()) if child.is_dir() and child.name[0] != "."),
+            ):
+                path = inside / name.format(file)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(junk)
+    (davis_root / "ImageSets" / "2017" / "._train.txt").write_bytes(b"\x00\x05\x16\x07")
+    for source in (tube.source(), davis(VIEW, path=davis_root, frames=3)):
+        assert source.problems == ()
+        assert {len(video) for video in source.videos} <= {3, 4}
+        assert not [file for file in source.inputs if name.split("/")[0].format("00000") in file.as_posix()]
+    assert "(resolutions there: 480p)" in error_of(davis, VIEW, path=davis_root, frames=1, resolution="1080p")
+    assert "._train" not in error_of(davis, VIEW, path=davis_root, frames=1, subset="no")
+
+
+def test_suffixes_may_be_in_capitals(tube, rng) -> None:
+    expected = tube.source(frames=4).clip(0, rng)
+    for file in [*tube.folder.glob("Annotations/*/*"), *tube.folder.glob("JPEGImages/*/*")]:
+        file.rename(file.with_suffix(file.suffix.upper()))
+    source = tube.source(frames=4)
+    np.testing.assert_array_equal(source.clip(0, rng).rgb, expected.rgb)
+    assert tube.folder / "Annotations" / "a1b2" / "00005.PNG" in source.inputs
+    write_mask(tube.folder / "Annotations" / "a1b2" / "00005.png", LEFT)
+    assert "00005.PNG and 00005.png are both the mask of frame 00005" in error_of(tube.source)
+
+
+@pytest.mark.parametrize("shut", ["JPEGImages", "Annotations", "JPEGImages/a1b2", "Annotations/a1b2"])
+def test_a_folder_that_may_not_be_read_is_named(tube, monkeypatch, shut) -> None:
+    scandir = os.scandir
+
+    def refuse(path):
+        if Path(path) == tube.folder / shut:
+            raise PermissionError(13, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    assert f"path: {tube.folder / shut} cannot be read: Permission denied" in error_of(tube.source)
+
+
+@pytest.mark.parametrize(("numbers", "step"), [((0, 5, 15), 5), ((0, 10, 15), 5), ((0, 10, 15, 25), 10)])
+def test_of_several_commonest_steps_the_smallest_gives_the_rate(tmp_path, rng, numbers, step) -> None:
+    tube = Tube(tmp_path)
+    tube.video("uneven", numbers, dict.fromkeys(numbers, LEFT))
+    clip = tube.source(frames=2).clip(0, rng)
+    np.testing.assert_allclose(clip.frame_edges_s, np.arange(3) * step / 30, rtol=1e-12)
+
+
 def test_an_object_that_meta_json_does_not_list_is_refused(tube, rng) -> None:
     write_mask(tube.folder / "Annotations" / "a1b2" / "00005.png", LEFT * 3)
     message = error_of(tube.source(frames=4).clip, 0, rng)
@@ -408,6 +480,22 @@ def test_binary_masks_of_davis_2016(tmp_path, rng) -> None:
     assert clip.rgb.mean() == pytest.approx(linear(188) / 2, rel=1e-6)
     assert clip.source["objects"] == [1]
     assert "leave subset out" in error_of(davis, VIEW, path=tmp_path, frames=2, subset="train")
+
+
+def test_images_without_masks_are_told_so(tmp_path, rng) -> None:
+    for number in range(2):
+        write_picture(tmp_path / "images" / "x" / f"{number:05d}.jpg", 188)
+    for call in (lambda: davis(VIEW, path=tmp_path, frames=2), lambda: davis_module.survey(tmp_path)):
+        assert "has a folder images, but none called masks: fetch the masks" in error_of(call)
+    clip = davis(VIEW, path=tmp_path, frames=2, keep_background=True).clip(0, rng)
+    np.testing.assert_allclose(clip.rgb, linear(188), **ROUNDING)
+
+
+def test_a_damaged_list_of_davis_is_named(davis_root) -> None:
+    (davis_root / "ImageSets" / "2017" / "train.txt").write_bytes(b"camel\xff\n")
+    assert "2017/train.txt cannot be read as a list of names" in error_of(
+        davis, VIEW, path=davis_root, frames=1, subset="train"
+    )
 
 
 def test_layouts_are_told_apart(tube, davis_root, tmp_path) -> None:
