@@ -6,7 +6,8 @@ Two runs with the same fingerprint make the same samples, so a run may resume in
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ PACKAGES = (
     "trimesh",
 )
 """Packages whose version may change a sample's bytes."""
+_OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless")
 _FREE_IN_PSF = ("check",)  # how closely errors are looked at changes no value
 _FREE_IN_DATASET = ("output", "workers", "engine", "train", "validation", "test")  # where, how fast, how many: not what
 
@@ -45,7 +47,7 @@ def package_versions() -> dict[str, str]:
 
 
 def build_fingerprint(
-    config: Mapping[str, Any], backend: str, input_files: Iterable[Path | str] = ()
+    config: Mapping[str, Any], backend: str, input_files: Iterable[Path | str] = (), packages: Iterable[str] = ()
 ) -> tuple[str, dict[str, Any]]:
     """Hash what decides the samples' bytes.
 
@@ -56,6 +58,8 @@ def build_fingerprint(
         config: the configuration as a dict, as ``Config.model_dump()`` gives it.
         backend: the renderer's variant, for example ``llvm_ad_rgb``.
         input_files: files whose contents decide samples: imported frames, measured PSFs, plugins' own code.
+        packages: further packages that this data set's scenes come through, by the names that pip knows; any of OpenCV's
+            stands for whichever of them is installed.
 
     Returns:
         64 hexadecimal digits, and the parts that were hashed (plain JSON, kept in ``dataset.json``).
@@ -68,20 +72,36 @@ def build_fingerprint(
         kept["dataset"] = {key: value for key, value in kept["dataset"].items() if key not in _FREE_IN_DATASET}
     if isinstance(kept.get("psf"), Mapping):
         kept["psf"] = {key: value for key, value in kept["psf"].items() if key not in _FREE_IN_PSF}
-    inputs: dict[str, str] = {}
-    for path in map(Path, input_files):
-        name, copies = path.name, 1
-        while name in inputs:
-            copies += 1
-            name = f"{path.name}#{copies}"
-        inputs[name] = sha256_file(path)
+    paths = [Path(path) for path in input_files]
+    inputs = {name: sha256_file(path) for name, path in zip(distinct_names(p.name for p in paths), paths, strict=True)}
     if len(inputs) > _LISTED_INPUTS:
         inputs = {f"{len(inputs)} files": hashlib.sha256(canonical_json(inputs)).hexdigest()}
     versions = package_versions()
     if isinstance(kept.get("render"), Mapping) and kept["render"].get("denoise"):
         versions["pyoidn"] = metadata.version("pyoidn")
+    for name in packages:
+        versions |= _versions_of(name)
     parts = plain({"backend": backend, "config": kept, "inputs": inputs, "versions": versions}, "configuration")
     return hashlib.sha256(canonical_json(parts)).hexdigest(), parts
+
+
+def distinct_names(names: Iterable[str]) -> Iterator[str]:
+    """Yield each name, with ``#2``, ``#3`` and so on where it came before; in time proportional to the number of names.
+
+    Example:
+        >>> list(distinct_names(["a", "a", "b", "a"]))
+        ['a', 'a#2', 'b', 'a#3']
+    """
+    taken: set[str] = set()
+    last: dict[str, int] = {}
+    for name in names:
+        distinct, number = name, last.get(name, 1)
+        while distinct in taken:  # more than once only where a file itself is called name#2
+            number += 1
+            distinct = f"{name}#{number}"
+        last[name] = number
+        taken.add(distinct)
+        yield distinct
 
 
 def difference(old_parts: Mapping[str, Any], new_parts: Mapping[str, Any]) -> str:
@@ -103,6 +123,15 @@ def difference(old_parts: Mapping[str, Any], new_parts: Mapping[str, Any]) -> st
                 texts = [repr(before), repr(after)]
             lines.append(f"{key.removeprefix('config.')}: {texts[0]} -> {texts[1]}")
     return "\n".join(lines)
+
+
+def _versions_of(name: str) -> dict[str, str]:
+    """Return the version of a package; of OpenCV, which several packages install as ``cv2``, those of all that are there."""
+    found: dict[str, str] = {}
+    for candidate in _OPENCV if name in _OPENCV else (name,):
+        with suppress(metadata.PackageNotFoundError):
+            found[candidate] = metadata.version(candidate)
+    return found or {name: "absent"}
 
 
 def _flat(value: Any, prefix: str = "") -> dict[str, Any]:

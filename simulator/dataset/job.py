@@ -24,7 +24,7 @@ from simulator.dataset.contact_sheet import contact_sheet
 from simulator.dataset.dataset_info import PSF_FOLDER, DatasetInfo, write_info
 from simulator.dataset.engines import Outcome, WorkerError, available_cpus, run
 from simulator.dataset.existing import all_or_nothing, existing_info, made_folder
-from simulator.dataset.fingerprint import build_fingerprint, package_versions
+from simulator.dataset.fingerprint import build_fingerprint
 from simulator.dataset.manifest import ManifestWriter, load_manifest
 from simulator.dataset.recipe import Recipe, make_pilot, make_sample, scene_clip, start_worker
 from simulator.dataset.sample import SPLITS, sample_id
@@ -131,7 +131,8 @@ class _Job:
             self.say(f"rendering with {backend.message}" + (f". {backend.advice}" if backend.advice else ""))
         source = build_source(self.config, variant)
         self._check_source(source)
-        fingerprint, parts = build_fingerprint(dump(self.config), variant, input_files(self.config, source))
+        packages = getattr(source, "packages", ())
+        fingerprint, parts = build_fingerprint(dump(self.config), variant, input_files(self.config, source), packages)
         existing = existing_info(self.root, self._counts(), fingerprint, parts)
         if existing is None and not timed and not renders:
             self._look_at_a_clip(plugin, source)
@@ -148,7 +149,7 @@ class _Job:
                     config=dump(self.config),
                     fingerprint=fingerprint,
                     fingerprint_parts=parts,
-                    versions=package_versions() | {"cpu": _cpu_level()},
+                    versions=parts["versions"] | {"cpu": _cpu_level()},
                     backend=variant,
                     exposure=exposure,
                     counts=self._counts(),

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulator.dataset.fingerprint import build_fingerprint, difference, package_versions
+from simulator.dataset.fingerprint import build_fingerprint, difference, distinct_names, package_versions
 from simulator.dataset.plain import canonical_json, plain, readable_json
 from simulator.errors import InputError
 
@@ -116,6 +116,61 @@ def test_the_denoiser_counts_where_it_is_used(monkeypatch: pytest.MonkeyPatch) -
     assert found[True, "1.0"] != found[True, "2.0"]
     assert found[False, "1.0"] == found[False, "2.0"]
     assert found[True, "1.0"] != found[False, "1.0"]
+
+
+def test_what_a_source_comes_through_counts_where_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same for films' decoder and for OpenCV, which is installed under one of four names."""
+    version = metadata.version
+    installed = {"av": "1.0", "opencv-contrib-python": "4.0"}
+
+    def look_up(name: str) -> str:
+        if name in ("av", "torch") or name.startswith("opencv"):
+            if name not in installed:
+                raise metadata.PackageNotFoundError(name)
+            return installed[name]
+        return version(name)
+
+    monkeypatch.setattr(metadata, "version", look_up)
+    names = ("av", "opencv-python-headless", "torch")
+    first, parts = build_fingerprint(CONFIG, "none", packages=names)
+    plain_one, plain_parts = build_fingerprint(CONFIG, "none")
+    added = {key: value for key, value in parts["versions"].items() if key not in plain_parts["versions"]}
+    assert added == installed | {"torch": "absent"}
+    for changed_name in ("av", "opencv-contrib-python"):
+        monkeypatch.setitem(installed, changed_name, "9.9")
+        second, new = build_fingerprint(CONFIG, "none", packages=names)
+        assert second != first
+        assert f"versions.{changed_name}: " in difference(parts, new)
+        assert build_fingerprint(CONFIG, "none")[0] == plain_one
+        first, parts = second, new
+
+
+class CountingName(str):
+    """A name that counts how often a number is put behind it."""
+
+    __slots__ = ()
+    numbered = 0
+
+    def __format__(self, spec: str) -> str:
+        CountingName.numbered += 1
+        return super().__format__(spec)
+
+
+def test_files_of_one_name_are_numbered_without_going_through_all_numbers() -> None:
+    """Frames are called alike in every video: 40 000 files must not take 10^9 steps."""
+    names = [CountingName(name) for _ in range(300) for name in ("00000.jpg", "00005.jpg")]
+    assert len(set(distinct_names(names))) == 600
+    assert CountingName.numbered == 598
+
+
+@given(st.lists(st.sampled_from(["a", "a#2", "a#3", "a#2#2", "b"])))
+def test_numbers_are_the_first_free_ones(names: list[str]) -> None:
+    """Fingerprints of data sets on disk stay: the names are those of a search from 2 on, every time."""
+    expected: list[str] = []
+    for name in names:
+        numbered = (f"{name}#{number}" for number in range(2, 100))
+        expected.append(name if name not in expected else next(n for n in numbered if n not in expected))
+    assert list(distinct_names(names)) == expected
 
 
 def test_differences_are_readable(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -220,6 +221,18 @@ def test_exposure_is_found_once(trial) -> None:
     trial.generate(camera={"exposure": {"full_scale": "auto"}}, dataset={"train": 4})
     assert json.loads((root / "dataset.json").read_text())["exposure"] == first
     assert {sample.metadata["full_scale"] for sample in open_dataset(root)} == {first["full_scale"]}
+
+
+def test_packages_that_the_scenes_come_through_are_recorded_and_count(trial, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = trial.plugins.read_text()
+    trial.plugins.write_text(code.replace("    boxes: int\n", "    boxes: int\n    packages = ('pytest',)\n", 1))
+    root = trial.generate(dataset={"train": 1, "validation": 0, "test": 0})
+    info = json.loads((root / "dataset.json").read_text())
+    assert info["versions"]["pytest"] == info["fingerprint_parts"]["versions"]["pytest"] == pytest.__version__
+    version = metadata.version
+    monkeypatch.setattr(metadata, "version", lambda name: "0.1" if name == "pytest" else version(name))
+    with pytest.raises(InputError, match=rf"another configuration.*\nversions.pytest: {pytest.__version__} -> 0\.1$"):
+        generate(trial.path)
 
 
 class TestRefusals:
