@@ -56,7 +56,8 @@ class Clip:
         rgb: linear radiance, float32 ``(T, H, W, 3)``, finite and not negative.
         depth_m: z from the mask plane, float32 metres ``(T, H, W)``, positive; where ``valid`` is false, the far depth.
         valid: bool ``(T, H, W)``, false where no surface was seen.
-        frame_edges_s: float64 seconds ``(T + 1,)``, increasing: frame ``t`` lasts from edge ``t`` to ``t + 1``.
+        frame_edges_s: float64 seconds ``(T + 1,)`` after the capture's start, increasing: frame ``t`` lasts from edge ``t`` to
+            ``t + 1``.
         label: the class name of an action, or None.
         source: where the clip came from, JSON-serialisable; it is stored with the sample.
         extras: more that is known of every pixel, by name: arrays of numbers ``(T, H, W)`` or ``(T, H, W, n)``, finite; see
@@ -86,8 +87,10 @@ class Clip:
             msg = f"Clip.valid must be bool {frames_shape} like rgb, got {self.valid.dtype} {self.valid.shape}"
             raise InputError(msg)
         edges = self.frame_edges_s
-        if edges.shape != (frames_shape[0] + 1,) or not np.all(np.diff(edges) > 0):
-            msg = f"Clip.frame_edges_s must hold {frames_shape[0] + 1} strictly increasing seconds, got {edges!r}"
+        if edges.shape != (frames_shape[0] + 1,) or not (np.all(np.diff(edges) > 0) and np.all(np.isfinite(edges))):
+            msg = (
+                f"Clip.frame_edges_s must hold {frames_shape[0] + 1} finite, strictly increasing seconds, got {edges!r}"
+            )
             raise InputError(msg)
         if not np.all(np.isfinite(self.rgb)) or self.rgb.min() < 0:
             msg = "Clip.rgb must be finite and not negative: linear radiance has no NaN, inf or negative values"
@@ -114,6 +117,9 @@ class SceneSource(Protocol):
       fall; no two splits of a data set share a video. Without it every clip is a video of its own.
     - ``problems``: lines ``"file: reason"`` about what was found and cannot be used; a job refuses them unless it is asked to
       go on without.
+
+    Any source may have ``packages``: names, as pip knows them, of packages beside `simulator.dataset.fingerprint.PACKAGES`
+    whose versions change what ``clip`` returns (``av`` decodes films); they become part of the fingerprint.
     """
 
     @property

@@ -19,7 +19,7 @@ from simulator.camera.colour import to_camera
 from simulator.camera.convolution import StackConvolution
 from simulator.camera.planes import clamped_share, split_planes
 from simulator.camera.shutter import Shutter
-from simulator.camera.slivers import exposed_part, sliver_length, sliver_weights
+from simulator.camera.slivers import exposed_part, frame_shares, sliver_edges, sliver_length
 from simulator.errors import InputError
 from simulator.optics.psf_stack import PsfStack
 from simulator.types import Clip
@@ -126,22 +126,24 @@ class ForwardModel:
         weights = self.row_weights(frames, clip.frame_edges_s if frames > 1 else None)
         return self._convolution.forward_rows(self._planes(clip), weights)
 
-    def global_measurements(self, clip: Clip, slivers: int) -> NDArray[np.float32]:
-        """Return what a global shutter would give for each sliver, ``(N, C, H, W)``: MeasNet's targets.
+    def global_measurements(self, clip: Clip, slivers: int) -> Iterator[NDArray[np.float32]]:
+        """Return, one by one, what a global shutter would give of each sliver, N times ``(C, H, W)``: MeasNet's targets.
 
-        The mean of the sliver's frames, seen by every row for the row's exposure time, so that they are on the scale of
+        The mean over the sliver's time, seen by every row for the row's exposure time, so that they are on the scale of
         ``forward_clip``. See `simulator.camera.slivers`.
 
         Raises:
             InputError: as ``forward_clip``, and when the frames that the shutter sees cannot be shared equally.
         """
         clip = self._checked(clip)
-        length = sliver_length(len(clip.rgb), slivers)
-        planes = self._planes(clip)
-        mean = np.full((length, self.sensor_shape[0]), 1 / length)
-        exposures = self._exposures().astype(np.float32)[:, None]
-        group = [self._convolution.forward_rows((next(planes) for _ in mean), mean) for _ in range(slivers)]
-        return np.stack(group) * exposures
+        sliver_length(len(clip.rgb), slivers)
+        planes, exposures = self._planes(clip), self._exposures().astype(np.float32)[:, None]
+
+        def exposed(shares: NDArray[np.float64]) -> NDArray[np.float32]:
+            alike = np.repeat(shares[:, None], self.sensor_shape[0], axis=1)
+            return self._convolution.forward_rows((next(planes) for _ in shares), alike) * exposures
+
+        return map(exposed, frame_shares(clip.frame_edges_s, slivers))
 
     def row_weights(self, frames: int = 1, frame_edges_s: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
         """Return the weight of each frame in each row of the stored image, ``(T, H)``: dt S, or dt S / T_exp.
@@ -175,7 +177,7 @@ class ForwardModel:
         if self.shutter is None:
             msg = "shutter: got None, but slivers are what a shutter cuts a capture into; give the model a shutter"
             raise InputError(msg)
-        return sliver_weights(self.shutter.weights(self.sensor_shape[0], frame_edges_s), slivers)[:, ::-1]
+        return self.shutter.weights(self.sensor_shape[0], sliver_edges(frame_edges_s, slivers))[:, ::-1]
 
     def _open_s(self) -> NDArray[np.float64]:
         """Return the exposure times of the stored image's rows, ``(H,)`` seconds; ones without a shutter."""

@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 
+ROUNDING = 1e-9
+"""Share of a capture's time that rounding of its edges may take."""
+
 
 class Shutter(ABC):
     """A shutter: the window of time in which each row is open.
@@ -40,7 +43,30 @@ class Shutter(ABC):
 
     def duration_s(self, rows: int) -> float:
         """Return how long a capture of so many stored rows lasts, from time zero until its last row closes, seconds."""
-        return float(self.windows_s(rows)[..., 1].max())
+        return self.span_s(rows)[1]
+
+    def span_s(self, rows: int) -> tuple[float, float]:
+        """Return when the first of so many stored rows opens and the last one closes, seconds after the capture's start."""
+        windows = self.windows_s(rows)
+        return float(windows[..., 0].min()), float(windows[..., 1].max())
+
+    def check_covered(self, rows: int, frame_edges_s: NDArray[np.float64]) -> None:
+        """Refuse a clip during which not all of the capture of so many stored rows happens.
+
+        Args:
+            rows: stored rows.
+            frame_edges_s: ``(T + 1,)`` seconds, increasing.
+
+        Raises:
+            InputError: the clip begins after the first row opens or ends before the last one closes, by more than rounding.
+        """
+        (first, last), begin, end = self.span_s(rows), float(frame_edges_s[0]), float(frame_edges_s[-1])
+        if begin > first + ROUNDING * last or end < last * (1 - ROUNDING):
+            msg = (
+                f"the clip lasts from {begin:.9g} to {end:.9g} s, but the shutter is open from {first:.9g} to {last:.9g} s; "
+                "use a longer clip (more frames, or fewer per second) or a faster shutter"
+            )
+            raise InputError(msg)
 
     def separable_frames(self, rows: int) -> int:
         """Return how many frames one capture of so many stored rows can tell apart.
@@ -76,15 +102,8 @@ class Shutter(ABC):
         if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
             msg = f"frame_edges_s: got shape {edges.shape}, expected at least two times in seconds, strictly increasing"
             raise InputError(msg)
-        windows = self.windows_s(rows)
-        first, last = float(windows[..., 0].min()), float(windows[..., 1].max())
-        slack = 1e-9 * (last - first)
-        if edges[0] > first + slack or edges[-1] < last - slack:
-            msg = (
-                f"the clip lasts from {edges[0]:g} to {edges[-1]:g} s, but the shutter is open from {first:g} to {last:g} s; "
-                "use a longer clip (more frames, or fewer per second) or a faster shutter"
-            )
-            raise InputError(msg)
+        self.check_covered(rows, edges)
+        windows, (first, last) = self.windows_s(rows), self.span_s(rows)
         reached = np.concatenate([[min(edges[0], first)], edges[1:-1], [max(edges[-1], last)]])
         open_until = np.clip(reached[:, None, None], windows[..., 0], windows[..., 1]).mean(axis=-1)
         return np.clip(np.diff(open_until, axis=0) / np.diff(edges)[:, None], 0, 1)
@@ -216,8 +235,8 @@ def _check_times(binning: int, **times_s: float) -> None:
         if not 0 < value < np.inf:
             msg = f"{name}: got {value!r}, expected positive seconds (10 ms is 0.01)"
             raise InputError(msg)
-    if binning < 1:
-        msg = f"binning: got {binning}, expected at least 1 physical row per stored row"
+    if not isinstance(binning, int | np.integer) or isinstance(binning, bool) or binning < 1:
+        msg = f"binning: got {binning!r}, expected a whole number of physical rows per stored row, at least 1"
         raise InputError(msg)
 
 

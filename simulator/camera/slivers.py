@@ -1,7 +1,9 @@
 """Slivers: a capture through a moving shutter, taken apart in time.
 
 The frames that a shutter sees are put into N groups of equally many. The n-th sliver is the measurement times the mean of S
-over its frames; the scene that belongs to it is the mean of its frames (the thesis: 60 frames are 10 slivers of 6).
+over its frames; the scene that belongs to it is the mean of its frames (the thesis: 60 frames are 10 slivers of 6). Means are
+over time: where frames differ in length, each counts as long as it lasts. As S is the share of an interval, its mean over a
+sliver's frames is S of the sliver's whole time.
 """
 
 from __future__ import annotations
@@ -12,18 +14,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.arrays import Array, like
-from simulator.camera.shutter import Shutter
+from simulator.camera.shutter import ROUNDING, Shutter
 from simulator.errors import InputError
 from simulator.types import Clip
 
 
+def frames_seen(frame_edges_s: NDArray[np.float64], shutter: Shutter, rows: int) -> slice:
+    """Return which frames last while any of so many stored rows is open; the clip must cover the capture."""
+    first, last = shutter.span_s(rows)
+    slack = ROUNDING * last
+    start = int(np.count_nonzero(frame_edges_s[1:] <= first + slack))
+    return slice(start, max(int(np.count_nonzero(frame_edges_s[:-1] < last - slack)), start + 1))
+
+
 def exposed_part(clip: Clip, shutter: Shutter, rows: int) -> Clip:
-    """Return the clip without the frames that begin after the last of so many stored rows has closed; a still as it is."""
+    """Return the clip without frames during which none of so many stored rows is open; a still as it is.
+
+    Raises:
+        InputError: the clip does not cover the capture.
+    """
     if len(clip.rgb) == 1:
         return clip
-    end = shutter.duration_s(rows)
-    seen = max(int(np.count_nonzero(clip.frame_edges_s[:-1] < end * (1 - 1e-9))), 1)
-    return clip if seen == len(clip.rgb) else _frames_of(clip, slice(0, seen), clip.frame_edges_s[: seen + 1])
+    shutter.check_covered(rows, clip.frame_edges_s)
+    seen = frames_seen(clip.frame_edges_s, shutter, rows)
+    if seen == slice(0, len(clip.rgb)):
+        return clip
+    return _frames_of(clip, seen, clip.frame_edges_s[seen.start : seen.stop + 1])
 
 
 def sliver_length(frames: int, slivers: int) -> int:
@@ -43,10 +59,19 @@ def sliver_length(frames: int, slivers: int) -> int:
     return frames // slivers
 
 
-def sliver_weights(weights: NDArray[np.float64], slivers: int) -> NDArray[np.float64]:
-    """Return the mean of S over the frames of each sliver, ``(N, rows)``, from S ``(T, rows)`` of the frames seen."""
-    length = sliver_length(len(weights), slivers)
-    return weights.reshape(slivers, length, -1).mean(axis=1)
+def sliver_edges(frame_edges_s: NDArray[np.float64], slivers: int) -> NDArray[np.float64]:
+    """Return when slivers begin and end, ``(N + 1,)`` seconds, from the edges ``(T + 1,)`` of the frames seen.
+
+    Raises:
+        InputError: when the frames cannot be shared equally.
+    """
+    return frame_edges_s[:: sliver_length(len(frame_edges_s) - 1, slivers)]
+
+
+def frame_shares(frame_edges_s: NDArray[np.float64], slivers: int) -> NDArray[np.float64]:
+    """Return which share of its sliver's time each frame lasts, ``(N, T / N)``; rows add up to 1."""
+    durations = np.diff(frame_edges_s).reshape(slivers, -1)
+    return durations / durations.sum(axis=1, keepdims=True)
 
 
 def split_measurement(measurement: Array, weights: NDArray[np.float64]) -> Array:
@@ -71,8 +96,10 @@ def sliver_means(clip: Clip, slivers: int) -> Clip:
     length = sliver_length(frames, slivers)
     if length == 1:
         return clip
-    means = clip.rgb.reshape(slivers, length, *clip.rgb.shape[1:]).mean(axis=1, dtype=np.float32)
-    return replace(_frames_of(clip, slice(length // 2, None, length), clip.frame_edges_s[::length]), rgb=means)
+    edges_s = sliver_edges(clip.frame_edges_s, slivers)
+    shares = frame_shares(clip.frame_edges_s, slivers).astype(np.float32)
+    means = np.einsum("nt,nthwc->nhwc", shares, clip.rgb.reshape(slivers, length, *clip.rgb.shape[1:]))
+    return replace(_frames_of(clip, slice(length // 2, None, length), edges_s), rgb=means)
 
 
 def _frames_of(clip: Clip, frames: slice, frame_edges_s: NDArray[np.float64]) -> Clip:

@@ -111,8 +111,8 @@ class Dataset(Sequence[Sample]):
         """Return the share of each sliver's time in which each row was open, ``(N, H)``, in the stored orientation.
 
         With `simulator.camera.slivers.split_measurement`, the slivers of the sample's measurement. As S is the share of an
-        interval, S of a whole sliver is the mean of S over its frames, which are equally long. The one sliver of a still,
-        which lasts as long as any row is open, is the measurement itself: ones.
+        interval, S of a whole sliver is the mean of S over the time of its frames. The one sliver of a still, which lasts as
+        long as any row is open, is the measurement itself: ones.
 
         Raises:
             InputError: a clip in a data set that records no shutter, or times that do not cover its capture.

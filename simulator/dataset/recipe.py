@@ -16,6 +16,7 @@ from simulator.assemble import build_forward_model, build_sensor, build_source, 
 from simulator.camera.colour import clipped_share
 from simulator.camera.noise import GaussianNoise
 from simulator.camera.planes import clamped_share
+from simulator.camera.shutter import Shutter
 from simulator.camera.slivers import exposed_part, sliver_means
 from simulator.config import Config
 from simulator.dataset.psf_files import read_psf_stack
@@ -37,6 +38,7 @@ class Recipe:
         psf_folder: the data set's PSF stack.
         source: the scene source, or None where workers must build it themselves (classes in a user's own file).
         full_scale: exposure at full scale; None while it is being found from pilot samples.
+        shutter: the shutter, built once so that all samples share its windows; None builds it from the configuration.
     """
 
     config: Config
@@ -44,6 +46,7 @@ class Recipe:
     psf_folder: Path
     source: SceneSource | None
     full_scale: float | None = None
+    shutter: Shutter | None = None
 
 
 class SampleMaker:
@@ -53,11 +56,11 @@ class SampleMaker:
         """Read the PSF stack and prepare the forward model: about a second."""
         self._seed, self._chosen = recipe.config.seed, recipe.config.dataset
         self._stack = read_psf_stack(recipe.psf_folder)
-        self._model = build_forward_model(recipe.config, self._stack)
+        self._model = build_forward_model(recipe.config, self._stack, recipe.shutter)
         self._plugin = scene_plugin(recipe.config)
         self._source = recipe.source or build_source(recipe.config, recipe.backend)
         self._order = clip_order(self._source)
-        self._sensor = build_sensor(recipe.config, recipe.full_scale or 1.0)
+        self._sensor = build_sensor(recipe.config, recipe.full_scale or 1.0, recipe.shutter)
         self._channels = self._sensor.channels(self._stack.channels)
 
     def exposure(self, split: str, index: int) -> tuple[Clip, NDArray[np.float32]]:
@@ -104,7 +107,9 @@ class SampleMaker:
         truth = clip if self._chosen.ground_truth == "frames" else sliver_means(clip, slivers)
         measured = None
         if self._chosen.global_measurements:
-            measured = np.stack([self._sensor.noiseless(e) for e in self._model.global_measurements(clip, slivers)])
+            measured = np.empty((slivers, *noiseless.shape), np.float32)
+            for n, seen in enumerate(self._model.global_measurements(clip, slivers)):
+                measured[n] = self._sensor.noiseless(seen)
         return Sample(
             measurement,
             noiseless,

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.camera.shutter import Shutter
+from simulator.camera.shutter import ROUNDING, Shutter
+from simulator.camera.slivers import frames_seen
 from simulator.config.schema import DatasetConfig
 from simulator.errors import InputError
 from simulator.types import Clip
-
-_SLACK = 1e-9  # of a duration: what rounding of times may take
 
 
 class ClipTimesError(InputError):
@@ -45,14 +44,14 @@ def check_parameters(params: Mapping[str, Any], shutter: Shutter, rows: int, cho
     if not isinstance(rate, int | float) or isinstance(rate, bool) or not 0 < rate < math.inf:
         return False
     open_s = shutter.duration_s(rows)
-    if frames / rate < open_s * (1 - _SLACK):
-        needed = math.ceil(open_s * rate * (1 - _SLACK))
+    if frames / rate < open_s * (1 - ROUNDING):
+        needed = math.ceil(open_s * rate * (1 - ROUNDING))
         msg = (
             f"scene.frames: got {frames} at {rate:g} per second, which last {_time(frames / rate)}, but the shutter is open "
             f"for {_time(open_s)}; expected at least {needed}, or fewer per second, or a faster camera.shutter"
         )
         raise ClipTimesError(msg)
-    _check_slivers(frames_seen(np.arange(frames + 1) / rate, shutter, rows), frames, chosen.slivers)
+    _check_slivers(count_seen(np.arange(frames + 1) / rate, shutter, rows), frames, chosen.slivers)
     return True
 
 
@@ -62,24 +61,30 @@ def check_clip(clip: Clip, shutter: Shutter, rows: int, slivers: int | None) -> 
     Raises:
         ClipTimesError: naming where the clip comes from.
     """
-    frames, lasts_s = len(clip.rgb), float(clip.frame_edges_s[-1] - clip.frame_edges_s[0])
+    frames, edges = len(clip.rgb), clip.frame_edges_s
     if frames == 1:
         _check_slivers(1, 1, slivers)
         return
-    open_s = shutter.duration_s(rows)
-    if lasts_s < open_s * (1 - _SLACK):
-        needed = math.ceil(open_s * frames / lasts_s * (1 - _SLACK))
+    first_s, open_s = shutter.span_s(rows)
+    if edges[0] <= first_s and edges[-1] < open_s * (1 - ROUNDING):
+        needed = math.ceil((open_s - edges[0]) * frames / (edges[-1] - edges[0]) * (1 - ROUNDING))
         msg = (
-            f"scene: a clip of {frames} frames lasts {_time(lasts_s)}, but the shutter is open for {_time(open_s)}; take "
+            f"scene: a clip of {frames} frames lasts {_time(edges[-1])}, but the shutter is open for {_time(open_s)}; take "
             f"{needed} frames, or fewer per second, or a faster camera.shutter. The clip: {clip.source}"
         )
         raise ClipTimesError(msg)
-    _check_slivers(frames_seen(clip.frame_edges_s, shutter, rows), frames, slivers)
+    try:
+        shutter.check_covered(rows, edges)
+    except InputError as error:
+        msg = f"scene: {error}; times count from the capture's start. The clip: {clip.source}"
+        raise ClipTimesError(msg) from error
+    _check_slivers(count_seen(edges, shutter, rows), frames, slivers)
 
 
-def frames_seen(frame_edges_s: NDArray[np.float64], shutter: Shutter, rows: int) -> int:
-    """Return how many frames of a clip begin before the shutter has closed."""
-    return max(int(np.count_nonzero(frame_edges_s[:-1] < shutter.duration_s(rows) * (1 - _SLACK))), 1)
+def count_seen(frame_edges_s: NDArray[np.float64], shutter: Shutter, rows: int) -> int:
+    """Return how many frames of a clip last while the shutter is open."""
+    seen = frames_seen(frame_edges_s, shutter, rows)
+    return seen.stop - seen.start
 
 
 def durations_s(frame_edges_s: NDArray[np.float64]) -> float | list[float]:

@@ -4,6 +4,7 @@ Relative tolerances are those of double or single precision sums of some thousan
 """
 
 import tracemalloc
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.signal import convolve2d
 from simulator.camera.forward import ForwardModel
 from simulator.camera.planes import split_planes
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, RowShutter, Shutter
-from simulator.camera.slivers import exposed_part, sliver_means, sliver_weights, split_measurement
+from simulator.camera.slivers import exposed_part, sliver_edges, sliver_means, split_measurement
 from simulator.errors import InputError
 from simulator.optics.psf_stack import PsfStack
 from simulator.types import Clip
@@ -212,7 +213,8 @@ def test_global_measurements_are_those_of_the_slivers_mean_scenes():
     stack = _stack(1, np.float32)
     clip = _clip(12, frame_s=shutter.duration_s(SENSOR[0]) / 12)
     model = ForwardModel(stack, SENSOR, SCENE, shutter)
-    found = model.global_measurements(clip, slivers)
+    found = list(model.global_measurements(clip, slivers))
+    assert len(found) == slivers
     exposures = shutter.exposures_s(SENSOR[0])[::-1, None]
     for n, measurement in enumerate(found):
         mean = clip.rgb[4 * n : 4 * n + 4].astype(np.float64).mean(axis=0)
@@ -232,11 +234,63 @@ def test_moving_3d_measurements_of_a_sliver_keep_every_frames_depth():
     rgb[:, 4, 4] = 1
     depth = np.broadcast_to(stack.depths_m[:, None, None], (3, *SCENE)).astype(np.float32)
     clip = Clip(rgb, depth, np.ones((3, *SCENE), bool), np.arange(4) * FRAME_S)
-    found = ForwardModel(stack, SENSOR, SCENE, shutter).global_measurements(clip, 1)[0]
+    found = ForwardModel(stack, SENSOR, SCENE, shutter).global_measurements(clip, 1)
+    (found,) = found
     mean_psf = stack.values.mean(axis=0) * 3 * FRAME_S
     row, column = 4 + (SENSOR[0] - SCENE[0]) // 2, 4 + (SENSOR[1] - SCENE[1]) // 2
     cut = found[:, row - 4 : row + 5, column - 3 : column + 4]
     np.testing.assert_allclose(cut, mean_psf, rtol=1e-5)
+
+
+def test_frames_of_unequal_length_count_as_long_as_they_last():
+    """Frames of 1 and 3 ms in turn: slivers, their scenes, their weights and global measurements are means over time."""
+    shutter = RollingShutter(4e-3, 0.5e-3)
+    edges = np.concatenate([[0], np.cumsum(np.tile([1e-3, 3e-3], 4))])
+    shutter_model = ForwardModel(_stack(1, np.float32), SENSOR, SCENE, shutter)
+    clip = replace(_clip(8), frame_edges_s=edges)
+    means = sliver_means(clip, 2)
+    expected = (1 * clip.rgb[4] + 3 * clip.rgb[5] + 1 * clip.rgb[6] + 3 * clip.rgb[7]) / 8
+    np.testing.assert_allclose(means.rgb[1], expected, rtol=1e-6)
+    np.testing.assert_array_equal(means.frame_edges_s, edges[[0, 4, 8]])
+    shares = shutter.weights(SENSOR[0], edges)[4:] * np.array([1, 3, 1, 3])[:, None] / 8
+    weights = shutter_model.sliver_weights(edges, 2)
+    np.testing.assert_allclose(weights[1], shares.sum(axis=0)[::-1], rtol=1e-12)
+    *_, found = shutter_model.global_measurements(clip, 2)
+    still = ForwardModel(_stack(1, np.float32), SENSOR, SCENE, GlobalShutter(4e-3))
+    truth = still.forward(np.moveaxis(expected, -1, 0)[None, None])
+    np.testing.assert_allclose(found, truth, atol=2e-6 * truth.max())
+
+
+def test_a_clip_that_does_not_cover_the_shutter_is_no_still():
+    """Whatever is cut off as not seen, what is left must last from the first row's opening to the last one's closing."""
+    model = ForwardModel(_stack(1, np.float32), SENSOR, SCENE, GlobalShutter(1e-2))
+    for edges in ([5, 6, 7, 8], [9e-3, 0.02, 0.03, 0.04], [-3e-3, -2e-3, -1e-3, 9e-3]):
+        clip = replace(_clip(3), frame_edges_s=np.array(edges, np.float64))
+        for expose in (model.forward_clip, lambda c: model.global_measurements(c, 1)):
+            with pytest.raises(InputError, match=r"but the shutter is open from 0 to 0\.01 s"):
+                expose(clip)
+
+
+def test_frames_before_and_after_the_capture_are_not_seen():
+    late = RowShutter(np.array([[1.0e-3, 2.0e-3]] * SENSOR[0]))  # a trigger a millisecond after the clip's start
+    clip = _clip(16)  # of 0.25 ms: the shutter sees frames 4 to 7
+    seen = exposed_part(clip, late, SENSOR[0])
+    np.testing.assert_array_equal(seen.rgb, clip.rgb[4:8])
+    np.testing.assert_array_equal(seen.frame_edges_s, clip.frame_edges_s[4:9])
+    model = ForwardModel(_stack(1, np.float32), SENSOR, SCENE, late)
+    np.testing.assert_array_equal(model.forward_clip(seen), model.forward_clip(clip))
+
+
+@pytest.mark.parametrize("shift", [-2e-16, 0.0, 2e-16])
+def test_rounding_of_edges_decides_nothing(shift):
+    """60 frames at 2000 per second last 30 ms within rounding: a shutter of 30 ms sees them all, and no frame more."""
+    shutter = GlobalShutter(30e-3)
+    edges = np.arange(62) / 2000 + np.where(np.arange(62) == 60, shift * 30, 0)
+    clip = replace(_clip(61), frame_edges_s=edges)
+    assert len(exposed_part(clip, shutter, SENSOR[0]).rgb) == 60
+    short = replace(_clip(60), frame_edges_s=edges[:61])
+    shares = shutter.weights(SENSOR[0], short.frame_edges_s)
+    np.testing.assert_allclose(np.diff(short.frame_edges_s) @ shares, 30e-3, rtol=1e-12)
 
 
 def test_memory_does_not_grow_with_frames():
@@ -263,7 +317,7 @@ def test_what_cannot_be_done_is_said():
     with pytest.raises(InputError, match=r"slivers: got 5 for a capture that sees 12 frames.*take 4"):
         rolling.global_measurements(_clip(12), 5)
     with pytest.raises(InputError, match="slivers: got 0"):
-        sliver_weights(np.ones((4, 2)), 0)
+        sliver_edges(np.arange(5.0), 0)
     with pytest.raises(InputError, match="need a shutter"):
         ForwardModel(stack, SENSOR, SCENE).forward_clip(_clip(4))
     with pytest.raises(InputError, match="give the model a shutter"):

@@ -174,6 +174,36 @@ def test_numbers_about_colour_look_at_all_frames_seen(trial: Any, source: Module
     assert sample.metadata["frames_seen"] == 12
 
 
+def test_depths_of_all_frames_count(trial: Any) -> None:
+    """Half of the last frame's depths lie before the nearest plane, those of the first within: 20 of 12 x 320 pixels."""
+    text = SOURCE.read_text().replace(
+        "        valid = np.ones", "        depth[11, :2, :10] = self.view.near_m / 2\n        valid = np.ones"
+    )
+    write(trial, {"train": 1, "validation": 0, "test": 0})
+    (trial.folder / SOURCE.name).write_text(text)
+    (sample,) = open_dataset(generate(trial.path, ["forward.max_clamped=1"]).path)
+    valid = 12 * (16 * 20 - 1)
+    assert sample.metadata["clamped_depth_share"] == pytest.approx(20 / valid, rel=1e-6)
+
+
+def test_a_capture_of_one_sliver_keeps_its_times_and_its_global_measurement_is_noiseless(trial: Any) -> None:
+    chosen = {"slivers": 1, "train": 1, "validation": 0, "test": 0, "global_measurements": True}
+    root = generate(write(trial, chosen), ["camera.noise={type: gaussian, std: 0.02}"]).path
+    data = open_dataset(root)
+    sample = data[0]
+    assert sample.frame_edges_s is not None
+    np.testing.assert_allclose(sample.frame_edges_s, [0, 12e-3], rtol=1e-12)
+    expected = seconds_open(12).sum(axis=0) / 12e-3
+    np.testing.assert_allclose(data.sliver_weights(sample)[0], expected, atol=1e-12)
+    assert sample.global_measurements is not None
+    assert sample.global_measurements.shape == (1, 3, 48, 60)
+    assert np.std(sample.measurement - sample.noiseless) == pytest.approx(0.02, rel=0.05)
+    rough = np.abs(np.diff(sample.global_measurements[0], axis=-1))[
+        :, :, -3:
+    ]  # far from the light: smooth if noiseless
+    assert rough.max() < 0.002
+
+
 def test_every_frame_may_be_the_truth(trial: Any, source: ModuleType) -> None:
     """The frames that the shutter sees; those after it has closed are dropped."""
     root = make(trial, {"ground_truth": "frames", "train": 1, "validation": 0, "test": 0}, frames=20)
