@@ -10,6 +10,7 @@ from simulator.assemble.shutter import exposure_s
 from simulator.camera.noise import GaussianNoise, Noise, NoNoise, PhysicalNoise
 from simulator.camera.sensor import Sensor
 from simulator.camera.sensor_models import MODELS
+from simulator.camera.shutter import Shutter
 from simulator.config import camera as camera_config
 from simulator.errors import InputError
 from simulator.optics.layers import air_equivalent_m
@@ -33,10 +34,15 @@ _REPLACEABLE = (
 )
 
 
-def build_sensor(config: Config, full_scale: float = 1.0) -> Sensor:
+def build_sensor(config: Config, full_scale: float = 1.0, shutter: Shutter | None = None) -> Sensor:
     """Return the sensor: the model's numbers, with those that the configuration replaces.
 
     Where the configuration gives the scene's illuminance, channels count as many electrons as their spectral responses say.
+
+    Args:
+        config: the configuration.
+        full_scale: the exposure that fills a pixel.
+        shutter: the configuration's shutter, where it is built already; None builds it.
 
     Raises:
         InputError: for an unknown model, or a picture larger than the sensor.
@@ -57,7 +63,7 @@ def build_sensor(config: Config, full_scale: float = 1.0) -> Sensor:
         name=chosen.model,
         binning=chosen.binning,
         shape=chosen.shape,
-        exposure_s=exposure_s(config),
+        exposure_s=exposure_s(config, shutter),
         full_scale=full_scale,
         responsivity=None if camera.exposure.illuminance_lux is None else _responsivity(config),
         readout=chosen.readout,

@@ -32,8 +32,12 @@ def build_shutter(config: Config) -> Shutter:
     return GlobalShutter(exposure_s, binning)
 
 
-def exposure_s(config: Config) -> float | tuple[float, ...]:
+def exposure_s(config: Config, shutter: Shutter | None = None) -> float | tuple[float, ...]:
     """Return how long rows are open, seconds: one number, or where rows differ, one per row of the stored picture.
+
+    Args:
+        config: the configuration.
+        shutter: its shutter, where it is built already; None builds it.
 
     Raises:
         InputError: as :func:`build_shutter`.
@@ -41,7 +45,7 @@ def exposure_s(config: Config) -> float | tuple[float, ...]:
     chosen = config.camera.shutter
     if not isinstance(chosen, shutter_config.RowWindows):
         return chosen.exposure_ms * 1e-3
-    physical = build_shutter(config).exposures_s(config.camera.sensor.shape[0])
+    physical = (build_shutter(config) if shutter is None else shutter).exposures_s(config.camera.sensor.shape[0])
     return tuple(physical[::-1].tolist())  # the stored picture is the physical one turned by 180 degrees
 
 

@@ -8,14 +8,19 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from simulator.camera.shutter import Shutter
+from simulator.camera.shutter_record import shutter_record
 from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER, DatasetInfo, read_info
 from simulator.dataset.fingerprint import difference
 from simulator.dataset.manifest import MANIFEST
+from simulator.dataset.plain import canonical_json
 from simulator.errors import InputError
 from simulator.files import TEMPORARY_PREFIX, storage_errors
 
 
-def existing_info(root: Path, counts: dict[str, int], fingerprint: str, parts: dict[str, Any]) -> DatasetInfo | None:
+def existing_info(
+    root: Path, counts: dict[str, int], fingerprint: str, parts: dict[str, Any], shutter: Shutter
+) -> DatasetInfo | None:
     """Return the description of a data set that is begun in a folder already; None where there is none.
 
     Args:
@@ -23,6 +28,7 @@ def existing_info(root: Path, counts: dict[str, int], fingerprint: str, parts: d
         counts: samples that are wanted per split.
         fingerprint: of what is to be made.
         parts: what was hashed for it.
+        shutter: through which it is to be exposed.
 
     Raises:
         InputError: the folder holds something else, another data set, or one with more samples.
@@ -48,6 +54,7 @@ def existing_info(root: Path, counts: dict[str, int], fingerprint: str, parts: d
             f"the change:\n{difference(info.fingerprint_parts, parts)}"
         )
         raise InputError(msg)
+    _refuse_other_windows(root, info, shutter, parts["config"]["camera"]["shutter"].get("function"))
     for split, count in counts.items():
         if count < info.counts.get(split, 0):
             msg = (
@@ -89,6 +96,21 @@ def all_or_nothing(root: Path) -> Iterator[None]:
             with suppress(OSError):
                 (root / MANIFEST).unlink()
         raise
+
+
+def _refuse_other_windows(root: Path, info: DatasetInfo, shutter: Shutter, function: str | None) -> None:
+    """Refuse a shutter that is another one than the recorded, though its configuration is the same."""
+    recorded = info.time.get("shutter")
+    if recorded is None or canonical_json(recorded) == canonical_json(shutter_record(shutter)):
+        return
+    if function is None:
+        msg = f"{root / FILE}: time.shutter is not what its configuration says; restore the file from a copy"
+        raise InputError(msg)
+    msg = (
+        f"camera.shutter.function: {function} gave other windows than the data set in {root} was begun with; it must return "
+        "the same at every call: seed what it draws, or write its windows into a file and give camera.shutter.file"
+    )
+    raise InputError(msg)
 
 
 def _left_by_a_start(path: Path) -> bool:

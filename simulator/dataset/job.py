@@ -18,6 +18,7 @@ import numpy as np
 from simulator.assemble import build_camera_colour, build_sensor, build_shutter, build_source, input_files, scene_plugin
 from simulator.assemble.exposure import fixed_exposure
 from simulator.camera.exposure import PERCENTILE, PILOTS, TARGET, full_scale_from_pilots
+from simulator.camera.shutter import Shutter
 from simulator.camera.shutter_record import shutter_record
 from simulator.config import Config, dump, load_config
 from simulator.dataset.contact_sheet import contact_sheet
@@ -115,6 +116,7 @@ class _Job:
     progress: Report
     say: Say
     root: Path = field(init=False)
+    shutter: Shutter = field(init=False)  # built once: a function of windows may give others when it is called again
     problems: tuple[str, ...] = field(init=False, default=())
 
     def __post_init__(self) -> None:
@@ -122,6 +124,7 @@ class _Job:
 
     def run(self) -> tuple[int, int, list[str]]:
         """Return how many samples were made and kept, and what failed."""
+        self.shutter = build_shutter(self.config)
         plugin = scene_plugin(self.config)
         timed = self._check_times(plugin)
         renders = plugin.takes_renderer
@@ -133,14 +136,15 @@ class _Job:
         self._check_source(source)
         packages = getattr(source, "packages", ())
         fingerprint, parts = build_fingerprint(dump(self.config), variant, input_files(self.config, source), packages)
-        existing = existing_info(self.root, self._counts(), fingerprint, parts)
+        existing = existing_info(self.root, self._counts(), fingerprint, parts, self.shutter)
         if existing is None and not timed and not renders:
             self._look_at_a_clip(plugin, source)
         with made_folder(self.root), ManifestWriter(self.root) as manifest, all_or_nothing(self.root):
             remove_leftovers(self.root)
             stack = data_set_stack(self.config, self.root, self.progress, self.say)
             portable = plugin.path is None
-            recipe = Recipe(self.config, variant, (self.root / PSF_FOLDER).resolve(), source if portable else None)
+            folder = (self.root / PSF_FOLDER).resolve()
+            recipe = Recipe(self.config, variant, folder, source if portable else None, shutter=self.shutter)
             if existing is None:
                 colour = build_camera_colour(self.config, stack.channels)
                 exposure = self._exposure(recipe)
@@ -157,7 +161,7 @@ class _Job:
                     sensor_shape=self.config.camera.sensor.shape,
                     channels=build_sensor(self.config).channels(stack.channels),
                     scene_to_camera=colour.origin | {"matrix": colour.matrix.tolist()},
-                    time={"shutter": shutter_record(build_shutter(self.config)), **self._slivers()},
+                    time={"shutter": shutter_record(self.shutter), **self._slivers()},
                 )
             write_info(self.root, replace(existing, counts=self._counts(), config=dump(self.config)))
             self._warn(stack)
@@ -170,8 +174,7 @@ class _Job:
         if ":" in plugin.name:
             return False  # a user's parameters may be called alike and mean something else
         params = plugin.bind(self.config.scene.params)
-        shutter, rows = build_shutter(self.config), self.config.camera.sensor.shape[0]
-        return check_parameters(params, shutter, rows, self.config.dataset)
+        return check_parameters(params, self.shutter, self.config.camera.sensor.shape[0], self.config.dataset)
 
     def _check_source(self, source: SceneSource) -> None:
         """Refuse a source with problems, unless they are to be skipped, and splits that would share a video."""
@@ -193,9 +196,8 @@ class _Job:
                 clip = scene_clip(source, self.config.seed, "pilot", 0)
         except Exception:
             return  # what cannot be had at all is reported as its sample's failure
-        shutter, rows = build_shutter(self.config), self.config.camera.sensor.shape[0]
         try:
-            check_clip(clip, shutter, rows, self.config.dataset.slivers)
+            check_clip(clip, self.shutter, self.config.camera.sensor.shape[0], self.config.dataset.slivers)
         except ClipTimesError:
             if not self.skip_bad:
                 raise

@@ -12,11 +12,17 @@ from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from simulator.assemble import build_forward_model
+from simulator.camera.shutter import GlobalShutter
+from simulator.config import load_config
 from simulator.dataset import generate, open_dataset, verify
 from simulator.dataset.manifest import load_manifest
+from simulator.dataset.psf_files import read_psf_stack
 from simulator.errors import InputError
+from simulator.types import Clip
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 
@@ -221,6 +227,50 @@ def test_exposure_is_found_once(trial) -> None:
     trial.generate(camera={"exposure": {"full_scale": "auto"}}, dataset={"train": 4})
     assert json.loads((root / "dataset.json").read_text())["exposure"] == first
     assert {sample.metadata["full_scale"] for sample in open_dataset(root)} == {first["full_scale"]}
+
+
+RANDOM_WINDOWS = """
+import numpy as np
+
+def drawn(rows: int):
+    lasts_s = np.random.default_rng().uniform(1e-3, 9e-3, rows)
+    return np.stack([np.zeros(rows), lasts_s], axis=1)
+"""
+
+
+def test_a_function_that_draws_windows_gives_all_samples_the_recorded_ones(trial) -> None:
+    """The exposure of each row is in its brightness: samples of three workers show one table, that of dataset.json."""
+    (trial.folder / "windows.py").write_text(RANDOM_WINDOWS)
+    shutter = {"type": "windows", "function": "./windows.py:drawn"}
+    path = trial.write(
+        camera={"shutter": shutter, "noise": {"type": "none"}}, dataset={"engine": "local", "workers": 3}
+    )
+    root = generate(path).path
+    recorded = json.loads((root / "dataset.json").read_text())["time"]["shutter"]["table_s"]
+    opened_s = np.diff(recorded).reshape(48, 8).mean(axis=1)[::-1]  # the stored picture is turned by 180 degrees
+    config = load_config(path)
+    model = build_forward_model(config, read_psf_stack(root / "psf"), GlobalShutter(1.0, 8))
+    for sample in open_dataset(root):
+        clip = Clip(sample.rgb, sample.depth_m, sample.valid, np.array([0.0, 1.0]))
+        second_long = model.forward_clip(clip)
+        np.testing.assert_allclose(
+            sample.measurement, second_long * opened_s[:, None] / 3e-6, rtol=0, atol=2e-3 * sample.measurement.max()
+        )  # the truth is stored in half precision
+    assert verify(root).ok
+    with pytest.raises(
+        InputError, match=r"shutter\.function: .*drawn gave other windows than the data set in .* begun with"
+    ):
+        generate(path)
+    assert verify(root).ok
+
+
+def test_a_recorded_shutter_that_somebody_edited(trial) -> None:
+    root = trial.generate()
+    info = json.loads((root / "dataset.json").read_text())
+    info["time"]["shutter"]["exposure_s"] = 0.5
+    (root / "dataset.json").write_text(json.dumps(info))
+    with pytest.raises(InputError, match=r"dataset\.json: time\.shutter is not what its configuration says"):
+        trial.generate(dataset={"train": 4})
 
 
 def test_packages_that_the_scenes_come_through_are_recorded_and_count(trial, monkeypatch: pytest.MonkeyPatch) -> None:
