@@ -16,10 +16,24 @@ from simulator.importers.raising._motion import Motion
 FAINT = 1e-4
 """Visibility of what neither frame shows: it keeps the weights apart from zero, so that such a pixel is a plain blend."""
 
+SURROUNDING = 0.25
+"""Standard deviation of the Gaussian window in which light is compared, of the frame's shorter side."""
+
+SAME_LIGHT, OTHER_LIGHT = 0.12, 0.25
+"""Relative difference of light up to which the moved frame counts, and from which the cross-faded one does: new
+things that a turning camera shows change it by 0.1."""
+
+TINY = 1e-12
+"""Light that is as good as none: it keeps black divided by black apart from NaN."""
+
 
 @dataclass(frozen=True)
 class OpticalFlow:
     """Looks both frames up along the flow and blends them by time and visibility.
+
+    Where the flow loses what moves far, such as a small thing on black that moves by more than its own width, light would
+    vanish or double; there frames are cross-faded, see :func:`_keep_light`. Before a bright background a loss so small
+    beside it goes unnoticed.
 
     Light beyond 1 is carried through (the flow sees it as white). Nothing in between is darker than black or brighter than
     the brightest pixel of its two frames.
@@ -61,8 +75,25 @@ def _between(first: NDArray[np.float32], second: NDArray[np.float32], times: lis
         weight_first = (1 - time) * (visible[..., :1] * _inside(before) + FAINT)
         weight_second = time * (visible[..., 1:] * _inside(after) + FAINT)
         blended = weight_first * look_up(first, before) + weight_second * look_up(second, after)
-        frames[index] = (blended / (weight_first + weight_second)).clip(0, brightest)
+        moved = (blended / (weight_first + weight_second)).clip(0, brightest)
+        frames[index] = _keep_light(moved, (1 - time) * first + time * second)
     return frames
+
+
+def _keep_light(moved: NDArray[np.float32], faded: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Go over to the cross-faded frame where the moved one does not hold as much light as that does in a wide surrounding.
+
+    Of what moves by less than the surrounding's width both hold the same light there, though at other places.
+    """
+    sigma = SURROUNDING * min(moved.shape[:2])
+    here, expected = (
+        opencv().GaussianBlur(picture.mean(2), (0, 0), sigma, borderType=opencv().BORDER_REPLICATE)
+        for picture in (moved, faded)
+    )
+    off = np.abs(here - expected) / np.maximum(np.maximum(here, expected), TINY)
+    share = ((off - SAME_LIGHT) / (OTHER_LIGHT - SAME_LIGHT)).clip(0, 1)[..., None]
+    share = share**2 * (3 - 2 * share)
+    return (1 - share) * moved + share * faded
 
 
 def _inside(places: NDArray[np.floating]) -> NDArray[np.floating]:
