@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 from simulator.assemble.camera import build_sensor
 from simulator.assemble.light import build_electron_rates
-from simulator.errors import InputError
 
 if TYPE_CHECKING:
     from simulator.config import Config
@@ -20,19 +19,13 @@ def fixed_exposure(config: Config) -> dict[str, Any] | None:
     of the channel that counts the most electrons for white.
 
     Raises:
-        InputError: for an unknown sensor, exposure times taken out of the measurement, or as `build_electron_rates`.
+        InputError: for an unknown sensor, or as `build_electron_rates`.
     """
     chosen = config.camera.exposure
     if chosen.illuminance_lux is None:
         return (
             None if chosen.full_scale == "auto" else {"full_scale": float(chosen.full_scale), "from": "configuration"}
         )
-    if config.forward.time == "mean":
-        msg = (
-            "forward.time: 'mean' takes the exposure time out of the measurement, which camera.exposure.illuminance_lux "
-            "needs to count photons; use time: integral, or give camera.exposure.full_scale"
-        )
-        raise InputError(msg)
     chosen_efficiency = config.camera.sensor.peak_quantum_efficiency
     sensor, rates = build_sensor(config), build_electron_rates(config)
     per_lux = max(rates.values()) * sensor.peak_quantum_efficiency * sensor.pixel_pitch_m**2

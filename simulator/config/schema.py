@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, PrivateAttr, model_validator
 
 from simulator.config.base import PluginSection, Range, Section, refusal
-from simulator.config.camera import CameraConfig, Shape
+from simulator.config.camera import CameraConfig, PhysicalNoise, Shape
 from simulator.config.psf import ComputedPsf, PsfConfig
 from simulator.validation import nearest, show
 
@@ -231,6 +231,19 @@ class Config(Section):
         elif self.camera.mask is not None:
             text = f"got {self.camera.mask.design!r}, but psf.measured says that the PSF was measured; keep one of them"
             raise refusal(text, "camera", "mask")
+        return self
+
+    @model_validator(mode="after")
+    def _photons_come_from_exposures(self) -> Self:
+        counts = "camera.exposure.illuminance_lux needs" if self.camera.exposure.illuminance_lux is not None else ""
+        if not counts and isinstance(self.camera.noise, PhysicalNoise):
+            counts = "camera.noise: physical needs"
+        if self.forward.time == "mean" and counts:
+            text = (
+                f"got mean, which takes the exposure time out of the measurement, but {counts} it to count each row's "
+                "photons; use time: integral"
+            )
+            raise refusal(text, "forward", "time")
         return self
 
     @model_validator(mode="after")

@@ -108,12 +108,6 @@ def test_without_lux_the_channels_are_alike(trial):
     assert fixed_exposure(load_config(trial.write(camera={"exposure": {"full_scale": "auto"}}))) is None
 
 
-def test_a_mean_over_time_has_no_photons_to_count(trial):
-    config = load_config(trial.write(camera={"exposure": {"illuminance_lux": 800}}), ["forward.time=mean"])
-    with pytest.raises(InputError, match=r"forward\.time: 'mean' takes the exposure time out"):
-        fixed_exposure(config)
-
-
 def test_the_readout_and_the_patterns_reach_the_sensor(trial):
     chosen = {"shape": [48, 60], "binning": 8, "readout": "bayer", "cfa": "GBRG", "pattern_seed": 4, "dsnu_e": 2.5}
     sensor = assemble.build_sensor(_config(trial, camera={"sensor": chosen | {"row_noise_e": 1.5}}))

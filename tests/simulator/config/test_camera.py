@@ -26,6 +26,27 @@ def test_senseless_cameras_are_refused(write, old, new, words):
     assert words in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "needs"),
+    [
+        ("full_scale: auto", "illuminance_lux: 800", "camera.exposure.illuminance_lux"),
+        ("noise: {type: gaussian, psnr_db: 40}", "noise: {type: physical}", "camera.noise: physical"),
+    ],
+)
+def test_photons_are_counted_of_exposures_only(write, old, new, needs):
+    """A mean over time is the same for a row that is open for 1 ms and for 16 ms; their photon noise is not."""
+    path = write(old, new)
+    assert load_config(path).forward.time == "integral"
+    path.write_text(path.read_text() + "forward: {time: mean}\n")
+    with pytest.raises(InputError) as caught:
+        load_config(path)
+    line = len(path.read_text().splitlines())
+    assert str(caught.value) == (
+        f"{path}:{line}:17: forward.time: got mean, which takes the exposure time out of the measurement, but {needs} needs "
+        "it to count each row's photons; use time: integral"
+    )
+
+
 def test_one_line_of_each(write):
     assert load_config(write("full_scale: auto", "illuminance_lux: 1000")).camera.exposure.full_scale == "auto"
     bayer = load_config(write(SENSOR, "sensor: {shape: [64, 96], binning: 4, readout: bayer}"))
