@@ -53,7 +53,7 @@ def import_check(
         survey = run_survey(plugin, check, options, lambda done, total: bar.update("read", done, total))
     print(survey)
     _judge(survey, skip_bad)
-    print(_usage(plugin, check, options))
+    print(_usage(plugin, check, options, survey.needed))
 
 
 def _judge(survey: Survey, skip_bad: bool) -> None:
@@ -68,12 +68,14 @@ def _judge(survey: Survey, skip_bad: bool) -> None:
         raise InputError(msg)
 
 
-def _usage(plugin: Plugin, path: Path, options: dict[str, Any]) -> str:
-    """The lines of a configuration that use the folder; what has no default is left open and explained."""
+def _usage(plugin: Plugin, path: Path, options: dict[str, Any], needed: tuple[str, ...]) -> str:
+    """The lines of a configuration that use the folder; what has no default, or is needed, is left open and explained."""
     from simulator.plugin_listing import parameter_lines
 
     required = [
-        line for line in parameter_lines(plugin) if line.default == "required" and line.name not in ("path", *options)
+        line
+        for line in parameter_lines(plugin)
+        if (line.default == "required" or line.name in needed) and line.name not in ("path", *options)
     ]
     values = {
         "source": plugin.name,

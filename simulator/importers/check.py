@@ -2,7 +2,8 @@
 
 The module of a source may hold two functions beside the one of its own name: ``recognises(path) -> bool``, which looks at
 names only, and ``survey(path, progress, **options) -> Survey``, whose options are some of the source's own parameters.
-Modules without them, such as a user's own, are left out. Nothing that the folder names is imported.
+Modules without them, such as a user's own, are left out. A module whose ``FALLBACK`` is true steps aside where another one
+recognises the path too. Nothing that the folder names is imported.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from typing import Annotated, Any
 from pydantic import create_model
 
 from simulator.errors import InputError
+from simulator.importers.listing import is_folder, list_folder
 from simulator.importers.survey import Progress, Survey
-from simulator.plugins import Plugin, available, plugin_errors, resolve
+from simulator.plugins import SECTION_KEYS, Plugin, available, plugin_errors, resolve
 
 
 @dataclass(frozen=True)
@@ -28,8 +30,8 @@ class Candidates:
     """The sources that might read a folder.
 
     Attributes:
-        recognised: those that say that they can.
-        others: those that say that they cannot.
+        recognised: those that say that they can; without fallbacks where there are others.
+        others: those that say that they cannot, and fallbacks that stepped aside.
         silent: those that cannot tell, as their module has no ``recognises``.
         broken: names and reasons of those that failed.
     """
@@ -41,7 +43,13 @@ class Candidates:
 
 
 def find_candidates(path: Path) -> Candidates:
-    """Ask every installed source whether it recognises a folder or file."""
+    """Ask every installed source whether it recognises a folder or file.
+
+    Raises:
+        InputError: the folder cannot be read.
+    """
+    if is_folder(path):
+        list_folder(path)
     recognised: list[Plugin] = []
     others: list[Plugin] = []
     silent: list[Plugin] = []
@@ -51,10 +59,16 @@ def find_candidates(path: Path) -> Candidates:
             plugin = resolve("source", name)
             recognises = getattr(_module(plugin), "recognises", None)
             kind = silent if not callable(recognises) else recognised if recognises(path) else others
+        except InputError as error:
+            broken.append(f"{name}: {error}")
         except Exception as error:  # another package's fault must not keep ours from answering
             broken.append(f"{name}: {type(error).__name__}: {error}")
         else:
             kind.append(plugin)
+    specific = [plugin for plugin in recognised if not getattr(_module(plugin), "FALLBACK", False)]
+    if specific:
+        others += [plugin for plugin in recognised if plugin not in specific]
+        recognised = specific
     return Candidates(tuple(recognised), tuple(others), tuple(silent), tuple(broken))
 
 
@@ -98,7 +112,11 @@ def run_survey(plugin: Plugin, path: Path, options: Mapping[str, Any], progress:
         raise InputError(msg)
     values = _options(plugin, survey, options)
     with plugin_errors(plugin):
-        result = survey(path, progress, **values)
+        try:
+            result = survey(path, progress, **values)
+        except PermissionError as error:
+            msg = f"path: {error.filename or path} cannot be read: {error.strerror or error}; check who may read it"
+            raise InputError(msg) from error
     if not isinstance(result, Survey):
         msg = f"source {plugin.name!r}: its survey returned {type(result).__name__}, expected a Survey"
         raise InputError(msg)
@@ -111,7 +129,15 @@ def _module(plugin: Plugin) -> ModuleType:
 
 
 def _options(plugin: Plugin, survey: Any, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Validate options by those of the source's parameters that its survey takes too."""
+    """Validate options by those of the source's parameters that its survey takes too.
+
+    Raises:
+        InputError: one is a key of the scene, unknown or wrong.
+    """
+    for key in options:
+        if key in SECTION_KEYS["source"]:
+            msg = f"--set: {key} is a key of scene, which decides nothing about what is read here; leave it out"
+            raise InputError(msg)
     taken = inspect.signature(survey).parameters.values()
     anything = any(parameter.kind is parameter.VAR_KEYWORD for parameter in taken)
     named = [parameter for parameter in taken if parameter.kind is parameter.KEYWORD_ONLY]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import dataclasses
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,10 +11,15 @@ from pydantic import Field
 from simulator.errors import InputError
 from simulator.importers.films.checks import FilmCheck
 from simulator.importers.films.flat_videos import FlatVideos, choose_raiser, flat_videos, plane_depth
+from simulator.importers.films.numbering import counting_fault, natural
 from simulator.importers.films.sequences import FILM_SUFFIXES, PICTURE_SUFFIXES, Film, PictureSequence, open_films
 from simulator.importers.films.video import ClipPlan
+from simulator.importers.listing import is_folder, list_folder
 from simulator.importers.survey import Progress, Survey
 from simulator.types import View
+
+FALLBACK = True
+"""Folders of pictures are part of many data sets: a source that knows such a layout comes first."""
 
 
 def film(
@@ -50,7 +55,8 @@ def film(
         plane_cm: depth of the plane on which the film is seen; without it the view's far depth.
 
     Returns:
-        A scene source; videos that are damaged or too short are among its ``problems``.
+        A scene source; videos that are damaged or too short, and folders in whose count pictures are missing, are among its
+        ``problems``.
 
     Raises:
         InputError: nothing at ``path`` can be used, or the parameters contradict one another.
@@ -66,12 +72,13 @@ def film(
         )
         raise InputError(msg)
     films, problems = open_films(root, [(name, None) for name in film_names])
-    rate = (frames_per_second or 1.0) / raise_by
-    videos: list[Film | PictureSequence] = [
-        *films,
-        *(PictureSequence(root, name, pictures, rate) for name, pictures in sequences.items()),
-    ]
-    videos.sort(key=lambda video: _natural(video.name))
+    videos: list[Film | PictureSequence] = [*films]
+    for name, pictures in sequences.items():
+        if fault := counting_fault(pictures):
+            problems.append(f"{name}: {fault}")
+        else:
+            videos.append(PictureSequence(root, name, pictures))
+    videos.sort(key=lambda video: natural(video.name))
     return flat_videos("film", view, videos, plan=plan, plane_m=depth_m, raiser=raiser, problems=problems)
 
 
@@ -80,15 +87,21 @@ def recognises(path: Path) -> bool:
 
     A folder of folders must hold nothing else: files beside them, or folders without pictures, tell of a data set with a
     layout of its own.
+
+    Raises:
+        InputError: a folder cannot be read.
     """
     path = Path(path)
     try:
         _list(path)
-    except InputError:
+    except InputError as error:
+        if isinstance(error.__cause__, OSError):
+            raise
         return False
     if path.is_file() or any(_look(path)):
         return True
-    return all(entry.is_dir() and any(_look(entry)) for entry in path.iterdir() if not entry.name.startswith("."))
+    folders, files = list_folder(path)
+    return not files and all(any(_look(path / folder)) for folder in folders)
 
 
 def survey(path: Path, progress: Progress | None = None, *, frames: int | None = None, raise_by: int = 1) -> Survey:
@@ -114,19 +127,20 @@ def survey(path: Path, progress: Progress | None = None, *, frames: int | None =
         checked.add_pictures(root, name, pictures)
         if progress is not None:
             progress(done, total)
-    return checked.result("film", Path(path), {"films": str(len(film_names)), "picture folders": str(len(sequences))})
+    found = checked.result("film", Path(path), {"films": str(len(film_names)), "picture folders": str(len(sequences))})
+    return dataclasses.replace(found, needed=("frames_per_second",)) if sequences else found
 
 
 def _list(path: Path) -> tuple[Path, list[str], dict[str, tuple[str, ...]]]:
     """Return the folder that names start from, the films' names, and the pictures of each folder that holds some."""
-    if path.is_file():
+    if not is_folder(path) and path.is_file():
         if path.suffix.lower() in PICTURE_SUFFIXES:
             msg = (
                 f"path: {path} is one picture; expected a film or a folder of pictures: give the folder that it lies in"
             )
             raise InputError(msg)
         return path.parent, [path.name], {}
-    if not path.is_dir():
+    if not is_folder(path):
         msg = f"path: {path} does not exist; expected a film, or a folder of films or pictures"
         raise InputError(msg)
     films, pictures = _look(path)
@@ -136,11 +150,11 @@ def _list(path: Path) -> tuple[Path, list[str], dict[str, tuple[str, ...]]]:
     if pictures:
         return path.parent, [], {path.name: pictures} if path.name else {".": pictures}
     sequences: dict[str, tuple[str, ...]] = {}
-    for folder in sorted((entry for entry in path.iterdir() if entry.is_dir()), key=lambda entry: _natural(entry.name)):
-        inside, pictures = _look(folder)
-        films += tuple(f"{folder.name}/{name}" for name in inside)
+    for folder in sorted(list_folder(path)[0], key=natural):
+        inside, pictures = _look(path / folder)
+        films += tuple(f"{folder}/{name}" for name in inside)
         if pictures:
-            sequences[folder.name] = pictures
+            sequences[folder] = pictures
     if not films and not sequences:
         msg = (
             f"path: {path} holds no films ({', '.join(sorted(FILM_SUFFIXES))}) and no pictures "
@@ -152,11 +166,6 @@ def _list(path: Path) -> tuple[Path, list[str], dict[str, tuple[str, ...]]]:
 
 def _look(folder: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the names of the films and of the pictures in a folder, hidden ones left out."""
-    names = sorted((entry.name for entry in folder.iterdir() if not entry.name.startswith(".")), key=_natural)
+    names = sorted(list_folder(folder)[1], key=natural)
     films = tuple(name for name in names if Path(name).suffix.lower() in FILM_SUFFIXES)
     return films, tuple(name for name in names if Path(name).suffix.lower() in PICTURE_SUFFIXES)
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """Key that sorts ``frame2`` before ``frame10``."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", name)]

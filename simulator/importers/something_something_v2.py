@@ -6,7 +6,6 @@ Source: Goyal et al., The "something something" video database for learning and 
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +26,8 @@ from simulator.importers.films.ssv2_labels import (
     read_templates,
 )
 from simulator.importers.films.video import ClipPlan
-from simulator.importers.survey import Progress, Survey
+from simulator.importers.listing import is_folder, list_folder
+from simulator.importers.survey import Progress, Survey, first_lines
 from simulator.types import View
 
 _CLIP_FOLDERS = ("20bn-something-something-v2", "clips", ".")
@@ -71,10 +71,10 @@ def something_something_v2(
         plane_cm: depth of the plane on which the film is seen; without it the view's far depth.
 
     Returns:
-        A scene source; films that are damaged or too short are among its ``problems``.
+        A scene source; films that are damaged or too short, or whose template is unknown, are among its ``problems``.
 
     Raises:
-        InputError: missing folders or files, an unknown label, no clip that can be used, contradicting parameters.
+        InputError: missing folders or files, no clip that can be used, contradicting parameters.
     """
     plan = ClipPlan(frames, frames_per_second, raise_by, clips_per_video, crop)
     depth_m = plane_depth(view, plane_cm)
@@ -88,7 +88,7 @@ def something_something_v2(
         plan=plan,
         plane_m=depth_m,
         raiser=raiser,
-        problems=problems,
+        problems=[*found.problems, *problems],
         other_inputs=found.label_files,
     )
 
@@ -119,10 +119,11 @@ def survey(
         raise_by: see :func:`something_something_v2`.
 
     Raises:
-        InputError: missing folders or files, or an unknown label.
+        InputError: missing folders or files, or no clip of a known template.
     """
     found = _list(Path(path), subset, classes)
     check = FilmCheck(None if frames is None else ClipPlan(frames, raise_by=raise_by))
+    check.problems += found.problems
     counts: Counter[str] = Counter()
     for done, (name, label) in enumerate(found.films, start=1):
         if check.add_film(found.root, name):
@@ -155,6 +156,7 @@ class _Found:
         subset: which part was chosen.
         films: names relative to ``root`` and labels, in the label file's order.
         label_files: of labels, of the subset, and the table of classes if there is one.
+        problems: lines about clips in the folder whose template is unknown.
         listed: clips in the subset's file.
         absent: how many of them the folder does not hold.
         unlabelled: how many of those there the table of classes leaves out.
@@ -165,6 +167,7 @@ class _Found:
     subset: str
     films: list[tuple[str, str]]
     label_files: tuple[Path, ...]
+    problems: tuple[str, ...]
     listed: int
     absent: int
     unlabelled: int
@@ -172,14 +175,15 @@ class _Found:
 
 
 def _list(root: Path, subset: Subset | None, classes: Literal["all", "coarse"] | Path) -> _Found:
-    if not root.is_dir():
+    if not is_folder(root):
         msg = f"path: {root} is no folder; expected the one that holds the clips' folder and the label files"
         raise InputError(msg)
     labels = _label_file(root, "labels")
     chosen: Subset = subset or ("train" if find_labels(root, "train") else "validation")
     entries_file = _label_file(root, chosen)
     templates = read_templates(labels)
-    entries = read_entries(entries_file, templates, labels)
+    entries, unknown = read_entries(entries_file, templates, labels)
+    listed = len(entries) + len(unknown)
     if classes == "all":
         table, files = {template: template for template in templates}, (labels, entries_file)
     else:
@@ -190,12 +194,18 @@ def _list(root: Path, subset: Subset | None, classes: Literal["all", "coarse"] |
     if folder is None:
         msg = f"path: {root} holds no clips: expected 74225.webm and so on in {' or '.join(_CLIP_FOLDERS[:2])}"
         raise InputError(msg)
-    there = {name.removesuffix(".webm") for name in os.listdir(root / folder) if name.endswith(".webm")}
+    there = {name.removesuffix(".webm") for name in list_folder(root / folder)[1] if name.endswith(".webm")}
     present = [entry for entry in entries if entry.identity in there]
+    problems = tuple(line for identity, line in unknown.items() if identity in there)
+    if problems and not present:
+        listed_problems = "\n  ".join(first_lines(problems))
+        msg = f"path: {root} holds no clip whose template is known:\n  {listed_problems}"
+        raise InputError(msg)
     if not present:
+        first = next(iter((*(entry.identity for entry in entries), *unknown)))
         msg = (
-            f"path: none of the {len(there)} clips in {root / folder} is listed in {entries_file.name} (of {len(entries)}, "
-            f"the first {entries[0].identity}): expected files named by their id"
+            f"path: none of the {len(there)} clips in {root / folder} is listed in {entries_file.name} (of {listed}, the "
+            f"first {first}): expected files named by their id"
         )
         raise InputError(msg)
     films = [
@@ -211,16 +221,16 @@ def _list(root: Path, subset: Subset | None, classes: Literal["all", "coarse"] |
         subset=chosen,
         films=films,
         label_files=files,
-        listed=len(entries),
-        absent=len(entries) - len(present),
+        problems=problems,
+        listed=listed,
+        absent=listed - len(present) - len(problems),
         unlabelled=len(present) - len(films),
         classes=len(set(table.values())),
     )
 
 
 def _any_film(folder: Path) -> bool:
-    with os.scandir(folder) as entries:
-        return any(entry.name.endswith(".webm") for entry in entries)
+    return any(name.endswith(".webm") for name in list_folder(folder)[1])
 
 
 def _label_file(root: Path, name: str) -> Path:

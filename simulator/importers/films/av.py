@@ -22,8 +22,22 @@ from simulator.errors import InputError
 from simulator.importers.extra import load_extra
 
 _HDR = {16: "PQ (SMPTE ST 2084)", 18: "HLG (ARIB STD-B67)"}  # transfer characteristics of ITU-T H.273, table 3
+_MATRICES = {
+    1: "BT.709",
+    4: "FCC",
+    5: "BT.601",
+    6: "BT.601",
+    7: "SMPTE 240M",
+    9: "BT.2020",
+    10: "BT.2020",
+}  # its table 4
+_UNSPECIFIED = 2
+_HD_UNTAGGED, _SD_UNTAGGED = "BT.709 (untagged)", "BT.601 (untagged)"
+"""What players take untagged films for: those of high definition (720 rows or 1280 columns) follow its standard, BT.709."""
 _EARLY_END = 1.5
 """Intervals by which a film may end before its header says: one is often due to rounding or to the last frame's length."""
+_SOUND_S = 0.12
+"""The longest packet of Opus, seconds (RFC 6716, section 2.1.4): by so much more a film with sound may end early."""
 _UNEVEN = 1.5
 """Longest interval between frames in middle ones, beyond which the frame rate is called variable."""
 
@@ -39,6 +53,8 @@ class FilmIndex:
         times: when each frame is shown, in the stream's own units, increasing; None where the film does not say.
         keys: ``(n, 3)`` number, time of showing and time of decoding of each key frame; empty where times are None.
         square_pixels: whether a pixel is as wide as high.
+        matrix: from its luma and chroma to RGB: ``BT.709`` and so on as the film says, ``BT.709 (untagged)`` or ``BT.601
+            (untagged)`` by its size where it does not, or ``RGB`` where there is none.
     """
 
     frames: int
@@ -47,6 +63,7 @@ class FilmIndex:
     times: NDArray[np.int64] | None
     keys: NDArray[np.int64]
     square_pixels: bool
+    matrix: str
 
 
 def index_film(path: Path) -> FilmIndex:
@@ -67,19 +84,22 @@ def read_film(path: Path, start: int, stop: int) -> Iterator[NDArray[np.float32]
     """Give the frames ``start`` to ``stop - 1``, one after the other, upright.
 
     Yields:
-        Linear light ``(H, W, 3)``; the film's codes are taken for sRGB, in libav's conversion from its colour matrix and
-        range.
+        Linear light ``(H, W, 3)``; the film's codes are taken for sRGB, in libav's conversion from its colour matrix (see
+        ``FilmIndex.matrix``) and range.
 
     Raises:
         InputError: naming the file, when it is damaged or holds fewer frames than its packets promise.
     """
     load_extra("av", "PyAV")
-    from av.video.reformatter import VideoReformatter
+    from av.video.reformatter import Colorspace, VideoReformatter
 
     converter = VideoReformatter()
-    for frame in _frames(path, index_film(path), start, stop):
+    index = index_film(path)
+    matrix = Colorspace.ITU709 if index.matrix == _HD_UNTAGGED else None
+    for frame in _frames(path, index, start, stop):
         deep = max(component.bits for component in frame.format.components) > 8
-        picture = converter.reformat(frame, format="rgb48le" if deep else "rgb24").to_ndarray()
+        shown = converter.reformat(frame, format="rgb48le" if deep else "rgb24", src_colorspace=matrix)
+        picture = shown.to_ndarray()
         yield decode_srgb_picture(_upright(picture, frame.rotation, path))
 
 
@@ -128,7 +148,13 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
             raise InputError(msg)
         avi = container.format.name == "avi"
         vp8 = stream.codec_context.name == "vp8"
-        for packet in container.demux(stream):
+        first_s, last_s = 0.0, 0.0
+        for packet in container.demux():  # sound too: the film's length is that of its longest stream
+            if packet.pts is not None and packet.time_base is not None:
+                first_s = min(first_s, float(packet.pts * packet.time_base))
+                last_s = max(last_s, float((packet.pts + (packet.duration or 0)) * packet.time_base))
+            if packet.stream.index != stream.index:
+                continue
             seen += packet.size > 0 or packet.dts is not None  # the last one, of no size and time, is PyAV's own
             if packet.size and not packet.is_discard and not (vp8 and _hidden(packet)):
                 shown.append(packet.pts)
@@ -136,7 +162,8 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
                     keys.append((packet.pts, packet.dts))
         promised, rate, unit = stream.frames, stream.average_rate or stream.guessed_rate, stream.time_base
         alone = len(container.streams) == 1
-        duration_s = container.duration / 1e6 if alone and container.duration else None  # microseconds
+        duration_s = container.duration / 1e6 if container.duration else None  # microseconds
+        matrix = _matrix(stream.codec_context)
         square = stream.codec_context.sample_aspect_ratio in (None, 0, 1)
     if not shown:
         msg = f"{path} holds no frames: fetch it again"
@@ -155,13 +182,24 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
         if not rate or abs(mean / float(rate) - 1) > 0.01:
             rate = mean
         ends_s = float(unit) * (float(times[-1]) + middle)
-        if duration_s is not None and duration_s - ends_s > _EARLY_END * middle * float(unit):
+        late_s = _EARLY_END * middle * float(unit)
+        if not alone:
+            ends_s, late_s = max(ends_s, last_s) - first_s, late_s + _SOUND_S
+        if duration_s is not None and duration_s - ends_s > late_s:
             msg = f"{path} ends after {ends_s:.2f} s of the {duration_s:.2f} s that its header promises: fetch it again"
             raise InputError(msg)
     if not rate:
         msg = f"{path} does not say how many frames per second it has: convert it to a film that does"
         raise InputError(msg)
-    return FilmIndex(len(shown), float(rate), variable, times, _key_table(times, keys), square)
+    return FilmIndex(len(shown), float(rate), variable, times, _key_table(times, keys), square, matrix)
+
+
+def _matrix(codec: Any) -> str:
+    if codec.pix_fmt is not None and codec.format.is_rgb:
+        return "RGB"
+    if codec.colorspace != _UNSPECIFIED:
+        return _MATRICES.get(int(codec.colorspace), f"H.273 matrix {int(codec.colorspace)}")
+    return _HD_UNTAGGED if codec.height >= 720 or codec.width >= 1280 else _SD_UNTAGGED
 
 
 def _hidden(packet: Any) -> bool:

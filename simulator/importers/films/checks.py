@@ -8,6 +8,7 @@ from pathlib import Path
 
 from simulator.errors import InputError
 from simulator.importers.films.av import count_decodable, index_film
+from simulator.importers.films.numbering import counting_fault
 from simulator.importers.films.video import ClipPlan
 from simulator.importers.survey import Survey
 from simulator.light import read_light
@@ -55,6 +56,8 @@ class FilmCheck:
 
     def add_pictures(self, root: Path, name: str, pictures: tuple[str, ...]) -> bool:
         """Read a folder of pictures; return whether it can be used."""
+        if fault := counting_fault(pictures):
+            return self._problem(name, fault)
         sizes: set[tuple[int, int]] = set()
         for picture in pictures:
             try:

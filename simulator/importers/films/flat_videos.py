@@ -12,6 +12,7 @@ import numpy as np
 from simulator.errors import InputError
 from simulator.importers.films.fit import fit_frames
 from simulator.importers.films.video import ClipPlan, Video
+from simulator.importers.survey import first_lines
 from simulator.types import FARTHEST_M, Clip, View
 
 if TYPE_CHECKING:
@@ -49,6 +50,9 @@ def choose_raiser(
                 f"superslomo_checkpoint is {checkpoint}, but raise_by: 1 leaves the frames: leave it out or raise more"
             )
             raise InputError(msg)
+        if raise_with != "optical_flow":
+            msg = f"raise_with: got {raise_with}, but raise_by: 1 leaves the frames: leave it out or raise more"
+            raise InputError(msg)
         return None
     # OpenCV or torch, which nobody needs who raises nothing.
     from simulator.importers.raising import build_raiser
@@ -85,19 +89,15 @@ def flat_videos(
     usable: list[Video] = []
     found = list(problems)
     for video in videos:
-        if len(video) < plan.needed:
-            found.append(f"{video.name}: {plan.too_short(len(video))}")
+        if fault := plan.fault(len(video)):
+            found.append(f"{video.name}: {fault}")
         else:
             usable.append(video)
     if not usable:
-        listed = "".join(f"\n  {line}" for line in found[:_LISTED])
-        more = f"\n  and {len(found) - _LISTED} more" if len(found) > _LISTED else ""
-        msg = f"source: {importer} found no video that can be used{':' if found else ''}{listed}{more}"
+        listed = "".join(f"\n  {line}" for line in first_lines(found, 10))
+        msg = f"source: {importer} found no video that can be used{':' if found else ''}{listed}"
         raise InputError(msg)
     return FlatVideos(importer, view, tuple(usable), plan, plane_m, raiser, tuple(found), tuple(other_inputs))
-
-
-_LISTED = 10
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,11 @@ class FlatVideos:
         if self.raiser is not None:
             rgb = self.raiser.raise_frames(rgb, plan.raise_by)[: plan.frames]
             raising = {"raising": {"raise_by": plan.raise_by, **self.raiser.record()}}
-        rate = plan.frames_per_second or video.frames_per_second * plan.raise_by
+        own_rate = video.frames_per_second
+        rate = plan.frames_per_second or (None if own_rate is None else own_rate * plan.raise_by)
+        if rate is None:
+            msg = f"frames_per_second: {video.name} has no rate of its own; say at which a clip is taken to have been filmed"
+            raise InputError(msg)
         shape = rgb.shape[:3]
         source = {
             "importer": self.importer,
@@ -168,7 +172,7 @@ class FlatVideos:
             **video.record(start, stop),
             "first_frame": start,
             "frames_read": plan.needed,
-            "own_frames_per_second": video.frames_per_second,
+            **({} if own_rate is None else {"own_frames_per_second": own_rate}),
             "frames_per_second": rate,
             "crop": {"place": plan.crop, **window.record()},
             **raising,

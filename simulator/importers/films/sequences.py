@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.importers.films.av import index_film, read_film
-from simulator.importers.survey import Progress
 from simulator.light import read_light
 
 FILM_SUFFIXES = frozenset((".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ogv", ".ts", ".webm", ".wmv"))
@@ -32,6 +31,7 @@ class Film:
         name: the file, relative to ``root``.
         frames: how many its packets promise.
         frames_per_second: of the film; the mean of a variable rate.
+        matrix: see `simulator.importers.films.av.FilmIndex`.
         variable: its frames are not evenly spaced, but are taken as if they were.
         label: its class, or None.
     """
@@ -40,6 +40,7 @@ class Film:
     name: str
     frames: int
     frames_per_second: float
+    matrix: str
     variable: bool = False
     label: str | None = None
 
@@ -57,8 +58,9 @@ class Film:
         return read_film(self.root / self.name, start, stop)
 
     def record(self, start: int, stop: int) -> dict[str, Any]:
-        """Return what is special about the film; name and frames stand in the clip's record."""
-        return {"variable_frame_rate": True} if self.variable else {}
+        """Return how its colours were read, and what is special; name and frames stand in the clip's record."""
+        varies: dict[str, Any] = {"variable_frame_rate": True} if self.variable else {}
+        return {"colour_matrix": self.matrix, **varies}
 
 
 @dataclass(frozen=True)
@@ -69,15 +71,17 @@ class PictureSequence:
         root: folder that ``name`` starts from.
         name: their folder, relative to ``root``.
         pictures: their file names, in the order of showing.
-        frames_per_second: rate at which they are taken to have been filmed.
         label: their class, or None.
     """
 
     root: Path
     name: str
     pictures: tuple[str, ...]
-    frames_per_second: float
     label: str | None = None
+
+    @property
+    def frames_per_second(self) -> None:
+        """Pictures have no rate of their own."""
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -97,20 +101,16 @@ class PictureSequence:
         return {"pictures": [self.pictures[start], self.pictures[stop - 1]]}
 
 
-def open_films(
-    root: Path, films: Iterable[tuple[str, str | None]], progress: Progress | None = None
-) -> tuple[list[Film], list[str]]:
+def open_films(root: Path, films: Iterable[tuple[str, str | None]]) -> tuple[list[Film], list[str]]:
     """Read the packets of films, some at a time.
 
     Args:
         root: folder that the names start from.
         films: their names and labels.
-        progress: told after each one.
 
     Returns:
         The films that can be read, in order; and problems, ``"file: reason"``, with the others.
     """
-    entries = list(films)
 
     def try_open(entry: tuple[str, str | None]) -> Film | str:
         name, label = entry
@@ -118,13 +118,11 @@ def open_films(
             index = index_film(root / name)
         except InputError as error:
             return f"{name}: {str(error).removeprefix(str(root / name)).lstrip(': ')}"
-        return Film(root, name, index.frames, index.frames_per_second, index.variable, label)
+        return Film(root, name, index.frames, index.frames_per_second, index.matrix, index.variable, label)
 
     opened: list[Film] = []
     problems: list[str] = []
     with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
-        for done, film in enumerate(pool.map(try_open, entries), start=1):
+        for film in pool.map(try_open, films):
             opened.append(film) if isinstance(film, Film) else problems.append(film)
-            if progress is not None:
-                progress(done, len(entries))
     return opened, problems

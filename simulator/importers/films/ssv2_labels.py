@@ -51,7 +51,7 @@ def read_templates(path: Path) -> tuple[str, ...]:
     return tuple(content)
 
 
-def read_entries(path: Path, templates: tuple[str, ...], labels: Path) -> list[Entry]:
+def read_entries(path: Path, templates: tuple[str, ...], labels: Path) -> tuple[list[Entry], dict[str, str]]:
     """Read a subset's file, ``[{"id": "74225", "template": "Spinning [something] ...", ...}, ...]``.
 
     Args:
@@ -59,8 +59,11 @@ def read_entries(path: Path, templates: tuple[str, ...], labels: Path) -> list[E
         templates: all that are known.
         labels: the file that they come from, for messages.
 
+    Returns:
+        The clips of known templates; and by its number, for each other one, the line that names its template.
+
     Raises:
-        InputError: naming the file and the clip, when an entry is broken or its template is unknown.
+        InputError: naming the file and the clip, when an entry is broken.
     """
     content = _read_json(path)
     if not isinstance(content, list) or not content:
@@ -70,17 +73,21 @@ def read_entries(path: Path, templates: tuple[str, ...], labels: Path) -> list[E
         raise InputError(msg)
     known = set(templates)
     entries: dict[str, Entry] = {}
+    unknown: dict[str, str] = {}
     for place, item in enumerate(content):
         entry = _entry(item, place, path)
         if entry.template not in known:
             hint = _nearest(entry.template, templates)
-            msg = f"{path}: clip {entry.identity} has the unknown template {item['template']!r}, not in {labels.name}{hint}"
-            raise InputError(msg)
+            unknown[entry.identity] = (
+                f"{path.name}: clip {entry.identity} has the unknown template {item['template']!r}, not in "
+                f"{labels.name}{hint}"
+            )
+            continue
         if entry.identity in entries:
             msg = f"{path} lists clip {entry.identity} twice: keep one of them"
             raise InputError(msg)
         entries[entry.identity] = entry
-    return list(entries.values())
+    return list(entries.values()), unknown
 
 
 def read_table(path: Path, templates: tuple[str, ...], labels: Path) -> dict[str, str]:

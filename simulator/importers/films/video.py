@@ -22,8 +22,8 @@ class Video(Protocol):
         ...
 
     @property
-    def frames_per_second(self) -> float:
-        """Its own frame rate."""
+    def frames_per_second(self) -> float | None:
+        """Its own frame rate, or None where it has none; a plan must then say one."""
         ...
 
     @property
@@ -97,7 +97,25 @@ class ClipPlan:
             raise InputError(self.too_short(available))
         if self.clips_per_video == 1:
             return int(rng.integers(spare + 1))
+        if self.clips_per_video > spare + 1:
+            raise InputError(self.too_alike(available))
         return round(number * spare / (self.clips_per_video - 1))
+
+    def fault(self, available: int) -> str | None:
+        """Say why a video of so many frames cannot give its clips, or None where it can."""
+        if available < self.needed:
+            return self.too_short(available)
+        if self.clips_per_video > available - self.needed + 1:
+            return self.too_alike(available)
+        return None
+
+    def too_alike(self, available: int) -> str:
+        """Say why a video of so many frames does not give so many clips."""
+        fit = available - self.needed + 1
+        return (
+            f"has {available} frames, in which no more than {fit} different clips of {self.frames} begin, but "
+            f"clips_per_video is {self.clips_per_video}: ask for fewer"
+        )
 
     def too_short(self, available: int) -> str:
         """Say why a video of so many frames gives no clip."""

@@ -1,5 +1,6 @@
 """``import --check``: which importer, what it found, and what a user is told to do next."""
 
+import os
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,10 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+
+from simulator.importers import film
+from simulator.importers.check import choose, find_candidates
+from simulator.importers.survey import Survey
 
 
 @pytest.fixture
@@ -80,6 +85,8 @@ def test_options_are_those_of_the_survey(flatlight, davis_root, one_error) -> No
     one_error(flatlight(*run, "subset=train"), "subset: got 'train'", "there are none")
     one_error(flatlight(*run, "subse=train"), "subse: unknown key", "did you mean 'subset'")
     one_error(flatlight(*run, "crop=centre"), "crop: unknown key")  # decides how clips are cut, not what is there
+    one_error(flatlight(*run, "size=55"), "--set: size is a key of scene", "leave it out")
+    assert "did you mean" not in flatlight(*run, "size=55")[2]
     one_error(flatlight(*run, "frames=0"), "frames: ", "1")
     one_error(flatlight(*run, "keep_background=3"), "keep_background", "expected true or false")
 
@@ -209,6 +216,69 @@ def test_sources_that_cannot_tell_or_fail_do_not_stand_in_the_way(
     assert "warning: this source cannot be asked: faulty: ZeroDivisionError" in err
     one_error(flatlight("import", "--check", rocks), "not asked, as they do not say what they expect:\n  mute: Boxes")
     one_error(flatlight("import", "--check", rocks, "--source", "mute"), "'mute' has no survey(path, progress)")
+
+
+@pytest.mark.parametrize(
+    ("names", "folder", "source"),
+    [
+        (("Frames/image_0000.png", "Pixelwise Depths/aov_image_0000.png"), ".", "endoslam"),
+        (("FrameBuffer_0001/FrameBuffer_0000.png", "Depth_0001/Depth_0000.png"), ".", "endoslam"),
+        (("RGB_cleanpass/left/A-1-6.png", "disparity/left/A-1-6.pfm"), "RGB_cleanpass", "flyingthings3d"),
+    ],
+)
+def test_folders_of_pictures_of_a_known_data_set(tmp_path, names, folder, source) -> None:
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True)
+        (tmp_path / name).touch()
+    candidates = find_candidates(tmp_path / folder)
+    assert choose(tmp_path / folder, candidates).name == source
+    assert film.recognises(tmp_path / folder)  # it alone would take them for films
+
+
+def test_films_step_aside_where_another_source_knows_the_folder(install, tmp_path) -> None:
+    install("layouts", boxes_of_frames="return (path / 'known').is_file()")
+    pictures = tmp_path / "pictures"
+    (pictures / "a").mkdir(parents=True)
+    (pictures / "a" / "0.png").touch()
+    assert choose(pictures, find_candidates(pictures)).name == "film"
+    (pictures / "a" / "known").touch()
+    inside = find_candidates(pictures / "a")
+    assert choose(pictures / "a", inside).name == "boxes_of_frames"
+    assert "film" in [plugin.name for plugin in inside.others]
+
+
+def test_a_folder_that_may_not_be_read_is_named(flatlight, davis_root, monkeypatch, one_error) -> None:
+    def forbidden(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "scandir", forbidden)
+        one_error(flatlight("import", "--check", davis_root), f"path: {davis_root} cannot be read: Permission denied")
+        run = "import", "--check", davis_root, "--source"
+        one_error(flatlight(*run, "davis"), "cannot be read: Permission denied")
+
+
+def test_a_survey_that_meets_a_closed_door_says_where(flatlight, install, rocks, one_error) -> None:
+    install("geology_four", closed=IS_ROCKS)
+    path = rocks.parent / "site" / "geology_four" / "closed.py"
+    fault = "raise PermissionError(13, 'Permission denied', str(path / 'cave'))"
+    path.write_text(path.read_text(encoding="utf-8").replace("progress(1, 1)", fault), encoding="utf-8")
+    one_error(flatlight("import", "--check", rocks), f"path: {rocks / 'cave'} cannot be read: Permission denied")
+
+
+def test_pictures_are_used_with_a_rate(flatlight, tmp_path) -> None:
+    for number in range(3):
+        Image.fromarray(np.full((8, 12, 3), 90, np.uint8)).save(tmp_path / f"{number}.png")
+    _, out, _ = flatlight("import", "--check", tmp_path)
+    assert "frames: ..., frames_per_second: ...}" in out
+    assert "where frames_per_second is: " in out
+
+
+def test_many_problems_are_counted() -> None:
+    survey = Survey("film", Path("here"), 1, {}, tuple(f"{number}.webm: cut short" for number in range(25)))
+    lines = str(survey).splitlines()
+    assert len(lines) == 22
+    assert lines[-2:] == ["  problem: 19.webm: cut short", "  problem: and 5 more"]
 
 
 def test_a_users_own_file(flatlight, rocks, tmp_path, monkeypatch) -> None:

@@ -1,6 +1,8 @@
 """Films and folders of pictures become clips: what is found, in which order, how it is decoded, and what is refused."""
 
+import os
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from PIL import Image
 from simulator.errors import InputError
 from simulator.exr import write_exr
 from simulator.importers.film import film, recognises, survey
+from simulator.importers.films.numbering import counting_fault
 from simulator.types import View
 
 VIEW = View(shape=(24, 24), pixel_pitch_m=19.2e-6, distance_m=1.9e-3, near_m=0.04, far_m=0.2)
@@ -83,7 +86,7 @@ def test_a_folder_of_films_and_picture_folders_holds_a_video_each(films, tmp_pat
     for number in (2, 10, 1):
         films.write(tmp_path / f"v{number}.webm", films.numbered(4))
     write_pictures(tmp_path / "v3", films.numbered(5))
-    films.write(tmp_path / "more" / "x.mkv", films.numbered(3), codec="libx264")
+    films.write(tmp_path / "more" / "x.mkv", films.numbered(4), codec="libx264")
     (tmp_path / ".hidden.webm").write_bytes(b"")
     (tmp_path / "notes.txt").write_text("")
     source = film(VIEW, path=tmp_path, frames=3, frames_per_second=10, clips_per_video=2)
@@ -104,7 +107,7 @@ def test_raising_puts_frames_between(films, tmp_path):
 def test_raised_pictures_were_filmed_more_slowly(films, tmp_path):
     write_pictures(tmp_path / "seq", films.numbered(3))
     clip = clip_of(film(VIEW, path=tmp_path / "seq", frames=5, frames_per_second=100, raise_by=2))
-    assert clip.source["own_frames_per_second"] == 50
+    assert "own_frames_per_second" not in clip.source  # pictures have none
     np.testing.assert_allclose(np.diff(clip.frame_edges_s), 0.01)
 
 
@@ -194,6 +197,59 @@ def test_films_and_pictures_are_recognised_by_name(films, tmp_path):
     (tmp_path / "parts" / "labels").mkdir()
     assert not recognises(tmp_path / "labelled")
     assert not recognises(tmp_path / "parts")
+
+
+def test_what_systems_leave_behind_is_no_video(films, tmp_path):
+    write_pictures(tmp_path / "seq", films.numbered(3))
+    (tmp_path / "seq" / "._frame8.png").write_bytes(b"")
+    (tmp_path / "__MACOSX").mkdir()
+    (tmp_path / "__MACOSX" / "a.webm").write_bytes(b"")
+    assert recognises(tmp_path)
+    source = film(VIEW, path=tmp_path, frames=2, frames_per_second=10)
+    assert ([video.name for video in source.videos], source.problems) == (["seq"], ())
+
+
+def test_folders_in_whose_count_pictures_are_missing_are_problems(films, tmp_path):
+    write_pictures(tmp_path / "whole", films.numbered(4))
+    write_pictures(tmp_path / "torn", films.numbered(4))
+    write_pictures(tmp_path / "torn", films.numbered(2), first=15)
+    source = film(VIEW, path=tmp_path, frames=2, frames_per_second=10)
+    assert [video.name for video in source.videos] == ["whole"]
+    (problem,) = source.problems
+    assert problem.startswith("torn: its pictures leave their count of 1 after frame11.png (the next is frame15.png)")
+    assert survey(tmp_path).problems == source.problems
+
+
+def test_only_counts_have_gaps():
+    every_fifth = [f"{number:05d}.jpg" for number in range(0, 30, 5)]
+    assert counting_fault(every_fifth) is None
+    assert counting_fault([*every_fifth[:2], *every_fifth[3:]]) is not None
+    assert counting_fault(["1305031102.175304.png", "1305031102.211214.png", "1305031102.243211.png"]) is None
+    assert counting_fault(["a.png", "b.png", "c.png"]) is None
+    assert counting_fault(["a1.png", "a2.png", "b3.png", "b9.png"]) is None
+    two = counting_fault(["s3_1.png", "s3_2.png", "s3_4.png", "s3_5.png", "s3_6.png", "s3_7.png", "s3_9.png"])
+    assert two is not None
+    assert "after s3_2.png (the next is s3_4.png, and 1 times more)" in two
+
+
+def test_a_folder_that_may_not_be_read_is_named(films, tmp_path, monkeypatch):
+    write_pictures(tmp_path / "seq", films.numbered(2))
+    scandir = os.scandir
+
+    def forbidden(path):
+        if Path(path) == tmp_path / "seq":
+            raise PermissionError(13, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", forbidden)
+    for use in (recognises, survey, lambda path: film(VIEW, path=path, frames=2, frames_per_second=10)):
+        with pytest.raises(InputError, match=r"path: .*seq cannot be read: Permission denied"):
+            use(tmp_path)
+
+
+def test_a_clip_says_by_which_matrix_its_colours_were_read(films, tmp_path):
+    path = films.write(tmp_path / "a.webm", films.numbered(2))
+    assert clip_of(film(VIEW, path=path, frames=2)).source["colour_matrix"] == "BT.601 (untagged)"
 
 
 @pytest.mark.shared

@@ -1,6 +1,7 @@
 """Something-Something V2 in its original files: labels, tables of classes, and each mistake by name."""
 
 import json
+import os
 import shutil
 
 import numpy as np
@@ -149,13 +150,32 @@ def test_a_table_that_is_not_there_or_fits_no_clip_is_told(root):
         clips(root, classes=place)
 
 
-def test_an_unknown_label_is_told_with_the_nearest_one(root):
+def test_an_unknown_label_is_a_problem_with_the_nearest_one(root):
     name = "something-something-v2-validation.json"
-    write_json(root / name, [entry("30", "Closing [somethings]")])
+    entries = [entry("30", "Closing [somethings]"), entry("55", "Holding [something]"), entry("7", "Juggling [things]")]
+    write_json(root / name, entries)
+    source = clips(root)
+    assert labels_of(source) == ["Holding something"]
+    (problem,) = source.problems  # clip 7 is not there
+    assert problem.startswith(f"{name}: clip 30 has the unknown template 'Closing [somethings]'")
+    assert problem.endswith("did you mean 'Closing something'?")
+    found = survey(root)
+    assert found.problems == source.problems
+    assert found.facts["subset"] == "validation, 3 clips listed, 2 in the folder"
+    assert found.notes == (f"1 of the 3 clips in {name} are not in the folder",)
+    write_json(root / name, entries[:1])
     with pytest.raises(
-        InputError,
-        match=rf"{name}: clip 30 has the unknown template 'Closing \[somethings\]'.*mean 'Closing something'",
+        InputError, match=rf"no clip whose template is known:\n  {name}: clip 30 has the unknown template"
     ):
+        clips(root)
+
+
+def test_a_folder_that_may_not_be_read_is_named(root, monkeypatch):
+    def forbidden(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(os, "scandir", forbidden)
+    with pytest.raises(InputError, match=r"path: .*20bn-something-something-v2 cannot be read: Permission denied"):
         clips(root)
 
 

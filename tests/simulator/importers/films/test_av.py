@@ -109,6 +109,38 @@ def test_colours_come_back_through_the_films_own_matrix(films, tmp_path, matrix,
     np.testing.assert_allclose(encode(frame[16, 16]), colour, atol=2)
 
 
+@pytest.mark.parametrize(
+    ("size", "colour", "matrix", "luma"),
+    [
+        ((720, 960), None, "BT.709 (untagged)", (0.2126, 0.7152, 0.0722)),
+        ((480, 640), None, "BT.601 (untagged)", (0.299, 0.587, 0.114)),
+        ((720, 960), {"colorspace": 5}, "BT.601", (0.299, 0.587, 0.114)),
+    ],
+)
+def test_untagged_films_of_high_definition_have_the_matrix_of_its_standard(films, tmp_path, size, colour, matrix, luma):
+    """A grey of Y 120, Cb 90, Cr 170 by the formulas of BT.709 and BT.601, limited range."""
+    planes = np.concatenate([np.full(size[0] * size[1], 120), np.full(size[0] * size[1] // 4, 90)])
+    codes = np.concatenate([planes, np.full(size[0] * size[1] // 4, 170)]).astype(np.uint8)
+    path = tmp_path / "film.mkv"
+    with av.open(str(path), "w") as film:
+        stream = film.add_stream("libx264", rate=12, options={"crf": "0", "preset": "ultrafast"})
+        stream.height, stream.width = size
+        stream.pix_fmt = "yuv420p"
+        for name, value in (colour or {}).items():
+            setattr(stream.codec_context, name, value)
+        frame = av.VideoFrame.from_ndarray(codes.reshape(size[0] * 3 // 2, size[1]), format="yuv420p")
+        frame.colorspace = (colour or {}).get("colorspace", 2)
+        for packet in [*stream.encode(frame), *stream.encode()]:
+            film.mux(packet)
+    assert index_film(path).matrix == matrix
+    y, blue, red = (120 - 16) / 219, (90 - 128) / 224, (170 - 128) / 224
+    r, b = y + 2 * (1 - luma[0]) * red, y + 2 * (1 - luma[2]) * blue
+    g = (y - luma[0] * r - luma[2] * b) / luma[1]
+    (picture,) = read_film(path, 0, 1)
+    # Two steps of 8 bits; the other matrix is off by 8 codes or more.
+    np.testing.assert_allclose(encode(picture[100, 100]), 255 * np.array([r, g, b]), atol=2)
+
+
 def test_sixteen_bits_are_kept(films, tmp_path):
     levels = [0, 1000, 33000, 65535]
     pictures = [np.full((16, 16, 3), level, np.uint16) for level in levels]
@@ -195,6 +227,53 @@ def test_a_film_cut_short_is_told(written, tmp_path, name, kept):
     path.write_bytes(content[: kept if kept in (0, 40) else int(kept * len(content))])
     with pytest.raises(InputError, match=name.replace(".", r"\.")):
         index_film(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "sound"),
+    [("a.webm", "libvpx-vp9", "libopus"), ("b.webm", "libvpx", "libopus"), ("c.mkv", "mpeg4", "pcm_s16le")],
+)
+def test_a_film_with_sound_cut_short_is_told(films, tmp_path, name, codec, sound):
+    path = with_sound(
+        films.write(tmp_path / f"mute_{name}", films.numbered(COUNT), codec=codec), tmp_path / name, sound
+    )
+    assert index_film(path).frames == COUNT
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(InputError, match=rf"{name} ends after \d\.\d+ s of the \d\.\d+ s that its header promises"):
+        index_film(path)
+
+
+@pytest.mark.parametrize("seconds", [1.0, 4.0])
+def test_sound_may_be_shorter_or_longer_than_the_pictures(films, tmp_path, seconds):
+    mute = films.write(tmp_path / "mute.webm", films.numbered(COUNT))
+    assert index_film(with_sound(mute, tmp_path / "a.webm", "libopus", seconds)).frames == COUNT
+    mp4 = films.write(tmp_path / "mute.mp4", films.numbered(COUNT), codec="libx264")
+    assert index_film(with_sound(mp4, tmp_path / "a.mp4", "aac", seconds)).frames == COUNT
+
+
+def with_sound(mute, path, codec, seconds=COUNT / 12):
+    """Write a film again with noise beside its pictures."""
+    rate = 48000
+    noise = np.random.default_rng(1).integers(-9000, 9000, (1, int(seconds * rate)), np.int16)
+    with av.open(str(mute)) as source, av.open(str(path), "w") as film:
+        pictures = film.add_stream_from_template(source.streams.video[0])
+        stream = film.add_stream(codec, rate=rate, layout="mono")
+        packets = []
+        for packet in source.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = pictures
+                packets.append(packet)
+        resampler = av.AudioResampler(
+            stream.codec_context.format, "mono", rate, stream.codec_context.frame_size or 1024
+        )
+        frame = av.AudioFrame.from_ndarray(noise, format="s16", layout="mono")
+        frame.sample_rate, frame.pts = rate, 0
+        for piece in (*resampler.resample(frame), *resampler.resample(None)):
+            packets += stream.encode(piece)
+        packets += stream.encode()
+        for packet in sorted(packets, key=lambda packet: packet.dts * packet.time_base):
+            film.mux(packet)
+    return path
 
 
 def test_overwritten_bytes_are_told(films, written, tmp_path):

@@ -21,7 +21,7 @@ class Numbers:
 
     name: str
     frames: int
-    frames_per_second: float = 10.0
+    frames_per_second: float | None = 10.0
     label: str | None = None
 
     @property
@@ -101,12 +101,30 @@ def test_one_clip_per_video_begins_anywhere_and_the_same_state_gives_the_same_cl
 
 
 def test_several_clips_per_video_are_evenly_spread_and_grouped():
-    clips = source([Numbers("a", 10), Numbers("b", 4), Numbers("c", 12)], ClipPlan(4, clips_per_video=3))
+    clips = source([Numbers("a", 10), Numbers("b", 6), Numbers("c", 12)], ClipPlan(4, clips_per_video=3))
     assert len(clips) == 9
     assert clips.groups == (0, 0, 0, 1, 1, 1, 2, 2, 2)
     made = [clips.clip(index, np.random.default_rng(index)) for index in range(9)]
     assert [clip.source["video"] for clip in made] == list("aaabbbccc")
-    assert [first_frame(clip) for clip in made] == [0, 3, 6, 0, 0, 0, 0, 4, 8]
+    assert [first_frame(clip) for clip in made] == [0, 3, 6, 0, 1, 2, 0, 4, 8]
+
+
+def test_a_video_in_which_clips_would_repeat_is_listed_with_how_many_fit():
+    clips = source([Numbers("a", 5), Numbers("b", 6)], ClipPlan(4, clips_per_video=3))
+    assert [video.name for video in clips.videos] == ["b"]
+    assert clips.problems == (
+        "a: has 5 frames, in which no more than 2 different clips of 4 begin, but clips_per_video is 3: ask for fewer",
+    )
+    with pytest.raises(InputError, match="no more than 2 different clips"):
+        ClipPlan(4, clips_per_video=3).start(5, 0, np.random.default_rng(0))
+
+
+def test_a_video_without_a_rate_needs_one():
+    clips = source([Numbers("a", 5, None)], ClipPlan(4))
+    with pytest.raises(InputError, match="frames_per_second: a has no rate of its own"):
+        clips.clip(0, np.random.default_rng(0))
+    clip = source([Numbers("a", 5, None)], ClipPlan(4, frames_per_second=10)).clip(0, np.random.default_rng(0))
+    assert "own_frames_per_second" not in clip.source
 
 
 def test_index_is_taken_modulo_the_number_of_clips():
@@ -164,6 +182,8 @@ def test_a_checkpoint_that_nothing_uses_is_refused():
     assert choose_raiser(1, "optical_flow", None) is None
     with pytest.raises(InputError, match=r"superslomo_checkpoint is w\.ckpt, but raise_by: 1"):
         choose_raiser(1, "superslomo", Path("w.ckpt"))
+    with pytest.raises(InputError, match="raise_with: got superslomo, but raise_by: 1"):
+        choose_raiser(1, "superslomo", None)
     raiser = choose_raiser(2, "optical_flow", None)
     assert raiser is not None
     assert raiser.record()["name"] == "optical_flow"
@@ -174,7 +194,7 @@ def test_thirty_thousand_videos_travel_to_a_worker_in_little_time():
 
     root = Path("/data/20bn")
     clips = source(
-        [Film(root, f"clips/{number}.webm", 50, 12.0, label="Closing something") for number in range(30_000)],
+        [Film(root, f"clips/{number}.webm", 50, 12.0, "BT.601", label="Closing something") for number in range(30_000)],
         ClipPlan(4),
     )
     packed = pickle.dumps(clips)
