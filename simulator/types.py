@@ -56,8 +56,8 @@ class Clip:
         rgb: linear radiance, float32 ``(T, H, W, 3)``, finite and not negative.
         depth_m: z from the mask plane, float32 metres ``(T, H, W)``, positive; where ``valid`` is false, the far depth.
         valid: bool ``(T, H, W)``, false where no surface was seen.
-        frame_edges_s: float64 seconds ``(T + 1,)`` after the capture's start, increasing: frame ``t`` lasts from edge ``t`` to
-            ``t + 1``.
+        frame_edges_s: float64 seconds ``(T + 1,)`` after the start of the capture, increasing: frame ``t`` lasts from edge
+            ``t`` to ``t + 1``.
         label: the class name of an action, or None.
         source: where the clip came from, JSON-serialisable; it is stored with the sample.
         extras: more that is known of every pixel, by name: arrays of numbers ``(T, H, W)`` or ``(T, H, W, n)``, finite; see

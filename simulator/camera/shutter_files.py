@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from simulator.camera.shutter import RowShutter
 from simulator.errors import InputError
 from simulator.optics.measured_files import read_npy
+from simulator.text import read_text
 
 _UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
-_MAX_BYTES = 16 << 20
 
 
 def read_row_shutter(path: Path, rows: int, binning: int) -> RowShutter:
@@ -83,7 +83,7 @@ def read_row_windows(path: Path) -> NDArray[np.float64]:
 def _read_csv(path: Path) -> NDArray[np.float64]:
     windows: list[tuple[float, float]] = []
     units_s: tuple[float, float] | None = None
-    for line, text in enumerate(_text(path).splitlines(), 1):
+    for line, text in enumerate(read_text(path, "a table of rows").splitlines(), 1):
         if not text.strip() or text.lstrip().startswith("#"):
             continue
         cells = [cell.strip() for cell in next(csv.reader(io.StringIO(text)))]
@@ -119,8 +119,8 @@ def _header(path: Path, line: int, cells: list[str]) -> tuple[float, float] | No
     names = [cell.lower().partition("_") for cell in cells]
     if [name for name, _, _ in names] != ["open", "close"] or any(unit not in _UNITS_S for _, _, unit in names):
         msg = (
-            f"{path}:{line}: got the header {','.join(cells)!r}, expected open_s,close_s (or _ms, _us), or no header and "
-            "seconds"
+            f"{path}:{line}: got {','.join(cells)!r}, expected two numbers parted by a comma, seconds, or the header "
+            "open_s,close_s (or _ms, _us)"
         )
         raise InputError(msg)
     opening, closing = (_UNITS_S[unit] for _, _, unit in names)
@@ -133,19 +133,3 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _text(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            raw = file.read(_MAX_BYTES + 1)
-        if len(raw) > _MAX_BYTES:
-            msg = f"{path}: larger than 16 MiB, which no sensor's rows need; is this the right file?"
-            raise InputError(msg)
-        return raw.decode("utf-8-sig")
-    except OSError as error:
-        msg = f"cannot read {path}: {error.strerror or error}"
-        raise InputError(msg) from error
-    except UnicodeDecodeError as error:
-        msg = f"{path}: not UTF-8 text (byte 0x{error.object[error.start]:02x}); is it a table?"
-        raise InputError(msg) from error

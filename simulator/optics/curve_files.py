@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.optics.curves import COLOURS, MONOCHROME, SpectralCurves
-from simulator.optics.tables import NM, ordered, read_text, read_wavelength_table
+from simulator.optics.tables import NM, ordered, read_wavelength_table
+from simulator.text import read_text
 
 _NAMES = {"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B"}
 _FORGIVEN = 0.01  # of the peak: a digitised or measured zero may lie a little below
@@ -48,7 +49,7 @@ def read_curves(path: Path) -> SpectralCurves:
 
 def _read_json(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[str, ...]]:
     """Return wavelengths, columns and names of a rawtoaces file (its schema 0.1 and 1.0: nanometres as keys)."""
-    text = read_text(path)
+    text = read_text(path, "a table of wavelengths")
     try:
         content: Any = json.loads(text)["spectral_data"]
         names = tuple(str(name) for name in content["index"]["main"])

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.optics.dispersion import Formula
 from simulator.optics.materials import Material
-from simulator.optics.tables import UM, ordered, read_text, read_wavelength_table
+from simulator.optics.tables import UM, ordered, read_wavelength_table
+from simulator.text import read_text
 
 _FORMULAS: dict[str, Formula] = {
     "formula 1": "sellmeier",
@@ -54,7 +55,7 @@ def _from_database(path: Path) -> Material:
     import yaml
 
     try:
-        page = yaml.safe_load(read_text(path))
+        page = yaml.safe_load(read_text(path, "a table of wavelengths"))
     except (yaml.YAMLError, RecursionError) as error:
         msg = f"{path}: no YAML that can be read ({str(error).splitlines()[0]})"
         raise InputError(msg) from error

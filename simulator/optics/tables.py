@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
+from simulator.text import read_text
 
-MAX_BYTES = 16 << 20
 NM, UM = 1e-9, 1e-6
 _UNITS = (
     (r"\b(nm|nanomet(er|re)s?)\b", NM),
@@ -51,7 +51,7 @@ def read_wavelength_table(path: Path, unit_m: float | None = None) -> Wavelength
     Raises:
         InputError: naming the file and the line.
     """
-    lines = read_text(path).splitlines()
+    lines = read_text(path, "a table of wavelengths").splitlines()
     remarks = " ".join(line.lstrip("# ").strip() for line in lines if line.lstrip().startswith("#"))
     rows = [(n, _cells(line)) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
     header = rows.pop(0)[1] if rows and _number(rows[0][1][0]) is None else None
@@ -71,27 +71,6 @@ def read_wavelength_table(path: Path, unit_m: float | None = None) -> Wavelength
     wavelengths_m = table[:, 0] * _unit_m(path, header[0] if header else "", unit_m)
     names = tuple(name.strip() for name in header[1:]) if header else None
     return WavelengthTable(*ordered(path, wavelengths_m, table[:, 1:]), names, remarks)
-
-
-def read_text(path: Path) -> str:
-    """Return the text of a small file.
-
-    Raises:
-        InputError: when it cannot be read, is no UTF-8 text or larger than 16 MiB.
-    """
-    try:
-        with path.open("rb") as file:
-            raw = file.read(MAX_BYTES + 1)
-        if len(raw) > MAX_BYTES:
-            msg = f"{path}: larger than 16 MiB, which no table of wavelengths needs; is this the right file?"
-            raise InputError(msg)
-        return raw.decode("utf-8-sig")
-    except OSError as error:
-        msg = f"cannot read {path}: {error.strerror or error}"
-        raise InputError(msg) from error
-    except UnicodeDecodeError as error:
-        msg = f"{path}: not UTF-8 text (byte 0x{error.object[error.start]:02x}); is it a table?"
-        raise InputError(msg) from error
 
 
 def ordered(

@@ -151,7 +151,7 @@ def _read_alike(word: str) -> bool:
         float(word)
     except ValueError:
         return True
-    return not isinstance(yaml.safe_load(word), str)
+    return not word.isprintable() or not isinstance(yaml.safe_load(word), str)  # PyYAML quotes what is not printable
 
 
 letters = st.characters(codec="utf-8", exclude_characters="\0", exclude_categories=["Cs"])
