@@ -18,9 +18,11 @@ from pydantic import Field
 
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
+from simulator.importers.listing import grouped
 from simulator.importers.rgbd.border import find_circle
 from simulator.importers.rgbd.camera_models import Lens, Pinhole
 from simulator.importers.rgbd.depth_decoding import DepthCode, DepthDecoding, read_codes
+from simulator.importers.rgbd.depth_limit import check_depths
 from simulator.importers.rgbd.frames import Pair, list_pairs
 from simulator.importers.rgbd.intrinsics import Intrinsics, read_intrinsics
 from simulator.importers.rgbd.survey import recognises, survey
@@ -32,7 +34,7 @@ from simulator.types import Clip, View
 __all__ = ["EndoSlam", "endoslam", "recognises", "survey"]
 
 _LOOKED_AT = 8
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 def endoslam(
@@ -44,7 +46,7 @@ def endoslam(
     depth_at_zero_cm: Positive | None = None,
     depth_full_code: Annotated[int, Field(gt=0, le=65535)] | None = None,
     depth_along: Literal["axis", "ray"] = "axis",
-    max_cm: Positive = 10.0,
+    max_cm: Annotated[float, Field(gt=0)] = 10.0,
     frames: Annotated[int, Field(gt=0)] = 1,
     frames_per_second: Positive | None = None,
     intrinsics: Intrinsics | None = None,
@@ -72,7 +74,8 @@ def endoslam(
             buffer has its near plane as ``depth_scale_cm`` and its far plane here.
         depth_full_code: the full code; null is the file's largest number, 255 or 65535.
         depth_along: whether the chart holds z along the optical axis or distances along each ray (needs intrinsics).
-        max_cm: where the chart says more, ``valid`` is false and the light comes from the view's far depth.
+        max_cm: where the chart says more, ``valid`` is false and the light comes from the view's far depth; a clip that lies
+            beyond it everywhere is refused.
         frames: of a clip, with consecutive numbers; 1 gives stills.
         frames_per_second: rate at which a clip's frames were taken; clips need it (UnityCam's was 30).
         intrinsics: the pictures' camera in pixels: ``type: pinhole`` (fx, fy, cx, cy, distortion [k1, k2, p1, p2, k3]),
@@ -106,7 +109,7 @@ def endoslam(
         msg = f"depth_at_zero_cm and depth_scale_cm are both {depth_scale_cm:g}: every code would mean the same depth"
         raise InputError(msg)
     root = Path(path)
-    pairs, problems = list_pairs(root)
+    pairs, faults = list_pairs(root)
     runs = find_runs([pair.sequence for pair in pairs], [pair.number for pair in pairs], frames)
     shape = _first_shape(root, pairs)
     circle = _find_border(root, pairs, shape) if border == "auto" else None if border == "none" else border
@@ -127,7 +130,7 @@ def endoslam(
         field=field,
         circle=circle,
         intrinsics_file=intrinsics_file,
-        problems=problems + runs.problems,
+        problems=grouped(faults) + runs.problems,
     )
 
 
@@ -185,7 +188,8 @@ class EndoSlam:
         """Return clip ``index`` (modulo their number); nothing is left to chance.
 
         Raises:
-            InputError: naming the file, when it is broken or of another size than the others.
+            InputError: naming the file, when it is broken or of another size than the others; and when the clip has no
+                pixel with a depth of at most ``max_cm``.
         """
         del rng
         start = self.starts[index % len(self.starts)]
@@ -201,6 +205,7 @@ class EndoSlam:
                 depth[t] *= lookup.cosine
         none, beyond = np.isinf(depth) & lookup.seen, np.isfinite(depth) & (depth > self.max_m) & lookup.seen
         valid = lookup.seen & ~none & ~beyond
+        check_depths(self.root, pairs[0].depth, depth[:, lookup.seen], self.decoding, self.max_m)
         shares = {
             "unseen_share": 1 - float(lookup.seen.mean()),
             "without_depth_share": float(none.mean()),

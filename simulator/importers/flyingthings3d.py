@@ -16,9 +16,10 @@ from pydantic import Field
 
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
-from simulator.importers.stereo.depth_scaling import AffineKind, DepthMap, FixedDepth, affine_map
+from simulator.importers.listing import Fault, grouped
+from simulator.importers.stereo.depth_scaling import AffineKind, DepthMap, FixedDepth, affine_map, check_fixed_depths
 from simulator.importers.stereo.pairs import disparity_range, read_disparity
-from simulator.importers.stereo.runs import check_rate, find_runs, problem_line
+from simulator.importers.stereo.runs import check_rate, fault_of, find_runs
 from simulator.importers.stereo.sceneflow import FOCAL_PX, Eye, Frame, PicturePass, Subset, list_frames
 from simulator.importers.stereo.survey import recognises, survey
 from simulator.pictures import read_picture
@@ -35,13 +36,13 @@ def flyingthings3d(
     *,
     path: Path,
     frames: Annotated[int, Field(gt=0)] = 1,
-    frames_per_second: Annotated[float, Field(gt=0)] | None = None,
+    frames_per_second: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
     picture_pass: PicturePass = "cleanpass",
     eye: Eye = "left",
     subset: Subset = "all",
     depth_scaling: Literal["affine_disparity", "affine_depth", "fixed"] = "affine_disparity",
     per: Literal["image", "set"] = "image",
-    metres_per_unit: Annotated[float, Field(gt=0)] | None = None,
+    metres_per_unit: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
     crop: Literal["random", "centre"] = "random",
     downscale: Annotated[int, Field(gt=0)] | Literal["auto"] = "auto",
 ) -> FlyingThings3D:
@@ -79,7 +80,7 @@ def flyingthings3d(
         InputError: for missing folders, when nothing in them can be used, and when the parameters contradict one another.
     """
     check_rate(frames, frames_per_second)
-    root, found, problems = list_frames(Path(path), picture_pass, eye, subset)
+    root, found, faults = list_frames(Path(path), picture_pass, eye, subset)
     if depth_scaling != "fixed" and metres_per_unit is not None:
         msg = (
             f"metres_per_unit is {metres_per_unit}, but depth_scaling: {depth_scaling} fills near..far: "
@@ -96,7 +97,7 @@ def flyingthings3d(
         depth: DepthMap | AffineKind = FixedDepth(FOCAL_PX, BASELINE_UNITS, metres_per_unit)
     elif per == "set":
         found, ranges, broken = _usable(root, found)
-        problems += broken
+        faults += broken
         lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
         depth = affine_map(depth_scaling, lowest, highest, view.near_m, view.far_m, f"path: {root}")
     else:
@@ -113,7 +114,7 @@ def flyingthings3d(
         depth,
         crop,
         downscale,
-        problems + runs.problems,
+        grouped(faults) + runs.problems,
     )
 
 
@@ -181,6 +182,9 @@ class FlyingThings3D:
         valid = cut > 0
         depth = np.full(cut.shape, self.view.far_m)
         depth[valid] = depth_map.depth_m(cut[valid])
+        if isinstance(depth_map, FixedDepth):
+            for t, frame in enumerate(frames):
+                check_fixed_depths(depth[t][valid[t]], cut[t][valid[t]], self.root / frame.disparity)
         source = {
             "importer": "flyingthings3d",
             **_names(frames),
@@ -241,9 +245,9 @@ class FlyingThings3D:
 
 def _usable(
     root: Path, frames: tuple[Frame, ...]
-) -> tuple[tuple[Frame, ...], list[tuple[float, float]], tuple[str, ...]]:
-    """The frames whose disparity can be read, the range of each, and a line for each of the others."""
-    usable, ranges, problems = [], [], []
+) -> tuple[tuple[Frame, ...], list[tuple[float, float]], tuple[Fault, ...]]:
+    """The frames whose disparity can be read, the range of each, and what is wrong with the others."""
+    usable, ranges, faults = [], [], []
     for frame in frames:
         name = root / frame.disparity
         try:
@@ -251,13 +255,13 @@ def _usable(
         except InputError as error:
             if len(frames) == 1:
                 raise
-            problems.append(problem_line(error, name))
+            faults.append(fault_of(error, name))
         else:
             usable.append(frame)
     if not usable:
-        msg = f"none of the {len(frames)} disparities in {root} can be used; the first: {problems[0]}"
+        msg = f"none of the {len(frames)} disparities in {root} can be used; the first: {': '.join(faults[0])}"
         raise InputError(msg)
-    return tuple(usable), ranges, tuple(problems)
+    return tuple(usable), ranges, tuple(faults)
 
 
 def _names(frames: tuple[Frame, ...]) -> dict[str, Any]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, TypeAlias
 
 from simulator.errors import InputError
+
+Fault: TypeAlias = tuple[str, str]  # where, what and what to do
 
 _JUNK = frozenset(("__macosx", "thumbs.db", "desktop.ini"))
 _EXAMPLES = 3
@@ -68,7 +70,7 @@ def is_folder(path: Path) -> bool:
         _refuse(path, error)
 
 
-def grouped(faults: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+def grouped(faults: Iterable[Fault]) -> tuple[str, ...]:
     """Return one line ``"where: reason"`` per reason; a reason that many share names a few and counts the others.
 
     Example:

@@ -8,7 +8,6 @@ says so; pairs have the same number, and the same names once the words for pictu
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,12 +15,13 @@ from itertools import islice
 from pathlib import Path
 
 from simulator.errors import InputError
+from simulator.importers.listing import Fault, is_folder, walk
 
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"}
 _DEPTH = re.compile(r"depth|aov", re.IGNORECASE)
 _WORDS = re.compile(r"pixelwise|depths?|aov|framebuffer|frames?|images?|rgb|colou?r|[\s_-]+", re.IGNORECASE)
+_ALONE = "has no {} of its number: fetch it or take this away"
 _GLANCE = 1000
-_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -41,29 +41,27 @@ class Pair:
     number: int
 
 
-def list_pairs(root: Path) -> tuple[tuple[Pair, ...], tuple[str, ...]]:
+def list_pairs(root: Path) -> tuple[tuple[Pair, ...], tuple[Fault, ...]]:
     """Find all pairs below a folder, sequence after sequence in sorted order; no file is opened.
 
     Returns:
-        The pairs, and a line for each folder without depth charts and each file without partner (the first three of a
-        sequence by name, the rest counted).
+        The pairs; and folders without depth charts and files without partner, each with the reason.
 
     Raises:
-        InputError: when there is no such folder, or no pair in it.
+        InputError: when there is no such folder, one cannot be read, or none holds a pair.
     """
-    if not root.is_dir():
+    if not is_folder(root):
         msg = f"path: there is no folder {root}; expected one with pictures and depth charts somewhere below it"
         raise InputError(msg)
     pictures: dict[tuple[Path, str, str], dict[int, Path]] = {}
     depths: dict[tuple[Path, str, str], dict[int, Path]] = {}
-    problems: list[str] = []
+    faults: list[Fault] = []
     for name in sorted(name for _, names in _numbered(root) for name in names):
         key, number, is_depth = _place(name)
         held = (depths if is_depth else pictures).setdefault(key, {})
         if number in held:
-            problems.append(
-                f"{root / name}: has the number of {held[number].name}, which is used: take one of them away"
-            )
+            reason = f"has the number of {held[number].name}, which is used: take one of them away"
+            faults.append((str(root / name), reason))
         else:
             held[number] = name
     pairs: list[Pair] = []
@@ -71,27 +69,25 @@ def list_pairs(root: Path) -> tuple[tuple[Pair, ...], tuple[str, ...]]:
         charts = depths.pop(key, {})
         folder = next(iter(files.values())).parent
         if not charts:
-            problems.append(
-                f"{root / folder}: holds pictures without any depth chart ({len(files)}): name a narrower path"
-            )
+            reason = f"holds pictures without any depth chart ({len(files)}): name a narrower path"
+            faults.append((str(root / folder), reason))
             continue
         sequence = "/".join(part for part in (folder.as_posix(), key[2]) if part)
         pairs += [Pair(files[n], charts[n], sequence, n) for n in sorted(files.keys() & charts.keys())]
-        problems += _alone(root, [files[n] for n in sorted(files.keys() - charts.keys())], "depth chart")
-        problems += _alone(root, [charts[n] for n in sorted(charts.keys() - files.keys())], "picture")
+        faults += [(str(root / files[n]), _ALONE.format("depth chart")) for n in sorted(files.keys() - charts.keys())]
+        faults += [(str(root / charts[n]), _ALONE.format("picture")) for n in sorted(charts.keys() - files.keys())]
     for charts in depths.values():
         folder = next(iter(charts.values())).parent
-        problems.append(
-            f"{root / folder}: holds depth charts without any picture ({len(charts)}): name their common folder"
-        )
+        reason = f"holds depth charts without any picture ({len(charts)}): name their common folder"
+        faults.append((str(root / folder), reason))
     if not pairs:
-        found = f"; {problems[0]}" if problems else ""
+        found = f"; {': '.join(faults[0])}" if faults else ""
         msg = (
             f"path: {root} holds no pictures with depth charts (such as image_0000.png with aov_image_0000.png, or "
             f"FrameBuffer_0000.png with Depth_0000.png){found}"
         )
         raise InputError(msg)
-    return tuple(pairs), tuple(problems)
+    return tuple(pairs), tuple(faults)
 
 
 def recognises(path: Path) -> bool:
@@ -108,9 +104,9 @@ def recognises(path: Path) -> bool:
 
 def _numbered(root: Path) -> Iterator[tuple[Path, list[Path]]]:
     """Each folder with its picture files whose names end in a number, relative to the root."""
-    for folder, _, files in os.walk(root):
-        names = (Path(folder, file).relative_to(root) for file in files)
-        yield Path(folder), [n for n in names if n.suffix.lower() in _SUFFIXES and n.stem[-1].isdecimal()]
+    for folder, files in walk(root):
+        names = (folder.relative_to(root) / file for file in files)
+        yield folder, [n for n in names if n.suffix.lower() in _SUFFIXES and n.stem[-1].isdecimal()]
 
 
 def _place(name: Path) -> tuple[tuple[Path, str, str], int, bool]:
@@ -121,10 +117,3 @@ def _place(name: Path) -> tuple[tuple[Path, str, str], int, bool]:
     is_depth = bool(_DEPTH.search(front) or _DEPTH.search(name.parent.name))
     key = (name.parent.parent, _WORDS.sub("", name.parent.name).lower(), _WORDS.sub("", front).lower())
     return key, int(number), is_depth
-
-
-def _alone(root: Path, files: list[Path], partner: str) -> list[str]:
-    lines = [f"{root / name}: has no {partner} of its number: fetch it or take this away" for name in files[:_NAMED]]
-    if len(files) > _NAMED:
-        lines.append(f"{root / files[_NAMED].parent}: {len(files) - _NAMED} more files have no {partner}")
-    return lines

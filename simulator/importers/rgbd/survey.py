@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from simulator.errors import InputError
+from simulator.importers.listing import grouped
 from simulator.importers.rgbd.border import find_circle
-from simulator.importers.rgbd.depth_decoding import read_codes
+from simulator.importers.rgbd.depth_count import Depths
+from simulator.importers.rgbd.depth_decoding import DepthCode, DepthDecoding, read_codes
 from simulator.importers.rgbd.frames import Pair, list_pairs
 from simulator.importers.rgbd.frames import recognises as recognises
 from simulator.importers.rgbd.intrinsics import nearest_file, read_intrinsics
-from simulator.importers.stereo.runs import problem_line, run_lengths
+from simulator.importers.stereo.runs import fault_of, run_lengths
 from simulator.importers.survey import Progress, Survey
 from simulator.pictures import read_picture
 
@@ -24,47 +26,60 @@ _BORDER_FRAMES = 8
 _OFF_CENTRE = 0.05
 
 
-def survey(path: Path, progress: Progress | None = None) -> Survey:
+def survey(
+    path: Path,
+    progress: Progress | None = None,
+    *,
+    depth_scale_cm: float | None = None,
+    depth_code: DepthCode | None = None,
+    depth_at_zero_cm: float | None = None,
+    depth_full_code: int | None = None,
+    max_cm: float = 10.0,
+) -> Survey:
     """Read every pair once.
 
     Args:
         path: the folder.
         progress: called with how many pairs were read, and of how many.
+        depth_scale_cm: with ``depth_code``, codes are told in centimetres too, as the importer would read them.
+        depth_code: what is affine in the code.
+        depth_at_zero_cm: depth at code zero.
+        depth_full_code: the full code.
+        max_cm: the deepest that is valid; a chart that lies beyond it everywhere is a problem.
 
     Returns:
-        Sequences and their lengths, sizes, depth codes, the image circle and files with intrinsics; each broken or unpaired
-        file is a problem.
+        Sequences and their lengths, sizes, depth codes, the image circle and files with intrinsics; broken and unpaired files
+        are its problems.
 
     Raises:
-        InputError: when there is no such folder or no pair in it.
+        InputError: when there is no such folder or no pair in it, or only one of ``depth_scale_cm`` and ``depth_code`` is
+            given.
     """
     root = Path(path)
+    decoding = _decoding(depth_scale_cm, depth_code, depth_at_zero_cm, depth_full_code)
     pairs, unpaired = list_pairs(root)
-    problems = list(unpaired)
+    faults = list(unpaired)
+    depths = Depths(decoding, max_cm * 1e-2)
     good: list[Pair] = []
     sizes: Counter[tuple[int, ...]] = Counter()
-    codes_seen: dict[str, tuple[int, int]] = {}
-    holes = 0
     brightest: np.ndarray | None = None
     for done, pair in enumerate(pairs, 1):
         try:
             picture, codes = read_picture(root / pair.picture), read_codes(root / pair.depth)
             if picture.shape != (*codes.shape, 3):
                 texts = (" x ".join(map(str, array.shape)) for array in (picture, codes))
-                problems.append(f"{root / pair.picture}: is {' and its depth chart '.join(texts)}: fetch both again")
-            else:
+                faults.append((str(root / pair.picture), f"is {' and its depth chart '.join(texts)}: fetch both again"))
+            elif depths.add(codes):
                 good.append(pair)
                 sizes[codes.shape] += 1
-                kind = f"{8 * codes.itemsize} bit"
-                low, high = codes_seen.get(kind, (65535, 0))
-                codes_seen[kind] = min(low, int(codes.min())), max(high, int(codes.max()))
-                holes += int((codes == 0).sum())
                 if brightest is None:
                     brightest = picture
                 elif brightest.shape == picture.shape and len(good) <= _BORDER_FRAMES:
                     brightest = np.maximum(brightest, picture)
+            else:
+                faults.append((str(root / pair.depth), depths.all_beyond))
         except InputError as error:
-            problems.append(problem_line(error, root / pair.picture, root / pair.depth))
+            faults.append(fault_of(error, root / pair.picture, root / pair.depth))
         if progress is not None:
             progress(done, len(pairs))
     names = [pair.sequence for pair in good]
@@ -74,11 +89,9 @@ def survey(path: Path, progress: Progress | None = None) -> Survey:
         "frames": str(len(good)),
         "consecutive frames": f"{min(lengths)} to {max(lengths)}" if lengths else "none",
         "sizes": ", ".join(f"{size[0]} x {size[1]}" for size in sorted(sizes)),
-        "depth codes": ", ".join(f"{kind}, {low} to {high}" for kind, (low, high) in codes_seen.items()),
+        **depths.facts(),
     }
-    if holes:
-        facts["code zero"] = f"{holes} pixels"
-    notes = []
+    notes = depths.notes()
     gaps = len(lengths) - len(set(names))
     if gaps:
         notes.append(f"gaps in the numbering: {gaps}, which no clip crosses")
@@ -89,7 +102,20 @@ def survey(path: Path, progress: Progress | None = None) -> Survey:
         notes += note
         if good[0].picture.name.startswith("FrameBuffer"):
             notes.append(SIMCOL)
-    return Survey("endoslam", root, len(good), facts, tuple(problems), tuple(notes))
+    return Survey("endoslam", root, len(good), facts, grouped(faults), tuple(notes))
+
+
+def _decoding(
+    scale_cm: float | None, code: DepthCode | None, at_zero_cm: float | None, full_code: int | None
+) -> DepthDecoding | None:
+    """What codes mean, where that is told."""
+    if scale_cm is None and code is None and at_zero_cm is None and full_code is None:
+        return None
+    if scale_cm is None or code is None:
+        missing = "depth_scale_cm" if scale_cm is None else "depth_code"
+        msg = f"{missing} is missing: depths follow from depth_scale_cm and depth_code together; give both or neither"
+        raise InputError(msg)
+    return DepthDecoding(code, scale_cm * 1e-2, None if at_zero_cm is None else at_zero_cm * 1e-2, full_code)
 
 
 def _circle(brightest: np.ndarray, root: Path) -> tuple[str, list[str]]:

@@ -7,6 +7,7 @@ used is part of a sample's record.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -135,3 +136,25 @@ def affine_map(
         )
         raise InputError(msg)
     return (AffineDisparity if kind == "affine_disparity" else AffineDepth)(lowest, highest, near_m, far_m)
+
+
+def check_fixed_depths(depth_m: NDArray[np.float64], disparity: NDArray[np.float64], path: Path) -> None:
+    """Refuse disparities so small or large that single precision cannot hold their depth.
+
+    Args:
+        depth_m: by :class:`FixedDepth`, metres, any shape.
+        disparity: what they come from, pixels, same shape.
+        path: the file, for the message.
+
+    Raises:
+        InputError: naming the file.
+    """
+    with np.errstate(over="ignore", under="ignore"):
+        single = depth_m.astype(np.float32)
+    bad = ~((single > 0) & np.isfinite(single))
+    if bad.any():
+        msg = (
+            f"{path} has a disparity of {disparity[bad][0]:g} px, that is a depth of {depth_m[bad][0]:g} m, which cannot be "
+            "used: fetch it again, or check metres_per_unit"
+        )
+        raise InputError(msg)

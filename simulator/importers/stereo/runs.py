@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from simulator.errors import InputError
+from simulator.importers.listing import Fault, grouped
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class Runs:
     Attributes:
         starts: index of each clip's first frame.
         groups: number of the sequence that each clip comes from; never falls.
-        problems: a line for each sequence that is too short for a clip.
+        problems: lines about sequences that are too short for a clip, one for all with the same number of frames.
     """
 
     starts: tuple[int, ...]
@@ -45,7 +46,7 @@ def find_runs(sequences: Sequence[str], numbers: Sequence[int], length: int) -> 
     """
     starts: list[int] = []
     groups: list[int] = []
-    problems: list[str] = []
+    faults: list[Fault] = []
     longest: tuple[int, str] = (0, "")
     for group, (first, end) in enumerate(_stretches(sequences)):
         before = len(starts)
@@ -57,16 +58,15 @@ def find_runs(sequences: Sequence[str], numbers: Sequence[int], length: int) -> 
         most = max(stop - start for start, stop in runs)
         longest = max(longest, (most, sequences[first]))
         if most < length:
-            problems.append(
-                f"{sequences[first]}: has {most} consecutive frames, but a clip takes {length}: ask for fewer frames"
-            )
+            reason = f"has {most} consecutive frames, but a clip takes {length}: ask for fewer frames"
+            faults.append((sequences[first], reason))
     if not starts:
         msg = (
             f"frames is {length}, but no sequence has so many with consecutive numbers: the longest, {longest[1]!r}, "
             f"has {longest[0]}; ask for fewer"
         )
         raise InputError(msg)
-    return Runs(tuple(starts), tuple(groups), tuple(problems))
+    return Runs(tuple(starts), tuple(groups), grouped(faults))
 
 
 def run_lengths(sequences: Sequence[str], numbers: Sequence[int]) -> list[int]:
@@ -76,11 +76,11 @@ def run_lengths(sequences: Sequence[str], numbers: Sequence[int]) -> list[int]:
     return [stop - start for start, stop in pairwise([0, *breaks, count])]
 
 
-def problem_line(error: InputError, *files: Path) -> str:
-    """Return ``"file: reason"``: the file is the one whose name the message begins with, else the first of them."""
+def fault_of(error: InputError, *files: Path) -> Fault:
+    """Return the file and the reason: the file is the one whose name the message begins with, else the first of them."""
     text = str(error)
     named = next((file for file in files if text.startswith(f"{file} ")), files[0])
-    return f"{named}: {text.removeprefix(f'{named} ')}"
+    return str(named), text.removeprefix(f"{named} ")
 
 
 def check_rate(frames: int, frames_per_second: float | None) -> None:

@@ -8,11 +8,14 @@ Flattened (as in STTR's sample): ``RGB_cleanpass/left/A-0032-0006.png`` with ``d
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Literal, TypeAlias
 
 from simulator.errors import InputError
+from simulator.importers.listing import Fault, is_folder, list_folder, walk
 
 PicturePass: TypeAlias = Literal["cleanpass", "finalpass"]
 Eye: TypeAlias = Literal["left", "right"]
@@ -25,6 +28,8 @@ WIDE_FOCAL_PX = 450.0
 PASSES: tuple[PicturePass, ...] = ("cleanpass", "finalpass")
 
 _PICTURES = {".png", ".webp"}
+_DISPARITY = ".pfm"
+_WITHOUT_DISPARITY = "has no .pfm at its place below disparity: fetch it or take the picture away"
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,7 @@ class Frame:
 
 def list_frames(
     path: Path, picture_pass: PicturePass, eye: Eye, subset: Subset
-) -> tuple[Path, tuple[Frame, ...], tuple[str, ...]]:
+) -> tuple[Path, tuple[Frame, ...], tuple[Fault, ...]]:
     """Find all frames of one eye, sequence after sequence in sorted order; no picture is opened.
 
     Args:
@@ -62,10 +67,10 @@ def list_frames(
         subset: ``TRAIN`` or ``TEST`` of FlyingThings3D's original layout, or both.
 
     Returns:
-        The root, the frames that have both files, and a line for each picture that has no disparity.
+        The root, the frames that have both files, and the pictures that have no disparity.
 
     Raises:
-        InputError: when there is no such folder, or it holds no frame with both files.
+        InputError: when there is no such folder, one cannot be read, or none holds a frame with both files.
     """
     root, pictures = find_root(path, (picture_pass,))
     flattened = pictures.name.startswith("RGB_")
@@ -73,27 +78,30 @@ def list_frames(
         msg = f"subset is {subset!r}, but {root} has the flattened layout without TRAIN and TEST: leave subset out"
         raise InputError(msg)
     top = pictures if subset == "all" else pictures / subset
-    found = sorted(file.relative_to(pictures) for file in top.rglob(f"{eye}/*") if file.suffix.lower() in _PICTURES)
+    eyes = ((folder.relative_to(pictures), files) for folder, files in walk(top) if folder.name == eye)
+    found = sorted(folder / file for folder, files in eyes for file in files if Path(file).suffix.lower() in _PICTURES)
     if not found:
         msg = (
             f"path: {top} holds no {eye} picture (.png or .webp in a folder named {eye!r}): check path, eye and subset"
         )
         raise InputError(msg)
     sequences: dict[str, list[Frame]] = {}
-    problems = []
+    faults: list[Fault] = []
+    disparities = cache(_disparities)
     for name in found:
         sequence, number = _place(name, flattened)
-        disparity = Path("disparity") / name.with_suffix(".pfm")
-        frame = Frame(pictures.relative_to(root) / name, disparity, sequence, number)
-        if (root / disparity).is_file():
-            sequences.setdefault(sequence, []).append(frame)
+        picture, folder = pictures.relative_to(root) / name, Path("disparity") / name.parent
+        file = disparities(root / folder).get(name.stem)
+        if file is not None:
+            sequences.setdefault(sequence, []).append(Frame(picture, folder / file, sequence, number))
         else:
-            problems.append(f"{root / frame.picture}: has no disparity {disparity}: fetch it or take the picture away")
+            faults.append((str(root / picture), _WITHOUT_DISPARITY))
     if not sequences:
-        msg = f"none of the {len(found)} pictures in {top} has a disparity; the first, {problems[0]}"
+        wanted = Path("disparity") / found[0].with_suffix(_DISPARITY)
+        msg = f"none of the {len(found)} pictures in {top} has a disparity; the first wants {root / wanted}: fetch them"
         raise InputError(msg)
     frames = [frame for held in sequences.values() for frame in sorted(held, key=lambda frame: frame.number)]
-    return root, tuple(frames), tuple(problems)
+    return root, tuple(frames), tuple(faults)
 
 
 def _place(name: Path, flattened: bool) -> tuple[str, int]:
@@ -104,6 +112,12 @@ def _place(name: Path, flattened: bool) -> tuple[str, int]:
     return front if flattened else name.parent.parent.as_posix(), int(last)
 
 
+def _disparities(folder: Path) -> dict[str, str]:
+    """The disparity files in a folder, by their names without the ending."""
+    paths = (Path(name) for name in list_folder(folder)[1])
+    return {path.stem: path.name for path in paths if path.suffix.lower() == _DISPARITY}
+
+
 def find_root(path: Path, passes: tuple[PicturePass, ...]) -> tuple[Path, Path]:
     """Find the data set's root and its folder of pictures; of several passes the first that is there.
 
@@ -111,18 +125,19 @@ def find_root(path: Path, passes: tuple[PicturePass, ...]) -> tuple[Path, Path]:
         InputError: when there is none, or several data sets are.
     """
     names = tuple(name for each in passes for name in (f"frames_{each}", f"frames_{each}_webp", f"RGB_{each}"))
-    if not path.is_dir():
+    if not is_folder(path):
         msg = f"path: there is no folder {path}; expected the one that holds {names[0]} (or {names[2]}) and disparity"
         raise InputError(msg)
     parent = [path.parent] if path.name in (*names, "disparity") else []
-    children = sorted(child for child in path.iterdir() if child.is_dir())
+    children = [path / name for name in list_folder(path)[0]]
     for candidates in ([path, *parent], children):
-        roots = [root for root in candidates if any((root / name).is_dir() for name in names)]
+        # A neighbour that cannot be read is no reason to refuse the data set beside it.
+        roots = [root for root in candidates if any(os.path.isdir(root / name) for name in names)]
         if len(roots) > 1:
             msg = f"path: {path} has several data sets in it ({roots[0].name}, {roots[1].name}): name one of them"
             raise InputError(msg)
         if roots:
-            return roots[0], next(roots[0] / name for name in names if (roots[0] / name).is_dir())
+            return roots[0], next(roots[0] / name for name in names if is_folder(roots[0] / name))
     here = ", ".join(child.name for child in children[:6]) or "no folders"
     msg = f"path: {path} has none of {', '.join(names)} (it has {here}): name the data set's root, check picture_pass"
     raise InputError(msg)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from simulator.errors import InputError
+from simulator.importers.listing import grouped
 from simulator.importers.stereo.pairs import disparity_range, read_disparity
-from simulator.importers.stereo.runs import problem_line, run_lengths
+from simulator.importers.stereo.runs import fault_of, run_lengths
 from simulator.importers.stereo.sceneflow import PASSES, Eye, PicturePass, Subset, find_root, list_frames
 from simulator.importers.survey import Progress, Survey
 from simulator.pictures import read_picture
@@ -39,7 +40,7 @@ def survey(
         subset: ``TRAIN`` or ``TEST``, or both.
 
     Returns:
-        Sequences and their lengths, sizes, disparities; each broken or unpaired file is a problem.
+        Sequences and their lengths, sizes, disparities; broken and unpaired files are its problems.
 
     Raises:
         InputError: when there is no such folder or no pair in it.
@@ -48,7 +49,7 @@ def survey(
     root, pictures = find_root(path, (picture_pass,) if picture_pass else PASSES)
     used: PicturePass = "finalpass" if "finalpass" in pictures.name else "cleanpass"
     _, frames, unpaired = list_frames(path, used, eye, subset)
-    problems = list(unpaired)
+    faults = list(unpaired)
     good, sizes, ranges, holes = [], set(), [], 0
     for done, frame in enumerate(frames, 1):
         name = root / frame.disparity
@@ -58,13 +59,13 @@ def survey(
             shape = read_picture(root / frame.picture).shape
             if shape != (*disparity.shape, 3):
                 sizes_text = f"{' x '.join(map(str, shape))}, its disparity {' x '.join(map(str, disparity.shape))}"
-                problems.append(f"{root / frame.picture}: is {sizes_text}: fetch both again")
+                faults.append((str(root / frame.picture), f"is {sizes_text}: fetch both again"))
             else:
                 good.append(frame)
                 sizes.add(disparity.shape)
                 holes += int((disparity == 0).sum())
         except InputError as error:
-            problems.append(problem_line(error, name, root / frame.picture))
+            faults.append(fault_of(error, name, root / frame.picture))
         if progress is not None:
             progress(done, len(frames))
     names = [frame.sequence for frame in good]
@@ -85,4 +86,4 @@ def survey(
         facts["focal lengths"] = "450 and 1050 px (15 and 35 mm)"
     gaps = len(lengths) - len(set(names))
     notes = [f"gaps in the numbering: {gaps}, which no clip crosses"] if gaps else []
-    return Survey("flyingthings3d", path, len(good), facts, tuple(problems), tuple(notes))
+    return Survey("flyingthings3d", path, len(good), facts, grouped(faults), tuple(notes))

@@ -10,10 +10,10 @@ from statistics import median
 
 from simulator.errors import InputError
 from simulator.importers.films.video import ClipPlan
-from simulator.importers.listing import examples, grouped
+from simulator.importers.listing import Fault, examples, grouped
 from simulator.importers.survey import Progress, Survey
 from simulator.importers.vos.masked_video import MaskedVideo
-from simulator.importers.vos.videos import Fault, Found
+from simulator.importers.vos.videos import Found
 from simulator.pictures import read_picture
 
 

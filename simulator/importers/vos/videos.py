@@ -14,13 +14,12 @@ from typing import Literal, TypeAlias
 from simulator.errors import InputError
 from simulator.importers.films.flat_videos import FlatVideos, choose_raiser, flat_videos, plane_depth
 from simulator.importers.films.video import ClipPlan
-from simulator.importers.listing import grouped, list_folder
+from simulator.importers.listing import Fault, grouped, list_folder
 from simulator.importers.vos.masked_video import MaskedVideo, frame_number
 from simulator.types import View
 
 RaiseWith: TypeAlias = Literal["optical_flow", "superslomo"]
 Categories: TypeAlias = Mapping[int, str | None]
-Fault: TypeAlias = tuple[str, str]  # where, what and what to do
 
 _PICTURES = {".jpg", ".jpeg", ".png", ".webp"}
 _MASK = ".png"

@@ -1,7 +1,10 @@
 """Pictures with depth charts become clips: layouts, codes at full range, depth's sense, undistortion, borders, mistakes."""
 
 import json
+import os
 import pickle
+import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,7 +39,7 @@ def chart_rgba(codes):
 
 def unity(root, numbers=(0, 1, 2), sequence="UnityCam/Colon", codes=None):
     for number in numbers:
-        grey = np.random.default_rng(number).integers(1, 255, SHAPE, dtype=np.uint8) if codes is None else codes
+        grey = np.random.default_rng(number).integers(1, 120, SHAPE, dtype=np.uint8) if codes is None else codes
         save(root / sequence / "Frames" / f"image_{number:04}.png", picture(number))
         save(root / sequence / "Pixelwise Depths" / f"aov_image_{number:04}.png", chart_rgba(grey))
     return root
@@ -129,6 +132,48 @@ class TestDepth:
         view = View((5, 5), 1e-6, FOCAL_PX * 0.3e-6, 0.01, 0.15)
         clip = clip_of(unity(tmp_path, codes=codes), view=view)
         assert np.unique(clip.depth_m).tolist() == [np.float32(0.2 * c / 255).item() for c in (10, 120)]
+
+    def test_each_frame_has_its_own_depth(self, tmp_path):
+        for number in range(4):
+            unity(tmp_path, (number,), codes=np.full(SHAPE, 10 * (number + 1), np.uint8))
+        clip = clip_of(tmp_path, frames=3, frames_per_second=30.0, field="angles")
+        expected = np.float32([0.2 * code / 255 for code in (10, 20, 30)])
+        np.testing.assert_allclose(clip.depth_m, np.broadcast_to(expected[:, None, None], (3, *SHAPE)), rtol=2**-22)
+
+    def test_a_clip_beyond_the_limit_is_refused_with_the_depths_it_has(self, tmp_path):
+        codes = np.linspace(100, 255, 256).astype(np.uint8).reshape(SHAPE)
+        unity(tmp_path, codes=codes)
+        choice = {"depth_scale_cm": 51.0, "field": "angles"}
+        message = r"Pixelwise Depths/aov_image_0000\.png .*no pixel is valid \(depths of 20 to 51 cm, with max_cm 10\)"
+        with pytest.raises(InputError, match=message + r".*depth_scale_cm \(51\).*depth_code \(linear\)"):
+            clip_of(tmp_path, **choice)
+        codes[0] = 25  # 5 cm
+        unity(tmp_path, (1,), codes=codes)
+        with pytest.warns(UserWarning, match="in which 94% of the pixels"):
+            assert clip_of(tmp_path, 1, **choice).valid.sum() == 16
+        with pytest.raises(InputError, match="no pixel is valid"):
+            clip_of(tmp_path, 0, **choice)
+        assert clip_of(tmp_path, 0, **choice | {"max_cm": float("inf")}).valid.all()
+
+    def test_a_clip_of_no_depth_at_all_is_refused(self, tmp_path):
+        codes = np.zeros(SHAPE, np.uint8)
+        codes[0, 0] = 9  # outside the circle
+        unity(tmp_path, codes=codes)
+        with pytest.raises(InputError, match=r"aov_image_0000\.png gives no depth where its picture is seen"):
+            clip_of(tmp_path, border=[8, 8, 5], field="angles")
+
+    @pytest.mark.parametrize(("rows", "warned"), [(8, 0), (9, 1)])
+    def test_a_clip_mostly_beyond_the_limit_is_warned_of_once(self, tmp_path, rows, warned):
+        codes = np.full(SHAPE, 64, np.uint8)  # 5 cm
+        codes[:rows] = 255
+        source = source_of(unity(tmp_path, codes=codes), field="angles")
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            for index in range(3):
+                source.clip(index, RNG)
+        assert len(caught) == warned
+        for warning in caught:
+            assert "56% of the pixels are not valid (depths of 5.02 to 20 cm, with max_cm 10)" in str(warning.message)
 
 
 class TestPictures:
@@ -260,7 +305,69 @@ class TestClips:
         assert camera.startswith(f"{tmp_path}/MiroCam: holds pictures without any depth chart (1)")
 
 
+class TestFolders:
+    @pytest.mark.parametrize("name", ["._{}", ".ipynb_checkpoints/{}", "__MACOSX/Frames/{}"])
+    def test_what_systems_leave_behind_is_no_frame(self, tmp_path, name):
+        root = unity(tmp_path)
+        expected = source_of(root).pairs
+        for file in [path for path in root.rglob("*") if path.is_file()]:
+            for folder in (file.parent, root):
+                junk = folder / name.format(file.name)
+                junk.parent.mkdir(parents=True, exist_ok=True)
+                junk.write_bytes(b"\x00\x05\x16\x07")
+        source = source_of(root)
+        assert (source.pairs, source.problems) == (expected, ())
+        assert survey(root).problems == ()
+
+    def test_linked_folders_are_followed(self, tmp_path):
+        unity(tmp_path / "disk")
+        (tmp_path / "root").mkdir()
+        (tmp_path / "root/organ").symlink_to(tmp_path / "disk/UnityCam/Colon", target_is_directory=True)
+        (tmp_path / "disk/UnityCam/Colon/back").symlink_to(tmp_path / "root", target_is_directory=True)
+        source = source_of(tmp_path / "root")
+        assert [pair.picture.as_posix() for pair in source.pairs] == [
+            f"organ/Frames/image_000{n}.png" for n in range(3)
+        ]
+        assert recognises(tmp_path / "root")
+
+    def test_a_folder_that_may_not_be_read_is_named(self, tmp_path, monkeypatch):
+        root, scandir = unity(tmp_path), os.scandir
+        shut = root / "UnityCam/Colon/Pixelwise Depths"
+
+        def refuse(path):
+            if Path(path) == shut:
+                raise PermissionError(13, "Permission denied", str(path))
+            return scandir(path)
+
+        monkeypatch.setattr(os, "scandir", refuse)
+        for call in (source_of, survey):
+            with pytest.raises(InputError, match=f"path: {shut} cannot be read: Permission denied"):
+                call(root)
+
+    def test_one_reason_for_many_files_makes_one_line(self, tmp_path):
+        root = unity(tmp_path, range(9))
+        for number in range(1, 9):
+            (root / f"UnityCam/Colon/Pixelwise Depths/aov_image_{number:04}.png").unlink()
+        for (line,) in (source_of(root).problems, survey(root).problems):
+            assert line.startswith(f"{root}/UnityCam/Colon/Frames/image_0001.png, ")
+            assert "image_0003.png and 5 more: has no depth chart of its number" in line
+
+
 class TestMistakes:
+    @pytest.mark.parametrize("name", ["depth_scale_cm", "depth_at_zero_cm", "frames_per_second"])
+    def test_infinite_parameters(self, tmp_path, name):
+        plain = {"path": str(tmp_path), "depth_scale_cm": 20, "depth_code": "linear", name: float("inf")}
+        with pytest.raises(ParameterError, match=f"{name}: "):
+            resolve("source", "endoslam").bind(plain)
+
+    def test_charts_of_floats_are_named(self, tmp_path):
+        root = unity(tmp_path, (0,))
+        chart = root / "UnityCam/Colon/Pixelwise Depths/aov_image_0000.png"
+        chart.unlink()
+        save(chart.with_suffix(".TIF"), np.full(SHAPE, 3e38, np.float32))
+        with pytest.raises(InputError, match=r"aov_image_0000\.TIF has pixels of kind 'F'; expected 8 bit grey"):
+            clip_of(root)
+
     def test_parameters_that_must_be_there(self, tmp_path):
         with pytest.raises(ParameterError, match="depth_scale_cm: missing"):
             resolve("source", "endoslam").bind({"path": str(tmp_path), "depth_code": "linear"})
@@ -370,8 +477,29 @@ class TestSurvey:
         assert "puts the optical axis at column 12, row 7.5 of 16 x 16 pixels" in axis
         assert "depth_full_code: 65280" in formula
 
+    def test_codes_in_centimetres(self, tmp_path):
+        """Codes from 128 of 255 are beyond the half of 20 cm; 0.5 cm / (code / 255) is beyond 10 cm below code 12.75."""
+        unity(tmp_path, (0,), codes=np.arange(256, dtype=np.uint8).reshape(SHAPE))
+        unity(tmp_path, (1,), codes=np.full(SHAPE, 255, np.uint8))
+        linear = survey(tmp_path, depth_scale_cm=20.0, depth_code="linear")
+        assert linear.facts["depths"] == f"0.07843 to 20 cm, {(128 + 256) / 511:.1%} of pixels beyond max_cm (10)"
+        assert linear.notes[0].startswith("more than half of all depths lie beyond max_cm: check depth_scale_cm")
+        assert (linear.usable, len(linear.problems)) == (1, 1)
+        assert "aov_image_0001.png: has no depth of at most max_cm (10): check depth_scale_cm" in linear.problems[0]
+        inverse = survey(tmp_path, depth_scale_cm=0.5, depth_code="inverse")
+        assert inverse.facts["depths"] == f"0.5 to 127.5 cm, {12 / 511:.1%} of pixels beyond max_cm (10)"
+        assert (inverse.usable, inverse.problems, inverse.notes) == (2, (), ())
+        reverse = survey(tmp_path, depth_scale_cm=0.5, depth_code="inverse", depth_at_zero_cm=30, max_cm=40)
+        assert reverse.facts["depths"] == "0.5 to 30 cm, 0.0% of pixels beyond max_cm (40)"
+        full = survey(tmp_path, depth_scale_cm=20.0, depth_code="linear", depth_full_code=510, max_cm=5)
+        assert full.facts["depths"].startswith("0.03922 to 10 cm, ")
+        assert "depths" not in survey(tmp_path).facts
+        with pytest.raises(InputError, match="depth_code is missing"):
+            survey(tmp_path, depth_scale_cm=20.0)
+
     @pytest.mark.shared
-    def test_the_real_sample(self, shared_data):
+    def test_the_real_sample(self, shared_data, monkeypatch):
+        monkeypatch.setattr("simulator.importers.rgbd.depth_limit._WARNED", set())
         folder = shared_data / "endoslam/new_code/data"
         assert recognises(folder)
         found = survey(folder)
@@ -384,7 +512,8 @@ class TestSurvey:
             folder, view=view, frames=20, frames_per_second=30.0, depth_code="inverse", depth_scale_cm=0.4,
             border="auto", intrinsics=None,
         )  # fmt: skip
-        clip = source.clip(0, RNG)
+        with pytest.warns(UserWarning, match=r"62% of the pixels are not valid \(depths of 2.488 to 102 cm"):
+            clip = source.clip(0, RNG)
         # The lens's circle, by eye 184 px about the middle of the 320 px frame, which it overfills.
         assert source.circle == pytest.approx((159.5, 160.5, 184), abs=1.5)
         assert clip.rgb.shape == (20, 64, 64, 3)

@@ -246,11 +246,9 @@ class TestMistakes:
         source = self.make(root)
         assert len(source) == 1
         (problem,) = source.problems
-        assert problem.startswith(
-            f"{root}/frames_cleanpass/TRAIN/A/0032/left/0007.png: has no disparity disparity/TRAIN"
-        )
+        assert problem.startswith(f"{root}/frames_cleanpass/TRAIN/A/0032/left/0007.png: has no .pfm at its place")
         (root / "disparity/TRAIN/A/0032/left/0006.pfm").unlink()
-        with pytest.raises(InputError, match=r"none of the 2 pictures .*the first, .*left/0006\.png: has no disparity"):
+        with pytest.raises(InputError, match=r"none of the 2 pictures .*the first wants .*/disparity/.*left/0006\.pfm"):
             self.make(root)
 
     def test_subset_needs_the_original_layout(self, tmp_path, rgb, disparity):

@@ -1,6 +1,8 @@
 """Sequences of the SceneFlow data sets become clips: consecutive numbers, one crop and one depth map, groups, a survey."""
 
+import os
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from PIL import Image
 
 from simulator.errors import InputError
 from simulator.importers.flyingthings3d import flyingthings3d, recognises, survey
+from simulator.plugins import ParameterError, resolve
 from simulator.types import View
 
 SHAPE = (12, 16)
@@ -98,7 +101,7 @@ class TestClips:
         source = clips_of(root)
         assert [pictures(source, k) for k in range(len(source))] == [["0008.png", "0009.png"], ["0006.png", "0007.png"]]
         assert len(source.problems) == 1
-        assert "0007.png: has no disparity" in source.problems[0]
+        assert "0007.png: has no .pfm" in source.problems[0]
 
     def test_flattened_names(self, tmp_path):
         for k, name in enumerate(["A-0032-0006", "A-0032-0007", "A-0033-0008", "A-0033-0009"]):
@@ -117,6 +120,36 @@ class TestClips:
         broken, short = source.problems
         assert broken.startswith(f"{root}/disparity/TRAIN/A/0001/left/0007.pfm: is zero everywhere")
         assert short.startswith("TRAIN/A/0001: has 1 consecutive frames, but a clip takes 2")
+
+
+class TestRegistration:
+    @pytest.mark.parametrize("factor", [2, 3, 4])
+    def test_depth_is_that_of_the_middle_of_what_colour_averages(self, tmp_path, factor):
+        """A ramp of light and one of disparity that are each other's images stay so, to half a pixel of an even factor.
+
+        The mean of a linear ramp over a block is its value in the block's middle, (factor - 1) / 2; the sample nearest to it
+        is factor // 2. Another would move depth against colour by up to a block.
+        """
+        size = 8 * factor
+        rows, columns = np.indices((size, size))
+        disparity = (1 + columns + 100 * rows).astype(np.float32)
+        write(tmp_path, "TRAIN/A/0000/left/0006", disparity=disparity)
+        light = ((columns + rows) / (2 * size))[..., None].repeat(3, -1)
+        encoded = np.where(light > 0.0031308, 1.055 * light ** (1 / 2.4) - 0.055, 12.92 * light)
+        picture = tmp_path / "frames_cleanpass/TRAIN/A/0000/left/0006.png"
+        Image.fromarray((255 * encoded).round().astype(np.uint8)).save(picture)
+        view = View((8, 8), VIEW.pixel_pitch_m, VIEW.distance_m, VIEW.near_m, VIEW.far_m)
+        source = flyingthings3d(view, path=tmp_path, depth_scaling="fixed", metres_per_unit=1.0)
+        clip = source.clip(0, np.random.default_rng(0))
+        assert clip.source["downscale"] == factor
+        sampled = (1050 / clip.depth_m[0].astype(float)).round().astype(int) - 1
+        column, row = sampled % 100, sampled // 100
+        assert np.array_equal(column[0], factor * np.arange(8) + factor // 2)
+        assert np.array_equal(row[:, 0], factor * np.arange(8) + factor // 2)
+        # Colour by colour: the ramp's value at the sample, half a pixel on (of both axes) where the factor is even.
+        shift = factor // 2 - (factor - 1) / 2
+        expected = (column + row - 2 * shift) / (2 * size)
+        np.testing.assert_allclose(clip.rgb[0, ..., 0], expected, atol=0.005)  # 8 bit codes are 0.009 apart at white
 
 
 class TestOtherSets:
@@ -142,7 +175,79 @@ class TestOtherSets:
         assert survey(tmp_path).facts["focal lengths"] == "450 and 1050 px (15 and 35 mm)"
 
 
+class TestFolders:
+    def test_frames_are_in_the_order_of_their_numbers(self, tmp_path):
+        for number in (8, 9, 10, 11):  # names without leading zeros sort as 10, 11, 8, 9
+            write(tmp_path, f"TRAIN/A/0000/left/{number}", number)
+        source = clips_of(tmp_path, frames=4)
+        assert [frame.picture.name for frame in source.frames] == ["8.png", "9.png", "10.png", "11.png"]
+        clip = source.clip(0, np.random.default_rng(0))
+        assert len(source) == 1
+        for t, number in enumerate((8, 9, 10, 11)):
+            row, column = clip.source["corner_px"]
+            encoded = frame(number)[0][row : row + 8, column : column + 8] / 255
+            linear = np.where(encoded > 0.04045, ((encoded + 0.055) / 1.055) ** 2.4, encoded / 12.92)
+            np.testing.assert_allclose(clip.rgb[t], linear, rtol=0, atol=2**-23)
+
+    @pytest.mark.parametrize("name", ["._0006", ".ipynb_checkpoints/0006", "__MACOSX/left/0006"])
+    def test_what_systems_leave_behind_is_no_frame(self, root, name):
+        expected = clips_of(root).frames
+        for folder in ("TRAIN/A/0000/left", "TRAIN/A", "."):
+            for top, suffix in (("frames_cleanpass", ".png"), ("disparity", ".pfm")):
+                path = (root / top / folder / name).with_suffix(suffix)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(b"\x00\x05\x16\x07")
+        source = clips_of(root)
+        assert (source.frames, source.problems) == (expected, ())
+        assert survey(root).problems == ()
+
+    def test_suffixes_may_be_in_capitals(self, root):
+        expected = clips_of(root).clip(0, np.random.default_rng(1))
+        for path in [path for path in root.rglob("*") if path.is_file()]:
+            path.rename(path.with_suffix(path.suffix.upper()))
+        clip = clips_of(root).clip(0, np.random.default_rng(1))
+        assert np.array_equal(clip.rgb, expected.rgb)
+        assert np.array_equal(clip.depth_m, expected.depth_m)
+        assert clip.source["disparities"][0].endswith("0006.PFM")
+
+    @pytest.mark.parametrize("shut", ["frames_cleanpass/TRAIN/A/0001", "disparity/TRAIN/A/0001/left"])
+    def test_a_folder_that_may_not_be_read_is_named(self, root, monkeypatch, shut):
+        scandir = os.scandir
+
+        def refuse(path):
+            if Path(path) == root / shut:
+                raise PermissionError(13, "Permission denied", str(path))
+            return scandir(path)
+
+        monkeypatch.setattr(os, "scandir", refuse)
+        for call in (clips_of, survey):
+            with pytest.raises(InputError, match=rf"path: {root / shut} cannot be read: Permission denied"):
+                call(root)
+
+    def test_one_reason_for_many_files_makes_one_line(self, root):
+        for path in sorted(root.glob("disparity/TRAIN/A/0000/left/*"))[1:]:
+            path.unlink()
+        lines = survey(root).problems, flyingthings3d(VIEW, path=root).problems
+        for (line,) in lines:
+            assert line.startswith(f"{root}/frames_cleanpass/TRAIN/A/0000/left/0007.png, ")
+            assert "0009.png and 1 more: has no .pfm at its place below disparity" in line
+
+
 class TestMistakes:
+    @pytest.mark.parametrize("name", ["frames_per_second", "metres_per_unit"])
+    def test_infinite_parameters(self, root, name):
+        plain = {"path": str(root), "frames": 2, "frames_per_second": 50.0, name: float("inf")}
+        with pytest.raises(ParameterError, match=f"{name}: "):
+            resolve("source", "flyingthings3d").bind(plain)
+
+    @pytest.mark.parametrize("value", [1e-36, 1e38])
+    def test_a_depth_that_no_number_holds_names_its_file(self, root, value):
+        rows = np.full(SHAPE, value, np.float32)
+        write(root, "TRAIN/A/0000/left/0007", 1, disparity=rows)
+        scale = 1e6 if value < 1 else 1e-12
+        with pytest.raises(InputError, match=r"left/0007\.pfm has a disparity of 1e.*check metres_per_unit"):
+            clips_of(root, depth_scaling="fixed", metres_per_unit=scale).clip(0, np.random.default_rng(0))
+
     def test_clips_need_a_rate_and_stills_take_none(self, root):
         with pytest.raises(InputError, match="frames_per_second is missing: a clip of 2 frames"):
             flyingthings3d(VIEW, path=root, frames=2)
@@ -189,7 +294,7 @@ class TestSurvey:
         assert found.facts["sizes"] == "12 x 16"
         assert found.notes == ("gaps in the numbering: 1, which no clip crosses",)
         unpaired, damaged, empty = found.problems
-        assert "0007.png: has no disparity" in unpaired
+        assert "0007.png: has no .pfm" in unpaired
         assert damaged.startswith(f"{cut}: is damaged")
         assert empty.startswith(f"{zero}: is zero everywhere")
 
