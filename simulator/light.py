@@ -43,9 +43,10 @@ def read_light(path: Path) -> NDArray[np.float32]:
 
 def _exr_light(path: Path) -> NDArray[np.float32]:
     channels, _ = read_exr(path)
-    for names in ("RGB", "Y"):
-        if set(names) <= channels.keys():
-            return np.stack([channels[name] for name in names], axis=-1 if len(names) > 1 else 0).squeeze()
+    if set("RGB") <= channels.keys():
+        return np.stack([channels[name] for name in "RGB"], axis=-1)
+    if "Y" in channels:
+        return channels["Y"]
     msg = f"{path}: its channels are {', '.join(channels)}; expected R, G and B, or Y"
     raise InputError(msg)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sized
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 # What users write, and what the renderer calls it.
 _OUTPUTS = {"ids": "shape_id", "normals": "normal", "albedo": "albedo", "motion": "motion", "hidden": "hidden"}
+_PROBLEMS = 5  # that are shown one by one
 _SAMPLES = {".png": 16, ".gif": 9, ".webp": 9, ".exr": 1}
 
 
@@ -61,9 +63,10 @@ def render(
     _check_split(split)
     asked = [] if outputs is None else [f"render.outputs={json.dumps(_renderer_names(outputs))}"]
     loaded = load_config(config, [*(set_ or []), *asked])
-    numbers = range(index, index + count)
     with Bar() as bar:
-        clips = _clips(loaded, split, numbers, bar, free=outputs is None and kind == ".png")
+        numbers, clips = _clips(
+            loaded, split, range(index, index + count), bar, free=outputs is None and kind == ".png"
+        )
         if kind == ".exr":
             written = write_linear(path, clips[0])
         else:
@@ -79,8 +82,8 @@ def render(
     print(f"look at {written[0]}" + (f" to {written[-1].name}" if len(written) > 1 else ""))
 
 
-def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) -> list[Clip]:
-    """Return the clips of samples.
+def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) -> tuple[range, list[Clip]]:
+    """Return the clips of samples, and their numbers: a source with an end gives none twice.
 
     Args:
         config: the configuration.
@@ -92,6 +95,7 @@ def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) 
     from simulator.assemble import build_source, scene_plugin
     from simulator.dataset.engines import available_cpus
     from simulator.dataset.recipe import scene_clip
+    from simulator.importers.survey import first_lines
     from simulator.plugins import plugin_errors
     from simulator.render.backend import activate, choose_backend
 
@@ -109,6 +113,11 @@ def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) 
     clips: list[Clip] = []
     with plugin_errors(plugin):
         source = build_source(config, variant)
+        if problems := tuple(getattr(source, "problems", ())):
+            listed = "\n  ".join(first_lines(problems, _PROBLEMS))
+            bar.say(f"note: {len(problems)} files or videos cannot be used, and are left out:\n  {listed}")
+        if isinstance(source, Sized):
+            numbers = numbers[: max(1, len(source))]
         for number in numbers:
             clip = scene_clip(source, config.seed, split, number)
             if free and not clips and plugin.takes_renderer and len(clip.rgb) > 1 and not config.render.outputs:
@@ -118,7 +127,7 @@ def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) 
                 clip = scene_clip(source, config.seed, split, number)
             clips.append(clip)
             bar.update("samples rendered", len(clips), len(numbers))
-    return clips
+    return numbers, clips
 
 
 def _title(config: Config, split: str, numbers: range, clips: list[Clip]) -> str:

@@ -55,8 +55,8 @@ def _pickled(path: Path) -> Any:
         with torch.serialization.safe_globals([datetime.datetime]):
             return torch.load(path, weights_only=True, map_location="cpu")
     except Exception as error:  # torch.load meets a foreign file with almost any exception
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        msg = f"superslomo_checkpoint: cannot read {path} as weights of torch: {reason}; {_CURE}"
+        # Torch's own words may end in the advice to let the file run its code.
+        msg = f"superslomo_checkpoint: cannot read {path} as weights of torch ({type(error).__name__}); {_CURE}"
         raise InputError(msg) from error
 
 

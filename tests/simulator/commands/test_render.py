@@ -142,6 +142,49 @@ def test_mistakes(flatlight, one_error, rolling: Path, monkeypatch, arguments: l
     assert {path for path in rolling.parent.iterdir() if path.name != "__pycache__"} <= before
 
 
+FINITE = '''
+"""Three grey pictures."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from simulator.types import Clip
+
+
+@dataclass(frozen=True)
+class Greys:
+    view: object
+    problems: tuple
+    inputs: tuple = ()
+
+    def __len__(self):
+        return 3
+
+    def clip(self, index, rng):
+        shape = (1, *self.view.shape)
+        rgb, depth_m = np.full((*shape, 3), 0.2, np.float32), np.full(shape, 0.1, np.float32)
+        return Clip(rgb, depth_m, np.ones(shape, bool), np.array([0.0, 1.0]))
+
+
+def greys(view, *, bad: int = 0):
+    return Greys(view, tuple(f"{number}.png: torn" for number in range(bad)))
+'''
+
+
+def test_a_source_with_an_end_is_shown_once_and_says_what_it_leaves_out(flatlight, trial) -> None:
+    (trial.folder / "greys.py").write_text(FINITE, encoding="utf-8")
+    path = trial.write(scene={"source": "./greys.py:greys", "size": [16, 20]})
+    _, _, err = flatlight("render", path, "--output", trial.folder / "a.png")
+    assert "samples rendered: 3 of 3" in err
+    assert "note" not in err
+    _, _, err = flatlight("render", path, "--samples", 2, "--set", "scene.bad=7", "--output", trial.folder / "a.png")
+    assert "samples rendered: 2 of 2" in err
+    assert "note: 7 files or videos cannot be used, and are left out:\n  0.png: torn\n" in err
+    assert "4.png: torn\n  and 2 more" in err
+    assert "5.png" not in err
+
+
 def test_scenes_that_are_not_rendered_have_colour_and_depth_only(flatlight, one_error, trial) -> None:
     one_error(flatlight("render", trial.write(), "--outputs", "ids"), "boxes is not rendered", "leave them out")
     assert flatlight("render", trial.write(), "--output", trial.folder / "a.png")[0] == 0
