@@ -33,9 +33,17 @@ class Entry:
 
 
 def find_labels(root: Path, name: str) -> Path | None:
-    """Return a label file's path under one of its original names (``name`` is ``labels``, ``train`` or ``validation``)."""
+    """Return a label file's path under one of its original names (``name`` is ``labels``, ``train`` or ``validation``).
+
+    Raises:
+        InputError: the folder cannot be looked into.
+    """
     places = (root / folder / f"{prefix}{name}.json" for folder in _LABEL_FOLDERS for prefix in _PREFIXES)
-    return next((place for place in places if place.is_file()), None)
+    try:
+        return next((place for place in places if place.is_file()), None)
+    except OSError as error:
+        msg = f"path: {root} cannot be read: {error.strerror or error}; check who may read it"
+        raise InputError(msg) from error
 
 
 def read_templates(path: Path) -> tuple[str, ...]:

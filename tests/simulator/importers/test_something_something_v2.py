@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -174,9 +175,14 @@ def test_a_folder_that_may_not_be_read_is_named(root, monkeypatch):
     def forbidden(path):
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(os, "scandir", forbidden)
-    with pytest.raises(InputError, match=r"path: .*20bn-something-something-v2 cannot be read: Permission denied"):
-        clips(root)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "scandir", forbidden)
+        with pytest.raises(InputError, match=r"path: .*20bn-something-something-v2 cannot be read: Permission denied"):
+            clips(root)
+    monkeypatch.setattr(Path, "is_file", forbidden)
+    for use in (clips, recognises):
+        with pytest.raises(InputError, match=r"path: .* cannot be read: Permission denied"):
+            use(root)
 
 
 @pytest.mark.parametrize(
