@@ -21,7 +21,7 @@ from simulator.errors import InputError
 from simulator.importers.listing import grouped
 from simulator.importers.rgbd.border import find_circle
 from simulator.importers.rgbd.camera_models import Lens, Pinhole
-from simulator.importers.rgbd.depth_decoding import DepthCode, DepthDecoding, read_codes
+from simulator.importers.rgbd.depth_decoding import DepthAlong, DepthCode, DepthDecoding, read_codes
 from simulator.importers.rgbd.depth_limit import check_depths
 from simulator.importers.rgbd.frames import Pair, list_pairs
 from simulator.importers.rgbd.intrinsics import Intrinsics, read_intrinsics
@@ -45,7 +45,7 @@ def endoslam(
     depth_code: DepthCode,
     depth_at_zero_cm: Positive | None = None,
     depth_full_code: Annotated[int, Field(gt=0, le=65535)] | None = None,
-    depth_along: Literal["axis", "ray"] = "axis",
+    depth_along: DepthAlong = "axis",
     max_cm: Annotated[float, Field(gt=0)] = 10.0,
     frames: Annotated[int, Field(gt=0)] = 1,
     frames_per_second: Positive | None = None,
@@ -165,7 +165,7 @@ class EndoSlam:
     length: int
     frames_per_second: float | None
     decoding: DepthDecoding
-    along: Literal["axis", "ray"]
+    along: DepthAlong
     max_m: float
     lens: Lens | None
     shape: tuple[int, int]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.importers.rgbd.depth_decoding import DepthDecoding
+from simulator.importers.rgbd.depth_decoding import DepthAlong, DepthDecoding
 from simulator.importers.rgbd.depth_limit import MOSTLY
 
 
@@ -16,14 +16,15 @@ class Depths:
         all_beyond: the reason why a chart that lies beyond the limit everywhere cannot be used.
     """
 
-    def __init__(self, decoding: DepthDecoding | None, max_m: float) -> None:
+    def __init__(self, decoding: DepthDecoding | None, max_m: float, along: DepthAlong) -> None:
         """Begin with no chart.
 
         Args:
             decoding: what codes mean; None counts codes alone.
             max_m: deepest valid depth, metres.
+            along: whether charts hold depths or distances along rays, which may lie beyond the limit while depths do not.
         """
-        self._decoding, self._max_m = decoding, max_m
+        self._decoding, self._max_m, self._along = decoding, max_m, along
         self._counts: dict[np.dtype[np.unsignedinteger], NDArray[np.int64]] = {}
         self.all_beyond = (
             f"has no depth of at most max_cm ({max_m * 100:g}): check depth_scale_cm and depth_code, or raise max_cm"
@@ -34,7 +35,7 @@ class Depths:
         counts = np.bincount(codes.ravel(), minlength=np.iinfo(codes.dtype).max + 1)
         self._counts[codes.dtype] = self._counts.get(codes.dtype, 0) + counts
         metres = self._metres(codes.dtype)
-        return metres is None or bool(np.any(metres[counts > 0] <= self._max_m))
+        return metres is None or self._along == "ray" or bool(np.any(metres[counts > 0] <= self._max_m))
 
     def facts(self) -> dict[str, str]:
         """Return ranges of codes and, where their meaning is known, of depths."""
@@ -48,7 +49,7 @@ class Depths:
         if metres.size:
             facts["depths"] = (
                 f"{metres.min() * 100:.4g} to {metres.max() * 100:.4g} cm, {self._beyond(metres, counts):.1%} of pixels "
-                f"beyond max_cm ({self._max_m * 100:g})"
+                f"beyond max_cm ({self._max_m * 100:g}){', along each ray' if self._along == 'ray' else ''}"
             )
         return facts
 

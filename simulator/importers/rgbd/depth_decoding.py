@@ -13,6 +13,7 @@ from simulator.errors import InputError
 from simulator.pictures import read_picture
 
 DepthCode: TypeAlias = Literal["linear", "inverse"]
+DepthAlong: TypeAlias = Literal["axis", "ray"]
 
 
 def read_codes(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:

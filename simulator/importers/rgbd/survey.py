@@ -11,7 +11,7 @@ from simulator.errors import InputError
 from simulator.importers.listing import grouped
 from simulator.importers.rgbd.border import find_circle
 from simulator.importers.rgbd.depth_count import Depths
-from simulator.importers.rgbd.depth_decoding import DepthCode, DepthDecoding, read_codes
+from simulator.importers.rgbd.depth_decoding import DepthAlong, DepthCode, DepthDecoding, read_codes
 from simulator.importers.rgbd.frames import Pair, list_pairs
 from simulator.importers.rgbd.frames import recognises as recognises
 from simulator.importers.rgbd.intrinsics import nearest_file, read_intrinsics
@@ -34,6 +34,7 @@ def survey(
     depth_code: DepthCode | None = None,
     depth_at_zero_cm: float | None = None,
     depth_full_code: int | None = None,
+    depth_along: DepthAlong = "axis",
     max_cm: float = 10.0,
 ) -> Survey:
     """Read every pair once.
@@ -45,6 +46,7 @@ def survey(
         depth_code: what is affine in the code.
         depth_at_zero_cm: depth at code zero.
         depth_full_code: the full code.
+        depth_along: whether charts hold depths or distances along rays.
         max_cm: the deepest that is valid; a chart that lies beyond it everywhere is a problem.
 
     Returns:
@@ -59,7 +61,7 @@ def survey(
     decoding = _decoding(depth_scale_cm, depth_code, depth_at_zero_cm, depth_full_code)
     pairs, unpaired = list_pairs(root)
     faults = list(unpaired)
-    depths = Depths(decoding, max_cm * 1e-2)
+    depths = Depths(decoding, max_cm * 1e-2, depth_along)
     good: list[Pair] = []
     sizes: Counter[tuple[int, ...]] = Counter()
     brightest: np.ndarray | None = None

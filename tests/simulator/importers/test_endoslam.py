@@ -493,6 +493,9 @@ class TestSurvey:
         assert reverse.facts["depths"] == "0.5 to 30 cm, 0.0% of pixels beyond max_cm (40)"
         full = survey(tmp_path, depth_scale_cm=20.0, depth_code="linear", depth_full_code=510, max_cm=5)
         assert full.facts["depths"].startswith("0.03922 to 10 cm, ")
+        rays = survey(tmp_path, depth_scale_cm=10.1, depth_code="linear", depth_along="ray")
+        assert rays.facts["depths"].endswith("beyond max_cm (10), along each ray")
+        assert (rays.usable, rays.problems) == (2, ()), "10.1 cm along a slanting ray may be less in depth"
         assert "depths" not in survey(tmp_path).facts
         with pytest.raises(InputError, match="depth_code is missing"):
             survey(tmp_path, depth_scale_cm=20.0)
