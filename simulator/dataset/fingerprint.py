@@ -67,11 +67,7 @@ def build_fingerprint(
     Raises:
         InputError: an input file cannot be read, or a value of the configuration has no JSON form.
     """
-    kept = {key: value for key, value in config.items() if key != "name"}
-    if isinstance(kept.get("dataset"), Mapping):
-        kept["dataset"] = {key: value for key, value in kept["dataset"].items() if key not in _FREE_IN_DATASET}
-    if isinstance(kept.get("psf"), Mapping):
-        kept["psf"] = {key: value for key, value in kept["psf"].items() if key not in _FREE_IN_PSF}
+    kept = deciding(config)
     paths = [Path(path) for path in input_files]
     inputs = {name: sha256_file(path) for name, path in zip(distinct_names(p.name for p in paths), paths, strict=True)}
     if len(inputs) > _LISTED_INPUTS:
@@ -82,7 +78,21 @@ def build_fingerprint(
     for name in packages:
         versions |= _versions_of(name)
     parts = plain({"backend": backend, "config": kept, "inputs": inputs, "versions": versions}, "configuration")
-    return hashlib.sha256(canonical_json(parts)).hexdigest(), parts
+    return hash_parts(parts), parts
+
+
+def hash_parts(parts: Mapping[str, Any]) -> str:
+    """Return the fingerprint of its parts: 64 hexadecimal digits."""
+    return hashlib.sha256(canonical_json(parts)).hexdigest()
+
+
+def deciding(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a configuration without what decides no sample's bytes."""
+    kept = {key: value for key, value in config.items() if key != "name"}
+    for section, free in (("dataset", _FREE_IN_DATASET), ("psf", _FREE_IN_PSF)):
+        if isinstance(kept.get(section), Mapping):
+            kept[section] = {key: value for key, value in kept[section].items() if key not in free}
+    return kept
 
 
 def distinct_names(names: Iterable[str]) -> Iterator[str]:

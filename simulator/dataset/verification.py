@@ -12,10 +12,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePosixPath
 
+from simulator.camera.shutter import Shutter
 from simulator.dataset.dataset_info import CAPTURED_FOLDER, PSF_FOLDER, DatasetInfo, read_info
 from simulator.dataset.engines import run
 from simulator.dataset.manifest import MANIFEST, Entry, Manifest, load_manifest
 from simulator.dataset.psf_files import read_psf_stack
+from simulator.dataset.record_checks import check_fingerprint, check_shutter
 from simulator.dataset.sample import SPLITS, sample_folder, sample_index
 from simulator.dataset.sample_layout import DESCRIPTION, digest_of, read_description
 from simulator.dataset.skipped import SKIPPED, load_skipped
@@ -85,10 +87,9 @@ def verify(path: Path | str, *, workers: int | str = 1, progress: Callable[[int,
     except InputError as error:
         problems.append(str(error))
     problems += _check_lists(root, info, manifest, skipped)
-    try:
-        _ = info.shutter
-    except InputError as error:
-        problems.append(str(error))
+    problems += check_fingerprint(info)
+    shutter, faults = check_shutter(info)
+    problems += faults
     fingerprint = ""
     try:
         fingerprint = read_psf_stack(root / PSF_FOLDER).fingerprint
@@ -97,7 +98,7 @@ def verify(path: Path | str, *, workers: int | str = 1, progress: Callable[[int,
     problems += _check_captured(root, info, fingerprint)
     counts = dict.fromkeys(info.counts, 0)
     engine = "inline" if workers == 1 else "local"
-    check = partial(check_sample, root, info, fingerprint)
+    check = partial(check_sample, root, info, shutter, fingerprint)
     entries = list(manifest.entries.values())
     for number, outcome in enumerate(run(engine, check, entries, workers=workers), start=1):
         entry = outcome.task
@@ -109,7 +110,9 @@ def verify(path: Path | str, *, workers: int | str = 1, progress: Callable[[int,
     return Report(tuple(problems), counts, info.counts, dict(skipped))
 
 
-def check_sample(root: Path, info: DatasetInfo, psf_fingerprint: str, entry: Entry) -> list[str]:
+def check_sample(
+    root: Path, info: DatasetInfo, shutter: Shutter | None, psf_fingerprint: str, entry: Entry
+) -> list[str]:
     """Check one sample against its manifest line; return its faults, none when it is intact."""
     folder = sample_folder(root, entry.split, sample_index(entry.id))
     where = f"{entry.split}/{entry.id}"
@@ -150,6 +153,11 @@ def check_sample(root: Path, info: DatasetInfo, psf_fingerprint: str, entry: Ent
     for name, (found, promised) in sizes.items():
         if found != promised:
             problems.append(f"{where}: {name} is {found}, dataset.json says {promised}")
+    if shutter is not None and sample.frame_edges_s is not None:
+        try:
+            shutter.weights(info.sensor_shape[0], sample.frame_edges_s)
+        except InputError as error:
+            problems.append(f"{where}: its frames do not cover the shutter: {str(error).split(';')[0]}")
     made_with = {"full_scale": info.exposure.get("full_scale"), "psf": psf_fingerprint or None}
     for name, promised in made_with.items():
         found = sample.metadata.get(name, promised)

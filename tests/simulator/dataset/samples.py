@@ -7,6 +7,7 @@ from unittest import mock
 import numpy as np
 
 from simulator.dataset.dataset_info import DatasetInfo, write_info
+from simulator.dataset.fingerprint import build_fingerprint
 from simulator.dataset.manifest import ManifestWriter
 from simulator.dataset.psf_files import write_psf_stack
 from simulator.dataset.sample import Sample, write_sample
@@ -46,12 +47,34 @@ def make_clip_sample(index: int = 0, frames: int = 3, **changes) -> Sample:
     return make_sample(index, **(values | changes))
 
 
+def in_units(seconds: float, unit: float) -> float:
+    """The number that gives exactly these seconds when it is multiplied by the unit."""
+    near = seconds / unit
+    return next(n for n in (near, np.nextafter(near, 0), np.nextafter(near, np.inf)) if n * unit == seconds)
+
+
+def camera_section(record: dict) -> dict:
+    """What a configuration says of the camera with a recorded shutter."""
+    chosen = {key: value for key, value in record.items() if key in ("type", "direction", "order")}
+    chosen |= (
+        {"file": "rows.csv"} if record["type"] == "windows" else {"exposure_ms": in_units(record["exposure_s"], 1e-3)}
+    )
+    if "line_time_s" in record:
+        chosen["line_time_us"] = in_units(record["line_time_s"], 1e-6)
+    return {"shutter": chosen, "sensor": {"binning": record["binning"]}}
+
+
 def make_info(**changes) -> DatasetInfo:
+    config = {"seed": 7, "psf": {"far_cm": float("inf")}}
+    if "time" in changes:
+        config["camera"] = camera_section(changes["time"]["shutter"])
+    config = changes.get("config", config)
+    fingerprint, parts = build_fingerprint(config, "scalar_rgb")
     values = {
         "name": "small",
-        "config": {"seed": 7, "psf": {"far_cm": float("inf")}},
-        "fingerprint": "0123456789abcdef" * 4,
-        "fingerprint_parts": {"backend": "scalar_rgb"},
+        "config": config,
+        "fingerprint": fingerprint,
+        "fingerprint_parts": parts,
         "versions": {"numpy": "2.0"},
         "backend": "scalar_rgb",
         "exposure": {"full_scale": 0.5},

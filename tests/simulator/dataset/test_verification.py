@@ -156,6 +156,71 @@ def test_frames_beside_a_still_are_one_fault(dataset: Path, clips: Path) -> None
     assert verify(dataset).problems == ("train/s00000000: unexpected file frames",)
 
 
+ROLLING = {"type": "rolling", "exposure_s": 2e-3, "line_time_s": 25e-6, "direction": "down", "binning": 1}
+DUAL = {"type": "dual_rolling", "exposure_s": 2e-3, "line_time_s": 25e-6, "order": "centre_out", "binning": 1}
+WINDOWS = {"type": "windows", "table_s": [[0.0, 2e-3]] * 24, "binning": 1}
+STILL = {"type": "global", "exposure_s": 2e-3, "binning": 1}
+OTHER_RECORDS = [
+    (STILL, {"exposure_s": 5e-4}, "time.shutter is not what config says (exposure_s: 0.002 -> 0.0005)"),
+    (STILL, {"binning": 2}, "time.shutter is not what config says (binning: 1 -> 2)"),
+    (ROLLING, {"line_time_s": 1e-6}, "time.shutter is not what config says (line_time_s: 2.5e-05 -> 1e-06)"),
+    (ROLLING, {"direction": "up"}, "time.shutter is not what config says (direction: down -> up)"),
+    (DUAL, {"order": "outside_in"}, "time.shutter is not what config says (order: centre_out -> outside_in)"),
+    (WINDOWS, {"table_s": [[0.0, 2e-3]] * 48, "binning": 2}, "time.shutter is not what config says (binning: 1 -> 2)"),
+    (WINDOWS, {"table_s": [[0.0, 2e-3]] * 23}, "time.shutter: table_s: got windows of 23 rows, expected 24"),
+    (STILL, {"exposure_s": -1}, "time.shutter: exposure_s: got -1, expected positive seconds"),
+]
+
+
+@pytest.mark.parametrize(("record", "changes", "words"), OTHER_RECORDS)
+def test_a_recorded_shutter_agrees_with_the_configuration(
+    samples: ModuleType, tmp_path: Path, record: dict, changes: dict, words: str
+) -> None:
+    root = samples.make_dataset(tmp_path / "set", samples.make_clip_sample, time={"shutter": record})
+    assert verify(root).problems == ()
+    edit(root / "dataset.json", time={"shutter": record | changes})
+    (problem,) = verify(root).problems
+    assert problem.startswith(f"dataset.json: {words}")
+    assert problem.endswith("; restore it from a copy")
+
+
+def test_another_kind_of_shutter_is_another_shutter(samples: ModuleType, tmp_path: Path) -> None:
+    for number, (record, other) in enumerate([(STILL, WINDOWS), (WINDOWS, STILL), (ROLLING, DUAL)]):
+        root = samples.make_dataset(tmp_path / str(number), samples.make_clip_sample, time={"shutter": record})
+        edit(root / "dataset.json", time={"shutter": other})
+        (problem,) = verify(root).problems
+        assert f"type: {record['type']} -> {other['type']}" in problem
+
+
+def test_frames_cover_the_shutter(samples: ModuleType, tmp_path: Path) -> None:
+    """The samples last 10 ms; the last of 24 rows closes after 2 ms + 23 x 0.5 ms."""
+    late = ROLLING | {"line_time_s": 0.5e-3}
+    root = samples.make_dataset(tmp_path / "set", samples.make_clip_sample, time={"shutter": late})
+    problems = verify(root).problems
+    words = "its frames do not cover the shutter: the clip lasts from 0 to 0.01 s, but the shutter is open from 0 to 0.0135 s"
+    names = ("train/s00000000", "train/s00000001", "train/s00000002", "validation/s00000000")
+    assert sorted(problems) == [f"{name}: {words}" for name in names]
+    short = ROLLING | {"line_time_s": 0.3e-3}  # 2 ms + 23 x 0.3 ms: seen as a whole
+    assert verify(samples.make_dataset(tmp_path / "short", samples.make_clip_sample, time={"shutter": short})).ok
+
+
+def test_what_was_hashed_belongs_to_the_fingerprint_and_to_the_configuration(dataset: Path) -> None:
+    before = json.loads((dataset / "dataset.json").read_text())
+    config, parts = before["config"], before["fingerprint_parts"]
+    edit(dataset / "dataset.json", config=config | {"name": "x"})
+    assert verify(dataset).ok
+    edit(dataset / "dataset.json", config=config | {"seed": 8})
+    assert verify(dataset).problems == (
+        "dataset.json: config is not what fingerprint_parts holds: seed: 7 -> 8; restore it from a copy",
+    )
+    edit(dataset / "dataset.json", config=config, fingerprint_parts=parts | {"backend": "other"})
+    (problem,) = verify(dataset).problems
+    assert problem.startswith(f"dataset.json: fingerprint is {before['fingerprint'][:12]}, but its parts make ")
+    edit(dataset / "dataset.json", fingerprint="0" * 64, fingerprint_parts=parts)
+    (problem,) = verify(dataset).problems
+    assert "fingerprint is 000000000000, but its parts make " + before["fingerprint"][:12] in problem
+
+
 def test_only_the_damaged_sample_is_counted_out(dataset: Path) -> None:
     flip(dataset / FIRST / "measurement.exr")
     report = verify(dataset)
