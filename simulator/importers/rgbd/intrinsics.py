@@ -11,6 +11,7 @@ from pydantic import Field, RootModel, ValidationError
 
 from simulator.errors import InputError
 from simulator.importers.rgbd.camera_models import Lens, OpencvFisheye, Pinhole, Scaramuzza, pinhole_of
+from simulator.text import read_text
 from simulator.validation import find_problems, validate
 
 Intrinsics = Annotated[Pinhole | OpencvFisheye | Scaramuzza, Field(discriminator="type")]
@@ -33,7 +34,7 @@ def read_intrinsics(path: Path) -> Lens:
     Raises:
         InputError: naming the file, when it cannot be read or describes no camera.
     """
-    text = _read_text(path)
+    text = read_text(path, "the numbers of one camera", _MAX_BYTES)
     if path.suffix.lower() not in {".yaml", ".yml", ".json"}:
         words = re.split(r"[\s,;]+", text.strip())
         try:
@@ -56,22 +57,6 @@ def read_intrinsics(path: Path) -> Lens:
     except ValidationError as error:
         problems = "; ".join(map(str, find_problems(error, _File, data)))
         msg = f"{path}: {problems}"
-        raise InputError(msg) from error
-
-
-def _read_text(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            raw = file.read(_MAX_BYTES + 1)
-        if len(raw) > _MAX_BYTES:
-            msg = f"{path} is larger than {_MAX_BYTES} bytes; expected the few numbers of one camera"
-            raise InputError(msg)
-        return raw.decode("utf-8-sig")
-    except OSError as error:
-        msg = f"{path} cannot be read: {error.strerror or error}"
-        raise InputError(msg) from error
-    except UnicodeDecodeError as error:
-        msg = f"{path} is no text: expected nine numbers, or the keys of intrinsics as YAML or JSON"
         raise InputError(msg) from error
 
 

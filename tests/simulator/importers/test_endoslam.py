@@ -407,7 +407,7 @@ class TestMistakes:
             file.write_text(text)
             with pytest.raises(InputError, match=message):
                 source_of(root, intrinsics=None, intrinsics_file=file)
-        with pytest.raises(InputError, match=r"nowhere\.txt cannot be read"):
+        with pytest.raises(InputError, match=r"cannot read .*nowhere\.txt"):
             source_of(root, intrinsics=None, intrinsics_file=tmp_path / "nowhere.txt")
 
     def test_depth_charts(self, tmp_path):
