@@ -67,8 +67,10 @@ def clamped_share(depth_m: NDArray[np.floating], valid: NDArray[np.bool_], depth
     """
     if len(depths_m) == 1:
         return 0.0
-    outside = valid & ((depth_m < depths_m[0] * (1 - 1e-6)) | (depth_m > depths_m[-1] * (1 + 1e-6)))
-    return float(np.count_nonzero(outside) / max(np.count_nonzero(valid), 1))
+    nearest, farthest = depths_m[0] * (1 - 1e-6), depths_m[-1] * (1 + 1e-6)
+    frames = zip(*(values.reshape(-1, *values.shape[-2:]) for values in (depth_m, valid)), strict=True)
+    outside = sum(np.count_nonzero(seen & ((z < nearest) | (z > farthest))) for z, seen in frames)  # one frame's memory
+    return outside / max(np.count_nonzero(valid), 1)
 
 
 def mask_irradiance(view: View, vignetting: bool = True) -> NDArray[np.float32]:

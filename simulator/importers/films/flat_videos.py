@@ -142,6 +142,13 @@ class FlatVideos:
         raisers = () if self.raiser is None else self.raiser.inputs
         return [*(file for video in self.videos for file in video.files), *self.other_inputs, *raisers]
 
+    @property
+    def packages(self) -> tuple[str, ...]:
+        """Packages whose versions may change a clip: those that decode the videos, fit them and raise them."""
+        raisers = () if self.raiser is None else self.raiser.packages
+        decoders = {package for video in self.videos for package in video.packages}
+        return tuple(sorted({"opencv-python-headless", *decoders, *raisers}))
+
     def clip(self, index: int, rng: np.random.Generator) -> Clip:
         """Cut one clip out of its video; the index is taken modulo their number.
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,7 @@ class Film:
     matrix: str
     variable: bool = False
     label: str | None = None
+    packages: ClassVar[tuple[str, ...]] = ("av",)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -78,6 +79,7 @@ class PictureSequence:
     name: str
     pictures: tuple[str, ...]
     label: str | None = None
+    packages: ClassVar[tuple[str, ...]] = ()
 
     @property
     def frames_per_second(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,13 @@ from simulator.errors import InputError
 
 
 class Video(Protocol):
-    """A film, cheap to hold and to pickle: names and numbers only, frames are read when they are asked for."""
+    """A film, cheap to hold and to pickle: names and numbers only, frames are read when they are asked for.
+
+    Attributes:
+        packages: what decodes it, as pip knows it; its version counts in the data set's fingerprint.
+    """
+
+    packages: ClassVar[tuple[str, ...]]
 
     @property
     def name(self) -> str:

@@ -7,7 +7,7 @@ has. Every frame that was given stays as it is; only the ones in between are mad
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, ClassVar, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,13 @@ RaiserName = Literal["optical_flow", "superslomo"]
 
 
 class Raiser(Protocol):
-    """Makes frames in between. Cheap to hold and to pickle; the same frames give the same bytes, in any process."""
+    """Makes frames in between. Cheap to hold and to pickle; the same frames give the same bytes, in any process.
+
+    Attributes:
+        packages: what computes them, as pip knows it; its version counts in the data set's fingerprint.
+    """
+
+    packages: ClassVar[tuple[str, ...]]
 
     @property
     def inputs(self) -> tuple[Path, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,8 @@ class OpticalFlow:
     Light beyond 1 is carried through (the flow sees it as white). Nothing in between is darker than black or brighter than
     the brightest pixel of its two frames.
     """
+
+    packages: ClassVar[tuple[str, ...]] = ("opencv-python-headless",)
 
     @classmethod
     def checked(cls) -> OpticalFlow:

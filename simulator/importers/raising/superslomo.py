@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,7 @@ class SuperSloMo:
 
     checkpoint: Path
     sha256: str
+    packages: ClassVar[tuple[str, ...]] = ("torch",)
 
     @classmethod
     def from_checkpoint(cls, checkpoint: Path) -> SuperSloMo:

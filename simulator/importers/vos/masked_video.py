@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,7 @@ class MaskedVideo:
     filmed_at: float
     categories: Mapping[int, str | None] = field(default_factory=dict)
     keep_background: bool = False
+    packages: ClassVar[tuple[str, ...]] = ()
 
     def __len__(self) -> int:
         """Return how many frames can be used."""

@@ -37,6 +37,7 @@ def test_a_film_becomes_clips_of_consecutive_frames(films, tmp_path):
     np.testing.assert_allclose(np.diff(clip.frame_edges_s), 1 / 12)
     assert clip.source["video"] == "a.webm"
     assert source.inputs == [path]
+    assert source.packages == ("av", "opencv-python-headless")
     assert source.problems == ()
 
 

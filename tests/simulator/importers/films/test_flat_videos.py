@@ -3,6 +3,7 @@
 import pickle
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ class Numbers:
     frames: int
     frames_per_second: float | None = 10.0
     label: str | None = None
+    packages: ClassVar[tuple[str, ...]] = ("numbers-decoder",)
 
     @property
     def files(self):
@@ -44,6 +46,7 @@ class Doubling:
     """A raiser that repeats frames, so that it can be seen which ones came from where."""
 
     inputs: tuple[Path, ...] = (Path("weights"),)
+    packages: ClassVar[tuple[str, ...]] = ("doubler",)
 
     def raise_frames(self, frames, factor):
         return np.repeat(frames, factor, axis=0)[: (len(frames) - 1) * factor + 1]
@@ -142,6 +145,7 @@ def test_raised_clips_take_fewer_frames_and_run_faster():
     assert clip.source["raising"] == {"raise_by": 2, "name": "doubling"}
     assert clip.source["frames_read"] == 4
     assert clips.inputs == [Path("a"), Path("weights")]
+    assert clips.packages == ("doubler", "numbers-decoder", "opencv-python-headless")
 
 
 def test_short_videos_are_listed_and_left_out():
