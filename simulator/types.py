@@ -92,7 +92,7 @@ class Clip:
                 f"Clip.frame_edges_s must hold {frames_shape[0] + 1} finite, strictly increasing seconds, got {edges!r}"
             )
             raise InputError(msg)
-        if not np.all(np.isfinite(self.rgb)) or self.rgb.min() < 0:
+        if not (self.rgb.min() >= 0 and self.rgb.max() < np.inf):  # also catches NaN, and needs no memory
             msg = "Clip.rgb must be finite and not negative: linear radiance has no NaN, inf or negative values"
             raise InputError(msg)
         if not np.all(self.depth_m > 0):  # also catches NaN
