@@ -121,7 +121,8 @@ def one_clip(model: ForwardModel, clip: Clip) -> dict[str, float]:
                 measurement = timed(f"noise ({name})", sensor.expose, exposure, np.random.default_rng(index))
             truth = timed("truth of the slivers", lambda: sliver_means(exposed_part(clip, shutter, SENSOR[0]), SLIVERS))
             timed("shares of clipped values", shares, model, clip)
-            measured = timed("global measurements", model.global_measurements, clip, SLIVERS) / np.float32(full_scale)
+            targets = timed("global measurements", lambda: np.stack(list(model.global_measurements(clip, SLIVERS))))
+            measured = targets / np.float32(full_scale)
             sensor = sensors["gaussian"]
             measurement = sensor.expose(exposure, np.random.default_rng(index))
             values = (measurement, sensor.noiseless(exposure), truth.rgb, truth.depth_m, truth.valid, 0)
