@@ -15,7 +15,7 @@ from simulator.dataset.stored_sample import SceneFrame, StoredSample
 from simulator.errors import InputError
 from simulator.files import write_atomic
 from simulator.preview.colours import depth_colours
-from simulator.preview.drawing import INK, PAPER, centimetres, encoded, fitted, font, png_bytes, resized, white_level
+from simulator.preview.drawing import INK, PAPER, depth_range, encoded, fitted, font, png_bytes, resized, white_level
 from simulator.preview.legends import draw_depth_legend
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def contact_sheet(dataset_path: Path | str, out_png: Path | str, count: int = 8,
     heads = {
         0: ("measurement", "sRGB, white = full scale"),
         1: ("scene radiance" + (" over time" if depth_column > 2 else ""), f"sRGB, white = {white:.3g}"),
-        depth_column: ("depth from the mask", f"{centimetres(near_m)} to {centimetres(far_m)}"),
+        depth_column: ("depth from the mask", depth_range(near_m, far_m)),
     }
     for column, (head, scale) in heads.items():
         draw.text((lefts[column], 10), head, fill=INK, font=font(15))

@@ -63,6 +63,17 @@ def png_bytes(picture: Image.Image) -> bytes:
     return stream.getvalue()
 
 
+def depth_range(near_m: float, far_m: float) -> str:
+    """Return a range of depths in words; one depth where both are alike.
+
+    Example:
+        >>> depth_range(0.036, 0.2), depth_range(0.3, 0.3)
+        ('3.6 cm to 20 cm', '30 cm')
+    """
+    near, far = centimetres(near_m), centimetres(far_m)
+    return near if near == far else f"{near} to {far}"
+
+
 def centimetres(depth_m: float) -> str:
     """Return a depth in words."""
     return "infinity" if depth_m >= FARTHEST_M * (1 - 1e-6) else f"{depth_m * 100:.3g} cm"

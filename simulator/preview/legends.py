@@ -14,7 +14,7 @@ _DISC = 72  # pixels across
 
 
 def draw_depth_legend(draw: Any, left: int, top: int, height: int, near_m: float, far_m: float) -> None:
-    """Draw the scale of `depth_colours` with five depths, and grey for what is not seen below it.
+    """Draw the scale of `depth_colours` with five depths (one where all are alike), and grey for what is not seen below it.
 
     Args:
         draw: Pillow's ImageDraw.
@@ -28,7 +28,7 @@ def draw_depth_legend(draw: Any, left: int, top: int, height: int, near_m: float
     steps = (1 / np.linspace(1 / near_m, 1 / far_m, height))[:, None].astype(np.float32)
     for row, colour in enumerate(depth_colours(steps, np.ones_like(steps, dtype=bool), near_m, far_m)[:, 0]):
         draw.line([(left, top + row), (left + width, top + row)], fill=tuple(colour.tolist()))
-    for share in (0.0, 0.25, 0.5, 0.75, 1.0):
+    for share in (0.0, 0.25, 0.5, 0.75, 1.0) if far_m > near_m else (0.5,):
         depth_m = 1 / ((1 - share) / near_m + share / far_m)
         place = (left + width + 6, top + share * (height - 1))
         draw.text(place, centimetres(depth_m), fill=INK, font=font(12), anchor="lm")

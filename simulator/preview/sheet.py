@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simulator.preview.drawing import INK, PAPER, centimetres, fitted, font, resized
+from simulator.preview.drawing import INK, PAPER, depth_range, fitted, font, resized
 from simulator.preview.legends import LEGEND_WIDTH, draw_depth_legend, draw_motion_legend, draw_normal_legend
 from simulator.preview.tiles import Scales, Tile, common_scales, depth_tile, extra_tiles, radiance_tile
 from simulator.types import Clip
@@ -70,7 +70,7 @@ def describe_scales(scales: Scales, drawn: set[str]) -> str:
     if "albedo" in drawn:
         words += " (albedo: white = 1)"
     if "depth" in drawn:
-        words += f"; depth z {centimetres(scales.near_m)} to {centimetres(scales.far_m)}"
+        words += f"; depth z {depth_range(scales.near_m, scales.far_m)}"
     if "ids" in drawn:
         words += "; ids: a colour per shape"
     return words
