@@ -30,7 +30,8 @@ PACKAGES = (
 """Packages whose version may change a sample's bytes."""
 _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless")
 _FREE_IN_PSF = ("check",)  # how closely errors are looked at changes no value
-_FREE_IN_DATASET = ("output", "workers", "engine", "train", "validation", "test")  # where, how fast, how many: not what
+# Where, how fast, how many, and what is let through: not what.
+_FREE_IN_DATASET = ("output", "workers", "engine", "train", "validation", "test", "share_videos")
 
 _LISTED_INPUTS = 100  # more input files than this count as one: dataset.json stays readable
 
@@ -52,7 +53,7 @@ def build_fingerprint(
     """Hash what decides the samples' bytes.
 
     Left out of the configuration: ``name`` and ``dataset.output``, ``workers``, ``engine``, ``train``, ``validation``,
-    ``test``, ``psf.check``. Input files count by name and content; their place counts where the configuration names it.
+    ``test``, ``share_videos``, ``psf.check``. Input files count by name and content; their place counts where the configuration names it.
 
     Args:
         config: the configuration as a dict, as ``Config.model_dump()`` gives it.

@@ -159,7 +159,7 @@ class _Job:
                     counts=self._counts(),
                     scene_shape=self.config.scene.size,
                     sensor_shape=self.config.camera.sensor.shape,
-                    channels=build_sensor(self.config).channels(stack.channels),
+                    channels=build_sensor(self.config, shutter=self.shutter).channels(stack.channels),
                     scene_to_camera=colour.origin | {"matrix": colour.matrix.tolist()},
                     time={"shutter": shutter_record(self.shutter), **self._slivers()},
                 )

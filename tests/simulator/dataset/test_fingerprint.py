@@ -40,6 +40,7 @@ def test_free_settings_do_not_count() -> None:
     assert len(base) == 64
     for key, value in [
         ("output", "x"),
+        ("share_videos", True),
         ("train", 9),
         ("validation", 0),
         ("test", 1),
