@@ -53,7 +53,8 @@ def build_fingerprint(
     """Hash what decides the samples' bytes.
 
     Left out of the configuration: ``name`` and ``dataset.output``, ``workers``, ``engine``, ``train``, ``validation``,
-    ``test``, ``share_videos``, ``psf.check``. Input files count by name and content; their place counts where the configuration names it.
+    ``test``, ``share_videos``, ``psf.check``. Input files count by name and content; their place counts where the
+    configuration names it.
 
     Args:
         config: the configuration as a dict, as ``Config.model_dump()`` gives it.
