@@ -24,7 +24,7 @@ def read_text(path: Path, holds: str, max_bytes: int = MAX_BYTES) -> str:
         with path.open("rb") as file:
             raw = file.read(max_bytes + 1)
         if len(raw) > max_bytes:
-            msg = f"{path}: larger than {max_bytes >> 10} KiB, which {holds} is not; is this the right file?"
+            msg = f"{path}: larger than {max_bytes >> 10} KiB, expected {holds}; is this the right file?"
             raise InputError(msg)
         return raw.decode("utf-8-sig")
     except OSError as error:

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from simulator.config import Config
 
 
-TimedShutter = shutter_config.GlobalShutter | shutter_config.RollingShutter | shutter_config.DualRollingShutter
-
-
 def build_shutter(config: Config) -> Shutter:
     """Return the shutter.
 
@@ -27,16 +24,6 @@ def build_shutter(config: Config) -> Shutter:
     chosen, binning = config.camera.shutter, config.camera.sensor.binning
     if isinstance(chosen, shutter_config.RowWindows):
         return _row_shutter(config, chosen)
-    return timed_shutter(chosen, binning)
-
-
-def timed_shutter(chosen: TimedShutter, binning: int) -> Shutter:
-    """Return a shutter whose rows open at times that a few numbers give.
-
-    Args:
-        chosen: the section ``camera.shutter``.
-        binning: physical rows that a stored row averages.
-    """
     exposure_s = chosen.exposure_ms * 1e-3
     if isinstance(chosen, shutter_config.RollingShutter):
         return RollingShutter(exposure_s, chosen.line_time_us * 1e-6, chosen.direction, binning)

@@ -75,7 +75,7 @@ def _plain(value: Any) -> Any:
 
 def _read(name: str, value: Any) -> Any:
     """Return a field's value as its class wants it; it checks the range itself."""
-    whole = isinstance(value, int) and not isinstance(value, bool)
+    whole = isinstance(value, int) and not isinstance(value, bool) and abs(value) <= 2**53  # a float holds it
     if name == "table_s":
         try:
             return np.array(value, np.float64)

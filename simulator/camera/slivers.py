@@ -22,9 +22,8 @@ from simulator.types import Clip
 def frames_seen(frame_edges_s: NDArray[np.float64], shutter: Shutter, rows: int) -> slice:
     """Return which frames last while any of so many stored rows is open; the clip must cover the capture."""
     first, last = shutter.span_s(rows)
-    slack = ROUNDING * last
-    start = int(np.count_nonzero(frame_edges_s[1:] <= first + slack))
-    return slice(start, max(int(np.count_nonzero(frame_edges_s[:-1] < last - slack)), start + 1))
+    start = int(np.count_nonzero(frame_edges_s[1:] <= first + ROUNDING * last))
+    return slice(start, max(int(np.count_nonzero(frame_edges_s[:-1] < last * (1 - ROUNDING))), start + 1))
 
 
 def exposed_part(clip: Clip, shutter: Shutter, rows: int) -> Clip:

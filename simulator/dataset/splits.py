@@ -66,14 +66,14 @@ class ClipOrder:
         asked = {split: count for split, count in counts.items() if count > 0}
         taken = {split: np.unique(self._video[self._walk(split)[:count]]) for split, count in asked.items()}
         shared = sum(map(len, taken.values())) - len(np.unique(np.concatenate([*taken.values(), []])))
-        if not shared and (len(asked) < 2 or max(asked.values()) <= self.clips):
+        if not shared:
             return None
         kind = "clips" if self._counted else "videos"
         held = f"{self.videos} {kind}" + ("" if self._counted else f" ({self.clips} clips)")
         wanted = ", ".join(f"{split} takes {len(taken[split])} for {count} samples" for split, count in asked.items())
         cure = ", bring more clips" if self._counted else ", take more clips of each video, bring more videos"
         return (
-            f"the source has {held}, of which no two splits may share one, but {wanted} (train from the front, validation "
+            f"no two splits may share a source video, but of {held} {wanted} (train from the front, validation "
             f"and test every second one each from the back); ask for fewer samples{cure}"
         )
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, Shutter
-from simulator.dataset.timing import count_seen
+from simulator.camera.slivers import frames_seen
 
 _ORDERS = {"outside_in": "from the outside in", "centre_out": "from the centre out"}
 
@@ -104,12 +104,12 @@ def _scene_facts(shutter: Shutter, rows: int, scene: Mapping[str, Any], slivers:
             ("scenes", f"{frames} frames at a rate of their own; at more than {fastest} per second they are too short")
         ]
     clips = f"{frames} frames at {rate:g} per second last {duration(frames / rate)}"
-    needed = count_seen(np.arange(int(np.ceil(open_s * rate)) + 2) / rate, shutter, rows)
-    if needed > frames:
-        needs = f"too short, the shutter needs {needed} frames, or at most {fastest} per second"
+    seen = frames_seen(np.arange(int(np.ceil(open_s * rate)) + 2) / rate, shutter, rows)
+    if seen.stop > frames:
+        needs = f"too short, the shutter needs {seen.stop} frames, or at most {fastest} per second"
         return [("scenes", f"{clips}: {needs}")]
-    seen = "all" if needed == frames else f"the first {needed}"
-    return [("scenes", f"{clips}; the shutter sees {seen}"), ("slivers", _slivers(needed, slivers))]
+    which = "all" if seen == slice(0, frames) else f"frames {seen.start + 1} to {seen.stop}"
+    return [("scenes", f"{clips}; the shutter sees {which}"), ("slivers", _slivers(seen.stop - seen.start, slivers))]
 
 
 def _slivers(frames: int, slivers: int | None) -> str:

@@ -48,14 +48,15 @@ def list_folder(path: Path) -> tuple[list[str], list[str]]:
 
 
 def walk(root: Path) -> Iterator[tuple[Path, list[str]]]:
-    """Give each folder from a root downwards with the names of its files, all sorted, without hidden ones.
+    """Give each folder from a root downwards with the names of its files, sorted, without hidden ones.
 
-    Links are followed, but not one that leads to a folder that it lies in.
+    Links are followed, after the folders beside them. No folder is given twice, whatever leads to it: the same pictures
+    under two names would be two sequences, which splits could share.
 
     Raises:
         InputError: naming the folder, when one cannot be read.
     """
-    return _walk(Path(root), frozenset())
+    return _walk(Path(root), set())
 
 
 def is_folder(path: Path) -> bool:
@@ -94,11 +95,12 @@ def _refuse(path: Path, error: OSError) -> NoReturn:
     raise InputError(msg) from error
 
 
-def _walk(folder: Path, above: frozenset[str]) -> Iterator[tuple[Path, list[str]]]:
+def _walk(folder: Path, visited: set[str]) -> Iterator[tuple[Path, list[str]]]:
     real = os.path.realpath(folder)
-    if real in above:
+    if real in visited:
         return
+    visited.add(real)
     folders, files = list_folder(folder)
     yield folder, files
-    for name in folders:
-        yield from _walk(folder / name, above | {real})
+    for name in sorted(folders, key=lambda name: (folder / name).is_symlink()):  # a folder's own name before a link's
+        yield from _walk(folder / name, visited)

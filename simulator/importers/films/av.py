@@ -29,8 +29,7 @@ _MATRICES = {
     6: "BT.601",
     7: "SMPTE 240M",
     9: "BT.2020",
-    10: "BT.2020",
-}  # its table 4
+}  # its table 4: those that libav converts to RGB
 _UNSPECIFIED = 2
 _HD_UNTAGGED, _SD_UNTAGGED = "BT.709 (untagged)", "BT.601 (untagged)"
 """What players take untagged films for: those of high definition (720 rows or 1280 columns) follow its standard, BT.709."""
@@ -163,7 +162,7 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
         promised, rate, unit = stream.frames, stream.average_rate or stream.guessed_rate, stream.time_base
         alone = len(container.streams) == 1
         duration_s = container.duration / 1e6 if container.duration else None  # microseconds
-        matrix = _matrix(stream.codec_context)
+        matrix = _matrix(stream.codec_context, path)
         square = stream.codec_context.sample_aspect_ratio in (None, 0, 1)
     if not shown:
         msg = f"{path} holds no frames: fetch it again"
@@ -194,11 +193,17 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
     return FilmIndex(len(shown), float(rate), variable, times, _key_table(times, keys), square, matrix)
 
 
-def _matrix(codec: Any) -> str:
+def _matrix(codec: Any, path: Path) -> str:
     if codec.pix_fmt is not None and codec.format.is_rgb:
         return "RGB"
+    if codec.colorspace in _MATRICES:
+        return _MATRICES[int(codec.colorspace)]
     if codec.colorspace != _UNSPECIFIED:
-        return _MATRICES.get(int(codec.colorspace), f"H.273 matrix {int(codec.colorspace)}")
+        msg = (
+            f"{path} has colours by matrix {int(codec.colorspace)} of ITU-T H.273, which is not converted here: convert the "
+            "film to BT.709"
+        )
+        raise InputError(msg)
     return _HD_UNTAGGED if codec.height >= 720 or codec.width >= 1280 else _SD_UNTAGGED
 
 

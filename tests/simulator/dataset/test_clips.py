@@ -359,7 +359,7 @@ class TestTimes:
     def test_splits_that_would_share_a_video(self, trial: Any) -> None:
         path = write(trial, {"train": 9})
         message = self.refused(trial, path)
-        assert "the source has 6 videos (12 clips)" in message
+        assert "but of 6 videos (12 clips) train" in message
         assert "train takes 5 for 9 samples" in message
         alone = ["dataset.train=13", "dataset.validation=0", "dataset.test=0"]
         root = generate(path, alone).path

@@ -30,7 +30,7 @@ def test_counts_are_accepted_exactly_where_no_two_splits_share_a_video(groups: l
     shared = sum(map(len, videos.values())) > len(set().union(*videos.values()))
     repeated = sum(count > 0 for count in counts.values()) > 1 and max(counts.values()) > len(groups)
     if shared or repeated:
-        assert f"the source has {len(set(groups))} videos" in str(order.shortage(counts))
+        assert f"but of {len(set(groups))} videos ({len(groups)} clips) " in str(order.shortage(counts))
     else:
         assert order.shortage(counts) is None
 
@@ -67,11 +67,11 @@ def test_all_clips_of_a_video_come_before_the_next_one() -> None:
 
 def test_what_is_missing_is_said() -> None:
     message = str(ClipOrder([0, 0, 1, 1, 2, 2]).shortage({"train": 3, "validation": 2, "test": 1}))
-    assert "the source has 3 videos (6 clips)" in message
+    assert "but of 3 videos (6 clips) train" in message
     assert "train takes 2 for 3 samples, validation takes 1 for 2 samples, test takes 1 for 1 samples" in message
     assert message.endswith("ask for fewer samples, take more clips of each video, bring more videos")
     message = str(ClipOrder(3).shortage({"train": 2, "test": 1}))
-    assert message.startswith("the source has 3 clips, ")
+    assert message.startswith("no two splits may share a source video, but of 3 clips train takes ")
     assert message.endswith("ask for fewer samples, bring more clips")
 
 

@@ -9,6 +9,7 @@ from types import ModuleType
 
 import pytest
 
+from simulator.dataset.fingerprint import hash_parts
 from simulator.dataset.manifest import ManifestWriter
 from simulator.dataset.sample import write_sample
 from simulator.dataset.skipped import SkippedWriter
@@ -209,6 +210,11 @@ def test_what_was_hashed_belongs_to_the_fingerprint_and_to_the_configuration(dat
     config, parts = before["config"], before["fingerprint_parts"]
     edit(dataset / "dataset.json", config=config | {"name": "x"})
     assert verify(dataset).ok
+    older = parts | {"config": parts["config"] | {"dataset": {"share_videos": False}}}  # once hashed, now free
+    newer = config | {"dataset": {"share_videos": True}}
+    edit(dataset / "dataset.json", config=newer, fingerprint=hash_parts(older), fingerprint_parts=older)
+    assert verify(dataset).ok, str(verify(dataset))
+    edit(dataset / "dataset.json", **before)
     edit(dataset / "dataset.json", config=config | {"seed": 8})
     assert verify(dataset).problems == (
         "dataset.json: config is not what fingerprint_parts holds: seed: 7 -> 8; restore it from a copy",

@@ -22,6 +22,15 @@ def test_a_global_shutter():
     assert "scenes" not in facts
 
 
+def test_windows_that_open_late_leave_frames_out_at_the_front():
+    """Six rows, row r open from 4 + r to 6 + r ms: frames of 1 ms from the 5th to the 11th are seen."""
+    shutter = RowShutter(np.stack([np.arange(4.0, 10), np.arange(6.0, 12)], axis=1) * 1e-3)
+    facts = _facts(shutter, 6, frames=14, frames_per_second=1000)
+    assert facts["scenes"] == "14 frames at 1000 per second last 14 ms; the shutter sees frames 5 to 11"
+    assert facts["slivers"].startswith("7, one per frame seen")
+    assert "too short, the shutter needs 11 frames" in _facts(shutter, 6, frames=10, frames_per_second=1000)["scenes"]
+
+
 def test_a_rolling_shutter():
     facts = _facts(RollingShutter(0.001, 1e-5, "up", 2), 1000)
     assert facts["shutter"] == "rolling shutter, up"
@@ -57,7 +66,7 @@ def test_rows_of_their_own():
         (
             30,
             1000,
-            "30 frames at 1000 per second last 30 ms; the shutter sees the first 12",
+            "30 frames at 1000 per second last 30 ms; the shutter sees frames 1 to 12",
             "12, one per frame seen; 1, 2, 3, 4, 6, 12 come out even",
         ),
         (11, 1000, "last 11 ms: too short, the shutter needs 12 frames, or at most 916.6 per second", None),

@@ -28,6 +28,15 @@ def test_a_hidden_folder_that_is_named_itself_is_listed(tmp_path: Path) -> None:
     assert list(walk(tmp_path / ".cache")) == [(tmp_path / ".cache", ["a.png"])]
 
 
+def test_no_folder_is_given_twice(tmp_path: Path) -> None:
+    """Under a second name its pictures would be a second sequence, and splits could share it."""
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "1.png").touch()
+    for name in ("a", "c"):
+        (tmp_path / name).symlink_to(tmp_path / "b", target_is_directory=True)
+    assert list(walk(tmp_path)) == [(tmp_path, []), (tmp_path / "b", ["1.png"])]
+
+
 def test_links_are_followed_but_never_in_a_circle(tmp_path: Path) -> None:
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "1.png").touch()

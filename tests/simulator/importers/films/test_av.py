@@ -290,6 +290,9 @@ def test_high_dynamic_range_other_files_and_missing_ones_are_refused(films, tmp_
     path = films.write(tmp_path / "hdr.mkv", films.numbered(3), codec="libx264", colour={"color_trc": 16})
     with pytest.raises(InputError, match=r"hdr\.mkv is a film of high dynamic range, PQ"):
         index_film(path)
+    path = films.write(tmp_path / "ycgco.mkv", films.numbered(3), codec="libx264", colour={"colorspace": 8})
+    with pytest.raises(InputError, match=r"ycgco\.mkv has colours by matrix 8 of ITU-T H\.273.*convert the film"):
+        index_film(path)
     text = tmp_path / "text.mp4"
     text.write_text("no film at all, but some text in a file with a film's name")
     with pytest.raises(InputError, match=r"text\.mp4 is no film"):
