@@ -8,6 +8,10 @@ from types import ModuleType
 from simulator.errors import InputError
 
 
+class MissingPackageError(InputError):
+    """A package that importers need is not installed: no fault of any file."""
+
+
 def load_extra(module: str, package: str) -> ModuleType:
     """Import a package of the extra ``import``.
 
@@ -16,10 +20,10 @@ def load_extra(module: str, package: str) -> ModuleType:
         package: as people know it, such as ``OpenCV``.
 
     Raises:
-        InputError: when it is not installed.
+        MissingPackageError: when it is not installed.
     """
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        msg = f"this importer needs {package} ({error}): pip install 'flatlight[import]'"
-        raise InputError(msg) from error
+        msg = f"this importer needs {package} ({error}): pip install 'flatlight[import]', or in a clone uv run --extra import"
+        raise MissingPackageError(msg) from error

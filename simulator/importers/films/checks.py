@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from simulator.errors import InputError
+from simulator.importers.extra import MissingPackageError
 from simulator.importers.films.av import count_decodable, index_film
 from simulator.importers.films.numbering import counting_fault
 from simulator.importers.films.video import ClipPlan
@@ -40,6 +41,8 @@ class FilmCheck:
         try:
             index = index_film(path)
             frames, sizes = count_decodable(path)
+        except MissingPackageError:
+            raise
         except InputError as error:
             return self._problem(name, str(error).removeprefix(str(path)).lstrip(": "))
         if frames < index.frames:

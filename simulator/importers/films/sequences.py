@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
+from simulator.importers.extra import MissingPackageError
 from simulator.importers.films.av import index_film, read_film
 from simulator.light import read_light
 
@@ -118,6 +119,8 @@ def open_films(root: Path, films: Iterable[tuple[str, str | None]]) -> tuple[lis
         name, label = entry
         try:
             index = index_film(root / name)
+        except MissingPackageError:
+            raise
         except InputError as error:
             return f"{name}: {str(error).removeprefix(str(root / name)).lstrip(': ')}"
         return Film(root, name, index.frames, index.frames_per_second, index.matrix, index.variable, label)

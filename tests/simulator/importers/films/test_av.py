@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
+from simulator.importers.film import survey
 from simulator.importers.films import av as reader
 from simulator.importers.films.av import count_decodable, index_film, read_film
+from simulator.importers.films.sequences import open_films
 
 av = pytest.importorskip("av")
 
@@ -339,6 +341,13 @@ def test_missing_pyav_is_told_with_its_cure(written, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(InputError, match=r"needs PyAV .*pip install 'flatlight\[import\]'"):
         next(read_film(written["vp9.webm"], 0, 1))
+    # It is no problem of the films, one by one: opening and surveying a folder of them say it once.
+    for look in (
+        lambda: open_films(written["vp9.webm"].parent, [("vp9.webm", None)]),
+        lambda: survey(written["vp9.webm"]),
+    ):
+        with pytest.raises(InputError, match=r"^this importer needs PyAV"):
+            look()
 
 
 @pytest.mark.shared
