@@ -1,10 +1,12 @@
 """Films read through PyAV: each frame shows its own number, whatever the container, and damage is told by the file's name."""
 
+import shutil
 import socket
 import struct
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -337,14 +339,15 @@ def test_a_sound_file_is_no_video(tmp_path):
         index_film(path)
 
 
-def test_missing_pyav_is_told_with_its_cure(written, monkeypatch):
+def test_missing_pyav_is_told_with_its_cure(written, tmp_path, monkeypatch):
+    unread = Path(shutil.copy(written["vp9.webm"], tmp_path))  # not known yet to the cache of indices
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(InputError, match=r"needs PyAV .*pip install 'flatlight\[import\]'"):
         next(read_film(written["vp9.webm"], 0, 1))
     # It is no problem of the films, one by one: opening and surveying a folder of them say it once.
     for look in (
-        lambda: open_films(written["vp9.webm"].parent, [("vp9.webm", None)]),
-        lambda: survey(written["vp9.webm"]),
+        lambda: open_films(tmp_path, [("vp9.webm", None)]),
+        lambda: survey(unread),
     ):
         with pytest.raises(InputError, match=r"^this importer needs PyAV"):
             look()
