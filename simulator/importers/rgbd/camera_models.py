@@ -7,6 +7,7 @@ Siegwart, A toolbox for easily calibrating omnidirectional cameras, IROS 2006, a
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
@@ -51,8 +52,9 @@ class _Lens(BaseModel, frozen=True):
         """Column and row of the optical axis, the first pixel being 0."""
         return self.cx - self.first_pixel, self.cy - self.first_pixel
 
+    @abstractmethod
     def _project(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> Pixels:
-        raise NotImplementedError
+        """Return columns and rows as the calibration counts them, NaN where the model sees no such ray."""
 
 
 class Pinhole(_Lens, frozen=True):

@@ -169,6 +169,13 @@ OTHER_RECORDS = [
     (DUAL, {"order": "outside_in"}, "time.shutter is not what config says (order: centre_out -> outside_in)"),
     (WINDOWS, {"table_s": [[0.0, 2e-3]] * 48, "binning": 2}, "time.shutter is not what config says (binning: 1 -> 2)"),
     (WINDOWS, {"table_s": [[0.0, 2e-3]] * 23}, "time.shutter: table_s: got windows of 23 rows, expected 24"),
+    (
+        STILL,
+        {"binning": 10**12},
+        "time.shutter: got 24000000000000 physical rows (sensor_shape x binning), expected at most",
+    ),
+    (STILL, {"binning": 10**30}, "time.shutter: shutter record: binning is 1000000000000000000000000000000; expected"),
+    (STILL, {"exposure_s": 10**400}, "time.shutter: shutter record: exposure_s is 1000"),
     (STILL, {"exposure_s": -1}, "time.shutter: exposure_s: got -1, expected positive seconds"),
 ]
 
