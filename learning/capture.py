@@ -1,0 +1,177 @@
+"""What a reconstruction knows of the camera: its PSFs, and how stored numbers follow from the radiance of a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.arrays import Array, like, namespace
+from simulator.assemble.camera import build_sensor
+from simulator.assemble.scenes import build_view
+from simulator.camera.planes import mask_irradiance
+from simulator.config import Config, config_from_dict
+from simulator.dataset.dataset_info import CAPTURED_FOLDER, PSF_FOLDER
+from simulator.dataset.psf_files import read_psf_stack
+from simulator.dataset.reader import Dataset
+from simulator.errors import InputError
+from simulator.optics.psf_stack import PsfStack
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureModel:
+    """How a still scene became a measurement: ``y = offset + gain sum_k H_k (*) (irradiance M L_k)``.
+
+    Attributes:
+        stack: the PSFs H that the reconstruction believes in, K depths and C channels; not always those of the simulation.
+        sensor_shape: H, W of the measurement.
+        scene_shape: h, w of the picture; pixels lie on pixels, the centres coincide.
+        gain: DN / 2^bits per unit of exposed irradiance x PSF.
+        offset: DN / 2^bits without light, ``(C,)``.
+        irradiance: ``(h, w)``, irradiance at the mask per unit radiance; see `simulator.camera.planes.mask_irradiance`.
+        scene_to_camera: M, ``(C, 3)``, from linear sRGB to the camera's channels.
+        white: the radiance that pictures show as 1: one number for training, tests and every method.
+
+    Raises:
+        InputError: shapes that contradict each other, or numbers that make no sense.
+    """
+
+    stack: PsfStack
+    sensor_shape: tuple[int, int]
+    scene_shape: tuple[int, int]
+    gain: float
+    offset: NDArray[np.float64]
+    irradiance: NDArray[np.float32]
+    scene_to_camera: NDArray[np.float64]
+    white: float = 1.0
+
+    def __post_init__(self) -> None:
+        channels = len(self.stack.channels)
+        for name, shape, wanted in (
+            ("offset", self.offset.shape, (channels,)),
+            ("irradiance", self.irradiance.shape, self.scene_shape),
+            ("scene_to_camera", self.scene_to_camera.shape, (channels, 3)),
+        ):
+            if tuple(shape) != tuple(wanted):
+                msg = f"{name}: got shape {tuple(shape)}, expected {tuple(wanted)} for this stack and scene"
+                raise InputError(msg)
+        for axis, sensor, scene in zip(("rows", "columns"), self.sensor_shape, self.scene_shape, strict=True):
+            if scene > sensor or (sensor - scene) % 2:
+                msg = f"scene_shape: {scene} {axis} on a sensor of {sensor}; expected at most as many, even or odd like it"
+                raise InputError(msg)
+        for name, value in (("gain", self.gain), ("white", self.white)):
+            if not (np.isfinite(value) and value > 0):
+                msg = f"{name}: got {value!r}, expected a positive number"
+                raise InputError(msg)
+
+    @property
+    def near_m(self) -> float:
+        """Depth of the stack's nearest plane, metres."""
+        return float(self.stack.depths_m[0])
+
+    @property
+    def far_m(self) -> float:
+        """Depth of the stack's farthest plane, metres; may be ``inf``."""
+        return float(self.stack.depths_m[-1])
+
+    def disparity(self, depth_m: Array) -> Array:
+        """Return disparity on the scale 0 (far) to 1 (near), evenly in 1 / z; depths outside the range are clamped."""
+        return namespace(depth_m).clip((1 / depth_m - 1 / self.far_m) / self._range_per_m, 0, 1)
+
+    def depth_m(self, disparity: Array) -> Array:
+        """Return the depth in metres of disparities, which are clamped to 0..1 first."""
+        clamped = namespace(disparity).clip(disparity, 0, 1)
+        return 1 / (1 / self.far_m + clamped * self._range_per_m)
+
+    def plane_disparities(self) -> NDArray[np.float64]:
+        """Return the disparity of each of the stack's planes, ``(K,)``."""
+        return self.disparity(np.asarray(self.stack.depths_m, np.float64))
+
+    def radiance(self, irradiance: Array) -> Array:
+        """Return linear sRGB radiance ``(..., 3, h, w)`` of irradiance at the mask in camera channels ``(..., C, h, w)``.
+
+        The inverse of what the scene's light went through; for other than three channels in the sense of least squares.
+        """
+        xp = namespace(irradiance)
+        inverse = like(np.linalg.pinv(self.scene_to_camera), irradiance)
+        return xp.einsum("ac,...chw->...ahw", inverse, irradiance / like(self.irradiance, irradiance))
+
+    def with_stack(self, stack: PsfStack) -> CaptureModel:
+        """Return the same camera believed to have other PSFs.
+
+        Raises:
+            InputError: when the stack has other channels or another pixel pitch.
+        """
+        if stack.channels != self.stack.channels or not np.isclose(stack.pixel_pitch_m, self.stack.pixel_pitch_m):
+            msg = (
+                f"stack: got channels {', '.join(stack.channels)} at a pitch of {stack.pixel_pitch_m * 1e6:g} um, expected "
+                f"{', '.join(self.stack.channels)} at {self.stack.pixel_pitch_m * 1e6:g} um: it belongs to another camera"
+            )
+            raise InputError(msg)
+        return replace(self, stack=stack)
+
+    @property
+    def _range_per_m(self) -> float:
+        span = 1 / self.near_m - 1 / self.far_m
+        return span if span > 0 else 1.0  # of a single plane: all depths are one
+
+
+def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *, white: float = 1.0) -> CaptureModel:
+    """Return what is known of the camera that made a data set; no code that the data set names is run.
+
+    Args:
+        dataset: any split of it.
+        stack: ``nominal``, the PSFs that made the data; ``captured``, as a calibration would have measured them
+            (``psf.as_captured``); the folder of any other stack, or the stack itself.
+        white: the radiance that pictures show as 1; see `learning.display.measure_white`.
+
+    Raises:
+        InputError: a mosaic's measurement, rows with different exposure times, no such stack, or one that does not fit.
+    """
+    info = dataset.info
+    config = config_from_dict(info.config, dataset.root, check_plugins=False)
+    nominal = read_psf_stack(dataset.root / PSF_FOLDER)
+    if tuple(info.channels) != nominal.channels:
+        msg = (
+            f"{dataset.root}: measurements have the channels {', '.join(info.channels)}, the PSFs "
+            f"{', '.join(nominal.channels)}; reconstruction needs all colours in all pixels (camera.sensor.readout: binned_rgb)"
+        )
+        raise InputError(msg)
+    gain, offset = _numbers(config, float(info.exposure["full_scale"]), info.shutter, nominal)
+    model = CaptureModel(
+        stack=nominal,
+        sensor_shape=info.sensor_shape,
+        scene_shape=info.scene_shape,
+        gain=gain,
+        offset=offset,
+        irradiance=mask_irradiance(build_view(config), config.forward.vignetting),
+        scene_to_camera=np.array(info.scene_to_camera["matrix"], np.float64),
+        white=white,
+    )
+    if isinstance(stack, PsfStack):
+        return model.with_stack(stack)
+    if stack == "nominal":
+        return model
+    folder = dataset.root / CAPTURED_FOLDER if stack == "captured" else Path(stack)
+    if stack == "captured" and not folder.is_dir():
+        msg = f"stack: got 'captured', but {dataset.root} has no {CAPTURED_FOLDER}; make it with psf.as_captured in its file"
+        raise InputError(msg)
+    return model.with_stack(read_psf_stack(folder))
+
+
+def _numbers(config: Config, full_scale: float, shutter: Any, stack: PsfStack) -> tuple[float, NDArray[np.float64]]:
+    """Return gain and offset (C,): what a uniform exposure of 0 and of 1 is stored as."""
+    sensor = build_sensor(config, full_scale, shutter)
+    exposures = np.unique(np.asarray(sensor.exposure_s, np.float64))
+    if len(exposures) > 1:
+        msg = (
+            "camera.shutter: rows have different exposure times; a still is reconstructed from rows that have the same"
+        )
+        raise InputError(msg)
+    exposure = 1.0 if config.forward.time == "mean" else float(exposures[0])
+    dark = np.zeros((len(stack.channels), *sensor.shape))
+    offset, bright = sensor.noiseless(dark), sensor.noiseless(dark + full_scale)
+    return float(np.mean(bright - offset)) / full_scale * exposure, np.mean(offset, axis=(-2, -1))

@@ -1,0 +1,114 @@
+"""U-Net for pictures (2D) and for stacks of pictures in time or depth (3D).
+
+Source: Ronneberger et al., U-Net, MICCAI 2015; with ELU and batch normalisation as in the thesis, and optionally the gates of
+`learning.layers.attention` on its skips.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Literal
+
+import torch
+import torch.nn.functional as nnf
+from torch import Tensor, nn
+
+from learning.layers.attention import GridAttention
+from simulator.errors import InputError
+
+
+class UNet(nn.Module):
+    """An encoder that halves the picture at each level, a decoder that doubles it, and skips between them."""
+
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        *,
+        filters: int = 16,
+        levels: int = 5,
+        dimensions: Literal[2, 3] = 2,
+        attention: bool = False,
+        stem: int = 1,
+    ) -> None:
+        """Build the network; weights are drawn by Xavier's rule (Glorot and Bengio 2010) from torch's generator.
+
+        Args:
+            inputs: channels of the input.
+            outputs: channels of the output, linear.
+            filters: channels of the first level; each further level has twice as many.
+            levels: how many, the first included.
+            dimensions: 2 for ``(B, C, h, w)``, 3 for ``(B, C, T, h, w)``.
+            attention: gate the skips.
+            stem: blocks of so many pixels per side become channels before, and pixels again after the network: 2 makes it
+                four times cheaper per filter; 1 for none. Only in 2D.
+
+        Raises:
+            InputError: for numbers below one, other dimensions, or a stem in 3D.
+        """
+        super().__init__()
+        for name, value in (
+            ("inputs", inputs),
+            ("outputs", outputs),
+            ("filters", filters),
+            ("levels", levels),
+            ("stem", stem),
+        ):
+            if value < 1:
+                msg = f"{name}: got {value}, expected at least 1"
+                raise InputError(msg)
+        if dimensions not in (2, 3) or (dimensions == 3 and stem > 1):
+            msg = f"dimensions: got {dimensions} with stem {stem}; expected 2, or 3 with stem 1"
+            raise InputError(msg)
+        self.dimensions, self.stem, self.levels = dimensions, stem, levels
+        conv = nn.Conv2d if dimensions == 2 else nn.Conv3d
+        widths = [filters * 2**level for level in range(levels)]
+        ins = [inputs * stem**2, *widths[:-1]]
+        self.down = nn.ModuleList(_block(a, b, dimensions) for a, b in zip(ins, widths, strict=True))
+        self.up = nn.ModuleList(conv(b, a, 3, padding=1) for a, b in pairwise(widths))
+        self.merge = nn.ModuleList(_block(2 * a, a, dimensions) for a in widths[:-1])
+        gates = pairwise(widths) if attention else ()
+        self.gates = nn.ModuleList(GridAttention(a, b, dimensions) for a, b in gates)
+        self.head = conv(widths[0], outputs * stem**2, 1)
+        for module in self.modules():
+            if isinstance(module, (nn.Conv2d, nn.Conv3d)):
+                nn.init.xavier_uniform_(module.weight)
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
+
+    def forward(self, picture: Tensor) -> Tensor:
+        """Return ``(B, outputs, ...)`` of ``(B, inputs, ...)``, any size: odd ones are continued at their ends."""
+        size = picture.shape[2:]
+        multiple = self.stem * 2 ** (self.levels - 1)
+        missing = [
+            -length % (multiple if axis >= self.dimensions - 2 else multiple // self.stem)
+            for axis, length in enumerate(size)
+        ]
+        if any(missing):
+            picture = nnf.pad(picture, [n for extra in reversed(missing) for n in (0, extra)], mode="replicate")
+        if self.stem > 1:
+            picture = nnf.pixel_unshuffle(picture, self.stem)
+        skips: list[Tensor] = []
+        for level, block in enumerate(self.down):
+            if level:
+                picture = nnf.max_pool2d(picture, 2) if self.dimensions == 2 else nnf.max_pool3d(picture, 2)
+            picture = block(picture)
+            skips.append(picture)
+        for level in reversed(range(self.levels - 1)):
+            skip = skips[level]
+            if self.gates:
+                skip = self.gates[level](skip, picture)
+            picture = self.up[level](nnf.interpolate(picture, scale_factor=2.0, mode="nearest"))
+            picture = self.merge[level](torch.cat([skip, picture], dim=1))
+        picture = self.head(picture)
+        if self.stem > 1:
+            picture = nnf.pixel_shuffle(picture, self.stem)
+        return picture[(..., *(slice(length) for length in size))]
+
+
+def _block(inputs: int, outputs: int, dimensions: int) -> nn.Sequential:
+    conv, norm = (nn.Conv2d, nn.BatchNorm2d) if dimensions == 2 else (nn.Conv3d, nn.BatchNorm3d)
+    layers: list[nn.Module] = []
+    for source in (inputs, outputs):
+        layers += [conv(source, outputs, 3, padding=1, bias=False), norm(outputs), nn.ELU()]
+    return nn.Sequential(*layers)

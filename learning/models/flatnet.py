@@ -1,0 +1,99 @@
+"""FlatNet3D and FlatNet2D: picture and depth from one measurement of a still scene.
+
+Source: the thesis, sections 4.3 and 5.2.3; FlatNet: Khan et al., FlatNet: Towards Photorealistic Scene Reconstruction from
+Lensless Measurements, TPAMI 2020.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from torch import Tensor, nn
+
+from learning.capture import CaptureModel
+from learning.estimate import Estimate
+from learning.layers.inversion import RegularisedInversion
+from learning.layers.unet import UNet
+
+
+class _FlatNet(nn.Module):
+    """Inversion at some planes, then a U-Net from all of them to sRGB codes and disparity."""
+
+    def __init__(
+        self,
+        capture: CaptureModel,
+        planes: Sequence[int],
+        *,
+        filters: int,
+        levels: int,
+        attention: bool,
+        stem: int,
+        strength: float,
+    ) -> None:
+        super().__init__()
+        self.inversion = RegularisedInversion(capture, planes, strength=strength)
+        channels = len(capture.stack.channels)
+        self.enhancement = UNet(
+            len(planes) * channels, 4, filters=filters, levels=levels, attention=attention, stem=stem
+        )
+
+    def forward(self, measurement: Tensor) -> Estimate:
+        """Return the estimate of measurements ``(B, C, H, W)``, DN / 2^bits."""
+        volume = self.inversion(measurement)
+        output = self.enhancement(volume.flatten(1, 2))
+        return Estimate(output[:, :3], output[:, 3:])
+
+
+class FlatNet3D(_FlatNet):
+    """Learned inversion at all depths of the stack, then a U-Net: equations 4.10 and 4.11 of the thesis."""
+
+    def __init__(
+        self,
+        capture: CaptureModel,
+        *,
+        filters: int = 16,
+        levels: int = 5,
+        attention: bool = False,
+        stem: int = 1,
+        strength: float = 1e-2,
+    ) -> None:
+        """Build the network for a camera; see `UNet` for its size.
+
+        Args:
+            capture: the camera.
+            filters: channels of the U-Net's first level.
+            levels: of the U-Net.
+            attention: gates on its skips.
+            stem: its pixel unshuffle.
+            strength: initial lambda of the inversion; see `RegularisedInversion`.
+        """
+        planes = range(len(capture.stack.depths_m))
+        super().__init__(
+            capture, planes, filters=filters, levels=levels, attention=attention, stem=stem, strength=strength
+        )
+
+
+class FlatNet2D(_FlatNet):
+    """The same with the PSF of one depth only, the hyperfocal one: in the middle of the disparities."""
+
+    def __init__(
+        self,
+        capture: CaptureModel,
+        *,
+        filters: int = 16,
+        levels: int = 5,
+        attention: bool = False,
+        stem: int = 1,
+        strength: float = 1e-2,
+    ) -> None:
+        """Build the network for a camera; see `FlatNet3D`."""
+        planes = [hyperfocal_plane(capture)]
+        super().__init__(
+            capture, planes, filters=filters, levels=levels, attention=attention, stem=stem, strength=strength
+        )
+
+
+def hyperfocal_plane(capture: CaptureModel) -> int:
+    """Return the plane whose PSF is nearest to those of all depths: the PSF scales with 1 / z, so the middle disparity."""
+    return int(np.argmin(np.abs(capture.plane_disparities() - 0.5)))

@@ -1,0 +1,37 @@
+"""Networks by name, and their sizes: the thesis's, one for a laptop, one for tests."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torch import nn
+
+from learning.capture import CaptureModel
+from learning.models.flatnet import FlatNet2D, FlatNet3D
+from simulator.errors import InputError
+
+NETWORKS: dict[str, type[FlatNet3D] | type[FlatNet2D]] = {"flatnet3d": FlatNet3D, "flatnet2d": FlatNet2D}
+SIZES: dict[str, dict[str, Any]] = {
+    "thesis": {"filters": 64, "levels": 5, "attention": True, "stem": 1},
+    "compact": {"filters": 16, "levels": 5, "attention": False, "stem": 1},
+    "tiny": {"filters": 4, "levels": 3, "attention": False, "stem": 1},
+}
+
+
+def build_network(capture: CaptureModel, name: str, size: str = "compact", **changes: Any) -> nn.Module:
+    """Return a network for a camera, its weights drawn from torch's generator.
+
+    Args:
+        capture: the camera.
+        name: ``flatnet3d`` or ``flatnet2d``.
+        size: ``thesis``, ``compact`` or ``tiny``.
+        changes: of the size's numbers; see `FlatNet3D`.
+
+    Raises:
+        InputError: an unknown name or size, or numbers that the network refuses.
+    """
+    for what, value, known in (("name", name, NETWORKS), ("size", size, SIZES)):
+        if value not in known:
+            msg = f"{what}: got {value!r}, expected one of {', '.join(known)}"
+            raise InputError(msg)
+    return NETWORKS[name](capture, **SIZES[size] | changes)
