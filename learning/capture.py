@@ -137,7 +137,7 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
     if tuple(info.channels) != nominal.channels:
         msg = (
             f"{dataset.root}: measurements have the channels {', '.join(info.channels)}, the PSFs "
-            f"{', '.join(nominal.channels)}; reconstruction needs all colours in all pixels (camera.sensor.readout: binned_rgb)"
+            f"{', '.join(nominal.channels)}; reconstruction needs all colours in a pixel (camera.sensor.readout: binned_rgb)"
         )
         raise InputError(msg)
     gain, offset = _numbers(config, float(info.exposure["full_scale"]), info.shutter, nominal)
