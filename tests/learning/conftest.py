@@ -1,0 +1,121 @@
+"""Fixtures of the learning tests: a tiny data set without rendering, and a camera without any file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from learning.capture import CaptureModel
+from simulator.optics.psf_stack import PsfStack, depth_planes
+
+# Every surface has a texture, without which a depth shows nowhere; and its own depth, so that depth cannot be guessed.
+PATCHES = '''
+
+@dataclass(frozen=True)
+class Patches:
+    view: object
+    flat: bool = False
+    black: bool = False
+    inputs: tuple[Path, ...] = ()
+
+    def clip(self, index, rng):
+        near, far = self.view.near_m, self.view.far_m
+        shape = self.view.shape
+        rgb, disparity = np.zeros((*shape, 3)), np.zeros(shape)
+        windows = [np.s_[:, :]]
+        for row, column in rng.integers(0, np.array(shape) - 6, (3, 2)):
+            windows.append(np.s_[row : row + 8, column : column + 9])
+        for window in windows:
+            size = disparity[window].shape
+            rgb[window] = rng.random(3) * rng.choice([0.1, 1.0], (*size, 1))
+            disparity[window] = rng.uniform(1 / far, 1 / near)
+        if self.flat:
+            disparity[:] = 1 / far
+        if self.black:
+            rgb[:] = 0
+        disparity[0, 0] = 1 / far
+        valid = np.ones(shape, bool)
+        valid[0, 0] = False
+        depth_m = (1 / disparity).clip(near, far)
+        return Clip(
+            rgb[None].astype(np.float32), depth_m[None].astype(np.float32), valid[None], np.array([0.0, 1.0]), source={}
+        )
+
+
+def patches(view, *, flat: bool = False, black: bool = False):
+    """Textured rectangles, each at a random depth, before a textured wall at a random depth."""
+    return Patches(view, flat, black)
+'''
+
+LEARNING: dict[str, dict[str, Any]] = {
+    "camera": {
+        "sensor": {"binning": 8, "shape": [48, 48]},
+        "noise": {"type": "gaussian", "psnr_db": 40, "clip": True, "quantise": True},
+    },
+    "psf": {
+        "near_cm": 1,
+        "far_cm": 20,
+        "depths": 3,
+        "wavelengths_per_channel": 1,
+        "accept_error": 1,
+        "as_captured": {},
+    },
+    "scene": {"family": "./plugins.py:patches", "size": [16, 16]},
+    "dataset": {"train": 4, "validation": 2, "test": 2},
+}
+
+
+class LearningTrial:
+    """A tiny configuration for learning, in a folder of its own; see `tests/conftest.py`."""
+
+    def __init__(self, trial: Any) -> None:
+        self.trial = trial
+        trial.plugins.write_text(trial.plugins.read_text(encoding="utf-8") + PATCHES, encoding="utf-8")
+
+    def generate(self, *overrides: str, **changes: dict[str, Any]) -> Path:
+        """Make the data set and return its folder; keys of a section replace those of `LEARNING` one by one."""
+        merged = {section: values | changes.get(section, {}) for section, values in LEARNING.items()}
+        return self.trial.generate(*overrides, **(changes | merged))
+
+
+@pytest.fixture
+def learning_trial(tmp_path: Path, make_trial: Callable[[Path], Any]) -> LearningTrial:
+    """A configuration that a test may change, in ``tmp_path``; 4 train, 2 validation and 2 test samples."""
+    return LearningTrial(make_trial(tmp_path))
+
+
+@pytest.fixture(scope="session")
+def tiny_dataset(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable[[Path], Any]) -> Path:
+    """A data set's folder: 32 train, 8 validation, 8 test stills of 16 x 16 scenes, 48 x 48 sensor, 3 depths, both stacks.
+
+    Noise of 40 dB, clipped and quantised. Do not write into it.
+    """
+    trial = LearningTrial(make_trial(tmp_path_factory.mktemp("tiny")))
+    return trial.generate(dataset={"train": 32, "validation": 8, "test": 8})
+
+
+@pytest.fixture(scope="session")
+def tiny_capture() -> CaptureModel:
+    """A camera of random PSFs, 3 depths, 3 channels that differ, 48 x 48 sensor, 16 x 16 scene; nothing in it is 0 or 1."""
+    rng = np.random.default_rng(1)
+    values = np.zeros((3, 3, 33, 33), np.float32)
+    for row, column in rng.uniform(-8, 8, (12, 2)):
+        for plane, magnification in enumerate((1.6, 1.25, 1.0)):  # nearer planes are larger, as a mask's shadow is
+            y, x = np.round(np.array([row, column]) * magnification).astype(int) + 16
+            values[plane, :, y : y + 2, x : x + 2] += rng.uniform(0.5, 1.0, (3, 1, 1))
+    y, x = (np.arange(16) - 7.5)[:, None] / 40, (np.arange(16) - 7.5) / 40
+    stack = PsfStack(values, depth_planes(0.01, 0.2, 3), 20e-6, ("R", "G", "B"), "0" * 64, {"kind": "random"})
+    return CaptureModel(
+        stack=stack,
+        sensor_shape=(48, 48),
+        scene_shape=(16, 16),
+        gain=40.0,
+        offset=np.array([0.01, 0.02, 0.03]),
+        irradiance=(1e-4 / (1 + y**2 + x**2) ** 2).astype(np.float32),
+        scene_to_camera=np.array([[0.8, 0.2, 0.0], [0.1, 0.8, 0.1], [0.0, 0.3, 0.7]]),
+        white=0.9,
+    )
