@@ -17,8 +17,8 @@ from learning.layers.inversion import RegularisedInversion
 from learning.layers.unet import UNet
 
 
-class _FlatNet(nn.Module):
-    """Inversion at some planes, then a U-Net from all of them to sRGB codes and disparity."""
+class FlatNet(nn.Module):
+    """Inversion at some planes, then a U-Net from all of them to sRGB codes and disparity: what both networks share."""
 
     def __init__(
         self,
@@ -40,12 +40,15 @@ class _FlatNet(nn.Module):
 
     def forward(self, measurement: Tensor) -> Estimate:
         """Return the estimate of measurements ``(B, C, H, W)``, DN / 2^bits."""
-        volume = self.inversion(measurement)
+        return self.enhance(self.inversion(measurement))
+
+    def enhance(self, volume: Tensor) -> Estimate:
+        """Return the estimate of the inversion's volume ``(B, K, C, h, w)``."""
         output = self.enhancement(volume.flatten(1, 2))
         return Estimate(output[:, :3], output[:, 3:])
 
 
-class FlatNet3D(_FlatNet):
+class FlatNet3D(FlatNet):
     """Learned inversion at all depths of the stack, then a U-Net: equations 4.10 and 4.11 of the thesis."""
 
     def __init__(
@@ -74,7 +77,7 @@ class FlatNet3D(_FlatNet):
         )
 
 
-class FlatNet2D(_FlatNet):
+class FlatNet2D(FlatNet):
     """The same with the PSF of one depth only, the hyperfocal one: in the middle of the disparities."""
 
     def __init__(

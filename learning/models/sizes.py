@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
-from torch import nn
-
 from learning.capture import CaptureModel
-from learning.models.flatnet import FlatNet2D, FlatNet3D
+from learning.models.flatnet import FlatNet, FlatNet2D, FlatNet3D
 from simulator.errors import InputError
 
 NETWORKS: dict[str, type[FlatNet3D] | type[FlatNet2D]] = {"flatnet3d": FlatNet3D, "flatnet2d": FlatNet2D}
@@ -18,7 +17,7 @@ SIZES: dict[str, dict[str, Any]] = {
 }
 
 
-def build_network(capture: CaptureModel, name: str, size: str = "compact", **changes: Any) -> nn.Module:
+def build_network(capture: CaptureModel, name: str, size: str = "compact", **changes: Any) -> FlatNet:
     """Return a network for a camera, its weights drawn from torch's generator.
 
     Args:
@@ -30,8 +29,27 @@ def build_network(capture: CaptureModel, name: str, size: str = "compact", **cha
     Raises:
         InputError: an unknown name or size, or numbers that the network refuses.
     """
-    for what, value, known in (("name", name, NETWORKS), ("size", size, SIZES)):
+    _check(name, size)
+    return NETWORKS[name](capture, **SIZES[size] | changes)
+
+
+def full_architecture(architecture: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``network``, ``size`` and changes with all numbers of the size: it stays the same network when sizes change.
+
+    Raises:
+        InputError: an unknown name or size.
+
+    Example:
+        >>> full_architecture({"network": "flatnet3d", "size": "tiny", "filters": 8})["filters"]
+        8
+    """
+    name, size = architecture.get("network"), architecture.get("size", "compact")
+    _check(name, size)
+    return {"network": name, "size": size, **SIZES[size], **architecture}
+
+
+def _check(name: Any, size: Any) -> None:
+    for what, value, known in (("network", name, NETWORKS), ("size", size, SIZES)):
         if value not in known:
             msg = f"{what}: got {value!r}, expected one of {', '.join(known)}"
             raise InputError(msg)
-    return NETWORKS[name](capture, **SIZES[size] | changes)

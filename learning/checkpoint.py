@@ -1,0 +1,234 @@
+"""A trained network in one file: weights, the camera that it belongs to, and how it was made; nothing in it is ever run.
+
+The file is safetensors. Tensors ``network.*`` are the weights and ``camera.*`` the arrays of `CaptureModel`; the header's
+metadata hold one JSON text, under ``flatlight``, with format, version, architecture, the camera's numbers and the record.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from learning.capture import CaptureModel
+from learning.models.flatnet import FlatNet
+from learning.models.sizes import build_network, full_architecture
+from simulator.dataset.plain import canonical_json
+from simulator.errors import InputError
+from simulator.files import write_atomic
+from simulator.optics.psf_stack import PsfStack
+
+FORMAT, VERSION = "flatlight checkpoint", 1
+_KEY = "flatlight"
+_WEIGHTS, _CAMERA = "network.", "camera."
+
+
+@dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """What a checkpoint's file holds.
+
+    Attributes:
+        network: with its weights, on the CPU, in evaluation mode.
+        capture: the camera that the network is built for.
+        architecture: ``network``, ``size`` and all of the network's numbers; see `learning.models.build_network`.
+        record: how it was made: configuration, metrics, command, seconds, versions, device.
+    """
+
+    network: FlatNet
+    capture: CaptureModel
+    architecture: dict[str, Any]
+    record: dict[str, Any]
+
+
+def save_checkpoint(
+    path: Path | str,
+    network: FlatNet,
+    *,
+    architecture: Mapping[str, Any],
+    capture: CaptureModel,
+    record: Mapping[str, Any],
+    precision: torch.dtype = torch.float32,
+) -> None:
+    """Write a checkpoint; the file holds all of it or what it held before.
+
+    Args:
+        path: the file, by custom ``*.safetensors``.
+        network: of `learning.models.build_network`; unwrap it from DDP first.
+        architecture: ``network``, ``size`` and the changes that it was built with.
+        capture: the camera that it was built for.
+        record: how it was made; plain values.
+        precision: of the stored weights; ``torch.float16`` halves the file and rounds them. The camera stays exact.
+
+    Raises:
+        InputError: an architecture that is not this network's, or a record that has no JSON form.
+        StorageError: the place cannot be written to.
+    """
+    full = full_architecture(architecture)
+    weights = {_WEIGHTS + name: _stored(value, precision) for name, value in network.state_dict().items()}
+    _check_fit(_build(full, capture), weights, "architecture")
+    stack = capture.stack
+    arrays = {
+        "psf": (stack.values, np.float32),
+        "depths_m": (stack.depths_m, np.float64),
+        "irradiance": (capture.irradiance, np.float32),
+        "scene_to_camera": (capture.scene_to_camera, np.float64),
+        "offset": (capture.offset, np.float64),
+    }
+    tensors = {
+        _CAMERA + name: torch.from_numpy(np.array(array, kind, order="C")) for name, (array, kind) in arrays.items()
+    }
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "architecture": full,
+        "camera": {
+            "sensor_shape": capture.sensor_shape,
+            "scene_shape": capture.scene_shape,
+            "gain": capture.gain,
+            "white": capture.white,
+            "channels": stack.channels,
+            "pixel_pitch_m": stack.pixel_pitch_m,
+            "fingerprint": stack.fingerprint,
+            "provenance": stack.provenance,
+        },
+        "record": dict(record),
+    }
+    # One key only: safetensors writes several in an order that differs from run to run.
+    write_atomic(Path(path), save(weights | tensors, {_KEY: canonical_json(content).decode()}))
+
+
+def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, network: str | None = None) -> Checkpoint:
+    """Read a checkpoint and build its network.
+
+    Args:
+        path: the file.
+        capture: build the network for this camera, whose PSFs, exposure or sizes may differ; None takes the file's own. For
+            a camera with other planes, build a network and see `learning.models.transfer`.
+        network: the architecture that is wanted; None takes any.
+
+    Raises:
+        InputError: not a checkpoint, a damaged one, of a newer format, of another architecture or camera than asked.
+    """
+    path = Path(path)
+    content, tensors = _read(path)
+    try:
+        architecture, record = dict(content["architecture"]), dict(content["record"])
+        name = str(architecture["network"])
+        own = _capture(content["camera"], tensors)
+    except (KeyError, TypeError, ValueError) as error:
+        msg = f"{path} is damaged: its camera or architecture cannot be read ({type(error).__name__}: {error}); restore it"
+        raise InputError(msg) from error
+    if network not in (None, name):
+        msg = f"{path}: got a checkpoint of {name}, expected {network}; name another file or another network"
+        raise InputError(msg)
+    if capture is not None:
+        _check_camera(path, own, capture)
+    try:
+        built = _build(architecture, capture or own)
+    except (InputError, TypeError) as error:
+        msg = f"{path}: this version of Flatlight cannot build its network ({error}); use the version that the record names"
+        raise InputError(msg) from error
+    weights = {key: value for key, value in tensors.items() if key.startswith(_WEIGHTS)}
+    _check_fit(built, weights, str(path))
+    for key, value in weights.items():
+        if not bool(torch.isfinite(value).all()):
+            msg = f"{path}: {key} holds NaN or infinite numbers; take an earlier checkpoint"
+            raise InputError(msg)
+    built.load_state_dict({key.removeprefix(_WEIGHTS): value for key, value in weights.items()})
+    return Checkpoint(built.eval(), capture or own, architecture, record)
+
+
+def _stored(value: Tensor, precision: torch.dtype) -> Tensor:
+    value = value.detach().cpu()
+    return (value.to(precision) if value.is_floating_point() else value).contiguous()
+
+
+def _build(architecture: Mapping[str, Any], capture: CaptureModel) -> FlatNet:
+    """Return a network of this architecture; torch's generator stays where it is."""
+    with torch.random.fork_rng(devices=[]):
+        return build_network(capture, **{"name" if key == "network" else key: v for key, v in architecture.items()})
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    try:
+        with safe_open(path, framework="pt") as file:
+            text = (file.metadata() or {}).get(_KEY)
+            tensors = {} if text is None else {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (no dict)
+    except OSError as error:
+        msg = f"cannot read the checkpoint {path}: {error.strerror or error}"
+        raise InputError(msg) from error
+    except SafetensorError as error:
+        msg = f"{path} is no checkpoint, or a truncated one ({error}); expected a safetensors file of `flatlight train`"
+        raise InputError(msg) from error
+    try:
+        content = json.loads(text) if text is not None else {}
+    except (ValueError, RecursionError):
+        content = {}
+    if not isinstance(content, dict) or content.get("format") != FORMAT or not isinstance(content.get("version"), int):
+        msg = f"{path} is a safetensors file, but no Flatlight checkpoint; expected one that `flatlight train` wrote"
+        raise InputError(msg)
+    if content["version"] > VERSION:
+        msg = f"{path}: got a checkpoint of version {content['version']}, expected at most {VERSION}; update Flatlight"
+        raise InputError(msg)
+    return content, tensors
+
+
+def _capture(numbers: dict[str, Any], tensors: dict[str, Tensor]) -> CaptureModel:
+    arrays = {key.removeprefix(_CAMERA): v.numpy() for key, v in tensors.items() if key.startswith(_CAMERA)}
+    stack = PsfStack(
+        arrays["psf"],
+        arrays["depths_m"],
+        float(numbers["pixel_pitch_m"]),
+        tuple(numbers["channels"]),
+        str(numbers["fingerprint"]),
+        dict(numbers["provenance"]),
+    )
+    rows, columns = (int(length) for length in numbers["sensor_shape"])
+    h, w = (int(length) for length in numbers["scene_shape"])
+    return CaptureModel(
+        stack=stack,
+        sensor_shape=(rows, columns),
+        scene_shape=(h, w),
+        gain=float(numbers["gain"]),
+        offset=arrays["offset"],
+        irradiance=arrays["irradiance"],
+        scene_to_camera=arrays["scene_to_camera"],
+        white=float(numbers["white"]),
+    )
+
+
+def _check_camera(path: Path, own: CaptureModel, asked: CaptureModel) -> None:
+    """Refuse a camera for which the weights mean something else: other channels, or planes at other depths."""
+    mine, other = own.stack, asked.stack
+    if mine.channels != other.channels:
+        msg = f"{path}: its network takes the channels {', '.join(mine.channels)}, the stack has {', '.join(other.channels)}"
+        raise InputError(msg)
+    same = len(mine.depths_m) == len(other.depths_m) and np.allclose(1 / mine.depths_m, 1 / other.depths_m, rtol=1e-3)
+    if not same:
+        msg = (
+            f"{path}: its network is for {_planes(own)}, the stack has {_planes(asked)}; use the stack that it was trained "
+            "with, or fine-tune it for this one (learning.models.transfer)"
+        )
+        raise InputError(msg)
+
+
+def _planes(capture: CaptureModel) -> str:
+    return f"{len(capture.stack.depths_m)} planes from {capture.near_m * 100:g} to {capture.far_m * 100:g} cm"
+
+
+def _check_fit(network: FlatNet, weights: Mapping[str, Tensor], where: str) -> None:
+    expected = {_WEIGHTS + name: tuple(value.shape) for name, value in network.state_dict().items()}
+    found = {key: tuple(value.shape) for key, value in weights.items()}
+    for key in sorted(expected.keys() | found.keys()):
+        if expected.get(key) != found.get(key):
+            got, wanted = found.get(key, "nothing"), expected.get(key, "nothing")
+            msg = f"{where}: weights do not fit the architecture: {key} has the shape {got}, expected {wanted}"
+            raise InputError(msg)
