@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from simulator.arrays import Array, like, namespace
 from simulator.assemble.camera import build_sensor
 from simulator.assemble.scenes import build_view
+from simulator.camera.forward import ForwardModel
 from simulator.camera.planes import mask_irradiance
 from simulator.config import Config, config_from_dict
 from simulator.dataset.dataset_info import CAPTURED_FOLDER, PSF_FOLDER
@@ -99,6 +100,17 @@ class CaptureModel:
         inverse = like(np.linalg.pinv(self.scene_to_camera), irradiance)
         return xp.einsum("ac,...chw->...ahw", inverse, irradiance / like(self.irradiance, irradiance))
 
+    def forward_model(self, reference: Array | None = None) -> ForwardModel:
+        """Return the convolution: ``offset + gain forward(V)`` is the measurement of irradiance V, ``(1, K, C, h, w)``.
+
+        V is irradiance at the mask in the camera's channels, ``irradiance M L_k``; the result lacks gain and offset.
+
+        Args:
+            reference: an array of the kind, type and device to work on; None is NumPy in float32.
+        """
+        stack = self.stack if reference is None else replace(self.stack, values=like(self.stack.values, reference))
+        return ForwardModel(stack, self.sensor_shape, self.scene_shape)
+
     def with_stack(self, stack: PsfStack) -> CaptureModel:
         """Return the same camera believed to have other PSFs.
 
@@ -112,6 +124,36 @@ class CaptureModel:
             )
             raise InputError(msg)
         return replace(self, stack=stack)
+
+    def believed(self, known: CaptureModel) -> CaptureModel:
+        """Return the camera that made this data as a method believes in it that was made for another data set.
+
+        The camera's numbers (gain, offset, irradiance, colours) stay this data set's, whose exposure may be its own. PSFs,
+        depth range and white are the known ones: with them the method was trained or tuned.
+
+        Args:
+            known: what the method was made for.
+
+        Raises:
+            InputError: other shapes, channels or pixel pitch, or scenes here beyond the depths that are known.
+        """
+        for name in ("sensor_shape", "scene_shape"):
+            here, there = getattr(self, name), getattr(known, name)
+            if tuple(here) != tuple(there):
+                msg = (
+                    f"{name}: the measurements have {here[0]} x {here[1]} pixels, the method was made for {there[0]} x "
+                    f"{there[1]}; give data of the same camera, or train and tune for this one"
+                )
+                raise InputError(msg)
+        # Of a single plane nothing follows for the range. A share of 1e-3 forgives depths that were written with few digits.
+        excess = max(1 / self.near_m - 1 / known.near_m, 1 / known.far_m - 1 / self.far_m)
+        if len(known.stack.depths_m) > 1 and excess > 1e-3 * known._range_per_m:
+            msg = (
+                f"stack: the data's depths are {self.near_m:g} to {self.far_m:g} m, but the method knows only "
+                f"{known.near_m:g} to {known.far_m:g} m; give data within that range, or train and tune for this one"
+            )
+            raise InputError(msg)
+        return replace(self.with_stack(known.stack), white=known.white)
 
     @property
     def _range_per_m(self) -> float:
@@ -129,10 +171,17 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
         white: the radiance that pictures show as 1; see `learning.display.measure_white`.
 
     Raises:
-        InputError: a mosaic's measurement, rows with different exposure times, no such stack, or one that does not fit.
+        InputError: a mosaic's measurement, a circular convolution, rows with different exposure times, no such stack, or one
+            that does not fit.
     """
     info = dataset.info
     config = config_from_dict(info.config, dataset.root, check_plugins=False)
+    if config.forward.boundary != "linear":
+        msg = (
+            f"{dataset.root}: forward.boundary is {config.forward.boundary}, but light that misses a real sensor is lost, as "
+            "reconstructions here know; make the data set with boundary: linear"
+        )
+        raise InputError(msg)
     nominal = read_psf_stack(dataset.root / PSF_FOLDER)
     if tuple(info.channels) != nominal.channels:
         msg = (

@@ -104,7 +104,7 @@ class ExampleSet(TorchDataset[Example]):
     def _read(self, position: int) -> Arrays:
         stored = self.dataset.stored(position)
         if stored.frames != 1:
-            msg = f"{stored.folder} is a clip of {stored.frames} frames; reconstruction here is of stills: use another data set"
+            msg = f"{stored.folder} is a clip of {stored.frames} frames; this reconstruction is of stills: use a set of those"
             raise InputError(msg)
         measurement, noiseless = stored.measurement()
         frame = stored.frame(0)
