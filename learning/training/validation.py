@@ -1,0 +1,100 @@
+"""Measuring a network on a validation split while it trains, and a picture of some of its scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from learning.capture import CaptureModel
+from learning.data import Example
+from learning.estimate import Estimate
+from learning.training.distributed import Processes
+from learning.training.precision import Precision
+from learning.training.targets import to_device, true_estimate
+
+SHOWN = 4  # scenes in the picture
+_GAP = 2  # pixels between tiles
+_SMALLEST_ERROR = 1e-10  # 100 dB: what equals to the last bit has a finite PSNR
+
+
+def validate(
+    network: nn.Module,
+    batches: Iterable[Example],
+    loss: nn.Module,
+    capture: CaptureModel,
+    *,
+    precision: Precision,
+    group: Processes,
+) -> dict[str, float]:
+    """Return means over the scenes of a split: each term of the loss, ``psnr_db``, ``depth_rmse_cm``.
+
+    PSNR is of sRGB codes and depth of centimetres, both clamped; the processes share the scenes. The network is left in
+    training mode.
+    """
+    network.eval()
+    sums: dict[str, float] = {}
+    scenes = 0
+    with torch.inference_mode():
+        for batch in batches:
+            example = to_device(batch, group.device)
+            estimate = precision.estimate(network, example.measurement)
+            truth = true_estimate(example, capture)
+            count = len(example.measurement)
+            values = {name: value * count for name, value in loss(estimate, *truth, example.valid).items()}
+            values |= _errors(estimate.clamped(), truth, capture)
+            for name, value in values.items():
+                sums[name] = sums.get(name, 0.0) + float(value)
+            scenes += count
+    network.train()
+    names = list(sums)
+    totals = group.add(torch.tensor([*sums.values(), scenes], dtype=torch.float64, device=group.device)).tolist()
+    return {name: total / totals[-1] for name, total in zip(names, totals[:-1], strict=True)}
+
+
+def _errors(estimate: Estimate, truth: Estimate, capture: CaptureModel) -> dict[str, Tensor]:
+    """Return sums over the scenes of a batch."""
+    squared = (estimate.picture - truth.picture).square().mean(dim=(1, 2, 3)).clamp_min(_SMALLEST_ERROR)
+    depth = (estimate.depth_m(capture) - truth.depth_m(capture)).square().mean(dim=(1, 2, 3)).sqrt()
+    return {"psnr_db": (-10 * squared.log10()).sum(), "depth_rmse_cm": 100 * depth.sum()}
+
+
+def draw(network: nn.Module, example: Example, capture: CaptureModel, *, precision: Precision) -> NDArray[np.uint8]:
+    """Return a picture ``(rows, columns, 3)``: a row per scene, with the truth and the estimate of picture and of depth.
+
+    The network is left in training mode.
+    """
+    network.eval()
+    with torch.inference_mode():
+        estimate = precision.estimate(network, example.measurement).clamped()
+    network.train()
+    truth = true_estimate(example, capture)
+    rows = []
+    for scene in range(len(example.measurement)):
+        codes = [_pixels(each.picture[scene]) for each in (truth, estimate)]
+        depths = [_depths(each, scene, capture) for each in (truth, estimate)]
+        rows.append(_joined([*codes, *depths], axis=1))
+    return _joined(rows, axis=0)
+
+
+def _pixels(codes: Tensor) -> NDArray[np.uint8]:
+    return (codes.float() * 255).round().byte().permute(1, 2, 0).cpu().numpy()
+
+
+def _depths(estimate: Estimate, scene: int, capture: CaptureModel) -> NDArray[np.uint8]:
+    from simulator.preview.colours import depth_colours
+
+    depth_m = estimate.depth_m(capture)[scene, 0].float().cpu().numpy()
+    return depth_colours(depth_m, np.ones(depth_m.shape, bool), capture.near_m, capture.far_m)
+
+
+def _joined(tiles: list[NDArray[Any]], axis: int) -> NDArray[np.uint8]:
+    shape = list(tiles[0].shape)
+    shape[axis] = _GAP
+    gap = np.full(shape, 255, np.uint8)
+    parts = [part for tile in tiles for part in (tile, gap)]
+    return np.concatenate(parts[:-1], axis=axis)
