@@ -103,7 +103,7 @@ class ExampleSet(TorchDataset[Example]):
 
     def _read(self, position: int) -> Arrays:
         stored = self.dataset.stored(position)
-        if stored.frames != 1:
+        if stored.frame_edges_s is not None:
             msg = f"{stored.folder} is a clip of {stored.frames} frames; this reconstruction is of stills: use a set of those"
             raise InputError(msg)
         measurement, noiseless = stored.measurement()

@@ -63,14 +63,12 @@ class SampleCache:
             StorageError: the cache cannot be written.
         """
         own = folder / _key(dataset, kind)
-        first = read(0)
-        shapes = {name: (len(dataset), *values.shape) for name, values in first._asdict().items()}
-        cache = cls(own, shapes)
+        cache = cls(own, _shapes(dataset))
         with storage_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
         with _locked(own.with_name(f"{own.name}.lock")):
             if not cache._is_whole():
-                _write(own, first, shapes, read)
+                cache._write(read)
         return cache
 
     def read(self, position: int) -> Arrays:
@@ -86,6 +84,21 @@ class SampleCache:
     def _open(self, name: str) -> NDArray[np.generic]:
         return np.load(self._folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
 
+    def _write(self, read: Callable[[int], Arrays]) -> None:
+        """Write one sample after another to plain files: a full disk is an error there, to a memory map it is the end."""
+        with committed_folder(self._folder) as temporary, ExitStack() as stack:
+            files = {name: stack.enter_context(open(temporary / f"{name}.npy", "wb")) for name in self._shapes}
+            for name, shape in self._shapes.items():
+                kind = np.dtype(bool if name == "valid" else np.float32)
+                header = {"descr": np.lib.format.dtype_to_descr(kind), "fortran_order": False, "shape": shape}
+                np.lib.format.write_array_header_1_0(files[name], header)
+            for position in range(self._shapes["measurement"][0]):
+                for name, values in read(position)._asdict().items():
+                    files[name].write(values.tobytes())
+            for file in files.values():
+                file.flush()
+                os.fsync(file.fileno())
+
     def _is_whole(self) -> bool:
         try:
             return all(self._open(name).shape == shape for name, shape in self._shapes.items())
@@ -100,20 +113,14 @@ def _key(dataset: Dataset, kind: str) -> str:
     return hashlib.sha256(identity.encode()).hexdigest()[:32]
 
 
-def _write(own: Path, first: Arrays, shapes: dict[str, tuple[int, ...]], read: Callable[[int], Arrays]) -> None:
-    """Write sample after sample to plain files: a full disk is then an error, where a memory map would kill the process."""
-    with committed_folder(own) as temporary, ExitStack() as files:
-        opened = {name: files.enter_context(open(temporary / f"{name}.npy", "wb")) for name in shapes}
-        for name, shape in shapes.items():
-            descr = np.lib.format.dtype_to_descr(getattr(first, name).dtype)
-            header = {"descr": descr, "fortran_order": False, "shape": shape}
-            np.lib.format.write_array_header_1_0(opened[name], header)
-        for position in range(shapes["measurement"][0]):
-            for name, values in (read(position) if position else first)._asdict().items():
-                opened[name].write(values.tobytes())
-        for file in opened.values():
-            file.flush()
-            os.fsync(file.fileno())
+def _shapes(dataset: Dataset) -> dict[str, tuple[int, ...]]:
+    samples, info = len(dataset), dataset.info
+    return {
+        "measurement": (samples, len(info.channels), *info.sensor_shape),
+        "radiance": (samples, 3, *info.scene_shape),
+        "depth_m": (samples, 1, *info.scene_shape),
+        "valid": (samples, 1, *info.scene_shape),
+    }
 
 
 @contextmanager

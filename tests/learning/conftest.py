@@ -20,6 +20,7 @@ class Patches:
     view: object
     flat: bool = False
     black: bool = False
+    frames: int = 1
     inputs: tuple[Path, ...] = ()
 
     def clip(self, index, rng):
@@ -41,14 +42,14 @@ class Patches:
         valid = np.ones(shape, bool)
         valid[0, 0] = False
         depth_m = (1 / disparity).clip(near, far)
-        return Clip(
-            rgb[None].astype(np.float32), depth_m[None].astype(np.float32), valid[None], np.array([0.0, 1.0]), source={}
-        )
+        alike = [np.stack([values] * self.frames) for values in (rgb, depth_m, valid)]
+        frames = alike[0].astype(np.float32), alike[1].astype(np.float32), alike[2]
+        return Clip(*frames, np.arange(self.frames + 1) * 2e-3, source={})
 
 
-def patches(view, *, flat: bool = False, black: bool = False):
+def patches(view, *, flat: bool = False, black: bool = False, frames: int = 1):
     """Textured rectangles, each at a random depth, before a textured wall at a random depth."""
-    return Patches(view, flat, black)
+    return Patches(view, flat, black, frames)
 '''
 
 # A camera of its own light and colours: the named ones come through colour-science, whose import takes seconds.

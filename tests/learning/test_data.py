@@ -1,0 +1,214 @@
+"""The examples of a data set: what was stored, or the same with other noise, in every process alike."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+from torch.utils.data import DataLoader, default_collate
+
+from learning.data import Batches, Draw, Example, ExampleSet, check_dataset
+from simulator.dataset.reader import Dataset, open_dataset
+from simulator.errors import InputError
+from simulator.exr import read_exr, write_exr
+
+
+@pytest.fixture(scope="module")
+def train(tiny_dataset: Path) -> Dataset:
+    return open_dataset(tiny_dataset, "train")
+
+
+def with_noise(dataset: Dataset, **noise: Any) -> Dataset:
+    """Return the data set as if its configuration had said another noise."""
+    camera = dataset.config["camera"] | {"noise": noise}
+    info = replace(dataset.info, config=dataset.config | {"camera": camera})
+    return Dataset(dataset.root, dataset.split, dataset.ids, info)
+
+
+def same(one: Example, other: Example) -> bool:
+    return all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def test_an_example_is_the_stored_sample(train: Dataset) -> None:
+    examples, sample = ExampleSet(train), train[5]
+    example = examples[5]
+    assert len(examples) == len(train) == 32
+    assert (example.measurement.numpy() == sample.measurement).all()
+    assert (example.radiance.permute(1, 2, 0).numpy() == sample.rgb[0]).all()
+    assert (example.depth_m[0].numpy() == sample.depth_m[0]).all()
+    assert example.valid[0].logical_not().nonzero().tolist() == [[0, 0]]
+    assert [values.dtype for values in example] == [torch.float32] * 3 + [torch.bool]
+    batch = default_collate([examples[Draw(0, 0)], example])
+    assert isinstance(batch, Example)
+    assert [tuple(values.shape) for values in batch] == [(2, 3, 48, 48), (2, 3, 16, 16), (2, 1, 16, 16), (2, 1, 16, 16)]
+
+
+@pytest.mark.parametrize("asked_db", [20.0, 50.0])
+def test_redrawn_noise_has_mean_zero_and_the_asked_psnr(train: Dataset, asked_db: float) -> None:
+    dataset = with_noise(train, type="gaussian", psnr_db=40)  # neither clipped nor quantised, which would bias both
+    examples = ExampleSet(dataset, noise_db=(asked_db, asked_db))
+    errors = []
+    for position in range(32):
+        noiseless = dataset[position].noiseless.astype(np.float64)
+        draws = [examples[Draw(position, number)].measurement.numpy() for number in range(5)]
+        errors += [(draw - noiseless) / noiseless.max() for draw in draws]
+    error = np.stack(errors)
+    assert error.size > 1e6
+    deviation = 10 ** (-asked_db / 20)
+    # Of N values, the mean is off by 1 / sqrt(N) of a deviation and the PSNR by 20 lg(1 + 1 / sqrt(2 N)) = 0.006 dB.
+    assert abs(error.mean()) < 5 * deviation / np.sqrt(error.size)
+    assert -10 * np.log10(np.mean(error**2)) == pytest.approx(asked_db, abs=0.03)
+    # White and Gaussian: neighbours, channels and draws know nothing of each other.
+    scaled = error / deviation
+    assert stats.kstest(scaled[::16].ravel(), "norm").pvalue > 1e-3
+    for shifted in (np.roll(scaled, 1, -1), np.roll(scaled, 1, 1), np.roll(scaled, 1, 0)):
+        assert abs(np.mean(scaled * shifted)) < 5 / np.sqrt(error.size)
+
+
+def test_levels_are_uniform_in_decibels(train: Dataset) -> None:
+    dataset = with_noise(train[:4], type="gaussian", psnr_db=40)
+    examples = ExampleSet(dataset, noise_db=(20, 50))
+    levels_db = []
+    for position in range(4):
+        noiseless = dataset[position].noiseless
+        for number in range(60):
+            error = examples[Draw(position, number)].measurement.numpy() - noiseless
+            levels_db.append(20 * np.log10(noiseless.max() / error.std()))
+    # Measured on 6912 values, a level is off by 0.08 dB at most times.
+    assert 19.7 < min(levels_db) < 21.5
+    assert 48.5 < max(levels_db) < 50.3
+    assert stats.kstest(levels_db, "uniform", args=(20, 30)).pvalue > 1e-3
+
+
+def test_redrawn_measurements_are_clipped_and_quantised_as_the_data_sets_are(train: Dataset) -> None:
+    plain = ExampleSet(with_noise(train, type="gaussian", psnr_db=40), noise_db=(20, 20))
+    levels = 2.0**12
+    for stored in (
+        ExampleSet(train, noise_db=(20, 20)),
+        ExampleSet(with_noise(train, type="physical"), noise_db=(20, 20)),
+    ):
+        clipped = 0
+        for position in range(4):
+            noisy = plain[position].measurement.double().numpy()
+            expected = np.clip(noisy, 0, 1 - 1 / levels)
+            got = stored[position].measurement.double().numpy()
+            clipped += np.count_nonzero(expected != noisy)
+            assert (got * levels == np.round(got * levels)).all()
+            # Half a step, and float32 on top.
+            assert np.abs(got - expected).max() <= 0.5 / levels + 1e-7
+        assert clipped > 0
+    none = ExampleSet(with_noise(train, type="none"), noise_db=(20, 20))
+    assert same(none[3], plain[3])
+
+
+def test_noise_depends_on_seed_split_sample_and_draw_alone(tiny_dataset: Path, train: Dataset) -> None:
+    def drawn(dataset: Dataset, position: int, number: int, seed: int = 3) -> torch.Tensor:
+        examples = ExampleSet(with_noise(dataset, type="none"), noise_db=(30, 30), seed=seed)
+        noiseless = torch.from_numpy(dataset[position].noiseless)
+        return (examples[Draw(position, number)].measurement - noiseless) / noiseless.max()
+
+    first = drawn(train, 4, 7)
+    assert torch.equal(first, drawn(train, 4, 7))
+    assert torch.equal(first, drawn(train[4:5], 0, 7))  # the sample counts, not its place
+    validation = open_dataset(tiny_dataset, "validation")
+    for other in (drawn(train, 4, 8), drawn(train, 5, 7), drawn(train, 4, 7, seed=4), drawn(validation, 4, 7)):
+        assert torch.corrcoef(torch.stack([first.ravel(), other.ravel()]))[0, 1].abs() < 0.07  # 5 / sqrt(6912)
+
+
+@pytest.mark.parametrize("method", ["fork", pytest.param("spawn", marks=pytest.mark.slow)])
+def test_workers_change_nothing(train: Dataset, tmp_path: Path, method: str) -> None:
+    def batches(examples: ExampleSet, workers: int) -> list[Example]:
+        sampler = Batches(len(examples), 5, seed=1)
+        context = method if workers else None
+        loader = DataLoader(examples, batch_sampler=sampler, num_workers=workers, multiprocessing_context=context)
+        return [batch for batch, _ in zip(loader, range(7), strict=False)]
+
+    alone = batches(ExampleSet(train, noise_db=(20, 50), seed=2), 0)
+    assert len(alone) == 7
+    for cache in (None, tmp_path):
+        shared = batches(ExampleSet(train, noise_db=(20, 50), seed=2, cache=cache), 2)
+        assert all(same(one, other) for one, other in zip(alone, shared, strict=True))
+
+
+def test_a_pickled_set_is_small_and_the_same(train: Dataset, tmp_path: Path) -> None:
+    examples = ExampleSet(train, noise_db=(20, 50), cache=tmp_path)
+    expected = examples[Draw(3, 1)]
+    pickled = pickle.dumps(examples)
+    assert len(pickled) < 30_000  # the samples are 2 MB
+    assert same(pickle.loads(pickled)[Draw(3, 1)], expected)
+
+
+@pytest.mark.parametrize("noise_db", [(0, 20), (50, 20), (20, 121), (float("nan"), 30)])
+def test_levels_that_make_no_sense_are_refused(train: Dataset, noise_db: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match="noise_db: got"):
+        ExampleSet(train, noise_db=noise_db)
+
+
+def test_a_good_data_set_passes(tiny_dataset: Path) -> None:
+    for split in ("train", "validation", "test"):
+        check_dataset(open_dataset(tiny_dataset, split))
+
+
+def test_an_empty_split_is_refused(train: Dataset) -> None:
+    for look in (check_dataset, ExampleSet):
+        with pytest.raises(InputError, match=r"split 'train' is empty; set dataset\.train"):
+            look(train[:0])
+
+
+def test_clips_are_refused(learning_trial: Any) -> None:
+    counts = {"train": 1, "validation": 0, "test": 0}
+    folder = learning_trial.generate(
+        "camera.shutter={exposure_ms: 5}", "scene.frames=3", dataset=counts, psf={"as_captured": None}
+    )
+    for look in (check_dataset, lambda dataset: ExampleSet(dataset)[0]):
+        with pytest.raises(InputError, match=r"train.* is a clip of 3 frames"):
+            look(open_dataset(folder))
+
+
+def test_mosaics_are_refused(learning_trial: Any) -> None:
+    counts = {"train": 1, "validation": 0, "test": 0}
+    folder = learning_trial.generate("camera.sensor.readout=bayer", dataset=counts, psf={"as_captured": None})
+    with pytest.raises(InputError, match=r"readout is bayer; .*\(binned_rgb\)"):
+        check_dataset(open_dataset(folder))
+
+
+def test_scenes_without_depth_are_refused(learning_trial: Any) -> None:
+    counts = {"train": 2, "validation": 0, "test": 0}
+    folder = learning_trial.generate("scene.flat=true", dataset=counts, psf={"as_captured": None})
+    with pytest.raises(InputError, match=r"says nothing about depth: all scenes are at 0\.2 m"):
+        check_dataset(open_dataset(folder))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize(("file", "channel"), [("measurement.exr", "G"), ("ground_truth.exr", "Z")])
+def test_values_that_are_no_numbers_are_refused_and_the_sample_named(
+    learning_trial: Any, bad: float, file: str, channel: str
+) -> None:
+    counts = {"train": 2, "validation": 0, "test": 0}
+    dataset = open_dataset(learning_trial.generate(dataset=counts, psf={"as_captured": None}))
+    path = dataset.folder(1) / file
+    planes, metadata = read_exr(path)
+    planes[channel] = planes[channel].copy()
+    planes[channel][3, 4] = bad
+    with pytest.MonkeyPatch.context() as patch:  # our writer refuses it: another program would have written this
+        patch.setattr(np, "isfinite", lambda values: np.ones(np.shape(values), bool))
+        write_exr(path, planes, metadata)
+    for look in (check_dataset, lambda dataset: ExampleSet(dataset)[1]):
+        with pytest.raises(InputError, match=rf"{path.parent.name}/{file}: channel '{channel}' holds NaN or inf"):
+            look(dataset)
+
+
+def test_depths_behind_the_mask_are_refused(learning_trial: Any) -> None:
+    counts = {"train": 1, "validation": 0, "test": 0}
+    dataset = open_dataset(learning_trial.generate(dataset=counts, psf={"as_captured": None}))
+    path = dataset.folder(0) / "ground_truth.exr"
+    planes, metadata = read_exr(path)
+    write_exr(path, planes | {"Z": -planes["Z"]}, metadata)
+    with pytest.raises(InputError, match=rf"{path.parent.name}: a depth of -0\.\d+ m; expected z .* above 0"):
+        ExampleSet(dataset)[0]
