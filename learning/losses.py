@@ -1,0 +1,114 @@
+"""What networks for still scenes are trained to minimise: picture, features of the picture, disparity."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import torch
+from torch import Tensor, nn
+
+from learning.estimate import Estimate
+from learning.perceptual.features import PerceptualLoss
+from simulator.errors import InputError
+
+
+class ReconstructionLoss(nn.Module):
+    """Weighted sum of three terms; the thesis's is VGG-19 features plus ``alpha`` times the L1 norm of disparity.
+
+    - ``intensity``: mean squared or mean absolute difference of sRGB codes;
+    - ``perceptual``: see `learning.perceptual.PerceptualLoss`; absent with ``none``;
+    - ``depth``: mean absolute difference of disparity on the scale 0 (far) to 1 (near).
+
+    Each is the mean over scenes of the scene's mean, so that processes with equal parts of a batch average to the whole. What
+    a weight means depends on the term's unit and scale (so it is with the thesis's alpha of 0.001 to 0.002): log both.
+    """
+
+    def __init__(
+        self,
+        intensity: Literal["mse", "l1"] = "mse",
+        perceptual: Literal["none", "vgg", "random_vgg"] = "none",
+        *,
+        intensity_weight: float = 1.0,
+        perceptual_weight: float = 0.1,
+        depth_weight: float = 0.1,
+        invalid_depth: bool = False,
+        seed: int = 0,
+    ) -> None:
+        """Build the loss.
+
+        Args:
+            intensity: ``mse`` or ``l1``.
+            perceptual: ``none``, ``vgg`` (needs a weight file) or ``random_vgg``; nothing takes another's place.
+            intensity_weight: of ``intensity``.
+            perceptual_weight: of ``perceptual``; without meaning when that is ``none``.
+            depth_weight: of ``depth``.
+            invalid_depth: whether pixels without depth count too, as far.
+            seed: of ``random_vgg``.
+
+        Raises:
+            InputError: an unknown name, weights that are negative or all zero, or no weight file.
+        """
+        super().__init__()
+        for name, value, known in (
+            ("intensity", intensity, ("mse", "l1")),
+            ("perceptual", perceptual, ("none", "vgg", "random_vgg")),
+        ):
+            if value not in known:
+                msg = f"{name}: got {value!r}, expected one of {', '.join(known)}"
+                raise InputError(msg)
+        self.weights = {"intensity": intensity_weight, "depth": depth_weight}
+        if perceptual != "none":
+            self.weights["perceptual"] = perceptual_weight
+        for name, weight in self.weights.items():
+            if not (math.isfinite(weight) and weight >= 0):
+                msg = f"{name}_weight: got {weight!r}, expected a number of at least 0"
+                raise InputError(msg)
+        if not any(self.weights.values()):
+            msg = f"{', '.join(f'{name}_weight' for name in self.weights)}: all are 0, so there is nothing to learn"
+            raise InputError(msg)
+        self.intensity, self.invalid_depth = intensity, invalid_depth
+        self.perceptual = None if perceptual == "none" else PerceptualLoss(perceptual, "vgg19", seed=seed)
+
+    def forward(self, estimate: Estimate, picture: Tensor, disparity: Tensor, valid: Tensor) -> dict[str, Tensor]:
+        """Return scalars: ``total``, each term under its name, and each weighted as ``intensity_weighted`` and so on.
+
+        Args:
+            estimate: of B scenes, as the network gave it, not clamped.
+            picture: ``(B, 3, h, w)`` true sRGB codes; see `learning.display.encode`.
+            disparity: ``(B, 1, h, w)`` true disparity 0..1; see `CaptureModel.disparity`.
+            valid: ``(B, 1, h, w)`` bool, where there is a depth.
+
+        Raises:
+            InputError: shapes that differ.
+        """
+        for name, found, wanted in (
+            ("picture", estimate.picture, picture),
+            ("disparity", estimate.disparity, disparity),
+            ("valid", disparity, valid),
+        ):
+            if found.shape != wanted.shape:
+                msg = f"{name}: got shape {tuple(wanted.shape)}, expected {tuple(found.shape)} as estimated"
+                raise InputError(msg)
+        difference = estimate.picture - picture
+        terms = {"intensity": (difference.square() if self.intensity == "mse" else difference.abs()).mean()}
+        if self.perceptual is not None:
+            terms["perceptual"] = self.perceptual(estimate.picture, picture)
+        counted = torch.ones_like(valid) if self.invalid_depth else valid
+        terms["depth"] = _mean_over((estimate.disparity - disparity).abs(), counted)
+        weighted = {f"{name}_weighted": self.weights[name] * value for name, value in terms.items()}
+        return {"total": torch.stack(list(weighted.values())).sum(), **terms, **weighted}
+
+    def record(self) -> dict[str, Any]:
+        """Return what a checkpoint and a table of results must say of this loss."""
+        perceptual = {"perceptual": "none"} if self.perceptual is None else self.perceptual.record()
+        depth = "all pixels" if self.invalid_depth else "valid pixels"
+        return {"intensity": self.intensity, "depth": f"l1 of disparity 0..1, {depth}", **perceptual} | {
+            f"{name}_weight": weight for name, weight in self.weights.items()
+        }
+
+
+def _mean_over(values: Tensor, counted: Tensor) -> Tensor:
+    """Return the mean over scenes of each one's mean over the pixels that count; 0 of a scene where none does."""
+    count = counted.sum(dim=(1, 2, 3))
+    return (torch.where(counted, values, 0).sum(dim=(1, 2, 3)) / count.clamp_min(1)).mean()
