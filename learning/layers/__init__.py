@@ -3,5 +3,6 @@
 from learning.layers.attention import GridAttention
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.unet import UNet
+from learning.layers.wiener import WienerInversion
 
-__all__ = ["GridAttention", "RegularisedInversion", "UNet"]
+__all__ = ["GridAttention", "RegularisedInversion", "UNet", "WienerInversion"]

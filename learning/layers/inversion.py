@@ -8,14 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from learning.capture import CaptureModel
-from learning.layers.padding import AxisPlan, pad_measurement
+from learning.layers.padding import axis_plans, check_measurement, pad_measurement, scene_of, spectrum_of
+from simulator.arrays import to_numpy
 from simulator.errors import InputError
+
+_LEAST = 1e-8
+"""Least denominator as a share of the PSF's mean spectral power: far below any noise, above float32's rounding of sums."""
 
 LAPLACIAN = ((0.0, -1.0, 0.0), (-1.0, 4.0, -1.0), (0.0, -1.0, 0.0))
 
@@ -25,10 +30,11 @@ class RegularisedInversion(nn.Module):
 
     Learned are P, a 3 x 3 filter per plane that the channels share, and lambda per plane and channel,
     ``lambda = exp(log_lambda) mean |FH|^2``, so that the same number means the same strength for every mask and scale.
+    The arithmetic is float32 under autocast too, and torch's default precision at construction otherwise.
     """
 
-    spectrum: Tensor
     power: Tensor
+    numerator: Tensor
     scale: Tensor
     offset: Tensor
 
@@ -39,6 +45,7 @@ class RegularisedInversion(nn.Module):
         *,
         strength: float = 1e-2,
         learned: bool = True,
+        boundary: Literal["linear", "circular"] = "linear",
     ) -> None:
         """Prepare the spectra of the PSFs.
 
@@ -47,34 +54,35 @@ class RegularisedInversion(nn.Module):
             planes: indices of the planes to invert at; None takes all.
             strength: initial lambda as a multiple of the PSF's mean spectral power.
             learned: whether P and lambda are parameters or stay as they are.
+            boundary: ``circular`` takes light that misses the sensor to come back on its other side, as the thesis does:
+                nothing is padded, and the inverse is exact for such a camera.
 
         Raises:
-            InputError: a strength that is not positive.
+            InputError: a strength that is not positive, or another boundary.
         """
         super().__init__()
-        if not strength > 0:
+        if not (math.isfinite(strength) and strength > 0):
             msg = f"strength: got {strength!r}, expected a positive multiple of the PSF's mean spectral power"
             raise InputError(msg)
         self.planes = tuple(range(len(capture.stack.depths_m))) if planes is None else tuple(planes)
-        values = np.asarray(capture.stack.values)[list(self.planes)]
-        self.rows, self.columns = (
-            AxisPlan.fit(sensor, scene, size)
-            for sensor, scene, size in zip(capture.sensor_shape, capture.scene_shape, values.shape[-2:], strict=True)
-        )
-        kernel = torch.from_numpy(self.columns.place(self.rows.place(values, -2), -1)).to(torch.float32)
-        self.register_buffer("spectrum", torch.fft.rfft2(kernel), persistent=False)
-        # Parseval: the mean over all frequencies, without transforming.
-        power = (kernel.double() ** 2).sum(dim=(-2, -1), keepdim=True).float()
-        self.register_buffer("power", power, persistent=False)
-        scale = 1 / (capture.gain * capture.white * capture.irradiance)
-        self.register_buffer("scale", torch.from_numpy(np.asarray(scale, np.float32)), persistent=False)
-        offset = torch.from_numpy(capture.offset.astype(np.float32))[:, None, None]
-        self.register_buffer("offset", offset, persistent=False)
+        values = to_numpy(capture.stack.values)[list(self.planes)].astype(np.float64)
+        self.rows, self.columns = axis_plans(capture, boundary)
+        kernel = torch.from_numpy(self.columns.place(self.rows.place(values, -2), -1))
+        # Parseval: the mean over all frequencies. PSFs of power 1 keep float32 far from its limits.
+        root = kernel.square().sum(dim=(-2, -1), keepdim=True).sqrt()
+        spectrum = spectrum_of(kernel / root)
+        dtype = torch.get_default_dtype()
+        self.register_buffer("power", spectrum.abs().square().to(dtype), persistent=False)
+        # Complex numbers as pairs of real ones, which follow the module to other precisions.
+        numerator = torch.view_as_real(spectrum.conj().resolve_conj() / root)
+        self.register_buffer("numerator", numerator.to(dtype), persistent=False)
+        scale = 1 / (capture.gain * capture.white * capture.irradiance.astype(np.float64))
+        self.register_buffer("scale", torch.from_numpy(scale).to(dtype), persistent=False)
+        offset = torch.from_numpy(capture.offset)[:, None, None]
+        self.register_buffer("offset", offset.to(dtype), persistent=False)
         kernels, channels = values.shape[:2]
-        filters = torch.tensor(LAPLACIAN).repeat(kernels, 1, 1)
-        log_lambda = torch.full((kernels, channels), math.log(strength))
-        self.filters = nn.Parameter(filters, requires_grad=learned)
-        self.log_lambda = nn.Parameter(log_lambda, requires_grad=learned)
+        self.filters = nn.Parameter(torch.tensor(LAPLACIAN).repeat(kernels, 1, 1), requires_grad=learned)
+        self.log_lambda = nn.Parameter(torch.full((kernels, channels), math.log(strength)), requires_grad=learned)
 
     def forward(self, measurement: Tensor) -> Tensor:
         """Invert measurements.
@@ -84,28 +92,33 @@ class RegularisedInversion(nn.Module):
 
         Returns:
             ``(B, K, C, h, w)``, irradiance-corrected radiance in the camera's channels, 1 for white.
+
+        Raises:
+            InputError: a measurement of another shape than the camera's.
         """
-        padded = pad_measurement(measurement - self.offset, self.rows, self.columns)
-        spectrum = torch.fft.fft(torch.fft.rfft(padded, dim=-1), dim=-2)[:, None] * self.inverse()
-        rows = torch.fft.ifft(spectrum, dim=-2)[..., self.rows.scene, :]
-        scene = torch.fft.irfft(rows, self.columns.length, dim=-1)[..., self.columns.scene]
-        return scene * self.scale
+        check_measurement(measurement, self.offset, self.rows, self.columns)
+        with torch.autocast(measurement.device.type, enabled=False):
+            light = measurement.to(self.offset.dtype) - self.offset
+            spectrum = spectrum_of(pad_measurement(light, self.rows, self.columns))
+            # One plane at a time: what lies between stays in the processor's cache, three times faster than all at once.
+            planes = [scene_of(spectrum * inverse, self.rows, self.columns) for inverse in self.inverse()]
+            return torch.stack(planes, dim=1) * self.scale
 
     def inverse(self) -> Tensor:
-        """Return W(z), ``(K, C, L, M // 2 + 1)`` complex, of equation 4.11."""
-        strength = self.log_lambda.exp()[..., None, None] * self.power
-        penalty = self._filter_power()[:, None]
+        """Return W(z), ``(K, C, L // 2 + 1, M)`` complex, of equation 4.11."""
+        penalty = self.log_lambda.exp()[..., None, None] * self._filter_power()[:, None]
         # Of a P without response at a frequency where the PSF has none either, nothing is left to divide by.
-        denominator = self.spectrum.abs().square() + strength * penalty + 1e-8 * self.power
-        return self.spectrum.conj() / denominator
+        denominator = self.power + penalty + _LEAST
+        return torch.view_as_complex(self.numerator / denominator[..., None])
 
     def _filter_power(self) -> Tensor:
-        """Return |FP|^2, ``(K, L, M // 2 + 1)``: nine terms, by the definition of the transform."""
-        tall, wide = self._phases(self.rows.length), self._phases(self.columns.length)
-        wide = wide[: self.columns.length // 2 + 1]
-        return torch.einsum("ya,kab,xb->kyx", tall, self.filters.to(tall.dtype), wide).abs().square()
+        """Return |FP|^2, ``(K, L // 2 + 1, M)``: nine terms, by the definition of the transform."""
+        tall = self._phases(self.rows.length)[: self.rows.length // 2 + 1]
+        response = torch.einsum("ya,kab,xb->kyx", tall, self.filters.to(tall.dtype), self._phases(self.columns.length))
+        return response.real.square() + response.imag.square()
 
     def _phases(self, length: int) -> Tensor:
         taps = torch.arange(-1, 2, device=self.filters.device, dtype=self.filters.dtype)
         turns = torch.arange(length, device=self.filters.device, dtype=self.filters.dtype) / length
-        return torch.polar(torch.ones_like(turns)[:, None].expand(-1, 3), -2 * math.pi * turns[:, None] * taps)
+        angles = -2 * math.pi * turns[:, None] * taps
+        return torch.complex(angles.cos(), angles.sin())

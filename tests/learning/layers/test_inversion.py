@@ -1,0 +1,209 @@
+"""The inversion at every depth against its equation, written independently, and against the simulator's forward model."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from learning.layers.inversion import RegularisedInversion
+from simulator.arrays import next_fast_len
+from simulator.camera.forward import ForwardModel
+from simulator.errors import InputError
+
+# Sensor, scene, PSF: even and odd, tall and wide, a PSF that is larger than the sensor, a sensor that holds all light.
+SIZES = [
+    ((24, 24), (8, 8), (9, 9)),
+    ((21, 30), (9, 6), (14, 25)),
+    ((20, 15), (20, 15), (31, 18)),
+    ((48, 60), (16, 20), (15, 16)),
+]
+
+
+def randomised(layer: RegularisedInversion, seed: int = 1) -> RegularisedInversion:
+    """Give the layer filters and lambdas that differ everywhere."""
+    generator = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        layer.filters += 0.3 * torch.randn(layer.filters.shape, generator=generator, dtype=layer.filters.dtype)
+        layer.log_lambda += torch.randn(layer.log_lambda.shape, generator=generator, dtype=layer.filters.dtype)
+    return layer
+
+
+def equation_4_11(capture, layer, measurement):
+    """Invert in NumPy with full complex transforms, one plane and channel after the other; padding by its definition."""
+    (H, W), (h, w) = capture.sensor_shape, capture.scene_shape
+    values = np.asarray(capture.stack.values, np.float64)
+    K, C, P, Q = values.shape
+    L, M = next_fast_len(max(H, h + P - 1)), next_fast_len(max(W, w + Q - 1))
+    result = np.zeros((len(measurement), K, C, h, w))
+    for b, k, c in np.ndindex(len(measurement), K, C):
+        light = measurement[b, c].astype(np.float64) - capture.offset[c]
+        padded = np.empty((L, M))
+        for i, j in np.ndindex(L, M):
+            value = 0.0
+            for row, a in taper(i, H, L):
+                value += sum(a * e * light[row, column] for column, e in taper(j, W, M))
+            padded[i, j] = value
+        psf, filt = np.zeros((L, M)), np.zeros((L, M))
+        for i, j in np.ndindex(P, Q):
+            psf[(i - P // 2) % L, (j - Q // 2) % M] += values[k, c, i, j]
+        for i, j in np.ndindex(3, 3):
+            filt[(i - 1) % L, (j - 1) % M] += layer.filters[k, i, j].item()
+        transfer, penalty = np.fft.fft2(psf), np.abs(np.fft.fft2(filt)) ** 2
+        weight = np.exp(layer.log_lambda[k, c].item()) * np.mean(np.abs(transfer) ** 2)
+        scene = np.fft.ifft2(np.fft.fft2(padded) * np.conj(transfer) / (np.abs(transfer) ** 2 + weight * penalty)).real[
+            (H - h) // 2 : (H + h) // 2, (W - w) // 2 : (W + w) // 2
+        ]
+        result[b, k, c] = scene / (capture.gain * capture.white * capture.irradiance)
+    return result
+
+
+def taper(index, sensor, length):
+    """Return which samples of the sensor stand at an index of the period, and how strongly."""
+    if index < sensor:
+        return [(index, 1.0)]
+    gap = length - sensor + 1
+    weights = [(sensor - 1, (index - sensor + 1) / gap), (0, (length - index) / gap)]
+    return [(sample, 0.5 + 0.5 * np.cos(2 * np.pi * step)) for sample, step in weights if step < 0.5]
+
+
+@pytest.mark.usefixtures("double")
+@pytest.mark.parametrize(("sensor", "scene", "psf"), SIZES)
+def test_equals_equation_4_11_computed_directly(camera, sensor, scene, psf):
+    capture = camera(sensor, scene, psf, depths_m=(0.02, 0.05), channels=("R", "G"))
+    layer = randomised(RegularisedInversion(capture))
+    measurement = np.random.default_rng(2).random((2, 2, *sensor))
+    with torch.no_grad():
+        got = layer(torch.from_numpy(measurement)).numpy()
+    wanted = equation_4_11(capture, layer, measurement)
+    # The least denominator is 1e-8 of the mean power, lambda |FP|^2 about 1e-2 of it: 1e-6 of the largest value.
+    np.testing.assert_allclose(got, wanted, rtol=0, atol=2e-6 * np.abs(wanted).max())
+
+
+def test_float32_is_as_exact_as_its_rounding(camera, double):
+    capture = camera(*SIZES[1])
+    measurement = torch.rand(1, 3, *SIZES[1][0])
+    wanted = randomised(RegularisedInversion(capture))(measurement).detach()
+    torch.set_default_dtype(torch.float32)
+    single = randomised(RegularisedInversion(capture).double()).float()
+    got = single(measurement.float()).detach()
+    assert got.dtype == torch.float32
+    # 1e-7 of rounding, amplified by the inverse: at lambda 1e-2 at most tenfold per operation
+    assert float((got - wanted).abs().max() / wanted.abs().max()) < 1e-5
+
+
+@pytest.mark.usefixtures("double")
+def test_gradients_by_finite_differences(camera):
+    capture = camera((6, 5), (2, 3), (3, 4), depths_m=(0.02, 0.05), channels=("R", "G"))
+    layer = randomised(RegularisedInversion(capture))
+    measurement = torch.rand(1, 2, 6, 5, requires_grad=True)
+
+    def inverted(filters, log_lambda, measurement):
+        changed = {"filters": filters, "log_lambda": log_lambda}
+        return torch.func.functional_call(layer, changed, (measurement,))
+
+    assert torch.autograd.gradcheck(inverted, (layer.filters, layer.log_lambda, measurement), eps=1e-6, atol=1e-6)
+
+
+@pytest.mark.usefixtures("double")
+@pytest.mark.parametrize("shape", [(15, 20), (16, 12)])
+def test_constrained_least_squares_of_a_circular_camera(camera, shape):
+    """With a period of exactly the sensor: argmin |y - H x|^2 + lambda |laplacian x|^2, solved as a dense system."""
+    capture = camera(shape, shape, shape, depths_m=(0.05,), channels=("Y",), plain=True)
+    layer = RegularisedInversion(capture, strength=0.02, learned=False, boundary="circular")
+    assert not any(parameter.requires_grad for parameter in layer.parameters())
+    forward = ForwardModel(capture.stack, shape, shape, boundary="circular")
+    eye = np.eye(np.prod(shape)).reshape(-1, 1, 1, 1, *shape)
+    matrix = np.stack([forward.forward(one).ravel() for one in eye], 1)
+    laplacian = [4 * one - sum(np.roll(one, s, a) for s in (-1, 1) for a in (0, 1)) for one in eye[:, 0, 0, 0]]
+    laplacian = np.stack(laplacian).reshape(len(eye), -1)
+    measurement = forward.forward(np.random.default_rng(2).random((1, 1, 1, *shape)))
+    weight = 0.02 * np.sum(np.asarray(capture.stack.values) ** 2)
+    normal = matrix.T @ matrix + weight * laplacian.T @ laplacian
+    wanted = np.linalg.solve(normal, matrix.T @ measurement.ravel()).reshape(shape)
+    got = layer(torch.from_numpy(measurement)[None])[0, 0, 0]
+    # The least denominator, 1e-8 of the mean power against at least 1e-3 of it here
+    np.testing.assert_allclose(got.numpy(), wanted, atol=2e-5)
+
+
+@pytest.mark.usefixtures("double")
+@pytest.mark.parametrize("psf", [(19, 22), (12, 31)])
+def test_points_come_out_at_their_pixels_and_planes(camera, psf):
+    capture = camera((40, 47), (16, 15), psf, depths_m=(0.02, 0.03, 0.06), plain=True)
+    capture = replace(capture, gain=3.0, offset=np.array([0.1, 0.2, 0.3]), white=0.25)
+    layer = RegularisedInversion(capture, strength=1e-5)
+    forward = ForwardModel(capture.stack, capture.sensor_shape, capture.scene_shape)
+    for plane, row, column in [(0, 3, 11), (1, 15, 0), (2, 8, 7)]:
+        volume = np.zeros((1, 3, 3, 16, 15))
+        volume[0, plane, :, row, column] = 0.25
+        stored = capture.offset[:, None, None] + capture.gain * forward.forward(volume)
+        estimate = layer(torch.from_numpy(stored)[None])[0].detach().numpy()
+        for channel in range(3):
+            peak = np.unravel_index(np.argmax(estimate[:, channel]), (3, 16, 15))
+            assert peak == (plane, row, column)
+            # Of white; what the sensor cuts off is missing, what stays is sharp.
+            assert estimate[plane, channel, row, column] == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.usefixtures("double")
+def test_a_scene_whose_light_all_arrives_is_recovered(camera):
+    """The exact inverse of the simulator's own forward model, when nothing is regularised: radiance over white."""
+    capture = camera((40, 44), (14, 18), (15, 13), depths_m=(0.05,))
+    light = np.random.default_rng(0).random((3, 14, 18))
+    exposure = ForwardModel(capture.stack, (40, 44), (14, 18)).forward((light * capture.irradiance)[None, None])
+    stored = capture.offset[:, None, None] + capture.gain * exposure
+    got = RegularisedInversion(capture, strength=1e-12)(torch.from_numpy(stored)[None])[0, 0]
+    # the least denominator, 1e-8 against |FH|^2 that goes down to 6e-5 of its mean, where little of the scene is
+    np.testing.assert_allclose(got.detach().numpy(), light / capture.white, atol=1e-5)
+
+
+def test_selected_planes_and_single_ones(camera):
+    capture = camera(*SIZES[0])
+    measurement = torch.rand(2, 3, *SIZES[0][0])
+    whole = RegularisedInversion(capture)(measurement)
+    torch.testing.assert_close(RegularisedInversion(capture, [2, 0])(measurement), whole[:, [2, 0]])
+    flat = camera(*SIZES[0], depths_m=(float("inf"),), channels=("Y",))
+    assert RegularisedInversion(flat)(measurement[:, :1]).shape == (2, 1, 1, 8, 8)
+
+
+def test_float32_under_autocast(camera):
+    capture = camera(*SIZES[0])
+    layer, measurement = RegularisedInversion(capture), torch.rand(1, 3, *SIZES[0][0])
+    plain = layer(measurement)
+    with torch.autocast("cpu", torch.bfloat16):
+        mixed = layer(measurement)
+        rounded = layer(measurement.bfloat16())
+    assert mixed.dtype == rounded.dtype == torch.float32
+    assert torch.equal(mixed, plain)
+
+
+def test_strength_means_the_same_for_every_scale_of_the_psf(camera):
+    capture = camera(*SIZES[0])
+    brighter = replace(capture, stack=replace(capture.stack, values=np.asarray(capture.stack.values) * 1e-12))
+    brighter = replace(brighter, gain=capture.gain * 1e12)
+    measurement = torch.rand(1, 3, *SIZES[0][0])
+    once, again = (RegularisedInversion(model)(measurement).detach() for model in (capture, brighter))
+    assert float((once - again).abs().max() / once.abs().max()) < 1e-5  # rounding of float32
+
+
+def test_a_filter_without_any_response_divides_by_something(camera):
+    capture = camera(*SIZES[3])
+    layer = RegularisedInversion(capture)
+    with torch.no_grad():
+        layer.filters.zero_()
+    layer(torch.rand(1, 3, *SIZES[3][0])).sum().backward()
+    assert layer.filters.grad is not None
+    assert bool(torch.isfinite(layer.filters.grad).all())
+
+
+@pytest.mark.parametrize("shape", [(1, 3, 24, 25), (1, 2, 24, 24), (3, 24, 24)])
+def test_refuses_measurements_of_another_camera(camera, shape):
+    layer = RegularisedInversion(camera(*SIZES[0]))
+    with pytest.raises(InputError, match=r"measurement: got shape .*expected .*\(3, 24, 24\)"):
+        layer(torch.rand(shape))
+
+
+@pytest.mark.parametrize("strength", [0.0, -1.0, float("nan"), float("inf")])
+def test_refuses_strengths_that_are_not_positive(camera, strength):
+    with pytest.raises(InputError, match="strength"):
+        RegularisedInversion(camera(*SIZES[0]), strength=strength)
