@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.arrays import Array, like, namespace
-from simulator.assemble.camera import build_sensor
-from simulator.assemble.scenes import build_view
+from simulator.assemble.camera import build_sensor, distance_m
 from simulator.camera.forward import ForwardModel
 from simulator.camera.planes import mask_irradiance
+from simulator.camera.sensor import Sensor
 from simulator.config import Config, config_from_dict
-from simulator.dataset.dataset_info import CAPTURED_FOLDER, PSF_FOLDER
+from simulator.config.camera import ExposureConfig
+from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER, DatasetInfo
 from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 from simulator.optics.psf_stack import PsfStack
+from simulator.types import View
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,14 +190,16 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
             f"{', '.join(nominal.channels)}; reconstruction needs all colours in a pixel (camera.sensor.readout: binned_rgb)"
         )
         raise InputError(msg)
-    gain, offset = _numbers(config, float(info.exposure["full_scale"]), info.shutter, nominal)
+    sensor = recorded_sensor(info, config)
+    gain, offset = _numbers(sensor, len(nominal.channels), mean=config.forward.time == "mean")
+    view = View(info.scene_shape, sensor.binned_pitch_m, distance_m(config), *nominal.depths_m[[0, -1]].tolist())
     model = CaptureModel(
         stack=nominal,
         sensor_shape=info.sensor_shape,
         scene_shape=info.scene_shape,
         gain=gain,
         offset=offset,
-        irradiance=mask_irradiance(build_view(config), config.forward.vignetting),
+        irradiance=mask_irradiance(view, config.forward.vignetting),
         scene_to_camera=np.array(info.scene_to_camera["matrix"], np.float64),
         white=white,
     )
@@ -211,16 +214,35 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
     return model.with_stack(read_psf_stack(folder))
 
 
-def _numbers(config: Config, full_scale: float, shutter: Any, stack: PsfStack) -> tuple[float, NDArray[np.float64]]:
+def recorded_sensor(info: DatasetInfo, config: Config) -> Sensor:
+    """Return the sensor of a data set from what the data set recorded, wherever the files are that its configuration names.
+
+    Raises:
+        InputError: a damaged record.
+    """
+    try:
+        full_scale = float(info.exposure["full_scale"])
+        responsivity = info.exposure.get("responsivity")
+        if responsivity is not None:
+            responsivity = tuple(float(responsivity[channel]) for channel in info.channels)
+    except (KeyError, TypeError, ValueError) as error:
+        msg = f"{FILE}: exposure is damaged ({type(error).__name__}: {error}); restore it from a copy"
+        raise InputError(msg) from error
+    # Without the illuminance: what it decides is recorded, and its files of spectra may be elsewhere.
+    camera = config.camera.model_copy(update={"exposure": ExposureConfig(full_scale=full_scale)})
+    sensor = build_sensor(config.model_copy(update={"camera": camera}), full_scale, info.shutter)
+    return replace(sensor, responsivity=responsivity)
+
+
+def _numbers(sensor: Sensor, channels: int, *, mean: bool) -> tuple[float, NDArray[np.float64]]:
     """Return gain and offset (C,): what a uniform exposure of 0 and of 1 is stored as."""
-    sensor = build_sensor(config, full_scale, shutter)
     exposures = np.unique(np.asarray(sensor.exposure_s, np.float64))
     if len(exposures) > 1:
         msg = (
             "camera.shutter: rows have different exposure times; a still is reconstructed from rows that have the same"
         )
         raise InputError(msg)
-    exposure = 1.0 if config.forward.time == "mean" else float(exposures[0])
-    dark = np.zeros((len(stack.channels), *sensor.shape))
-    offset, bright = sensor.noiseless(dark), sensor.noiseless(dark + full_scale)
-    return float(np.mean(bright - offset)) / full_scale * exposure, np.mean(offset, axis=(-2, -1))
+    exposure = 1.0 if mean else float(exposures[0])
+    dark = np.zeros((channels, *sensor.shape))
+    offset, bright = sensor.noiseless(dark), sensor.noiseless(dark + sensor.full_scale)
+    return float(np.mean(bright - offset)) / sensor.full_scale * exposure, np.mean(offset, axis=(-2, -1))

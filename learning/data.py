@@ -12,8 +12,8 @@ from torch import Tensor
 from torch.utils.data import Dataset as TorchDataset
 
 from learning.batches import Batches, Draw
+from learning.capture import recorded_sensor
 from learning.sample_cache import Arrays, SampleCache
-from simulator.assemble.camera import build_sensor
 from simulator.camera.noise import GaussianNoise
 from simulator.camera.sensor import Sensor
 from simulator.config import config_from_dict
@@ -71,7 +71,7 @@ class ExampleSet(TorchDataset[Example]):
             cache: folder for decoded samples, shared by processes and runs; see `SampleCache`.
 
         Raises:
-            InputError: an empty split, or levels that make no sense.
+            InputError: an empty split, mosaics, or levels that make no sense.
         """
         _check_not_empty(dataset)
         if noise_db is not None and not 0 < noise_db[0] <= noise_db[1] <= 120:
@@ -130,11 +130,6 @@ def check_dataset(dataset: Dataset) -> None:
     Raises:
         InputError: an empty split, clips, mosaics, one depth everywhere, or a sample with NaN, inf or other damage.
     """
-    _check_not_empty(dataset)
-    readout = config_from_dict(dataset.config, dataset.root, check_plugins=False).camera.sensor.readout
-    if readout != "binned_rgb":
-        msg = f"{dataset.root}: camera.sensor.readout is {readout}; reconstruction needs all colours in a pixel (binned_rgb)"
-        raise InputError(msg)
     examples = ExampleSet(dataset)
     near, far = np.inf, 0.0
     for position in np.unique(np.linspace(0, len(dataset) - 1, _CHECKED).astype(int)).tolist():
@@ -160,7 +155,10 @@ def _check_not_empty(dataset: Dataset) -> None:
 def _converter(dataset: Dataset) -> tuple[Sensor, bool, bool]:
     """Return the sensor, and whether measurements are clipped and quantised."""
     config = config_from_dict(dataset.config, dataset.root, check_plugins=False)
-    sensor = build_sensor(config, float(dataset.info.exposure["full_scale"]), dataset.shutter)
+    if (readout := config.camera.sensor.readout) != "binned_rgb":
+        msg = f"{dataset.root}: camera.sensor.readout is {readout}; reconstruction needs all colours in a pixel (binned_rgb)"
+        raise InputError(msg)
+    sensor = recorded_sensor(dataset.info, config)
     noise = config.camera.noise
     if isinstance(noise, GaussianConfig):
         return sensor, noise.clip, noise.quantise

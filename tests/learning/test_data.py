@@ -174,8 +174,9 @@ def test_clips_are_refused(learning_trial: Any) -> None:
 def test_mosaics_are_refused(learning_trial: Any) -> None:
     counts = {"train": 1, "validation": 0, "test": 0}
     folder = learning_trial.generate("camera.sensor.readout=bayer", dataset=counts, psf={"as_captured": None})
-    with pytest.raises(InputError, match=r"readout is bayer; .*\(binned_rgb\)"):
-        check_dataset(open_dataset(folder))
+    for look in (check_dataset, ExampleSet):
+        with pytest.raises(InputError, match=r"readout is bayer; .*\(binned_rgb\)"):
+            look(open_dataset(folder))
 
 
 def test_scenes_without_depth_are_refused(learning_trial: Any) -> None:
