@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -13,28 +12,21 @@ from typing import Any
 import torch
 from torch import nn
 
-from learning.capture import capture_model
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.config.load import load_file
-from learning.config.train import DataConfig, TrainConfig
-from learning.data import ExampleSet, check_dataset
-from learning.display import measure_white
+from learning.config.train import TrainConfig
 from learning.losses import ReconstructionLoss
 from learning.models import build_network
 from learning.training.distributed import Processes, processes, synchronise_batch_norm
-from learning.training.folder import BEST, LAST, STATE, begin
+from learning.training.folder import BEST, LAST, STATE, begin, check_folder, described
 from learning.training.loop import Training
+from learning.training.material import count_workers, find_material, open_examples
 from learning.training.optimiser import build_optimiser
 from learning.training.precision import Precision
 from learning.training.state import Progress, load_state
 from learning.training.stopping import stop_signals
 from simulator import __version__
-from simulator.dataset import open_dataset
-from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
-from simulator.optics.cache import cache_folder
-
-_MOST_WORKERS = 8
 
 
 @dataclass(frozen=True)
@@ -76,14 +68,14 @@ def train(
     """
     if not isinstance(config, TrainConfig):
         config = load_file(TrainConfig, config, overrides)
-    with processes(config.device) as group, torch.random.fork_rng(), stop_signals() as stop:
-        quiet = not group.leader
-        training = _prepare(
-            config, group, _nothing if quiet or show is None else show, _nothing if quiet or say is None else say
-        )
+    with processes(config.device) as group, torch.random.fork_rng():
+        show_all, say_all = (show or _nothing, say or _nothing) if group.leader else (_nothing, _nothing)
+        training = _prepare(config, group, show_all, say_all)
         first = training.progress.step
         if first < config.steps:
-            training.run(stop)
+            say_all(_describe(training))
+            with stop_signals() as stop:
+                training.run(stop)
     progress = training.progress
     return TrainResult(training.folder, progress.step - first, progress.seconds, progress.best)
 
@@ -92,80 +84,66 @@ def _prepare(
     config: TrainConfig, group: Processes, show: Callable[[str, int, int], None], say: Callable[[str], None]
 ) -> Training:
     """Build everything, and read the state where there is one."""
-    if config.batch % group.ranks:
-        msg = f"batch: got {config.batch} for {group.ranks} processes, which share it equally; choose a multiple"
-        raise InputError(msg)
-    train_data, held_out = _data_sets(config)
-    white = measure_white(train_data)
-    stack = config.data.stack
-    if stack not in ("nominal", "captured"):
-        stack = config.resolve_path(stack)
-    capture = capture_model(train_data, stack, white=white)
-    folder = config.resolve_path(config.output)
-    record = {split.split: _identity(split) for split in (train_data, held_out)}
-    record["camera"] = {"stack": capture.stack.fingerprint, "white": white}
-    if group.leader:
-        begin(folder, config.dump(), record)
-    torch.manual_seed(config.seed)
-    network = build_network(capture, config.network.name, config.network.size, **config.network.changes)
-    optimiser_network = _placed(network, group)
-    loss = ReconstructionLoss(**config.loss.model_dump(), seed=config.seed).to(group.device)
-    optimiser = build_optimiser(optimiser_network, config.optimiser)
-    progress = Progress()
-    if (folder / STATE).exists():
-        progress = load_state(folder / STATE, optimiser_network, optimiser)
-        say(f"going on after step {progress.step} of {config.steps} in {folder}")
-        if progress.step > config.steps:
-            msg = f"steps: got {config.steps}, but the training in {folder} has done {progress.step}; they can only be raised"
+    material = find_material(config)
+    for what, count in (("batch", config.batch), ("validation split", len(material.validation))):
+        if count < group.ranks or (what == "batch" and count % group.ranks):
+            msg = f"{what}: got {count} for {group.ranks} processes, which share it; choose a multiple, or other processes"
             raise InputError(msg)
-    elif config.start is not None:
-        from learning.models.transfer import transfer
-
-        path = config.resolve_path(config.start)
-        for line in transfer(network, load_checkpoint(path, network=config.network.name)):
-            say(f"{path.name}: {line}")
-    examples = _examples(train_data, config.data, config.seed, say)
-    checks = _examples(held_out, config.data, config.seed, say)
-    group.gather(None)  # the leader's folder is there before anybody looks for it
+    folder = config.resolve_path(config.output)
+    parts = described(config.dump(), material.describe())
+    check_folder(folder, parts)
+    torch.manual_seed(config.seed)
+    network = build_network(material.capture, config.network.name, config.network.size, **config.network.changes)
+    begun = (folder / STATE).exists()
+    if config.start is not None and not begun:
+        _warm_start(network, config, say)
+    network = _placed(network, group)
+    loss = ReconstructionLoss(**config.loss.model_dump(), seed=config.seed).to(group.device)
+    optimiser = build_optimiser(network, config.optimiser)
+    progress = load_state(folder / STATE, network, optimiser) if begun else Progress()
+    if begun:
+        say(f"{folder}: going on after step {progress.step} of {config.steps}")
+    if progress.step > config.steps:
+        msg = f"steps: got {config.steps}, but {folder} has done {progress.step}; they can be raised, not lowered"
+        raise InputError(msg)
+    precision = Precision.choose(config.precision, group.device)
+    examples, held_out = (
+        open_examples(split, config.data, config.seed, say) for split in (material.train, material.validation)
+    )
+    if group.leader:
+        begin(folder, parts)
     training = Training(
         config=config,
         folder=folder,
-        capture=capture,
-        network=optimiser_network,
+        capture=material.capture,
+        network=network,
         optimiser=optimiser,
         loss=loss,
         examples=examples,
-        held_out=checks,
-        precision=Precision.choose(config.precision, group.device),
+        held_out=held_out,
+        precision=precision,
         group=group,
-        workers=_workers(config.data, group),
+        workers=count_workers(config.data, group.ranks),
         progress=progress,
-        save_network=lambda best: _save_network(training, record, best),
+        save_network=lambda best: _save_network(training, material.describe(), best),
         show=show,
         say=say,
     )
     return training
 
 
-def _data_sets(config: TrainConfig) -> tuple[Dataset, Dataset]:
-    root = config.resolve_path(config.data.train)
-    other = root if config.data.validation is None else config.resolve_path(config.data.validation)
-    train_data, held_out = open_dataset(root, "train"), open_dataset(other, "validation")
-    for dataset in (train_data, held_out):
-        check_dataset(dataset)
-    for what in ("scene_shape", "sensor_shape", "channels"):
-        first, second = getattr(train_data.info, what), getattr(held_out.info, what)
-        if first != second:
-            msg = f"data.validation: {other} has {what} {second}, data.train {first}; validate on the same camera"
-            raise InputError(msg)
-    return train_data, held_out
+def _warm_start(network: nn.Module, config: TrainConfig, say: Callable[[str], None]) -> None:
+    """Begin with the weights of a checkpoint."""
+    path = config.resolve_path(config.start or "")
+    checkpoint = load_checkpoint(path, network=config.network.name)
+    from learning.models.transfer import transfer
 
-
-def _identity(dataset: Dataset) -> dict[str, Any]:
-    return {"fingerprint": dataset.fingerprint, "name": dataset.info.name, "samples": len(dataset)}
+    for line in transfer(network, checkpoint):
+        say(f"{path.name}: {line}")
 
 
 def _placed(network: nn.Module, group: Processes) -> nn.Module:
+    """Bring a network to its device and to the processes that share a batch."""
     for module in network.modules():
         if isinstance(module, nn.Conv2d):
             module.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
@@ -174,25 +152,8 @@ def _placed(network: nn.Module, group: Processes) -> nn.Module:
     return network.to(group.device)
 
 
-def _examples(dataset: Dataset, config: DataConfig, seed: int, say: Callable[[str], None]) -> ExampleSet:
-    cache = None
-    if config.cache:
-        cache = cache_folder() / "samples" if config.cache is True else Path(config.cache).expanduser()
-        say(f"{dataset.split}: {len(dataset)} samples, decoded in {cache}")
-    return ExampleSet(dataset, noise_db=config.noise_db, seed=seed, cache=cache)
-
-
-def _workers(config: DataConfig, group: Processes) -> int:
-    if config.workers != "auto":
-        return config.workers
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(max(cores // group.ranks - 1, 0), _MOST_WORKERS)
-
-
 def _save_network(training: Training, data: dict[str, Any], best: bool) -> None:
     config, progress = training.config, training.progress
-    device = training.group.device
-    metrics = {"best": progress.best, "last": progress.last}
     save_checkpoint(
         training.folder / (BEST if best else LAST),
         training.network,  # pyright: ignore[reportArgumentType]
@@ -204,14 +165,30 @@ def _save_network(training: Training, data: dict[str, Any], best: bool) -> None:
             "command": shlex.join(sys.argv),
             "data sets": data,
             "loss": training.loss.record(),  # pyright: ignore[reportCallIssue]
-            "metrics": metrics,
+            "validation": {"best": progress.best, "last": progress.last},
             "step": progress.step,
             "seconds": progress.seconds,
             "precision": training.precision.kind,
-            "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
+            "device": _device_name(training.group.device),
             "processes": training.group.ranks,
             "versions": {"flatlight": __version__, "torch": str(torch.__version__)},
         },
+    )
+
+
+def _describe(training: Training) -> str:
+    network, group = training.network, training.group
+    parameters = sum(parameter.numel() for parameter in network.parameters())
+    several = f" in each of {group.ranks} processes" if group.ranks > 1 else ""
+    return (
+        f"{training.config.network.name}: {parameters / 1e6:.2f} million parameters, {training.precision.kind}, "
+        f"{_device_name(group.device)}, {training.workers} workers{several}"
+    )
+
+
+def _device_name(device: torch.device) -> str:
+    return (
+        torch.cuda.get_device_name(device) if device.type == "cuda" else f"CPU with {torch.get_num_threads()} threads"
     )
 
 

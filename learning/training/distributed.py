@@ -147,7 +147,7 @@ class _SynchronisedBatchNorm(_BatchNorm):
         """Return the normalised ``(B, C, ...)``."""
         if not self.training:
             return super().forward(input)
-        values = input.float()
+        values = input.to(torch.promote_types(input.dtype, torch.float32))  # of bfloat16, as torch's own does
         axes = [axis for axis in range(values.ndim) if axis != 1]
         shape = [1, -1] + [1] * (values.ndim - 2)
         count = values.numel() // values.shape[1] * dist.get_world_size()

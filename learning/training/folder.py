@@ -9,7 +9,7 @@ from typing import Any
 from simulator.dataset.fingerprint import difference
 from simulator.dataset.plain import readable_json
 from simulator.errors import InputError
-from simulator.files import TEMPORARY_PREFIX, storage_errors, write_atomic
+from simulator.files import TEMPORARY_PREFIX, remove_leftovers, storage_errors, write_atomic
 
 DESCRIPTION = "training.json"
 """What is trained on what."""
@@ -26,13 +26,12 @@ _FREE = ("output", "steps", "device", "log_every", "checkpoint_every_s")
 _FREE_OF_DATA = ("cache", "workers")
 
 
-def begin(folder: Path, config: dict[str, Any], data: dict[str, Any]) -> None:
-    """Make the folder of a training, or see that it holds the same one.
+def check_folder(folder: Path, parts: dict[str, Any]) -> None:
+    """See that a folder is new, or holds the same training.
 
     Args:
         folder: the folder.
-        config: the training's configuration, plain.
-        data: what is known of the data sets and the camera; plain.
+        parts: see `described`.
 
     Raises:
         InputError: the folder holds something else, or another training: what differs is listed.
@@ -41,10 +40,9 @@ def begin(folder: Path, config: dict[str, Any], data: dict[str, Any]) -> None:
         msg = f"output: {folder} is a file; choose another folder"
         raise InputError(msg)
     path = folder / DESCRIPTION
-    parts = {"config": _decisive(config), "data sets": data}
     if path.exists():
         lines = difference(_read(path), json.loads(readable_json(parts)))
-        if lines:
+        if lines and (folder / STATE).exists():
             msg = (
                 f"output: {folder} holds a training of another configuration; choose another folder, or undo the change "
                 f"(only {', '.join(_FREE[1:])}, data.cache and data.workers may change):\n{lines}"
@@ -56,15 +54,30 @@ def begin(folder: Path, config: dict[str, Any], data: dict[str, Any]) -> None:
     if foreign:
         msg = f"output: {folder} is not empty and holds no training ({foreign[0]}, ...); choose another folder, or empty it"
         raise InputError(msg)
+
+
+def begin(folder: Path, parts: dict[str, Any]) -> None:
+    """Make the folder of a training, whose description replaces that of one that never came to save anything.
+
+    Raises:
+        StorageError: the place cannot be written to.
+    """
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, readable_json(parts))
+    remove_leftovers(folder)
+    write_atomic(folder / DESCRIPTION, readable_json(parts))
 
 
-def _decisive(config: dict[str, Any]) -> dict[str, Any]:
+def described(config: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
+    """Return what decides the numbers of a training.
+
+    Args:
+        config: its configuration, plain.
+        data: what is known of the data sets and the camera; plain.
+    """
     kept = {key: value for key, value in config.items() if key not in _FREE}
     kept["data"] = {key: value for key, value in config["data"].items() if key not in _FREE_OF_DATA}
-    return kept
+    return {"config": kept, "data sets": data}
 
 
 def _read(path: Path) -> dict[str, Any]:

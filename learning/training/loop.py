@@ -21,7 +21,7 @@ from learning.training.log import Log
 from learning.training.optimiser import learning_rate
 from learning.training.precision import Precision
 from learning.training.state import Progress, save_state
-from learning.training.stopping import Stop, diverged
+from learning.training.stopping import Stop, diverged, ignore_interrupts, unwrapped
 from learning.training.targets import to_device, true_estimate
 from learning.training.validation import SHOWN, draw, validate
 
@@ -91,7 +91,9 @@ class Training:
         since = time.monotonic()
         while progress.step < config.steps:
             begin = time.monotonic()
-            halted = self._step(wrapped, next(batches), stop)
+            with unwrapped():
+                batch = next(batches)
+            asked = self._step(wrapped, batch, stop)
             progress.seconds += time.monotonic() - begin
             self.show("steps", progress.step, config.steps)
             if progress.step % config.log_every == 0 or progress.step == config.steps:
@@ -103,6 +105,7 @@ class Training:
                 self._validate(checks, log)
                 progress.seconds += time.monotonic() - begin
                 since += time.monotonic() - begin
+            halted = asked if self.group.ranks > 1 else stop.wanted  # several must agree on the step
             over = halted or progress.step == config.steps
             if self.group.leader and (over or time.monotonic() - saved > config.checkpoint_every_s):
                 self._save()
@@ -174,8 +177,6 @@ class Training:
         return self._loader(self.held_out, parts, min(self.workers, 1))
 
     def _loader(self, examples: ExampleSet, order: Batches | list[list[int]], workers: int) -> DataLoader[Example]:
-        from learning.training.stopping import ignore_interrupts
-
         return DataLoader(
             examples,
             batch_sampler=order,
@@ -215,6 +216,6 @@ class Training:
         )
 
     def _save(self) -> None:
-        save_state(self.folder / STATE, self.network, self.optimiser, self.progress)
         if self.progress.step == self.config.steps:
-            self.save_network(False)
+            self.save_network(False)  # before the state that says that all is done
+        save_state(self.folder / STATE, self.network, self.optimiser, self.progress)

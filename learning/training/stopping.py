@@ -49,6 +49,18 @@ def ignore_interrupts(_: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+@contextmanager
+def unwrapped() -> Iterator[None]:
+    """Give the message of bad input in a worker of the loader without the traceback that torch wraps it in."""
+    try:
+        yield
+    except InputError as error:
+        _, found, message = str(error).rpartition("Error: ")
+        if not (found and str(error).startswith("Caught ")):
+            raise
+        raise InputError(message.strip()) from error
+
+
 def diverged(
     step: int, terms: Mapping[str, float], gradient_norm: float, ids: Sequence[str], kept: str
 ) -> DivergedError:

@@ -1,0 +1,244 @@
+"""Training as a whole: it learns, goes on as if it had never stopped, and says what is wrong."""
+
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from learning.checkpoint import load_checkpoint
+from learning.config.train import TrainConfig
+from learning.data import Batches
+from learning.losses import ReconstructionLoss
+from learning.train import train
+from learning.training.folder import BEST, DESCRIPTION, LAST, METRICS, PREVIEW, STATE
+from learning.training.stopping import DivergedError
+from simulator.dataset import open_dataset
+from simulator.errors import InputError
+
+
+@pytest.fixture
+def settings(tiny_dataset: Path, tmp_path: Path) -> Callable[..., TrainConfig]:
+    """Return a function that makes a small training; sections are changed key by key."""
+
+    def make(output: str = "out", **changes: Any) -> TrainConfig:
+        plain: dict[str, Any] = {
+            "name": "tiny",
+            "output": str(tmp_path / output),
+            "seed": 3,
+            "data": {"train": str(tiny_dataset), "noise_db": (30.0, 40.0), "cache": False, "workers": 0},
+            "network": {"name": "flatnet3d", "size": "tiny"},
+            "steps": 9,
+            "batch": 5,
+            "validate_every": 4,
+            "log_every": 3,
+            "device": "cpu",
+        }
+        for key, value in changes.items():
+            plain[key] = plain[key] | value if isinstance(value, dict) and key in plain else value
+        return TrainConfig.model_validate(plain)
+
+    return make
+
+
+def lines(folder: Path, kind: str) -> list[dict[str, Any]]:
+    """Return the log's numbers that do not measure time."""
+    found = [json.loads(line) for line in (folder / METRICS).read_text().splitlines()]
+    return [
+        {key: value for key, value in line.items() if key != "samples_per_second"}
+        for line in found
+        if line["kind"] == kind
+    ]
+
+
+def stop_at(step: int) -> Callable[[str, int, int], None]:
+    """Return what presses Ctrl-C after a step."""
+
+    def show(stage: str, done: int, total: int) -> None:
+        if done == step:
+            signal.raise_signal(signal.SIGINT)
+
+    return show
+
+
+def weights(path: Path) -> dict[str, torch.Tensor]:
+    return load_checkpoint(path).network.state_dict()
+
+
+def test_learns_and_leaves_what_belongs_to_it(settings: Callable[..., TrainConfig]) -> None:
+    config = settings(steps=40, log_every=10, validate_every=20, optimiser={"learning_rate": 5e-3})
+    said: list[str] = []
+    result = train(config, say=said.append)
+    first, last = lines(result.folder, "train")[0], lines(result.folder, "train")[-1]
+    # An untrained network gives noise; the total of a constant grey and a constant depth would be about 0.7.
+    assert last["total"] < 0.75 < 1.2 < first["total"]
+    assert last["total"] == pytest.approx(last["intensity_weighted"] + last["depth_weighted"], rel=1e-5)
+    assert lines(result.folder, "validation")[-1]["psnr_db"] > 8
+    best = load_checkpoint(result.folder / BEST)
+    totals = {line["step"]: line["total"] for line in lines(result.folder, "validation")}
+    assert best.record["step"] == result.best["step"] == min(totals, key=lambda step: totals[step])
+    assert best.record["config"]["batch"] == 5
+    assert best.record["data sets"]["train"]["samples"] == 32
+    assert {path.name for path in result.folder.iterdir()} == {
+        BEST,
+        LAST,
+        DESCRIPTION,
+        METRICS,
+        PREVIEW,
+        STATE,
+        "tensorboard",
+    }
+    assert sum("validation loss" in line for line in said) == 2
+
+
+@pytest.mark.parametrize("stops", [(1,), (4, 7)])
+def test_goes_on_as_if_it_had_never_stopped(settings: Callable[..., TrainConfig], stops: tuple[int, ...]) -> None:
+    whole, parts = settings("whole"), settings("parts", data={"workers": 1})
+    train(whole)
+    for stop in stops:
+        with pytest.raises(KeyboardInterrupt):
+            train(parts, show=stop_at(stop))
+    result = train(parts)
+    assert result.steps == 9 - stops[-1]
+    one, two = Path(whole.output), Path(parts.output)
+    for kind in ("train", "validation"):
+        assert lines(one, kind) == lines(two, kind)
+    for name in (BEST, LAST):
+        expected, found = weights(one / name), weights(two / name)
+        assert all(torch.equal(expected[key], found[key]) for key in expected)
+    expected, found = (torch.load(folder / STATE, weights_only=True) for folder in (one, two))
+    moments = [each["optimiser"]["state"] for each in (expected, found)]
+    assert len(moments[0]) > 10
+    for key, values in moments[0].items():
+        assert all(torch.equal(values[name], moments[1][key][name]) for name in values)
+
+
+def test_a_killed_training_goes_on_from_its_last_state(settings: Callable[..., TrainConfig]) -> None:
+    """What was logged and kept after the state that survives is made again, not twice."""
+
+    def die(stage: str, done: int, total: int) -> None:
+        if done == 7:
+            raise MemoryError
+
+    whole, killed = settings("whole"), settings("killed")
+    train(whole)
+    with pytest.raises(KeyboardInterrupt):
+        train(killed, show=stop_at(2))
+    with pytest.raises(MemoryError):
+        train(killed, show=die)
+    assert train(killed).steps == 7
+    assert lines(Path(whole.output), "train") == lines(Path(killed.output), "train")
+    assert lines(Path(whole.output), "validation") == lines(Path(killed.output), "validation")
+
+
+def test_finished_and_raised(settings: Callable[..., TrainConfig]) -> None:
+    train(settings(steps=2))
+    again = train(settings(steps=2))
+    assert again.steps == 0
+    assert again.best["step"] == 2
+    assert train(settings(steps=3)).steps == 1
+    with pytest.raises(InputError, match=r"steps: got 2, but .* has done 3"):
+        train(settings(steps=2))
+
+
+def test_another_configuration_is_refused_line_by_line(settings: Callable[..., TrainConfig]) -> None:
+    train(settings(steps=1))
+    with pytest.raises(InputError, match=r"another configuration(.|\n)*batch: 5 -> 4\nloss.depth_weight: 1.0 -> 2.0$"):
+        train(settings(steps=1, batch=4, loss={"depth_weight": 2.0}))
+    assert train(settings(steps=2, log_every=1, data={"workers": 1})).steps == 1
+
+
+def test_a_loss_that_is_no_number_stops_before_its_step(
+    settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch, tiny_dataset: Path
+) -> None:
+    config = settings(checkpoint_every_s=0.0)
+    folder, forward = Path(config.output), ReconstructionLoss.forward
+    calls = 0
+
+    def broken(self: ReconstructionLoss, *arguments: Any) -> dict[str, torch.Tensor]:
+        nonlocal calls
+        calls += 1
+        terms = forward(self, *arguments)
+        return {name: value * float("nan") for name, value in terms.items()} if calls == 3 else terms
+
+    monkeypatch.setattr(ReconstructionLoss, "forward", broken)
+    with pytest.raises(DivergedError) as error:
+        train(config)
+    ids = open_dataset(tiny_dataset, "train").ids
+    wanted = ", ".join(ids[draw.position] for draw in Batches(32, 5, seed=3).batch(2))
+    assert f"samples {wanted};" in str(error.value)
+    assert str(error.value).startswith("step 3: ")
+    assert "total nan" in str(error.value)
+    kept = torch.load(folder / STATE, weights_only=True)
+    assert kept["progress"]["step"] == 2
+    assert all(bool(torch.isfinite(value).all()) for value in kept["network"].values())
+    monkeypatch.undo()
+    assert train(config).steps == 7
+
+
+def test_gradient_that_is_no_number(settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The root of nothing: its value is 0, its slope infinite."""
+    forward = ReconstructionLoss.forward
+
+    def broken(self: ReconstructionLoss, estimate: Any, *arguments: Any) -> dict[str, torch.Tensor]:
+        terms = forward(self, estimate, *arguments)
+        return terms | {"total": terms["total"] + (estimate.picture - estimate.picture.detach()).square().sum().sqrt()}
+
+    monkeypatch.setattr(ReconstructionLoss, "forward", broken)
+    with pytest.raises(DivergedError, match=r"step 1: .*gradient nan.*nothing is saved yet"):
+        train(settings())
+
+
+def test_fine_tuning_begins_with_a_checkpoint(settings: Callable[..., TrainConfig]) -> None:
+    pytest.importorskip("learning.models.transfer")
+    first = train(settings("first"))
+    rate = {"learning_rate": 1e-9, "warm_up": 0.0}
+    tuned = train(settings("tuned", start=str(first.folder / LAST), steps=1, optimiser=rate))
+    before, after = weights(first.folder / LAST), weights(tuned.folder / LAST)
+    for name, parameter in load_checkpoint(first.folder / LAST).network.named_parameters():
+        assert torch.allclose(before[name], after[name], atol=2e-9), name
+        assert parameter.shape == after[name].shape
+
+
+def test_start_from_another_architecture(settings: Callable[..., TrainConfig]) -> None:
+    first = train(settings("first", steps=1))
+    config = settings("other", start=str(first.folder / LAST), network={"name": "flatnet2d"})
+    with pytest.raises(InputError, match="checkpoint of flatnet3d, expected flatnet2d"):
+        train(config)
+    assert not Path(config.output).exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"data": {"train": "/nowhere/set"}}, "/nowhere/set"),
+        ({"data": {"stack": "/nowhere/psf"}}, "/nowhere/psf"),
+        ({"start": "/nowhere/net.safetensors"}, "/nowhere/net.safetensors"),
+    ],
+)
+def test_absent_files_are_named(settings: Callable[..., TrainConfig], changes: Any, message: str) -> None:
+    config = settings(**changes)
+    with pytest.raises(InputError, match=message):
+        train(config)
+    assert not Path(config.output).exists()
+
+
+def test_output_that_holds_something_else(settings: Callable[..., TrainConfig]) -> None:
+    config = settings()
+    Path(config.output).mkdir()
+    (Path(config.output) / "thesis.txt").touch()
+    with pytest.raises(InputError, match=r"not empty and holds no training \(thesis.txt"):
+        train(config)
+
+
+def test_captured_stack_is_another_training(settings: Callable[..., TrainConfig], tiny_dataset: Path) -> None:
+    config = settings(steps=1, data={"stack": "captured"})
+    train(config)
+    capture = load_checkpoint(Path(config.output) / LAST).capture
+    from simulator.dataset.psf_files import read_psf_stack
+
+    assert capture.stack.fingerprint == read_psf_stack(tiny_dataset / "psf_captured").fingerprint
+    assert capture.stack.fingerprint != read_psf_stack(tiny_dataset / "psf").fingerprint

@@ -1,0 +1,40 @@
+"""Whose folder it is."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from learning.training.folder import DESCRIPTION, STATE, begin, check_folder, described
+from simulator.errors import InputError
+
+CONFIG: dict[str, Any] = {"output": "a", "steps": 5, "seed": 1, "data": {"train": "x", "workers": 2, "cache": True}}
+
+
+def test_what_does_not_matter(tmp_path: Path) -> None:
+    begin(tmp_path / "a", described(CONFIG, {"white": 1.0}))
+    (tmp_path / "a" / STATE).touch()
+    free = {"output": "b", "steps": 9, "data": {"train": "x", "workers": 0, "cache": False}}
+    check_folder(tmp_path / "a", described(CONFIG | free, {"white": 1.0}))
+    with pytest.raises(InputError, match=r"another configuration(.|\n)*\nseed: 1 -> 2\ndata sets.white: 1.0 -> 2.0$"):
+        check_folder(tmp_path / "a", described(CONFIG | {"seed": 2}, {"white": 2.0}))
+
+
+def test_what_never_saved_anything_is_no_hindrance(tmp_path: Path) -> None:
+    begin(tmp_path, described(CONFIG, {}))
+    other = described(CONFIG | {"seed": 2}, {})
+    check_folder(tmp_path, other)
+    begin(tmp_path, other)
+    (tmp_path / STATE).touch()
+    check_folder(tmp_path, other)
+    with pytest.raises(InputError, match="seed: 2 -> 1"):
+        check_folder(tmp_path, described(CONFIG, {}))
+
+
+def test_a_file_and_a_damaged_description(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="is a file"):
+        check_folder(tmp_path / "file", {})
+    (tmp_path / DESCRIPTION).write_text("{")
+    with pytest.raises(InputError, match=f"{DESCRIPTION} cannot be read"):
+        check_folder(tmp_path, {})

@@ -1,0 +1,82 @@
+"""Errors that are known beforehand come out, however the scenes are shared out."""
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from learning.capture import CaptureModel
+from learning.data import Example
+from learning.display import decode
+from learning.estimate import Estimate
+from learning.losses import ReconstructionLoss
+from learning.training.distributed import Processes
+from learning.training.precision import Precision
+from learning.training.targets import true_estimate
+from learning.training.validation import draw, validate
+
+CPU = torch.device("cpu")
+HERE = {"precision": Precision("float32", CPU), "group": Processes(CPU)}
+
+
+class Known(nn.Module):
+    """Gives what its measurement holds: codes and disparity; clipped nowhere."""
+
+    def forward(self, measurement: torch.Tensor) -> Estimate:
+        assert not self.training
+        return Estimate(measurement[:, :3], measurement[:, 3:])
+
+
+def scenes(capture: CaptureModel, count: int) -> tuple[Example, torch.Tensor]:
+    """Return scenes of mid-grey at half of the disparities, and what would be measured of them without an error."""
+    codes = torch.full((count, 3, 16, 16), 0.5)
+    disparity = torch.full((count, 1, 16, 16), 0.5)
+    truth = Example(
+        torch.cat([codes, disparity], 1), decode(codes, capture.white), capture.depth_m(disparity), disparity > 0
+    )
+    return truth, truth.measurement.clone()
+
+
+def test_known_errors(tiny_capture: CaptureModel) -> None:
+    truth, estimate = scenes(tiny_capture, 3)
+    estimate[0, :3] += 0.1  # 20 dB
+    estimate[1, :3] -= 0.01  # 40 dB
+    estimate[2, :3] += 7  # clipped to 1: 6.02 dB
+    estimate[:2, 3] = 1.5  # clipped to 1, the near depth
+    example = truth._replace(measurement=estimate)
+    network = Known().train()
+    loss = ReconstructionLoss("l1")
+    middle_cm = 100 * float(tiny_capture.depth_m(np.float64(0.5)))
+    results = []
+    for parts in ([slice(0, 3)], [slice(0, 2), slice(2, 3)]):
+        batches = [Example(*(values[part] for values in example)) for part in parts]
+        results.append(validate(network, batches, loss, tiny_capture, **HERE))
+        assert network.training
+    for result in results:
+        # Codes pass through float32 and the sRGB curve and back: 1e-6 of 0.01 in the 40 dB scene is 1e-3 dB.
+        assert result["psnr_db"] == pytest.approx((20 + 40 + 20 * np.log10(2)) / 3, abs=1e-3)
+        assert result["depth_rmse_cm"] == pytest.approx(2 / 3 * (middle_cm - 100 * tiny_capture.near_m), rel=1e-5)
+        assert result["intensity"] == pytest.approx((0.1 + 0.01 + 7) / 3, rel=1e-5)
+        assert result["depth"] == pytest.approx(2 / 3, rel=1e-5)  # the loss sees what is not clipped
+
+
+def test_what_was_not_seen_is_far(tiny_capture: CaptureModel) -> None:
+    truth, _ = scenes(tiny_capture, 1)
+    truth.valid[..., :4] = False
+    disparity = true_estimate(truth, tiny_capture).disparity
+    assert float(disparity[..., :4].max()) == 0
+    assert torch.allclose(disparity[..., 4:], torch.tensor(0.5), atol=1e-6)
+
+
+def test_picture(tiny_capture: CaptureModel) -> None:
+    """Truth and estimate stand side by side, and equal ones look equal."""
+    truth, estimate = scenes(tiny_capture, 2)
+    estimate[1, 0] = 1.0
+    pixels = draw(Known(), truth._replace(measurement=estimate), tiny_capture, **{"precision": HERE["precision"]})
+    assert pixels.shape == (2 * 16 + 2, 4 * 16 + 3 * 2, 3)
+    codes, guesses, depths, guessed = (pixels[:, 18 * n : 18 * n + 16] for n in range(4))
+    assert np.array_equal(codes[:16], guesses[:16])
+    assert np.abs(codes[:16].astype(int) - 128).max() <= 1
+    assert tuple(guesses[20, 5]) == (255, 128, 128)
+    assert np.array_equal(depths, guessed)
+    assert tuple(depths[5, 5]) == (33, 145, 140)  # the middle of `simulator.preview.colours`
