@@ -15,7 +15,15 @@ import torch
 from torch import Tensor, nn
 
 from learning.capture import CaptureModel
-from learning.layers.padding import axis_plans, check_measurement, pad_measurement, scene_of, spectrum_of
+from learning.layers.padding import (
+    as_pairs,
+    axis_plans,
+    check_measurement,
+    from_pairs,
+    pad_measurement,
+    scene_of,
+    spectrum_of,
+)
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
 
@@ -72,10 +80,10 @@ class RegularisedInversion(nn.Module):
         root = kernel.square().sum(dim=(-2, -1), keepdim=True).sqrt()
         spectrum = spectrum_of(kernel / root)
         dtype = torch.get_default_dtype()
-        self.register_buffer("power", spectrum.abs().square().to(dtype), persistent=False)
-        # Complex numbers as pairs of real ones, which follow the module to other precisions.
-        numerator = torch.view_as_real(spectrum.conj().resolve_conj() / root)
-        self.register_buffer("numerator", numerator.to(dtype), persistent=False)
+        # Three axes at most and pairs of real numbers: what follows a module to another memory format or precision unharmed.
+        self.register_buffer("power", spectrum.abs().square().flatten(0, 1).to(dtype), persistent=False)
+        numerator = as_pairs(spectrum.conj() / root)
+        self.register_buffer("numerator", numerator.flatten(0, 1).to(dtype), persistent=False)
         scale = 1 / (capture.gain * capture.white * capture.irradiance.astype(np.float64))
         self.register_buffer("scale", torch.from_numpy(scale).to(dtype), persistent=False)
         offset = torch.from_numpy(capture.offset)[:, None, None]
@@ -108,8 +116,8 @@ class RegularisedInversion(nn.Module):
         """Return W(z), ``(K, C, L // 2 + 1, M)`` complex, of equation 4.11."""
         penalty = self.log_lambda.exp()[..., None, None] * self._filter_power()[:, None]
         # Of a P without response at a frequency where the PSF has none either, nothing is left to divide by.
-        denominator = self.power + penalty + _LEAST
-        return torch.view_as_complex(self.numerator / denominator[..., None])
+        denominator = self.power.view_as(penalty) + penalty + _LEAST
+        return from_pairs(self.numerator).view_as(penalty) / denominator
 
     def _filter_power(self) -> Tensor:
         """Return |FP|^2, ``(K, L // 2 + 1, M)``: nine terms, by the definition of the transform."""

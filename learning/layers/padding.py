@@ -87,6 +87,16 @@ def scene_of(spectrum: Tensor, rows: AxisPlan, columns: AxisPlan) -> Tensor:
     return torch.fft.irfft(part, rows.length, dim=-2)[..., rows.scene, :]
 
 
+def as_pairs(spectrum: Tensor) -> Tensor:
+    """Return complex numbers ``(..., M)`` as real ones ``(..., 2 M)``, real and imaginary parts in turn."""
+    return torch.view_as_real(spectrum.resolve_conj()).flatten(-2)
+
+
+def from_pairs(pairs: Tensor) -> Tensor:
+    """Return the complex numbers ``(..., M)`` of `as_pairs`."""
+    return torch.view_as_complex(pairs.unflatten(-1, (-1, 2)))
+
+
 def check_measurement(measurement: Tensor, offset: Tensor, rows: AxisPlan, columns: AxisPlan) -> None:
     """Refuse measurements ``(..., C, H, W)`` of another shape than the camera's.
 

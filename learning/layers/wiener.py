@@ -12,7 +12,15 @@ import torch
 from torch import Tensor, nn
 
 from learning.capture import CaptureModel
-from learning.layers.padding import axis_plans, check_measurement, pad_measurement, scene_of, spectrum_of
+from learning.layers.padding import (
+    as_pairs,
+    axis_plans,
+    check_measurement,
+    from_pairs,
+    pad_measurement,
+    scene_of,
+    spectrum_of,
+)
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
 
@@ -63,8 +71,8 @@ class WienerInversion(nn.Module):
         self.register_buffer("scale", torch.from_numpy(scale).to(dtype), persistent=False)
         offset = torch.from_numpy(capture.offset)[:, None, None]
         self.register_buffer("offset", offset.to(dtype), persistent=False)
-        # Pairs of real numbers: optimisers, gradient clipping and checkpoints know nothing else.
-        self.weight = nn.Parameter(torch.view_as_real((wiener / root).resolve_conj()).to(dtype), requires_grad=learned)
+        # Pairs of real numbers on three axes: optimisers, checkpoints and memory formats take nothing else.
+        self.weight = nn.Parameter(as_pairs(wiener / root).to(dtype), requires_grad=learned)
 
     def forward(self, measurements: Tensor) -> Tensor:
         """Invert measurements.
@@ -86,4 +94,4 @@ class WienerInversion(nn.Module):
 
     def inverse(self) -> Tensor:
         """Return F(W), ``(C, L // 2 + 1, M)`` complex."""
-        return torch.view_as_complex(self.weight) * self.root
+        return from_pairs(self.weight) * self.root

@@ -166,6 +166,17 @@ def test_selected_planes_and_single_ones(camera):
     assert RegularisedInversion(flat)(measurement[:, :1]).shape == (2, 1, 1, 8, 8)
 
 
+def test_memory_format_and_precision_follow_the_module(camera):
+    capture = camera(*SIZES[0])
+    layer, measurement = RegularisedInversion(capture), torch.rand(2, 3, *SIZES[0][0])
+    plain = layer(measurement).detach()
+    other = layer.to(memory_format=torch.channels_last)(measurement.to(memory_format=torch.channels_last)).detach()
+    torch.testing.assert_close(other, plain)
+    double = layer.to(torch.float64)(measurement.double()).detach()
+    assert double.dtype == torch.float64
+    assert float((double - plain).abs().max() / plain.abs().max()) < 1e-5  # rounding of float32
+
+
 def test_float32_under_autocast(camera):
     capture = camera(*SIZES[0])
     layer, measurement = RegularisedInversion(capture), torch.rand(1, 3, *SIZES[0][0])
