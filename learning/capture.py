@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.camera_numbers import gain_and_offset, recorded_sensor
 from simulator.arrays import Array, like, namespace
-from simulator.assemble.camera import build_sensor, distance_m
+from simulator.assemble.camera import distance_m
 from simulator.camera.forward import ForwardModel
 from simulator.camera.planes import mask_irradiance
-from simulator.camera.sensor import Sensor
-from simulator.config import Config, config_from_dict
-from simulator.config.camera import ExposureConfig
-from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER, DatasetInfo
+from simulator.config import config_from_dict
+from simulator.dataset.dataset_info import CAPTURED_FOLDER, PSF_FOLDER
 from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
@@ -172,8 +171,8 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
         white: the radiance that pictures show as 1; see `learning.display.measure_white`.
 
     Raises:
-        InputError: a mosaic's measurement, a circular convolution, rows with different exposure times, no such stack, or one
-            that does not fit.
+        InputError: a mosaic's measurement, a circular convolution, rows with different exposure times, a damaged record, no
+            such stack, or one that does not fit.
     """
     info = dataset.info
     config = config_from_dict(info.config, dataset.root, check_plugins=False)
@@ -191,7 +190,7 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
         )
         raise InputError(msg)
     sensor = recorded_sensor(info, config)
-    gain, offset = _numbers(sensor, len(nominal.channels), mean=config.forward.time == "mean")
+    gain, offset = gain_and_offset(sensor, len(nominal.channels), mean=config.forward.time == "mean")
     view = View(info.scene_shape, sensor.binned_pitch_m, distance_m(config), *nominal.depths_m[[0, -1]].tolist())
     model = CaptureModel(
         stack=nominal,
@@ -212,37 +211,3 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
         msg = f"stack: got 'captured', but {dataset.root} has no {CAPTURED_FOLDER}; make it with psf.as_captured in its file"
         raise InputError(msg)
     return model.with_stack(read_psf_stack(folder))
-
-
-def recorded_sensor(info: DatasetInfo, config: Config) -> Sensor:
-    """Return the sensor of a data set from what the data set recorded, wherever the files are that its configuration names.
-
-    Raises:
-        InputError: a damaged record.
-    """
-    try:
-        full_scale = float(info.exposure["full_scale"])
-        responsivity = info.exposure.get("responsivity")
-        if responsivity is not None:
-            responsivity = tuple(float(responsivity[channel]) for channel in info.channels)
-    except (KeyError, TypeError, ValueError) as error:
-        msg = f"{FILE}: exposure is damaged ({type(error).__name__}: {error}); restore it from a copy"
-        raise InputError(msg) from error
-    # Without the illuminance: what it decides is recorded, and its files of spectra may be elsewhere.
-    camera = config.camera.model_copy(update={"exposure": ExposureConfig(full_scale=full_scale)})
-    sensor = build_sensor(config.model_copy(update={"camera": camera}), full_scale, info.shutter)
-    return replace(sensor, responsivity=responsivity)
-
-
-def _numbers(sensor: Sensor, channels: int, *, mean: bool) -> tuple[float, NDArray[np.float64]]:
-    """Return gain and offset (C,): what a uniform exposure of 0 and of 1 is stored as."""
-    exposures = np.unique(np.asarray(sensor.exposure_s, np.float64))
-    if len(exposures) > 1:
-        msg = (
-            "camera.shutter: rows have different exposure times; a still is reconstructed from rows that have the same"
-        )
-        raise InputError(msg)
-    exposure = 1.0 if mean else float(exposures[0])
-    dark = np.zeros((channels, *sensor.shape))
-    offset, bright = sensor.noiseless(dark), sensor.noiseless(dark + sensor.full_scale)
-    return float(np.mean(bright - offset)) / sensor.full_scale * exposure, np.mean(offset, axis=(-2, -1))

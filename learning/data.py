@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.utils.data import Dataset as TorchDataset
 
 from learning.batches import Batches, Draw
-from learning.capture import recorded_sensor
+from learning.camera_numbers import recorded_sensor
 from learning.sample_cache import Arrays, SampleCache
 from simulator.camera.noise import GaussianNoise
 from simulator.camera.sensor import Sensor
@@ -65,8 +65,8 @@ class ExampleSet(TorchDataset[Example]):
         Args:
             dataset: the split.
             noise_db: None gives the measurements as stored. A range redraws white Gaussian noise on the noiseless ones: the
-                PSNR is uniform in the range, in decibels; its peak is the sample's greatest noiseless value; the result is
-                clipped and quantised as the data set's own noise is.
+                PSNR is uniform in the range, in decibels; its peak is the sample's greatest noiseless value, black level
+                included; the result is clipped and quantised as the data set's own noise is (physical noise always is).
             seed: decides, with the split, the sample's id and the draw's number, level and noise.
             cache: folder for decoded samples, shared by processes and runs; see `SampleCache`.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,14 @@ def with_noise(dataset: Dataset, **noise: Any) -> Dataset:
     camera = dataset.config["camera"] | {"noise": noise}
     info = replace(dataset.info, config=dataset.config | {"camera": camera})
     return Dataset(dataset.root, dataset.split, dataset.ids, info)
+
+
+def copied(root: Path, folder: Path) -> Dataset:
+    """Return a copy of the validation split, to be damaged."""
+    shutil.copytree(root / "validation", folder / "validation")
+    for name in ("dataset.json", "manifest.jsonl"):
+        shutil.copy(root / name, folder / name)
+    return open_dataset(folder, "validation")
 
 
 def same(one: Example, other: Example) -> bool:
@@ -189,10 +198,9 @@ def test_scenes_without_depth_are_refused(learning_trial: Any) -> None:
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 @pytest.mark.parametrize(("file", "channel"), [("measurement.exr", "G"), ("ground_truth.exr", "Z")])
 def test_values_that_are_no_numbers_are_refused_and_the_sample_named(
-    learning_trial: Any, bad: float, file: str, channel: str
+    tiny_dataset: Path, tmp_path: Path, bad: float, file: str, channel: str
 ) -> None:
-    counts = {"train": 2, "validation": 0, "test": 0}
-    dataset = open_dataset(learning_trial.generate(dataset=counts, psf={"as_captured": None}))
+    dataset = copied(tiny_dataset, tmp_path)
     path = dataset.folder(1) / file
     planes, metadata = read_exr(path)
     planes[channel] = planes[channel].copy()
@@ -205,9 +213,8 @@ def test_values_that_are_no_numbers_are_refused_and_the_sample_named(
             look(dataset)
 
 
-def test_depths_behind_the_mask_are_refused(learning_trial: Any) -> None:
-    counts = {"train": 1, "validation": 0, "test": 0}
-    dataset = open_dataset(learning_trial.generate(dataset=counts, psf={"as_captured": None}))
+def test_depths_behind_the_mask_are_refused(tiny_dataset: Path, tmp_path: Path) -> None:
+    dataset = copied(tiny_dataset, tmp_path)
     path = dataset.folder(0) / "ground_truth.exr"
     planes, metadata = read_exr(path)
     write_exr(path, planes | {"Z": -planes["Z"]}, metadata)
