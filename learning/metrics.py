@@ -1,0 +1,186 @@
+"""How far an estimate is from the truth, scene by scene: picture in sRGB codes and in linear light, depth in cm and in 1 / z.
+
+Every method's estimate is clamped to its ranges first. Pictures are judged at all pixels; depth at those that are asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, cast
+
+import flip_evaluator
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from skimage.metrics import structural_similarity
+from torch import Tensor
+
+from learning.capture import CaptureModel
+from learning.data import Example
+from learning.display import decode, encode
+from learning.estimate import Estimate
+from learning.perceptual.lpips_distance import LpipsDistance
+from simulator.errors import InputError
+
+# Andersson et al. 2020, section 4: a display 0.7 m wide with 3840 pixels, seen from 0.7 m.
+PIXELS_PER_DEGREE = 0.7 * 3840 / 0.7 * math.pi / 180
+
+SSIM_PIXELS = 11
+"""Side of SSIM's window: smaller pictures have none."""
+
+SSIM_DEFINITION = (
+    "Wang et al. 2004 on sRGB codes 0..1, channel by channel, then their mean: Gaussian window of 11 x 11 pixels, sigma 1.5, "
+    "K1 0.01, K2 0.03, population covariance, data range 1, windows that lie wholly inside (scikit-image)"
+)
+
+DEFINITIONS = {
+    "psnr": "PSNR of sRGB codes 0..1 in dB, peak 1, over all pixels and channels of a scene; inf where they are equal",
+    "ssim": SSIM_DEFINITION,
+    "linear_psnr": "PSNR of linear radiance / white in dB, peak 1; the truth is clipped at white, as pictures are",
+    "flip": f"mean FLIP (LDR) of Andersson et al. 2020 at {PIXELS_PER_DEGREE:.2f} pixels per degree; lower is better",
+    "lpips": "LPIPS 0.1 of Zhang et al. 2018; lower is better",
+    "depth_rmse_cm": "root mean square error of depth in cm",
+    "disparity_rmse": "root mean square error of disparity, evenly in 1 / z from 0 (far) to 1 (near)",
+    "disparity_rmse_per_m": "root mean square error of 1 / z in 1 / m",
+}
+"""Of each score that `measure` gives, in words for a table."""
+
+_LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB: IEC 61966-2-1, ITU-R BT.709
+
+
+class DepthScores(NamedTuple):
+    """Root mean square errors of each scene, ``(B,)`` float64; NaN where no pixel counts. See `DEFINITIONS`."""
+
+    depth_rmse_cm: Tensor
+    disparity_rmse: Tensor
+    disparity_rmse_per_m: Tensor
+
+
+def measure(
+    estimate: Estimate,
+    example: Example,
+    capture: CaptureModel,
+    *,
+    lpips: LpipsDistance | None = None,
+    pixels: Tensor | None = None,
+) -> list[dict[str, float]]:
+    """Return the scores of each scene by name; see `DEFINITIONS`.
+
+    Args:
+        estimate: of B scenes; it is clamped here.
+        example: a batch of B.
+        capture: gives white, and the range of depths that the estimate's disparities mean.
+        lpips: None leaves that score out.
+        pixels: ``(B, 1, h, w)`` bool, where depth counts, such as ``example.valid``; None is everywhere.
+
+    Raises:
+        InputError: shapes that differ, pictures below 11 x 11 pixels, or an estimate with NaN or infinite numbers.
+    """
+    _check(estimate, example)
+    estimate = estimate.clamped()
+    truth = encode(example.radiance, capture.white)
+    scores = [
+        picture_scores(one, other)
+        for one, other in zip(_channels_last(estimate.picture), _channels_last(truth), strict=True)
+    ]
+    linear = psnr(decode(estimate.picture, 1.0), (example.radiance / capture.white).clamp(0, 1))
+    columns = {"psnr": psnr(estimate.picture, truth), "linear_psnr": linear}
+    if lpips is not None:
+        columns["lpips"] = lpips(estimate.picture, truth)
+    columns |= depth_scores(estimate, example, capture, pixels)._asdict()
+    by_scene = [
+        {name: values[scene].item() for name, values in columns.items()} | scores[scene] for scene in range(len(truth))
+    ]
+    return [{name: scene[name] for name in DEFINITIONS if name in scene} for scene in by_scene]
+
+
+def psnr(picture: Tensor, truth: Tensor) -> Tensor:
+    """Return the PSNR of each picture, ``(B,)`` float64, in dB with peak 1; infinite where both are equal."""
+    return -10 * (picture.double() - truth.double()).square().mean(dim=(1, 2, 3)).log10()
+
+
+def picture_scores(picture: NDArray[np.float32], truth: NDArray[np.float32]) -> dict[str, float]:
+    """Return ``ssim`` and ``flip`` of a picture ``(h, w, 3)``, sRGB codes 0..1, float32."""
+    similarity = structural_similarity(
+        truth.astype(np.float64),
+        picture.astype(np.float64),
+        channel_axis=-1,
+        data_range=1.0,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+    )
+    _, error, _ = flip_evaluator.evaluate(
+        truth, picture, "LDR", applyMagma=False, parameters={"ppd": PIXELS_PER_DEGREE}
+    )
+    return {"ssim": float(cast("float", similarity)), "flip": float(error)}
+
+
+def depth_scores(
+    estimate: Estimate, example: Example, capture: CaptureModel, pixels: Tensor | None = None
+) -> DepthScores:
+    """Return the depth errors of each scene; the estimate is clamped to the range, the truth's depth in cm is not.
+
+    Args:
+        estimate: of B scenes.
+        example: a batch of B.
+        capture: gives the range of depths.
+        pixels: ``(B, 1, h, w)`` bool, which count; None are all.
+    """
+    disparity, true_m = estimate.disparity.double().clamp(0, 1), example.depth_m.double()
+    found_m = capture.depth_m(disparity)
+    # Of a pixel at infinity that was found there, the difference is no number.
+    error_cm = torch.where(found_m == true_m, 0.0, 100 * (found_m - true_m))
+    counted = torch.ones_like(example.valid) if pixels is None else pixels
+    return DepthScores(
+        _rms(error_cm, counted),
+        _rms(disparity - capture.disparity(true_m), counted),
+        _rms(1 / found_m - 1 / true_m, counted),
+    )
+
+
+def dark_mask(example: Example, capture: CaptureModel, share: float) -> Tensor:
+    """Return where scenes are too dark to tell their depth, ``(B, 1, h, w)`` bool.
+
+    Args:
+        example: a batch of B.
+        capture: gives white.
+        share: of white's luminance, below which a pixel is dark.
+
+    Raises:
+        InputError: a share outside 0..1.
+    """
+    if not 0 <= share <= 1:
+        msg = f"share: got {share!r}, expected 0 to 1: a share of white's luminance"
+        raise InputError(msg)
+    weights = torch.tensor(_LUMINANCE, dtype=example.radiance.dtype, device=example.radiance.device)
+    return torch.einsum("c,bchw->bhw", weights, example.radiance)[:, None] < share * capture.white
+
+
+def _rms(error: Tensor, counted: Tensor) -> Tensor:
+    squares = torch.where(counted, error.square(), 0.0).sum(dim=(1, 2, 3))
+    return (squares / counted.sum(dim=(1, 2, 3))).sqrt()
+
+
+def _channels_last(pictures: Tensor) -> NDArray[np.float32]:
+    return np.ascontiguousarray(pictures.detach().float().cpu().permute(0, 2, 3, 1).numpy())
+
+
+def _check(estimate: Estimate, example: Example) -> None:
+    for name, found, wanted in (
+        ("picture", estimate.picture, example.radiance),
+        ("disparity", estimate.disparity, example.depth_m),
+    ):
+        if found.shape != wanted.shape or found.ndim != 4:
+            msg = f"estimate.{name}: got shape {tuple(found.shape)}, expected {tuple(wanted.shape)} of a batch of examples"
+            raise InputError(msg)
+        if not bool(found.isfinite().all()):
+            count = int((~found.isfinite()).sum())
+            msg = f"estimate.{name}: {count} of {found.numel()} numbers are NaN or infinite; there is no score for that"
+            raise InputError(msg)
+    if min(estimate.picture.shape[2:]) < SSIM_PIXELS:
+        height, width = estimate.picture.shape[2:]
+        msg = (
+            f"estimate.picture: got {height} x {width} pixels, expected at least {SSIM_PIXELS} x {SSIM_PIXELS} for SSIM"
+        )
+        raise InputError(msg)

@@ -1,0 +1,283 @@
+"""Scores against formulas written down here, and against what must hold for any estimate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from skimage.color import rgb2lab
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+from torch import Tensor
+
+from learning.capture import CaptureModel
+from learning.data import Example
+from learning.display import encode
+from learning.estimate import Estimate
+from learning.metrics import DEFINITIONS, dark_mask, depth_scores, measure, picture_scores, psnr
+from simulator.errors import InputError
+
+Picture = NDArray[np.float32]
+
+
+@pytest.fixture
+def wide(tiny_capture: CaptureModel) -> CaptureModel:
+    """The camera with the thesis's range of depths, 3.6 to 20 cm."""
+    return replace(tiny_capture, stack=replace(tiny_capture.stack, depths_m=np.array([0.036, 0.06, 0.2])))
+
+
+@pytest.fixture
+def batch(wide: CaptureModel) -> tuple[Estimate, Example]:
+    """Three scenes of 20 x 24 pixels with depths in the range, brighter than white here and there, and a poor estimate."""
+    generator = torch.Generator().manual_seed(3)
+    depth = 0.036 + 0.164 * torch.rand(3, 1, 20, 24, generator=generator)
+    valid = torch.rand(3, 1, 20, 24, generator=generator) < 0.8
+    radiance = 1.2 * torch.rand(3, 3, 20, 24, generator=generator) ** 2
+    example = Example(torch.zeros(3, 3, 48, 48), radiance, torch.where(valid, depth, torch.tensor(0.2)), valid)
+    noise = 0.2 * torch.randn(3, 4, 20, 24, generator=generator)
+    picture = encode(radiance, wide.white) + noise[:, :3]
+    return Estimate(picture, wide.disparity(example.depth_m) + noise[:, 3:]), example
+
+
+@pytest.fixture(scope="module")
+def pair() -> tuple[Picture, Picture]:
+    """A smooth picture with edges, and the same blurred and noisy."""
+    rng = np.random.default_rng(5)
+    y, x = np.mgrid[:40, :52] / 40
+    truth = np.stack([(np.sin(9 * x * (c + 1)) > np.cos(7 * y)) * 0.6 + 0.3 * y for c in range(3)], axis=-1)
+    worse = (truth + np.roll(truth, 1, 0) + np.roll(truth, 1, 1)) / 3 + rng.normal(0, 0.08, truth.shape)
+    return worse.clip(0, 1).astype(np.float32), truth.clip(0, 1).astype(np.float32)
+
+
+def wang_2004(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """SSIM of a channel, equation 13, window by window: an 11 x 11 circular Gaussian, sigma 1.5, of unit sum."""
+    taps = np.arange(11) - 5
+    window = np.exp(-(taps[:, None] ** 2 + taps**2) / (2 * 1.5**2))
+    window /= window.sum()
+    values = []
+    for row in range(one.shape[0] - 10):
+        for column in range(one.shape[1] - 10):
+            x, y = (picture[row : row + 11, column : column + 11] for picture in (one, other))
+            mean_x, mean_y = (window * x).sum(), (window * y).sum()
+            variance_x = (window * (x - mean_x) ** 2).sum()
+            variance_y = (window * (y - mean_y) ** 2).sum()
+            covariance = (window * (x - mean_x) * (y - mean_y)).sum()
+            top = (2 * mean_x * mean_y + 0.01**2) * (2 * covariance + 0.03**2)
+            values.append(top / ((mean_x**2 + mean_y**2 + 0.01**2) * (variance_x + variance_y + 0.03**2)))
+    return float(np.mean(values))
+
+
+def test_ssim_is_that_of_wang_2004(pair: tuple[Picture, Picture]) -> None:
+    worse, truth = pair
+    expected = np.mean([wang_2004(truth[..., c].astype(float), worse[..., c].astype(float)) for c in range(3)])
+    assert picture_scores(worse, truth)["ssim"] == pytest.approx(expected, abs=1e-9)
+
+
+def similarity(one: Picture, other: Picture, **definition: Any) -> float:
+    return float(cast("float", structural_similarity(one, other, **definition)))
+
+
+def test_other_definitions_of_ssim_give_other_numbers(pair: tuple[Picture, Picture]) -> None:
+    """Which is why one is pinned, and said in every table."""
+    worse, truth = pair
+    grey_worse, grey = worse.mean(axis=-1), truth.mean(axis=-1)
+    values = [
+        picture_scores(worse, truth)["ssim"],
+        similarity(truth, worse, channel_axis=-1, data_range=1.0),  # a box of 7 x 7 instead of the Gaussian
+        similarity(truth, worse, channel_axis=-1, data_range=2.0, gaussian_weights=True, use_sample_covariance=False),
+        similarity(grey, grey_worse, data_range=1.0, gaussian_weights=True, use_sample_covariance=False),
+    ]
+    assert np.all(np.diff(np.sort(values)) > 0.01), values
+
+
+def hunt_lab(colour: NDArray[np.float64]) -> NDArray[np.float64]:
+    """L*, and a*, b* that grow with lightness: FLIP's paper, section 4.1.2. White is sRGB's own, as rgb2lab's."""
+    lab = rgb2lab(colour[None, None])[0, 0]
+    return np.array([lab[0], 0.01 * lab[0] * lab[1], 0.01 * lab[0] * lab[2]])
+
+
+def hyab(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    return float(abs(one[0] - other[0]) + math.hypot(one[1] - other[1], one[2] - other[2]))
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ((0, 0, 0), (1, 1, 1)),
+        ((0.8, 0.2, 0.1), (0.8, 0.3, 0.1)),
+        ((0.1, 0.2, 0.9), (0.9, 0.2, 0.1)),
+        ((0, 1, 0), (0, 0, 1)),
+    ],
+)
+def test_flip_of_uniform_pictures_is_the_paper_s_colour_difference(
+    one: tuple[float, ...], other: tuple[float, ...]
+) -> None:
+    """Andersson et al. 2020, section 4.1.2: HyAB to the power 0.7, remapped at 0.4 of the greatest to 0.95; no edges there.
+
+    rgb2lab rounds sRGB's matrix to other digits than FLIP: 2e-3. Channels in another order would miss by 0.05 and more.
+    """
+    colours = [np.array(colour, np.float64) for colour in (one, other)]
+    greatest = hyab(hunt_lab(np.array([0.0, 1, 0])), hunt_lab(np.array([0.0, 0, 1]))) ** 0.7
+    difference = hyab(*(hunt_lab(colour) for colour in colours)) ** 0.7
+    knee = 0.4 * greatest
+    expected = 0.95 * difference / knee
+    if difference > knee:
+        expected = 0.95 + 0.05 * (difference - knee) / (greatest - knee)
+    pictures = [np.broadcast_to(colour, (16, 20, 3)).astype(np.float32).copy() for colour in colours]
+    assert picture_scores(pictures[0], pictures[1])["flip"] == pytest.approx(expected, abs=2e-3)
+
+
+def test_flip_black_on_white_is_0_967_and_equal_is_0(pair: tuple[Picture, Picture]) -> None:
+    black = np.zeros((16, 16, 3), np.float32)
+    assert picture_scores(black, black + 1)["flip"] == pytest.approx(0.967, abs=1e-3)
+    assert picture_scores(pair[1], pair[1]) == {"ssim": pytest.approx(1, abs=1e-12), "flip": 0}
+
+
+def test_psnr_is_analytic_and_scikit_image_s(batch: tuple[Estimate, Example], wide: CaptureModel) -> None:
+    one, other = torch.full((1, 3, 4, 4), 0.5), torch.full((1, 3, 4, 4), 0.6)
+    assert psnr(one, other).item() == pytest.approx(20, abs=1e-5)  # float32's 0.6
+    assert psnr(one, one).item() == math.inf
+    estimate, example = batch
+    for scene, scores in enumerate(measure(estimate, example, wide)):
+        truth = (example.radiance[scene].numpy().astype(np.float64) / 0.9).clip(0, 1)
+        codes = np.where(truth <= 0.0031308, 12.92 * truth, 1.055 * truth ** (1 / 2.4) - 0.055)
+        found = estimate.picture[scene].numpy().astype(np.float64).clip(0, 1)
+        linear = np.where(found <= 0.04045, found / 12.92, ((found + 0.055) / 1.055) ** 2.4)
+        # 1e-4 dB: codes are float32 there
+        assert scores["psnr"] == pytest.approx(peak_signal_noise_ratio(codes, found, data_range=1), abs=1e-4)
+        assert scores["linear_psnr"] == pytest.approx(peak_signal_noise_ratio(truth, linear, data_range=1), abs=1e-4)
+
+
+@pytest.mark.parametrize("choose", [None, "valid", "bright"])
+def test_depth_errors_are_their_formulas(
+    batch: tuple[Estimate, Example], wide: CaptureModel, choose: str | None
+) -> None:
+    estimate, example = batch
+    dark = dark_mask(example, wide, 0.2)
+    pixels = {None: None, "valid": example.valid, "bright": example.valid & ~dark}[choose]
+    luminance = np.einsum("c,bchw->bhw", [0.2126, 0.7152, 0.0722], example.radiance.numpy()) / 0.9
+    chosen = {
+        None: np.ones_like(luminance, bool),
+        "valid": example.valid[:, 0].numpy(),
+        "bright": example.valid[:, 0].numpy() & (luminance >= 0.2),
+    }[choose]
+    assert choose is None or 0.3 < chosen.mean() < 0.9
+    for scene, scores in enumerate(measure(estimate, example, wide, pixels=pixels)):
+        share = estimate.disparity[scene, 0].numpy().astype(np.float64).clip(0, 1)[chosen[scene]]
+        found = 1 / 0.2 + share * (1 / 0.036 - 1 / 0.2)
+        true = 1 / example.depth_m[scene, 0].numpy().astype(np.float64)[chosen[scene]]
+        assert scores["depth_rmse_cm"] == pytest.approx(np.sqrt(np.mean((100 / found - 100 / true) ** 2)), rel=1e-9)
+        assert scores["disparity_rmse_per_m"] == pytest.approx(np.sqrt(np.mean((found - true) ** 2)), rel=1e-9)
+        span = 1 / 0.036 - 1 / 0.2  # the truth lies in the range, up to float32
+        assert scores["disparity_rmse"] == pytest.approx(scores["disparity_rmse_per_m"] / span, rel=1e-6)
+
+
+def test_the_best_constant_depth_of_3_6_to_20_cm_is_4_73_cm_off(wide: CaptureModel) -> None:
+    """The standard deviation of a uniform distribution, 16.4 cm / sqrt(12); no other constant is better."""
+    depth_m = torch.linspace(0.036, 0.2, 128 * 128, dtype=torch.float64).reshape(1, 1, 128, 128)
+    black, everywhere = torch.zeros(1, 3, 128, 128), torch.ones_like(depth_m, dtype=torch.bool)
+    example = Example(black, black, depth_m, everywhere)
+
+    def error(constant_m: float) -> float:
+        guess = torch.full_like(depth_m, float(wide.disparity(torch.tensor(constant_m, dtype=torch.float64))))
+        return depth_scores(Estimate(black, guess), example, wide).depth_rmse_cm.item()
+
+    best = error(0.118)
+    assert best == pytest.approx(16.4 / math.sqrt(12), rel=1e-3)
+    assert f"{best:.2f}" == "4.73"
+    assert best < min(error(0.116), error(0.120))
+
+
+def test_a_perfect_estimate_is_perfect(batch: tuple[Estimate, Example], wide: CaptureModel) -> None:
+    _, example = batch
+    estimate = Estimate(encode(example.radiance, wide.white), wide.disparity(example.depth_m))
+    for scores in measure(estimate, example, wide):
+        assert list(scores) == [name for name in DEFINITIONS if name != "lpips"]
+        assert scores["psnr"] == math.inf
+        assert scores["linear_psnr"] > 130  # float32 through both curves
+        assert scores["ssim"] == pytest.approx(1, abs=1e-12)
+        assert scores["flip"] == 0
+        assert scores["depth_rmse_cm"] < 1e-5
+        assert scores["disparity_rmse"] < 1e-6
+
+
+def test_scores_are_of_their_scene_and_clamped(batch: tuple[Estimate, Example], wide: CaptureModel) -> None:
+    estimate, example = batch
+    together = measure(estimate, example, wide)
+    order = [2, 0, 1]
+    turned = measure(Estimate(*(v[order] for v in estimate)), Example(*(v[order] for v in example)), wide)
+    assert turned == [together[n] for n in order]
+    assert measure(estimate.clamped(), example, wide) == together
+    assert not torch.equal(estimate.clamped().disparity, estimate.disparity)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        pytest.param(lambda values, level: values + level * 0.1, id="shift"),
+        pytest.param(lambda values, level: values * (1 - 0.2 * level), id="contrast"),
+    ],
+)
+def test_worse_estimates_have_worse_scores(
+    batch: tuple[Estimate, Example], wide: CaptureModel, damage: Callable[[Tensor, int], Tensor]
+) -> None:
+    _, example = batch
+    truth = (encode(example.radiance, wide.white), wide.disparity(example.depth_m))
+    levels = [measure(Estimate(*(damage(v, n) for v in truth)), example, wide)[0] for n in range(4)]
+    for name in levels[0]:
+        values = [scores[name] for scores in levels]
+        better_high = name in ("psnr", "linear_psnr", "ssim")
+        assert sorted(set(values), reverse=better_high) == values, name
+
+
+def test_the_far_plane_may_be_at_infinity(tiny_capture: CaptureModel) -> None:
+    capture = replace(tiny_capture, stack=replace(tiny_capture.stack, depths_m=np.array([0.1, 0.2, np.inf])))
+    depth_m = torch.tensor([0.1, 0.2, math.inf]).repeat(2, 1, 1, 1).reshape(2, 1, 1, 3)
+    black, everywhere = torch.zeros(2, 3, 1, 3), torch.ones_like(depth_m, dtype=torch.bool)
+    example = Example(black, black, depth_m, everywhere)
+    guess = torch.tensor([[1.0, 0.5, 0.0], [1.0, 0.5, 0.1]]).reshape(2, 1, 1, 3)
+    scores = depth_scores(Estimate(black, guess), example, capture)
+    assert scores.depth_rmse_cm[0] < 1e-5
+    assert scores.depth_rmse_cm[1] == math.inf
+    assert scores.disparity_rmse_per_m.tolist() == pytest.approx([0, 1 / math.sqrt(3)], abs=1e-6)
+
+
+def test_without_pixels_there_is_no_depth_score(batch: tuple[Estimate, Example], wide: CaptureModel) -> None:
+    pixels = batch[1].valid.clone()
+    pixels[1] = False
+    scores = measure(*batch, wide, pixels=pixels)
+    assert [math.isnan(scene["depth_rmse_cm"]) for scene in scores] == [False, True, False]
+
+
+def test_lpips_is_a_score_of_each_scene(batch: tuple[Estimate, Example], wide: CaptureModel) -> None:
+    """What comes is the clamped picture and the true one; a stand-in, for the weights may be absent."""
+
+    def distance(picture: Tensor, truth: Tensor) -> Tensor:
+        assert float(picture.min()) == 0
+        assert float(picture.max()) == 1
+        return (picture - truth).abs().mean(dim=(1, 2, 3))
+
+    estimate, example = batch
+    expected = (estimate.picture.clamp(0, 1) - encode(example.radiance, 0.9)).abs().mean(dim=(1, 2, 3))
+    scores = measure(estimate, example, wide, lpips=distance)  # pyright: ignore[reportArgumentType]
+    assert [scene["lpips"] for scene in scores] == expected.tolist()
+    assert list(scores[0]) == list(DEFINITIONS)
+
+
+def test_nonsense_is_refused(batch: tuple[Estimate, Example], wide: CaptureModel) -> None:
+    estimate, example = batch
+    disparity = estimate.disparity.clone()
+    disparity[1, 0, 3, 4] = math.nan
+    with pytest.raises(InputError, match=r"estimate\.disparity: 1 of 1440 numbers are NaN"):
+        measure(Estimate(estimate.picture, disparity), example, wide)
+    with pytest.raises(InputError, match=r"estimate\.picture: got shape \(3, 3, 20, 23\), expected \(3, 3, 20, 24\)"):
+        measure(Estimate(estimate.picture[..., 1:], estimate.disparity), example, wide)
+    with pytest.raises(InputError, match="20 x 10 pixels, expected at least 11 x 11"):
+        measure(Estimate(*(v[..., :10] for v in estimate)), Example(*(v[..., :10] for v in example)), wide)
+    with pytest.raises(InputError, match="share: got 2"):
+        dark_mask(example, wide, 2)
