@@ -1,7 +1,12 @@
 """Training as a whole: it learns, goes on as if it had never stopped, and says what is wrong."""
 
 import json
+import os
+import shutil
 import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -232,6 +237,50 @@ def test_output_that_holds_something_else(settings: Callable[..., TrainConfig]) 
     (Path(config.output) / "thesis.txt").touch()
     with pytest.raises(InputError, match=r"not empty and holds no training \(thesis.txt"):
         train(config)
+
+
+def test_damage_is_named_though_a_worker_meets_it(
+    settings: Callable[..., TrainConfig], tiny_dataset: Path, tmp_path: Path
+) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(tiny_dataset, copy)
+    ids = open_dataset(copy, "train").ids
+    damaged = next(copy.glob(f"train/*/{ids[15]}")) / "measurement.exr"  # no one of those that are looked at beforehand
+    damaged.write_bytes(damaged.read_bytes()[:-100])
+    with pytest.raises(InputError) as error:
+        train(settings(data={"train": str(copy), "workers": 1}))
+    assert str(damaged) in str(error.value)
+    assert "Traceback" not in str(error.value)
+
+
+@pytest.mark.slow
+def test_a_terminal_s_ctrl_c(settings: Callable[..., TrainConfig], tmp_path: Path) -> None:
+    """It reaches the workers too, which must live on until the step is done."""
+    config = settings(steps=100_000, data={"workers": 2}, log_every=1)
+    path = tmp_path / "train.yaml"
+    path.write_text(json.dumps(config.dump()))
+    code = "import sys; from learning.train import train; train(sys.argv[1], say=print)"
+    root = Path(__file__).resolve().parents[2]
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-c", code, str(path)],
+        cwd=root,
+        env=os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    log = Path(config.output) / METRICS
+    begin = time.monotonic()
+    while not (log.exists() and log.stat().st_size) and time.monotonic() - begin < 120:
+        time.sleep(0.1)
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    step = torch.load(Path(config.output) / STATE, weights_only=True)["progress"]["step"]
+    assert f"stopped after step {step} of 100000; the same command goes on from there" in out
+    assert step >= 1
+    assert err.count("Traceback") == 1  # ours: KeyboardInterrupt, which the command turns into words
+    assert err.rstrip().endswith("KeyboardInterrupt")
 
 
 def test_captured_stack_is_another_training(settings: Callable[..., TrainConfig], tiny_dataset: Path) -> None:
