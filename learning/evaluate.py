@@ -1,0 +1,204 @@
+"""Evaluation: all methods on the same scenes and measurements, by the same scores; what is finished is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from learning.config.evaluate import EvaluateConfig
+from learning.data import check_dataset
+from learning.devices import choose_device
+from learning.display import encode
+from learning.evaluation.cache import ResultCache
+from learning.evaluation.cameras import Cameras
+from learning.evaluation.findings import Findings, default_edges_cm
+from learning.evaluation.montage import Shown
+from learning.evaluation.outcome import Outcome, outcome
+from learning.evaluation.output import write_results
+from learning.evaluation.roster import Entry, LearnedEntry, read_roster
+from learning.evaluation.runs import Run, Runner
+from learning.evaluation.scoring import Criteria, score
+from learning.evaluation.timing import Times, device_in_words, take_times
+from learning.evaluation.trivial import trivial_methods
+from learning.perceptual import LpipsDistance, available_lpips
+from simulator.dataset.reader import Dataset, open_dataset
+from simulator.files import storage_errors
+
+CACHE = "cache"
+_BINS, _TIMED_SCENES = 8, 8
+
+Progress = Callable[[str, int, int], None]
+
+
+def evaluate(
+    config: EvaluateConfig, *, progress: Progress = lambda *_: None, say: Callable[[str], None] = lambda _: None
+) -> tuple[Findings, list[Path]]:
+    """Evaluate as a file says, and write results, tables and figures to its folder.
+
+    Args:
+        config: the file.
+        progress: called with a stage, what is done and how much there is in all.
+        say: called with a line on what takes place.
+
+    Returns:
+        What was found, and the files, the report first.
+
+    Raises:
+        InputError: data without scenes or depth, methods of other cameras, missing files, an estimate that is no number.
+        StorageError: the folder cannot be written to.
+    """
+    folder = config.resolve_path(config.output)
+    with storage_errors(folder):
+        cache = ResultCache(folder / CACHE)
+    device = choose_device(config.device)
+    if config.threads is not None:
+        torch.set_num_threads(config.threads)
+    test = _test_scenes(config)
+    roster = read_roster(config, test)
+    training = None if config.data.training is None else config.resolve_path(config.data.training)
+    cameras = Cameras(test, training, [entry for seeds in roster for entry in seeds], config.resolve_path)
+    lpips, perceptual = _perceptual(config.perceptual, device)
+    say(perceptual)
+    camera = cameras.believed(roster[0][0], config.data.stack)
+    edges_cm = default_edges_cm(camera, _BINS) if config.depth_bins_cm is None else tuple(config.depth_bins_cm)
+    criteria = Criteria(edges_cm, config.dark_share, lpips)
+    runner = Runner(test, cameras, criteria, cache, device=device, batch=config.batch, seed=config.seed)
+    planned = _plan(config)
+    _rehearse(runner, roster, planned)
+    outcomes = [one for seeds in roster for one in _outcomes(runner, seeds, planned, progress)]
+    examples = runner.examples(None)
+    trivial = [
+        outcome(
+            method.name,
+            "trivial",
+            [score(method, examples, criteria, device=device, batch=config.batch)],
+            only=method.scores,
+        )
+        for method in trivial_methods(examples, camera, config.batch)
+    ]
+    findings = Findings(
+        config=config,
+        test=test,
+        camera=camera,
+        stored_db=runner.stored_db,
+        edges_cm=edges_cm,
+        perceptual=perceptual,
+        device=device_in_words(device),
+        methods=[_about(seeds) for seeds in roster],
+        outcomes=outcomes,
+        trivial=trivial,
+        times=_times(config, runner, roster, device, progress),
+        montage=_montage(config, runner, roster),
+        columns=["truth", *(method.name for method in config.methods)],
+    )
+    return findings, write_results(folder, findings)
+
+
+def _test_scenes(config: EvaluateConfig) -> Dataset:
+    test = open_dataset(config.resolve_path(config.data.test), config.data.split)
+    test = test if config.data.scenes is None else test[: config.data.scenes]
+    check_dataset(test)
+    return test
+
+
+def _perceptual(wanted: str, device: torch.device) -> tuple[LpipsDistance | None, str]:
+    if wanted == "none":
+        return None, "no LPIPS: it was not asked for"
+    if wanted == "lpips":
+        LpipsDistance()  # says what is missing and where
+    lpips, words = available_lpips()
+    return lpips and lpips.to(device), words
+
+
+def _plan(config: EvaluateConfig) -> list[tuple[str, float | None]]:
+    """Return PSFs and noise of all runs of a method, each once."""
+    usual = config.data.stack
+    levels = [(usual, None), *((usual, level) for level in config.noise_db or ())]
+    return list(dict.fromkeys([*levels, *((stack, None) for stack in config.data.compare_stacks)]))
+
+
+def _rehearse(runner: Runner, roster: Sequence[Sequence[Entry]], planned: Sequence[tuple[str, float | None]]) -> None:
+    """Build every method once for each of its cameras: what does not fit is said now, not after hours of work."""
+    for seeds in roster:
+        for entry in seeds:
+            for stack, level in planned:
+                runner.method(Run(entry, stack, level))
+
+
+def _outcomes(
+    runner: Runner, seeds: Sequence[Entry], planned: Sequence[tuple[str, float | None]], progress: Progress
+) -> list[Outcome]:
+    name, done, total = seeds[0].name, 0, len(seeds) * len(planned) * len(runner.test)
+
+    def count(scenes: int) -> None:
+        nonlocal done
+        done += scenes
+        progress(name, done, total)
+
+    found: list[Outcome] = []
+    for stack, level in planned:
+        runs = [Run(entry, stack, level) for entry in seeds]
+        results = [runner.result(run, count) for run in runs]
+        note = seeds[0].note(runner.level_db(runs[0]))
+        identities = [entry.identity(runner.level_db(runs[0])) for entry in seeds]
+        details = {"identities": identities, "believed": [runner.camera(run).stack.fingerprint for run in runs]}
+        found.append(outcome(name, seeds[0].kind, results, stack=stack, noise_db=level, note=note, details=details))
+    return found
+
+
+def _times(
+    config: EvaluateConfig, runner: Runner, roster: Sequence[Sequence[Entry]], device: torch.device, progress: Progress
+) -> list[Times]:
+    if config.time.repeats == 0:
+        return []
+    level = config.time.noise_db
+    methods = [runner.method(Run(seeds[0], config.data.stack, level)) for seeds in roster]
+    examples = runner.examples(level)
+    scenes = [examples[position].measurement for position in range(min(len(examples), _TIMED_SCENES))]
+    measurements = torch.stack(scenes).to(device)
+    return take_times(methods, measurements, config.time.repeats, lambda done, total: progress("times", done, total))
+
+
+def _montage(config: EvaluateConfig, runner: Runner, roster: Sequence[Sequence[Entry]]) -> list[list[Shown]]:
+    """Return evenly spread scenes as they were and as the first seed of every method has them."""
+    count = min(config.figures.montage, len(runner.test))
+    positions = np.unique(np.linspace(0, len(runner.test) - 1, count).round().astype(int)).tolist()
+    runs = [Run(seeds[0], config.data.stack) for seeds in roster]
+    estimates = [runner.estimates(run, positions) for run in runs]
+    known = [runner.result(run)["scores"] for run in runs]
+    examples, rows = runner.examples(None), []
+    for at, position in enumerate(positions):
+        example = examples[position]
+        picture = encode(example.radiance, runner.white).numpy()
+        row = [
+            Shown(
+                np.moveaxis(picture, 0, -1),
+                example.depth_m[0].numpy(),
+                runner.test.ids[position],
+                example.valid[0].numpy(),
+            )
+        ]
+        for shown, scores in zip(estimates, known, strict=True):
+            words = f"{scores[position]['psnr']:.1f} dB, {scores[position]['depth_rmse_cm']:.2f} cm"
+            row.append(Shown(np.moveaxis(shown[at]["picture"], 0, -1), shown[at]["depth_m"], words))
+        rows.append(row)
+    return rows
+
+
+def _about(seeds: Sequence[Entry]) -> dict[str, Any]:
+    about: dict[str, Any] = {"name": seeds[0].name, "kind": seeds[0].kind}
+    learned = [entry for entry in seeds if isinstance(entry, LearnedEntry)]
+    about["checkpoints"] = [
+        {
+            "file": entry.path.name,
+            "sha256": entry.digest,
+            "architecture": dict(entry.architecture),
+            "record": dict(entry.record),
+        }
+        for entry in learned
+    ]
+    return about

@@ -1,0 +1,1 @@
+"""The parts of `flatlight evaluate`: methods, scores, their cache and summary, times, tables and figures."""

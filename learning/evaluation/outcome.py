@@ -1,0 +1,93 @@
+"""What came out for one method, with one set of PSFs, at one level of noise: all seeds together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from learning.evaluation.summary import Summary, pooled_rms, summarise
+
+Kind = Literal["learned", "classical", "trivial"]
+OWN = "own"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One line of the table.
+
+    Attributes:
+        method: its name.
+        kind: learned, classical, or trivial: an answer that looks at no measurement.
+        stack: how the PSFs that it believed are named in the file; ``own`` for those that it always has.
+        noise_db: level at which noise was drawn anew; None for measurements as stored.
+        scores: mean and spreads by score, see `learning.metrics.measure`.
+        pooled_depth_rmse_cm: over all pixels of all scenes and seeds.
+        bins_cm: depth RMSE by bin of true depth, over all pixels; None where a bin is empty.
+        note: what else decides it, such as tuned parameters.
+    """
+
+    method: str
+    kind: Kind
+    stack: str
+    noise_db: float | None
+    scores: Mapping[str, Summary]
+    pooled_depth_rmse_cm: float | None
+    bins_cm: tuple[float | None, ...]
+    note: str = ""
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    def plain(self) -> dict[str, Any]:
+        """Return the same for JSON."""
+        return {
+            "method": self.method,
+            "kind": self.kind,
+            "stack": self.stack,
+            "noise_db": self.noise_db,
+            "scores": {name: summary.plain() for name, summary in self.scores.items()},
+            "pooled_depth_rmse_cm": self.pooled_depth_rmse_cm,
+            "depth_rmse_cm_by_bin": list(self.bins_cm),
+            "note": self.note,
+            **self.details,
+        }
+
+
+def outcome(
+    method: str,
+    kind: Kind,
+    seeds: Sequence[Mapping[str, Any]],
+    *,
+    stack: str = OWN,
+    noise_db: float | None = None,
+    note: str = "",
+    details: Mapping[str, Any] | None = None,
+    only: Sequence[str] | None = None,
+) -> Outcome:
+    """Return the outcome of what `learning.evaluation.scoring.score` found for each seed.
+
+    Args:
+        method: its name.
+        kind: of method.
+        seeds: one result per seed, of the same scenes.
+        stack: see `Outcome`.
+        noise_db: see `Outcome`.
+        note: see `Outcome`.
+        details: for results.json.
+        only: the scores that mean anything; None keeps all.
+    """
+    names = [name for name in seeds[0]["scores"][0] if only is None or name in only]
+    tables = {name: np.array([[scene[name] for scene in seed["scores"]] for seed in seeds]) for name in names}
+    scores = {name: summarise(table) for name, table in tables.items() if not np.isnan(table).any(axis=0).all()}
+    squares, counts = ([seed[name] for seed in seeds] for name in ("squares_cm2", "counts"))
+    with_depth = "depth_rmse_cm" in scores
+    pooled, bins = None, ()
+    if with_depth:
+        bins = pooled_rms(squares, counts)
+        (pooled,) = pooled_rms([[[sum(scene)] for scene in seed] for seed in squares], _totals(counts))
+    return Outcome(method, kind, stack, noise_db, scores, pooled, bins, note, dict(details or {}))
+
+
+def _totals(counts: Sequence[Sequence[Sequence[float]]]) -> list[list[list[float]]]:
+    return [[[sum(scene)] for scene in seed] for seed in counts]
