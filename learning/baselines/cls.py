@@ -1,0 +1,44 @@
+"""Constrained least squares: a scene of small second derivatives that explains the measurement, at each depth alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from learning.capture import CaptureModel
+from learning.layers.inversion import RegularisedInversion
+
+
+class ConstrainedLeastSquares(RegularisedInversion):
+    """``argmin |Y - H(z) * S|^2 + lambda(z) |P * S|^2`` for each plane z, P the Laplacian: thesis 5.2 and 5.3.
+
+    Gonzalez and Woods, Digital Image Processing, section 5.9. The learned layer with nothing learned, so that both have
+    the same Fourier transforms, padding and units; the division is worked out once.
+    """
+
+    divided: Tensor
+
+    def __init__(self, capture: CaptureModel, planes: Sequence[int] | None = None, *, strength: float = 1e-2) -> None:
+        """Prepare the division.
+
+        Args:
+            capture: the camera.
+            planes: indices of the planes to invert at; None takes all.
+            strength: lambda as a multiple of the PSF's mean spectral power, alike for every mask, gain and exposure.
+
+        Raises:
+            InputError: a strength that is not positive.
+        """
+        super().__init__(capture, planes, strength=strength, learned=False)
+        self.register_buffer("divided", super().inverse(), persistent=False)
+
+    def inverse(self) -> Tensor:
+        """Return W(z), ``(K, C, L, M // 2 + 1)`` complex; see `RegularisedInversion.inverse`."""
+        return self.divided
+
+    @torch.no_grad()
+    def forward(self, measurement: Tensor) -> Tensor:
+        """Return ``(B, K, C, h, w)`` radiance / white in the camera's channels of measurements ``(B, C, H, W)``."""
+        return super().forward(measurement)
