@@ -98,5 +98,8 @@ class FlatNet2D(FlatNet):
 
 
 def hyperfocal_plane(capture: CaptureModel) -> int:
-    """Return the plane whose PSF is nearest to those of all depths: the PSF scales with 1 / z, so the middle disparity."""
-    return int(np.argmin(np.abs(capture.plane_disparities() - 0.5)))
+    """Return the plane whose PSF is nearest to those of all depths: the PSF scales with 1 / z, so the middle disparity.
+
+    Of two equally near, the nearer to the camera.
+    """
+    return int(np.argmin(np.abs(capture.plane_disparities() - 0.5).round(9)))

@@ -1,7 +1,19 @@
-"""Networks by name, and their sizes: the thesis's, one for a laptop, one for tests."""
+"""Networks by name, and their sizes: the thesis's, one for a laptop, one for tests.
+
+FlatNet3D of 8 planes of 3 channels, scenes of 64 x 64 on 160 x 192 pixels, one CPU thread:
+
+| size    | parameters | training, ms per sample (float32 / bfloat16) | reconstruction, ms |
+|---------|------------|----------------------------------------------|--------------------|
+| tiny    |      9 216 |                                          16  |                 11 |
+| compact |  2 163 348 |                                     29 / 26  |                 22 |
+| thesis  | 35 928 104 |                                   321 / 185  |                 87 |
+
+The inversion takes 12 ms of the training and 9 ms of the reconstruction; of FlatNet2D, which inverts at one plane, 2 ms.
+"""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from typing import Any
 
@@ -30,6 +42,11 @@ def build_network(capture: CaptureModel, name: str, size: str = "compact", **cha
         InputError: an unknown name or size, or numbers that the network refuses.
     """
     _check(name, size)
+    numbers = [key for key in inspect.signature(NETWORKS[name]).parameters if key != "capture"]
+    for key in changes:
+        if key not in numbers:
+            msg = f"{key}: not a number of this network; {name} has {', '.join(numbers)}"
+            raise InputError(msg)
     return NETWORKS[name](capture, **SIZES[size] | changes)
 
 
