@@ -1,0 +1,232 @@
+"""Checkpoints: all comes back, and every file that cannot serve says why."""
+
+import json
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import safetensors.torch
+import torch
+from safetensors import safe_open
+
+from learning.checkpoint import load_checkpoint, save_checkpoint
+from learning.models import LearnedMethod, build_network
+from simulator.errors import InputError
+from simulator.files import StorageError
+from simulator.optics.psf_stack import depth_planes
+
+ARCHITECTURE = {"network": "flatnet3d", "size": "tiny", "filters": 6}
+RECORD = {
+    "command": "flatlight train x.yaml",
+    "seconds": 12.5,
+    "metrics": {"psnr": 20.1},
+    "versions": {"torch": "2.15"},
+}
+
+
+@pytest.fixture
+def network(tiny_capture):
+    torch.manual_seed(3)
+    network = build_network(tiny_capture, "flatnet3d", "tiny", filters=6)
+    network(torch.rand(4, 3, 48, 48))  # moves the running means
+    return network
+
+
+@pytest.fixture
+def path(tmp_path, network, tiny_capture):
+    path = tmp_path / "flatnet.safetensors"
+    save_checkpoint(path, network, architecture=ARCHITECTURE, capture=tiny_capture, record=RECORD)
+    return path
+
+
+def rewritten(path, change):
+    """Change the JSON text of a checkpoint and return its path."""
+    with safe_open(path, "pt") as file:
+        content = json.loads(file.metadata()["flatlight"])
+    change(content)
+    metadata = {"flatlight": json.dumps(content)}
+    safetensors.torch.save_file(safetensors.torch.load_file(path), path, metadata)
+    return path
+
+
+def test_everything_comes_back(path, network, tiny_capture):
+    state = torch.get_rng_state()
+    checkpoint = load_checkpoint(path)
+    assert torch.equal(torch.get_rng_state(), state)
+    assert checkpoint.record == RECORD
+    assert checkpoint.architecture == ARCHITECTURE | {"levels": 3, "attention": False, "stem": 1}
+    back, mine = checkpoint.capture, tiny_capture
+    for name in ("sensor_shape", "scene_shape", "gain", "white"):
+        assert getattr(back, name) == getattr(mine, name)
+    for name in ("offset", "irradiance", "scene_to_camera"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(mine, name), strict=True)
+    np.testing.assert_array_equal(back.stack.values, mine.stack.values, strict=True)
+    np.testing.assert_array_equal(back.stack.depths_m, mine.stack.depths_m, strict=True)
+    for name in ("pixel_pitch_m", "channels", "fingerprint", "provenance"):
+        assert getattr(back.stack, name) == getattr(mine.stack, name)
+    assert not checkpoint.network.training
+    measurement = torch.rand(2, 3, 48, 48)
+    with torch.no_grad():
+        wanted = network.eval()(measurement)
+    got = LearnedMethod("ours", checkpoint.network, checkpoint.capture).reconstruct(measurement)
+    assert torch.equal(got.picture, wanted.picture)
+    assert torch.equal(got.disparity, wanted.disparity)
+
+
+def test_same_content_is_the_same_file(path, tmp_path, network, tiny_capture):
+    again = tmp_path / "again.safetensors"
+    network = network.to(memory_format=torch.channels_last)
+    save_checkpoint(
+        again, network, architecture=ARCHITECTURE, capture=tiny_capture, record=dict(reversed(RECORD.items()))
+    )
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_planes_at_infinity(tmp_path, tiny_capture):
+    stack = replace(tiny_capture.stack, depths_m=depth_planes(0.05, float("inf"), 3))
+    far = tiny_capture.with_stack(stack)
+    path = tmp_path / "far.safetensors"
+    network = build_network(far, "flatnet2d", "tiny")
+    save_checkpoint(path, network, architecture={"network": "flatnet2d", "size": "tiny"}, capture=far, record={})
+    assert load_checkpoint(path, capture=far).capture is far
+    assert load_checkpoint(path).capture.far_m == float("inf")
+
+
+def test_half_precision_rounds_the_weights_only(path, network, tiny_capture, tmp_path):
+    half = tmp_path / "half.safetensors"
+    precision = torch.float16
+    save_checkpoint(half, network, architecture=ARCHITECTURE, capture=tiny_capture, record={}, precision=precision)
+    saved = path.stat().st_size - half.stat().st_size
+    assert saved == pytest.approx(2 * sum(p.numel() for p in network.parameters()), rel=0.05)
+    checkpoint = load_checkpoint(half)
+    np.testing.assert_array_equal(checkpoint.capture.stack.values, tiny_capture.stack.values)
+    for key, value in checkpoint.network.state_dict().items():
+        mine = network.state_dict()[key]
+        assert value.dtype == mine.dtype
+        torch.testing.assert_close(value, mine, rtol=2**-11, atol=2**-24)  # the rounding of float16
+
+
+def test_another_camera_of_the_same_planes(path, tiny_capture):
+    """Other PSFs, exposure and white: the weights are the same, the inversion is the new camera's."""
+    other = replace(tiny_capture, gain=3 * tiny_capture.gain, sensor_shape=(64, 52))
+    other = other.with_stack(replace(other.stack, values=np.asarray(other.stack.values)[..., ::-1, :].copy()))
+    checkpoint = load_checkpoint(path, capture=other, network="flatnet3d")
+    assert checkpoint.capture is other
+    own = load_checkpoint(path).network
+    for (key, value), mine in zip(checkpoint.network.state_dict().items(), own.state_dict().values(), strict=True):
+        assert torch.equal(value, mine), key
+    assert not torch.equal(checkpoint.network.inversion.inverse()[..., :9, :9], own.inversion.inverse()[..., :9, :9])
+
+
+@pytest.mark.parametrize(
+    ("depths_m", "message"),
+    [
+        (depth_planes(0.01, 0.2, 4), "is for 3 planes from 1 to 20 cm, the stack has 4 planes from 1 to 20 cm"),
+        (depth_planes(0.02, 0.2, 3), "is for 3 planes from 1 to 20 cm, the stack has 3 planes from 2 to 20 cm"),
+        (np.array([0.01, 0.03, 0.2]), "planes"),
+    ],
+)
+def test_refuses_a_stack_of_other_planes(path, tiny_capture, depths_m, message):
+    values = np.resize(np.asarray(tiny_capture.stack.values), (len(depths_m), *tiny_capture.stack.values.shape[1:]))
+    with pytest.raises(InputError, match=message):
+        load_checkpoint(
+            path, capture=tiny_capture.with_stack(replace(tiny_capture.stack, values=values, depths_m=depths_m))
+        )
+
+
+def test_refuses_a_stack_of_other_channels(path, tiny_capture):
+    grey = replace(
+        tiny_capture,
+        stack=replace(tiny_capture.stack, values=np.asarray(tiny_capture.stack.values)[:, :1], channels=("Y",)),
+        offset=np.zeros(1),
+        scene_to_camera=np.ones((1, 3)),
+    )
+    with pytest.raises(InputError, match="takes the channels R, G, B, the stack has Y"):
+        load_checkpoint(path, capture=grey)
+
+
+def test_refuses_another_architecture_than_asked(path):
+    with pytest.raises(InputError, match="got a checkpoint of flatnet3d, expected flatnet2d"):
+        load_checkpoint(path, network="flatnet2d")
+
+
+def test_refuses_a_newer_format(path):
+    with pytest.raises(
+        InputError, match=r"flatnet\.safetensors: got a checkpoint of version 2, expected at most 1; update"
+    ):
+        load_checkpoint(rewritten(path, lambda content: content.update(version=2)))
+
+
+def test_refuses_a_network_that_is_not_known(path):
+    with pytest.raises(InputError, match=r"cannot build its network .*got 'flatnet9'"):
+        load_checkpoint(rewritten(path, lambda content: content["architecture"].update(network="flatnet9")))
+
+
+def test_refuses_weights_that_do_not_fit(path):
+    with pytest.raises(InputError, match=r"weights do not fit .*has the shape .*expected"):
+        load_checkpoint(rewritten(path, lambda content: content["architecture"].update(filters=7)))
+
+
+@pytest.mark.parametrize("part", ["camera", "architecture", "record"])
+def test_refuses_a_file_with_a_part_missing(path, part):
+    with pytest.raises(InputError, match=r"flatnet\.safetensors is damaged"):
+        load_checkpoint(rewritten(path, lambda content: content.pop(part)))
+
+
+def test_refuses_weights_that_are_not_finite(path, network, tiny_capture):
+    with torch.no_grad():
+        network.enhancement.head.weight[0, 0] = float("nan")
+    save_checkpoint(path, network, architecture=ARCHITECTURE, capture=tiny_capture, record={})
+    with pytest.raises(InputError, match=r"network\.enhancement\.head\.weight holds NaN"):
+        load_checkpoint(path)
+
+
+@pytest.mark.parametrize("kept", [0, 5, 200, -1])
+def test_refuses_truncated_files(path, kept):
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(InputError, match=r"flatnet\.safetensors is no checkpoint, or a truncated one"):
+        load_checkpoint(path)
+
+
+def test_refuses_pickles_without_opening_them(tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return (tmp_path.joinpath("sprung").touch, ())
+
+    path = tmp_path / "trap.pt"
+    path.write_bytes(pickle.dumps(Trap()))
+    with pytest.raises(InputError, match="no checkpoint"):
+        load_checkpoint(path)
+    torch.save({"network": Trap()}, path)
+    with pytest.raises(InputError, match="no checkpoint"):
+        load_checkpoint(path)
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_refuses_other_safetensors_files(tmp_path):
+    path = tmp_path / "other.safetensors"
+    safetensors.torch.save_file({"a": torch.ones(2)}, path, {"format": "pt"})
+    with pytest.raises(InputError, match="is a safetensors file, but no Flatlight checkpoint"):
+        load_checkpoint(path)
+
+
+def test_refuses_a_missing_file(tmp_path):
+    with pytest.raises(InputError, match=r"cannot read the checkpoint .*none\.safetensors"):
+        load_checkpoint(tmp_path / "none.safetensors")
+    with pytest.raises(InputError, match="cannot read the checkpoint"):
+        load_checkpoint(tmp_path)
+
+
+def test_a_refused_checkpoint_leaves_the_old_one(path, network, tiny_capture):
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="architecture: weights do not fit"):
+        save_checkpoint(path, network, architecture=ARCHITECTURE | {"filters": 4}, capture=tiny_capture, record={})
+    with pytest.raises(InputError, match=r"record.*NaN"):
+        save_checkpoint(path, network, architecture=ARCHITECTURE, capture=tiny_capture, record={"psnr": float("nan")})
+    assert path.read_bytes() == before
+    with pytest.raises(StorageError, match="folder does not exist"):
+        save_checkpoint(
+            path.parent / "no" / "x.safetensors", network, architecture=ARCHITECTURE, capture=tiny_capture, record={}
+        )
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
