@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,10 @@ from learning.config.load import load_file
 from learning.config.train import TrainConfig
 from learning.losses import ReconstructionLoss
 from learning.models import build_network
+from learning.models.flatnet import FlatNet
+from learning.models.transfer import transfer
 from learning.training.distributed import Processes, processes, synchronise_batch_norm
-from learning.training.folder import BEST, LAST, STATE, begin, check_folder, described
+from learning.training.folder import BEST, LAST, STATE, check_folder, described, sole_use
 from learning.training.loop import Training
 from learning.training.material import count_workers, find_material, open_examples
 from learning.training.optimiser import build_optimiser
@@ -68,13 +71,13 @@ def train(
     """
     if not isinstance(config, TrainConfig):
         config = load_file(TrainConfig, config, overrides)
-    with processes(config.device) as group, torch.random.fork_rng():
+    with processes(config.device) as group, torch.random.fork_rng(_generators(group)):
         show_all, say_all = (show or _nothing, say or _nothing) if group.leader else (_nothing, _nothing)
         training = _prepare(config, group, show_all, say_all)
         first = training.progress.step
         if first < config.steps:
             say_all(_describe(training))
-            with stop_signals() as stop:
+            with stop_signals() as stop, sole_use(training.folder, training.parts) if group.leader else nullcontext():
                 training.run(stop)
     progress = training.progress
     return TrainResult(training.folder, progress.step - first, progress.seconds, progress.best)
@@ -97,10 +100,10 @@ def _prepare(
     begun = (folder / STATE).exists()
     if config.start is not None and not begun:
         _warm_start(network, config, say)
-    network = _placed(network, group)
+    placed = _placed(network, group)
     loss = ReconstructionLoss(**config.loss.model_dump(), seed=config.seed).to(group.device)
-    optimiser = build_optimiser(network, config.optimiser)
-    progress = load_state(folder / STATE, network, optimiser) if begun else Progress()
+    optimiser = build_optimiser(placed, config.optimiser)
+    progress = load_state(folder / STATE, placed, optimiser) if begun else Progress()
     if begun:
         say(f"{folder}: going on after step {progress.step} of {config.steps}")
     if progress.step > config.steps:
@@ -110,13 +113,12 @@ def _prepare(
     examples, held_out = (
         open_examples(split, config.data, config.seed, say) for split in (material.train, material.validation)
     )
-    if group.leader:
-        begin(folder, parts)
     training = Training(
         config=config,
         folder=folder,
+        parts=parts,
         capture=material.capture,
-        network=network,
+        network=placed,
         optimiser=optimiser,
         loss=loss,
         examples=examples,
@@ -132,12 +134,10 @@ def _prepare(
     return training
 
 
-def _warm_start(network: nn.Module, config: TrainConfig, say: Callable[[str], None]) -> None:
+def _warm_start(network: FlatNet, config: TrainConfig, say: Callable[[str], None]) -> None:
     """Begin with the weights of a checkpoint."""
     path = config.resolve_path(config.start or "")
     checkpoint = load_checkpoint(path, network=config.network.name)
-    from learning.models.transfer import transfer
-
     for line in transfer(network, checkpoint):
         say(f"{path.name}: {line}")
 
@@ -190,6 +190,11 @@ def _device_name(device: torch.device) -> str:
     return (
         torch.cuda.get_device_name(device) if device.type == "cuda" else f"CPU with {torch.get_num_threads()} threads"
     )
+
+
+def _generators(group: Processes) -> list[torch.device]:
+    """Return the devices, beside the CPU, whose generators a training must leave as they were."""
+    return [group.device] if group.device.type == "cuda" else []
 
 
 def _nothing(*_: object) -> None:

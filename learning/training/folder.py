@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -56,16 +60,37 @@ def check_folder(folder: Path, parts: dict[str, Any]) -> None:
         raise InputError(msg)
 
 
-def begin(folder: Path, parts: dict[str, Any]) -> None:
-    """Make the folder of a training, whose description replaces that of one that never came to save anything.
+@contextmanager
+def sole_use(folder: Path, parts: dict[str, Any]) -> Iterator[None]:
+    """Make the folder of a training and keep other trainings out; the system forgets the lock when the process dies.
+
+    The description replaces that of a training that never came to save anything.
+
+    Args:
+        folder: the folder; see `check_folder`.
+        parts: see `described`.
 
     Raises:
-        StorageError: the place cannot be written to.
+        InputError: another process trains there.
+        StorageError: the folder cannot be written to.
     """
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    remove_leftovers(folder)
-    write_atomic(folder / DESCRIPTION, readable_json(parts))
+        descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            msg = f"output: another process trains in {folder} now; wait for it, or choose another folder"
+            raise InputError(msg) from error
+        except OSError:
+            pass  # a file system without locks
+        remove_leftovers(folder)
+        if not (folder / STATE).exists():
+            write_atomic(folder / DESCRIPTION, readable_json(parts))
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def described(config: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:

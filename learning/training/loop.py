@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NoReturn
 
 import torch
 from torch import Tensor, nn
@@ -21,7 +23,7 @@ from learning.training.log import Log
 from learning.training.optimiser import learning_rate
 from learning.training.precision import Precision
 from learning.training.state import Progress, save_state
-from learning.training.stopping import Stop, diverged, ignore_interrupts, unwrapped
+from learning.training.stopping import Stop, diverged, diverged_in_validation, ignore_interrupts, unwrapped
 from learning.training.targets import to_device, true_estimate
 from learning.training.validation import SHOWN, draw, validate
 
@@ -33,6 +35,7 @@ class Training:
     Attributes:
         config: its configuration.
         folder: where it writes.
+        parts: what decides its numbers; see `learning.training.folder.described`.
         capture: the camera.
         network: on its device; what is saved.
         optimiser: of the network's parameters.
@@ -50,6 +53,7 @@ class Training:
 
     config: TrainConfig
     folder: Path
+    parts: dict[str, Any]
     capture: CaptureModel
     network: nn.Module
     optimiser: torch.optim.Optimizer
@@ -142,7 +146,7 @@ class Training:
         progress.counted += 1
         return sums[-1] > 0
 
-    def _refuse(self, terms: dict[str, float], norm: float) -> None:
+    def _refuse(self, terms: dict[str, float], norm: float) -> NoReturn:
         """Raise the error of a step whose numbers are none, with the ids of the processes whose loss it is."""
         progress, config, group = self.progress, self.config, self.group
         order = Batches(len(self.examples), config.batch, seed=config.seed, rank=group.rank, ranks=group.ranks)
@@ -150,13 +154,12 @@ class Training:
         finite = bool(torch.isfinite(torch.tensor(list(terms.values()))).all())
         reports = group.gather((finite, ids, terms, norm))
         guilty = [report for report in reports if not report[0]] or reports
-        kept = (
-            f"the state in {self.folder} is that of an earlier step"
-            if (self.folder / STATE).exists()
-            else "nothing is saved yet"
-        )
         every = [identifier for report in guilty for identifier in report[1]]
-        raise diverged(progress.step + 1, guilty[0][2], guilty[0][3], every, kept)
+        raise diverged(progress.step + 1, guilty[0][2], guilty[0][3], every, self._kept())
+
+    def _kept(self) -> str:
+        there = (self.folder / STATE).exists()
+        return f"the state in {self.folder} is that of an earlier step" if there else "nothing is saved yet"
 
     def _batches(self) -> Iterator[Example]:
         config, group = self.config, self.group
@@ -199,6 +202,8 @@ class Training:
     def _validate(self, batches: DataLoader[Example], log: Log | None) -> None:
         progress = self.progress
         metrics = validate(self.network, batches, self.loss, self.capture, precision=self.precision, group=self.group)
+        if not all(map(math.isfinite, metrics.values())):
+            raise diverged_in_validation(progress.step, metrics, self._kept())
         progress.last = {"step": progress.step, **metrics}
         better = metrics["total"] < progress.best.get("total", float("inf"))
         if better:

@@ -80,3 +80,17 @@ def diverged(
         "(start: goes on from a checkpoint); look at these samples first"
     )
     return DivergedError(msg)
+
+
+def diverged_in_validation(step: int, metrics: Mapping[str, float], kept: str) -> DivergedError:
+    """Return the error of a validation whose numbers are none.
+
+    Args:
+        step: after which it was made.
+        metrics: of the validation.
+        kept: what can be gone on from.
+    """
+    numbers = ", ".join(f"{name} {value:.4g}" for name, value in metrics.items())
+    cure = "Try precision: float32, or a smaller optimiser.learning_rate, in another output folder"
+    msg = f"validation after step {step} is not finite ({numbers}); {kept}. {cure}"
+    return DivergedError(msg)

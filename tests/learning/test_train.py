@@ -197,6 +197,12 @@ def test_gradient_that_is_no_number(settings: Callable[..., TrainConfig], monkey
         train(settings())
 
 
+def test_a_validation_that_is_no_number(settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("learning.training.loop.validate", lambda *_, **__: {"total": float("nan"), "psnr_db": 3.0})
+    with pytest.raises(DivergedError, match=r"validation after step 4 is not finite \(total nan, psnr_db 3\)"):
+        train(settings())
+
+
 def test_fine_tuning_begins_with_a_checkpoint(settings: Callable[..., TrainConfig]) -> None:
     pytest.importorskip("learning.models.transfer")
     first = train(settings("first"))
@@ -251,6 +257,19 @@ def test_damage_is_named_though_a_worker_meets_it(
         train(settings(data={"train": str(copy), "workers": 1}))
     assert str(damaged) in str(error.value)
     assert "Traceback" not in str(error.value)
+
+
+@pytest.mark.slow
+def test_learns_in_bfloat16(settings: Callable[..., TrainConfig]) -> None:
+    ends = []
+    for precision in ("float32", "bfloat16"):
+        result = train(
+            settings(precision, steps=40, log_every=10, precision=precision, optimiser={"learning_rate": 5e-3})
+        )
+        assert load_checkpoint(result.folder / LAST).record["precision"] == precision
+        ends.append(lines(result.folder, "train")[-1]["total"])
+    assert ends[0] != ends[1]
+    assert ends[1] == pytest.approx(ends[0], rel=0.1)  # 2^-9 in each number, forty steps apart
 
 
 @pytest.mark.slow
