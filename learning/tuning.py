@@ -14,7 +14,7 @@ from torch import Tensor
 from learning.coordinate_search import Axis, Found, Parameters, coordinate_search
 from learning.estimate import Estimate
 from learning.tuning_book import Tuned, TuningBook, load_tuned
-from learning.tuning_score import Score
+from learning.tuning_score import Errors, Score
 from simulator.errors import InputError
 
 __all__ = ["Tunable", "Tuned", "VolumeMethod", "load_tuned", "tune"]
@@ -116,8 +116,9 @@ class _Trials:
             if not reused:
                 self._volumes[key] = [method.volume(part) for part in self._measurements.split(_BATCH)]
             half = time.perf_counter()
-            estimates = [method.estimate(volume) for volume in self._volumes[key]]
-        errors = self._score.errors(estimates)
+            errors = Errors(math.nan, math.nan)  # of parameters with which the iteration diverges
+            if all(bool(torch.isfinite(volume).all()) for volume in self._volumes[key]):
+                errors = self._score.errors([method.estimate(volume) for volume in self._volumes[key]])
         seconds = {"volume_s": half - start, "estimate_s": time.perf_counter() - half}
         known = {name: value if math.isfinite(value) else None for name, value in asdict(errors).items()}
         return {

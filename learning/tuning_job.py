@@ -9,13 +9,14 @@ from typing import Any
 import torch
 from torch.utils.data import default_collate
 
+from learning.baselines.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
 from learning.capture import CaptureModel, capture_model
 from learning.config.tune import FEWEST_SCENES, TuneConfig
-from learning.coordinate_search import Axis
+from learning.coordinate_search import Axis, Parameters
 from learning.data import Example, ExampleSet, check_dataset
 from learning.devices import choose_device
 from learning.display import measure_white
-from learning.tuning import Tunable, tune
+from learning.tuning import Tunable, VolumeMethod, tune
 from learning.tuning_book import TuningBook
 from learning.tuning_score import FORMULAS, Score
 from simulator import __version__
@@ -67,8 +68,6 @@ def tune_file(
 
 def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torch.device) -> Tunable:
     """Return a classical method with its own search space, changed as the file says."""
-    from learning.baselines.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
-
     changes = config.search.get(name, {})
     axes: dict[str, Axis] = {}
     for parameter in [*SEARCH[name], *(extra for extra in changes if extra not in SEARCH[name])]:
@@ -86,7 +85,10 @@ def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torc
         except InputError as error:
             msg = f"search.{name}.{parameter}: {error}"
             raise InputError(msg) from error
-    build = lambda parameters: build_classical(capture, name, parameters).to(device)  # noqa: E731
+
+    def build(parameters: Parameters) -> VolumeMethod:
+        return build_classical(capture, name, parameters).to(device)
+
     return Tunable(name, build, dict(DEFAULTS[name]), axes, frozenset(VOLUME_PARAMETERS[name]))
 
 
