@@ -157,10 +157,10 @@ class Admm(nn.Module):
 
 
 def default_weights(tv: float) -> tuple[float, float, float]:
-    """Return weights of the copies, by which 100 iterations come within some percent of the least objective.
+    """Return weights of the copies near those at which residual balancing settled on rendered scenes.
 
-    Chosen on rendered 64 x 64 scenes of 8 planes, ``tv`` from 0.01 to 1, near those at which residual balancing settled: as
-    what is small is of the order of 1 / 60 of white for gradients, and light is anywhere near white.
+    64 x 64 pixels, 8 planes, 40 dB, ``tv`` 0.01 to 1: with them the objective after 100 iterations lies 1 to 2 % above that
+    after 500 (``tv`` 0.01 and 0.1).
     """
     return 0.5, 60 * tv + 1e-3, 50 * tv + 5
 

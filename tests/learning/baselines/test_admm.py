@@ -80,7 +80,7 @@ class DenseProblem:
         misfit = np.sum((self.forward @ light - self.target) ** 2) / 2
         return float(misfit + TV * np.abs(self.gradient @ light).sum() + SPARSITY * np.abs(light).sum())
 
-    def bound(self, iterations: int = 20000) -> float:
+    def bound(self, iterations: int = 8000) -> float:
         """Return a number that no volume's objective is below, nearly attained.
 
         Chambolle and Pock, 2011, finds multipliers p of A S and t of D S, |t| <= tv; if A^T p + D^T t + sparsity >= 0, then
@@ -128,7 +128,9 @@ def test_balanced_weights_lead_to_the_same_volume() -> None:
         )
         for balance, weights in ((0, None), (40, (3.0, 0.3, 0.5)))
     ]
-    torch.testing.assert_close(*volumes, rtol=0, atol=2e-3)  # of white, after 300 iterations
+    np.testing.assert_allclose(
+        *(volume.numpy() for volume in volumes), rtol=0, atol=2e-3
+    )  # of white, after 300 iterations
 
 
 def test_bad_weights_need_balance() -> None:
@@ -153,7 +155,7 @@ def test_parameters_mean_the_same_for_every_mask_gain_and_white() -> None:
     method = Admm(brighter, tv=TV, sparsity=SPARSITY, iterations=40, dtype=torch.float64)
     volumes.append(method((measurement - 0.1) * 35))
     for other in volumes[1:]:
-        torch.testing.assert_close(other, volumes[0], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(other.numpy(), volumes[0].numpy(), rtol=1e-9, atol=1e-12)
 
 
 def test_each_measurement_and_channel_is_a_problem_of_its_own() -> None:
@@ -168,7 +170,7 @@ def test_each_measurement_and_channel_is_a_problem_of_its_own() -> None:
         scene_to_camera=capture.scene_to_camera[1:2],
     )
     alone = Admm(green, **settings)(measurement[1:, 1:2])
-    torch.testing.assert_close(alone[0, :, 0], both[1, :, 1], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(alone[0, :, 0].numpy(), both[1, :, 1].numpy(), rtol=1e-9, atol=1e-12)
 
 
 def test_single_precision_is_enough() -> None:
@@ -179,7 +181,7 @@ def test_single_precision_is_enough() -> None:
         for dtype in (torch.float32, torch.float64)
     )
     assert single.dtype == torch.float32
-    torch.testing.assert_close(single.double(), double, rtol=0, atol=2e-5)  # of white, after 100 iterations
+    np.testing.assert_allclose(single.numpy(), double.numpy(), rtol=0, atol=2e-5)  # of white, after 100 iterations
 
 
 def test_light_of_two_points_lies_in_their_planes() -> None:
