@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 
 STEPS = 2**24
-"""Capacities are integers: the largest cost is so many steps. The energy found is above the minimum by at most half a step
-per pixel and per pair of neighbours times labels, relative to the largest cost some 1e-7 of their number."""
+"""Capacities are integers: the largest cost has so many steps. Rounding lets the energy found lie above the minimum by at
+most one step per pixel and one per label of difference between neighbours."""
 
 
 class Network(NamedTuple):
