@@ -65,7 +65,8 @@ def save_checkpoint(
         architecture: ``network``, ``size`` and the changes that it was built with.
         capture: the camera that it was built for.
         record: how it was made; plain values.
-        precision: of the stored weights; ``torch.float16`` halves the file and rounds them. The camera stays exact.
+        precision: of the stored filters; ``torch.float16`` halves the file and rounds them. Biases, normalisations and the
+            camera stay exact.
 
     Raises:
         InputError: an architecture that is not this network's, or a record that has no JSON form.
@@ -148,7 +149,7 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
 
 def _stored(value: Tensor, precision: torch.dtype) -> Tensor:
     value = value.detach().cpu()
-    return (value.to(precision) if value.is_floating_point() else value).contiguous()
+    return (value.to(precision) if value.is_floating_point() and value.ndim > 1 else value).contiguous()
 
 
 def _build(architecture: Mapping[str, Any], capture: CaptureModel) -> FlatNet:

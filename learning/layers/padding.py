@@ -97,14 +97,23 @@ def from_pairs(pairs: Tensor) -> Tensor:
     return torch.view_as_complex(pairs.unflatten(-1, (-1, 2)))
 
 
-def check_measurement(measurement: Tensor, offset: Tensor, rows: AxisPlan, columns: AxisPlan) -> None:
-    """Refuse measurements ``(..., C, H, W)`` of another shape than the camera's.
+def check_measurement(
+    measurement: Tensor, offset: Tensor, rows: AxisPlan, columns: AxisPlan, *, frames: bool = False
+) -> None:
+    """Refuse measurements ``(B, C, H, W)`` of another shape than the camera's.
+
+    Args:
+        measurement: what came.
+        offset: one number per channel.
+        rows: plan of H.
+        columns: plan of W.
+        frames: whether several, ``(B, N, C, H, W)``, are welcome too.
 
     Raises:
         InputError: saying both shapes.
     """
     wanted = (len(offset), rows.sensor, columns.sensor)
-    if measurement.ndim < 4 or tuple(measurement.shape[-3:]) != wanted:
+    if measurement.ndim not in ((4, 5) if frames else (4,)) or tuple(measurement.shape[-3:]) != wanted:
         msg = (
             f"measurement: got shape {tuple(measurement.shape)}, expected (B, C, H, W) with (C, H, W) = {wanted}: it is "
             "of another camera than the PSF stack"

@@ -86,7 +86,7 @@ class WienerInversion(nn.Module):
         Raises:
             InputError: measurements of another shape than the camera's.
         """
-        check_measurement(measurements, self.offset, self.rows, self.columns)
+        check_measurement(measurements, self.offset, self.rows, self.columns, frames=True)
         with torch.autocast(measurements.device.type, enabled=False):
             light = measurements.to(self.offset.dtype) - self.offset
             spectrum = spectrum_of(pad_measurement(light, self.rows, self.columns))

@@ -207,7 +207,7 @@ def test_a_filter_without_any_response_divides_by_something(camera):
     assert bool(torch.isfinite(layer.filters.grad).all())
 
 
-@pytest.mark.parametrize("shape", [(1, 3, 24, 25), (1, 2, 24, 24), (3, 24, 24)])
+@pytest.mark.parametrize("shape", [(1, 3, 24, 25), (1, 2, 24, 24), (3, 24, 24), (1, 2, 3, 24, 24)])
 def test_refuses_measurements_of_another_camera(camera, shape):
     layer = RegularisedInversion(camera(*SIZES[0]))
     with pytest.raises(InputError, match=r"measurement: got shape .*expected .*\(3, 24, 24\)"):
