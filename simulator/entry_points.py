@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint  # imported on use: it would take a tenth of the start
 
 _COMMANDS = "flatlight.commands"
+_PRESETS = "flatlight.presets"
 
 
 def entry_points(group: str) -> list[EntryPoint]:
@@ -35,3 +36,8 @@ def commands() -> dict[str, EntryPoint]:
             msg = f"command {entry.name!r} is defined by both {other.value} and {entry.value}; uninstall one of them"
             raise InputError(msg)
     return found
+
+
+def preset_packages() -> list[str]:
+    """Return the names of packages whose YAML files are offered as presets beside the simulator's own."""
+    return [entry.value for entry in entry_points(_PRESETS)]

@@ -112,7 +112,7 @@ class EvaluateConfig(FileSection):
     seed: int = Field(default=0, description="of noise that is drawn anew", ge=0)
     time: Timing = Timing()
     figures: Drawing = Drawing()
-    device: str = Field(default="cpu", description="cpu, cuda or cuda:1")
+    device: Literal["auto", "cpu", "cuda"] = Field(default="auto", description="auto takes CUDA where there is some")
     threads: Count | None = Field(default=None, description="of torch on the CPU; null leaves them as they are")
 
     @model_validator(mode="after")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,8 @@ import typer
 
 from simulator.commands.options import ConfigPath, Overrides
 from simulator.errors import InputError
+
+_USE = re.compile(r"# [A-Z][^:]*: +flatlight ")  # in the head of a preset: what it is for
 
 
 def init(
@@ -26,8 +29,8 @@ def init(
     from simulator.presets import DEFAULT, preset_names, preset_text
 
     if preset == "help":
-        for name in preset_names():
-            print(f"{name:<18} {preset_text(name).splitlines()[0].removeprefix('# ')}")
+        for name in preset_names(others=True):
+            print(f"{name:<25} {preset_text(name).splitlines()[0].removeprefix('# ')}")
         return
     text = preset_text(preset or DEFAULT)
     path = path or Path("sim_config.yaml" if preset is None else f"{preset}.yaml")
@@ -35,8 +38,9 @@ def init(
         msg = f"{path} exists already; choose another name, or --force to overwrite it"
         raise InputError(msg)
     write_atomic(path, text.encode())
-    print(f"wrote {path}; look at its scenes with: flatlight render {path}")
-    print(f"make its data set with: flatlight generate {path}")
+    head = [line.removeprefix("# ") for line in text.splitlines() if _USE.match(line)]
+    uses = [re.sub(r"\bFILE\b|sim_config\.yaml", lambda _: str(path), line) for line in head]
+    print("\n".join([f"wrote {path}", *uses]))
 
 
 def generate(

@@ -24,5 +24,8 @@ def test_preset(name: str, tmp_path: Path) -> None:
     assert config.data.train in outputs  # what `flatlight generate` writes beside it
 
 
-def test_names_are_not_taken() -> None:
+def test_names_are_offered_and_not_taken() -> None:
     assert not set(preset_texts()) & set(preset_names())
+    offered = preset_names(others=True)
+    assert set(preset_texts()) <= set(offered)
+    assert len(offered) == len(set(offered))

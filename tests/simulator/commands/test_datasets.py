@@ -65,11 +65,14 @@ class TestInit:
         assert "flatlight render flying_things_64.yaml" in out
         assert "flatlight generate flying_things_64.yaml" in out
         assert (tmp_path / "flying_things_64.yaml").read_text() == preset_text("flying_things_64")
+        code, out, _ = flatlight("init", "--preset", "flatnet3d_64")
+        assert "flatlight train flatnet3d_64.yaml" in out
+        assert (tmp_path / "flatnet3d_64.yaml").read_text() == preset_text("flatnet3d_64")
         code, out, _ = flatlight("init", "--preset", "flying_things", "mine.yaml")
         assert (tmp_path / "mine.yaml").read_text() == default_config_text()
         one_error(flatlight("init", "--preset", "endoscopi"), "got 'endoscopi'", "did you mean 'endoscopy'")
         _, out, _ = flatlight("init", "--preset", "help")
-        assert [line.split()[0] for line in out.splitlines()] == preset_names()
+        assert [line.split()[0] for line in out.splitlines()] == preset_names(others=True)
 
 
 class TestVerify:
