@@ -30,6 +30,7 @@ class UNet(nn.Module):
         dimensions: Literal[2, 3] = 2,
         attention: bool = False,
         stem: int = 1,
+        start: float = 0.0,
     ) -> None:
         """Build the network; weights are drawn by Xavier's rule (Glorot and Bengio 2010) from torch's generator.
 
@@ -42,6 +43,7 @@ class UNet(nn.Module):
             attention: gate the skips.
             stem: blocks of so many pixels per side become channels before, and pixels again after the network: 2 makes it
                 four times cheaper per filter; 1 for none. Only in 2D.
+            start: about what the output begins at: Adam takes hundreds of steps from 0 to the middle of a range.
 
         Raises:
             InputError: for numbers below one, other dimensions, or a stem in 3D.
@@ -75,6 +77,8 @@ class UNet(nn.Module):
                 nn.init.xavier_uniform_(module.weight)
                 if module.bias is not None:
                     nn.init.zeros_(module.bias)
+        assert self.head.bias is not None
+        nn.init.constant_(self.head.bias, start)
 
     def forward(self, picture: Tensor) -> Tensor:
         """Return ``(B, outputs, ...)`` of ``(B, inputs, ...)``, any size: odd ones are continued at their ends."""

@@ -35,7 +35,7 @@ class FlatNet(nn.Module):
         self.inversion = RegularisedInversion(capture, planes, strength=strength)
         channels = len(capture.stack.channels)
         self.enhancement = UNet(
-            len(planes) * channels, 4, filters=filters, levels=levels, attention=attention, stem=stem
+            len(planes) * channels, 4, filters=filters, levels=levels, attention=attention, stem=stem, start=0.5
         )
 
     def forward(self, measurement: Tensor) -> Estimate:
@@ -59,7 +59,7 @@ class FlatNet3D(FlatNet):
         levels: int = 5,
         attention: bool = False,
         stem: int = 1,
-        strength: float = 1e-2,
+        strength: float = 0.3,
     ) -> None:
         """Build the network for a camera; see `UNet` for its size.
 
@@ -88,7 +88,7 @@ class FlatNet2D(FlatNet):
         levels: int = 5,
         attention: bool = False,
         stem: int = 1,
-        strength: float = 1e-2,
+        strength: float = 0.3,
     ) -> None:
         """Build the network for a camera; see `FlatNet3D`."""
         planes = [hyperfocal_plane(capture)]

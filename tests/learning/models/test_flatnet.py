@@ -32,10 +32,16 @@ def test_the_network_sees_the_inversion_of_every_plane(tiny_capture):
     network = build_network(tiny_capture, "flatnet3d", "tiny").eval()
     measurement = torch.rand(1, 3, 48, 48)
     with torch.no_grad():
-        volume = RegularisedInversion(tiny_capture)(measurement)
+        volume = RegularisedInversion(tiny_capture, strength=0.3)(measurement)
         output = network.enhancement(volume.reshape(1, 9, 16, 16))
         estimate = network(measurement)
     assert torch.equal(torch.cat(estimate, dim=1), output)
+
+
+def test_learning_begins_at_grey_and_the_middle_disparity(tiny_capture):
+    torch.manual_seed(0)
+    head = build_network(tiny_capture, "flatnet3d", "tiny").enhancement.head
+    assert head(torch.zeros(1, head.in_channels, 2, 2)).unique().tolist() == [0.5]
 
 
 @pytest.mark.parametrize(("depths", "plane"), [(1, 0), (3, 1), (8, 3), (25, 12)])

@@ -1,0 +1,62 @@
+"""Seconds per scene and stage of FlatNet3D, FlatNet2D and the classical methods, in one run on one device.
+
+    uv run --extra learn python benchmarks/reconstruct.py DATASET --tuned tuned.json [--device cuda] [--repeats 7]
+
+Learned weights cost what random ones do, so networks are built for the data set's camera as they come. The classical methods
+take the parameters and the number of iterations that `flatlight tune` found. All share the inversion's code; the graph cut is
+OR-tools' and runs on the CPU whatever the device. One thread, one scene at a time, methods by turns.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import torch
+
+from learning.baselines.method import build_classical
+from learning.capture import capture_model
+from learning.display import measure_white
+from learning.evaluation.timing import device_in_words, take_times
+from learning.method import Method
+from learning.models import build_network
+from learning.models.method import LearnedMethod
+from learning.tuning import load_tuned
+from simulator.dataset import open_dataset
+
+REFERENCE = "FlatNet3D"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("dataset", type=Path)
+    parser.add_argument("--tuned", type=Path, required=True)
+    parser.add_argument("--noise-db", type=float, default=40.0)
+    parser.add_argument("--size", default="compact")
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--repeats", type=int, default=7)
+    chosen = parser.parse_args()
+    torch.set_num_threads(1)
+    device = torch.device(chosen.device)
+    train = open_dataset(chosen.dataset, "train")
+    capture = capture_model(train, white=measure_white(train))
+    methods: list[Method] = [
+        LearnedMethod(name, build_network(capture, name.lower(), chosen.size).to(device), capture)
+        for name in (REFERENCE, "FlatNet2D")
+    ]
+    for name in ("cls", "admm"):
+        parameters, level = load_tuned(chosen.tuned).parameters(name, chosen.noise_db)
+        print(f"{name}, tuned at {level:g} dB: {parameters}")
+        methods.append(build_classical(capture, name, parameters).to(device))
+    scenes = range(min(len(train), chosen.repeats + 1))
+    measurements = torch.stack([torch.from_numpy(train.stored(scene).measurement()[0]) for scene in scenes]).to(device)
+    times = take_times(methods, measurements, chosen.repeats)
+    reference = next(each.total for each in times if each.method == REFERENCE)
+    print(f"{device_in_words(device)}; medians of {chosen.repeats} scenes, ms")
+    for each in times:
+        stages = ", ".join(f"{stage} {1e3 * seconds:.1f}" for stage, seconds in each.stages.items())
+        print(f"{each.method:<18} {1e3 * each.total:8.1f}  {each.total / reference:6.2f} x {REFERENCE}   ({stages})")
+
+
+if __name__ == "__main__":
+    main()
