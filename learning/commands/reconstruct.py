@@ -61,7 +61,7 @@ def reconstruct(
     device: Annotated[str, typer.Option(help="auto, cpu or cuda")] = "auto",
 ) -> None:
     """Reconstruct picture and depth from one measurement, by a network or a classical method."""
-    from learning.reconstruction_job import Options, reconstruct_file
+    from learning.reconstruction.job import Options, reconstruct_file
 
     options = Options(
         measurement=measurement,

@@ -19,7 +19,7 @@ def tune(
     """Tune the classical methods on validation scenes, each noise level by itself; a run that stopped goes on."""
     from learning.config.load import load_file
     from learning.config.tune import TuneConfig
-    from learning.tuning_job import tune_file
+    from learning.tuning.job import tune_file
     from simulator.console import Bar
 
     loaded = load_file(TuneConfig, config, set_ or [])

@@ -16,7 +16,7 @@ from learning.config.evaluate import EvaluateConfig, MethodConfig
 from learning.evaluation.outcome import Kind
 from learning.method import Method
 from learning.models.method import LearnedMethod
-from learning.tuning_book import load_tuned
+from learning.tuning import load_tuned
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 from simulator.files import sha256_file

@@ -24,7 +24,7 @@ from learning.display import encode, measure_white
 from learning.evaluate import evaluate
 from learning.evaluation import output, runs
 from learning.models import build_network
-from learning.tuning_book import TuningBook
+from learning.tuning.book import TuningBook
 from simulator.dataset.reader import open_dataset
 from simulator.errors import InputError
 

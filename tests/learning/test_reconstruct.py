@@ -19,13 +19,14 @@ from learning.baselines.method import DEFAULTS, build_classical
 from learning.capture import CaptureModel, capture_model
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.display import measure_white
-from learning.measurements import load_measurement
 from learning.models import build_network
-from learning.plain_capture import plain_capture
 from learning.planar import PlanarMethod
 from learning.reconstruct import reconstruct
-from learning.reconstruction_files import write_reconstruction
-from learning.reconstruction_setup import Request, choose_method
+from learning.reconstruction.camera import Request
+from learning.reconstruction.files import write_reconstruction
+from learning.reconstruction.measurements import load_measurement
+from learning.reconstruction.method_choice import choose_method
+from learning.reconstruction.plain_capture import plain_capture
 from simulator.dataset import open_dataset
 from simulator.dataset.psf_files import write_psf_stack
 from simulator.errors import InputError

@@ -9,7 +9,7 @@ import torch
 
 from learning.baselines.admm import Admm
 from learning.capture import CaptureModel
-from learning.plain_capture import plain_capture
+from learning.reconstruction.plain_capture import plain_capture
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
 from simulator.optics.psf_stack import PsfStack

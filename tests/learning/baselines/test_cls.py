@@ -8,7 +8,7 @@ import torch
 
 from learning.baselines.cls import ConstrainedLeastSquares
 from learning.capture import CaptureModel
-from learning.plain_capture import plain_capture
+from learning.reconstruction.plain_capture import plain_capture
 from simulator.camera.forward import ForwardModel
 from simulator.optics.psf_stack import PsfStack
 

@@ -11,7 +11,7 @@ import torch
 from learning.baselines.admm import Admm
 from learning.baselines.cls import ConstrainedLeastSquares
 from learning.capture import CaptureModel
-from learning.plain_capture import plain_capture, typical_white
+from learning.reconstruction.plain_capture import plain_capture, typical_white
 from simulator.optics.psf_stack import PsfStack
 
 pytestmark = pytest.mark.shared

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from learning.coordinate_search import Axis, Parameters, coordinate_search
+from learning.tuning.search import Axis, Parameters, coordinate_search
 from simulator.errors import InputError
 
 

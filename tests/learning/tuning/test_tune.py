@@ -14,14 +14,14 @@ from torch import Tensor
 from learning.capture import CaptureModel
 from learning.config import load_file
 from learning.config.tune import TuneConfig
-from learning.coordinate_search import Axis, Parameters
 from learning.data import Example
 from learning.display import encode
 from learning.estimate import Estimate
 from learning.tuning import Tunable, load_tuned, tune
-from learning.tuning_book import TuningBook
-from learning.tuning_job import tune_file
-from learning.tuning_score import Errors, Score
+from learning.tuning.book import TuningBook
+from learning.tuning.job import tune_file
+from learning.tuning.score import Errors, Score
+from learning.tuning.search import Axis, Parameters
 from simulator.errors import InputError
 
 SCENES = 5

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from learning.devices import choose_device
-from learning.measurements import Measurement, load_measurement
 from learning.reconstruct import Reconstruction, reconstruct
-from learning.reconstruction_files import check_place, write_reconstruction
-from learning.reconstruction_setup import Request, choose_method
+from learning.reconstruction.camera import Request
+from learning.reconstruction.files import check_place, write_reconstruction
+from learning.reconstruction.measurements import Measurement, load_measurement
+from learning.reconstruction.method_choice import choose_method
 from simulator import __version__
 from simulator.config.yaml_scalars import parse_scalar
 from simulator.errors import InputError

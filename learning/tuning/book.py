@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from learning.coordinate_search import Parameters
+from learning.tuning.search import Parameters
 from simulator.dataset.plain import canonical_json, plain, readable_json
 from simulator.errors import InputError
 from simulator.files import write_atomic

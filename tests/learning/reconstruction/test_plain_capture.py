@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from learning.plain_capture import plain_capture, typical_white
+from learning.reconstruction.plain_capture import plain_capture, typical_white
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
 from simulator.optics.psf_stack import PsfStack

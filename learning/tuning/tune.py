@@ -1,4 +1,4 @@
-"""Tuning of classical methods: the parameters with the best score on validation scenes, for each noise level by itself."""
+"""The parameters with the best score on validation scenes, for each noise level by itself."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from learning.coordinate_search import Axis, Found, Parameters, coordinate_search
 from learning.estimate import Estimate
-from learning.tuning_book import Tuned, TuningBook, load_tuned
-from learning.tuning_score import Errors, Score
+from learning.tuning.book import TuningBook
+from learning.tuning.score import Errors, Score
+from learning.tuning.search import Axis, Found, Parameters, coordinate_search
 from simulator.errors import InputError
-
-__all__ = ["Tunable", "Tuned", "VolumeMethod", "load_tuned", "tune"]
 
 _BATCH = 4  # scenes that are inverted at once
 _MOST_BYTES = 2 << 30  # of volumes that are kept

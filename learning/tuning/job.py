@@ -12,13 +12,13 @@ from torch.utils.data import default_collate
 from learning.baselines.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
 from learning.capture import CaptureModel, capture_model
 from learning.config.tune import FEWEST_SCENES, TuneConfig
-from learning.coordinate_search import Axis, Parameters
 from learning.data import Example, ExampleSet, check_dataset
 from learning.devices import choose_device
 from learning.display import measure_white
 from learning.tuning import Tunable, VolumeMethod, tune
-from learning.tuning_book import TuningBook
-from learning.tuning_score import FORMULAS, Score
+from learning.tuning.book import TuningBook
+from learning.tuning.score import FORMULAS, Score
+from learning.tuning.search import Axis, Parameters
 from simulator import __version__
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError

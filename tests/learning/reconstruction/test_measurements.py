@@ -11,7 +11,7 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
-from learning.measurements import load_measurement
+from learning.reconstruction.measurements import load_measurement
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
 from simulator.exr import write_exr

@@ -1,0 +1,182 @@
+"""Which method a measurement is reconstructed with, from what the user and the measurement say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from learning.baselines.method import DEFAULTS, build_classical
+from learning.capture import CaptureModel, capture_model
+from learning.checkpoint import load_checkpoint
+from learning.display import measure_white
+from learning.method import Method
+from learning.models.method import LearnedMethod
+from learning.planar import PlanarMethod
+from learning.reconstruction.camera import (
+    Request,
+    camera_of,
+    camera_record,
+    check_fit,
+    own_dataset,
+    size_in_words,
+    without_offset,
+)
+from learning.reconstruction.measurements import Measurement
+from learning.reconstruction.plain_capture import typical_white
+from learning.shipped import find_checkpoint, shipped_checkpoints
+from learning.tuning import load_tuned
+from simulator.dataset.reader import open_dataset
+from simulator.errors import InputError
+from simulator.files import sha256_file
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """A method for a measurement, and how it was chosen.
+
+    Attributes:
+        method: on the CPU.
+        white: the radiance that a picture of one plane shows as 1; None leaves it to the picture.
+        record: words and numbers, JSON-serialisable.
+    """
+
+    method: Method
+    white: float | None
+    record: dict[str, Any]
+
+
+def choose_method(measurement: Measurement, request: Request) -> Setup:
+    """Return the method for a measurement.
+
+    Raises:
+        InputError: options that exclude each other, a checkpoint, stack or tuning that cannot be read, or a camera that does
+            not fit the measurement.
+    """
+    if request.checkpoint is not None and (request.method or request.stack or request.tuned or request.parameters):
+        msg = (
+            "--checkpoint: a network brings its own PSFs and parameters; leave out --method, --stack, --tuned and --set"
+        )
+        raise InputError(msg)
+    if request.noise_db is not None and request.tuned is None:
+        msg = "--noise-db: chooses among tuned parameters; add --tuned, what `flatlight tune` wrote, or leave it out"
+        raise InputError(msg)
+    picture = request.method is not None and request.stack is not None and Path(request.stack).expanduser().is_file()
+    if request.psf_background is not None and not picture:
+        msg = "--psf-background: is for the picture of a PSF; name one by --stack, or leave it out"
+        raise InputError(msg)
+    if request.method is not None:
+        return _classical(measurement, request, request.method)
+    if request.checkpoint is not None:
+        return _learned(measurement, find_checkpoint(request.checkpoint), request)
+    if request.stack or request.tuned or request.parameters:
+        msg = "--method: missing; --stack, --tuned and --set are for a classical method: add --method cls or --method admm"
+        raise InputError(msg)
+    refused: list[str] = []
+    for name, path in shipped_checkpoints().items():
+        try:
+            return _learned(measurement, path, request)
+        except InputError as error:
+            refused.append(f"{name}: {error}")
+    reasons = "; ".join(refused) or "none is shipped"
+    msg = (
+        f"{measurement.path}: no shipped checkpoint fits ({reasons}). Give --checkpoint FILE of a network for this camera, "
+        "or --method cls or admm with --stack, its PSFs"
+    )
+    raise InputError(msg)
+
+
+def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
+    checkpoint = load_checkpoint(path)
+    capture, numbers = (
+        checkpoint.capture,
+        "the checkpoint's: the measurement is taken to be exposed like its training set",
+    )
+    dataset = own_dataset(measurement)
+    check_fit(measurement, capture, f"the network of {path.name}")
+    if dataset is not None:
+        own = capture_model(dataset)
+        if own.scene_shape != capture.scene_shape:
+            trained, here = size_in_words(capture.scene_shape), size_in_words(own.scene_shape)
+            msg = f"{path}: trained for scenes of {trained}, {dataset.root} has {here}"
+            raise InputError(msg)
+        capture = replace(own.with_stack(capture.stack), white=capture.white)
+        numbers = f"of {dataset.root}, the measurement's own data set"
+    capture = without_offset(capture, measurement)
+    if request.white is not None:
+        capture = replace(capture, white=request.white)
+    if capture is not checkpoint.capture:
+        checkpoint = load_checkpoint(path, capture=capture)
+    if request.scene not in (None, capture.scene_shape):
+        msg = f"--scene: the network gives scenes of {size_in_words(capture.scene_shape)}; leave it out"
+        raise InputError(msg)
+    name = str(checkpoint.architecture["network"])
+    record = {
+        "checkpoint": str(path),
+        "sha256": sha256_file(path),
+        "architecture": checkpoint.architecture,
+        "camera": camera_record(capture, numbers, "as told" if request.white else "the checkpoint's"),
+    }
+    return Setup(LearnedMethod(name, checkpoint.network, capture), capture.white, record)
+
+
+def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
+    if name not in ("cls", "admm"):
+        msg = f"--method: got {name!r}, expected cls or admm; a network is named by --checkpoint"
+        raise InputError(msg)
+    capture, numbers = camera_of(measurement, request)
+    check_fit(measurement, capture, f"the stack {request.stack or 'of the data set'}")
+    if request.scene is not None and capture.scene_shape != request.scene:
+        scenes = size_in_words(capture.scene_shape)
+        msg = f"--scene: got {size_in_words(request.scene)}, the data set's scenes have {scenes}; leave it out"
+        raise InputError(msg)
+    capture = without_offset(capture, measurement)
+    parameters, source = _parameters(measurement, request, name)
+    white, white_from = _white(measurement, request, capture)
+    capture = replace(capture, white=white)
+    record: dict[str, Any] = {"parameters_from": source, "camera": camera_record(capture, numbers, white_from)}
+    if len(capture.stack.depths_m) == 1:
+        planar = PlanarMethod(capture, name, parameters)
+        shown = white if request.white is not None or white_from != _TYPICAL else None
+        return Setup(planar, shown, {"method": name, "parameters": planar.parameters, **record})
+    for parameter in parameters:
+        if parameter not in DEFAULTS[name]:
+            msg = f"--set: got {parameter!r}, expected a parameter of {name}: {', '.join(DEFAULTS[name])}"
+            raise InputError(msg)
+    chosen = DEFAULTS[name] | parameters
+    return Setup(build_classical(capture, name, chosen), white, {"method": name, "parameters": chosen, **record})
+
+
+def _parameters(measurement: Measurement, request: Request, name: str) -> tuple[dict[str, Any], str]:
+    told = dict(request.parameters or {})
+    if request.tuned is None:
+        return told, "defaults and --set" if told else "defaults"
+    tuned = load_tuned(request.tuned)
+    levels = tuned.levels_db(name)
+    noise_db = request.noise_db or _noise_db(measurement) or (levels[0] if len(levels) == 1 else None)
+    if noise_db is None:
+        known = ", ".join(f"{level:g}" for level in levels)
+        msg = f"--noise-db: missing; {request.tuned} was tuned at {known} dB: say how noisy the measurement is"
+        raise InputError(msg)
+    chosen, level = tuned.parameters(name, noise_db)
+    return chosen | told, f"{request.tuned}, tuned at {level:g} dB for {noise_db:g} dB{', and --set' if told else ''}"
+
+
+def _noise_db(measurement: Measurement) -> float | None:
+    dataset = own_dataset(measurement)
+    return None if dataset is None else dataset.config["camera"]["noise"].get("psnr_db")
+
+
+_TYPICAL = "twice the mean radiance of a scene that sends this much light"
+
+
+def _white(measurement: Measurement, request: Request, capture: CaptureModel) -> tuple[float, str]:
+    """Return the radiance to be shown as 1, by which the methods also scale their volumes, and where it comes from."""
+    if request.white is not None:
+        return request.white, "as told"
+    if request.tuned is not None:
+        return float(load_tuned(request.tuned).content["identity"]["white"]), f"{request.tuned}"
+    root = measurement.dataset
+    if root is not None and (train := open_dataset(root, "train")):
+        return measure_white(train), f"99th percentile of the train split of {root}"
+    return typical_white(capture, measurement.values), _TYPICAL
