@@ -40,17 +40,20 @@ def sharpness(volume: Tensor, measure: str = "gradient") -> Tensor:
 
 
 def unary_cost(
-    volume: Tensor, *, cost: str = "defocus", measure: str = "gradient", contrast: float = 0.5, window_px: float = 2.0
+    volume: Tensor, *, cost: str, measure: str, contrast: float, window_px: float, steps_between_planes: int
 ) -> Tensor:
-    """Return the cost of each plane at each pixel, ``(B, K, h, w)``, free of the volume's unit.
+    """Return the cost of each label at each pixel, ``(B, L, h, w)``, free of the volume's unit.
 
-    With s the sharpness and G a Gaussian window, whose weights add up to one at edges too:
+    Labels lie evenly from the first plane to the last. With s the sharpness and G a Gaussian window, whose weights add up to
+    one at edges too:
 
     - ``defocus``, the thesis: ``G exp(-contrast s / mean s)``. The thesis writes exp(-|grad I|^2), which depends on the
       picture's unit; here s is relative to its mean over the scene's stack. Alone, a pixel chooses where it is sharpest.
+      Labels are the planes, L = K, however many steps: interpolated linearly, its least energy would lie at planes as well.
     - ``spread``: ``sum_k w_k (x - k)^2 / (K - 1)^2``, weights ``w = (G s)^contrast`` that add up to one over the planes.
-      Alone, a pixel chooses the centroid of its light. For volumes in which the light of a surface lies on several planes,
-      to both sides of it: ADMM's, whose outer planes attract what the inner ones cannot tell apart; and for noisy ones.
+      Labels x lie between planes too, L = steps (K - 1) + 1. Alone, a pixel chooses the centroid of its light. For volumes
+      in which the light of a surface lies on several planes, to both sides of it: ADMM's, whose outer planes attract what
+      the inner ones cannot tell apart; and for noisy ones.
 
     Args:
         volume: ``(B, K, C, h, w)``, any unit.
@@ -58,9 +61,10 @@ def unary_cost(
         measure: s; see `sharpness`.
         contrast: small ones let the planes count nearly alike, large ones let the sharpest decide.
         window_px: the window's standard deviation; 0 for none.
+        steps_between_planes: labels from one plane to the next, for ``spread``; 1 has the planes alone.
 
     Raises:
-        InputError: another shape, cost or measure, a contrast that is not positive, or a negative window.
+        InputError: another shape, cost or measure, a contrast that is not positive, a negative window, or no step.
     """
     if not (math.isfinite(contrast) and contrast > 0):
         msg = f"contrast: got {contrast!r}, expected a positive number: of 0 all planes cost the same"
@@ -68,25 +72,31 @@ def unary_cost(
     if not (math.isfinite(window_px) and window_px >= 0):
         msg = f"window_px: got {window_px!r}, expected 0 (no average) or a standard deviation in pixels"
         raise InputError(msg)
+    if steps_between_planes < 1:
+        msg = f"steps_between_planes: got {steps_between_planes!r}, expected 1 (the planes alone) or more"
+        raise InputError(msg)
     sharp = sharpness(volume, measure)
     if cost == "defocus":
         mean = sharp.mean(dim=(1, 2, 3), keepdim=True)
         # A black stack is equally sharp everywhere; NaN stays NaN, for the graph cut to refuse.
         return _averaged(torch.exp(-contrast * sharp / torch.where(mean == 0, 1.0, mean)), window_px)
     if cost == "spread":
-        return _spread(_averaged(sharp, window_px), contrast)
+        return _spread(_averaged(sharp, window_px), contrast, steps_between_planes)
     msg = f"cost: got {cost!r}, expected one of {', '.join(COSTS)}"
     raise InputError(msg)
 
 
-def _spread(sharp: Tensor, contrast: float) -> Tensor:
-    """Return the mean squared distance of each plane to the light, in units of the whole stack."""
+def _spread(sharp: Tensor, contrast: float, steps: int) -> Tensor:
+    """Return the mean squared distance of each label to the light, in units of the whole stack."""
     highest = sharp.amax(dim=1, keepdim=True)
     # Where there is no light, all planes have the same share of it. The scale keeps high powers from vanishing.
     weights = torch.where(highest == 0, 1.0, sharp / highest) ** contrast
     weights = weights / weights.sum(dim=1, keepdim=True)
-    places = torch.linspace(0, 1, sharp.shape[1], device=sharp.device, dtype=sharp.dtype)
-    return torch.einsum("xk,bkhw->bxhw", (places[:, None] - places).square(), weights)
+    intervals = max(sharp.shape[1] - 1, 1)
+    labels = torch.arange(steps * (sharp.shape[1] - 1) + 1, device=sharp.device, dtype=sharp.dtype) / (
+        steps * intervals
+    )
+    return torch.einsum("xk,bkhw->bxhw", (labels[:, None] - labels[::steps]).square(), weights)
 
 
 def _averaged(values: Tensor, window_px: float) -> Tensor:

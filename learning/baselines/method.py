@@ -33,6 +33,7 @@ DEFAULTS: dict[str, dict[str, Value]] = {
         "contrast": 8.0,
         "window_px": 2.0,
         "pairwise": 0.2,
+        "steps_between_planes": 4,
         "light": "label",
     },
     "admm": {
@@ -44,6 +45,7 @@ DEFAULTS: dict[str, dict[str, Value]] = {
         "contrast": 0.75,
         "window_px": 1.0,
         "pairwise": 0.2,
+        "steps_between_planes": 4,
         "light": "sum",
     },
 }
@@ -57,6 +59,7 @@ SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
         "contrast": (0.3, 1.0, 2.0, 4.0, 8.0, 16.0),
         "window_px": (0.5, 1.0, 2.0, 4.0),
         "pairwise": (0.1, 0.2, 0.5, 2.0, 8.0),
+        "steps_between_planes": (1, 4),
         "light": LIGHT,
     },
     "admm": {
@@ -68,6 +71,7 @@ SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
         "contrast": (0.25, 0.5, 0.75, 1.0, 2.0),
         "window_px": (0.5, 1.0, 2.0, 4.0),
         "pairwise": (0.1, 0.2, 0.5, 2.0, 8.0),
+        "steps_between_planes": (1, 4),
         "light": LIGHT,
     },
 }
@@ -98,13 +102,14 @@ class ClassicalMethod:
         capture: CaptureModel,
         volume_method: nn.Module,
         *,
-        stage: str = "inversion",
-        cost: str = "defocus",
-        measure: str = "gradient",
-        contrast: float = 0.5,
-        window_px: float = 2.0,
-        pairwise: float = 3.0,
-        light: str = "label",
+        stage: str,
+        cost: str,
+        measure: str,
+        contrast: float,
+        window_px: float,
+        pairwise: float,
+        steps_between_planes: int,
+        light: str,
     ) -> None:
         """Put the method together.
 
@@ -118,7 +123,8 @@ class ClassicalMethod:
             contrast: of the planes.
             window_px: standard deviation of the window.
             pairwise: cost of a step between neighbours from the first label to the last, as a multiple of what separates a
-                pixel's best label from its worst, in the scene's mean: so that one number serves all costs, contrasts and K.
+                pixel's best label from its worst, in the scene's mean: one number serves all costs, contrasts and labels.
+            steps_between_planes: labels of depth from one plane to the next, for the costs that have some between.
             light: of the picture; see `learning.baselines.all_in_focus.assemble`.
 
         Raises:
@@ -137,7 +143,8 @@ class ClassicalMethod:
                 raise InputError(msg)
         self.name, self.capture = name, capture
         self._method, self._stage, self._light, self._pairwise = volume_method, stage, light, float(pairwise)
-        self._unary = {"cost": cost, "measure": measure, "contrast": contrast, "window_px": window_px}
+        self._unary: dict[str, Any] = {"cost": cost, "measure": measure, "contrast": contrast, "window_px": window_px}
+        self._unary["steps_between_planes"] = steps_between_planes
         # A wrong contrast or window is told now, not after minutes of ADMM.
         unary_cost(torch.zeros(1, 2, 1, 1, 1), **self._unary)
 
@@ -188,13 +195,15 @@ class ClassicalMethod:
         """
         clock = clock or Clock(volume.device)
         with clock.stage("graph cut"):
-            labels = self.labels(volume)
+            places = self.places(volume)
         with clock.stage("assembly"):
-            return assemble(volume, labels, self.capture, self._light)
+            return assemble(volume, places, self.capture, self._light)
 
     @torch.no_grad()
-    def labels(self, volume: Tensor) -> Tensor:
-        """Return the plane of each pixel ``(B, h, w)``, on the volume's device, one graph cut per scene on the CPU.
+    def places(self, volume: Tensor) -> Tensor:
+        """Return each pixel's place among the planes, ``(B, h, w)``, 0 to K - 1, on the volume's device.
+
+        One graph cut per scene, on the CPU.
 
         Raises:
             InputError: a volume with NaN or infinite values.
@@ -202,7 +211,8 @@ class ClassicalMethod:
         costs = to_numpy(unary_cost(volume, **self._unary)).astype(np.float64)
         steps = costs.shape[1] - 1
         labels = [cut_labels(cost, self._pairwise * float(np.ptp(cost, axis=0).mean()) / steps) for cost in costs]
-        return torch.from_numpy(np.stack(labels)).to(volume.device)
+        # Divided, not multiplied: a label at a plane then has exactly the plane's number.
+        return torch.from_numpy(np.stack(labels) / (steps // (volume.shape[1] - 1))).to(volume)
 
 
 def build_classical(capture: CaptureModel, name: str, parameters: Mapping[str, Value] | None = None) -> ClassicalMethod:

@@ -1,5 +1,6 @@
 """Depth by classical methods where it must be found: light at known planes, measured through PSFs of an asymmetric mask."""
 
+import itertools
 from itertools import product
 
 import numpy as np
@@ -32,16 +33,7 @@ METHODS = [
 @pytest.fixture(scope="module")
 def capture():
     """Random open squares before the sensor: planes from 3 mm to 10 cm, magnified by 1.67 to 1.02; sensor holds all light."""
-    amplitude = np.zeros((140, 140), np.float32)
-    rng = np.random.default_rng(5)
-    for row, column in rng.integers(0, 132, (24, 2)):
-        amplitude[row : row + 8, column : column + 8] = 1
-    mask = Mask(np.zeros_like(amplitude), amplitude, 4e-6, name="squares")
-    camera = CameraGeometry(2e-3, 20e-6, GREEN)
-    depths_m = tuple(float(z) for z in depth_planes(3e-3, 0.1, PLANES))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("simulator.optics.sampling.prove_sampling", lambda *_: {})
-        stack = compute_psf_stack(mask, camera, PsfConfig(depths_m, "scaled_distance"), lines=[Line(0, 532e-9, 1.0)])
+    stack = psf_stack(depth_planes(3e-3, 0.1, PLANES))
     y, x = (np.arange(SCENE[0]) - 11.5)[:, None] / 60, (np.arange(SCENE[1]) - 13.5) / 60
     gain = 0.5 / float(np.asarray(stack.values).sum(axis=(2, 3)).mean())
     return CaptureModel(
@@ -53,6 +45,27 @@ def capture():
         irradiance=(1 / (1 + y**2 + x**2) ** 2).astype(np.float32),
         scene_to_camera=np.array([[0.2, 0.7, 0.1]]),
     )
+
+
+@pytest.fixture(scope="module")
+def between():
+    """Return a function: plane to the stack of the one depth midway, in disparity, to the next."""
+    inverse = 1 / depth_planes(3e-3, 0.1, PLANES)
+    stacks = [psf_stack([2 / (a + b)]) for a, b in itertools.pairwise(inverse)]
+    return stacks.__getitem__
+
+
+def psf_stack(depths_m):
+    amplitude = np.zeros((140, 140), np.float32)
+    rng = np.random.default_rng(5)
+    for row, column in rng.integers(0, 132, (24, 2)):
+        amplitude[row : row + 8, column : column + 8] = 1
+    mask = Mask(np.zeros_like(amplitude), amplitude, 4e-6, name="squares")
+    camera = CameraGeometry(2e-3, 20e-6, GREEN)
+    depths_m = tuple(float(z) for z in depths_m)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("simulator.optics.sampling.prove_sampling", lambda *_: {})
+        return compute_psf_stack(mask, camera, PsfConfig(depths_m, "scaled_distance"), lines=[Line(0, 532e-9, 1.0)])
 
 
 def measure(capture, light):
@@ -99,6 +112,22 @@ def test_a_textured_wall_is_found_nearly_everywhere(capture, name, parameters, p
     # Of light that CLS leaves on all planes, the centroid of a wall at an outer plane lies inwards here and there.
     expected = 0.8 if (name, parameters["cost"]) == ("cls", "spread") else 0.95
     assert (labels == plane).mean() > expected
+
+
+@pytest.mark.parametrize("before", range(PLANES - 1))
+def test_a_textured_wall_between_two_planes_is_found_between_them(capture, between, before):
+    """Its PSF is that of its own depth, midway in disparity, which the method does not know.
+
+    By ADMM, whose light goes to the planes around it; what CLS finds of a PSF that it does not know lies anywhere.
+    """
+    light = np.random.default_rng(2).choice([0.1, 1.0], SCENE)[None]
+    own = capture.with_stack(between(before))
+    method = build_classical(capture, *METHODS[3])
+    disparity = method.reconstruct(measure(own, light)).disparity[0, 0, 3:-3, 3:-3].numpy()
+    near, far = capture.plane_disparities()[[before, before + 1]]
+    # A label to either side of the middle; with planes alone the median would be off by half an interval at least.
+    assert abs(np.median(disparity) - (near + far) / 2) <= 0.3 * (near - far)
+    assert ((disparity < near) & (disparity > far)).mean() > 0.6
 
 
 @pytest.mark.parametrize(("name", "near", "far"), [(name, *pair) for name, pair in product(DEFAULTS, [(0, 2), (3, 1)])])

@@ -9,10 +9,12 @@ from learning.baselines.all_in_focus import assemble
 from learning.baselines.cls import ConstrainedLeastSquares
 from learning.baselines.focus import unary_cost
 from learning.baselines.graph_cut import energy
-from learning.baselines.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, ClassicalMethod, build_classical
+from learning.baselines.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
 from learning.method import Clock
 from simulator.errors import InputError
 from simulator.optics.psf_stack import PsfStack
+
+THESIS = {"cost": "defocus", "measure": "gradient", "contrast": 0.5, "window_px": 1.0, "light": "label"}
 
 
 @pytest.fixture
@@ -40,6 +42,7 @@ def test_is_volume_graph_cut_and_assembly(tiny_capture, measurement, name, given
         "contrast": 0.9,
         "window_px": 1.5,
         "pairwise": 1.2,
+        "steps_between_planes": 1,
         "light": "sum",
     }
     method = build_classical(tiny_capture, name, given | depth)
@@ -49,9 +52,10 @@ def test_is_volume_graph_cut_and_assembly(tiny_capture, measurement, name, given
 
     volume = volume_method(tiny_capture)(measurement)
     torch.testing.assert_close(method.volume(measurement), volume)
-    labels = method.labels(volume)
+    labels = method.places(volume).long()
     torch.testing.assert_close(estimate, assemble(volume, labels, tiny_capture, "sum"))
-    costs = unary_cost(volume, contrast=0.9, window_px=1.5).double().numpy()
+    unary = {key: value for key, value in depth.items() if key not in ("pairwise", "light")}
+    costs = unary_cost(volume, **unary).double().numpy()
     for cost, found in zip(costs, labels.numpy(), strict=True):
         pairwise = 1.2 * np.ptp(cost, axis=0).mean() / 2
         least = energy(cost, found, pairwise)
@@ -83,15 +87,37 @@ def test_every_candidate_builds(tiny_capture, name):
             build_classical(tiny_capture, name, {parameter: value})
 
 
+@pytest.mark.parametrize("steps", [1, 4])
+def test_labels_between_planes_are_the_best_of_all(tiny_capture, steps):
+    """2 pixels, all pairs of 9 labels of three planes: the energy of the method's own definition, by brute force."""
+    rng = np.random.default_rng(5)
+    settings = {"cost": "spread", "measure": "light", "contrast": 0.5, "window_px": 0.0, "light": "label"}
+    method = build_classical(tiny_capture, "cls", settings | {"pairwise": 0.3, "steps_between_planes": steps})
+    between = 0
+    for _ in range(20):
+        volume = torch.from_numpy(rng.uniform(size=(1, 3, 1, 1, 2)))
+        weights = volume[0, :, 0, 0].numpy()
+        weights = weights / weights.sum(axis=0)
+        places = np.arange(2 * steps + 1) / steps
+        costs = ((places[:, None] - np.arange(3)) ** 2 / 4) @ weights
+        full = costs[:, None, 0] + costs[None, :, 1]
+        full = full + 0.3 * np.ptp(costs, axis=0).mean() * np.abs(np.subtract.outer(places, places)) / 2
+        best = np.unravel_index(full.argmin(), full.shape)
+        found = method.places(volume)[0, 0].numpy()
+        np.testing.assert_array_equal(found, places[list(best)])
+        between += int((found % 1 > 0).sum())
+    assert (between > 0) == (steps > 1)
+
+
 def test_the_number_of_labels_and_the_unit_do_not_change_what_pairwise_means(tiny_capture):
     """The volume times 1000 gives the same labels; pairwise from none to much gives fewer and fewer steps."""
     volume = torch.from_numpy(np.random.default_rng(3).uniform(size=(1, 3, 3, 16, 16)))
     steps = []
-    for pairwise in (0, 0.5, 2, 100):
-        method = ClassicalMethod("x", tiny_capture, torch.nn.Identity(), pairwise=pairwise, window_px=1)
-        labels = method.labels(volume)
-        torch.testing.assert_close(method.labels(volume * 1000), labels)
-        steps.append(int(labels.diff(dim=1).abs().sum() + labels.diff(dim=2).abs().sum()))
+    for pairwise in (0.0, 0.5, 2.0, 100.0):
+        method = build_classical(tiny_capture, "cls", THESIS | {"pairwise": pairwise})
+        labels = method.places(volume)
+        torch.testing.assert_close(method.places(volume * 1000), labels)
+        steps.append(float(labels.diff(dim=1).abs().sum() + labels.diff(dim=2).abs().sum()))
     assert steps[0] > steps[1] > steps[2] > steps[3] == 0
 
 
@@ -108,6 +134,7 @@ def test_the_number_of_labels_and_the_unit_do_not_change_what_pairwise_means(tin
         ("cls", {"light": "all"}, "light: got 'all', expected one of label"),
         ("cls", {"contrast": -1.0}, "contrast: got -1.0"),
         ("cls", {"window_px": -1.0}, "window_px: got -1.0"),
+        ("cls", {"steps_between_planes": 0}, "steps_between_planes: got 0, expected 1"),
         ("cls", {"pairwise": -1.0}, "pairwise: got -1.0, expected 0 or more"),
         ("cls", {"strength": 0.0}, "strength: got 0.0, expected a positive"),
     ],
