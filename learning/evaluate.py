@@ -16,6 +16,7 @@ from learning.display import encode
 from learning.evaluation.cache import ResultCache
 from learning.evaluation.cameras import Cameras
 from learning.evaluation.findings import Findings, default_edges_cm
+from learning.evaluation.folder import claim_folder
 from learning.evaluation.montage import Shown
 from learning.evaluation.outcome import Outcome, outcome
 from learning.evaluation.output import write_results
@@ -48,17 +49,19 @@ def evaluate(
         What was found, and the files, the report first.
 
     Raises:
-        InputError: data without scenes or depth, methods of other cameras, missing files, an estimate that is no number.
+        InputError: data without scenes or depth, methods of other cameras, missing files, an estimate that is no number,
+            scenes that a method knows already, or a folder that holds something else.
         StorageError: the folder cannot be written to.
     """
     folder = config.resolve_path(config.output)
-    with storage_errors(folder):
-        cache = ResultCache(folder / CACHE)
     device = choose_device(config.device)
     if config.threads is not None:
         torch.set_num_threads(config.threads)
     test = _test_scenes(config)
     roster = read_roster(config, test)
+    claim_folder(folder, config.name)
+    with storage_errors(folder):
+        cache = ResultCache(folder / CACHE)
     training = None if config.data.training is None else config.resolve_path(config.data.training)
     cameras = Cameras(test, training, [entry for seeds in roster for entry in seeds], config.resolve_path)
     lpips, perceptual = _perceptual(config.perceptual, device)

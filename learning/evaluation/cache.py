@@ -18,21 +18,22 @@ from simulator import __version__
 from simulator.dataset.plain import canonical_json, plain
 from simulator.files import sha256_bytes, write_atomic
 
-# Modules and packages of learning, by which a measurement becomes a score.
-_DECIDING = (
-    "baselines",
-    "capture",
-    "checkpoint",
-    "data",
-    "display",
-    "estimate",
-    "evaluation/scoring",
-    "layers",
-    "method",
-    "metrics",
-    "models",
-    "perceptual",
+# Modules and packages of learning that decide no score of a given checkpoint and given parameters; all others do.
+_IDLE = frozenset(
+    {
+        "commands",
+        "config",
+        "evaluate",
+        "evaluation",
+        "presets",
+        "reconstruct",
+        "reconstruction",
+        "train",
+        "training",
+        "tuning",
+    }
 )
+_DECIDING = "evaluation/scoring.py"  # although the rest of its package does not
 
 
 class ResultCache:
@@ -93,6 +94,10 @@ class ResultCache:
 def code_fingerprint() -> str:
     """Return a hash of the code by which a measurement becomes a score: what another version computed is not reused."""
     root = Path(learning.__path__[0])
-    files = [path for name in _DECIDING for path in (root / f"{name}.py", *sorted((root / name).rglob("*.py")))]
-    parts = {path.relative_to(root).as_posix(): sha256_bytes(path.read_bytes()) for path in files if path.is_file()}
-    return sha256_bytes(canonical_json({"flatlight": __version__, "files": parts}))
+    parts = {path.relative_to(root): sha256_bytes(path.read_bytes()) for path in sorted(root.rglob("*.py"))}
+    decides = {
+        path.as_posix(): digest
+        for path, digest in parts.items()
+        if path.as_posix() == _DECIDING or path.parts[0].removesuffix(".py") not in _IDLE
+    }
+    return sha256_bytes(canonical_json({"flatlight": __version__, "files": decides}))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from learning.evaluation.figures import PANELS, depth_png, method_colours, noise_png, stacks_png, times_png
 from learning.evaluation.findings import Findings, versions
+from learning.evaluation.folder import DEPTH, MONTAGE, NOISE, REPORT, RESULTS, STACKS, TABLE, TIMES, remove_stale
 from learning.evaluation.montage import montage_png
 from learning.evaluation.report import (
     csv_table,
@@ -21,7 +22,6 @@ from simulator.dataset.plain import readable_json
 from simulator.files import write_atomic
 from simulator.preview.drawing import depth_range
 
-RESULTS, TABLE, REPORT = "results.json", "table.csv", "report.md"
 # Depth RMSE in table 5.2 of the thesis, and what the best constant has on depths that are uniform in its 3.6 to 20 cm.
 _THESIS = (
     "the thesis's classical methods have a depth RMSE of 4.87 cm (CLS) and 5.26 cm (ADMM) on its own scenes (table 5.2), the "
@@ -31,7 +31,7 @@ _WHISKERS = "Whiskers are the standard deviation over seeds."
 
 
 def write_results(folder: Path, findings: Findings) -> list[Path]:
-    """Write everything; returns the files, the report first.
+    """Write everything, and delete what an earlier run left; returns the files, the report first.
 
     Raises:
         StorageError: the folder cannot be written to.
@@ -46,6 +46,7 @@ def write_results(folder: Path, findings: Findings) -> list[Path]:
     }
     for name, content in files.items():
         write_atomic(folder / name, content)
+    remove_stale(folder, files)
     return [folder / name for name in files]
 
 
@@ -57,7 +58,7 @@ def _figures(findings: Findings) -> dict[str, bytes]:
             f"white = radiance {findings.camera.white:.3g}; depth z "
             f"{depth_range(findings.camera.near_m, findings.camera.far_m)}"
         )
-        figures["montage.png"] = montage_png(
+        figures[MONTAGE] = montage_png(
             findings.columns,
             findings.montage,
             findings.config.name,
@@ -66,12 +67,12 @@ def _figures(findings: Findings) -> dict[str, bytes]:
             findings.camera.far_m,
         )
     if findings.ablation:
-        figures["noise.png"] = noise_png(findings.ablation, colours, findings.trivial)
-    figures["depth.png"] = depth_png(findings.main, colours, findings.trivial, findings.edges_cm)
+        figures[NOISE] = noise_png(findings.ablation, colours, findings.trivial)
+    figures[DEPTH] = depth_png(findings.main, colours, findings.trivial, findings.edges_cm)
     if findings.compared:
-        figures["stacks.png"] = stacks_png(findings.compared, colours, findings.config.data.compare_stacks)
+        figures[STACKS] = stacks_png(findings.compared, colours, findings.config.data.compare_stacks)
     if findings.times:
-        figures["times.png"] = times_png(findings.times, colours, findings.device)
+        figures[TIMES] = times_png(findings.times, colours, findings.device)
     return figures
 
 
@@ -87,7 +88,7 @@ def _report(findings: Findings, pictures: Sequence[str]) -> str:
         "## Further scores",
         markdown_further(rows),
     ]
-    if "montage.png" in pictures:
+    if MONTAGE in pictures:
         parts.append("## Scenes\n\n![truth and estimates](montage.png)")
     if findings.ablation:
         levels = sorted({one.noise_db for one in findings.ablation if one.noise_db is not None})

@@ -13,12 +13,12 @@ from learning.baselines.method import DEFAULTS, build_classical
 from learning.capture import CaptureModel
 from learning.checkpoint import load_checkpoint
 from learning.config.evaluate import EvaluateConfig, MethodConfig
+from learning.evaluation.apart import check_learned, check_tuned
 from learning.evaluation.outcome import Kind
 from learning.method import Method
 from learning.models.method import LearnedMethod
 from learning.tuning import load_tuned
 from simulator.dataset.reader import Dataset
-from simulator.errors import InputError
 from simulator.files import sha256_file
 
 
@@ -105,6 +105,10 @@ class ClassicalEntry:
         words = ", ".join(f"{name} {value}" for name, value in shown.items())
         return f"{words or 'defaults'} ({source})"
 
+    def tuned_db(self, noise_db: float) -> float | None:
+        """Return the level at which the parameters for a level were tuned; None where they were given."""
+        return None if self.tuned is None else load_tuned(self.tuned).parameters(self.algorithm, noise_db)[1]
+
     def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
         """Return the method for a camera."""
         method = build_classical(capture, self.algorithm, self._chosen(noise_db)[0]).to(device)
@@ -126,7 +130,8 @@ def read_roster(config: EvaluateConfig, test: Dataset) -> list[list[Entry]]:
         test: the scenes that decide.
 
     Raises:
-        InputError: a file that is missing, damaged or of another kind; parameters that were tuned on the test scenes.
+        InputError: a file that is missing, damaged or of another kind; a network that learned from the test scenes or was
+            chosen by them, parameters that were tuned on them.
     """
     return [_seeds(config, method, test) for method in config.methods]
 
@@ -136,22 +141,14 @@ def _seeds(config: EvaluateConfig, method: MethodConfig, test: Dataset) -> list[
         assert method.classical is not None
         tuned = None if method.tuned is None else config.resolve_path(method.tuned)
         if tuned is not None:
-            _check_apart(method.name, tuned, test)
+            check_tuned(method.name, tuned, test)
         return [ClassicalEntry(method.name, method.classical, tuned, method.parameters)]
     entries: list[Entry] = []
     for text in method.checkpoints:
         path = config.resolve_path(text)
         checkpoint = load_checkpoint(path)
+        check_learned(method.name, path, checkpoint.record, test)
         digest = sha256_file(path)
         entry = LearnedEntry(method.name, path, digest, checkpoint.capture, checkpoint.architecture, checkpoint.record)
         entries.append(entry)
     return entries
-
-
-def _check_apart(name: str, tuned: Path, test: Dataset) -> None:
-    content = load_tuned(tuned).content["identity"]
-    if (content.get("data"), content.get("split")) == (test.fingerprint, test.split):
-        msg = (
-            f"{name}: {tuned} was tuned on the scenes that decide here, split {test.split!r}; tune on validation scenes"
-        )
-        raise InputError(msg)

@@ -183,6 +183,11 @@ def test_what_is_finished_is_kept_and_what_changed_is_done_anew(
     evaluate(load())
     assert len(scored) == 3
     assert _results(tmp_path) == first
+    (tmp_path / "out" / "noise.png").write_bytes(b"of a run with other settings")
+    evaluate(load())
+    assert not (tmp_path / "out" / "noise.png").exists()
+    with pytest.raises(InputError, match=r"holds the evaluation 'trial', this one is 'another'"):
+        evaluate(load(name="another"))
     evaluate(load(noise_db=[30]))  # an extended evaluation does only what is new
     assert scored[3:] == ["FlatNet3D", "FlatNet3D", "CLS"]
     methods = [{"name": "CLS", "classical": "cls", "parameters": {"strength": 0.2}}]
@@ -238,6 +243,31 @@ def test_scenes_that_were_tuned_on_do_not_decide(
     book.add_result({"method": "cls", "noise_db": 40.0, "parameters": dict(DEFAULTS["cls"]), "score": 1.0})
     with pytest.raises(InputError, match=r"CLS: .*tuned\.json was tuned on the scenes that decide here"):
         evaluate(load(methods=[{"name": "CLS", "classical": "cls", "tuned": "tuned.json"}]))
+
+
+@pytest.mark.parametrize("split", ["train", "validation"])
+def test_scenes_that_a_network_knows_do_not_decide(
+    load: Callable[..., EvaluateConfig], tmp_path: Path, tiny_dataset: Path, checkpoints: list[Path], split: str
+) -> None:
+    checkpoint = load_checkpoint(checkpoints[0])
+    record = {"data sets": {split: {"fingerprint": open_dataset(tiny_dataset, split).fingerprint}}}
+    path = tmp_path / "knows.safetensors"
+    save_checkpoint(
+        path, checkpoint.network, architecture=checkpoint.architecture, capture=checkpoint.capture, record=record
+    )
+    with pytest.raises(InputError, match=rf"Net: .*knows\.safetensors .* the scenes that decide here, split '{split}'"):
+        evaluate(load(methods=[{"name": "Net", "checkpoints": [str(path)]}], data={"split": split}))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_data_set_is_no_place_for_results(
+    load: Callable[..., EvaluateConfig], tmp_path: Path, tiny_dataset: Path
+) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "dataset.json").write_bytes((tiny_dataset / "dataset.json").read_bytes())
+    with pytest.raises(InputError, match=r"output: .* is not empty and holds no evaluation"):
+        evaluate(load())
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["dataset.json"]
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -42,25 +42,34 @@ def test_damaged_files_count_as_missing(tmp_path: Path, damage: bytes) -> None:
     assert cache.load_arrays(KEY) is None
 
 
-def test_other_code_has_another_fingerprint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "layers").mkdir()
-    for text in ("a = 1\n", "a = 2\n"):
-        (tmp_path / "layers" / "inversion.py").write_text(text)
+@pytest.mark.parametrize(
+    ("name", "decides"),
+    [
+        ("layers/inversion.py", True),
+        ("perceptual/lpips_distance.py", True),
+        ("a_new_module.py", True),
+        ("evaluation/scoring.py", True),
+        ("evaluation/report.py", False),
+        ("train.py", False),
+    ],
+)
+def test_code_that_decides_a_score_has_a_part_in_the_fingerprint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, decides: bool
+) -> None:
     monkeypatch.setattr(learning, "__path__", [str(tmp_path)])
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    found = []
+    for text in ("a = 1\n", "a = 2\n"):
+        (tmp_path / name).write_text(text)
+        code_fingerprint.cache_clear()
+        found.append(code_fingerprint())
     code_fingerprint.cache_clear()
-    first = code_fingerprint()
-    (tmp_path / "layers" / "inversion.py").write_text("a = 3\n")
-    code_fingerprint.cache_clear()
-    second = code_fingerprint()
-    (tmp_path / "train.py").write_text("a = 4\n")  # decides no score of a given checkpoint
-    code_fingerprint.cache_clear()
-    third = code_fingerprint()
-    code_fingerprint.cache_clear()
-    assert first != second == third
+    assert (found[0] != found[1]) == decides
 
 
-def test_every_deciding_module_exists() -> None:
-    # A module that was renamed would silently decide nothing.
+def test_every_module_that_does_not_decide_exists() -> None:
+    # One that was renamed would have all results computed anew whenever it changes.
     root = Path(learning.__path__[0])
-    for name in module._DECIDING:
+    for name in module._IDLE:
         assert (root / name).is_dir() or (root / f"{name}.py").is_file(), name
+    assert (root / module._DECIDING).is_file()
