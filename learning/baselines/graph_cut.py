@@ -6,16 +6,18 @@ energy is that of a cut: Ishikawa, Exact Optimization for Markov Random Fields w
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.baselines.convex_cut import cut_convex
+from learning.baselines.max_flow import source_side
 from simulator.errors import InputError
 
 STEPS = 2**24
 """Capacities are integers: the largest cost has so many steps. Rounding lets the energy found lie above the minimum by at
-most one step per pixel and one per label of difference between neighbours."""
+most one step per pixel (of convex costs, half a step per label of it) and one per label of difference between neighbours."""
 
 
 class Network(NamedTuple):
@@ -50,7 +52,8 @@ class Network(NamedTuple):
 def cut_labels(unary: NDArray[np.floating], pairwise: float) -> NDArray[np.int64]:
     """Return the labels ``(h, w)`` of least energy, 0 to K - 1.
 
-    Costs are rounded to 1 / `STEPS` of the largest; with that the result is exact.
+    Costs are rounded to 1 / `STEPS` of the largest; with that the result is exact. Where all are convex in the label, as
+    `unary_cost`'s ``spread``, the smaller cuts of `cut_convex` find it, else one cut of `build_network`.
 
     Args:
         unary: ``(K, h, w)`` cost of each label at each pixel, any unit.
@@ -59,14 +62,14 @@ def cut_labels(unary: NDArray[np.floating], pairwise: float) -> NDArray[np.int64
     Raises:
         InputError: costs that are no numbers, a negative ``pairwise``, fewer than two labels, or OR-tools is missing.
     """
-    solver = _load_solver()
-    network = build_network(unary, pairwise)
-    solver.add_arcs_with_capacity(network.tails, network.heads, network.capacities)
-    status = solver.solve(network.source, network.sink)
-    if status != solver.OPTIMAL:
-        msg = f"graph cut: OR-tools' max flow ended with {status} for costs of shape {unary.shape} and pairwise {pairwise!r}"
-        raise RuntimeError(msg)
-    return labels_of_cut(network, solver.get_source_side_min_cut())
+    costs = _checked(unary, pairwise)
+    step = _step(costs, pairwise)
+    slopes = np.rint(np.diff(costs, axis=0) / step).astype(np.int64)
+    if (np.diff(slopes, axis=0) >= 0).all():
+        return cut_convex(slopes, round(pairwise / step))
+    network = build_network(costs, pairwise)
+    cut = source_side(network.tails, network.heads, network.capacities, network.source, network.sink)
+    return labels_of_cut(network, cut)
 
 
 def labels_of_cut(network: Network, source_side: NDArray[np.integer] | list[int]) -> NDArray[np.int64]:
@@ -94,7 +97,7 @@ def build_network(unary: NDArray[np.floating], pairwise: float) -> Network:
         InputError: costs that are no numbers, a negative ``pairwise``, or fewer than two labels.
     """
     costs = _checked(unary, pairwise)
-    step = max(float(np.ptp(costs, axis=0).max()), pairwise) / STEPS or 1.0
+    step = _step(costs, pairwise)
     # A constant per pixel changes no labels, and costs that begin at 0 leave less to flow.
     whole = np.rint((costs - costs.min(axis=0)) / step).astype(np.int64)
     weight = round(pairwise / step)
@@ -123,6 +126,11 @@ def build_network(unary: NDArray[np.floating], pairwise: float) -> Network:
     return Network(nodes, tails, heads, capacities)
 
 
+def _step(costs: NDArray[np.float64], pairwise: float) -> float:
+    """Return what the costs are rounded to."""
+    return max(float(np.ptp(costs, axis=0).max()), pairwise) / STEPS or 1.0
+
+
 def _checked(unary: NDArray[np.floating], pairwise: float) -> NDArray[np.float64]:
     if unary.ndim != 3 or unary.shape[0] < 2 or 0 in unary.shape:
         msg = f"unary: got shape {unary.shape}, expected (K, h, w) with at least two labels: planes to choose from"
@@ -136,12 +144,3 @@ def _checked(unary: NDArray[np.floating], pairwise: float) -> NDArray[np.float64
         msg = f"pairwise: got {pairwise!r}, expected 0 or more: only smooth labels may be rewarded"
         raise InputError(msg)
     return costs
-
-
-def _load_solver() -> Any:
-    try:
-        from ortools.graph.python.max_flow import SimpleMaxFlow
-    except ImportError as error:
-        msg = f"graph cut: needs the package ortools ({error}): pip install 'flatlight[learn]', or uv run --extra learn"
-        raise InputError(msg) from error
-    return SimpleMaxFlow()

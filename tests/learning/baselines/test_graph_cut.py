@@ -10,6 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from learning.baselines.graph_cut import build_network, cut_labels, energy, labels_of_cut
+from learning.baselines.max_flow import source_side
 from simulator.errors import InputError
 
 ROUNDING = 1e-6  # costs of order one in 2^24 steps, some ten terms: 1e-6 is far below any difference of two labellings
@@ -96,6 +97,38 @@ def test_without_pairwise_each_pixel_chooses_alone_and_with_much_all_agree():
     unary = np.random.default_rng(2).uniform(size=(6, 5, 8))
     np.testing.assert_array_equal(cut_labels(unary, 0), unary.argmin(axis=0))
     np.testing.assert_array_equal(cut_labels(unary, 50), np.full((5, 8), unary.sum(axis=(1, 2)).argmin()))
+
+
+def convex(rng, labels, shape):
+    """Random costs whose slopes never fall; every fourth does not rise."""
+    slopes = rng.normal(size=(1, *shape)) + np.cumsum(rng.exponential(size=(labels - 1, *shape)) / labels, axis=0)
+    slopes[3::4] = slopes[2::4][: len(slopes[3::4])]
+    return np.concatenate([np.zeros((1, *shape)), np.cumsum(slopes - slopes.mean(), axis=0)])
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("pairwise", [0.0, 0.1, 0.6, 3.0])
+def test_convex_costs_are_the_least_of_all_labellings_too(seed, pairwise):
+    unary = convex(np.random.default_rng(seed), 4, (2, 3))
+    everything = [energy(unary, np.reshape(labels, (2, 3)), pairwise) for labels in product(range(4), repeat=6)]
+    assert energy(unary, cut_labels(unary, pairwise), pairwise) == pytest.approx(min(everything), abs=ROUNDING)
+
+
+@pytest.mark.parametrize(("labels", "pairwise"), [(2, 0.3), (5, 0.1), (8, 0.5), (29, 0.02), (29, 0.3)])
+def test_convex_costs_take_small_cuts_to_what_the_large_one_finds(monkeypatch, labels, pairwise):
+    rng = np.random.default_rng(labels)
+    unary = convex(rng, labels, (17, 14))
+    network = build_network(unary, pairwise)
+    large = labels_of_cut(
+        network, source_side(network.tails, network.heads, network.capacities, network.source, network.sink)
+    )
+    monkeypatch.setattr("learning.baselines.graph_cut.build_network", None)  # not called for these
+    found = cut_labels(unary, pairwise)
+    assert len(np.unique(found)) > 1
+    assert energy(unary, found, pairwise) == pytest.approx(
+        energy(unary, large, pairwise), abs=17 * 14 * labels * 2**-20
+    )
+    assert (found == large).mean() > 0.99
 
 
 def test_two_labels_constant_costs_and_single_pixels():
