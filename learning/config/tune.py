@@ -40,9 +40,9 @@ class AxisSection(Section):
     """Candidates of one parameter instead of the method's own, and how far the search may go beyond them."""
 
     values: list[float | int | str] | None = Field(None, min_length=1, description="candidates; numbers increase")
-    low: Annotated[float, Range(0, 1e300)] = Field(0.0, description="least value that makes sense")
-    high: Annotated[float, Range(0, 1e300, infinite=True)] = Field(
-        float("inf"), description="greatest, e.g. 1000 iterations"
+    low: Annotated[float, Range(0, 1e300)] | None = Field(None, description="least value; null: the method's own")
+    high: Annotated[float, Range(0, 1e300, infinite=True)] | None = Field(
+        None, description="greatest; null: the method's own, e.g. 1000 iterations"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from torch.utils.data import default_collate
 
 from learning.baselines.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
 from learning.capture import CaptureModel, capture_model
+from learning.code_fingerprint import code_fingerprint
 from learning.config.tune import FEWEST_SCENES, TuneConfig
 from learning.data import Example, ExampleSet, check_dataset
 from learning.devices import choose_device
@@ -20,9 +22,14 @@ from learning.tuning.book import TuningBook
 from learning.tuning.score import FORMULAS, Score
 from learning.tuning.search import Axis, Parameters
 from simulator import __version__
+from simulator.dataset.manifest import load_manifest
+from simulator.dataset.plain import canonical_json
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
-from simulator.files import storage_errors
+from simulator.files import sha256_bytes, storage_errors
+
+# With all that they import, what makes a score of parameters and scenes.
+_DECIDING = ("learning.baselines.method", "learning.data", "learning.display", "learning.tuning.score")
 
 
 def tune_file(
@@ -79,7 +86,9 @@ def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torc
                 f"search.{name}.{parameter}: no values; expected candidates for it, or one of {', '.join(SEARCH[name])}"
             )
             raise InputError(msg)
-        low, high = (0.0, _HIGHEST.get(parameter, float("inf"))) if change is None else (change.low, change.high)
+        low, high = limits(parameter, capture)
+        if change is not None:
+            low, high = low if change.low is None else change.low, high if change.high is None else change.high
         try:
             axes[parameter] = Axis(tuple(values), low, high)
         except InputError as error:
@@ -92,8 +101,31 @@ def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torc
     return Tunable(name, build, dict(DEFAULTS[name]), axes, frozenset(VOLUME_PARAMETERS[name]))
 
 
-# Where a method stops to be one that anybody would wait for; more iterations are for the file to ask.
-_HIGHEST: dict[str, float] = {"iterations": 1000}
+def limits(parameter: str, capture: CaptureModel) -> tuple[float, float]:
+    """Return the least and the greatest value of a parameter that still mean something; a file may ask for others."""
+    # Half the scene: a wider window averages everything.
+    widest_px = max(capture.scene_shape) / 2 if parameter == "window_px" else math.inf
+    low, high = _LIMITS.get(parameter, (0.0, math.inf))
+    return low, min(high, widest_px)
+
+
+_LIMITS: dict[str, tuple[float, float]] = {
+    # Of the PSF's mean spectral power: less is below the rounding of float32, more leaves nothing but the mean brightness.
+    "strength": (1e-7, 100.0),
+    # White is 1: a weight of 10 on every step or value leaves a grey plane, or nothing.
+    "tv": (1e-6, 10.0),
+    "sparsity": (1e-6, 10.0),
+    # More is for the file to ask: nobody would wait for it.
+    "iterations": (1, 1000),
+    # Costs are alike for all planes below, and those of a single plane above.
+    "contrast": (0.01, 1000.0),
+    # A window of a quarter of a pixel is that pixel.
+    "window_px": (0.25, math.inf),
+    # Of the cost between a pixel's best and worst label: a map of noise below, of one depth above.
+    "pairwise": (1e-3, 1000.0),
+    # 32 labels between two planes are finer than any capture tells.
+    "steps_between_planes": (1, 32),
+}
 
 
 def _scenes(config: TuneConfig) -> Dataset:
@@ -115,15 +147,19 @@ def _load(dataset: Dataset, noise_db: float | None, seed: int) -> Example:
 
 def _identity(config: TuneConfig, dataset: Dataset, capture: CaptureModel) -> dict[str, Any]:
     """Return all that decides the score of given parameters."""
+    kept = load_manifest(dataset.root).entries
+    digests = [kept[dataset.split, sample].digest for sample in dataset.ids]
     return {
         "data": dataset.fingerprint,
         "split": dataset.split,
         "samples": list(dataset.ids),
+        "digests": sha256_bytes(canonical_json(digests)),
         "stack": capture.stack.fingerprint,
         "white": capture.white,
         "objective": config.objective,
         "seed": config.seed,
         "version": __version__,
+        "code": code_fingerprint(*_DECIDING),
     }
 
 

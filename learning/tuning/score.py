@@ -7,18 +7,18 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from torch import Tensor
 
 from learning.capture import CaptureModel
 from learning.data import Example
 from learning.display import encode
 from learning.estimate import Estimate
+from learning.metrics import depth_scores, psnr
 
 Objective = Literal["both", "picture", "depth"]
 FORMULAS = {
     "both": "picture + depth",
     "picture": "10^((PSNR of the constant colour - PSNR) / 20), mean PSNR over scenes: a ratio of picture RMSEs",
-    "depth": "depth RMSE / depth RMSE of the constant depth, mean RMSE over scenes, centimetres",
+    "depth": "depth RMSE / depth RMSE of the constant depth, mean RMSE over scenes, centimetres, where something was seen",
 }
 
 
@@ -27,8 +27,8 @@ class Errors:
     """Means over scenes, of the estimate within its ranges.
 
     Attributes:
-        psnr_db: of sRGB codes, peak 1.
-        depth_rmse_cm: of all pixels.
+        psnr_db: of sRGB codes, peak 1, of all pixels.
+        depth_rmse_cm: of valid pixels, as in evaluations; a scene without any does not count.
     """
 
     psnr_db: float
@@ -55,20 +55,19 @@ class Score:
             capture: the camera; its white and its range of depths.
         """
         self.objective, self._capture = objective, capture
-        self._pictures = encode(truth.radiance, capture.white)
-        self._depth_cm = truth.depth_m * 100
+        self._truth, self._pictures = truth, encode(truth.radiance, capture.white)
+        self._seen = truth.valid.flatten(1).any(dim=1)
         constant_colour = self._pictures.mean(dim=(0, 2, 3), keepdim=True).expand_as(self._pictures)
-        mean_m = self._depth_cm.mean() / 100
-        constant_depth = capture.disparity(mean_m.expand_as(self._depth_cm))
+        mean_m = truth.depth_m[truth.valid].double().mean().float()
+        constant_depth = torch.as_tensor(capture.disparity(mean_m.expand_as(truth.depth_m)))
         self.constant = self.errors([Estimate(constant_colour, constant_depth)])
 
     def errors(self, estimates: list[Estimate]) -> Errors:
         """Return the errors of estimates that follow each other as the scenes do; NaN where one holds NaN."""
-        pictures = torch.cat([estimate.clamped().picture.cpu() for estimate in estimates])
-        depths_cm = torch.cat([estimate.depth_m(self._capture).cpu() for estimate in estimates]) * 100
-        mse = _per_scene(pictures, self._pictures)
-        rmse_cm = _per_scene(depths_cm, self._depth_cm).sqrt()
-        return Errors(float((-10 * torch.log10(mse)).mean()), float(rmse_cm.mean()))
+        together = Estimate(*(torch.cat([values.cpu() for values in each]) for each in zip(*estimates, strict=True)))
+        estimate = together.clamped()
+        depth = depth_scores(estimate, self._truth, self._capture, self._truth.valid).depth_rmse_cm
+        return Errors(float(psnr(estimate.picture, self._pictures).mean()), float(depth[self._seen].mean()))
 
     def __call__(self, errors: Errors) -> float:
         """Return the number to minimise; infinite where something is NaN."""
@@ -77,7 +76,10 @@ class Score:
         number = {"both": picture + depth, "picture": picture, "depth": depth}[self.objective]
         return math.inf if math.isnan(number) else number
 
-
-def _per_scene(values: Tensor, truth: Tensor) -> Tensor:
-    """Return the mean square difference of each scene, ``(B,)``."""
-    return (values.double() - truth.double()).square().mean(dim=(1, 2, 3))
+    def beaten_by_constant(self, errors: Errors) -> tuple[str, ...]:
+        """Return what of picture and depth, as far as the objective counts it, is no better than the constant guess."""
+        worse = {
+            "picture": not errors.psnr_db > self.constant.psnr_db,
+            "depth": not errors.depth_rmse_cm < self.constant.depth_rmse_cm,
+        }
+        return tuple(name for name, is_worse in worse.items() if is_worse and self.objective in ("both", name))

@@ -15,6 +15,7 @@ from learning.estimate import Estimate
 from learning.tuning.book import TuningBook
 from learning.tuning.score import Errors, Score
 from learning.tuning.search import Axis, Found, Parameters, coordinate_search
+from learning.tuning.summary import in_words
 from simulator.errors import InputError
 
 _BATCH = 4  # scenes that are inverted at once
@@ -167,12 +168,13 @@ def tune(
             except InputError as error:
                 msg = f"{tunable.name} at {noise_db:g} dB: {error}"
                 raise InputError(msg) from error
-            book.add_result(_result(tunable, noise_db, found, book))
-            say(_line(tunable.name, noise_db, found))
+            result = _result(tunable, noise_db, found, book, score)
+            book.add_result(result)
+            say(in_words(result, asdict(score.constant)))
             before = [found.parameters]
 
 
-def _result(tunable: Tunable, noise_db: float, found: Found, book: TuningBook) -> dict[str, Any]:
+def _result(tunable: Tunable, noise_db: float, found: Found, book: TuningBook, score: Score) -> dict[str, Any]:
     best = book.trial(tunable.name, noise_db, found.parameters)
     assert best is not None
     space = {
@@ -185,17 +187,13 @@ def _result(tunable: Tunable, noise_db: float, found: Found, book: TuningBook) -
         "rounds": found.rounds,
         "converged": found.converged,
         "at_limit": list(found.at_limit),
+        "no_better_than_constant": list(score.beaten_by_constant(_errors(best))),
         "trials": len(trials),
         "trials_with_reused_volumes": sum(t["volume_reused"] for t in trials),
         "seconds": round(sum(t["volume_s"] + t["estimate_s"] for t in trials), 3),
     }
 
 
-def _line(name: str, noise_db: float, found: Found) -> str:
-    chosen = ", ".join(
-        f"{key} {value}" if isinstance(value, str) else f"{key} {value:g}" for key, value in found.parameters.items()
-    )
-    line = f"{name} at {noise_db:g} dB: score {found.score:.4g} with {chosen}"
-    if found.at_limit:
-        line += f"; at its limit: {', '.join(found.at_limit)}"
-    return line if found.converged else f"{line}; still changing after {found.rounds} rounds"
+def _errors(trial: Mapping[str, Any]) -> Errors:
+    known = {name: math.nan if trial[name] is None else float(trial[name]) for name in ("psnr_db", "depth_rmse_cm")}
+    return Errors(**known)

@@ -18,6 +18,7 @@ SEARCH = {
         "measure": {"values": ["gradient"]},
         "light": {"values": ["label"]},
         "contrast": {"values": [8.0], "low": 8, "high": 8},
+        "steps_between_planes": {"values": [4], "low": 4, "high": 4},
         "window_px": {"values": [1.0], "low": 1, "high": 1},
         "pairwise": {"values": [0.1, 1.0], "high": 100},
     }
@@ -32,8 +33,12 @@ def test_the_command_tunes_and_goes_on(tiny_dataset: Path, tmp_path: Path, capfd
     )
     tune(path, ["noise_db=[40]"])
     out, err = capfd.readouterr()
-    assert out == f"wrote {tmp_path / 'tuned.json'}\n"
-    assert "cls at 40 dB: score" in err
+    lines = out.splitlines()
+    assert lines[-1] == f"wrote {tmp_path / 'tuned.json'}"
+    assert lines[0].split()[:3] == ["method", "noise", "dB"]
+    assert lines[1].split()[:2] == ["cls", "40"]
+    assert lines[2].startswith("constant guess")
+    assert "cls at 40 dB: PSNR" in err
     tuned = load_tuned(tmp_path / "tuned.json")
     parameters, level = tuned.parameters("cls", 33)
     assert level == 40

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,12 +19,17 @@ from learning.config.tune import TuneConfig
 from learning.data import Example
 from learning.display import encode
 from learning.estimate import Estimate
-from learning.tuning import Tunable, load_tuned, tune
+from learning.metrics import depth_scores, psnr
+from learning.tuning import Tunable, job, load_tuned, tune
 from learning.tuning.book import TuningBook
-from learning.tuning.job import tune_file
+from learning.tuning.job import classical, tune_file
 from learning.tuning.score import Errors, Score
-from learning.tuning.search import Axis, Parameters
+from learning.tuning.search import Axis, Parameters, coordinate_search
+from learning.tuning.summary import table
+from simulator.dataset.manifest import load_manifest
+from simulator.dataset.plain import canonical_json
 from simulator.errors import InputError
+from simulator.files import sha256_bytes
 
 SCENES = 5
 LEVELS = (20.0, 40.0)
@@ -204,6 +211,73 @@ def test_the_score_is_in_units_of_the_constant_guess(
     assert score(score.errors([broken])) == float("inf")
 
 
+def test_depth_counts_where_something_was_seen_as_in_evaluations(truth: Truth, tiny_capture: CaptureModel) -> None:
+    valid = truth.example.valid.clone()
+    valid[:, :, 2:5, 1:4] = False  # a patch that no surface covers
+    valid[1] = False  # a scene of which nothing was seen
+    example = truth.example._replace(valid=valid)
+    score = Score("both", example, tiny_capture)
+    wrong = torch.where(valid, truth.disparity, 1.0)
+    assert score.errors([Estimate(truth.picture, wrong)]).depth_rmse_cm < 1e-4  # float32 disparities
+    guess = Estimate(truth.picture * 0.5, (truth.disparity + 0.1).clamp(0, 1))
+    found = score.errors([Estimate(*(values[:2] for values in guess)), Estimate(*(values[2:] for values in guess))])
+    assert found.psnr_db == pytest.approx(float(psnr(guess.picture, truth.picture).mean()), rel=1e-6)
+    by_evaluation = depth_scores(guess, example, tiny_capture, valid).depth_rmse_cm
+    assert found.depth_rmse_cm == pytest.approx(float(by_evaluation.nanmean()), rel=1e-6)
+    # The constant guess by NumPy: the mean depth of valid pixels, its error over them.
+    depth_cm = np.where(valid.numpy(), truth.example.depth_m.numpy().astype(np.float64) * 100, np.nan)
+    depth_cm = np.delete(depth_cm, 1, axis=0)
+    spread_cm = np.sqrt(np.nanmean((depth_cm - np.nanmean(depth_cm)) ** 2, axis=(1, 2, 3))).mean()
+    assert score.constant.depth_rmse_cm == pytest.approx(spread_cm, rel=1e-5)  # float32 on the way
+
+
+def test_lines_and_table_say_when_nothing_was_learned(truth: Truth, score: Score, tmp_path: Path) -> None:
+    lines: list[str] = []
+    constant = {"psnr_db": score.constant.psnr_db, "depth_rmse_cm": score.constant.depth_rmse_cm}
+    book = TuningBook(tmp_path / "tuned.json", {}, {"constant_guess": constant})
+    good = truth.tunable({"strength": 1e-2, "window": 1})
+
+    class Guess:
+        def volume(self, measurement: Tensor) -> Tensor:
+            return measurement[:, :1, None]
+
+        def estimate(self, volume: Tensor) -> Estimate:
+            scenes = volume.flatten(1)[:, 0].long()
+            return Estimate(torch.zeros(len(scenes), 3, 8, 8), truth.disparity[scenes])
+
+    picture_only = Tunable(
+        "guess", lambda _: Guess(), {"strength": 1.0}, {"strength": Axis((1.0,), high=1)}, frozenset()
+    )
+    tune([good, picture_only], {40.0: truth.measurements()[40.0]}, score, book, say=lines.append)
+    psnr_db, depth_cm = (f"{constant[name]:.2f}" for name in ("psnr_db", "depth_rmse_cm"))
+    assert f"(constant guess {psnr_db}), depth RMSE" in lines[0]
+    assert f" cm ({depth_cm}), score 0." in lines[0]
+    assert "no better" not in lines[0]
+    assert lines[1].endswith("; picture no better than a constant guess; at its limit: strength")
+    rows = table(load_tuned(tmp_path / "tuned.json").content).splitlines()
+    assert [row.split()[0] for row in rows] == ["method", "fake", "guess", "constant"]
+    assert rows[2].endswith("strength 1; picture no better than a constant guess; at its limit: strength")
+    assert rows[3].split()[-2:] == [psnr_db, depth_cm]
+
+
+def test_the_search_of_a_classical_method_ends_at_limits_that_mean_something(
+    tiny_capture: CaptureModel, tmp_path: Path
+) -> None:
+    path = write_config(tmp_path, tmp_path, search={"cls": {"strength": {"values": [1.0]}, "pairwise": {"high": 5000}}})
+    config = load_file(TuneConfig, path)
+    for name in ("cls", "admm"):
+        axes = classical(tiny_capture, name, config, torch.device("cpu")).space
+        for parameter, axis in axes.items():
+            assert not axis.is_number or np.isfinite(axis.high), parameter
+        assert axes["window_px"].high == 8  # half of 16 pixels
+    space = classical(tiny_capture, "cls", config, torch.device("cpu")).space
+    assert (space["strength"].high, space["pairwise"].high) == (100, 5000)
+    # A score that improves for ever ends at the limit, and says so.
+    found = coordinate_search({"strength": space["strength"]}, [{"strength": 1.0}], lambda p: 1 / float(p["strength"]))
+    assert found.parameters == {"strength": 100}
+    assert found.at_limit == ("strength",)
+
+
 def write_config(folder: Path, dataset: Path, **changes: Any) -> Path:
     """Write a file for the tiny data set."""
     data = {"validation": str(dataset), "scenes": 6, "allow_few_scenes": True} | changes.pop("data", {})
@@ -244,8 +318,37 @@ def test_a_file_is_tuned_on_noise_of_its_level_and_says_what_it_used(tiny_datase
     assert content["identity"]["stack"] == captures[0].stack.fingerprint
     assert content["identity"]["white"] == captures[0].white != 1
     assert [result["noise_db"] for result in content["results"]] == [30]
+    kept = load_manifest(tiny_dataset).entries
+    digests = [kept["validation", sample].digest for sample in content["identity"]["samples"]]
+    assert content["identity"]["digests"] == sha256_bytes(canonical_json(digests))
+    assert len(content["identity"]["code"]) == 64
     with pytest.raises(InputError, match="holds trials of other data or settings: seed was 0, is now 3"):
         tune_file(load_file(TuneConfig, tmp_path / "tune.yaml", ["seed=3"]), tunables=tunables)
+
+
+def test_a_book_of_other_code_or_samples_is_refused(
+    tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def tunables(_: CaptureModel) -> list[Tunable]:
+        class Black:
+            def volume(self, measurement: Tensor) -> Tensor:
+                return measurement[:, None, :, :16, :16]
+
+            def estimate(self, volume: Tensor) -> Estimate:
+                return Estimate(volume[:, 0] * 0, volume[:, 0, :1] * 0)
+
+        return [Tunable("black", lambda _: Black(), {"level": 1}, {"level": Axis((1,), low=1, high=1)}, frozenset())]
+
+    config = load_file(TuneConfig, write_config(tmp_path, tiny_dataset))
+    tune_file(config, tunables=tunables)
+    with monkeypatch.context() as patch:
+        patch.setattr(job, "code_fingerprint", lambda *_: "f" * 64)
+        with pytest.raises(InputError, match=r"other data or settings: code was .*, is now ffff"):
+            tune_file(config, tunables=tunables)
+    entries = {key: replace(entry, digest="0" * 64) for key, entry in load_manifest(tiny_dataset).entries.items()}
+    monkeypatch.setattr(job, "load_manifest", lambda _: SimpleNamespace(entries=entries))
+    with pytest.raises(InputError, match="other data or settings: digests was"):
+        tune_file(config, tunables=tunables)
 
 
 @pytest.mark.parametrize(
