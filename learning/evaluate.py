@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from learning.capture import CaptureModel
 from learning.config.evaluate import EvaluateConfig
 from learning.data import check_dataset
 from learning.devices import choose_device
@@ -18,13 +19,13 @@ from learning.evaluation.cameras import Cameras
 from learning.evaluation.findings import Findings, default_edges_cm
 from learning.evaluation.folder import claim_folder
 from learning.evaluation.montage import Shown
-from learning.evaluation.outcome import Outcome, outcome
+from learning.evaluation.outcome import Outcome, first_scenes, outcome
 from learning.evaluation.output import write_results
 from learning.evaluation.roster import Entry, LearnedEntry, read_roster
 from learning.evaluation.runs import Run, Runner
 from learning.evaluation.scoring import Criteria, score
 from learning.evaluation.timing import Times, device_in_words, take_times
-from learning.evaluation.trivial import trivial_methods
+from learning.evaluation.trivial import Constant, trivial_methods
 from learning.perceptual import LpipsDistance, available_lpips
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.files import storage_errors
@@ -72,17 +73,11 @@ def evaluate(
     runner = Runner(test, cameras, criteria, cache, device=device, batch=config.batch, seed=config.seed)
     planned = _plan(config)
     _rehearse(runner, roster, planned)
-    outcomes = [one for seeds in roster for one in _outcomes(runner, seeds, planned, progress)]
-    examples = runner.examples(None)
-    trivial = [
-        outcome(
-            method.name,
-            "trivial",
-            [score(method, examples, criteria, device=device, batch=config.batch)],
-            only=method.scores,
-        )
-        for method in trivial_methods(examples, camera, config.batch)
-    ]
+    part = config.ablation_scenes
+    part = None if part is None or part >= len(test) else part
+    compared = config.data.compare_stacks
+    outcomes = [one for seeds in roster for one in _outcomes(runner, seeds, planned, part, compared, progress)]
+    trivial = _trivial(runner, criteria, camera, config.batch, device)
     findings = Findings(
         config=config,
         test=test,
@@ -91,9 +86,13 @@ def evaluate(
         edges_cm=edges_cm,
         perceptual=perceptual,
         device=device_in_words(device),
-        methods=[_about(seeds) for seeds in roster],
+        methods=[_about(seeds, cameras.believed(seeds[0], config.data.stack)) for seeds in roster],
         outcomes=outcomes,
-        trivial=trivial,
+        trivial=[outcome(one.name, "trivial", [found], only=one.scores, note=one.best_in) for one, found in trivial],
+        trivial_part=[
+            outcome(one.name, "trivial", [first_scenes(found, part or len(test))], only=one.scores)
+            for one, found in trivial
+        ],
         times=_times(config, runner, roster, device, progress),
         montage=_montage(config, runner, roster),
         columns=["truth", *(method.name for method in config.methods)],
@@ -118,7 +117,7 @@ def _perceptual(wanted: str, device: torch.device) -> tuple[LpipsDistance | None
 
 
 def _plan(config: EvaluateConfig) -> list[tuple[str, float | None]]:
-    """Return PSFs and noise of all runs of a method, each once."""
+    """Return PSFs and noise of all runs of a method, each once, the table's first."""
     usual = config.data.stack
     levels = [(usual, None), *((usual, level) for level in config.noise_db or ())]
     return list(dict.fromkeys([*levels, *((stack, None) for stack in config.data.compare_stacks)]))
@@ -133,9 +132,17 @@ def _rehearse(runner: Runner, roster: Sequence[Sequence[Entry]], planned: Sequen
 
 
 def _outcomes(
-    runner: Runner, seeds: Sequence[Entry], planned: Sequence[tuple[str, float | None]], progress: Progress
+    runner: Runner,
+    seeds: Sequence[Entry],
+    planned: Sequence[tuple[str, float | None]],
+    part: int | None,
+    compared: Sequence[str],
+    progress: Progress,
 ) -> list[Outcome]:
-    name, done, total = seeds[0].name, 0, len(seeds) * len(planned) * len(runner.test)
+    """Return the outcomes of a method, the table's first; all but that one are of ``part`` of the scenes."""
+    name, done = seeds[0].name, 0
+    whole = len(runner.test)
+    total = len(seeds) * (whole + (len(planned) - 1) * (part or whole))
 
     def count(scenes: int) -> None:
         nonlocal done
@@ -144,13 +151,33 @@ def _outcomes(
 
     found: list[Outcome] = []
     for stack, level in planned:
-        runs = [Run(entry, stack, level) for entry in seeds]
+        first = (stack, level) == planned[0]
+        runs = [Run(entry, stack, level, None if first else part) for entry in seeds]
         results = [runner.result(run, count) for run in runs]
-        note = seeds[0].note(runner.level_db(runs[0]))
-        identities = [entry.identity(runner.level_db(runs[0])) for entry in seeds]
-        details = {"identities": identities, "believed": [runner.camera(run).stack.fingerprint for run in runs]}
-        found.append(outcome(name, seeds[0].kind, results, stack=stack, noise_db=level, note=note, details=details))
+        at_db = runner.level_db(runs[0])
+        about = {
+            "stack": stack,
+            "noise_db": level,
+            "note": seeds[0].note(at_db),
+            "tuned_db": seeds[0].tuned_db(at_db),
+            "details": {
+                "identities": [entry.identity(at_db) for entry in seeds],
+                "believed": [runner.camera(run).stack.fingerprint for run in runs],
+            },
+        }
+        found.append(outcome(name, seeds[0].kind, results, **about))
+        if first and part and stack in compared:  # beside the others, on the same scenes as they
+            found.append(outcome(name, seeds[0].kind, [first_scenes(one, part) for one in results], **about))
     return found
+
+
+def _trivial(
+    runner: Runner, criteria: Criteria, camera: CaptureModel, batch: int, device: torch.device
+) -> list[tuple[Constant, dict[str, Any]]]:
+    """Return the answers that look at nothing, and what `score` found of them."""
+    examples = runner.examples(None)
+    methods = trivial_methods(examples, camera, batch)
+    return [(one, score(one, examples, criteria, device=device, batch=batch)) for one in methods]
 
 
 def _times(
@@ -192,8 +219,13 @@ def _montage(config: EvaluateConfig, runner: Runner, roster: Sequence[Sequence[E
     return rows
 
 
-def _about(seeds: Sequence[Entry]) -> dict[str, Any]:
-    about: dict[str, Any] = {"name": seeds[0].name, "kind": seeds[0].kind}
+def _about(seeds: Sequence[Entry], camera: CaptureModel) -> dict[str, Any]:
+    about: dict[str, Any] = {
+        "name": seeds[0].name,
+        "kind": seeds[0].kind,
+        "planes": len(camera.stack.depths_m),
+        "depth_range_m": [camera.near_m, camera.far_m],
+    }
     learned = [entry for entry in seeds if isinstance(entry, LearnedEntry)]
     about["checkpoints"] = [
         {

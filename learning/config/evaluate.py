@@ -99,6 +99,9 @@ class EvaluateConfig(FileSection):
         default=None,
         description="further levels at which noise is drawn anew from the noiseless measurements; null: only as stored",
     )
+    ablation_scenes: Count | None = Field(
+        default=None, description="scenes for noise_db and compare_stacks, the first so many; null: all"
+    )
     depth_bins_cm: list[Annotated[float, Range(0.01, 1e6, "cm")]] | None = Field(
         default=None, description="edges of the depths by which errors are parted; null: eight, even in disparity"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import colorsys
 import io
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -19,32 +20,41 @@ if TYPE_CHECKING:
 _DPI = 120
 # Told apart by colour-blind eyes too (Okabe and Ito, 2008); grey is for answers that look at nothing.
 _COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+_GOLDEN = (5**0.5 - 1) / 2  # steps of it round the circle of hues never meet again
 _MARKS, _TRIVIAL = "osD^vP", "#8a9299"
 PANELS = (("psnr", "PSNR of pictures, dB"), ("depth_rmse_cm", "depth RMSE, cm"))
 
 
 def method_colours(names: Sequence[str]) -> dict[str, str]:
     """Return a colour for each method, the same in every figure."""
-    return {name: _COLOURS[at % len(_COLOURS)] for at, name in enumerate(names)}
+    return {name: _colour(at) for at, name in enumerate(names)}
 
 
 def noise_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], trivial: Sequence[Outcome]) -> bytes:
-    """Return PSNR and depth RMSE against the measurement's PSNR; bars are the spread over seeds (thesis, figure 5.5)."""
+    """Return PSNR and depth RMSE against the measurement's PSNR; bars are the spread over seeds (thesis, figure 5.5).
+
+    Points are hollow where parameters are used that were tuned at another level.
+    """
 
     def draw(figure: Figure) -> None:
         for axes, (score, label) in zip(figure.subplots(1, 2), PANELS, strict=True):
             for at, (name, colour) in enumerate(colours.items()):
                 of_it = [one for one in outcomes if one.method == name and one.noise_db is not None]
-                points = sorted((one.noise_db, one.scores[score]) for one in of_it if one.noise_db is not None)
+                points = sorted((one for one in of_it if score in one.scores), key=lambda one: one.noise_db or 0)
                 if points:
-                    levels, means = zip(*((level, summary.mean) for level, summary in points), strict=True)
-                    errors = [summary.over_seeds or 0.0 for _, summary in points]
+                    levels = [one.noise_db for one in points]
+                    means = [one.scores[score].mean for one in points]
+                    errors = [one.scores[score].over_seeds or 0.0 for one in points]
+                    axes.errorbar(levels, means, errors, color=colour, capsize=3, lw=1.8)
                     mark = _MARKS[at % len(_MARKS)]
-                    axes.errorbar(levels, means, errors, color=colour, marker=mark, capsize=3, lw=1.8, label=name)
-            for one in trivial:
-                if score in one.scores:
-                    axes.axhline(one.scores[score].mean, color=_TRIVIAL, ls="--", lw=1.2)
-                    _beside(axes, one.scores[score].mean, one.method)
+                    axes.plot([], [], color=colour, marker=mark, lw=1.8, label=name)
+                    for one, level, mean in zip(points, levels, means, strict=True):
+                        face = "white" if one.tuned_elsewhere else colour
+                        axes.plot(level, mean, color=colour, marker=mark, mfc=face, mew=1.6)
+            if any(one.tuned_elsewhere for one in outcomes):
+                hollow = "hollow: parameters tuned at another level"
+                axes.plot([], [], color=FAINT, marker="o", mfc="white", ls="", label=hollow)
+            _trivial_lines(axes, score, trivial)
             style(axes, "PSNR of measurements, dB", label)
             axes.set_xticks(sorted({one.noise_db for one in outcomes if one.noise_db is not None}))
             axes.grid(color=GRID)
@@ -78,7 +88,9 @@ def depth_png(
     return _png(9, 4.8, draw)
 
 
-def stacks_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], stacks: Sequence[str]) -> bytes:
+def stacks_png(
+    outcomes: Sequence[Outcome], colours: Mapping[str, str], stacks: Sequence[str], trivial: Sequence[Outcome]
+) -> bytes:
     """Return PSNR and depth RMSE of every method with each of several PSFs; whiskers are the spread over seeds."""
 
     def draw(figure: Figure) -> None:
@@ -97,6 +109,7 @@ def stacks_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], stacks: 
                 bars = axes.bar(places, means, width * 0.94, color=fills, alpha=strength, yerr=errors, capsize=3)
                 axes.bar_label(bars, [f"{mean:.3g}" for mean in means], fontsize=SMALL, color=INK, padding=2)
                 axes.bar(0, 0, color=INK, alpha=strength, label=stack)
+            _trivial_lines(axes, score, trivial)
             style(axes, "", label)
             axes.set_xticks(range(len(colours)), [_broken(name) for name in colours])
             axes.margins(y=0.12)
@@ -138,6 +151,21 @@ def times_png(times: Sequence[Times], colours: Mapping[str, str], where: str) ->
 
 def _seconds(seconds: float) -> str:
     return f"{seconds:.3g} s" if seconds >= 1 else f"{seconds * 1e3:.3g} ms"
+
+
+def _colour(at: int) -> str:
+    if at < len(_COLOURS):
+        return _COLOURS[at]
+    extra = at - len(_COLOURS)
+    channels = colorsys.hsv_to_rgb((0.78 + extra * _GOLDEN) % 1, 0.75, 0.45 + 0.2 * (extra % 2))
+    return "#" + "".join(f"{round(255 * channel):02x}" for channel in channels)
+
+
+def _trivial_lines(axes: Axes, score: str, trivial: Sequence[Outcome]) -> None:
+    for one in trivial:
+        if score in one.scores:
+            axes.axhline(one.scores[score].mean, color=_TRIVIAL, ls="--", lw=1.2)
+            _beside(axes, one.scores[score].mean, one.method)
 
 
 def _beside(axes: Axes, height: float, words: str) -> None:

@@ -37,6 +37,7 @@ class Findings:
         methods: what is known of each method and seed.
         outcomes: of all methods, PSFs and levels.
         trivial: of the answers that look at nothing.
+        trivial_part: of the same answers, on the scenes of the noise levels and of the PSFs that are compared.
         times: seconds per scene; empty where none were taken.
         montage: for each scene shown the truth and every method, in the order of ``columns``.
         columns: of the montage.
@@ -52,15 +53,21 @@ class Findings:
     methods: Sequence[Mapping[str, Any]]
     outcomes: Sequence[Outcome]
     trivial: Sequence[Outcome]
+    trivial_part: Sequence[Outcome]
     times: Sequence[Times]
     montage: Sequence[Sequence[Shown]]
     columns: Sequence[str]
 
     @property
+    def part(self) -> int:
+        """How many scenes the noise levels and the comparison of PSFs have."""
+        return min(self.config.ablation_scenes or len(self.test), len(self.test))
+
+    @property
     def main(self) -> list[Outcome]:
         """The rows of the table: every method with its usual PSFs, on the measurements as stored."""
-        usual = self.config.data.stack
-        return [one for one in self.outcomes if one.stack == usual and one.noise_db is None]
+        usual, whole = self.config.data.stack, len(self.test)
+        return [one for one in self.outcomes if (one.stack, one.noise_db, one.scenes) == (usual, None, whole)]
 
     @property
     def ablation(self) -> list[Outcome]:
@@ -71,7 +78,8 @@ class Findings:
     def compared(self) -> list[Outcome]:
         """Every method with each of the PSFs that are compared, on the measurements as stored."""
         named = self.config.data.compare_stacks
-        return [one for one in self.outcomes if one.stack in named and one.noise_db is None]
+        stored = [one for one in self.outcomes if one.noise_db is None and one.scenes == self.part]
+        return [one for one in stored if one.stack in named]
 
     @property
     def constant_cm(self) -> float | None:

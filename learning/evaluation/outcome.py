@@ -27,6 +27,8 @@ class Outcome:
         pooled_depth_rmse_cm: over all pixels of all scenes and seeds.
         bins_cm: depth RMSE by bin of true depth, over all pixels; None where a bin is empty.
         note: what else decides it, such as tuned parameters.
+        scenes: how many were used.
+        tuned_db: level at which its parameters were tuned; None where none were.
     """
 
     method: str
@@ -37,7 +39,14 @@ class Outcome:
     pooled_depth_rmse_cm: float | None
     bins_cm: tuple[float | None, ...]
     note: str = ""
+    scenes: int = 0
+    tuned_db: float | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def tuned_elsewhere(self) -> bool:
+        """Whether its parameters were tuned at another level of noise than its own."""
+        return None not in (self.tuned_db, self.noise_db) and self.tuned_db != self.noise_db
 
     def plain(self) -> dict[str, Any]:
         """Return the same for JSON."""
@@ -50,6 +59,8 @@ class Outcome:
             "pooled_depth_rmse_cm": self.pooled_depth_rmse_cm,
             "depth_rmse_cm_by_bin": list(self.bins_cm),
             "note": self.note,
+            "scenes": self.scenes,
+            "tuned_db": self.tuned_db,
             **self.details,
         }
 
@@ -62,6 +73,7 @@ def outcome(
     stack: str = OWN,
     noise_db: float | None = None,
     note: str = "",
+    tuned_db: float | None = None,
     details: Mapping[str, Any] | None = None,
     only: Sequence[str] | None = None,
 ) -> Outcome:
@@ -74,6 +86,7 @@ def outcome(
         stack: see `Outcome`.
         noise_db: see `Outcome`.
         note: see `Outcome`.
+        tuned_db: see `Outcome`.
         details: for results.json.
         only: the scores that mean anything; None keeps all.
     """
@@ -86,7 +99,13 @@ def outcome(
     if with_depth:
         bins = pooled_rms(squares, counts)
         (pooled,) = pooled_rms([[[sum(scene)] for scene in seed] for seed in squares], _totals(counts))
-    return Outcome(method, kind, stack, noise_db, scores, pooled, bins, note, dict(details or {}))
+    scenes = len(seeds[0]["scores"])
+    return Outcome(method, kind, stack, noise_db, scores, pooled, bins, note, scenes, tuned_db, dict(details or {}))
+
+
+def first_scenes(result: Mapping[str, Any], scenes: int) -> dict[str, Any]:
+    """Return what `learning.evaluation.scoring.score` found, of the first so many scenes only."""
+    return {name: values[:scenes] for name, values in result.items()}
 
 
 def _totals(counts: Sequence[Sequence[Sequence[float]]]) -> list[list[list[float]]]:

@@ -109,10 +109,21 @@ def csv_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     names = _measured(SCORES, outcomes)
-    spreads = ("mean", "over_scenes", "over_seeds")
+    spreads = ("mean", "over_scenes", "over_seeds", "left_out")
     head = [f"{name}_{spread}" for name in names for spread in spreads]
     writer.writerow(
-        ["method", "kind", "stack", "noise_db", "seeds", *head, "pooled_depth_rmse_cm", "seconds_per_scene"]
+        [
+            "method",
+            "kind",
+            "stack",
+            "noise_db",
+            "tuned_db",
+            "scenes",
+            "seeds",
+            *head,
+            "pooled_depth_rmse_cm",
+            "seconds_per_scene",
+        ]
     )
     for one in outcomes:
         numbers = [
@@ -121,16 +132,17 @@ def csv_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> str:
         seeds = len(next(iter(one.scores.values())).seeds)
         seconds = times[one.method].total if one.method in times else None
         level = "stored" if one.noise_db is None else one.noise_db
-        writer.writerow([one.method, one.kind, one.stack, level, seeds, *numbers, one.pooled_depth_rmse_cm, seconds])
+        about = [one.method, one.kind, one.stack, level, one.tuned_db, one.scenes, seeds]
+        writer.writerow([*about, *numbers, one.pooled_depth_rmse_cm, seconds])
     return stream.getvalue()
 
 
 def terminal_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> str:
-    """Return the table in short, in plain columns."""
+    """Return the table in plain columns: mean ± spread over scenes (over seeds)."""
     names = _measured(MAIN, outcomes)
     rows = [["method", *(SCORES[name][0] for name in names), "s per scene"]]
     for one in outcomes:
-        cells = [f"{one.scores[name].mean:.{SCORES[name][1]}f}" if name in one.scores else "-" for name in names]
+        cells = [_cell(one.scores[name], SCORES[name][1]) if name in one.scores else "-" for name in names]
         rows.append([one.method, *cells, f"{times[one.method].total:.3g}" if one.method in times else "-"])
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return "\n".join(

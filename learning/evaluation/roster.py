@@ -48,6 +48,10 @@ class Entry(Protocol):
         """Return what a reader should know of it at a level of noise."""
         ...
 
+    def tuned_db(self, noise_db: float) -> float | None:
+        """Return the level at which its parameters for a level were tuned; None where none were."""
+        ...
+
     def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
         """Return it, ready on a device, for a camera and a level of noise."""
         ...
@@ -72,6 +76,9 @@ class LearnedEntry:
     def note(self, noise_db: float) -> str:
         """Return the architecture in words."""
         return ", ".join(str(self.architecture[name]) for name in ("network", "size") if name in self.architecture)
+
+    def tuned_db(self, noise_db: float) -> float | None:
+        """Return None: a network has no such parameters."""
 
     def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
         """Return the network for a camera.

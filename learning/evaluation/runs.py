@@ -34,11 +34,13 @@ class Run:
         entry: the method.
         stack: the name of its PSFs; see `Cameras.believed`.
         noise_db: level at which noise is drawn anew; None for measurements as stored.
+        scenes: only the first so many; None for all.
     """
 
     entry: Entry
     stack: str = OWN
     noise_db: float | None = None
+    scenes: int | None = None
 
 
 class Runner:
@@ -65,20 +67,16 @@ class Runner:
         self._cameras, self._criteria, self._cache = cameras, criteria, cache
         self._device, self._batch, self._seed = device, batch, seed
         kept = load_manifest(test.root).entries
-        digests = [kept[test.split, sample].digest for sample in test.ids]
-        self._data = {
-            "fingerprint": test.fingerprint,
-            "split": test.split,
-            "samples": sha256_bytes(canonical_json(digests)),
-        }
+        self._digests = [kept[test.split, sample].digest for sample in test.ids]
 
     def level_db(self, run: Run) -> float:
         """Return the PSNR of the measurements that a run sees."""
         return self.stored_db if run.noise_db is None else run.noise_db
 
-    def examples(self, noise_db: float | None) -> ExampleSet:
-        """Return the scenes at a level of noise."""
-        return ExampleSet(self.test, noise_db=None if noise_db is None else (noise_db, noise_db), seed=self._seed)
+    def examples(self, noise_db: float | None, scenes: int | None = None) -> ExampleSet:
+        """Return the scenes at a level of noise; all, or the first so many."""
+        test = self.test if scenes is None else self.test[:scenes]
+        return ExampleSet(test, noise_db=None if noise_db is None else (noise_db, noise_db), seed=self._seed)
 
     @property
     def white(self) -> float:
@@ -112,9 +110,9 @@ class Runner:
         key = self._key(run) | {"criteria": criteria}
         known = self._cache.load(key)
         if known is not None:
-            progress(len(self.test))
+            progress(len(known["scores"]))
             return known
-        examples = self.examples(run.noise_db)
+        examples = self.examples(run.noise_db, run.scenes)
         found = score(
             self.method(run), examples, self._criteria, device=self._device, batch=self._batch, progress=progress
         )
@@ -148,7 +146,11 @@ class Runner:
         return {
             "method": run.entry.identity(self.level_db(run)),
             "camera": camera_identity(self.camera(run)),
-            "data": self._data,
+            "data": {
+                "fingerprint": self.test.fingerprint,
+                "split": self.test.split,
+                "samples": sha256_bytes(canonical_json(self._digests[: run.scenes])),
+            },
             "noise": "stored" if run.noise_db is None else {"db": run.noise_db, "seed": self._seed},
             "device": self._device.type,
             "torch": torch.__version__,

@@ -19,12 +19,14 @@ class Summary:
         over_scenes: standard deviation (n - 1) over scenes of the seeds' mean; None for one scene, or without finite values.
         over_seeds: standard deviation (n - 1) over seeds of the scenes' mean; None for one seed.
         seeds: the scenes' mean of each seed.
+        left_out: scenes that have no such score.
     """
 
     mean: float
     over_scenes: float | None
     over_seeds: float | None
     seeds: tuple[float, ...]
+    left_out: int = 0
 
     def plain(self) -> dict[str, Any]:
         """Return the same for JSON."""
@@ -40,9 +42,11 @@ def summarise(values: ArrayLike) -> Summary:
         (2.5, 0.707, 1.414, (1.5, 3.5))
     """
     table = np.asarray(values, np.float64)
-    table = table[:, ~np.isnan(table).any(axis=0)]
+    known = ~np.isnan(table).any(axis=0)
+    table = table[:, known]
     seeds = table.mean(axis=1)
-    return Summary(float(seeds.mean()), _spread(table.mean(axis=0)), _spread(seeds), tuple(seeds.tolist()))
+    left_out = int((~known).sum())
+    return Summary(float(seeds.mean()), _spread(table.mean(axis=0)), _spread(seeds), tuple(seeds.tolist()), left_out)
 
 
 def pooled_rms(squares: ArrayLike, counts: ArrayLike) -> tuple[float | None, ...]:

@@ -15,7 +15,8 @@ from learning.evaluation.scoring import batches
 from learning.method import Clock
 
 PICTURE_SCORES = ("psnr", "ssim", "lpips", "flip", "linear_psnr")
-DEPTH_SCORES = ("depth_rmse_cm", "disparity_rmse", "disparity_rmse_per_m", "lit_depth_rmse_cm")
+DEPTH_SCORES = ("depth_rmse_cm", "lit_depth_rmse_cm")
+DISPARITY_SCORES = ("disparity_rmse", "disparity_rmse_per_m")
 
 
 @dataclass(eq=False)
@@ -28,6 +29,7 @@ class Constant:
         picture: ``(3, h, w)`` sRGB codes.
         disparity: ``(1, h, w)``.
         scores: those that it is an answer to.
+        best_in: in what no other answer of its kind is better.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Constant:
     picture: Tensor
     disparity: Tensor
     scores: tuple[str, ...]
+    best_in: str
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
         """Return the answer, as often as there are measurements."""
@@ -44,23 +47,51 @@ class Constant:
 
 
 def trivial_methods(examples: ExampleSet, capture: CaptureModel, batch: int) -> list[Constant]:
-    """Return the best constant depth, the mean picture, and black, all of these scenes.
+    """Return the best constant depth, the best constant disparity, the mean picture, and black, all of these scenes.
 
-    No constant has a smaller root mean square error in cm, over all that was seen, than its mean depth.
+    Over all that was seen, no constant has a smaller root mean square error in cm than the mean depth, and none in disparity
+    than the mean disparity, which is another depth.
     """
-    depth_m, picture = torch.zeros((), dtype=torch.float64), torch.zeros(1, dtype=torch.float64)
+    depth_m, disparity = (torch.zeros((), dtype=torch.float64) for _ in range(2))
+    picture = torch.zeros(1, dtype=torch.float64)
     seen = 0
     for _, example in batches(examples, batch, torch.device("cpu")):
-        depth_m = depth_m + example.depth_m[example.valid].double().sum()
-        seen += int(example.valid.sum())
+        seen_m = example.depth_m[example.valid].double()
+        depth_m, seen = depth_m + seen_m.sum(), seen + len(seen_m)
+        disparity = disparity + capture.disparity(seen_m).sum()
         picture = picture + encode(example.radiance, capture.white).double().sum(dim=0)
     mean_picture = (picture / len(examples)).float()
-    black = torch.zeros_like(mean_picture)
-    far = torch.zeros_like(mean_picture[:1])
-    mean_m = (depth_m / max(seen, 1)).float()
-    constant = torch.as_tensor(capture.disparity(mean_m.reshape(1, 1, 1)), dtype=torch.float32).expand_as(far)
+    black, far = torch.zeros_like(mean_picture), torch.zeros_like(mean_picture[:1])
+    mean_m, mean_disparity = depth_m / max(seen, 1), disparity / max(seen, 1)
+    of_depth = torch.as_tensor(capture.disparity(mean_m), dtype=torch.float32).expand_as(far)
+    of_disparity = mean_disparity.float().expand_as(far)
+    nearer_cm = 100 * float(capture.depth_m(mean_disparity))
     return [
-        Constant(f"constant depth ({100 * mean_m.item():.2f} cm)", capture, black, constant, DEPTH_SCORES),
-        Constant("mean picture", capture, mean_picture, far, PICTURE_SCORES),
-        Constant("black", capture, black, far, PICTURE_SCORES),
+        Constant(
+            f"constant depth ({100 * mean_m.item():.2f} cm)",
+            capture,
+            black,
+            of_depth,
+            DEPTH_SCORES,
+            "no constant has a smaller depth RMSE in cm, pooled over all pixels of these scenes",
+        ),
+        Constant(
+            f"constant disparity ({nearer_cm:.2f} cm)",
+            capture,
+            black,
+            of_disparity,
+            DISPARITY_SCORES,
+            "no constant has a smaller RMSE of disparity and of 1/z, pooled over all pixels of these scenes",
+        ),
+        Constant(
+            "mean picture",
+            capture,
+            mean_picture,
+            far,
+            PICTURE_SCORES,
+            "no one picture has a smaller mean square error of sRGB codes over these scenes",
+        ),
+        Constant(
+            "black", capture, black, far, PICTURE_SCORES, "best in nothing: what a method that sees nothing gives"
+        ),
     ]

@@ -166,6 +166,23 @@ def test_the_captured_stack_is_used(load: Callable[..., EvaluateConfig], tmp_pat
 
 
 @pytest.mark.usefixtures("no_figures")
+def test_noise_and_stacks_may_have_fewer_scenes(load: Callable[..., EvaluateConfig], tmp_path: Path) -> None:
+    methods = [{"name": "CLS", "classical": "cls", "parameters": {"strength": 0.1}}]
+    stacks = {"stack": "nominal", "compare_stacks": ["nominal", "captured"]}
+    found, files = evaluate(load(methods=methods, noise_db=[30], data=stacks, ablation_scenes=2))
+    assert [one.scenes for one in found.main] == [TEST_SCENES]
+    assert [(one.noise_db, one.scenes) for one in found.ablation] == [(30, 2)]
+    assert [(one.stack, one.scenes) for one in found.compared] == [("nominal", 2), ("captured", 2)]
+    assert {one.scenes for one in found.trivial_part} == {2}
+    assert files[0].read_text(encoding="utf-8").count("Of the first 2 of 3 scenes.") == 2
+    # The same two scenes give the same numbers in an evaluation of two.
+    alone, _ = evaluate(load(methods=methods, noise_db=[30], data=stacks | {"scenes": 2}, output="two"))
+    assert alone.ablation[0].scores == found.ablation[0].scores
+    assert alone.compared[0].scores == found.compared[0].scores
+    assert alone.compared[1].scores == found.compared[1].scores
+
+
+@pytest.mark.usefixtures("no_figures")
 def test_what_is_finished_is_kept_and_what_changed_is_done_anew(
     load: Callable[..., EvaluateConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -233,6 +250,7 @@ def test_parameters_are_those_of_the_nearest_tuned_level(load: Callable[..., Eva
     outcomes = _results(tmp_path)["outcomes"]
     assert [one["identities"][0]["parameters"]["strength"] for one in outcomes] == [0.05, 0.5, 0.05]
     assert [one["note"].split("(")[1] for one in outcomes] == ["tuned at 40 dB)", "tuned at 20 dB)", "tuned at 40 dB)"]
+    assert [one["tuned_db"] for one in outcomes] == [40, 20, 40]
 
 
 def test_scenes_that_were_tuned_on_do_not_decide(

@@ -1,6 +1,7 @@
 """Figures: readable PNGs; the montage's colours are those of its one scale."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,10 +51,37 @@ def test_bins_stacks_and_times_draw_every_method() -> None:
     times = [Times(name, {"inversion": 0.01, "network": 0.1 * at + 0.1}, 0.3, 0.2) for at, name in enumerate(NAMES)]
     for content in (
         depth_png(outcomes, COLOURS, [TRIVIAL], (3.6, 5.0, 10.0, 20.0)),
-        stacks_png(compared, COLOURS, ("nominal", "captured")),
+        stacks_png(compared, COLOURS, ("nominal", "captured"), [TRIVIAL]),
     ):
         assert all(_has(_pixels(content), colour) for colour in COLOURS.values())
     assert _pixels(times_png(times, COLOURS, "a CPU, 1 of 2 threads")).std() > 10
+
+
+def test_points_with_parameters_of_another_level_are_hollow() -> None:
+    def blue(tuned_db: float) -> int:
+        outcomes = [
+            replace(_outcome("CLS", level, psnr=level / 4), tuned_db=level if level < 30 else tuned_db)
+            for level in (20.0, 30.0)
+        ]
+        pixels = _pixels(noise_png(outcomes, {"CLS": "#0072b2"}, []))
+        assert not _has(pixels, "#cc79a7")
+        return int((np.abs(pixels - [0x00, 0x72, 0xB2]).max(axis=-1) <= 2).sum())
+
+    assert blue(30.0) > blue(20.0) + 50  # two marks, one in each panel, lose their inside
+
+
+def test_compared_stacks_stand_beside_the_trivial_answers() -> None:
+    compared = [_outcome(name, stack=stack) for name in NAMES for stack in ("nominal", "captured")]
+    pixels = _pixels(stacks_png(compared, COLOURS, ("nominal", "captured"), [TRIVIAL]))
+    half = pixels.shape[1] // 2
+    assert _has(pixels[:, half:], "#8a9299")
+    assert not _has(pixels[:, :half], "#8a9299")
+
+
+def test_any_number_of_methods_have_colours_of_their_own() -> None:
+    colours = [[int(c[at : at + 2], 16) for at in (1, 3, 5)] for c in method_colours([*map(str, range(20))]).values()]
+    apart = [np.abs(np.subtract(a, b)).max() for at, a in enumerate(colours) for b in colours[:at]]
+    assert min(apart) >= 16
 
 
 def test_the_same_figure_has_the_same_bytes() -> None:

@@ -92,4 +92,4 @@ def test_the_csv_has_full_precision() -> None:
 def test_the_terminal_gets_columns() -> None:
     lines = terminal_table(ROWS, TIMES).splitlines()
     assert len({len(line) for line in lines}) == 1
-    assert lines[1].split() == ["Net", "22.50", "-", "2.25", "0.03"]
+    assert re.split(" {2,}", lines[1].strip()) == ["Net", "22.50 ± 1.41 (2.12)", "-", "2.25 ± 1.41 (0.35)", "0.03"]

@@ -36,7 +36,7 @@ def test_a_perfect_scene_leaves_no_spread_but_a_mean() -> None:
 
 def test_scenes_without_a_score_are_left_out_for_every_seed() -> None:
     summary = summarise([[1.0, math.nan, 3.0], [2.0, 100.0, 4.0]])
-    assert (summary.mean, summary.seeds) == (2.5, (2.0, 3.0))
+    assert (summary.mean, summary.seeds, summary.left_out) == (2.5, (2.0, 3.0), 1)
 
 
 def test_pooling_weighs_pixels_not_scenes() -> None:

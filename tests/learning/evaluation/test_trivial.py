@@ -32,7 +32,7 @@ def test_trivial_rows_are_what_hand_computation_gives(tiny_dataset: Path, tiny_c
         np.float64
     )
     mean_cm = depth_cm[valid].mean()
-    constant, mean, black = rows
+    constant, disparity, mean, black = rows
     assert constant.method == f"constant depth ({mean_cm:.2f} cm)"
     by_scene = [np.sqrt(np.mean((d[v] - mean_cm) ** 2)) for d, v in zip(depth_cm, valid, strict=True)]
     # Depths are float32, and pass through disparity.
@@ -41,6 +41,16 @@ def test_trivial_rows_are_what_hand_computation_gives(tiny_dataset: Path, tiny_c
     assert constant.pooled_depth_rmse_cm == pytest.approx(depth_cm[valid].std(), rel=1e-5)
     assert constant.bins_cm == pytest.approx([depth_cm[valid].std()], rel=1e-5)
     assert "psnr" not in constant.scores
+    # Of disparity another constant is best: the mean of 1 / z, which beats the mean depth there.
+    per_m = 100 / depth_cm
+    mean_per_m = per_m[valid].mean()
+    assert disparity.method == f"constant disparity ({100 / mean_per_m:.2f} cm)"
+    by_scene = [np.sqrt(np.mean((d[v] - mean_per_m) ** 2)) for d, v in zip(per_m, valid, strict=True)]
+    assert disparity.scores["disparity_rmse_per_m"].mean == pytest.approx(np.mean(by_scene), rel=1e-5)
+    of_mean_depth = [np.sqrt(np.mean((d[v] - 100 / mean_cm) ** 2)) for d, v in zip(per_m, valid, strict=True)]
+    assert disparity.scores["disparity_rmse_per_m"].mean < np.mean(of_mean_depth)
+    assert set(disparity.scores) == {"disparity_rmse", "disparity_rmse_per_m"}
+    assert set(constant.scores) == {"depth_rmse_cm"}
     for row, picture in ((mean, codes.mean(0)), (black, 0 * codes[0])):
         errors = np.mean((codes - picture) ** 2, axis=(1, 2, 3))
         assert row.scores["psnr"].mean == pytest.approx(np.mean(-10 * np.log10(errors)), rel=1e-5)
