@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from learning.baselines.total_variation import difference_power
 from learning.capture import CaptureModel
-from learning.layers.padding import AxisPlan
+from learning.layers.padding import AxisPlan, as_pairs, from_pairs
 from simulator.arrays import next_fast_len, to_numpy
 
 
@@ -18,8 +18,6 @@ class AdmmGrid(nn.Module):
     """Spectra of the PSFs, each channel divided by the root of its mean energy, on a period without wrap-around.
 
     Attributes:
-        spectrum: FH, ``(K, C, L, M // 2 + 1)``.
-        conjugate: its complex conjugate, laid out in memory once.
         power: sum_z |FH|^2, ``(C, L, M // 2 + 1)``.
         differences: |FD|^2, ``(L, M // 2 + 1)``.
         norm: what the channels' PSFs were divided by, ``(C,)`` float64.
@@ -29,8 +27,8 @@ class AdmmGrid(nn.Module):
         light: rows and columns where light may come from.
     """
 
-    spectrum: Tensor
-    conjugate: Tensor
+    spectrum_pairs: Tensor
+    conjugate_pairs: Tensor
     power: Tensor
     differences: Tensor
 
@@ -57,9 +55,21 @@ class AdmmGrid(nn.Module):
         kernel = columns.place(rows.place(values / self.norm[:, None, None], -2), -1)
         spectrum = torch.fft.rfft2(torch.from_numpy(kernel))
         self.register_buffer("power", spectrum.abs().square().sum(dim=0).to(dtype), persistent=False)
-        self.register_buffer("spectrum", spectrum.to(dtype.to_complex()), persistent=False)
-        self.register_buffer("conjugate", self.spectrum.conj().resolve_conj(), persistent=False)
+        # As pairs of real numbers, in three axes: so they follow a module to another precision or memory format unharmed.
+        self._planes = values.shape[:2]
+        for name, part in (("spectrum_pairs", spectrum), ("conjugate_pairs", spectrum.conj())):
+            self.register_buffer(name, as_pairs(part).flatten(0, 1).to(dtype), persistent=False)
         self.register_buffer("differences", difference_power(*self.shape, dtype), persistent=False)
+
+    @property
+    def spectrum(self) -> Tensor:
+        """FH, ``(K, C, L, M // 2 + 1)``."""
+        return from_pairs(self.spectrum_pairs).unflatten(0, self._planes)
+
+    @property
+    def conjugate(self) -> Tensor:
+        """Its complex conjugate, laid out in memory once."""
+        return from_pairs(self.conjugate_pairs).unflatten(0, self._planes)
 
     def image(self, volume: Tensor) -> Tensor:
         """Return the spectrum of sum_z H S, ``(B, 1, C, L, M // 2 + 1)``, of a volume's ``(B, K, C, L, M // 2 + 1)``."""

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from learning.capture import CaptureModel
 from learning.layers.inversion import RegularisedInversion
+from learning.layers.padding import as_pairs, from_pairs
 
 
 class ConstrainedLeastSquares(RegularisedInversion):
@@ -32,13 +33,14 @@ class ConstrainedLeastSquares(RegularisedInversion):
             InputError: a strength that is not positive.
         """
         super().__init__(capture, planes, strength=strength, learned=False)
-        self.register_buffer("divided", super().inverse(), persistent=False)
+        # Pairs, three axes: as the layer's own spectra they follow a module to another precision or memory format unharmed.
+        self.register_buffer("divided", as_pairs(super().inverse()).flatten(0, 1), persistent=False)
 
     def inverse(self) -> Tensor:
-        """Return W(z), ``(K, C, L, M // 2 + 1)`` complex; see `RegularisedInversion.inverse`."""
-        return self.divided
+        """Return W(z), ``(K, C, L // 2 + 1, M)`` complex; see `RegularisedInversion.inverse`."""
+        return from_pairs(self.divided).unflatten(0, self.log_lambda.shape)
 
     @torch.no_grad()
-    def forward(self, measurement: Tensor) -> Tensor:
+    def forward(self, measurement: Tensor, inverse: Tensor | None = None) -> Tensor:
         """Return ``(B, K, C, h, w)`` radiance / white in the camera's channels of measurements ``(B, C, H, W)``."""
-        return super().forward(measurement)
+        return super().forward(measurement, inverse)

@@ -99,11 +99,12 @@ class RegularisedInversion(nn.Module):
         self.filters = nn.Parameter(torch.tensor(LAPLACIAN).repeat(kernels, 1, 1), requires_grad=learned)
         self.log_lambda = nn.Parameter(torch.full((kernels, channels), math.log(strength)), requires_grad=learned)
 
-    def forward(self, measurement: Tensor) -> Tensor:
+    def forward(self, measurement: Tensor, inverse: Tensor | None = None) -> Tensor:
         """Invert measurements.
 
         Args:
             measurement: ``(B, C, H, W)`` DN / 2^bits.
+            inverse: what `inverse` returned for the present parameters, on this device; None works it out.
 
         Returns:
             ``(B, K, C, h, w)``, irradiance-corrected radiance in the camera's channels, 1 for white.
@@ -115,8 +116,9 @@ class RegularisedInversion(nn.Module):
         with torch.autocast(measurement.device.type, enabled=False):
             light = measurement.to(self.offset.dtype) - self.offset
             spectrum = spectrum_of(pad_measurement(light, self.rows, self.columns))
+            inverses = self.inverse() if inverse is None else inverse
             # One plane at a time: what lies between stays in the processor's cache, three times faster than all at once.
-            planes = [scene_of(spectrum * inverse, self.rows, self.columns) for inverse in self.inverse()]
+            planes = [scene_of(spectrum * one, self.rows, self.columns) for one in inverses]
             return torch.stack(planes, dim=1) * self.scale
 
     def inverse(self) -> Tensor:

@@ -77,3 +77,14 @@ def test_has_nothing_to_learn_and_keeps_no_gradient() -> None:
 def peaks() -> Callable[[np.ndarray], list[int]]:
     """Where a volume is largest: plane, row, column."""
     return lambda volume: [int(index) for index in np.unravel_index(np.argmax(volume), volume.shape)]
+
+
+def test_another_precision_and_memory_format_keep_the_imaginary_part(tiny_capture: CaptureModel) -> None:
+    """A complex buffer would lose it on the way to float64, and channels_last would tear pairs apart."""
+    measurement = torch.rand(2, 3, 48, 48)
+    wanted = ConstrainedLeastSquares(tiny_capture, strength=0.1)(measurement)
+    moved = ConstrainedLeastSquares(tiny_capture, strength=0.1).to(torch.float64).to(memory_format=torch.channels_last)
+    assert moved.inverse().dtype == torch.complex128
+    torch.testing.assert_close(
+        moved(measurement.double()).float(), wanted, rtol=1e-4, atol=1e-4 * float(wanted.abs().max())
+    )

@@ -98,6 +98,37 @@ def test_method_is_the_network_in_evaluation_mode(tiny_capture):
     torch.testing.assert_close(method.reconstruct(measurement[:1]).picture, estimate.picture[:1], atol=1e-5, rtol=1e-4)
 
 
+def test_method_works_the_inversion_out_once_and_again_when_weights_change(tiny_capture, monkeypatch):
+    """As constrained least squares; the same as the network itself, whatever happens to it in between."""
+    network = build_network(tiny_capture, "flatnet3d", "tiny").eval()
+    calls, live = [], RegularisedInversion.inverse
+    monkeypatch.setattr(RegularisedInversion, "inverse", lambda layer: calls.append(None) or live(layer))
+    method, measurement = LearnedMethod("ours", network, tiny_capture), torch.rand(1, 3, 48, 48)
+
+    def check(worked_out, measurement=measurement):
+        calls.clear()
+        got = method.reconstruct(measurement)
+        assert len(calls) == worked_out
+        with torch.no_grad():
+            wanted = network(measurement)
+        torch.testing.assert_close(got, wanted, rtol=0, atol=0)
+        return got.picture
+
+    first = check(worked_out=0)
+    assert torch.equal(check(worked_out=0), first)
+    with torch.no_grad():
+        network.inversion.log_lambda.add_(2)
+    assert not torch.equal(check(worked_out=1), first)
+    check(worked_out=0)
+    other = build_network(tiny_capture, "flatnet3d", "tiny", strength=0.03)
+    network.load_state_dict(other.state_dict())
+    check(worked_out=1)
+    network.inversion.filters.data = network.inversion.filters.data * 2
+    check(worked_out=1)
+    network.double()
+    check(worked_out=1, measurement=measurement.double())
+
+
 def test_method_keeps_the_mode_when_it_fails(tiny_capture):
     network = build_network(tiny_capture, "flatnet2d", "tiny")
     with pytest.raises(InputError, match="measurement: got shape"):
