@@ -38,12 +38,14 @@ class Checkpoint:
     Attributes:
         network: with its weights, on the CPU, in evaluation mode.
         capture: the camera that the network is built for.
+        fingerprint: of the PSFs that it was trained with; `capture` may have others.
         architecture: ``network``, ``size`` and all of the network's numbers; see `learning.models.build_network`.
         record: how it was made: configuration, metrics, command, seconds, versions, device.
     """
 
     network: FlatNet
     capture: CaptureModel
+    fingerprint: str
     architecture: dict[str, Any]
     record: dict[str, Any]
 
@@ -65,15 +67,16 @@ def save_checkpoint(
         architecture: ``network``, ``size`` and the changes that it was built with.
         capture: the camera that it was built for.
         record: how it was made; plain values.
-        precision: of the stored filters; ``torch.float16`` halves the file and rounds them. Biases, normalisations and the
-            camera stay exact.
+        precision: of the stored filters of convolutions; ``torch.float16`` halves the file and rounds them. The inversion,
+            biases, normalisations and the camera stay exact.
 
     Raises:
-        InputError: an architecture that is not this network's, or a record that has no JSON form.
+        InputError: an architecture that is not this network's, filters beyond the range of ``precision``, or a record that
+            has no JSON form.
         StorageError: the place cannot be written to.
     """
     full = full_architecture(architecture)
-    weights = {_WEIGHTS + name: _stored(value, precision) for name, value in network.state_dict().items()}
+    weights = {_WEIGHTS + name: _stored(name, value, precision) for name, value in network.state_dict().items()}
     _check_fit(_build(full, capture), weights, "architecture")
     stack = capture.stack
     arrays = {
@@ -111,8 +114,10 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
 
     Args:
         path: the file.
-        capture: build the network for this camera, whose PSFs, exposure or sizes may differ; None takes the file's own. For
-            a camera with other planes, build a network and see `learning.models.transfer`.
+        capture: build the network for this camera, whose exposure or sizes may differ; None takes the file's own. Its PSFs
+            may differ too, as those do that a calibration captured of the same camera; nobody can tell these from another
+            mask's, so compare `Checkpoint.fingerprint` where they should be the same. For a camera with other planes, build
+            a network and see `learning.models.transfer`.
         network: the architecture that is wanted; None takes any.
 
     Raises:
@@ -144,12 +149,23 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
             msg = f"{path}: {key} holds NaN or infinite numbers; take an earlier checkpoint"
             raise InputError(msg)
     built.load_state_dict({key.removeprefix(_WEIGHTS): value for key, value in weights.items()})
-    return Checkpoint(built.eval(), capture or own, architecture, record)
+    return Checkpoint(built.eval(), capture or own, own.stack.fingerprint, architecture, record)
 
 
-def _stored(value: Tensor, precision: torch.dtype) -> Tensor:
-    value = value.detach().cpu()
-    return (value.to(precision) if value.is_floating_point() and value.ndim > 1 else value).contiguous()
+def _stored(name: str, value: Tensor, precision: torch.dtype) -> Tensor:
+    value = value.detach().cpu().contiguous()
+    if not (
+        value.is_floating_point() and value.ndim >= 4
+    ):  # all but filters of convolutions are few, and some sensitive
+        return value
+    rounded = value.to(precision)
+    if bool((value.isfinite() & ~rounded.isfinite()).any()):
+        msg = (
+            f"precision: {name} has values up to {float(value.abs().max()):.3g}, {precision} holds at most "
+            f"{torch.finfo(precision).max:g}; store torch.float32"
+        )
+        raise InputError(msg)
+    return rounded
 
 
 def _build(architecture: Mapping[str, Any], capture: CaptureModel) -> FlatNet:
@@ -207,10 +223,17 @@ def _capture(numbers: dict[str, Any], tensors: dict[str, Tensor]) -> CaptureMode
 
 
 def _check_camera(path: Path, own: CaptureModel, asked: CaptureModel) -> None:
-    """Refuse a camera for which the weights mean something else: other channels, or planes at other depths."""
+    """Refuse a camera for which the weights mean something else: other channels, pixels, or planes at other depths."""
     mine, other = own.stack, asked.stack
     if mine.channels != other.channels:
         msg = f"{path}: its network takes the channels {', '.join(mine.channels)}, the stack has {', '.join(other.channels)}"
+        raise InputError(msg)
+    # A share of 1e-3 forgives numbers that were written with few digits.
+    if not np.isclose(mine.pixel_pitch_m, other.pixel_pitch_m, rtol=1e-3, atol=0):
+        msg = (
+            f"{path}: its network is for pixels of {mine.pixel_pitch_m * 1e6:g} um, the stack's are "
+            f"{other.pixel_pitch_m * 1e6:g} um; use a stack of the same camera"
+        )
         raise InputError(msg)
     same = len(mine.depths_m) == len(other.depths_m) and np.allclose(1 / mine.depths_m, 1 / other.depths_m, rtol=1e-3)
     if not same:

@@ -10,8 +10,8 @@ FlatNet3D of 8 planes of 3 channels, scenes of 64 x 64, one CPU thread; training
 | thesis  | 35 928 104 |                                   321 / 185  |                 90 |
 
 The inversion takes 12 ms of the training, with W(z) anew in each step, and 4 ms of the reconstruction, as constrained least
-squares do: W(z), another 3 ms, is worked out when the method is built. Of FlatNet2D, which inverts at one plane, it takes 1 ms
-of the reconstruction, and W 0.3 ms.
+squares do: W(z), another 3 ms, is worked out when the method is built. Of FlatNet2D, which inverts at one plane, it takes
+1 ms of the reconstruction, and W 0.3 ms.
 """
 
 from __future__ import annotations

@@ -93,9 +93,11 @@ def test_planes_at_infinity(tmp_path, tiny_capture):
     assert load_checkpoint(path).capture.far_m == float("inf")
 
 
-def test_half_precision_rounds_the_weights_only(path, network, tiny_capture, tmp_path):
+def test_half_precision_rounds_filters_of_convolutions_only(path, network, tiny_capture, tmp_path):
     half = tmp_path / "half.safetensors"
     precision = torch.float16
+    with torch.no_grad():
+        network.inversion.log_lambda.add_(1 / 3)
     save_checkpoint(half, network, architecture=ARCHITECTURE, capture=tiny_capture, record={}, precision=precision)
     saved = path.stat().st_size - half.stat().st_size
     assert saved == pytest.approx(2 * sum(p.numel() for p in network.parameters()), rel=0.05)
@@ -104,15 +106,33 @@ def test_half_precision_rounds_the_weights_only(path, network, tiny_capture, tmp
     for key, value in checkpoint.network.state_dict().items():
         mine = network.state_dict()[key]
         assert value.dtype == mine.dtype
-        torch.testing.assert_close(value, mine, rtol=2**-11, atol=2**-24)  # the rounding of float16
+        if mine.ndim == 4:
+            torch.testing.assert_close(value, mine, rtol=2**-11, atol=2**-24)  # the rounding of float16
+        else:
+            assert torch.equal(value, mine), key
+
+
+def test_filters_beyond_half_precision_are_refused_before_anything_is_written(path, network, tiny_capture):
+    before = path.read_bytes()
+    with torch.no_grad():
+        network.enhancement.head.weight[0, 0] = 7e4
+    with pytest.raises(
+        InputError, match=r"precision: enhancement\.head\.weight has values up to 7e\+04, torch.float16 holds"
+    ):
+        save_checkpoint(
+            path, network, architecture=ARCHITECTURE, capture=tiny_capture, record={}, precision=torch.float16
+        )
+    assert path.read_bytes() == before
 
 
 def test_another_camera_of_the_same_planes(path, tiny_capture):
     """Other PSFs, exposure and white: the weights are the same, the inversion is the new camera's."""
     other = replace(tiny_capture, gain=3 * tiny_capture.gain, sensor_shape=(64, 52))
-    other = other.with_stack(replace(other.stack, values=np.asarray(other.stack.values)[..., ::-1, :].copy()))
+    flipped = np.asarray(other.stack.values)[..., ::-1, :].copy()
+    other = other.with_stack(replace(other.stack, values=flipped, fingerprint="f" * 64))
     checkpoint = load_checkpoint(path, capture=other, network="flatnet3d")
     assert checkpoint.capture is other
+    assert checkpoint.fingerprint == tiny_capture.stack.fingerprint
     own = load_checkpoint(path).network
     for (key, value), mine in zip(checkpoint.network.state_dict().items(), own.state_dict().values(), strict=True):
         assert torch.equal(value, mine), key
@@ -133,6 +153,15 @@ def test_refuses_a_stack_of_other_planes(path, tiny_capture, depths_m, message):
         load_checkpoint(
             path, capture=tiny_capture.with_stack(replace(tiny_capture.stack, values=values, depths_m=depths_m))
         )
+
+
+def test_refuses_a_stack_of_other_pixels(path, tiny_capture):
+    pitch_m = tiny_capture.stack.pixel_pitch_m
+    for share in (1.1, 0.9):
+        other = replace(tiny_capture, stack=replace(tiny_capture.stack, pixel_pitch_m=share * pitch_m))
+        message = f"is for pixels of {pitch_m * 1e6:g} um, the stack's are {share * pitch_m * 1e6:g} um"
+        with pytest.raises(InputError, match=message):
+            load_checkpoint(path, capture=other)
 
 
 def test_refuses_a_stack_of_other_channels(path, tiny_capture):
