@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from simulator.dataset.manifest import load_manifest
 from simulator.dataset.reader import Dataset
+from simulator.errors import InputError
 from simulator.files import committed_folder, storage_errors
 
 _FORMAT = 1
@@ -68,7 +69,7 @@ class SampleCache:
             folder.mkdir(parents=True, exist_ok=True)
         with _locked(own.with_name(f"{own.name}.lock")):
             if not cache._is_whole():
-                cache._write(read)
+                cache._write(lambda position: _readable(dataset, position, read))
         return cache
 
     def read(self, position: int) -> Arrays:
@@ -106,6 +107,15 @@ class SampleCache:
             return False
 
 
+def _readable(dataset: Dataset, position: int, read: Callable[[int], Arrays]) -> Arrays:
+    """Return a sample; the system's refusal to read it is not taken for one to write the cache."""
+    try:
+        return read(position)
+    except OSError as error:
+        msg = f"{dataset.folder(position)} cannot be read ({error.strerror or error}); check the disk, or restore the sample"
+        raise InputError(msg) from error
+
+
 def _key(dataset: Dataset, kind: str) -> str:
     entries = load_manifest(dataset.root).entries
     digests = [entries[dataset.split, identifier].digest for identifier in dataset.ids]
@@ -126,6 +136,8 @@ def _shapes(dataset: Dataset) -> dict[str, tuple[int, ...]]:
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
     """Hold the lock of this name; another process that wants it waits."""
-    with storage_errors(path), open(path, "ab") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+    with ExitStack() as stack:
+        with storage_errors(path):  # of the lock alone: what goes wrong under it is another matter
+            file = stack.enter_context(open(path, "ab"))
+            fcntl.flock(file, fcntl.LOCK_EX)
         yield

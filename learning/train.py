@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import nn
 
-from learning.checkpoint import load_checkpoint, save_checkpoint
+from learning.checkpoint import save_checkpoint
 from learning.config.load import load_file
 from learning.config.train import TrainConfig
-from learning.losses import ReconstructionLoss
-from learning.models import build_network
-from learning.models.flatnet import FlatNet
-from learning.models.transfer import transfer
 from learning.training.distributed import Processes, processes, synchronise_batch_norm
-from learning.training.folder import BEST, LAST, STATE, check_folder, described, sole_use
+from learning.training.folder import BEST, LAST, STATE
 from learning.training.loop import Training
-from learning.training.material import count_workers, find_material, open_examples
-from learning.training.optimiser import build_optimiser
-from learning.training.precision import Precision
+from learning.training.material import count_workers, open_examples
+from learning.training.optimiser import build_optimiser, learning_rate
+from learning.training.plan import Plan, held_folder, make_plan
+from learning.training.record import portable_command, portable_config
 from learning.training.state import Progress, load_state
 from learning.training.stopping import stop_signals
 from simulator import __version__
@@ -69,77 +62,71 @@ def train(
         KeyboardInterrupt: when it was asked to stop; the same call goes on from there.
         StorageError: the disk is full or protected; the same call goes on from the last state.
     """
+    command = None
     if not isinstance(config, TrainConfig):
-        config = load_file(TrainConfig, config, overrides)
+        command, config = portable_command(config, overrides), load_file(TrainConfig, config, overrides)
     with processes(config.device) as group, torch.random.fork_rng(_generators(group)):
         show_all, say_all = (show or _nothing, say or _nothing) if group.leader else (_nothing, _nothing)
-        training = _prepare(config, group, show_all, say_all)
-        first = training.progress.step
-        if first < config.steps:
-            say_all(_describe(training))
-            with stop_signals() as stop, sole_use(training.folder, training.parts) if group.leader else nullcontext():
-                training.run(stop)
+        plan = make_plan(config, group, command)
+        with held_folder(plan):
+            training = _prepare(plan, show_all, say_all)
+            first = training.progress.step
+            if first < config.steps:
+                say_all(_describe(training))
+                with stop_signals() as stop:
+                    training.run(stop)
     progress = training.progress
     return TrainResult(training.folder, progress.step - first, progress.seconds, progress.best)
 
 
-def _prepare(
-    config: TrainConfig, group: Processes, show: Callable[[str, int, int], None], say: Callable[[str], None]
-) -> Training:
-    """Build everything, and read the state where there is one."""
-    material = find_material(config)
-    for what, count in (("batch", config.batch), ("validation split", len(material.validation))):
-        if count < group.ranks or (what == "batch" and count % group.ranks):
-            msg = f"{what}: got {count} for {group.ranks} processes, which share it; choose a multiple, or other processes"
-            raise InputError(msg)
-    folder = config.resolve_path(config.output)
-    parts = described(config.dump(), material.describe())
-    check_folder(folder, parts)
-    torch.manual_seed(config.seed)
-    network = build_network(material.capture, config.network.name, config.network.size, **config.network.changes)
-    begun = (folder / STATE).exists()
-    if config.start is not None and not begun:
-        _warm_start(network, config, say)
-    placed = _placed(network, group)
-    loss = ReconstructionLoss(**config.loss.model_dump(), seed=config.seed).to(group.device)
+def _prepare(plan: Plan, show: Callable[[str, int, int], None], say: Callable[[str], None]) -> Training:
+    """Build everything, and read the state where there is one; the folder must be held, see `held_folder`."""
+    config, group, material, folder = plan.config, plan.group, plan.material, plan.folder
+    placed = _placed(plan.network, group)
+    loss = plan.loss.to(group.device)
     optimiser = build_optimiser(placed, config.optimiser)
+    begun = (folder / STATE).exists()
     progress = load_state(folder / STATE, placed, optimiser) if begun else Progress()
     if begun:
         say(f"{folder}: going on after step {progress.step} of {config.steps}")
+    else:
+        for line in plan.taken:
+            say(line)
     if progress.step > config.steps:
         msg = f"steps: got {config.steps}, but {folder} has done {progress.step}; they can be raised, not lowered"
         raise InputError(msg)
-    precision = Precision.choose(config.precision, group.device)
-    examples, held_out = (
-        open_examples(split, config.data, config.seed, say) for split in (material.train, material.validation)
-    )
+    _note_length(progress, config, say)
+    examples, held_out = (open_examples(split, config, say) for split in (material.train, material.validation))
     training = Training(
         config=config,
         folder=folder,
-        parts=parts,
         capture=material.capture,
         network=placed,
         optimiser=optimiser,
         loss=loss,
         examples=examples,
         held_out=held_out,
-        precision=precision,
+        precision=plan.precision,
         group=group,
-        workers=count_workers(config.data, group.ranks),
+        workers=count_workers(config, group.ranks),
         progress=progress,
-        save_network=lambda best: _save_network(training, material.describe(), best),
+        save_network=lambda best: _save_network(training, plan, best),
         show=show,
         say=say,
     )
     return training
 
 
-def _warm_start(network: FlatNet, config: TrainConfig, say: Callable[[str], None]) -> None:
-    """Begin with the weights of a checkpoint."""
-    path = config.resolve_path(config.start or "")
-    checkpoint = load_checkpoint(path, network=config.network.name)
-    for line in transfer(network, checkpoint):
-        say(f"{path.name}: {line}")
+def _note_length(progress: Progress, config: TrainConfig, say: Callable[[str], None]) -> None:
+    """Keep a record of the steps that the learning rate's schedule is stretched over, and say when they change."""
+    step, steps = progress.step, config.steps
+    before = progress.lengths[-1][1] if progress.lengths else steps
+    if step == steps or (progress.lengths and before == steps):
+        return
+    progress.lengths.append([step, steps])
+    if before != steps:
+        last, now = (learning_rate(n, of, config.optimiser) for n, of in ((step - 1, before), (step, steps)))
+        say(f"steps: {before} -> {steps} after step {step}; the learning rate goes from {last:.3g} to {now:.3g} there")
 
 
 def _placed(network: nn.Module, group: Processes) -> nn.Module:
@@ -152,7 +139,7 @@ def _placed(network: nn.Module, group: Processes) -> nn.Module:
     return network.to(group.device)
 
 
-def _save_network(training: Training, data: dict[str, Any], best: bool) -> None:
+def _save_network(training: Training, plan: Plan, best: bool) -> None:
     config, progress = training.config, training.progress
     save_checkpoint(
         training.folder / (BEST if best else LAST),
@@ -161,12 +148,14 @@ def _save_network(training: Training, data: dict[str, Any], best: bool) -> None:
         capture=training.capture,
         record={
             "name": config.name,
-            "config": config.dump(),
-            "command": shlex.join(sys.argv),
-            "data sets": data,
+            "config": portable_config(config),
+            "command": plan.command or "learning.train.train, called from Python",
+            "data sets": plan.material.describe(),
+            "start": plan.start and plan.start.describe(),
             "loss": training.loss.record(),  # pyright: ignore[reportCallIssue]
             "validation": {"best": progress.best, "last": progress.last},
             "step": progress.step,
+            "steps": [{"from": first, "of": steps} for first, steps in progress.lengths],
             "seconds": progress.seconds,
             "precision": training.precision.kind,
             "device": _device_name(training.group.device),

@@ -32,7 +32,7 @@ class DataConfig(Section):
     )
     cache: bool | str = Field(
         default=True,
-        description="keep decoded samples, which then cost no time: in Flatlight's cache folder, in this folder, or not",
+        description="keep decoded samples, which then cost no time: in Flatlight's cache folder (true), in a folder, or not",
     )
     workers: Annotated[int, Range(0, 256)] | Literal["auto"] = Field(
         default="auto", description="processes that read examples; 0 reads between the steps"
@@ -86,6 +86,9 @@ class LossConfig(Section):
     intensity_weight: Weight = Field(default=1.0, description="of the error of the codes")
     perceptual_weight: Weight = Field(default=0.1, description="of the error of the features, where there are any")
     depth_weight: Weight = Field(default=1.0, description="of the mean absolute error of the disparity, 0..1")
+    perceptual_seed: Annotated[int, Range(0, 2**31 - 1)] = Field(
+        default=0, description="of random_vgg: trainings with other seeds are to make the same loss small"
+    )
     invalid_depth: bool = Field(
         default=False,
         description="whether pixels where nothing was seen count in the error of the disparity, as far ones",
@@ -129,7 +132,10 @@ class TrainConfig(FileSection):
     )
     loss: LossConfig = Field(default_factory=LossConfig)
     optimiser: OptimiserConfig = Field(default_factory=OptimiserConfig)
-    steps: Annotated[int, Range(1, 10**9)] = Field(description="batches to learn from; may be raised later")
+    steps: Annotated[int, Range(1, 10**9)] = Field(
+        description="batches to learn from; may be raised later, where a cosine's learning rate then starts over higher up: "
+        "every change is recorded"
+    )
     batch: Annotated[int, Range(1, 65536)] = Field(
         default=8, description="examples in a step, of all processes together"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -59,7 +60,10 @@ class Processes:
         if self.ranks == 1:
             return network
         # All began with the same weights and see the same statistics, so that nothing has to be sent but gradients.
-        return DistributedDataParallel(network, broadcast_buffers=False, init_sync=False)
+        known = inspect.signature(DistributedDataParallel).parameters  # torch 2.13 gave it another name
+        name = "forward_sync_buffers" if "forward_sync_buffers" in known else "broadcast_buffers"
+        options: dict[str, Any] = {name: False}
+        return DistributedDataParallel(network, init_sync=False, **options)
 
 
 @contextmanager

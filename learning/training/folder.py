@@ -25,8 +25,9 @@ BEST, LAST = "best.safetensors", "last.safetensors"
 TENSORBOARD = "tensorboard"
 PREVIEW = "validation.png"
 
-# What does not decide a number that is learned.
+# What does not decide a number that is learned, or is said otherwise: `start` by its content, `precision` as it was resolved.
 _FREE = ("output", "steps", "device", "log_every", "checkpoint_every_s")
+_RESOLVED = ("start", "precision")
 _FREE_OF_DATA = ("cache", "workers")
 
 
@@ -64,16 +65,18 @@ def check_folder(folder: Path, parts: dict[str, Any]) -> None:
 def sole_use(folder: Path, parts: dict[str, Any]) -> Iterator[None]:
     """Make the folder of a training and keep other trainings out; the system forgets the lock when the process dies.
 
-    The description replaces that of a training that never came to save anything.
+    What lies in the folder is looked at under the lock, so that no other training can change it in between. The description
+    replaces that of a training that never came to save anything.
 
     Args:
         folder: the folder; see `check_folder`.
         parts: see `described`.
 
     Raises:
-        InputError: another process trains there.
+        InputError: another process trains there, or see `check_folder`.
         StorageError: the folder cannot be written to.
     """
+    check_folder(folder, parts)  # a folder of somebody else's is not locked, nor cleared of leftovers
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY)
@@ -85,6 +88,7 @@ def sole_use(folder: Path, parts: dict[str, Any]) -> Iterator[None]:
             raise InputError(msg) from error
         except OSError:
             pass  # a file system without locks
+        check_folder(folder, parts)
         remove_leftovers(folder)
         if not (folder / STATE).exists():
             write_atomic(folder / DESCRIPTION, readable_json(parts))
@@ -93,16 +97,20 @@ def sole_use(folder: Path, parts: dict[str, Any]) -> Iterator[None]:
         os.close(descriptor)
 
 
-def described(config: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
+def described(
+    config: dict[str, Any], data: dict[str, Any], *, precision: str, start: dict[str, Any] | None
+) -> dict[str, Any]:
     """Return what decides the numbers of a training.
 
     Args:
         config: its configuration, plain.
         data: what is known of the data sets and the camera; plain.
+        precision: ``float32`` or ``bfloat16``; ``auto`` means one or the other on another device.
+        start: what is known of the checkpoint that it begins with; plain.
     """
-    kept = {key: value for key, value in config.items() if key not in _FREE}
+    kept = {key: value for key, value in config.items() if key not in (*_FREE, *_RESOLVED)}
     kept["data"] = {key: value for key, value in config["data"].items() if key not in _FREE_OF_DATA}
-    return {"config": kept, "data sets": data}
+    return {"config": kept, "data sets": data, "precision": precision, "start": start}
 
 
 def _read(path: Path) -> dict[str, Any]:

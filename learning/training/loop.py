@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import torch
 from torch import Tensor, nn
@@ -35,7 +35,6 @@ class Training:
     Attributes:
         config: its configuration.
         folder: where it writes.
-        parts: what decides its numbers; see `learning.training.folder.described`.
         capture: the camera.
         network: on its device; what is saved.
         optimiser: of the network's parameters.
@@ -53,7 +52,6 @@ class Training:
 
     config: TrainConfig
     folder: Path
-    parts: dict[str, Any]
     capture: CaptureModel
     network: nn.Module
     optimiser: torch.optim.Optimizer
@@ -92,7 +90,7 @@ class Training:
         checks = self._validation_batches()
         self.network.train()
         saved = time.monotonic()
-        since = time.monotonic()
+        since, logged = time.monotonic(), progress.step
         while progress.step < config.steps:
             begin = time.monotonic()
             with unwrapped():
@@ -101,9 +99,10 @@ class Training:
             progress.seconds += time.monotonic() - begin
             self.show("steps", progress.step, config.steps)
             if progress.step % config.log_every == 0 or progress.step == config.steps:
-                rate = progress.counted * config.batch / (time.monotonic() - since)
+                # Of this sitting: an earlier one may have counted steps of this line before it was stopped.
+                rate = (progress.step - logged) * config.batch / (time.monotonic() - since)
                 self._write_log(log, rate)
-                since = time.monotonic()
+                since, logged = time.monotonic(), progress.step
             if progress.step % config.validate_every == 0 or progress.step == config.steps:
                 begin = time.monotonic()
                 self._validate(checks, log)
@@ -124,8 +123,6 @@ class Training:
         rate = learning_rate(progress.step, config.steps, config.optimiser)
         for group in self.optimiser.param_groups:
             group["lr"] = rate
-        # What a layer may draw follows from the step, so that no generator's state has to be kept.
-        torch.manual_seed((config.seed << 32) + progress.step * self.group.ranks + self.group.rank)
         example = to_device(batch, self.group.device)
         self.optimiser.zero_grad(set_to_none=True)
         estimate = self.precision.estimate(wrapped, example.measurement)

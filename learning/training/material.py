@@ -5,19 +5,36 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from learning.capture import CaptureModel, capture_model
-from learning.config.train import DataConfig, TrainConfig
+from learning.config.train import TrainConfig
 from learning.data import ExampleSet, check_dataset
 from learning.display import measure_white
 from simulator.dataset import open_dataset
+from simulator.dataset.dataset_info import PSF_FOLDER
+from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 from simulator.optics.cache import cache_folder
 
 _MOST_WORKERS = 8
+_SHOWN = 12  # numbers in a message
+_NUMBERS = ("scene_shape", "sensor_shape", "gain", "offset", "irradiance", "scene_to_camera")
+_CURES = {
+    "scene_shape": "scene.size",
+    "sensor_shape": "camera.sensor.shape",
+    "channels": "camera.sensor.readout",
+    "range of depths, 1/m": "psf.near_cm, psf.far_cm",
+    "mask": "camera.mask, camera.mask_to_sensor_mm",
+    "scene_to_camera": "camera.scene_to_camera",
+    "irradiance": "forward.vignetting",
+    "offset": "camera.noise.type, camera.sensor.black_level_dn",
+    "gain": "camera.exposure.full_scale",
+}
+"""What makes a camera, and what of the data set's configuration decides it; from coarse to fine."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +63,13 @@ class Material:
 def find_material(config: TrainConfig) -> Material:
     """Open the data sets of a training and look at some of their samples.
 
+    The validation split must come from the same camera: mask, sensor, exposure and range of depths. How finely its PSFs were
+    computed may differ (``psf.model``, ``psf.depths``), so that what is learned from a fast model can be measured on an exact
+    one; the data set's fingerprint tells.
+
     Raises:
         InputError: no such data set or stack, an empty split, data that nothing can be learned from, or a validation split of
-            another camera.
+            another camera: what differs is named.
     """
     root = config.resolve_path(config.data.train)
     other = root if config.data.validation is None else config.resolve_path(config.data.validation)
@@ -58,37 +79,59 @@ def find_material(config: TrainConfig) -> Material:
     stack = config.data.stack
     known = stack if stack in ("nominal", "captured") else config.resolve_path(stack)
     capture = capture_model(train, known, white=measure_white(train))
-    seen = capture if other == root else capture_model(validation, capture.stack, white=capture.white)
-    for what in ("scene_shape", "sensor_shape", "gain"):
-        first, second = getattr(capture, what), getattr(seen, what)
-        if first != second:
-            msg = (
-                f"data.validation: {other} has {what} {second}, data.train {first}; validate on data of the same camera and "
-                "exposure (camera.exposure.full_scale)"
-            )
-            raise InputError(msg)
+    if other != root:
+        _check_same_camera(train, validation)
     return Material(train, validation, capture)
 
 
-def open_examples(dataset: Dataset, config: DataConfig, seed: int, say: Callable[[str], None]) -> ExampleSet:
+def _check_same_camera(train: Dataset, validation: Dataset) -> None:
+    """Refuse a validation split that was measured otherwise than what is learned from."""
+    first, second = _camera(train), _camera(validation)
+    for what, cure in _CURES.items():
+        one, two = first[what], second[what]
+        if np.shape(one) == np.shape(two) and (
+            one == two if isinstance(one, str) else np.allclose(one, two, rtol=1e-5)
+        ):
+            continue
+        short = " and ".join(
+            f"{where} {value.tolist() if np.size(value) <= _SHOWN else 'another'}"
+            for where, value in ((validation.root, np.asarray(two)), (f"data.train {train.root}", np.asarray(one)))
+        )
+        msg = f"data.validation: {what} differs: {short}; validate on data of the same camera ({cure})"
+        raise InputError(msg)
+
+
+def _camera(dataset: Dataset) -> dict[str, Any]:
+    """Return what makes a data set's camera, by the names of `_CURES`."""
+    capture = capture_model(dataset)
+    stack = read_psf_stack(dataset.root / PSF_FOLDER)
+    made = stack.provenance
+    mask = made.get("mask")
+    optics = f"{mask['sha256']} at {made.get('mask_to_sensor_m')} m" if mask else f"PSFs {stack.fingerprint}"
+    values = {name: getattr(capture, name) for name in _NUMBERS}
+    depths = np.array([1 / capture.near_m, 1 / capture.far_m])
+    return {**values, "channels": " ".join(stack.channels), "mask": optics, "range of depths, 1/m": depths}
+
+
+def open_examples(dataset: Dataset, config: TrainConfig, say: Callable[[str], None]) -> ExampleSet:
     """Return the examples of a split, with the noise and the cache of the configuration.
 
     Args:
         dataset: the split.
-        config: the data section.
-        seed: of the noise.
+        config: the training.
         say: told where samples are kept.
     """
     cache = None
-    if config.cache:
-        cache = cache_folder() / "samples" if config.cache is True else Path(config.cache).expanduser()
+    place = config.data.cache
+    if place:
+        cache = cache_folder() / "samples" if place is True else config.resolve_path(place)
         say(f"{dataset.split}: {len(dataset)} samples, kept decoded in {cache}")
-    return ExampleSet(dataset, noise_db=config.noise_db, seed=seed, cache=cache)
+    return ExampleSet(dataset, noise_db=config.data.noise_db, seed=config.seed, cache=cache)
 
 
-def count_workers(config: DataConfig, processes: int) -> int:
+def count_workers(config: TrainConfig, processes: int) -> int:
     """Return how many workers each process has for reading: at most one less than there are cores for it."""
-    if config.workers != "auto":
-        return config.workers
+    if config.data.workers != "auto":
+        return config.data.workers
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(max(cores // processes - 1, 0), _MOST_WORKERS)

@@ -1,6 +1,8 @@
 """All that a training needs to go on as if it had never stopped; one file, replaced as a whole.
 
-Randomness is no part of it: what is random in a step follows from the seed and the step's number.
+Randomness is no part of it: what is random in a step, its examples and their noise, follows from the seed and the step's
+number. Bit for bit the same weights come out on a CPU with as many threads; on CUDA not in general, where some kernels add
+in the order in which threads finish (`torch.use_deterministic_algorithms`).
 """
 
 from __future__ import annotations
@@ -30,6 +32,8 @@ class Progress:
         last: the same of the last one.
         sums: of each logged number since the last line of the log.
         counted: steps in them.
+        lengths: pairs of a step and the ``steps`` of the configuration from there on, which the learning rate followed; more
+            than one where ``steps`` was changed.
     """
 
     step: int = 0
@@ -38,6 +42,7 @@ class Progress:
     last: dict[str, float] = field(default_factory=dict)
     sums: dict[str, float] = field(default_factory=dict)
     counted: int = 0
+    lengths: list[list[int]] = field(default_factory=list)
 
 
 def save_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer, progress: Progress) -> None:

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from learning.capture import CaptureModel
 from learning.data import Example
 from learning.estimate import Estimate
+from learning.metrics import depth_scores
 from learning.training.distributed import Processes
 from learning.training.precision import Precision
 from learning.training.targets import to_device, true_estimate
@@ -33,34 +34,34 @@ def validate(
 ) -> dict[str, float]:
     """Return means over the scenes of a split: each term of the loss, ``psnr_db``, ``depth_rmse_cm``.
 
-    PSNR is of sRGB codes and depth of centimetres, both clamped; the processes share the scenes. The network is left in
-    training mode.
+    PSNR is of sRGB codes, clamped. The depth's error is that of `learning.metrics.depth_scores` at valid pixels; a scene
+    without any counts in the other numbers only. The processes share the scenes. The network is left in training mode.
     """
     network.eval()
     sums: dict[str, float] = {}
-    scenes = 0
+    counts: dict[str, int] = {}
     with torch.inference_mode():
         for batch in batches:
             example = to_device(batch, group.device)
             estimate = precision.estimate(network, example.measurement)
             truth = true_estimate(example, capture)
             count = len(example.measurement)
-            values = {name: value * count for name, value in loss(estimate, *truth, example.valid).items()}
-            values |= _errors(estimate.clamped(), truth, capture)
+            values = {name: value.expand(count) for name, value in loss(estimate, *truth, example.valid).items()}
+            values |= _errors(estimate.clamped(), truth, example, capture)
             for name, value in values.items():
-                sums[name] = sums.get(name, 0.0) + float(value)
-            scenes += count
+                sums[name] = sums.get(name, 0.0) + float(value.double().sum())
+                counts[name] = counts.get(name, 0) + len(value)
     network.train()
-    names = list(sums)
-    totals = group.add(torch.tensor([*sums.values(), scenes], dtype=torch.float64, device=group.device)).tolist()
-    return {name: total / totals[-1] for name, total in zip(names, totals[:-1], strict=True)}
+    both = torch.tensor([list(sums.values()), list(counts.values())], dtype=torch.float64, device=group.device)
+    means = torch.div(*group.add(both)).tolist()
+    return dict(zip(sums, means, strict=True))
 
 
-def _errors(estimate: Estimate, truth: Estimate, capture: CaptureModel) -> dict[str, Tensor]:
-    """Return sums over the scenes of a batch."""
+def _errors(estimate: Estimate, truth: Estimate, example: Example, capture: CaptureModel) -> dict[str, Tensor]:
+    """Return the errors of a batch's scenes."""
     squared = (estimate.picture - truth.picture).square().mean(dim=(1, 2, 3)).clamp_min(_SMALLEST_ERROR)
-    depth = (estimate.depth_m(capture) - truth.depth_m(capture)).square().mean(dim=(1, 2, 3)).sqrt()
-    return {"psnr_db": (-10 * squared.log10()).sum(), "depth_rmse_cm": 100 * depth.sum()}
+    depth = depth_scores(estimate, example, capture, example.valid).depth_rmse_cm
+    return {"psnr_db": -10 * squared.log10(), "depth_rmse_cm": depth[example.valid.any(dim=(1, 2, 3))]}
 
 
 def draw(network: nn.Module, example: Example, capture: CaptureModel, *, precision: Precision) -> NDArray[np.uint8]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from learning.capture import CaptureModel
+from learning.config.train import TrainConfig
 from simulator.optics.psf_stack import PsfStack, depth_planes
 
 # Every surface has a texture, without which a depth shows nowhere; and its own depth, so that depth cannot be guessed.
@@ -126,3 +127,27 @@ def tiny_capture() -> CaptureModel:
         scene_to_camera=np.array([[0.8, 0.2, 0.0], [0.1, 0.8, 0.1], [0.0, 0.3, 0.7]]),
         white=0.9,
     )
+
+
+@pytest.fixture
+def settings(tiny_dataset: Path, tmp_path: Path) -> Callable[..., TrainConfig]:
+    """Return a function that makes a small training; sections are changed key by key."""
+
+    def make(output: str = "out", **changes: Any) -> TrainConfig:
+        plain: dict[str, Any] = {
+            "name": "tiny",
+            "output": str(tmp_path / output),
+            "seed": 3,
+            "data": {"train": str(tiny_dataset), "noise_db": (30.0, 40.0), "cache": False, "workers": 0},
+            "network": {"name": "flatnet3d", "size": "tiny"},
+            "steps": 9,
+            "batch": 5,
+            "validate_every": 4,
+            "log_every": 3,
+            "device": "cpu",
+        }
+        for key, value in changes.items():
+            plain[key] = plain[key] | value if isinstance(value, dict) and key in plain else value
+        return TrainConfig.model_validate(plain)
+
+    return make

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import errno
+import hashlib
+import json
 import multiprocessing
 import os
 import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from learning.data import Draw, Example, ExampleSet
-from learning.sample_cache import Arrays
+from learning.sample_cache import Arrays, SampleCache
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.exr import read_exr, write_exr
@@ -74,6 +78,30 @@ def test_samples_that_were_made_again_are_read_again(learning_trial: Any, tmp_pa
     assert len(caches(tmp_path / "cache")) == 4
 
 
+def test_a_sample_that_was_replaced_is_read_again(learning_trial: Any, tmp_path: Path) -> None:
+    """By its digest: the data set's configuration, and so its fingerprint, stay."""
+    folder = learning_trial.generate(dataset={"train": 2, "validation": 0, "test": 0}, psf={"as_captured": None})
+    before = open_dataset(folder)
+    ExampleSet(before, cache=tmp_path / "cache")
+    path = before.folder(1) / "ground_truth.exr"
+    planes, metadata = read_exr(path)
+    write_exr(
+        path, {name: values * np.float32(0.5) if name in "RGB" else values for name, values in planes.items()}, metadata
+    )
+    manifest = folder / "manifest.jsonl"
+    lines = [json.loads(line) for line in manifest.read_text().splitlines()]
+    for line in lines:
+        if line["id"] == before.ids[1]:
+            line["digest"] = hashlib.sha256(path.read_bytes()).hexdigest()
+    manifest.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    dataset = open_dataset(folder)
+    assert dataset.fingerprint == before.fingerprint
+    cached = ExampleSet(dataset, cache=tmp_path / "cache")
+    assert same(cached[1], ExampleSet(dataset)[1])
+    assert same(cached[0], ExampleSet(dataset)[0])
+    assert len(caches(tmp_path / "cache")) == 2
+
+
 @pytest.mark.parametrize("damage", ["truncated", "absent", "header", "empty folder"])
 def test_a_half_written_cache_is_redone(validation: Dataset, tmp_path: Path, damage: str) -> None:
     expected = ExampleSet(validation, cache=tmp_path)[7]
@@ -102,6 +130,17 @@ def test_a_sample_that_cannot_be_read_leaves_no_cache(learning_trial: Any, tmp_p
     assert caches(tmp_path / "cache") == []
     write_exr(path, planes, metadata)
     assert same(ExampleSet(dataset, cache=tmp_path / "cache")[1], ExampleSet(dataset)[1])
+
+
+def test_a_disk_that_cannot_be_read_is_not_one_that_cannot_be_written(validation: Dataset, tmp_path: Path) -> None:
+    def read(position: int) -> Arrays:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with pytest.raises(InputError) as error:
+        SampleCache.filled(tmp_path, validation, "measurement", read)
+    assert not isinstance(error.value, StorageError)
+    assert str(error.value).startswith(f"{validation.folder(0)} cannot be read (Input/output error)")
+    assert caches(tmp_path) == []
 
 
 class _Counted(ExampleSet):

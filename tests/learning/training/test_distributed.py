@@ -82,6 +82,7 @@ def test_two_processes_are_one_with_the_whole_batch(tiny_dataset: Path, tmp_path
         command, cwd=ROOT, env=_environment(), capture_output=True, text=True, timeout=300, check=False
     )
     assert done.returncode == 0, done.stderr
+    assert "FutureWarning" not in done.stderr
     one, two = (
         [json.loads(line) for line in (tmp_path / name / METRICS).read_text().splitlines()] for name in ("one", "two")
     )
@@ -92,6 +93,13 @@ def test_two_processes_are_one_with_the_whole_batch(tiny_dataset: Path, tmp_path
         assert second["total"] == pytest.approx(first["total"], rel=1e-3 if first["step"] > 1 else 1e-5)
         assert second["depth"] == pytest.approx(first["depth"], rel=1e-3)
     assert (tmp_path / "two" / LAST).exists()
+    # One that cannot have the folder tells the others, which would wait for it for hours.
+    script.write_text(f"from learning.train import train\ntrain({str(path)!r}, ['output=two', 'seed=9'])\n")
+    done = subprocess.run(
+        command, cwd=ROOT, env=_environment(), capture_output=True, text=True, timeout=100, check=False
+    )
+    assert done.returncode != 0
+    assert "seed: 0 -> 9" in done.stderr
 
 
 def _environment() -> dict[str, str]:

@@ -5,10 +5,15 @@ from typing import Any
 
 import pytest
 
-from learning.training.folder import DESCRIPTION, STATE, check_folder, described, sole_use
+from learning.training.folder import DESCRIPTION, STATE, check_folder, sole_use
+from learning.training.folder import described as described_with
 from simulator.errors import InputError
 
 CONFIG: dict[str, Any] = {"output": "a", "steps": 5, "seed": 1, "data": {"train": "x", "workers": 2, "cache": True}}
+
+
+def described(config: dict[str, Any], data: dict[str, Any], **decided: Any) -> dict[str, Any]:
+    return described_with(config, data, **({"precision": "float32", "start": None} | decided))
 
 
 def test_what_does_not_matter(tmp_path: Path) -> None:
@@ -17,8 +22,21 @@ def test_what_does_not_matter(tmp_path: Path) -> None:
     (tmp_path / "a" / STATE).touch()
     free = {"output": "b", "steps": 9, "data": {"train": "x", "workers": 0, "cache": False}}
     check_folder(tmp_path / "a", described(CONFIG | free, {"white": 1.0}))
+    resolved = {"device": "cuda", "precision": "float32", "start": "elsewhere.safetensors"}
+    check_folder(tmp_path / "a", described(CONFIG | resolved, {"white": 1.0}))
     with pytest.raises(InputError, match=r"another configuration(.|\n)*\nseed: 1 -> 2\ndata sets.white: 1.0 -> 2.0$"):
         check_folder(tmp_path / "a", described(CONFIG | {"seed": 2}, {"white": 2.0}))
+
+
+def test_what_was_resolved_matters(tmp_path: Path) -> None:
+    config = CONFIG | {"precision": "auto", "start": "net.safetensors"}
+    start = {"file": "net.safetensors", "sha256": "a" * 64}
+    with sole_use(tmp_path, described(config, {}, start=start)):
+        (tmp_path / STATE).touch()
+    with pytest.raises(InputError, match=r"\nprecision: float32 -> bfloat16$"):
+        check_folder(tmp_path, described(config | {"device": "cuda"}, {}, start=start, precision="bfloat16"))
+    with pytest.raises(InputError, match=r"\nstart.sha256: a+.* -> b+"):
+        check_folder(tmp_path, described(config, {}, start=start | {"sha256": "b" * 64}))
 
 
 def test_what_never_saved_anything_is_no_hindrance(tmp_path: Path) -> None:
@@ -50,4 +68,20 @@ def test_one_training_at_a_time(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="another process trains in"), sole_use(tmp_path, {}):
             pass
     with sole_use(tmp_path, {}):
+        pass
+
+
+def test_what_came_there_before_the_lock_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another training begins and ends between the first look and the lock."""
+    import learning.training.folder as module
+
+    flock = module.fcntl.flock
+
+    def late(descriptor: int, kind: int) -> None:
+        (tmp_path / DESCRIPTION).write_text('{"config": {"seed": 7}}')
+        (tmp_path / STATE).touch()
+        flock(descriptor, kind)
+
+    monkeypatch.setattr(module.fcntl, "flock", late)
+    with pytest.raises(InputError, match="seed: 7 -> 8"), sole_use(tmp_path, {"config": {"seed": 8}}):
         pass

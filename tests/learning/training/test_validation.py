@@ -60,6 +60,21 @@ def test_known_errors(tiny_capture: CaptureModel) -> None:
         assert result["depth"] == pytest.approx(2 / 3, rel=1e-5)  # the loss sees what is not clipped
 
 
+def test_depth_is_judged_as_in_the_evaluation(tiny_capture: CaptureModel) -> None:
+    """Where there is one, against the true depth: one beyond the range is not moved to its end."""
+    truth, estimate = scenes(tiny_capture, 3)
+    estimate[:, 3, :, :8] = 0.9  # wrong where nothing was seen
+    truth.valid[..., :8] = False
+    truth.valid[2] = False  # a scene without any depth counts in the picture only
+    near_m = tiny_capture.near_m
+    truth.depth_m[1] = near_m / 2
+    estimate[1, 3] = 1
+    batches = [Example(*(values[part] for values in truth._replace(measurement=estimate))) for part in ([0, 1], [2])]
+    result = validate(Known(), batches, ReconstructionLoss("l1"), tiny_capture, **HERE)
+    assert result["depth_rmse_cm"] == pytest.approx((0 + 100 * near_m / 2) / 2, rel=1e-5)
+    assert result["psnr_db"] > 60
+
+
 def test_what_was_not_seen_is_far(tiny_capture: CaptureModel) -> None:
     truth, _ = scenes(tiny_capture, 1)
     truth.valid[..., :4] = False
