@@ -35,7 +35,7 @@ def reconstruct(
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="one of its parameters, e.g. strength=0.01")
     ] = None,
     output: Annotated[
-        Path | None, typer.Option(help="folder for the result; default: NAME_reconstruction here", show_default=False)
+        Path | None, typer.Option(help="folder for the result; default: SPLIT_NAME_METHOD here", show_default=False)
     ] = None,
     volume: Annotated[bool, typer.Option("--volume", help="write the volume too, a plane per depth")] = False,
     bits: Annotated[
@@ -48,6 +48,7 @@ def reconstruct(
         str | None,
         typer.Option(help="the same for the picture of a PSF; or border (its frame's median), none  [border]"),
     ] = None,
+    psf_crop: Annotated[str | None, typer.Option(help="the same as --crop for the picture of a PSF")] = None,
     crop: Annotated[
         str | None, typer.Option(help="ROWSxCOLUMNS about the centre, or ROWSxCOLUMNS+TOP+LEFT, of the file's pixels")
     ] = None,
@@ -76,6 +77,7 @@ def reconstruct(
         bits=bits,
         background=background,
         psf_background=psf_background,
+        psf_crop=psf_crop,
         crop=crop,
         binning=binning,
         scene=scene,

@@ -12,14 +12,14 @@ import numpy as np
 from learning.capture import CaptureModel, capture_model
 from learning.reconstruction.measurements import RGB, Measurement
 from learning.reconstruction.plain_capture import plain_capture
+from learning.reconstruction.psf_picture import load_psf_picture
 from simulator.dataset.dataset_info import FILE
 from simulator.dataset.psf_files import DESCRIPTION, read_psf_stack, stack_folder
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
-from simulator.optics.measured import load_measured_psf
+from simulator.optics.psf_stack import PsfStack
 
 WORDS = ("nominal", "captured")
-_PITCH_M = 1e-5  # of a PSF picture: nothing here depends on it, its values are scaled to a sum of 1
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class Request:
     method: str | None = None
     stack: str | None = None
     psf_background: str | None = None
+    psf_crop: str | None = None
     binning: int = 1
     scene: tuple[int, int] | None = None
     tuned: Path | None = None
@@ -38,8 +39,27 @@ class Request:
     white: float | None = None
 
 
-def camera_of(measurement: Measurement, request: Request) -> tuple[CaptureModel, str]:
-    """Return the camera, its white still unknown, and where its numbers come from."""
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """The camera of a measurement.
+
+    Attributes:
+        capture: its white still unknown.
+        numbers_from: where gain, offset and irradiance come from, in words.
+        dataset: the data set's train split that they are of; None where nothing but the PSFs is known.
+    """
+
+    capture: CaptureModel
+    numbers_from: str
+    dataset: Dataset | None
+
+
+def camera_of(measurement: Measurement, request: Request) -> Camera:
+    """Return the camera that took a measurement.
+
+    Raises:
+        InputError: PSFs that are missing, cannot be read, or are of other channels.
+    """
     dataset, stack = own_dataset(measurement), request.stack
     if stack is None or stack in WORDS:
         if dataset is None:
@@ -48,15 +68,20 @@ def camera_of(measurement: Measurement, request: Request) -> tuple[CaptureModel,
                 "camera: a stack's folder, a data set's, or the picture of a PSF"
             )
             raise InputError(msg)
-        return capture_model(dataset, stack or "nominal"), f"of {dataset.root}, the measurement's own data set"
+        return Camera(capture_model(dataset, stack or "nominal"), _own(dataset), dataset)
     place = Path(stack).expanduser()
     if place.is_file():
         if dataset is not None:
             msg = f"--stack: {place} is a picture, but {measurement.path} is a sample of a data set; give a stack's folder"
             raise InputError(msg)
-        return _plain(measurement, _measured_psf(place, measurement, request), request)
+        channels = RGB if len(measurement.channels) == 3 else measurement.channels
+        picture = load_psf_picture(
+            place, channels, background=request.psf_background, crop=request.psf_crop, binning=request.binning
+        )
+        return _plain(measurement, picture, request)
     if (place / FILE).is_file() and dataset is None:
-        return capture_model(open_dataset(place, "train")), f"of {place}, whose camera took the measurement"
+        found = open_dataset(place, "train")
+        return Camera(capture_model(found), f"of {place}, whose camera took the measurement", found)
     folder = stack_folder(place)
     if not (folder / DESCRIPTION).is_file():
         msg = (
@@ -65,34 +90,18 @@ def camera_of(measurement: Measurement, request: Request) -> tuple[CaptureModel,
         raise InputError(msg)
     found = read_psf_stack(folder)
     if dataset is not None:
-        return capture_model(dataset, found), f"of {dataset.root}, the measurement's own data set"
+        return Camera(capture_model(dataset, found), _own(dataset), dataset)
     return _plain(measurement, found, request)
 
 
-def _plain(measurement: Measurement, stack: Any, request: Request) -> tuple[CaptureModel, str]:
+def _own(dataset: Dataset) -> str:
+    return f"of {dataset.root}, the measurement's own data set"
+
+
+def _plain(measurement: Measurement, stack: PsfStack, request: Request) -> Camera:
     _check_channels(measurement, stack.channels, f"the stack {request.stack}")
     capture = plain_capture(stack, measurement.sensor_shape, request.scene)
-    return capture, "none: gain 1, no vignetting, colours as they are; radiance has an unknown factor"
-
-
-def _measured_psf(path: Path, measurement: Measurement, request: Request) -> Any:
-    """Return the picture of a PSF as a stack of one plane, infinitely far, with values that add up to 1 on average."""
-    background: Any = request.psf_background or "border"
-    if background not in ("border", "none"):
-        try:
-            background = float(background)
-        except ValueError:
-            background = Path(background)
-    return load_measured_psf(
-        [path],
-        [np.inf],
-        _PITCH_M,
-        frame="stored",
-        binning=request.binning,
-        background=background,
-        throughput_m2=_PITCH_M**2,
-        channels=RGB if len(measurement.channels) == 3 else measurement.channels,
-    )
+    return Camera(capture, "none: gain 1, no vignetting, colours as they are; radiance has an unknown factor", None)
 
 
 def own_dataset(measurement: Measurement) -> Dataset | None:
@@ -134,6 +143,25 @@ def check_fit(measurement: Measurement, capture: CaptureModel, whose: str) -> No
     raise InputError(msg)
 
 
+def check_light(measurement: Measurement, capture: CaptureModel) -> None:
+    """Refuse a measurement without light, of which a method would make something nevertheless.
+
+    Args:
+        measurement: as read.
+        capture: the camera, its offset what is left of the background.
+
+    Raises:
+        InputError: its mean is not above the background.
+    """
+    mean = float(np.mean(measurement.values - capture.offset[:, None, None]))
+    if not mean > 0:
+        msg = (
+            f"{measurement.path} has a mean of {mean:.3g} above the background, expected light; check --background, or the "
+            "exposure"
+        )
+        raise InputError(msg)
+
+
 def _check_channels(measurement: Measurement, channels: tuple[str, ...], whose: str) -> None:
     if len(measurement.channels) == len(channels):
         return
@@ -156,7 +184,7 @@ def camera_record(capture: CaptureModel, numbers: str, white_from: str) -> dict[
         "psf": {
             key: value
             for key, value in capture.stack.provenance.items()
-            if key in ("kind", "background", "binning", "images")
+            if key in ("kind", "background", "crop", "binning", "images")
         },
         "gain": capture.gain,
         "offset": capture.offset.tolist(),

@@ -11,7 +11,7 @@ from typing import Any
 from learning.devices import choose_device
 from learning.reconstruct import Reconstruction, reconstruct
 from learning.reconstruction.camera import Request
-from learning.reconstruction.files import check_place, write_reconstruction
+from learning.reconstruction.files import RECORD, check_place, write_reconstruction
 from learning.reconstruction.measurements import Measurement, load_measurement
 from learning.reconstruction.method_choice import choose_method
 from simulator import __version__
@@ -36,6 +36,7 @@ class Options:
     bits: int | None = None
     background: str | None = None
     psf_background: str | None = None
+    psf_crop: str | None = None
     crop: str | None = None
     binning: int = 1
     scene: str | None = None
@@ -62,9 +63,11 @@ def reconstruct_file(options: Options) -> str:
         crop=options.crop,
         binning=options.binning,
     )
-    folder = options.output or Path(f"{measurement.path.absolute().stem}_reconstruction")
-    check_place(folder)
+    if options.output is not None:
+        check_place(options.output)
     setup = choose_method(measurement, request)
+    folder = options.output or Path(default_name(measurement, setup.name))
+    check_place(folder)
     method: Any = setup.method
     (method.network if hasattr(method, "network") else method).to(device)
     result = reconstruct(measurement.values, method, volume=options.volume, white=setup.white, device=device)
@@ -75,8 +78,17 @@ def reconstruct_file(options: Options) -> str:
         "device": str(device),
         "version": __version__,
     }
+    replaces = (folder / RECORD).is_file()
     files = write_reconstruction(folder, result, method.capture, record)
-    return _report(measurement, setup.method.name, record, result, folder, files)
+    wrote = f"{folder}: {', '.join(files)}{'; replaced an earlier reconstruction' if replaces else ''}"
+    return _report(measurement, setup.method.name, record, result, wrote)
+
+
+def default_name(measurement: Measurement, method: str) -> str:
+    """Return the folder's name: the sample's split and name, or the file's, and the method's, e.g. test_s00000002_cls."""
+    place = measurement.path.absolute()
+    split = "" if measurement.dataset is None else f"{place.parents[1].name}_"
+    return f"{split}{place.stem}_{method}"
 
 
 def _request(options: Options) -> Request:
@@ -92,6 +104,7 @@ def _request(options: Options) -> Request:
         method=options.method,
         stack=options.stack,
         psf_background=options.psf_background,
+        psf_crop=options.psf_crop,
         binning=options.binning,
         scene=scene,
         tuned=options.tuned,
@@ -109,9 +122,7 @@ def _change(text: str) -> tuple[str, Any]:
     return name.strip(), parse_scalar(value.strip())
 
 
-def _report(
-    measurement: Measurement, name: str, record: dict[str, Any], result: Reconstruction, folder: Path, files: list[str]
-) -> str:
+def _report(measurement: Measurement, name: str, record: dict[str, Any], result: Reconstruction, wrote: str) -> str:
     rows, columns = measurement.sensor_shape
     how = record.get("checkpoint") or ", ".join(
         f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}"
@@ -129,6 +140,6 @@ def _report(
     depth = "none: the PSFs are of one depth"
     if result.depth_m is not None:
         depth = f"{centimetres(result.depth_m.min())} to {centimetres(result.depth_m.max())}"
-    lines |= {"depth": depth, "time": times, "wrote": f"{folder}: {', '.join(files)}"}
+    lines |= {"depth": depth, "time": times, "wrote": wrote}
     width = max(map(len, lines))
     return "\n".join(f"{name:>{width}}  {text}" for name, text in lines.items())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.reconstruction.pixels import binned, crop_window
 from simulator.dataset.dataset_info import FILE
 from simulator.dataset.sample_layout import DESCRIPTION, MEASUREMENT
 from simulator.dataset.stored_sample import StoredSample
@@ -17,6 +17,7 @@ from simulator.errors import InputError
 from simulator.optics.measured_files import read_measurement
 
 RGB = ("R", "G", "B")
+_MOST_OF_SHARES = 2.0  # noise that was not clipped goes beyond full scale, but not so far
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,8 @@ def load_measurement(
         binning: pixels per side whose mean becomes one.
 
     Raises:
-        InputError: a file that cannot be read or holds NaN, a clip, numbers above 2^bits, a background of another size, a
-            crop beyond the picture, or a size that the binning does not divide.
+        InputError: a file that cannot be read or holds NaN, a clip, numbers above 2^bits, floats far above 1 without
+            ``bits``, a background of another size, a crop beyond the picture, or a size that the binning does not divide.
     """
     path = Path(path)
     if bits is not None and not 1 <= bits <= 32:
@@ -90,10 +91,10 @@ def load_measurement(
         light = light - dark / scale
         record["background"] = words
     if crop is not None:
-        light = light[(slice(None), *_window(crop, path, (light.shape[-2], light.shape[-1])))]
+        light = light[(slice(None), *crop_window(crop, path, (light.shape[-2], light.shape[-1])))]
         record["crop"] = crop
     if binning != 1:
-        light = _binned(light, binning, path)
+        light = binned(light, binning, path)
         record["binning"] = binning
     return Measurement(light.astype(np.float32), sample or path, channels, dataset, record)
 
@@ -125,6 +126,12 @@ def _scale(values: NDArray[Any], bits: int | None, path: Path) -> tuple[float, s
     """Return what full scale is in the file's numbers, and why."""
     kind = values.dtype
     if bits is None and kind.kind == "f":
+        if (brightest := float(values.max())) > _MOST_OF_SHARES:
+            msg = (
+                f"{path} holds floats up to {brightest:g}; expected shares of the sensor's full scale, 0 to 1: give --bits, "
+                "the sensor's bit depth, by which numbers are divided by 2^bits"
+            )
+            raise InputError(msg)
         return 1.0, "floats, taken as DN / 2^bits"
     if bits is None and kind.kind == "i":
         msg = f"{path} holds signed integers ({kind}), which have no full scale; give --bits, the sensor's bit depth"
@@ -156,35 +163,6 @@ def _dark(background: str | float, values: NDArray[Any], path: Path) -> tuple[ND
         )
         raise InputError(msg)
     return dark.astype(np.float64), str(picture)
-
-
-def _window(crop: str, path: Path, shape: tuple[int, int]) -> tuple[slice, slice]:
-    found = re.fullmatch(r"(\d+)x(\d+)(?:\+(\d+)\+(\d+))?", crop.strip())
-    if not found:
-        msg = f"crop: got {crop!r}, expected ROWSxCOLUMNS (about the centre) or ROWSxCOLUMNS+TOP+LEFT, e.g. 1080x1440+60+80"
-        raise InputError(msg)
-    sizes = (int(found[1]), int(found[2]))
-    starts = [(whole - size) // 2 for whole, size in zip(shape, sizes, strict=True)]
-    if found[3]:
-        starts = [int(found[3]), int(found[4])]
-    for start, size, whole in zip(starts, sizes, shape, strict=True):
-        if size < 1 or start < 0 or start + size > whole:
-            msg = f"crop: got {crop}, which reaches beyond {path} of {shape[0]} x {shape[1]} pixels; make it smaller"
-            raise InputError(msg)
-    rows, columns = (slice(start, start + size) for start, size in zip(starts, sizes, strict=True))
-    return rows, columns
-
-
-def _binned(light: NDArray[Any], binning: int, path: Path) -> NDArray[Any]:
-    rows, columns = light.shape[-2:]
-    if binning < 1 or rows % binning or columns % binning:
-        fitting = f"{rows // binning * binning}x{columns // binning * binning}" if binning > 0 else "..."
-        msg = f"binning: got {binning}, which does not divide {path} of {rows} x {columns} pixels; add --crop {fitting}"
-        if binning < 1 or min(rows, columns) < binning:
-            msg = f"binning: got {binning}, expected 1 to {min(rows, columns)} pixels per side for {path}"
-        raise InputError(msg)
-    blocks = light.reshape(-1, rows // binning, binning, columns // binning, binning)
-    return blocks.mean(axis=(2, 4), dtype=np.float64)
 
 
 def _size(shape: tuple[int, ...]) -> str:

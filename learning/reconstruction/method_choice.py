@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,12 @@ from learning.method import Method
 from learning.models.method import LearnedMethod
 from learning.planar import PlanarMethod
 from learning.reconstruction.camera import (
+    Camera,
     Request,
     camera_of,
     camera_record,
     check_fit,
+    check_light,
     own_dataset,
     size_in_words,
     without_offset,
@@ -26,7 +29,6 @@ from learning.reconstruction.measurements import Measurement
 from learning.reconstruction.plain_capture import typical_white
 from learning.shipped import find_checkpoint, shipped_checkpoints
 from learning.tuning import load_tuned
-from simulator.dataset.reader import open_dataset
 from simulator.errors import InputError
 from simulator.files import sha256_file
 
@@ -37,11 +39,13 @@ class Setup:
 
     Attributes:
         method: on the CPU.
+        name: of the method, in names of files.
         white: the radiance that a picture of one plane shows as 1; None leaves it to the picture.
         record: words and numbers, JSON-serialisable.
     """
 
     method: Method
+    name: str
     white: float | None
     record: dict[str, Any]
 
@@ -62,9 +66,10 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
         msg = "--noise-db: chooses among tuned parameters; add --tuned, what `flatlight tune` wrote, or leave it out"
         raise InputError(msg)
     picture = request.method is not None and request.stack is not None and Path(request.stack).expanduser().is_file()
-    if request.psf_background is not None and not picture:
-        msg = "--psf-background: is for the picture of a PSF; name one by --stack, or leave it out"
-        raise InputError(msg)
+    for option, value in (("--psf-background", request.psf_background), ("--psf-crop", request.psf_crop)):
+        if value is not None and not picture:
+            msg = f"{option}: is for the picture of a PSF; name one by --stack, or leave it out"
+            raise InputError(msg)
     if request.method is not None:
         return _classical(measurement, request, request.method)
     if request.checkpoint is not None:
@@ -103,6 +108,7 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
         capture = replace(own.with_stack(capture.stack), white=capture.white)
         numbers = f"of {dataset.root}, the measurement's own data set"
     capture = without_offset(capture, measurement)
+    check_light(measurement, capture)
     if request.white is not None:
         capture = replace(capture, white=request.white)
     if capture is not checkpoint.capture:
@@ -117,34 +123,58 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
         "architecture": checkpoint.architecture,
         "camera": camera_record(capture, numbers, "as told" if request.white else "the checkpoint's"),
     }
-    return Setup(LearnedMethod(name, checkpoint.network, capture), capture.white, record)
+    return Setup(LearnedMethod(name, checkpoint.network, capture), name, capture.white, record)
 
 
 def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
     if name not in ("cls", "admm"):
         msg = f"--method: got {name!r}, expected cls or admm; a network is named by --checkpoint"
         raise InputError(msg)
-    capture, numbers = camera_of(measurement, request)
+    camera = camera_of(measurement, request)
+    capture = camera.capture
     check_fit(measurement, capture, f"the stack {request.stack or 'of the data set'}")
     if request.scene is not None and capture.scene_shape != request.scene:
         scenes = size_in_words(capture.scene_shape)
         msg = f"--scene: got {size_in_words(request.scene)}, the data set's scenes have {scenes}; leave it out"
         raise InputError(msg)
     capture = without_offset(capture, measurement)
-    parameters, source = _parameters(measurement, request, name)
-    white, white_from = _white(measurement, request, capture)
+    check_light(measurement, capture)
+    white, white_from = _white(measurement, request, camera, capture)
     capture = replace(capture, white=white)
-    record: dict[str, Any] = {"parameters_from": source, "camera": camera_record(capture, numbers, white_from)}
-    if len(capture.stack.depths_m) == 1:
+    flat = len(capture.stack.depths_m) == 1
+    if flat and request.tuned is not None:
+        msg = f"--tuned: {request.tuned} is for depth, but these PSFs are of one; leave it out, and give --set"
+        raise InputError(msg)
+    parameters, source = _parameters(measurement, request, name)
+    known = PlanarMethod(capture, name, {}).parameters if flat else DEFAULTS[name]
+    _check_parameters(name, request.parameters or {}, known, " for one plane" if flat else "")
+    record: dict[str, Any] = {
+        "parameters_from": source,
+        "camera": camera_record(capture, camera.numbers_from, white_from),
+    }
+    if flat:
         planar = PlanarMethod(capture, name, parameters)
-        shown = white if request.white is not None or white_from != _TYPICAL else None
-        return Setup(planar, shown, {"method": name, "parameters": planar.parameters, **record})
-    for parameter in parameters:
-        if parameter not in DEFAULTS[name]:
-            msg = f"--set: got {parameter!r}, expected a parameter of {name}: {', '.join(DEFAULTS[name])}"
-            raise InputError(msg)
+        shown = None if white_from == _TYPICAL else white
+        return Setup(planar, name, shown, {"method": name, "parameters": planar.parameters, **record})
     chosen = DEFAULTS[name] | parameters
-    return Setup(build_classical(capture, name, chosen), white, {"method": name, "parameters": chosen, **record})
+    return Setup(build_classical(capture, name, chosen), name, white, {"method": name, "parameters": chosen, **record})
+
+
+def _check_parameters(name: str, told: Mapping[str, Any], known: Mapping[str, Any], where: str) -> None:
+    """Refuse parameters that a method does not have, and values of another kind than its own."""
+    for parameter, value in told.items():
+        if parameter not in known:
+            msg = f"--set: got {parameter!r}, expected a parameter of {name}{where}: {', '.join(known)}"
+            raise InputError(msg)
+        own = known[parameter]
+        kinds, words = {
+            str: ((str,), "a word"),
+            int: ((int,), "a whole number"),
+            float: ((int, float), "a number"),
+        }[type(own)]
+        if not isinstance(value, kinds) or isinstance(value, bool):
+            msg = f"--set: {parameter} of {name}{where} is {value!r}, expected {words} such as {own!r}"
+            raise InputError(msg)
 
 
 def _parameters(measurement: Measurement, request: Request, name: str) -> tuple[dict[str, Any], str]:
@@ -170,13 +200,16 @@ def _noise_db(measurement: Measurement) -> float | None:
 _TYPICAL = "twice the mean radiance of a scene that sends this much light"
 
 
-def _white(measurement: Measurement, request: Request, capture: CaptureModel) -> tuple[float, str]:
-    """Return the radiance to be shown as 1, by which the methods also scale their volumes, and where it comes from."""
+def _white(measurement: Measurement, request: Request, camera: Camera, capture: CaptureModel) -> tuple[float, str]:
+    """Return the radiance to be shown as 1, by which the methods also scale their volumes, and where it comes from.
+
+    A data set's, or a tuning's, has a meaning only where the camera's numbers are a data set's: the radiance of others has
+    an unknown factor.
+    """
     if request.white is not None:
         return request.white, "as told"
-    if request.tuned is not None:
+    if camera.dataset is not None and request.tuned is not None:
         return float(load_tuned(request.tuned).content["identity"]["white"]), f"{request.tuned}"
-    root = measurement.dataset
-    if root is not None and (train := open_dataset(root, "train")):
-        return measure_white(train), f"99th percentile of the train split of {root}"
+    if camera.dataset:
+        return measure_white(camera.dataset), f"99th percentile of the train split of {camera.dataset.root}"
     return typical_white(capture, measurement.values), _TYPICAL

@@ -26,7 +26,7 @@ from learning.reconstruction.camera import Request
 from learning.reconstruction.files import write_reconstruction
 from learning.reconstruction.measurements import load_measurement
 from learning.reconstruction.method_choice import choose_method
-from learning.reconstruction.plain_capture import plain_capture
+from learning.reconstruction.plain_capture import plain_capture, typical_white
 from simulator.dataset import open_dataset
 from simulator.dataset.psf_files import write_psf_stack
 from simulator.errors import InputError
@@ -259,6 +259,93 @@ def test_a_stacks_folder_without_a_data_set_gives_depth_too(tmp_path: Path, tiny
     assert result.depth_m.min() > 0.0101 or depth[row * 15 + 7, column * 15 + 7].tolist() == [253, 231, 37]
 
 
+def write_tuned(path: Path, white: float) -> Path:
+    """Write a tuning of CLS at 40 dB."""
+    results = [{"method": "cls", "noise_db": 40.0, "parameters": DEFAULTS["cls"], "score": 1.0}]
+    identity = {"white": white}
+    content = {"format": "flatlight tuned", "version": 1, "identity": identity, "trials": [], "results": results}
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def test_white_is_a_data_sets_only_where_the_cameras_numbers_are(
+    tiny_dataset: Path, sample: Path, tiny_capture: CaptureModel, tmp_path: Path
+) -> None:
+    tuned = write_tuned(tmp_path / "tuned.json", 1e4)
+    values = load_measurement(sample).values
+    np.save(tmp_path / "m.npy", values)
+    loose = load_measurement(tmp_path / "m.npy")
+    write_psf_stack(tmp_path / "stack", tiny_capture.stack)
+    plain = choose_method(loose, Request(method="cls", stack=str(tmp_path / "stack"), tuned=tuned, scene=(16, 16)))
+    expected = typical_white(plain_capture(tiny_capture.stack, (48, 48), (16, 16)), values)
+    assert plain.method.capture.white == pytest.approx(expected, rel=1e-12)
+    assert 0.1 < reconstruct(values, plain.method).picture.mean() < 0.9  # by a white of 1e4 it was black
+    known = choose_method(loose, Request(method="cls", stack=str(tiny_dataset), tuned=tuned))
+    assert known.method.capture.white == 1e4
+
+
+def test_a_sample_and_its_measurement_as_a_file_give_the_same(tiny_dataset: Path, sample: Path, tmp_path: Path) -> None:
+    values = load_measurement(sample).values
+    np.save(tmp_path / "m.npy", values)
+    setups = [
+        choose_method(load_measurement(sample), Request(method="cls")),
+        choose_method(load_measurement(tmp_path / "m.npy"), Request(method="cls", stack=str(tiny_dataset))),
+    ]
+    assert setups[1].method.capture.white == measure_white(open_dataset(tiny_dataset, "train"))
+    one, other = (reconstruct(values, setup.method) for setup in setups)
+    assert np.array_equal(one.picture, other.picture)
+    assert np.array_equal(one.radiance, other.radiance)
+
+
+def test_a_measurement_without_light_is_refused_for_every_method(
+    tiny_dataset: Path, checkpoint: Path, tmp_path: Path
+) -> None:
+    np.save(tmp_path / "m.npy", np.zeros((3, 48, 48)))
+    by_classical, by_network = Request(method="cls", stack=str(tiny_dataset)), Request(checkpoint=str(checkpoint))
+    for request in (by_classical, by_network):
+        with pytest.raises(InputError, match=r"m.npy has a mean of .* above the background, expected light"):
+            choose_method(load_measurement(tmp_path / "m.npy"), request)
+
+
+def test_the_picture_of_a_psf_is_cropped_and_binned_by_the_measurements_rule(tmp_path: Path) -> None:
+    path, psf, _ = planar_scene(tmp_path, 1)
+    values = np.load(psf).astype(np.float64)
+    measurement = load_measurement(path, background=1000, binning=2)
+    with pytest.raises(
+        InputError, match=r"binning: got 2, which does not divide .*psf.npy of 33 x 33 pixels; add --psf-crop 32x32"
+    ):
+        choose_method(measurement, Request(method="cls", stack=str(psf), binning=2))
+    np.save(tmp_path / "dark.npy", np.pad(np.full((30, 28), 200), ((1, 2), (3, 2))))
+    for background in ("200", str(tmp_path / "dark.npy")):
+        request = Request(method="cls", stack=str(psf), binning=2, psf_crop="30x28+1+3", psf_background=background)
+        setup = choose_method(measurement, request)
+        cut = values[1:31, 3:31] - 200
+        by_hand = cut.reshape(15, 2, 14, 2).mean(axis=(1, 3))
+        stack = setup.method.capture.stack
+        assert np.allclose(stack.values[0, 0], by_hand / by_hand.sum(), rtol=1e-6, atol=0)  # float32
+        recorded = setup.record["camera"]["psf"]
+        assert (recorded["crop"], recorded["binning"]) == ("30x28+1+3", 2)
+        assert recorded["images"][0]["file"] == "psf.npy"
+        assert str(recorded["background"]).startswith(background)
+    with pytest.raises(InputError, match=r"psf-crop: got 40x8, which reaches beyond .*psf.npy of 33 x 33"):
+        choose_method(measurement, Request(method="cls", stack=str(psf), psf_crop="40x8"))
+
+
+def test_parameters_for_one_plane_are_checked_too(tmp_path: Path) -> None:
+    path, psf, _ = planar_scene(tmp_path, 1)
+    measurement = load_measurement(path, background=1000)
+    for value in ("abc", True):
+        with pytest.raises(InputError, match=rf"--set: strength of cls for one plane is {value!r}, expected a number"):
+            choose_method(measurement, Request(method="cls", stack=str(psf), parameters={"strength": value}))
+    with pytest.raises(InputError, match=r"--set: iterations of admm for one plane is 2.5, expected a whole number"):
+        choose_method(measurement, Request(method="admm", stack=str(psf), parameters={"iterations": 2.5}))
+    whole = choose_method(measurement, Request(method="cls", stack=str(psf), parameters={"strength": 1}))
+    assert whole.record["parameters"] == {"strength": 1}
+    tuned = write_tuned(tmp_path / "tuned.json", 0.5)
+    with pytest.raises(InputError, match=r"--tuned: .*tuned.json is for depth, but these PSFs are of one"):
+        choose_method(measurement, Request(method="cls", stack=str(psf), tuned=tuned))
+
+
 def test_an_earlier_reconstruction_is_replaced_and_nothing_else(tmp_path: Path) -> None:
     path, psf, _ = planar_scene(tmp_path, 1)
     measurement = load_measurement(path)
@@ -282,6 +369,9 @@ def test_an_earlier_reconstruction_is_replaced_and_nothing_else(tmp_path: Path) 
         ({"method": "cls", "stack": "nowhere"}, "--stack: nowhere is no picture of a PSF"),
         ({"method": "cls", "parameters": {"tv": 1.0}}, "--set: got 'tv', expected a parameter of cls: strength"),
         ({"method": "cls", "noise_db": 30.0}, "--noise-db: chooses among tuned parameters; add --tuned"),
+        ({"method": "cls", "parameters": {"strength": "abc"}}, "--set: strength of cls is 'abc', expected a number"),
+        ({"method": "admm", "parameters": {"iterations": 2.5}}, "--set: iterations of admm is 2.5, expected a whole"),
+        ({"method": "cls", "psf_crop": "8x8"}, "--psf-crop: is for the picture of a PSF"),
         ({"method": "cls", "psf_background": "0"}, "--psf-background: is for the picture of a PSF"),
         ({"method": "cls", "scene": (8, 8)}, "--scene: got 8 x 8, the data set's scenes have 16 x 16"),
         ({"method": "cls", "tuned": Path("nowhere.json")}, "cannot read nowhere.json"),

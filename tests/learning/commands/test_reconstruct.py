@@ -31,6 +31,24 @@ def test_a_sample_becomes_a_folder(tiny_dataset: Path, tmp_path: Path, capfd: py
     assert len(read_exr(folder / "volume.exr")[0]) == 9
 
 
+def test_no_result_takes_the_place_of_another_by_default(
+    tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    test, train = (open_dataset(tiny_dataset, split).folder(0) for split in ("test", "train"))
+    for sample, method in ((test, "cls"), (train, "cls"), (test, "admm")):
+        reconstruct(sample, method=method, set_=["iterations=2"] if method == "admm" else None)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        f"test_{test.name}_cls",
+        f"train_{train.name}_cls",
+        f"test_{test.name}_admm",
+    }
+    assert "replaced" not in capfd.readouterr().out
+    reconstruct(test / "measurement.exr", method="cls")
+    assert "reconstruction.json; replaced an earlier reconstruction" in capfd.readouterr().out
+    assert len(list(tmp_path.iterdir())) == 3
+
+
 @pytest.mark.parametrize(("set_", "message"), [(["strength"], "expected KEY=VALUE"), (["=1"], "expected KEY=VALUE")])
 def test_changes_need_a_key_and_a_value(tiny_dataset: Path, tmp_path: Path, set_: list[str], message: str) -> None:
     sample = open_dataset(tiny_dataset, "test").folder(0)

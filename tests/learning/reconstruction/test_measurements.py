@@ -118,6 +118,13 @@ def test_a_sample_is_read_by_its_folder_or_its_file_and_knows_its_data_set(tiny_
         (".npy", np.ones((4, 4), np.int32), {}, r"signed integers \(int32\).* give --bits"),
         (".npy", np.ones((4, 4), complex), {}, "complex128; expected integers or floats"),
         (".tif", np.full((1, 4, 4), 4096, np.uint16), {"bits": 12}, r"up to 4096, more than --bits 12 .*\(4095\)"),
+        (
+            ".npy",
+            np.full((4, 4), 255.0),
+            {},
+            r"floats up to 255; expected shares .* give --bits, the sensor's bit depth",
+        ),
+        (".exr", np.full((3, 4, 4), 2.5), {}, r"floats up to 2.5; expected shares"),
         (".tif", np.ones((1, 4, 4), np.uint16), {"bits": 0}, "bits: got 0, expected 1 to 32"),
         (".tif", np.ones((1, 5, 8), np.uint16), {"binning": 3}, "binning: got 3, which does not divide .* --crop 3x6"),
         (".tif", np.ones((1, 5, 8), np.uint16), {"binning": 0}, "binning: got 0, expected 1 to 5"),

@@ -15,11 +15,11 @@ def random_stack(channels: tuple[str, ...], planes: int = 2) -> PsfStack:
 
 
 @pytest.mark.parametrize("channels", [("R", "G", "B"), ("Y",)])
-def test_radiance_of_a_plain_capture_is_what_the_camera_saw(channels: tuple[str, ...]) -> None:
+def test_srgb_of_a_plain_capture_is_what_the_camera_saw(channels: tuple[str, ...]) -> None:
     capture = plain_capture(random_stack(channels), (12, 16), (8, 8))
     seen = np.random.default_rng(1).random((len(channels), 8, 8))
     # One channel becomes red, green and blue alike.
-    np.testing.assert_allclose(capture.radiance(seen), np.broadcast_to(seen, (3, 8, 8)), rtol=1e-12)
+    np.testing.assert_allclose(capture.to_srgb(seen), np.broadcast_to(seen, (3, 8, 8)), rtol=1e-12)
 
 
 def test_scene_is_the_sensor_unless_said() -> None:
