@@ -109,6 +109,7 @@ def stacks_png(
                 bars = axes.bar(places, means, width * 0.94, color=fills, alpha=strength, yerr=errors, capsize=3)
                 axes.bar_label(bars, [f"{mean:.3g}" for mean in means], fontsize=SMALL, color=INK, padding=2)
                 axes.bar(0, 0, color=INK, alpha=strength, label=stack)
+            axes.set_xlim(-0.6, len(colours) + 0.9)  # room at the right for the words of the lines
             _trivial_lines(axes, score, trivial)
             style(axes, "", label)
             axes.set_xticks(range(len(colours)), [_broken(name) for name in colours])
@@ -157,7 +158,7 @@ def _colour(at: int) -> str:
     if at < len(_COLOURS):
         return _COLOURS[at]
     extra = at - len(_COLOURS)
-    channels = colorsys.hsv_to_rgb((0.78 + extra * _GOLDEN) % 1, 0.75, 0.45 + 0.2 * (extra % 2))
+    channels = colorsys.hsv_to_rgb((0.78 + extra * _GOLDEN) % 1, 0.75, 0.38 + 0.15 * (extra % 2))
     return "#" + "".join(f"{round(255 * channel):02x}" for channel in channels)
 
 
