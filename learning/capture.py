@@ -91,14 +91,13 @@ class CaptureModel:
         """Return the disparity of each of the stack's planes, ``(K,)``."""
         return self.disparity(np.asarray(self.stack.depths_m, np.float64))
 
-    def radiance(self, irradiance: Array) -> Array:
-        """Return linear sRGB radiance ``(..., 3, h, w)`` of irradiance at the mask in camera channels ``(..., C, h, w)``.
+    def to_srgb(self, light: Array) -> Array:
+        """Return linear sRGB ``(..., 3, h, w)`` of light in the camera's channels ``(..., C, h, w)``, in the same unit.
 
-        The inverse of what the scene's light went through; for other than three channels in the sense of least squares.
+        The inverse of `scene_to_camera`; for other than three channels in the sense of least squares.
         """
-        xp = namespace(irradiance)
-        inverse = like(np.linalg.pinv(self.scene_to_camera), irradiance)
-        return xp.einsum("ac,...chw->...ahw", inverse, irradiance / like(self.irradiance, irradiance))
+        inverse = like(np.linalg.pinv(self.scene_to_camera), light)
+        return namespace(light).einsum("ac,...chw->...ahw", inverse, light)
 
     def forward_model(self, reference: Array | None = None) -> ForwardModel:
         """Return the convolution: ``offset + gain forward(V)`` is the measurement of irradiance V, ``(1, K, C, h, w)``.
@@ -117,7 +116,9 @@ class CaptureModel:
         Raises:
             InputError: when the stack has other channels or another pixel pitch.
         """
-        if stack.channels != self.stack.channels or not np.isclose(stack.pixel_pitch_m, self.stack.pixel_pitch_m):
+        if stack.channels != self.stack.channels or not np.isclose(
+            stack.pixel_pitch_m, self.stack.pixel_pitch_m, rtol=1e-3, atol=0
+        ):
             msg = (
                 f"stack: got channels {', '.join(stack.channels)} at a pitch of {stack.pixel_pitch_m * 1e6:g} um, expected "
                 f"{', '.join(self.stack.channels)} at {self.stack.pixel_pitch_m * 1e6:g} um: it belongs to another camera"

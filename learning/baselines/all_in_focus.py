@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -45,7 +44,6 @@ def assemble(volume: Tensor, places: Tensor, capture: CaptureModel, light: str) 
     share = (places - before).to(volume)
     disparities = like(capture.plane_disparities(), volume)
     disparity = torch.lerp(disparities[before], disparities[after], share)[:, None]
-    inverse = like(np.linalg.pinv(capture.scene_to_camera), volume)
     if light == "sum":
         combined = volume.sum(dim=1)
     elif light == "label":
@@ -54,4 +52,4 @@ def assemble(volume: Tensor, places: Tensor, capture: CaptureModel, light: str) 
     else:
         msg = f"light: got {light!r}, expected one of {', '.join(LIGHT)}"
         raise InputError(msg)
-    return Estimate(encode(torch.einsum("ac,bchw->bahw", inverse, combined), 1.0), disparity)
+    return Estimate(encode(capture.to_srgb(combined), 1.0), disparity)

@@ -21,7 +21,7 @@ class ConstrainedLeastSquares(RegularisedInversion):
 
     divided: Tensor
 
-    def __init__(self, capture: CaptureModel, planes: Sequence[int] | None = None, *, strength: float = 1e-2) -> None:
+    def __init__(self, capture: CaptureModel, planes: Sequence[int] | None = None, *, strength: float) -> None:
         """Prepare the division.
 
         Args:

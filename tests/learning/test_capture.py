@@ -210,15 +210,15 @@ def test_depths_to_infinity_and_a_single_plane(tiny_capture: CaptureModel) -> No
 
 
 @pytest.mark.parametrize("channels", [3, 4])
-def test_radiance_undoes_what_the_scene_went_through(tiny_capture: CaptureModel, channels: int) -> None:
+def test_to_srgb_undoes_the_cameras_colours(tiny_capture: CaptureModel, channels: int) -> None:
     rng = np.random.default_rng(0)
     matrix, rgb = rng.random((channels, 3)), rng.random((2, 3, 16, 16))
     values = np.repeat(tiny_capture.stack.values[:, :1], channels, axis=1)
     stack = replace(tiny_capture.stack, values=values, channels=tuple("RGBE"[:channels]))
     capture = replace(tiny_capture, stack=stack, scene_to_camera=matrix, offset=np.zeros(channels))
-    irradiance = np.einsum("ca,bahw->bchw", matrix, rgb) * capture.irradiance
-    assert capture.radiance(irradiance) == pytest.approx(rgb, abs=1e-6)
-    assert capture.radiance(torch.from_numpy(irradiance)).numpy() == pytest.approx(rgb, abs=1e-6)
+    light = np.einsum("ca,bahw->bchw", matrix, rgb)
+    assert capture.to_srgb(light) == pytest.approx(rgb, abs=1e-6)
+    assert capture.to_srgb(torch.from_numpy(light)).numpy() == pytest.approx(rgb, abs=1e-6)
 
 
 def test_belief_takes_psfs_and_white_from_elsewhere_and_numbers_from_here(tiny_capture: CaptureModel) -> None:

@@ -209,12 +209,12 @@ def test_light_of_two_points_lies_in_their_planes() -> None:
 )
 def test_bad_settings_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        Admm(camera(1), **settings)
+        Admm(camera(1), **{"tv": TV, "sparsity": SPARSITY, "iterations": 3} | settings)
 
 
 def test_a_measurement_of_another_shape_is_refused() -> None:
     with pytest.raises(InputError, match=r"measurement: got \(1, 1, 12, 12\), expected \(B, 1, 13, 12\)"):
-        Admm(camera(1))(torch.zeros(1, 1, 12, 12))
+        Admm(camera(1), tv=TV, sparsity=SPARSITY, iterations=3)(torch.zeros(1, 1, 12, 12))
 
 
 def test_another_precision_keeps_the_imaginary_part() -> None:
