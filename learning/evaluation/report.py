@@ -42,7 +42,7 @@ def markdown_table(outcomes: Sequence[Outcome], times: Mapping[str, Times], cons
     head = [*_titles(names), "of constant", *(["s per scene ↓"] if times else [])]
     best = _best(names, outcomes)
     lines = _head(["method", *head])
-    for one in outcomes:
+    for one in _with_any(names, outcomes):
         pooled = one.pooled_depth_rmse_cm
         share = "–" if pooled is None or not constant_cm else f"{100 * pooled / constant_cm:.0f} %"
         cells = [_name(one), *_cells(one, names, best), share]
@@ -141,7 +141,7 @@ def terminal_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> s
     """Return the table in plain columns: mean ± spread over scenes (over seeds)."""
     names = _measured(MAIN, outcomes)
     rows = [["method", *(SCORES[name][0] for name in names), "s per scene"]]
-    for one in outcomes:
+    for one in _with_any(names, outcomes):
         cells = [_cell(one.scores[name], SCORES[name][1]) if name in one.scores else "-" for name in names]
         rows.append([one.method, *cells, f"{times[one.method].total:.3g}" if one.method in times else "-"])
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
@@ -153,6 +153,11 @@ def terminal_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> s
 
 def _measured(names: Iterable[str], outcomes: Sequence[Outcome]) -> list[str]:
     return [name for name in names if any(name in one.scores for one in outcomes)]
+
+
+def _with_any(names: Sequence[str], outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Return those that have one of the scores: a row of dashes says nothing."""
+    return [one for one in outcomes if any(name in one.scores for name in names)]
 
 
 def _titles(names: Sequence[str]) -> list[str]:

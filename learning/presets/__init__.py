@@ -1,4 +1,4 @@
-"""Trainings and what goes with them to start from, one commented YAML file each; `flatlight init --preset NAME` writes a copy."""
+"""Trainings, tunings, evaluations to start from: a commented YAML file each; `flatlight init --preset NAME` copies one."""
 
 from __future__ import annotations
 

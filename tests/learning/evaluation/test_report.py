@@ -55,6 +55,14 @@ def test_the_table_has_means_spreads_the_best_and_the_share_of_the_constant() ->
     assert rows[2] == ["*constant*", "–", "–", "4.00 ± 1.41", "100 %", "–"]
 
 
+def test_a_row_without_any_of_the_scores_is_left_to_the_other_table() -> None:
+    other = Outcome("of disparity", "trivial", "own", None, {"disparity_rmse": summarise([[0.2, 0.3]])}, None, ())
+    for table in (markdown_table([*ROWS, other], {}, 4.0), terminal_table([*ROWS, other], {})):
+        assert "constant" in table
+        assert "of disparity" not in table
+    assert "of disparity" in markdown_further([*ROWS, other])
+
+
 def test_further_scores_stand_apart() -> None:
     head, _, *rows = _rows(markdown_further(ROWS))
     assert head == ["method", "linear PSNR dB ↑", "pooled depth RMSE cm ↓"]
