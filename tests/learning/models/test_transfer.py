@@ -26,7 +26,9 @@ def trained(capture, name="flatnet3d", **changes):
         for parameter in network.parameters():
             parameter += 0.1 * torch.randn_like(parameter)
     network(torch.rand(2, 3, 48, 48))
-    return Checkpoint(network.eval(), capture, {"network": name, "size": "tiny", **changes}, {})
+    return Checkpoint(
+        network.eval(), capture, capture.stack.fingerprint, {"network": name, "size": "tiny", **changes}, {}
+    )
 
 
 @pytest.mark.parametrize("name", ["flatnet3d", "flatnet2d"])
