@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -13,27 +12,8 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-import learning
-from simulator import __version__
 from simulator.dataset.plain import canonical_json, plain
 from simulator.files import sha256_bytes, write_atomic
-
-# Modules and packages of learning that decide no score of a given checkpoint and given parameters; all others do.
-_IDLE = frozenset(
-    {
-        "commands",
-        "config",
-        "evaluate",
-        "evaluation",
-        "presets",
-        "reconstruct",
-        "reconstruction",
-        "train",
-        "training",
-        "tuning",
-    }
-)
-_DECIDING = "evaluation/scoring.py"  # although the rest of its package does not
 
 
 class ResultCache:
@@ -88,16 +68,3 @@ class ResultCache:
 
     def _path(self, key: Mapping[str, Any], suffix: str) -> Path:
         return self.folder / (sha256_bytes(canonical_json(key))[:32] + suffix)
-
-
-@cache
-def code_fingerprint() -> str:
-    """Return a hash of the code by which a measurement becomes a score: what another version computed is not reused."""
-    root = Path(learning.__path__[0])
-    parts = {path.relative_to(root): sha256_bytes(path.read_bytes()) for path in sorted(root.rglob("*.py"))}
-    decides = {
-        path.as_posix(): digest
-        for path, digest in parts.items()
-        if path.as_posix() == _DECIDING or path.parts[0].removesuffix(".py") not in _IDLE
-    }
-    return sha256_bytes(canonical_json({"flatlight": __version__, "files": decides}))

@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import learning
-from learning.evaluation import cache as module
-from learning.evaluation.cache import ResultCache, code_fingerprint
+from learning.evaluation.cache import ResultCache
 
 KEY = {"method": {"checkpoint": "ab"}, "noise": {"db": 20.0, "seed": 0}}
 
@@ -40,36 +38,3 @@ def test_damaged_files_count_as_missing(tmp_path: Path, damage: bytes) -> None:
         path.write_bytes(damage)
     assert cache.load(KEY) is None
     assert cache.load_arrays(KEY) is None
-
-
-@pytest.mark.parametrize(
-    ("name", "decides"),
-    [
-        ("layers/inversion.py", True),
-        ("perceptual/lpips_distance.py", True),
-        ("a_new_module.py", True),
-        ("evaluation/scoring.py", True),
-        ("evaluation/report.py", False),
-        ("train.py", False),
-    ],
-)
-def test_code_that_decides_a_score_has_a_part_in_the_fingerprint(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, decides: bool
-) -> None:
-    monkeypatch.setattr(learning, "__path__", [str(tmp_path)])
-    (tmp_path / name).parent.mkdir(exist_ok=True)
-    found = []
-    for text in ("a = 1\n", "a = 2\n"):
-        (tmp_path / name).write_text(text)
-        code_fingerprint.cache_clear()
-        found.append(code_fingerprint())
-    code_fingerprint.cache_clear()
-    assert (found[0] != found[1]) == decides
-
-
-def test_every_module_that_does_not_decide_exists() -> None:
-    # One that was renamed would have all results computed anew whenever it changes.
-    root = Path(learning.__path__[0])
-    for name in module._IDLE:
-        assert (root / name).is_dir() or (root / f"{name}.py").is_file(), name
-    assert (root / module._DECIDING).is_file()
