@@ -18,7 +18,7 @@ from simulator.errors import InputError
 
 # Of ADMM, light from around the picture is let in: a real scene does not end where the picture does.
 _DEFAULTS: dict[str, dict[str, Any]] = {
-    "cls": {"strength": 1e-2},
+    "cls": {"strength": 1e-2, "floor": 0.0},
     "admm": {"tv": 0.1, "sparsity": 0.01, "iterations": 100, "light": "anywhere"},
 }
 _METHODS: dict[str, type[nn.Module]] = {"cls": ConstrainedLeastSquares, "admm": Admm}

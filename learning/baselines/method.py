@@ -22,12 +22,13 @@ from simulator.errors import InputError
 
 Value = float | int | str
 
-VOLUME_PARAMETERS: dict[str, tuple[str, ...]] = {"cls": ("strength",), "admm": ("tv", "sparsity", "iterations")}
+VOLUME_PARAMETERS: dict[str, tuple[str, ...]] = {"cls": ("strength", "floor"), "admm": ("tv", "sparsity", "iterations")}
 """Parameters of `ConstrainedLeastSquares` and `Admm`; all others are of `ClassicalMethod`."""
 
 DEFAULTS: dict[str, dict[str, Value]] = {
     "cls": {
-        "strength": 0.3,
+        "strength": 0.1,
+        "floor": 1.0,
         "cost": "spread",
         "measure": "laplacian",
         "contrast": 8.0,
@@ -54,6 +55,7 @@ DEFAULTS: dict[str, dict[str, Value]] = {
 SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
     "cls": {
         "strength": (0.003, 0.01, 0.03, 0.1, 0.3, 1.0),
+        "floor": (0.03, 0.1, 0.3, 1.0),
         "cost": COSTS,
         "measure": MEASURES,
         "contrast": (0.3, 1.0, 2.0, 4.0, 8.0, 16.0),

@@ -66,6 +66,9 @@ class NetworkConfig(Section):
     strength: Annotated[float, Range(1e-9, 1e6)] | None = Field(
         default=None, description="initial lambda of the inversion, as a multiple of the PSF's mean spectral power"
     )
+    floor: Annotated[float, Range(0, 1e6)] | None = Field(
+        default=None, description="initial response of the inversion's P at frequency zero; 0 is the Laplacian alone"
+    )
 
     @property
     def changes(self) -> dict[str, Any]:

@@ -57,6 +57,7 @@ class RegularisedInversion(nn.Module):
         planes: Sequence[int] | None = None,
         *,
         strength: float = 1e-2,
+        floor: float = 0.0,
         learned: bool = True,
         boundary: Literal["linear", "circular"] = "linear",
     ) -> None:
@@ -66,6 +67,8 @@ class RegularisedInversion(nn.Module):
             capture: the camera.
             planes: indices of the planes to invert at; None takes all.
             strength: initial lambda as a multiple of the PSF's mean spectral power.
+            floor: what P begins with beside the Laplacian: its response at frequency zero. A mask as wide as the scene and
+                more has zeros of FH so near to frequency zero that the Laplacian hardly holds them.
             learned: whether P and lambda are parameters or stay as they are.
             boundary: ``circular`` takes light that misses the sensor to come back on its other side, as the thesis does:
                 nothing is padded, and the inverse is exact for such a camera.
@@ -96,7 +99,9 @@ class RegularisedInversion(nn.Module):
         offset = torch.from_numpy(capture.offset)[:, None, None]
         self.register_buffer("offset", offset.to(dtype), persistent=False)
         kernels, channels = values.shape[:2]
-        self.filters = nn.Parameter(torch.tensor(LAPLACIAN).repeat(kernels, 1, 1), requires_grad=learned)
+        begin = torch.tensor(LAPLACIAN)
+        begin[1, 1] += floor
+        self.filters = nn.Parameter(begin.repeat(kernels, 1, 1), requires_grad=learned)
         self.log_lambda = nn.Parameter(torch.full((kernels, channels), math.log(strength)), requires_grad=learned)
 
     def forward(self, measurement: Tensor, inverse: Tensor | None = None) -> Tensor:

@@ -30,9 +30,10 @@ class FlatNet(nn.Module):
         attention: bool,
         stem: int,
         strength: float,
+        floor: float,
     ) -> None:
         super().__init__()
-        self.inversion = RegularisedInversion(capture, planes, strength=strength)
+        self.inversion = RegularisedInversion(capture, planes, strength=strength, floor=floor)
         channels = len(capture.stack.channels)
         self.enhancement = UNet(
             len(planes) * channels, 4, filters=filters, levels=levels, attention=attention, stem=stem, start=0.5
@@ -59,7 +60,8 @@ class FlatNet3D(FlatNet):
         levels: int = 5,
         attention: bool = False,
         stem: int = 1,
-        strength: float = 0.3,
+        strength: float = 0.1,
+        floor: float = 1.0,
     ) -> None:
         """Build the network for a camera; see `UNet` for its size.
 
@@ -70,10 +72,18 @@ class FlatNet3D(FlatNet):
             attention: gates on its skips.
             stem: its pixel unshuffle.
             strength: initial lambda of the inversion; see `RegularisedInversion`.
+            floor: what its P begins with beside the thesis's Laplacian; 0 is the Laplacian alone.
         """
         planes = range(len(capture.stack.depths_m))
         super().__init__(
-            capture, planes, filters=filters, levels=levels, attention=attention, stem=stem, strength=strength
+            capture,
+            planes,
+            filters=filters,
+            levels=levels,
+            attention=attention,
+            stem=stem,
+            strength=strength,
+            floor=floor,
         )
 
 
@@ -88,12 +98,20 @@ class FlatNet2D(FlatNet):
         levels: int = 5,
         attention: bool = False,
         stem: int = 1,
-        strength: float = 0.3,
+        strength: float = 0.1,
+        floor: float = 1.0,
     ) -> None:
         """Build the network for a camera; see `FlatNet3D`."""
         planes = [hyperfocal_plane(capture)]
         super().__init__(
-            capture, planes, filters=filters, levels=levels, attention=attention, stem=stem, strength=strength
+            capture,
+            planes,
+            filters=filters,
+            levels=levels,
+            attention=attention,
+            stem=stem,
+            strength=strength,
+            floor=floor,
         )
 
 

@@ -112,6 +112,8 @@ def limits(parameter: str, capture: CaptureModel) -> tuple[float, float]:
 _LIMITS: dict[str, tuple[float, float]] = {
     # Of the PSF's mean spectral power: less is below the rounding of float32, more leaves nothing but the mean brightness.
     "strength": (1e-7, 100.0),
+    # The Laplacian's greatest response is 8: far more is Tikhonov's regularisation, far less the Laplacian alone.
+    "floor": (1e-4, 1000.0),
     # White is 1: a weight of 10 on every step or value leaves a grey plane, or nothing.
     "tv": (1e-6, 10.0),
     "sparsity": (1e-6, 10.0),
