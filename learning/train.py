@@ -151,7 +151,7 @@ def _save_network(training: Training, plan: Plan, best: bool) -> None:
             "config": portable_config(config),
             "command": plan.command or "learning.train.train, called from Python",
             "data sets": plan.material.describe(),
-            "start": plan.start and plan.start.describe(),
+            "start": plan.start and plan.start.record(),
             "loss": training.loss.record(),  # pyright: ignore[reportCallIssue]
             "validation": {"best": progress.best, "last": progress.last},
             "step": progress.step,

@@ -16,8 +16,9 @@ class ConstrainedLeastSquares(RegularisedInversion):
     """``argmin |Y - H(z) * S|^2 + lambda(z) |P * S|^2`` for each plane z: thesis 5.2 and 5.3, where P is the Laplacian.
 
     Gonzalez and Woods, Digital Image Processing, section 5.9. A ``floor`` added to the Laplacian's middle is no part of the
-    thesis: without it wide masks, whose FH has zeros near frequency zero, give pictures of the wrong brightness. The learned layer with nothing learned, so that both have
-    the same Fourier transforms, padding and units; the division is worked out once.
+    thesis: without it wide masks, whose FH has zeros near frequency zero, give pictures of the wrong brightness. The layer of
+    the networks with nothing learned, so that both have the same Fourier transforms, padding and units; the division is
+    worked out once.
     """
 
     divided: Tensor

@@ -100,12 +100,11 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
     dataset = own_dataset(measurement)
     check_fit(measurement, capture, f"the network of {path.name}")
     if dataset is not None:
-        own = capture_model(dataset)
-        if own.scene_shape != capture.scene_shape:
-            trained, here = size_in_words(capture.scene_shape), size_in_words(own.scene_shape)
-            msg = f"{path}: trained for scenes of {trained}, {dataset.root} has {here}"
-            raise InputError(msg)
-        capture = replace(own.with_stack(capture.stack), white=capture.white)
+        try:
+            capture = capture_model(dataset).believed(capture)
+        except InputError as error:
+            msg = f"{path} was trained for another camera than that of {dataset.root}: {error}"
+            raise InputError(msg) from error
         numbers = f"of {dataset.root}, the measurement's own data set"
     capture = without_offset(capture, measurement)
     check_light(measurement, capture)
@@ -210,6 +209,6 @@ def _white(measurement: Measurement, request: Request, camera: Camera, capture: 
         return request.white, "as told"
     if camera.dataset is not None and request.tuned is not None:
         return float(load_tuned(request.tuned).content["identity"]["white"]), f"{request.tuned}"
-    if camera.dataset:
+    if camera.dataset is not None and len(camera.dataset) > 0:
         return measure_white(camera.dataset), f"99th percentile of the train split of {camera.dataset.root}"
     return typical_white(capture, measurement.values), _TYPICAL

@@ -41,8 +41,13 @@ class Start:
         return cls(path, sha256_file(path), checkpoint)
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides a training's numbers, plain."""
-        return {"file": self.path.name, "sha256": self.sha256, "architecture": self.checkpoint.architecture}
+        """Return what decides a training's numbers, plain: its content, wherever it lies and however it is called."""
+        return {"sha256": self.sha256, "architecture": self.checkpoint.architecture}
+
+    def record(self) -> dict[str, Any]:
+        """Return the same with what the network had learned from before, which an evaluation must not test it on."""
+        before = {key: self.checkpoint.record.get(key) for key in ("data sets", "start")}
+        return self.describe() | {"file": self.path.name} | before
 
     def give(self, network: FlatNet) -> list[str]:
         """Put the weights into a network, and say in lines what was taken.

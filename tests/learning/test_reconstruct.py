@@ -227,7 +227,9 @@ def test_one_plane_is_inverted_by_the_shared_least_squares(tmp_path: Path) -> No
     stack = setup.method.capture.stack
     assert float(stack.values.sum()) == pytest.approx(1, rel=1e-6)  # of a PSF whose exposure is unknown
     capture = plain_capture(stack, (40, 40))
-    expected = ConstrainedLeastSquares(capture, strength=0.05)(torch.from_numpy(measurement.values)[None])[0, 0, 0]
+    expected = ConstrainedLeastSquares(capture, strength=0.05, floor=0.0)(torch.from_numpy(measurement.values)[None])[
+        0, 0, 0
+    ]
     found = reconstruct(measurement.values, setup.method).radiance[0]
     assert np.allclose(
         found, expected.numpy(), rtol=1e-4, atol=1e-5 * float(expected.max())
@@ -340,7 +342,7 @@ def test_parameters_for_one_plane_are_checked_too(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"--set: iterations of admm for one plane is 2.5, expected a whole number"):
         choose_method(measurement, Request(method="admm", stack=str(psf), parameters={"iterations": 2.5}))
     whole = choose_method(measurement, Request(method="cls", stack=str(psf), parameters={"strength": 1}))
-    assert whole.record["parameters"] == {"strength": 1}
+    assert whole.record["parameters"] == {"strength": 1, "floor": 0.0}
     tuned = write_tuned(tmp_path / "tuned.json", 0.5)
     with pytest.raises(InputError, match=r"--tuned: .*tuned.json is for depth, but these PSFs are of one"):
         choose_method(measurement, Request(method="cls", stack=str(psf), tuned=tuned))

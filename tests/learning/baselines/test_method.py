@@ -25,7 +25,12 @@ def measurement():
 @pytest.mark.parametrize(
     ("name", "given", "volume_method", "stage"),
     [
-        ("cls", {"strength": 0.05}, lambda capture: ConstrainedLeastSquares(capture, strength=0.05), "inversion"),
+        (
+            "cls",
+            {"strength": 0.05, "floor": 0.2},
+            lambda capture: ConstrainedLeastSquares(capture, strength=0.05, floor=0.2),
+            "inversion",
+        ),
         (
             "admm",
             {"tv": 0.02, "sparsity": 0.03, "iterations": 3},
@@ -125,7 +130,7 @@ def test_the_number_of_labels_and_the_unit_do_not_change_what_pairwise_means(tin
     ("name", "parameters", "message"),
     [
         ("wiener", {}, "name: got 'wiener', expected one of cls, admm"),
-        ("cls", {"tv": 0.1}, "parameters: got 'tv', which cls does not have; expected some of strength, cost"),
+        ("cls", {"tv": 0.1}, "parameters: got 'tv', which cls does not have; expected some of strength, floor, cost"),
         ("cls", {"strength": "much"}, "parameters: cls's strength is 'much', expected a number such as"),
         ("admm", {"iterations": 10.5}, "parameters: admm's iterations is 10.5, expected a whole number such as"),
         ("cls", {"measure": 3}, "parameters: cls's measure is 3, expected a word such as"),
