@@ -19,8 +19,7 @@ _PATH = re.compile(r"""(?<![^\s'"=,(:\[])(?:~|[A-Za-z]:)?[/\\](?:[^\s'"=,/\\]+[/
 def ship_checkpoint(source: Path | str, target: Path | str) -> None:
     """Write a checkpoint of `flatlight train` as those that Flatlight brings along: see `learning.shipped`.
 
-    Filters of convolutions are rounded to float16, which moved pictures and disparities by 4e-4 at most; the camera and
-    all other weights stay exact. Of each absolute path in the record and in the PSFs' provenance the last part is left. The
+    Filters of convolutions and PSFs are rounded to float16; all other weights and numbers stay exact. Of each absolute path in the record and in the PSFs' provenance the last part is left. The
     record tells under ``shipped`` of which file this is.
 
     Args:
@@ -33,7 +32,7 @@ def ship_checkpoint(source: Path | str, target: Path | str) -> None:
     """
     checkpoint = load_checkpoint(source)
     stack = checkpoint.capture.stack
-    shipped = {"sha256 of the training's file": sha256_file(Path(source)), "filters": "float16"}
+    shipped = {"sha256 of the training's file": sha256_file(Path(source)), "filters and PSFs": "float16"}
     save_checkpoint(
         target,
         checkpoint.network,

@@ -59,7 +59,7 @@ def test_keeps_the_record_but_for_paths(source, tmp_path):
     assert record["config"] == {"output": "s0", "data": {"train": "ft64", "noise_db": [20.0, 50.0], "cache": None}}
     assert record["command"].startswith("flatlight train a.yaml --set output=s0 --set data.workers=0 --set data.cache=")
     assert record["loss"] == RECORD["loss"]
-    assert record["shipped"]["filters"] == "float16"
+    assert record["shipped"]["filters and PSFs"] == "float16"
     assert shipped.capture.stack.provenance == {"folder": "psf", "source": "https://a.org/b (1 / m)"}
     for text in (b"/tmp", b"/home", b"anna", b"/data"):
         assert text not in target.read_bytes()
