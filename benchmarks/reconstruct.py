@@ -1,10 +1,10 @@
 """Seconds per scene and stage of FlatNet3D, FlatNet2D and the classical methods, in one run on one device.
 
-    uv run --extra learn python benchmarks/reconstruct.py DATASET --tuned tuned.json [--device cuda] [--repeats 7]
+    uv run --extra learn python benchmarks/reconstruct.py DATASET [--tuned tuned.json] [--device cuda] [--repeats 7]
 
 Learned weights cost what random ones do, so networks are built for the data set's camera as they come. The classical methods
-take the parameters and the number of iterations that `flatlight tune` found. All share the inversion's code; the graph cut is
-OR-tools' and runs on the CPU whatever the device. One thread, one scene at a time, methods by turns.
+take the parameters and the number of iterations that `flatlight tune` found, or their defaults. All share inversion code;
+the graph cut is OR-tools' and runs on the CPU whatever the device. One thread, one scene at a time, methods by turns.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import torch
 
-from learning.baselines.method import build_classical
+from learning.baselines.method import DEFAULTS, build_classical
 from learning.capture import capture_model
 from learning.display import measure_white
 from learning.evaluation.timing import device_in_words, take_times
@@ -30,7 +30,7 @@ REFERENCE = "FlatNet3D"
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dataset", type=Path)
-    parser.add_argument("--tuned", type=Path, required=True)
+    parser.add_argument("--tuned", type=Path)
     parser.add_argument("--noise-db", type=float, default=40.0)
     parser.add_argument("--size", default="compact")
     parser.add_argument("--device", default="cpu")
@@ -45,8 +45,11 @@ def main() -> None:
         for name in (REFERENCE, "FlatNet2D")
     ]
     for name in ("cls", "admm"):
-        parameters, level = load_tuned(chosen.tuned).parameters(name, chosen.noise_db)
-        print(f"{name}, tuned at {level:g} dB: {parameters}")
+        parameters, where = DEFAULTS[name], "by default"
+        if chosen.tuned is not None:
+            parameters, level = load_tuned(chosen.tuned).parameters(name, chosen.noise_db)
+            where = f"tuned at {level:g} dB"
+        print(f"{name}, {where}: {parameters}")
         methods.append(build_classical(capture, name, parameters).to(device))
     scenes = range(min(len(train), chosen.repeats + 1))
     measurements = torch.stack([torch.from_numpy(train.stored(scene).measurement()[0]) for scene in scenes]).to(device)
