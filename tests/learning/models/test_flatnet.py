@@ -32,7 +32,7 @@ def test_the_network_sees_the_inversion_of_every_plane(tiny_capture):
     network = build_network(tiny_capture, "flatnet3d", "tiny").eval()
     measurement = torch.rand(1, 3, 48, 48)
     with torch.no_grad():
-        volume = RegularisedInversion(tiny_capture, strength=0.3)(measurement)
+        volume = RegularisedInversion(tiny_capture, strength=0.1, floor=1.0)(measurement)
         output = network.enhancement(volume.reshape(1, 9, 16, 16))
         estimate = network(measurement)
     assert torch.equal(torch.cat(estimate, dim=1), output)
