@@ -20,10 +20,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 from simulator.assemble import build_mask, build_psf_stack
 from simulator.config import load_config
-from simulator.optics.facts import length
 from simulator.optics.plot_panels import DepthView, draw_mask, draw_psfs
 from simulator.plugin_listing import parameter_lines, summary
 from simulator.plugins import available, resolve
+from simulator.text import length
 
 DOCS = Path(__file__).parent
 PICTURES = DOCS / "images" / "designs"

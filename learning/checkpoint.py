@@ -21,9 +21,9 @@ from torch import Tensor
 from learning.capture import CaptureModel
 from learning.models.flatnet import FlatNet
 from learning.models.sizes import build_network, full_architecture
-from simulator.dataset.plain import canonical_json
 from simulator.errors import InputError
-from simulator.files import write_atomic
+from simulator.io.files import write_atomic
+from simulator.io.json import canonical_json
 from simulator.optics.psf_stack import PsfStack
 
 FORMAT, VERSION = "flatlight checkpoint", 1

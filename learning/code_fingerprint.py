@@ -9,8 +9,8 @@ from pathlib import Path
 
 import learning
 from simulator import __version__
-from simulator.dataset.plain import canonical_json
-from simulator.files import sha256_bytes
+from simulator.io.files import sha256_bytes
+from simulator.io.json import canonical_json
 
 
 @cache

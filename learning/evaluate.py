@@ -28,7 +28,7 @@ from learning.evaluation.timing import Times, device_in_words, take_times
 from learning.evaluation.trivial import Constant, trivial_methods
 from learning.perceptual import LpipsDistance, available_lpips
 from simulator.dataset.reader import Dataset, open_dataset
-from simulator.files import storage_errors
+from simulator.io.files import storage_errors
 
 CACHE = "cache"
 _BINS, _TIMED_SCENES = 8, 8

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from simulator.dataset.manifest import load_manifest
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
-from simulator.files import committed_folder, storage_errors
+from simulator.io.files import committed_folder, storage_errors
 
 _FORMAT = 1
 

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from learning.checkpoint import load_checkpoint, save_checkpoint
-from simulator.files import sha256_file
+from simulator.io.files import sha256_file
 
 # Absolute, with at least two parts: `/tmp/runs`, `~/runs`, `C:\\runs`; not `W/m` or `https://...`.
 _PATH = re.compile(r"""(?<![^\s'"=,(:\[])(?:~|[A-Za-z]:)?[/\\](?:[^\s'"=,/\\]+[/\\])*([^\s'"=,/\\]+)[/\\]?""")

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Literal
 
 from simulator.dataset.engines import available_cpus
-from simulator.optics.cache import cache_folder
+from simulator.io.cache import cache_folder
 from simulator.render.backend import LLVM_VARIANT, choose_backend
 
 Status = Literal["ok", "note", "problem"]

@@ -1,35 +1,63 @@
-"""Reading small text files that somebody else wrote."""
+"""Words for messages: paths of keys, values, near misses, lengths and shares."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
 
-from simulator.errors import InputError
-
-MAX_BYTES = 16 << 20
+KeyPath = tuple[str | int, ...]
 
 
-def read_text(path: Path, holds: str, max_bytes: int = MAX_BYTES) -> str:
-    """Return the text of a small file, without a byte-order mark.
+def dotted(path: KeyPath) -> str:
+    """Return a path as people write it.
 
-    Args:
-        path: the file.
-        holds: what it should hold, for the messages, such as ``a table of wavelengths``.
-        max_bytes: more than this is another file.
-
-    Raises:
-        InputError: when it cannot be read, is no UTF-8 text or too large.
+    Example:
+        >>> dotted(("psf", "depths_cm", 2))
+        'psf.depths_cm[2]'
     """
-    try:
-        with path.open("rb") as file:
-            raw = file.read(max_bytes + 1)
-        if len(raw) > max_bytes:
-            msg = f"{path}: larger than {max_bytes >> 10} KiB, expected {holds}; is this the right file?"
-            raise InputError(msg)
-        return raw.decode("utf-8-sig")
-    except OSError as error:
-        msg = f"cannot read {path}: {error.strerror or error}"
-        raise InputError(msg) from error
-    except UnicodeDecodeError as error:
-        msg = f"{path}: not UTF-8 text (byte 0x{error.object[error.start]:02x}); expected {holds}"
-        raise InputError(msg) from error
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).removeprefix(".")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return ``"; did you mean 'x'?"`` for the known name that is most like this one, or nothing."""
+    matches = difflib.get_close_matches(name.lower(), list(known), n=1, cutoff=0.6)
+    return f"; did you mean {matches[0]!r}?" if matches else ""
+
+
+def show(value: Any) -> str:
+    """Return a value as it would stand in YAML, shortened."""
+    if isinstance(value, Mapping):
+        return f"a mapping ({', '.join(map(str, value)) or 'empty'})"[:80]
+    if value is None or isinstance(value, bool):
+        return {None: "nothing", True: "true", False: "false"}[value]
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+_METRE_UNITS = ((1.0, "m"), (1e-2, "cm"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm"))
+
+
+def length(value_m: float) -> str:
+    """Return a length with the unit that people would use.
+
+    Example:
+        >>> length(0.036), length(1.92e-5), length(float("inf"))
+        ('3.6 cm', '19.2 µm', '∞')
+    """
+    if math.isinf(value_m):
+        return "∞"
+    factor, unit = next(((f, u) for f, u in _METRE_UNITS if abs(value_m) >= f * (1 - 1e-9)), _METRE_UNITS[-1])
+    return f"{float(f'{value_m / factor:.3g}'):g} {unit}"
+
+
+def share(value: float) -> str:
+    """Return a share in percent with two digits where it is small, three where it is near the whole.
+
+    Example:
+        >>> share(0.0273), share(0.9876), share(0.0)
+        ('2.7 %', '98.8 %', '0 %')
+    """
+    percent = 100 * value if value > 1e-9 else 0.0  # rounding is not light
+    return f"{float(f'{percent:.3g}' if percent >= 10 else f'{percent:.2g}'):g} %"

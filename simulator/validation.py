@@ -5,7 +5,6 @@ Both sim_config.yaml and the parameters of plugins go through here, so their mes
 
 from __future__ import annotations
 
-import difflib
 import json
 import re
 from collections.abc import Iterable, Mapping
@@ -16,8 +15,8 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, Tag, ValidationError
 
 from simulator.errors import InputError
+from simulator.text import KeyPath, dotted, nearest, show
 
-KeyPath = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
 
 _INFINITIES = {sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in ("inf", ".inf")}
@@ -52,32 +51,6 @@ class Problem:
 
     def __str__(self) -> str:
         return f"{dotted(self.path)}: {self.text}" if self.path else self.text
-
-
-def dotted(path: KeyPath) -> str:
-    """Return a path as people write it.
-
-    Example:
-        >>> dotted(("psf", "depths_cm", 2))
-        'psf.depths_cm[2]'
-    """
-    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).removeprefix(".")
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """Return ``"; did you mean 'x'?"`` for the known name that is most like this one, or nothing."""
-    matches = difflib.get_close_matches(name.lower(), list(known), n=1, cutoff=0.6)
-    return f"; did you mean {matches[0]!r}?" if matches else ""
-
-
-def show(value: Any) -> str:
-    """Return a value as it would stand in YAML, shortened."""
-    if isinstance(value, Mapping):
-        return f"a mapping ({', '.join(map(str, value)) or 'empty'})"[:80]
-    if value is None or isinstance(value, bool):
-        return {None: "nothing", True: "true", False: "false"}[value]
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def validate(model: type[Model], data: Any) -> Model:

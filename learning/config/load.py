@@ -13,7 +13,8 @@ from simulator.config.load import ConfigError
 from simulator.config.overrides import apply_overrides
 from simulator.config.yaml_loader import read_yaml
 from simulator.errors import InputError
-from simulator.validation import find_problems, show, validate
+from simulator.text import show
+from simulator.validation import find_problems, validate
 
 
 class FileSection(Section):

@@ -12,8 +12,8 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.dataset.plain import canonical_json, plain
-from simulator.files import sha256_bytes, write_atomic
+from simulator.io.files import sha256_bytes, write_atomic
+from simulator.io.json import canonical_json, plain
 
 
 class ResultCache:

@@ -12,11 +12,11 @@ from learning.display import measure_white
 from learning.evaluation.outcome import OWN
 from learning.evaluation.roster import Entry
 from simulator.arrays import to_numpy
-from simulator.dataset.plain import canonical_json
 from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
-from simulator.files import sha256_bytes
+from simulator.io.files import sha256_bytes
+from simulator.io.json import canonical_json
 from simulator.optics.psf_stack import PsfStack
 
 _WHITES_ALIKE = 1e-6

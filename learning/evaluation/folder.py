@@ -6,9 +6,9 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from simulator.dataset.plain import readable_json
 from simulator.errors import InputError
-from simulator.files import TEMPORARY_PREFIX, storage_errors, write_atomic
+from simulator.io.files import TEMPORARY_PREFIX, storage_errors, write_atomic
+from simulator.io.json import readable_json
 
 DESCRIPTION = "evaluation.json"
 """Says that the folder is an evaluation's, and its name; written first."""

@@ -18,8 +18,8 @@ from learning.evaluation.report import (
     markdown_times,
 )
 from learning.evaluation.words import PUBLISHED, conditions, how, left_out, on_part
-from simulator.dataset.plain import readable_json
-from simulator.files import write_atomic
+from simulator.io.files import write_atomic
+from simulator.io.json import readable_json
 from simulator.preview.drawing import depth_range
 
 _WHISKERS = "Whiskers are the standard deviation over seeds."

@@ -19,7 +19,7 @@ from learning.method import Method
 from learning.models.method import LearnedMethod
 from learning.tuning import load_tuned
 from simulator.dataset.reader import Dataset
-from simulator.files import sha256_file
+from simulator.io.files import sha256_file
 
 
 class Entry(Protocol):

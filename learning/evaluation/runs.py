@@ -20,9 +20,9 @@ from learning.evaluation.roster import Entry
 from learning.evaluation.scoring import Criteria, Progress, checked, score
 from learning.method import Method
 from simulator.dataset.manifest import load_manifest
-from simulator.dataset.plain import canonical_json
 from simulator.dataset.reader import Dataset
-from simulator.files import sha256_bytes
+from simulator.io.files import sha256_bytes
+from simulator.io.json import canonical_json
 
 _PILOTS, _NOISELESS_DB = 16, 120.0
 # By these, and what they import, a measurement becomes a score.

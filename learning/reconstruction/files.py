@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from learning.capture import CaptureModel
 from learning.reconstruct import Reconstruction
-from simulator.dataset.plain import plain, readable_json
 from simulator.errors import InputError
-from simulator.exr import write_exr
-from simulator.files import committed_folder, write_atomic
+from simulator.io.exr import write_exr
+from simulator.io.files import committed_folder, write_atomic
+from simulator.io.json import plain, readable_json
 from simulator.preview.colours import depth_colours
 from simulator.preview.drawing import PAPER, png_bytes, resized
 from simulator.preview.legends import LEGEND_WIDTH, draw_depth_legend

@@ -14,7 +14,7 @@ from simulator.dataset.dataset_info import FILE
 from simulator.dataset.sample_layout import DESCRIPTION, MEASUREMENT
 from simulator.dataset.stored_sample import StoredSample
 from simulator.errors import InputError
-from simulator.optics.measured_files import read_measurement
+from simulator.io.measurements import read_measurement
 
 RGB = ("R", "G", "B")
 _MOST_OF_SHARES = 2.0  # noise that was not clipped goes beyond full scale, but not so far

@@ -30,7 +30,7 @@ from learning.reconstruction.plain_capture import typical_white
 from learning.shipped import find_checkpoint, shipped_checkpoints
 from learning.tuning import load_tuned
 from simulator.errors import InputError
-from simulator.files import sha256_file
+from simulator.io.files import sha256_file
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from learning.reconstruction.pixels import check_binning, crop_window
+from simulator.io.measurements import read_measurement
 from simulator.optics.measured import Background, load_measured_psf
-from simulator.optics.measured_files import read_measurement
 from simulator.optics.psf_stack import PsfStack
 
 _PITCH_M = 1e-5  # nothing here depends on it: values are scaled to a sum of 1
@@ -23,7 +23,7 @@ def load_psf_picture(
     """Return the picture of a PSF as a stack of one plane, infinitely far, with values that add up to 1 on average.
 
     Args:
-        path: a linear picture; see `simulator.optics.measured_files.read_measurement`.
+        path: a linear picture; see `simulator.io.measurements.read_measurement`.
         channels: of the measurement.
         background: ``border`` (also None), the median of the cropped picture's outer frame; ``none``; counts; or a picture
             of darkness, of the same size before the crop.

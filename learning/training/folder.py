@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from simulator.dataset.fingerprint import difference
-from simulator.dataset.plain import readable_json
 from simulator.errors import InputError
-from simulator.files import TEMPORARY_PREFIX, remove_leftovers, storage_errors, write_atomic
+from simulator.io.files import TEMPORARY_PREFIX, remove_leftovers, storage_errors, write_atomic
+from simulator.io.json import readable_json
 
 DESCRIPTION = "training.json"
 """What is trained on what."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.training.folder import METRICS, PREVIEW, TENSORBOARD
-from simulator.files import storage_errors, write_atomic
+from simulator.io.files import storage_errors, write_atomic
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard.writer import SummaryWriter

@@ -18,7 +18,7 @@ from simulator.dataset.dataset_info import PSF_FOLDER
 from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
-from simulator.optics.cache import cache_folder
+from simulator.io.cache import cache_folder
 
 _MOST_WORKERS = 8
 _SHOWN = 12  # numbers in a message

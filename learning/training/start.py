@@ -10,7 +10,7 @@ from learning.checkpoint import Checkpoint, load_checkpoint
 from learning.config.train import TrainConfig
 from learning.models.flatnet import FlatNet
 from learning.models.transfer import transfer
-from simulator.files import sha256_file
+from simulator.io.files import sha256_file
 
 
 @dataclass(frozen=True)

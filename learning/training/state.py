@@ -16,7 +16,7 @@ import torch
 from torch import nn
 
 from simulator.errors import InputError
-from simulator.files import write_atomic
+from simulator.io.files import write_atomic
 
 _FORMAT = "flatlight training state 1"
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from learning.tuning.search import Parameters
-from simulator.dataset.plain import canonical_json, plain, readable_json
 from simulator.errors import InputError
-from simulator.files import write_atomic
+from simulator.io.files import write_atomic
+from simulator.io.json import canonical_json, plain, readable_json
 
 FORMAT, VERSION = "flatlight tuned", 1
 

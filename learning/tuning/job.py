@@ -23,10 +23,10 @@ from learning.tuning.score import FORMULAS, Score
 from learning.tuning.search import Axis, Parameters
 from simulator import __version__
 from simulator.dataset.manifest import load_manifest
-from simulator.dataset.plain import canonical_json
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
-from simulator.files import sha256_bytes, storage_errors
+from simulator.io.files import sha256_bytes, storage_errors
+from simulator.io.json import canonical_json
 
 # With all that they import, what makes a score of parameters and scenes.
 _DECIDING = ("learning.baselines.method", "learning.data", "learning.display", "learning.tuning.score")

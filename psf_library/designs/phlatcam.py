@@ -9,10 +9,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from simulator.arrays import samples_across
 from simulator.optics.contours import contours, contours_of_image
 from simulator.optics.fabrication import fabricate
 from simulator.optics.mask import Mask
-from simulator.optics.mask_grid import samples_across
 from simulator.optics.materials import load_material
 from simulator.optics.phase_retrieval import retrieve_phase
 

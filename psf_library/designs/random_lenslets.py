@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from simulator.arrays import samples_across
 from simulator.optics.aperture import sample_positions_m
 from simulator.optics.mask import Mask
-from simulator.optics.mask_grid import samples_across
 from simulator.optics.materials import load_material
 from simulator.optics.noise import poisson_disc
 

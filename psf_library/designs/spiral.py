@@ -7,9 +7,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from simulator.arrays import samples_across
 from simulator.optics.aperture import sample_positions_m
 from simulator.optics.mask import Mask
-from simulator.optics.mask_grid import samples_across
 from simulator.optics.materials import load_material
 
 

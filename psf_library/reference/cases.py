@@ -22,8 +22,8 @@ from simulator.optics.psf_stack import PsfStack
 from simulator.optics.sampling import SamplingWarning
 from simulator.optics.spectrum import spectral_response
 from simulator.plugins import resolve
+from simulator.text import nearest
 from simulator.types import CameraGeometry
-from simulator.validation import nearest
 
 INPUTS = Path(__file__).parent / "inputs"
 """Folder of the pictures that designs read, neither with any symmetry: a letter F of three greys, and a tilted bowl with a

@@ -9,9 +9,9 @@ import numpy as np
 
 from psf_library.reference.difference import compare_stacks
 from simulator.arrays import to_numpy
-from simulator.files import write_atomic
-from simulator.optics.facts import length
+from simulator.io.files import write_atomic
 from simulator.optics.psf_stack import PsfStack
+from simulator.text import length
 
 
 def draw_difference(found: PsfStack, expected: PsfStack, path: Path) -> Path:

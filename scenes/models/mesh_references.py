@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from simulator.errors import InputError
-from simulator.pictures import picture_shape
+from simulator.io.images import picture_shape
 
 _PLY_HEADER = 2**16
 _GLB_MAGIC, _GLB_JSON = 0x46546C67, 0x4E4F534A

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scenes.models.resampling import area_mean
 from simulator.errors import InputError
-from simulator.light import read_light
+from simulator.io.images import read_light
 from simulator.types import FARTHEST_M, Clip, View
 
 

@@ -21,7 +21,7 @@ from simulator.camera.noise import NoNoise, PhysicalNoise
 from simulator.config.captured import AsCaptured
 from simulator.config.psf import ComputedPsf
 from simulator.errors import InputError
-from simulator.optics.cache import Entry, cached
+from simulator.io.cache import Entry, cached
 from simulator.optics.captured import CalibrationSource, SourcePlaces, captured_light
 from simulator.optics.psf import Progress
 from simulator.optics.psf_stack import PsfStack

@@ -12,7 +12,7 @@ from simulator.assemble.masks import build_mask, optics_code
 from simulator.assemble.psfs import build_geometry, build_psf_config
 from simulator.config.psf import ComputedPsf
 from simulator.errors import InputError
-from simulator.optics.cache import Entry, cached
+from simulator.io.cache import Entry, cached
 from simulator.optics.check import full_errors
 from simulator.optics.drjit_process import llvm_works
 from simulator.optics.psf_stack import PsfStack

@@ -11,8 +11,8 @@ import numpy as np
 
 from simulator.assemble.masks import optics_code
 from simulator.errors import InputError
-from simulator.files import sha256_file
-from simulator.optics.cache import Entry, cached
+from simulator.io.cache import Entry, cached
+from simulator.io.files import sha256_file
 from simulator.optics.camera_colour import CameraColour, fit_camera_colour
 from simulator.optics.curves import Led, curve_file
 from simulator.optics.photometry import electron_rates

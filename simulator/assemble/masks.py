@@ -15,7 +15,7 @@ import numpy as np
 import simulator.optics
 from simulator import __version__
 from simulator.errors import InputError
-from simulator.optics.cache import Entry, cached
+from simulator.io.cache import Entry, cached
 from simulator.optics.mask import UNNAMED, Mask
 from simulator.optics.materials import Material, material_file
 from simulator.plugins import Plugin, plugin_errors, resolve

@@ -12,7 +12,7 @@ from simulator.assemble.masks import build_mask, optics_code
 from simulator.assemble.measured import measured_depths_m, measured_stack
 from simulator.assemble.planes import plane_depths_m
 from simulator.config.psf import ComputedPsf
-from simulator.optics.cache import Entry, cached
+from simulator.io.cache import Entry, cached
 from simulator.optics.psf import Progress, PsfConfig, compute_psf_stack, psf_fingerprint
 from simulator.optics.psf_stack import PsfStack
 from simulator.optics.spectrum import check_materials, quantile_lines

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from simulator.camera.shutter import RowShutter
 from simulator.errors import InputError
-from simulator.optics.measured_files import read_npy
-from simulator.text import read_text
+from simulator.io.files import read_text
+from simulator.io.measurements import read_npy
 
 _UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 

@@ -32,7 +32,7 @@ def compare(
     from simulator.comparison.page import comparison_html
     from simulator.console import Bar
     from simulator.dataset.engines import available_cpus
-    from simulator.files import write_atomic
+    from simulator.io.files import write_atomic
 
     check_output_file("--output", output, (".html", ".png"))
     configs = load_configs(candidates, config, set_ or [])

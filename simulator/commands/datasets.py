@@ -25,7 +25,7 @@ def init(
     force: Annotated[bool, typer.Option("--force", help="overwrite an existing file")] = False,
 ) -> None:
     """Write a commented sim_config.yaml that runs as it is."""
-    from simulator.files import write_atomic
+    from simulator.io.files import write_atomic
     from simulator.presets import DEFAULT, preset_names, preset_text
 
     if preset == "help":

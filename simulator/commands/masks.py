@@ -32,7 +32,7 @@ def export_mask(
     """Write the mask of a configuration as a body (STL), a height map (TIFF) or layers, for fabrication."""
     from simulator.assemble import build_mask
     from simulator.config import load_config
-    from simulator.files import write_atomic
+    from simulator.io.files import write_atomic
     from simulator.optics.mask_export import binary_layers, height_tiff, write_layers
     from simulator.optics.relief import stl_bytes
 

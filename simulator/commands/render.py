@@ -51,8 +51,8 @@ def render(
     """Render scenes as `generate` would see them: a contact sheet, an animation, or OpenEXR."""
     from simulator.config import load_config
     from simulator.console import Bar
-    from simulator.dataset.clip_files import write_linear
-    from simulator.files import write_atomic
+    from simulator.io.clips import write_linear
+    from simulator.io.files import write_atomic
     from simulator.preview import ANIMATIONS, animation, clip_sheet
     from simulator.preview.drawing import png_bytes
 
@@ -145,7 +145,7 @@ def _caption(split: str, number: int, clip: Clip) -> str:
 
 
 def _renderer_names(text: str) -> list[str]:
-    from simulator.validation import nearest
+    from simulator.text import nearest
 
     names = [word.strip() for word in text.split(",") if word.strip()]
     for name in names:
@@ -164,7 +164,7 @@ def _count(kind: str, samples: int | None) -> int:
 
 def _check_split(split: str) -> None:
     from simulator.dataset.sample import SPLITS
-    from simulator.validation import nearest
+    from simulator.text import nearest
 
     if split not in SPLITS:
         msg = f"--split: got {split!r}, expected one of {', '.join(SPLITS)}{nearest(split, list(SPLITS))}"

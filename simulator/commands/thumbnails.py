@@ -32,7 +32,7 @@ def draw_thumbnails(plugins: Sequence[Plugin], path: Path, bar: Bar) -> list[str
     Raises:
         InputError: nothing is left to draw.
     """
-    from simulator.files import write_atomic
+    from simulator.io.files import write_atomic
     from simulator.plugin_listing import summary
     from simulator.preview.drawing import png_bytes
     from simulator.preview.sheet import Cell, describe_scales, draw_sheet

@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.arrays import to_numpy
-from simulator.optics.facts import length, psf_facts
+from simulator.optics.facts import psf_facts
 from simulator.optics.merit import autocorrelation_peak, depth_correlations, distinct_depths, mean_mtf
 from simulator.optics.metrics import light_off_sensor
 from simulator.optics.plot_panels import DepthView
 from simulator.optics.psf_stack import PsfStack
+from simulator.text import length
 
 if TYPE_CHECKING:
     from simulator.config import Config

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from simulator.comparison.candidates import Candidate
-from simulator.optics.facts import length, share
+from simulator.text import length, share
 
 TITLE = "Mask designs compared"
 NOTES = "Two values: at the nearest / at the farthest depth. Errors: of sampling / model / wavelengths."

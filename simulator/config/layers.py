@@ -8,7 +8,8 @@ from pydantic import Field, model_validator
 
 from simulator.config.base import Range, Section, refusal
 from simulator.errors import InputError
-from simulator.validation import KeyPath, Problem
+from simulator.text import KeyPath
+from simulator.validation import Problem
 
 if TYPE_CHECKING:
     from simulator.config.schema import Config

@@ -8,7 +8,8 @@ from pydantic import Discriminator, Field, Tag
 
 from simulator.config.base import Range, Section
 from simulator.errors import InputError
-from simulator.validation import KeyPath, Problem
+from simulator.text import KeyPath
+from simulator.validation import Problem
 
 if TYPE_CHECKING:
     from simulator.config.schema import Config

@@ -17,7 +17,8 @@ from simulator.config.schema import Config
 from simulator.config.shutter import shutter_problems
 from simulator.config.yaml_loader import read_yaml
 from simulator.errors import InputError
-from simulator.validation import KeyPath, Problem, find_problems, show, validate
+from simulator.text import KeyPath, show
+from simulator.validation import Problem, find_problems, validate
 
 
 class ConfigError(InputError):

@@ -8,7 +8,7 @@ from typing import Any
 
 from simulator.config.yaml_loader import Document, Mark, YamlError, parse_yaml
 from simulator.errors import InputError
-from simulator.validation import KeyPath, dotted, show
+from simulator.text import KeyPath, dotted, show
 
 
 @dataclass

@@ -8,7 +8,8 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from simulator.config.base import PluginSection, Range, Section, refusal
 from simulator.errors import InputError
-from simulator.validation import Problem, nearest, show
+from simulator.text import nearest, show
+from simulator.validation import Problem
 
 if TYPE_CHECKING:
     from simulator.config.schema import Config

@@ -17,7 +17,7 @@ from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from simulator.config.yaml_scalars import parse_scalar
 from simulator.errors import InputError
-from simulator.validation import KeyPath
+from simulator.text import KeyPath
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 20

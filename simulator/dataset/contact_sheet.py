@@ -13,7 +13,7 @@ from simulator.dataset.dataset_info import read_info
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.dataset.stored_sample import SceneFrame, StoredSample
 from simulator.errors import InputError
-from simulator.files import write_atomic
+from simulator.io.files import write_atomic
 from simulator.preview.colours import depth_colours
 from simulator.preview.drawing import INK, PAPER, depth_range, encoded, fitted, font, png_bytes, resized, white_level
 from simulator.preview.legends import draw_depth_legend

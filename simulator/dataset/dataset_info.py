@@ -9,10 +9,10 @@ from typing import Any
 
 from simulator.camera.shutter import Shutter
 from simulator.camera.shutter_record import shutter_from_record
-from simulator.dataset.plain import readable_json
 from simulator.dataset.sample import SPLITS
 from simulator.errors import InputError
-from simulator.files import write_atomic
+from simulator.io.files import write_atomic
+from simulator.io.json import readable_json
 
 FILE = "dataset.json"
 PSF_FOLDER = "psf"  # beside it: the stack that was used

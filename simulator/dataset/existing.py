@@ -13,9 +13,9 @@ from simulator.camera.shutter_record import shutter_record
 from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER, DatasetInfo, read_info
 from simulator.dataset.fingerprint import difference
 from simulator.dataset.manifest import MANIFEST
-from simulator.dataset.plain import canonical_json
 from simulator.errors import InputError
-from simulator.files import TEMPORARY_PREFIX, storage_errors
+from simulator.io.files import TEMPORARY_PREFIX, storage_errors
+from simulator.io.json import canonical_json
 
 
 def existing_info(

@@ -12,8 +12,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from simulator.dataset.plain import canonical_json, plain
-from simulator.files import sha256_file
+from simulator.io.files import sha256_file
+from simulator.io.json import canonical_json, plain
 
 PACKAGES = (
     "flatlight",

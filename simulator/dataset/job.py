@@ -34,7 +34,7 @@ from simulator.dataset.splits import clip_order
 from simulator.dataset.stacks import data_set_stack
 from simulator.dataset.timing import ClipTimesError, check_clip, check_parameters
 from simulator.errors import InputError
-from simulator.files import StorageError, remove_leftovers
+from simulator.io.files import StorageError, remove_leftovers
 from simulator.optics.psf_stack import PsfStack
 from simulator.plugins import Plugin, plugin_errors
 from simulator.render.backend import choose_backend

@@ -9,9 +9,9 @@ import json
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
-from simulator.dataset.appended import AppendedLines, read_lines
 from simulator.dataset.sample import SPLITS, SampleRecord, sample_index
 from simulator.errors import InputError
+from simulator.io.files import AppendedLines, read_lines
 
 MANIFEST = "manifest.jsonl"
 

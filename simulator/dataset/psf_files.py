@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.dataset.dataset_info import PSF_FOLDER
-from simulator.dataset.plain import plain, readable_json
 from simulator.errors import InputError
-from simulator.exr import decode_exr, write_exr
-from simulator.files import committed_folder, sha256_bytes, write_atomic
+from simulator.io.exr import decode_exr, write_exr
+from simulator.io.files import committed_folder, sha256_bytes, write_atomic
+from simulator.io.json import plain, readable_json
 from simulator.optics.psf_stack import PsfStack
 
 DESCRIPTION = "psf.json"

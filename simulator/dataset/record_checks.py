@@ -12,8 +12,8 @@ from simulator.camera.shutter import Shutter
 from simulator.camera.shutter_record import shutter_from_record, shutter_record
 from simulator.dataset.dataset_info import FILE, DatasetInfo
 from simulator.dataset.fingerprint import deciding, difference, hash_parts
-from simulator.dataset.plain import plain
 from simulator.errors import InputError
+from simulator.io.json import plain
 
 _CURE = "restore it from a copy"
 _SECONDS = {"exposure_ms": ("exposure_s", 1e-3), "line_time_us": ("line_time_s", 1e-6)}

@@ -3,7 +3,7 @@
 ``measurement.exr`` holds the channels (DN / 2^bits) and, beside them, ``noiseless.<channel>``: an OpenEXR part has one
 size, and the noiseless measurement has the sensor's, not the scene's. ``ground_truth.exr``, or for a clip a file per frame,
 holds linear radiance R, G, B, depth ``Z`` in metres and ``valid`` (0 or 1), and the extras that the scene was asked for, in
-the channels that `simulator.channels` names. ``sample.json`` repeats their metadata, says which extras and frames there are,
+the channels that `simulator.io.clips` names. ``sample.json`` repeats their metadata, says which extras and frames there are,
 and adds the hashes. See `simulator.dataset.sample_layout` for the names.
 """
 
@@ -17,8 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.channels import describe_extras, frame_channels
-from simulator.dataset.plain import plain, readable_json
 from simulator.dataset.sample_layout import (
     DESCRIPTION,
     FRAMES,
@@ -31,8 +29,10 @@ from simulator.dataset.sample_layout import (
     truth_file,
 )
 from simulator.errors import InputError
-from simulator.exr import write_exr
-from simulator.files import committed_folder, sha256_bytes, write_atomic
+from simulator.io.clips import describe_extras, frame_channels
+from simulator.io.exr import write_exr
+from simulator.io.files import committed_folder, sha256_bytes, write_atomic
+from simulator.io.json import plain, readable_json
 
 SPLITS = ("train", "validation", "test")
 _LAST_INDEX = 99_999_999  # ids have eight digits, so that names sort

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from simulator.channels import layout_channels
 from simulator.errors import InputError
-from simulator.files import sha256_bytes
+from simulator.io.clips import layout_channels
+from simulator.io.files import sha256_bytes
 
 MEASUREMENT, GROUND_TRUTH, DESCRIPTION = "measurement.exr", "ground_truth.exr", "sample.json"
 FRAMES = "frames"  # the folder inside a sample's

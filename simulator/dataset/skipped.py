@@ -6,10 +6,9 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from simulator.dataset.appended import AppendedLines, read_lines
 from simulator.dataset.sample import SPLITS, sample_id, sample_index
 from simulator.errors import InputError
-from simulator.files import write_atomic
+from simulator.io.files import AppendedLines, read_lines, write_atomic
 
 SKIPPED = "skipped.jsonl"
 PROBLEMS = "source_problems.txt"

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.channels import TRUTH, frame_extras, layout_channels
 from simulator.dataset.sample import Sample
 from simulator.dataset.sample_layout import (
     DESCRIPTION,
@@ -23,7 +22,8 @@ from simulator.dataset.sample_layout import (
     truth_file,
 )
 from simulator.errors import InputError
-from simulator.exr import decode_exr
+from simulator.io.clips import TRUTH, frame_extras, layout_channels
+from simulator.io.exr import decode_exr
 
 
 class SceneFrame(NamedTuple):

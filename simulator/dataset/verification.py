@@ -23,7 +23,7 @@ from simulator.dataset.sample_layout import DESCRIPTION, digest_of, read_descrip
 from simulator.dataset.skipped import SKIPPED, load_skipped
 from simulator.dataset.stored_sample import StoredSample
 from simulator.errors import InputError
-from simulator.files import leftovers, sha256_bytes
+from simulator.io.files import leftovers, sha256_bytes
 
 
 @dataclass(frozen=True)

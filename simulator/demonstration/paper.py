@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.colour import linear_to_srgb
-from simulator.files import write_atomic
+from simulator.io.files import write_atomic
 from simulator.optics.plot_panels import FAINT, INK, SMALL, TITLE
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from simulator.importers.rgbd.intrinsics import Intrinsics, read_intrinsics
 from simulator.importers.rgbd.survey import recognises, survey
 from simulator.importers.rgbd.undistort import Circle, Lookup, build_lookup
 from simulator.importers.stereo.runs import check_rate, find_runs
-from simulator.pictures import picture_shape, read_picture
+from simulator.io.images import picture_shape, read_picture
 from simulator.types import Clip, View
 
 __all__ = ["EndoSlam", "endoslam", "recognises", "survey"]

@@ -22,7 +22,7 @@ from simulator.importers.stereo.pairs import disparity_range, read_disparity
 from simulator.importers.stereo.runs import check_rate, fault_of, find_runs
 from simulator.importers.stereo.sceneflow import FOCAL_PX, Eye, Frame, PicturePass, Subset, list_frames
 from simulator.importers.stereo.survey import recognises, survey
-from simulator.pictures import read_picture
+from simulator.io.images import read_picture
 from simulator.types import Clip, View
 
 __all__ = ["FlyingThings3D", "flyingthings3d", "recognises", "survey"]

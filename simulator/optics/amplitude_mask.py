@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from simulator.arrays import require_mask_memory
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
-from simulator.optics.mask_grid import require_mask_memory
 
 FEATURE_TOLERANCE = 1e-6
 """How far, in samples, a feature may be from a whole number of them."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.optics.mask_grid import require_mask_memory
+from simulator.arrays import require_mask_memory
 
 _SUBPIXELS = 16
 

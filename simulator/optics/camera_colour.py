@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.optics.tables import NM
+from simulator.io.tables import NM
 from simulator.types import SpectralResponse
 
 # 24 real surfaces, measured; the one set that nearly all colour calibration uses.

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.arrays import to_numpy
-from simulator.files import write_atomic
+from simulator.io.files import write_atomic
 from simulator.optics.captured_report import captured_differences
-from simulator.optics.facts import length, share
 from simulator.optics.plot import shown_depths
 from simulator.optics.plot_panels import FAINT, INK, SMALL, DepthView, draw_psfs
 from simulator.optics.psf_stack import PsfStack
+from simulator.text import length, share
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

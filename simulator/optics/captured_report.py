@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
-from simulator.optics.facts import length, share
 from simulator.optics.psf_stack import PsfStack
+from simulator.text import length, share
 
 _NEWTON_STEPS = 8
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from simulator.optics.facts import length, share
+from simulator.text import length, share
 
 _NM = 1e9
 

@@ -53,7 +53,7 @@ def contours_of_image(path: Path, samples: int, line: float) -> NDArray[np.float
     from skimage.feature import canny
     from skimage.transform import resize
 
-    from simulator.optics.measured_files import read_measurement
+    from simulator.io.measurements import read_measurement
 
     image = np.asarray(read_measurement(path, ("R", "G", "B")), np.float64).mean(0)
     rows, columns = image.shape

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
+from simulator.io.files import read_text
+from simulator.io.tables import NM, ordered, read_wavelength_table
 from simulator.optics.curves import COLOURS, MONOCHROME, SpectralCurves
-from simulator.optics.tables import NM, ordered, read_wavelength_table
-from simulator.text import read_text
 
 _NAMES = {"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B"}
 _FORGIVEN = 0.01  # of the peak: a digitised or measured zero may lie a little below

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.optics.tables import NM
+from simulator.io.tables import NM
 
 COLOURS = ("R", "G", "B")
 MONOCHROME = ("Y",)

@@ -19,19 +19,20 @@ from simulator.arrays import (
     complex_dtype,
     fft,
     fft2,
+    free_bytes,
     ifft,
     is_torch,
     like,
     namespace,
     pad2d,
     real_dtype,
+    require_memory,
 )
 from simulator.optics.even_filter import blocks, in_threads
 from simulator.optics.exact_plan import Plan, plan
 from simulator.optics.fine_mask import FineGrid, fine_transmission
 from simulator.optics.illumination import Source
 from simulator.optics.mask import Mask
-from simulator.optics.memory import free_bytes, require_memory
 from simulator.optics.transfer import TiltedTransfer, Transfer
 from simulator.types import CameraGeometry
 

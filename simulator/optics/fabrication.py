@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from simulator.arrays import Array, is_torch, namespace, to_numpy
+from simulator.arrays import Array, is_torch, namespace, require_memory, to_numpy
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
-from simulator.optics.memory import require_memory
 
 # Gaussian rounding of std s meets a step of J turns with a slope of J / (s sqrt(2 pi)): with samples of at most s / 1.25 a
 # step of 1.5 turns stays below the half turn per sample that a smooth mask may have.

@@ -10,8 +10,7 @@ from simulator.arrays import to_numpy
 from simulator.optics.mask import Mask
 from simulator.optics.metrics import depth_limit_m, light_off_sensor
 from simulator.optics.psf_stack import PsfStack
-
-_METRE_UNITS = ((1.0, "m"), (1e-2, "cm"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm"))
+from simulator.text import length, share
 
 
 def psf_facts(
@@ -76,30 +75,6 @@ def psf_depth_limit_m(stack: PsfStack, mask: Mask | None = None) -> float | None
     else:
         return None
     return None if distance_m is None else depth_limit_m(aperture_m, distance_m, stack.pixel_pitch_m)
-
-
-def length(value_m: float) -> str:
-    """Return a length with the unit that people would use.
-
-    Example:
-        >>> length(0.036), length(1.92e-5), length(float("inf"))
-        ('3.6 cm', '19.2 µm', '∞')
-    """
-    if np.isinf(value_m):
-        return "∞"
-    factor, unit = next(((f, u) for f, u in _METRE_UNITS if abs(value_m) >= f * (1 - 1e-9)), _METRE_UNITS[-1])
-    return f"{float(f'{value_m / factor:.3g}'):g} {unit}"
-
-
-def share(value: float) -> str:
-    """Return a share in percent with two digits where it is small, three where it is near the whole.
-
-    Example:
-        >>> share(0.0273), share(0.9876), share(0.0)
-        ('2.7 %', '98.8 %', '0 %')
-    """
-    percent = 100 * value if value > 1e-9 else 0.0  # rounding is not light
-    return f"{float(f'{percent:.3g}' if percent >= 10 else f'{percent:.2g}'):g} %"
 
 
 def _mask_facts(stack: PsfStack, mask: Mask | None) -> list[tuple[str, str]]:

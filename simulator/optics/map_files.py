@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.optics.measured_files import read_measurement
+from simulator.io.measurements import read_measurement
 
 _ROUNDING = 1e-6
 MAX_RELIEF_M = 1e-2

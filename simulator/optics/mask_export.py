@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
-from simulator.files import committed_folder, write_atomic
+from simulator.io.files import committed_folder, write_atomic
 from simulator.optics.fabrication import quantise
 from simulator.optics.mask import Mask
 

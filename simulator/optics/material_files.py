@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
+from simulator.io.files import read_text
+from simulator.io.tables import UM, ordered, read_wavelength_table
 from simulator.optics.dispersion import Formula
 from simulator.optics.materials import Material
-from simulator.optics.tables import UM, ordered, read_wavelength_table
-from simulator.text import read_text
 
 _FORMULAS: dict[str, Formula] = {
     "formula 1": "sellmeier",

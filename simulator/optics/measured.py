@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.optics.measured_files import check_numbers, read_measurement, read_npy
+from simulator.io.measurements import check_numbers, read_measurement, read_npy
 from simulator.optics.psf_stack import PsfStack, check_depths
 
 Background: TypeAlias = Literal["border", "none"] | float | Path

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.optics.memory import require_memory
+from simulator.arrays import require_memory
 
 _PLACES_PER_UNIT = 24
 

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.arrays import next_fast_len
+from simulator.arrays import next_fast_len, require_memory
 from simulator.errors import InputError
 from simulator.optics.even_filter import blocks, even_filter, in_threads
-from simulator.optics.memory import require_memory
 from simulator.optics.propagation import spread_samples
 from simulator.optics.transfer import Transfer
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
+from simulator.io.tables import NM
 from simulator.optics.curves import Led, SpectralCurves, camera_curves, illuminant_curve
 from simulator.optics.spectrum import spectral_response
-from simulator.optics.tables import NM
 
 LUMENS_PER_WATT = 683.0
 """K_cd, the luminous efficacy at 540 THz by which the candela is defined (BIPM, The International System of Units, 2019)."""

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simulator.arrays import to_numpy
-from simulator.files import write_atomic
-from simulator.optics.facts import length, psf_facts
+from simulator.io.files import write_atomic
+from simulator.optics.facts import psf_facts
 from simulator.optics.mask import Mask
 from simulator.optics.plot_panels import (
     FAINT,
@@ -25,6 +25,7 @@ from simulator.optics.plot_panels import (
     draw_sections,
 )
 from simulator.optics.psf_stack import PsfStack
+from simulator.text import length
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

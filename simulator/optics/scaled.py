@@ -16,13 +16,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.arrays import Array, bytes_per_sample, fft2, ifft, is_torch, namespace, next_fast_len, number, pad2d
+from simulator.arrays import (
+    Array,
+    bytes_per_sample,
+    fft2,
+    ifft,
+    is_torch,
+    namespace,
+    next_fast_len,
+    number,
+    pad2d,
+    require_memory,
+)
 from simulator.optics.even_filter import Quadrant, blocks, each_rows
 from simulator.optics.illumination import Source
 from simulator.optics.kernel import ORDERS, PixelKernel, kernel_reach_m
 from simulator.optics.layers import Strata, gap_strata, reduced_m, scaled
 from simulator.optics.mask import Mask
-from simulator.optics.memory import require_memory
 from simulator.optics.propagation import holds_steep_waves, spread_samples
 from simulator.optics.resample import Band, MovingBoxes, box_integral
 from simulator.optics.steepness import followed_frequency

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
+from simulator.io.tables import NM
 from simulator.optics.curves import Led, camera_curves, illuminant_curve
-from simulator.optics.tables import NM
 from simulator.types import Refractive, SpectralResponse
 
 # No curves are published here for the IMX183: this measured DSLR set is the labelled stand-in.

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
-from simulator.optics.facts import length
 from simulator.optics.psf_stack import PsfStack, check_depths
+from simulator.text import length
 
 _SAME_DEPTH = 1e-9  # relative: centimetres and metres of one depth differ by rounding
 

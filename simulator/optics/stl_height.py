@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.arrays import require_mask_memory
 from simulator.errors import InputError
-from simulator.optics.mask_grid import require_mask_memory
 from simulator.optics.relief import MAX_SIDE, MAX_TRIANGLES
 
 Triangles = NDArray[np.float64]

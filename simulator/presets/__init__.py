@@ -10,9 +10,9 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 
 from simulator.config import default_config_text
-from simulator.entry_points import preset_packages
 from simulator.errors import InputError
-from simulator.validation import nearest
+from simulator.plugins import preset_packages
+from simulator.text import nearest
 
 DEFAULT = "flying_things"
 """The configuration that `flatlight init` writes when nothing is said."""

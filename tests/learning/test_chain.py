@@ -16,7 +16,7 @@ from PIL import Image
 
 from learning.display import encode
 from simulator.dataset import open_dataset
-from simulator.exr import read_exr
+from simulator.io.exr import read_exr
 
 SCENES = 2
 STEPS = 50

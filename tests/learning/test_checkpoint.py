@@ -13,7 +13,7 @@ from safetensors import safe_open
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.models import LearnedMethod, build_network
 from simulator.errors import InputError
-from simulator.files import StorageError
+from simulator.io.files import StorageError
 from simulator.optics.psf_stack import depth_planes
 
 ARCHITECTURE = {"network": "flatnet3d", "size": "tiny", "filters": 6}

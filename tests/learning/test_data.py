@@ -17,7 +17,7 @@ from torch.utils.data import DataLoader, default_collate
 from learning.data import Batches, Draw, Example, ExampleSet, check_dataset
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
-from simulator.exr import read_exr, write_exr
+from simulator.io.exr import read_exr, write_exr
 
 
 @pytest.fixture(scope="module")

@@ -30,7 +30,7 @@ from learning.reconstruction.plain_capture import plain_capture, typical_white
 from simulator.dataset import open_dataset
 from simulator.dataset.psf_files import write_psf_stack
 from simulator.errors import InputError
-from simulator.exr import read_exr, write_exr
+from simulator.io.exr import read_exr, write_exr
 from simulator.optics.psf_stack import PsfStack
 
 NETWORK = {"network": "flatnet3d", "size": "tiny"}

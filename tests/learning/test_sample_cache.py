@@ -19,8 +19,8 @@ from learning.data import Draw, Example, ExampleSet
 from learning.sample_cache import Arrays, SampleCache
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
-from simulator.exr import read_exr, write_exr
-from simulator.files import StorageError
+from simulator.io.exr import read_exr, write_exr
+from simulator.io.files import StorageError
 
 
 @pytest.fixture

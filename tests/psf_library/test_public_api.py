@@ -9,8 +9,8 @@ import pytest
 
 import psf_library
 from psf_library import load_mask, load_psf_stack
+from simulator import arrays as memory
 from simulator.errors import InputError
-from simulator.optics import memory
 from simulator.plugins import available, resolve
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")

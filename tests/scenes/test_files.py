@@ -15,7 +15,7 @@ from PIL import Image
 from scenes.files import OwnFiles, files
 from scenes.models.resampling import area_mean
 from simulator.errors import InputError
-from simulator.exr import write_exr
+from simulator.io.exr import write_exr
 from simulator.plugin_listing import parameter_lines
 from simulator.plugins import ParameterError, resolve
 from simulator.render import Renderer

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from simulator.channels import TRUTH, describe_extras, extra_channels, frame_channels, frame_extras, layout_channels
 from simulator.errors import InputError
+from simulator.io.clips import TRUTH, describe_extras, extra_channels, frame_channels, frame_extras, layout_channels
 
 SHAPE = (4, 5)
 

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from simulator import files
 from simulator.errors import InputError
-from simulator.exr import ATTRIBUTE, decode_exr, read_exr, read_header, write_exr
-from simulator.files import StorageError
+from simulator.io import files
+from simulator.io.exr import ATTRIBUTE, decode_exr, read_exr, read_header, write_exr
+from simulator.io.files import StorageError
 
 FINITE = st.floats(width=32, allow_nan=False, allow_infinity=False)
 JSON = st.recursive(

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from simulator import files
 from simulator.errors import InputError
-from simulator.files import (
+from simulator.io import files
+from simulator.io.files import (
     StorageError,
     committed_folder,
     leftovers,
@@ -77,7 +77,7 @@ def test_full_disk_keeps_the_old_file_and_says_how_to_resume(
 
 def test_a_real_size_limit_of_the_system_is_met_in_words(tmp_path: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from simulator.files import write_atomic, StorageError\n"
+        "import sys; from pathlib import Path; from simulator.io.files import write_atomic, StorageError\n"
         "try: write_atomic(Path(sys.argv[1]), b'x' * 100_000)\n"
         "except StorageError as error: print(error)"
     )

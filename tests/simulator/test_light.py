@@ -8,8 +8,8 @@ import tifffile
 from PIL import Image
 
 from simulator.errors import InputError
-from simulator.exr import write_exr
-from simulator.light import read_light
+from simulator.io.exr import write_exr
+from simulator.io.images import read_light
 
 CODES = np.random.default_rng(1).integers(0, 256, (3, 5, 3), dtype=np.uint8)
 # What EXIF and TIFF number an orientation by: how the upright picture is stored (TIFF 6.0, page 36).

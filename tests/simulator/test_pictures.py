@@ -9,7 +9,7 @@ import pytest
 from PIL import Image, ImageOps
 
 from simulator.errors import InputError
-from simulator.pictures import MAX_PIXELS, picture_shape, read_picture, read_shown_picture
+from simulator.io.images import MAX_PIXELS, picture_shape, read_picture, read_shown_picture
 
 
 @pytest.fixture

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from simulator.entry_points import commands
 from simulator.errors import InputError
-from simulator.plugins import ParameterError, available, resolve
+from simulator.plugins import ParameterError, available, commands, resolve
 
 Install = Callable[..., None]
 

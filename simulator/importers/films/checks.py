@@ -12,7 +12,7 @@ from simulator.importers.films.av import count_decodable, index_film
 from simulator.importers.films.numbering import counting_fault
 from simulator.importers.films.video import ClipPlan
 from simulator.importers.survey import Survey
-from simulator.light import read_light
+from simulator.io.images import read_light
 
 
 @dataclass

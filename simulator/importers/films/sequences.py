@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.importers.extra import MissingPackageError
 from simulator.importers.films.av import index_film, read_film
-from simulator.light import read_light
+from simulator.io.images import read_light
 
 FILM_SUFFIXES = frozenset((".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ogv", ".ts", ".webm", ".wmv"))
 """Endings of films, by which they are found in folders; what a film really is, its contents say."""
@@ -96,7 +96,7 @@ class PictureSequence:
         return len(self.pictures)
 
     def read(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
-        """Give pictures as linear light, see `simulator.light.read_light`."""
+        """Give pictures as linear light, see `simulator.io.images.read_light`."""
         return (read_light(path) for path in self.files[start:stop])
 
     def record(self, start: int, stop: int) -> dict[str, Any]:

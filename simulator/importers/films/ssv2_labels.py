@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from simulator.errors import InputError
-from simulator.validation import nearest
+from simulator.text import nearest
 
 Subset = Literal["train", "validation"]
 COARSE_TABLE = Path(__file__).parent / "tables" / "something_something_v2_coarse.csv"

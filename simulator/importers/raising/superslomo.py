@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from simulator.colour import linear_to_srgb, srgb_to_linear
 from simulator.errors import InputError
-from simulator.files import sha256_file
 from simulator.importers.raising._between import raise_pairs
 from simulator.importers.raising._checkpoint import read_checkpoint
 from simulator.importers.raising._network import STRIDE, u_net
+from simulator.io.files import sha256_file
 
 MEAN_RGB = (0.429, 0.431, 0.397)
 """Subtracted from the encoded frames before the networks see them, as in their training (mean of the Adobe240-fps films)."""

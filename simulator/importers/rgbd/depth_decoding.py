@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.pictures import read_picture
+from simulator.io.images import read_picture
 
 DepthCode: TypeAlias = Literal["linear", "inverse"]
 DepthAlong: TypeAlias = Literal["axis", "ray"]

@@ -11,7 +11,7 @@ from pydantic import Field, RootModel, ValidationError
 
 from simulator.errors import InputError
 from simulator.importers.rgbd.camera_models import Lens, OpencvFisheye, Pinhole, Scaramuzza, pinhole_of
-from simulator.text import read_text
+from simulator.io.files import read_text
 from simulator.validation import find_problems, validate
 
 Intrinsics = Annotated[Pinhole | OpencvFisheye | Scaramuzza, Field(discriminator="type")]

@@ -17,7 +17,7 @@ from simulator.importers.rgbd.frames import recognises as recognises
 from simulator.importers.rgbd.intrinsics import nearest_file, read_intrinsics
 from simulator.importers.stereo.runs import fault_of, run_lengths
 from simulator.importers.survey import Progress, Survey
-from simulator.pictures import read_picture
+from simulator.io.images import read_picture
 
 SIMCOL = (
     "SimCol3D's own code reads code / 65280 x 20 cm: depth_scale_cm: 20, depth_code: linear, depth_full_code: 65280"

@@ -10,7 +10,7 @@ from simulator.importers.stereo.pairs import disparity_range, read_disparity
 from simulator.importers.stereo.runs import fault_of, run_lengths
 from simulator.importers.stereo.sceneflow import PASSES, Eye, PicturePass, Subset, find_root, list_frames
 from simulator.importers.survey import Progress, Survey
-from simulator.pictures import read_picture
+from simulator.io.images import read_picture
 
 
 def recognises(path: Path) -> bool:

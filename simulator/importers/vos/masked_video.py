@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
 from simulator.importers.vos.masks import VOID, fit_mask, object_pixels, read_object_numbers
-from simulator.pictures import picture_shape, read_picture
+from simulator.io.images import picture_shape, read_picture
 
 _WARNED: set[Path] = set()  # data sets whose mask sizes were told of: once for each, not for every mask and reading
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.pictures import picture_shape
+from simulator.io.images import picture_shape
 
 VOID = 255
 """The palette index of pixels that nobody has judged, such as an object's blurred edge."""

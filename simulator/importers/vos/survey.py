@@ -14,7 +14,7 @@ from simulator.importers.listing import Fault, examples, grouped
 from simulator.importers.survey import Progress, Survey
 from simulator.importers.vos.masked_video import MaskedVideo
 from simulator.importers.vos.videos import Found
-from simulator.pictures import read_picture
+from simulator.io.images import read_picture
 
 
 @dataclass

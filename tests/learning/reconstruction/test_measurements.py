@@ -14,7 +14,7 @@ from PIL import Image
 from learning.reconstruction.measurements import load_measurement
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
-from simulator.exr import write_exr
+from simulator.io.exr import write_exr
 
 ROWS, COLUMNS = 6, 8
 

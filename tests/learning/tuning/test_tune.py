@@ -27,9 +27,9 @@ from learning.tuning.score import Errors, Score
 from learning.tuning.search import Axis, Parameters, coordinate_search
 from learning.tuning.summary import table
 from simulator.dataset.manifest import load_manifest
-from simulator.dataset.plain import canonical_json
 from simulator.errors import InputError
-from simulator.files import sha256_bytes
+from simulator.io.files import sha256_bytes
+from simulator.io.json import canonical_json
 
 SCENES = 5
 LEVELS = (20.0, 40.0)

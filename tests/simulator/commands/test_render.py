@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from simulator.exr import read_exr
-from simulator.plugin_files import import_file
+from simulator.io.exr import read_exr
+from simulator.plugins import import_file
 from simulator.types import View
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")

@@ -6,9 +6,9 @@ import numpy as np
 import OpenImageIO
 import pytest
 
-from simulator.dataset.clip_files import write_linear
 from simulator.errors import InputError
-from simulator.exr import read_exr
+from simulator.io.clips import write_linear
+from simulator.io.exr import read_exr
 from simulator.types import Clip
 
 

@@ -15,8 +15,8 @@ from simulator.dataset import generate, open_dataset, verify
 from simulator.dataset.manifest import load_manifest
 from simulator.dataset.skipped import load_skipped
 from simulator.errors import InputError
-from simulator.exr import decode_exr
-from simulator.plugin_files import import_file
+from simulator.io.exr import decode_exr
+from simulator.plugins import import_file
 from simulator.types import Clip, View
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")

@@ -11,7 +11,7 @@ from simulator.dataset.dataset_info import write_info
 from simulator.dataset.manifest import ManifestWriter
 from simulator.dataset.sample import write_sample
 from simulator.errors import InputError
-from simulator.files import StorageError
+from simulator.io.files import StorageError
 
 SENSOR, SCENE = (192, 288), (192, 192)  # the size of the tiles: nothing is resampled
 MEASUREMENT_LEFT, SCENE_LEFT, DEPTH_LEFT, TOP = 12, 312, 516, 64

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulator.dataset.fingerprint import build_fingerprint, difference, distinct_names, package_versions
-from simulator.dataset.plain import canonical_json, plain, readable_json
 from simulator.errors import InputError
+from simulator.io.json import canonical_json, plain, readable_json
 
 CONFIG = {
     "name": "a",

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from simulator import files
 from simulator.dataset.manifest import MANIFEST, ManifestWriter, load_manifest
 from simulator.dataset.sample import SampleRecord, sample_id
 from simulator.errors import InputError
-from simulator.files import StorageError
+from simulator.io import files
+from simulator.io.files import StorageError
 
 
 def record(index: int, split: str = "train", digest: str = "a" * 64) -> SampleRecord:

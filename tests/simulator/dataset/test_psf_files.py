@@ -40,7 +40,7 @@ def test_channels_keep_their_order(tmp_path: Path) -> None:
 
 
 def test_depth_files_sort_and_say_their_depth(tmp_path: Path) -> None:
-    from simulator.exr import decode_exr
+    from simulator.io.exr import decode_exr
 
     depths = tuple(np.linspace(0.04, 0.2, 12))
     write_psf_stack(tmp_path / "psf", make_stack(depths))

@@ -12,8 +12,8 @@ from scipy.signal import fftconvolve
 
 from simulator.dataset import open_dataset
 from simulator.dataset.recipe import scene_clip
-from simulator.exr import decode_exr
-from simulator.plugin_files import import_file
+from simulator.io.exr import decode_exr
+from simulator.plugins import import_file
 from simulator.types import Clip, View
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")

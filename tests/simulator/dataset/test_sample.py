@@ -10,8 +10,8 @@ import pytest
 from simulator.dataset.sample import sample_folder, sample_id, sample_index, write_sample
 from simulator.dataset.stored_sample import read_sample
 from simulator.errors import InputError
-from simulator.exr import read_exr
-from simulator.files import sha256_bytes, sha256_file
+from simulator.io.exr import read_exr
+from simulator.io.files import sha256_bytes, sha256_file
 
 ARRAYS = ("measurement", "noiseless", "rgb", "depth_m", "valid")
 

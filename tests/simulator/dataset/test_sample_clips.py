@@ -15,13 +15,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulator import files
 from simulator.dataset.sample import Sample, sample_folder, write_sample
 from simulator.dataset.sample_layout import MOST_FRAMES, file_names
 from simulator.dataset.stored_sample import StoredSample, read_sample
 from simulator.errors import InputError
-from simulator.exr import read_exr
-from simulator.files import StorageError, sha256_file
+from simulator.io import files
+from simulator.io.exr import read_exr
+from simulator.io.files import StorageError, sha256_file
 
 ARRAYS = ("measurement", "noiseless", "rgb", "depth_m", "valid", "frame_edges_s", "global_measurements")
 DTYPES = ("bool", "uint8", "int16", "uint16", "int32", "float16", "float32")

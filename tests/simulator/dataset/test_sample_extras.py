@@ -13,7 +13,7 @@ from simulator.dataset import open_dataset, verify
 from simulator.dataset.sample import sample_folder, write_sample
 from simulator.dataset.stored_sample import read_sample
 from simulator.errors import InputError
-from simulator.exr import read_exr
+from simulator.io.exr import read_exr
 from simulator.seeds import generator
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")

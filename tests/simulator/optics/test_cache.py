@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulator.optics.cache import cache_folder, cached
+from simulator.io.cache import cache_folder, cached
 
 ENTRY = ({"values": np.arange(12, dtype=np.float32).reshape(3, 4), "other": np.array([1.5])}, {"a": [1, 2], "b": "µ"})
 
@@ -146,7 +146,7 @@ def test_a_reader_never_meets_half_an_entry(folder):
     from concurrent.futures import ThreadPoolExecutor
 
     def write(number):
-        from simulator.optics.cache import _store
+        from simulator.io.cache import _store
 
         _store(folder / "psf" / "abc.npz", {"values": np.full(20000, number, np.float32)}, {"number": number})
 

@@ -6,7 +6,7 @@ import tifffile
 from PIL import Image
 
 from simulator.errors import InputError
-from simulator.exr import write_exr
+from simulator.io.exr import write_exr
 from simulator.optics.map_files import read_height_map, read_unit_map
 
 CODES = np.array([[0, 10, 255], [128, 3, 77]], np.uint8)

@@ -4,9 +4,9 @@ import sys
 
 import pytest
 
+from simulator import arrays as memory
+from simulator.arrays import SHARE, machine_bytes, require_memory
 from simulator.errors import InputError
-from simulator.optics import memory
-from simulator.optics.memory import SHARE, machine_bytes, require_memory
 
 
 def test_the_estimate_is_what_numpy_would_take():

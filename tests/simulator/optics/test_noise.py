@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from simulator import arrays as memory
 from simulator.errors import InputError
-from simulator.optics import memory
 from simulator.optics.noise import gaussian_surface, perlin, poisson_disc
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from simulator import arrays as memory
 from simulator.errors import InputError
-from simulator.optics import memory
 from simulator.optics.contours import contours
 from simulator.optics.phase_retrieval import retrieve_phase
 from simulator.optics.propagation import angular_spectrum

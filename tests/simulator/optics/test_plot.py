@@ -13,14 +13,15 @@ from PIL import Image
 from psf_library.designs.diffusercam import diffusercam
 from psf_library.designs.pinhole import pinhole
 from simulator.errors import InputError
-from simulator.files import StorageError
-from simulator.optics.facts import length, psf_depth_limit_m, psf_facts, share
+from simulator.io.files import StorageError
+from simulator.optics.facts import psf_depth_limit_m, psf_facts
 from simulator.optics.mask import Mask
 from simulator.optics.materials import PHLATCAM_RESIST
 from simulator.optics.plot import plot_psf_stack, psf_figure, shown_depths
 from simulator.optics.psf import PsfConfig, compute_psf_stack
 from simulator.optics.psf_stack import PsfStack
 from simulator.optics.spectrum import spectral_response
+from simulator.text import length, share
 from simulator.types import CameraGeometry, SpectralResponse
 
 GREEN = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")

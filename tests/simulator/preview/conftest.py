@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from simulator.plugin_files import import_file
+from simulator.plugins import import_file
 from simulator.types import Clip
 
 

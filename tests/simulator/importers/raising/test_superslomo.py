@@ -17,8 +17,8 @@ from torch import nn
 
 from simulator.colour import linear_to_srgb, srgb_to_linear
 from simulator.errors import InputError
-from simulator.files import sha256_file
 from simulator.importers.raising import build_raiser
+from simulator.io.files import sha256_file
 
 MEAN = np.array([0.429, 0.431, 0.397])
 

@@ -6,7 +6,7 @@ import pytest
 
 from simulator.errors import InputError
 from simulator.importers.stereo.pfm import pfm_shape, read_pfm
-from simulator.pictures import read_picture
+from simulator.io.images import read_picture
 
 
 def write_pfm(path, values, scale=-1.0):

@@ -1,15 +1,15 @@
-"""The one writer and the one reader of OpenEXR files, with a guard for every way they were seen to go wrong.
-
-Files are single-part, scanline, ZIP, float32. Exact metadata and a CRC-32 of every channel lie in one JSON attribute,
-because float attributes have 32 bits only and ZIP stores what it cannot shrink without any checksum.
-"""
+"""The one writer and the one reader of OpenEXR files, with a guard for every way they were seen to go wrong."""
 
 from __future__ import annotations
 
 import io
 import json
+import os
+import sys
+import threading
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.files import StorageError, write_atomic
-from simulator.quiet import quiet
+from simulator.io.files import StorageError, write_atomic
+
+_LOCK = threading.RLock()  # two threads that swap descriptors at once would leave the wrong one in place
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Silence file descriptor 2 and ``print`` for the block.
+
+    Descriptors belong to the whole process: what *another* thread writes to stderr (or prints) during the block, some
+    milliseconds around one decode, is lost too. Blocks of several threads wait for each other.
+    """
+    with _LOCK:
+        try:
+            kept = os.dup(2)
+        except OSError:  # a daemon without stderr has nothing to silence
+            with redirect_stdout(io.StringIO()):
+                yield
+            return
+        try:
+            if sys.stderr is not None:
+                sys.stderr.flush()
+            sink = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(sink, 2)
+            os.close(sink)
+            with redirect_stdout(io.StringIO()):
+                yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+
 
 ATTRIBUTE = "flatlight"
 """Name of the string attribute that carries metadata and checksums."""

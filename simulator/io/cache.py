@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from simulator.files import StorageError, storage_errors, temporary_path
+from simulator.io.files import StorageError, storage_errors, temporary_path
 
 Entry = tuple[dict[str, np.ndarray], dict[str, Any]]  # arrays, and JSON-serialisable metadata
 

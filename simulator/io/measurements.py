@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.pictures import MAX_PIXELS, read_picture
+from simulator.io.images import MAX_PIXELS, read_picture
 
 MAX_VALUES = 2**31
 """Most values that are read from one file; a header may claim any size."""
@@ -113,7 +113,7 @@ def _read_tiff(path: Path) -> NDArray[Any]:
 
 def _read_exr(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
     """``(C, H, W)`` by the channels' names, or ``(H, W)`` when there is only one."""
-    from simulator.exr import read_exr
+    from simulator.io.exr import read_exr
 
     found, _ = read_exr(path)
     if set(channels) <= set(found):

@@ -1,18 +1,19 @@
-"""Files that appear whole or not at all: temporary name, fsync, rename; and clear words when the disk says no.
-
-A reader therefore never meets a half-written file under its final name, whatever dies and whenever.
-"""
+"""Files that appear whole or not at all, files of lines that only grow, small texts; clear words when the disk says no."""
 
 from __future__ import annotations
 
 import errno
+import fcntl
 import hashlib
+import json
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import TracebackType
+from typing import Any
 
 from simulator.errors import InputError
 
@@ -192,3 +193,115 @@ def sha256_file(path: Path) -> str:
     except OSError as error:
         msg = f"cannot read {path}: {error.strerror or error}"
         raise InputError(msg) from error
+
+
+MAX_BYTES = 16 << 20
+
+
+def read_text(path: Path, holds: str, max_bytes: int = MAX_BYTES) -> str:
+    """Return the text of a small file, without a byte-order mark.
+
+    Args:
+        path: the file.
+        holds: what it should hold, for the messages, such as ``a table of wavelengths``.
+        max_bytes: more than this is another file.
+
+    Raises:
+        InputError: when it cannot be read, is no UTF-8 text or too large.
+    """
+    try:
+        with path.open("rb") as file:
+            raw = file.read(max_bytes + 1)
+        if len(raw) > max_bytes:
+            msg = f"{path}: larger than {max_bytes >> 10} KiB, expected {holds}; is this the right file?"
+            raise InputError(msg)
+        return raw.decode("utf-8-sig")
+    except OSError as error:
+        msg = f"cannot read {path}: {error.strerror or error}"
+        raise InputError(msg) from error
+    except UnicodeDecodeError as error:
+        msg = f"{path}: not UTF-8 text (byte 0x{error.object[error.start]:02x}); expected {holds}"
+        raise InputError(msg) from error
+
+
+class AppendedLines:
+    """Appends lines of JSON to a file; one writer per data set, in the parent process only."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the file (made when missing), take its lock and cut a torn last line.
+
+        Raises:
+            InputError: another process is writing to the same data set.
+            StorageError: the folder cannot be written to.
+        """
+        self._path = path
+        with storage_errors(path):
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            os.close(self._descriptor)
+            msg = f"another process is writing to the data set in {path.parent}; wait for it or choose another dataset.output"
+            raise InputError(msg) from error
+        except OSError:
+            pass  # a file system without locks
+        with storage_errors(path):
+            self._size = _end_of_last_line(self._descriptor)
+            os.ftruncate(self._descriptor, self._size)
+
+    def append_line(self, content: Mapping[str, Any]) -> None:
+        """Add one line and wait until it is on the disk.
+
+        Raises:
+            StorageError: the disk is full; the file stays as it was before.
+        """
+        line = json.dumps(content, separators=(",", ":")).encode() + b"\n"
+        with storage_errors(self._path):
+            try:
+                write_all(self._descriptor, line)
+                os.fsync(self._descriptor)
+            except OSError:
+                with suppress(OSError):
+                    os.ftruncate(self._descriptor, self._size)
+                raise
+        self._size += len(line)
+
+    def close(self) -> None:
+        """Release the file and its lock; may be called twice."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def read_lines(path: Path) -> tuple[list[bytes], bool]:
+    """Return the whole lines of such a file and whether a torn one follows them; a missing file has none.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return [], False
+    except OSError as error:
+        msg = f"cannot read {path}: {error.strerror or error}"
+        raise InputError(msg) from error
+    *lines, rest = data.split(b"\n")
+    return lines, bool(rest)
+
+
+def _end_of_last_line(descriptor: int) -> int:
+    size = os.fstat(descriptor).st_size
+    end, step = size, 4096
+    while end > 0:
+        start = max(0, end - step)
+        found = os.pread(descriptor, end - start, start).rfind(b"\n")
+        if found >= 0:
+            return start + found + 1
+        end = start
+    return 0

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.text import read_text
+from simulator.io.files import read_text
 
 NM, UM = 1e-9, 1e-6
 _UNITS = (

@@ -1,0 +1,1 @@
+"""Files of all kinds: OpenEXR, images, tables, JSON; written whole or not at all."""
