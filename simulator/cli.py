@@ -56,7 +56,7 @@ def options(
 
 def main() -> None:
     """Run the command: one clear line per mistake, exit code 2 for the user's, 1 for ours."""
-    from simulator.plugins import commands
+    from simulator.entry_points import commands
 
     try:
         for name, entry in commands().items():

@@ -20,43 +20,14 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, PydanticUserError, ValidationError, create_model
 
+from simulator.entry_points import entry_points
 from simulator.errors import InputError
 from simulator.io.files import StorageError
 from simulator.text import nearest
 from simulator.validation import Problem, find_problems, validate
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
-_COMMANDS = "flatlight.commands"
-_PRESETS = "flatlight.presets"
-
-
-def entry_points(group: str) -> list[EntryPoint]:
-    """Return the entry points of a group, by name."""
-    from importlib.metadata import entry_points as installed
-
-    return sorted(installed(group=group), key=lambda entry: (entry.name, entry.value))
-
-
-def commands() -> dict[str, EntryPoint]:
-    """Return the commands that other rooms and packages add, by name; ``.load()`` imports one.
-
-    Raises:
-        InputError: when two packages add the same command.
-    """
-    found: dict[str, EntryPoint] = {}
-    for entry in entry_points(_COMMANDS):
-        other = found.setdefault(entry.name, entry)
-        if other.value != entry.value:
-            msg = f"command {entry.name!r} is defined by both {other.value} and {entry.value}; uninstall one of them"
-            raise InputError(msg)
-    return found
-
-
-def preset_packages() -> list[str]:
-    """Return the names of packages whose YAML files are offered as presets beside the simulator's own."""
-    return [entry.value for entry in entry_points(_PRESETS)]
+    pass
 
 
 def modules_defining(package: str, kind: str) -> frozenset[str]:

@@ -10,8 +10,8 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 
 from simulator.config import default_config_text
+from simulator.entry_points import preset_packages
 from simulator.errors import InputError
-from simulator.plugins import preset_packages
 from simulator.text import nearest
 
 DEFAULT = "flying_things"

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from simulator.entry_points import commands
 from simulator.errors import InputError
-from simulator.plugins import ParameterError, available, commands, resolve
+from simulator.plugins import ParameterError, available, resolve
 
 Install = Callable[..., None]
 
