@@ -29,7 +29,7 @@ from simulator.camera.sensor_models import MODELS
 from simulator.camera.shutter import DualRollingShutter
 from simulator.camera.slivers import exposed_part, sliver_means
 from simulator.dataset.sample import Sample, write_sample
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 from simulator.types import Clip, View
 
 ROUNDS = 7

@@ -27,8 +27,8 @@ from common import single_threaded, versions
 from peers import phase_contour_retrieval
 
 from psf_library.designs.phlatcam import phlatcam
-from simulator.optics.contours import contours
-from simulator.optics.phase_retrieval import retrieve_phase
+from simulator.design.patterns import contours
+from simulator.design.phase_retrieval import retrieve_phase
 from simulator.optics.propagation import angular_spectrum
 
 PITCH_M, WAVELENGTH_M, DISTANCE_M = 2e-6, 532e-9, 1869e-6

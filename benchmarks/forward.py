@@ -21,7 +21,7 @@ from common import measure, rows, show, single_threaded, versions
 
 from simulator.camera.forward import ForwardModel
 from simulator.camera.planes import split_planes
-from simulator.optics.psf_stack import PsfStack, depth_planes
+from simulator.optics.stack import PsfStack, depth_planes
 
 SCENE = (128, 128)
 PSF = (391, 391)

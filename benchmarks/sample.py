@@ -21,7 +21,7 @@ from simulator.camera.planes import mask_irradiance
 from simulator.camera.sensor import Sensor
 from simulator.camera.sensor_models import MODELS
 from simulator.dataset.sample import Sample, write_sample
-from simulator.optics.psf_stack import PsfStack, depth_planes
+from simulator.optics.stack import PsfStack, depth_planes
 from simulator.types import Clip, View
 
 ROUNDS = 7

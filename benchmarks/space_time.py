@@ -31,7 +31,7 @@ from scipy.fft import next_fast_len
 from simulator.camera.forward import ForwardModel
 from simulator.camera.planes import split_planes
 from simulator.camera.shutter import DualRollingShutter
-from simulator.optics.psf_stack import PsfStack, depth_planes
+from simulator.optics.stack import PsfStack, depth_planes
 from simulator.types import Clip
 
 SENSOR, PSF = (320, 384), (225, 225)

@@ -26,13 +26,13 @@ import scipy.fft
 from common import versions
 
 from psf_library.designs.phlatcam import phlatcam
-from simulator.optics.exact_plan import plan
-from simulator.optics.illumination import Source
+from simulator.optics.exact import plan
 from simulator.optics.mask import Mask
 from simulator.optics.psf import PsfConfig, compute_psf_stack
-from simulator.optics.psf_stack import PsfStack, depth_planes
 from simulator.optics.scaled import ScaledModel
-from simulator.optics.spectrum import quantile_lines, spectral_response
+from simulator.optics.sources import Source
+from simulator.optics.spectra import quantile_lines, spectral_response
+from simulator.optics.stack import PsfStack, depth_planes
 from simulator.types import CameraGeometry
 
 NEAR_M, FAR_M = 0.036, 0.2

@@ -20,7 +20,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from simulator.assemble import build_mask, build_psf_stack
 from simulator.config import load_config
-from simulator.optics.plot_panels import DepthView, draw_mask, draw_psfs
+from simulator.plots.psf import DepthView, draw_mask, draw_psfs
 from simulator.plugin_listing import parameter_lines, summary
 from simulator.plugins import available, resolve
 from simulator.text import length

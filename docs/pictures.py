@@ -15,7 +15,7 @@ from PIL import Image
 from psf_library import load_psf_stack
 from simulator.colour import linear_to_srgb
 from simulator.dataset import open_dataset
-from simulator.preview.colours import depth_colours
+from simulator.plots.drawing import depth_colours
 
 INDEX, PLANES, NOISE_TO_SIGNAL = 7, (1, 7, 13, 20), 3e-4
 HEIGHT, GAP = 256, 8

@@ -19,10 +19,10 @@ from simulator.assemble import build_view
 from simulator.config import load_config
 from simulator.dataset.engines import available_cpus
 from simulator.dataset.recipe import scene_clip
+from simulator.plots.clips import clip_sheet
 from simulator.plugin_listing import parameter_lines, summary
 from simulator.plugins import resolve
 from simulator.presets import preset_text
-from simulator.preview import clip_sheet
 from simulator.render import Renderer
 from simulator.render.backend import activate, choose_backend
 from simulator.types import View

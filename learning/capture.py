@@ -15,10 +15,10 @@ from simulator.camera.forward import ForwardModel
 from simulator.camera.planes import mask_irradiance
 from simulator.config import config_from_dict
 from simulator.dataset.dataset_info import CAPTURED_FOLDER, PSF_FOLDER
-from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import read_psf_stack
 from simulator.types import View
 
 

@@ -24,7 +24,7 @@ from learning.models.sizes import build_network, full_architecture
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
 from simulator.io.json import canonical_json
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 FORMAT, VERSION = "flatlight checkpoint", 1
 _KEY = "flatlight"

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from simulator.assemble import load_mask
-from simulator.dataset.psf_files import read_psf_stack, stack_folder
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import read_psf_stack, stack_folder
 
 __all__ = ["load_mask", "load_psf_stack"]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
     from simulator.doctor import Check
-    from simulator.optics.psf_stack import PsfStack
+    from simulator.optics.stack import PsfStack
 
 _PLAIN_EVERY_S = 10.0
 
@@ -75,7 +75,7 @@ class Bar:
 
 def describe_stack(stack: PsfStack, sensor_shape: tuple[int, int], scene_shape: tuple[int, int]) -> str:
     """Return what is worth knowing of a PSF stack, with its measured errors, one line each."""
-    from simulator.optics.facts import psf_facts
+    from simulator.plots.psf_facts import psf_facts
 
     facts = psf_facts(stack, None, scene_shape, sensor_shape)
     width = max(len(what) for what, _ in facts)

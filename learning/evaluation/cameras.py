@@ -12,12 +12,12 @@ from learning.display import measure_white
 from learning.evaluation.outcome import OWN
 from learning.evaluation.roster import Entry
 from simulator.arrays import to_numpy
-from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.io.files import sha256_bytes
 from simulator.io.json import canonical_json
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import read_psf_stack
 
 _WHITES_ALIKE = 1e-6
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from learning.evaluation.outcome import Outcome
 from learning.evaluation.timing import Times
-from simulator.optics.plot_panels import FAINT, GRID, INK, NORMAL, SMALL, style
+from simulator.plots.psf import FAINT, GRID, INK, NORMAL, SMALL, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,9 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.preview.colours import depth_colours
-from simulator.preview.drawing import INK, PAPER, fitted, font, png_bytes, resized
-from simulator.preview.legends import LEGEND_WIDTH, draw_depth_legend
+from simulator.plots.drawing import (
+    INK,
+    LEGEND_WIDTH,
+    PAPER,
+    depth_colours,
+    draw_depth_legend,
+    fitted,
+    font,
+    png_bytes,
+    resized,
+)
 
 _TILE, _GAP, _WORDS, _HEAD, _LEGEND = 160, 10, 18, 62, 180  # pixels
 

@@ -20,7 +20,7 @@ from learning.evaluation.report import (
 from learning.evaluation.words import PUBLISHED, conditions, how, left_out, on_part
 from simulator.io.files import write_atomic
 from simulator.io.json import readable_json
-from simulator.preview.drawing import depth_range
+from simulator.plots.drawing import depth_range
 
 _WHISKERS = "Whiskers are the standard deviation over seeds."
 

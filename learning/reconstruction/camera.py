@@ -14,10 +14,10 @@ from learning.reconstruction.measurements import RGB, Measurement
 from learning.reconstruction.plain_capture import plain_capture
 from learning.reconstruction.psf_picture import load_psf_picture
 from simulator.dataset.dataset_info import FILE
-from simulator.dataset.psf_files import DESCRIPTION, read_psf_stack, stack_folder
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import DESCRIPTION, read_psf_stack, stack_folder
 
 WORDS = ("nominal", "captured")
 

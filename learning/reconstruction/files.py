@@ -14,9 +14,7 @@ from simulator.errors import InputError
 from simulator.io.exr import write_exr
 from simulator.io.files import committed_folder, write_atomic
 from simulator.io.json import plain, readable_json
-from simulator.preview.colours import depth_colours
-from simulator.preview.drawing import PAPER, png_bytes, resized
-from simulator.preview.legends import LEGEND_WIDTH, draw_depth_legend
+from simulator.plots.drawing import LEGEND_WIDTH, PAPER, depth_colours, draw_depth_legend, png_bytes, resized
 from simulator.types import FARTHEST_M
 
 RECORD = "reconstruction.json"

@@ -17,7 +17,7 @@ from learning.reconstruction.method_choice import choose_method
 from simulator import __version__
 from simulator.config.yaml_scalars import parse_scalar
 from simulator.errors import InputError
-from simulator.preview.drawing import centimetres
+from simulator.plots.drawing import centimetres
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from learning.capture import CaptureModel
 from simulator.arrays import Array, to_numpy
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 
 def plain_capture(

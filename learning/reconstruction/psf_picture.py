@@ -12,7 +12,7 @@ import numpy as np
 from learning.reconstruction.pixels import check_binning, crop_window
 from simulator.io.measurements import read_measurement
 from simulator.optics.measured import Background, load_measured_psf
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 _PITCH_M = 1e-5  # nothing here depends on it: values are scaled to a sum of 1
 

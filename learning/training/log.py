@@ -57,7 +57,7 @@ class Log:
         """Keep a picture ``(h, w, 3)`` of the validation scenes: in TensorBoard, and the newest as a file."""
         from PIL import Image
 
-        from simulator.preview.drawing import png_bytes
+        from simulator.plots.drawing import png_bytes
 
         self._board.add_image("validation: truth, estimate, depths", pixels, step, dataformats="HWC")
         write_atomic(self._preview, png_bytes(Image.fromarray(pixels)))

@@ -15,10 +15,10 @@ from learning.data import ExampleSet, check_dataset
 from learning.display import measure_white
 from simulator.dataset import open_dataset
 from simulator.dataset.dataset_info import PSF_FOLDER
-from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 from simulator.io.cache import cache_folder
+from simulator.optics.stack_files import read_psf_stack
 
 _MOST_WORKERS = 8
 _SHOWN = 12  # numbers in a message

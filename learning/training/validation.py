@@ -87,7 +87,7 @@ def _pixels(codes: Tensor) -> NDArray[np.uint8]:
 
 
 def _depths(estimate: Estimate, scene: int, capture: CaptureModel) -> NDArray[np.uint8]:
-    from simulator.preview.colours import depth_colours
+    from simulator.plots.drawing import depth_colours
 
     depth_m = estimate.depth_m(capture)[scene, 0].float().cpu().numpy()
     return depth_colours(depth_m, np.ones(depth_m.shape, bool), capture.near_m, capture.far_m)

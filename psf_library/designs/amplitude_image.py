@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from simulator.optics.amplitude_mask import amplitude_mask
-from simulator.optics.map_files import read_unit_map
+from simulator.design.height_maps import read_unit_map
+from simulator.design.patterns import amplitude_mask
 from simulator.optics.mask import Mask
 
 FINE_UM = 2.0

@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import Field
 
 from simulator.arrays import samples_across
+from simulator.design.patterns import gaussian_surface
 from simulator.optics.mask import Mask
 from simulator.optics.materials import load_material
-from simulator.optics.noise import gaussian_surface
 
 
 def diffusercam(

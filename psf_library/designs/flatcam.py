@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from simulator.optics import amplitude_mask
+from simulator.design import patterns as amplitude_mask
 from simulator.optics.mask import Mask
 
 

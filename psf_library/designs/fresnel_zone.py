@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from simulator.arrays import samples_across
-from simulator.optics.aperture import sample_positions_m
+from simulator.design.patterns import sample_positions_m
 from simulator.optics.mask import Mask
 
 _SUBPIXELS = 8

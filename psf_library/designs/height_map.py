@@ -8,13 +8,12 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from simulator.design.export import UNIT_M
+from simulator.design.fabrication import quantise
+from simulator.design.height_maps import read_height_map, read_stl_height
 from simulator.errors import InputError
-from simulator.optics.fabrication import quantise
-from simulator.optics.map_files import read_height_map
 from simulator.optics.mask import Mask
 from simulator.optics.materials import load_material
-from simulator.optics.relief import UNIT_M
-from simulator.optics.stl_height import read_stl_height
 
 
 def height_map(

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from simulator.arrays import samples_across
-from simulator.optics.aperture import radius_squared_m2, round_aperture
+from simulator.design.patterns import radius_squared_m2, round_aperture
 from simulator.optics.mask import Mask
 from simulator.optics.materials import load_material
 

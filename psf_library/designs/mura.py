@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from simulator.design import patterns as amplitude_mask
 from simulator.errors import InputError
-from simulator.optics import amplitude_mask
 from simulator.optics.mask import Mask
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from pydantic import Field
 
 from simulator.arrays import samples_across
-from simulator.optics.contours import contours, contours_of_image
-from simulator.optics.fabrication import fabricate
+from simulator.design.fabrication import fabricate
+from simulator.design.patterns import contours, contours_of_image
+from simulator.design.phase_retrieval import retrieve_phase
 from simulator.optics.mask import Mask
 from simulator.optics.materials import load_material
-from simulator.optics.phase_retrieval import retrieve_phase
 
 
 def phlatcam(
@@ -42,7 +42,7 @@ def phlatcam(
     mm of it. With ``image`` the lines are the picture's own: a picture of two grey levels is the pattern itself, any other
     gives its edges.
 
-    The profile is a staircase of mask pixels. The tolerances (see ``simulator.optics.fabrication``) are those of one
+    The profile is a staircase of mask pixels. The tolerances (see ``simulator.design.fabrication``) are those of one
     fabricated piece: rounding divides the mask pixels and makes the profile smooth, at the price of a finer grid. How many
     passes the retrieval made, and the overlap that it reached, are recorded with the mask.
 

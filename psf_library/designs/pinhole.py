@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from simulator.optics.aperture import round_aperture
+from simulator.design.patterns import round_aperture
 from simulator.optics.mask import Mask
 
 

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from simulator.arrays import samples_across
-from simulator.optics.aperture import sample_positions_m
+from simulator.design.patterns import poisson_disc, sample_positions_m
 from simulator.optics.mask import Mask
 from simulator.optics.materials import load_material
-from simulator.optics.noise import poisson_disc
 
 
 def random_lenslets(

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from psf_library.designs.lens import focusing_path_m
 from simulator.arrays import samples_across
-from simulator.optics.aperture import round_aperture, sample_positions_m
+from simulator.design.patterns import round_aperture, sample_positions_m
 from simulator.optics.mask import Mask
 from simulator.optics.materials import load_material
 

@@ -16,11 +16,11 @@ import numpy as np
 
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
+from simulator.optics.error_budget.sampling import SamplingWarning
 from simulator.optics.mask import Mask
 from simulator.optics.psf import PsfConfig, compute_psf_stack
-from simulator.optics.psf_stack import PsfStack
-from simulator.optics.sampling import SamplingWarning
-from simulator.optics.spectrum import spectral_response
+from simulator.optics.spectra import spectral_response
+from simulator.optics.stack import PsfStack
 from simulator.plugins import resolve
 from simulator.text import nearest
 from simulator.types import CameraGeometry

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from psf_library.reference.cases import build_mask
-from simulator.dataset.psf_files import read_psf_stack, write_psf_stack
 from simulator.errors import InputError
 from simulator.io.exr import read_exr, write_exr
 from simulator.optics.mask import Mask
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import read_psf_stack, write_psf_stack
 from simulator.text import nearest
 
 PINNED = Path(__file__).parent / "pinned"

@@ -10,7 +10,7 @@ import numpy as np
 from psf_library.reference.difference import compare_stacks
 from simulator.arrays import to_numpy
 from simulator.io.files import write_atomic
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 from simulator.text import length
 
 

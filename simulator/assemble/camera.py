@@ -13,7 +13,7 @@ from simulator.camera.sensor_models import MODELS
 from simulator.camera.shutter import Shutter
 from simulator.config import camera as camera_config
 from simulator.errors import InputError
-from simulator.optics.layers import air_equivalent_m
+from simulator.optics.propagation import air_equivalent_m
 
 if TYPE_CHECKING:
     from simulator.config import Config

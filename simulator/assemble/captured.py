@@ -24,8 +24,8 @@ from simulator.errors import InputError
 from simulator.io.cache import Entry, cached
 from simulator.optics.captured import CalibrationSource, SourcePlaces, captured_light
 from simulator.optics.psf import Progress
-from simulator.optics.psf_stack import PsfStack
-from simulator.optics.spectrum import Line, check_materials, quantile_lines
+from simulator.optics.spectra import Line, check_materials, quantile_lines
+from simulator.optics.stack import PsfStack
 from simulator.seeds import generator
 from simulator.types import CameraGeometry
 

@@ -13,9 +13,9 @@ from simulator.assemble.psfs import build_geometry, build_psf_config
 from simulator.config.psf import ComputedPsf
 from simulator.errors import InputError
 from simulator.io.cache import Entry, cached
-from simulator.optics.check import full_errors
-from simulator.optics.drjit_process import llvm_works
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.error_budget.budget import full_errors
+from simulator.optics.error_budget.drjit_process import llvm_works
+from simulator.optics.stack import PsfStack
 
 if TYPE_CHECKING:
     from simulator.config import Config

@@ -10,7 +10,7 @@ from simulator.assemble.shutter import build_shutter
 from simulator.camera.forward import DepthRule, ForwardModel
 from simulator.camera.planes import mask_irradiance
 from simulator.camera.shutter import Shutter
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 if TYPE_CHECKING:
     from simulator.config import Config

@@ -14,9 +14,7 @@ from simulator.errors import InputError
 from simulator.io.cache import Entry, cached
 from simulator.io.files import sha256_file
 from simulator.optics.camera_colour import CameraColour, fit_camera_colour
-from simulator.optics.curves import Led, curve_file
-from simulator.optics.photometry import electron_rates
-from simulator.optics.spectrum import NOMINAL_CAMERA, spectral_response
+from simulator.optics.spectra import NOMINAL_CAMERA, Led, curve_file, electron_rates, spectral_response
 from simulator.types import SpectralResponse
 
 if TYPE_CHECKING:
@@ -59,7 +57,7 @@ def build_camera_colour(config: Config, channels: tuple[str, ...]) -> CameraColo
 
 
 def build_electron_rates(config: Config) -> dict[str, float]:
-    """Return the electrons that white gives in each channel (cached); see `simulator.optics.photometry.electron_rates`.
+    """Return the electrons that white gives in each channel (cached); see `simulator.optics.spectra.electron_rates`.
 
     Raises:
         InputError: as :func:`build_response`, or for a light that the eye does not see.

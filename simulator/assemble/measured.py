@@ -10,10 +10,10 @@ from simulator.assemble.camera import build_sensor, distance_m
 from simulator.assemble.layers import build_gap
 from simulator.assemble.planes import plane_depths_m
 from simulator.config.psf import MeasuredPsf, StoredPsf
-from simulator.dataset.psf_files import read_depths_m, read_psf_stack, stack_files, stack_folder
 from simulator.errors import InputError
 from simulator.optics.materials import AIR
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import read_depths_m, read_psf_stack, stack_files, stack_folder
 
 if TYPE_CHECKING:
     from simulator.config import Config
@@ -30,7 +30,7 @@ def measured_stack(config: Config, chosen: MeasuredPsf | StoredPsf) -> PsfStack:
     Raises:
         InputError: for unreadable files, pixels that are not the sensor's, or planes outside the measured range.
     """
-    from simulator.optics.stack_interpolation import interpolate_stack
+    from simulator.optics.interpolation import interpolate_stack
 
     stack = _from_folder(config, chosen) if isinstance(chosen, StoredPsf) else _from_pictures(config, chosen)
     if chosen.planes is None:

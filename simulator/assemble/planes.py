@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from simulator.config.planes import Planes
-from simulator.optics.psf_stack import depth_planes
+from simulator.optics.stack import depth_planes
 
 
 def plane_depths_m(chosen: Planes) -> tuple[float, ...]:

@@ -14,8 +14,8 @@ from simulator.assemble.planes import plane_depths_m
 from simulator.config.psf import ComputedPsf
 from simulator.io.cache import Entry, cached
 from simulator.optics.psf import Progress, PsfConfig, compute_psf_stack, psf_fingerprint
-from simulator.optics.psf_stack import PsfStack
-from simulator.optics.spectrum import check_materials, quantile_lines
+from simulator.optics.spectra import check_materials, quantile_lines
+from simulator.optics.stack import PsfStack
 from simulator.types import CameraGeometry
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from simulator.camera.planes import clamped_share, split_planes
 from simulator.camera.shutter import Shutter
 from simulator.camera.slivers import exposed_part, frame_shares, sliver_edges, sliver_length
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 from simulator.types import Clip
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from simulator.config import Config
-    from simulator.optics.psf_stack import PsfStack
+    from simulator.optics.stack import PsfStack
 
 
 def captured_folder(output: Path) -> Path:
@@ -16,7 +16,7 @@ def captured_folder(output: Path) -> Path:
     Raises:
         InputError: something other than a stack is there.
     """
-    from simulator.dataset.psf_files import check_replaceable, stack_folder
+    from simulator.optics.stack_files import check_replaceable, stack_folder
 
     folder = stack_folder(output, captured=True)
     check_replaceable(folder)
@@ -40,8 +40,8 @@ def show_captured(config: Config, nominal: PsfStack, output: Path | None, plot: 
     from simulator.assemble import build_captured_stack
     from simulator.console import Bar
     from simulator.dataset.engines import available_cpus
-    from simulator.dataset.psf_files import write_psf_stack
-    from simulator.optics.captured_report import describe_captured
+    from simulator.optics.stack_files import write_psf_stack
+    from simulator.plots.captured import describe_captured
 
     with Bar() as bar:
         captured = build_captured_stack(
@@ -53,7 +53,7 @@ def show_captured(config: Config, nominal: PsfStack, output: Path | None, plot: 
         write_psf_stack(folder, captured)
         print(f"wrote {folder}")
     if plot:
-        from simulator.optics.captured_plot import plot_captured
+        from simulator.plots.captured import plot_captured
 
         picture = plot_captured(nominal, captured, captured_picture(plot))
         print(f"look at {picture}")

@@ -27,12 +27,11 @@ def compare(
     set_: Overrides = None,
 ) -> None:
     """Compare mask designs: PSFs, contrast, sharpness, depths told apart, light; as one page or picture."""
-    from simulator.comparison.candidates import load_configs, measure
-    from simulator.comparison.figures import comparison_png
-    from simulator.comparison.page import comparison_html
     from simulator.console import Bar
     from simulator.dataset.engines import available_cpus
     from simulator.io.files import write_atomic
+    from simulator.plots.comparison import load_configs, measure
+    from simulator.plots.comparison_page import comparison_html, comparison_png
 
     check_output_file("--output", output, (".html", ".png"))
     configs = load_configs(candidates, config, set_ or [])

@@ -32,9 +32,8 @@ def export_mask(
     """Write the mask of a configuration as a body (STL), a height map (TIFF) or layers, for fabrication."""
     from simulator.assemble import build_mask
     from simulator.config import load_config
+    from simulator.design.export import binary_layers, height_tiff, stl_bytes, write_layers
     from simulator.io.files import write_atomic
-    from simulator.optics.mask_export import binary_layers, height_tiff, write_layers
-    from simulator.optics.relief import stl_bytes
 
     if not (stl or tiff or layers):
         msg = "nothing to write; give --stl FILE, --tiff FILE or --layers FOLDER"
@@ -97,7 +96,7 @@ def _check_overwriting(option: str, path: Path, force: bool) -> None:
 
 
 def _check_folder(folder: Path | None, force: bool) -> None:
-    from simulator.optics.mask_export import APERTURE_FILE, LAYERS_FILE
+    from simulator.design.export import APERTURE_FILE, LAYERS_FILE
 
     if folder is None:
         return

@@ -31,7 +31,7 @@ def psf(
     from simulator.config import load_config
     from simulator.console import Bar, describe_stack
     from simulator.dataset.engines import available_cpus
-    from simulator.dataset.psf_files import check_replaceable, write_psf_stack
+    from simulator.optics.stack_files import check_replaceable, write_psf_stack
 
     if plot:
         for picture in (plot, captured_picture(plot)) if as_captured else (plot,):
@@ -50,14 +50,14 @@ def psf(
             stack = check_psf_stack(loaded, stack, threads=available_cpus(), progress=bar.update)
     print(describe_stack(stack, loaded.camera.sensor.shape, loaded.scene.size))
     if stack.provenance.get("errors", {}).get("check") == "full":
-        from simulator.optics.check_table import budget_tables
+        from simulator.plots.psf_facts import budget_tables
 
         print(f"\n{budget_tables(stack.provenance['errors'], stack.provenance['sampling'])}")
     if output:
         write_psf_stack(output, stack)
         print(f"wrote {output}")
     if plot:
-        from simulator.optics.plot import plot_psf_stack
+        from simulator.plots.psf import plot_psf_stack
 
         plot_psf_stack(
             stack,

@@ -53,8 +53,8 @@ def render(
     from simulator.console import Bar
     from simulator.io.clips import write_linear
     from simulator.io.files import write_atomic
-    from simulator.preview import ANIMATIONS, animation, clip_sheet
-    from simulator.preview.drawing import png_bytes
+    from simulator.plots.clips import ANIMATIONS, animation, clip_sheet
+    from simulator.plots.drawing import png_bytes
 
     path = output or Path(f"{config.stem}_{split}.png")
     check_output_file("--output", path, tuple(_SAMPLES))

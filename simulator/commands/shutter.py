@@ -23,7 +23,7 @@ def shutter(
     from simulator.config import load_config
     from simulator.console import Bar
     from simulator.dataset.engines import available_cpus
-    from simulator.demonstration.facts import shutter_facts
+    from simulator.plots.shutter_bench import shutter_facts
 
     if figures:
         check_output_folder("--figures", figures)
@@ -33,7 +33,8 @@ def shutter(
     width = max(len(what) for what, _ in facts)
     print("\n".join(f"{what:>{width}}  {value}" for what, value in facts))
     if figures:
-        from simulator.demonstration import Bench, draw_figures
+        from simulator.plots.shutter_bench import Bench
+        from simulator.plots.shutter_figures import draw_figures
 
         with Bar() as bar:
             bench = Bench(loaded, threads=available_cpus(), progress=lambda a, b: bar.update("PSFs", a, b))

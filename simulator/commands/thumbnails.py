@@ -33,10 +33,9 @@ def draw_thumbnails(plugins: Sequence[Plugin], path: Path, bar: Bar) -> list[str
         InputError: nothing is left to draw.
     """
     from simulator.io.files import write_atomic
+    from simulator.plots.clips import Cell, common_scales, describe_scales, draw_sheet, radiance_tile
+    from simulator.plots.drawing import png_bytes
     from simulator.plugin_listing import summary
-    from simulator.preview.drawing import png_bytes
-    from simulator.preview.sheet import Cell, describe_scales, draw_sheet
-    from simulator.preview.tiles import common_scales, radiance_tile
 
     shown: list[tuple[Plugin, list[Clip]]] = []
     left_out: list[str] = []

@@ -66,7 +66,7 @@ def curve_problems(config: Config) -> list[Problem]:
 def _problem(path: KeyPath, name: str, config: Config) -> Problem | None:
     if not name.lower().endswith((".csv", ".json")):
         return None
-    from simulator.optics.curves import camera_curves, illuminant_curve  # import NumPy, which a name does not need
+    from simulator.optics.spectra import camera_curves, illuminant_curve  # import NumPy, which a name does not need
 
     try:
         (illuminant_curve if path[-1] == "illuminant" else camera_curves)(name, config.base_dir)

@@ -21,7 +21,6 @@ from simulator.camera.exposure import PERCENTILE, PILOTS, TARGET, full_scale_fro
 from simulator.camera.shutter import Shutter
 from simulator.camera.shutter_record import shutter_record
 from simulator.config import Config, dump, load_config
-from simulator.dataset.contact_sheet import contact_sheet
 from simulator.dataset.dataset_info import PSF_FOLDER, DatasetInfo, write_info
 from simulator.dataset.engines import Outcome, WorkerError, available_cpus, run
 from simulator.dataset.existing import all_or_nothing, existing_info, made_folder
@@ -35,7 +34,8 @@ from simulator.dataset.stacks import data_set_stack
 from simulator.dataset.timing import ClipTimesError, check_clip, check_parameters
 from simulator.errors import InputError
 from simulator.io.files import StorageError, remove_leftovers
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
+from simulator.plots.contact_sheet import contact_sheet
 from simulator.plugins import Plugin, plugin_errors
 from simulator.render.backend import choose_backend
 from simulator.types import SceneSource

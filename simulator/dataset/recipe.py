@@ -19,10 +19,10 @@ from simulator.camera.planes import clamped_share
 from simulator.camera.shutter import Shutter
 from simulator.camera.slivers import exposed_part, sliver_means
 from simulator.config import Config
-from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.sample import Sample, SampleRecord, write_sample
 from simulator.dataset.splits import ClipOrder, clip_order
 from simulator.dataset.timing import check_clip, durations_s
+from simulator.optics.stack_files import read_psf_stack
 from simulator.plugins import plugin_errors
 from simulator.seeds import generator
 from simulator.types import FARTHEST_M, Clip, SceneSource

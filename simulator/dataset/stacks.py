@@ -20,10 +20,10 @@ from simulator.config import Config
 from simulator.config.psf import ComputedPsf
 from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER
 from simulator.dataset.engines import available_cpus
-from simulator.dataset.psf_files import read_psf_stack, write_psf_stack
+from simulator.optics.error_budget.sampling import SamplingWarning
 from simulator.optics.metrics import light_off_sensor
-from simulator.optics.psf_stack import PsfStack
-from simulator.optics.sampling import SamplingWarning
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import read_psf_stack, write_psf_stack
 
 
 def data_set_stack(

@@ -16,7 +16,6 @@ from simulator.camera.shutter import Shutter
 from simulator.dataset.dataset_info import CAPTURED_FOLDER, PSF_FOLDER, DatasetInfo, read_info
 from simulator.dataset.engines import run
 from simulator.dataset.manifest import MANIFEST, Entry, Manifest, load_manifest
-from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.record_checks import check_fingerprint, check_shutter
 from simulator.dataset.sample import SPLITS, sample_folder, sample_index
 from simulator.dataset.sample_layout import DESCRIPTION, digest_of, read_description
@@ -24,6 +23,7 @@ from simulator.dataset.skipped import SKIPPED, load_skipped
 from simulator.dataset.stored_sample import StoredSample
 from simulator.errors import InputError
 from simulator.io.files import leftovers, sha256_bytes
+from simulator.optics.stack_files import read_psf_stack
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
 from simulator.optics.psf import Progress, PsfConfig, depth_images
-from simulator.optics.spectrum import quantile_lines
+from simulator.optics.spectra import quantile_lines
 from simulator.types import CameraGeometry
 
 FINE_M = 4e-6

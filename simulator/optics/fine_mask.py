@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from simulator.arrays import Array, complex_dtype, fft, ifft, is_torch, like, namespace, next_fast_len
-from simulator.optics.even_filter import blocks, in_threads
+from simulator.optics.propagation import blocks, in_threads
 
 TAPER = 0.95  # a staircase's band fades out from here: a sharp end would ring across the whole grid
 _TAIL = 12.0  # in units of one over the taper's width: what is left of the ringing is below 1e-5

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from simulator.arrays import Array, complex_dtype, fft2, is_torch, like, namespace, real_dtype, unit_phasor
-from simulator.optics.even_filter import Quadrant
-from simulator.optics.layers import Distance, Strata, as_strata, fan
+from simulator.optics.propagation import Distance, Quadrant, Strata, as_strata, fan
 
 ORDERS = (
     1.5  # light up to this multiple of lambda / pixel, times the oversampling, is followed: the zeroth and first orders

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.io.measurements import check_numbers, read_measurement, read_npy
-from simulator.optics.psf_stack import PsfStack, check_depths
+from simulator.optics.stack import PsfStack, check_depths
 
 Background: TypeAlias = Literal["border", "none"] | float | Path
 

@@ -1,21 +1,375 @@
-"""Free-space propagation of a field by the angular spectrum, with a phase that stays accurate in float32.
-
-The constant phase exp(ikd) is left out throughout: intensities do not need it, and without it the phase that remains
-is small. U(d) = F^-1[F[U0] exp(i phase)], phase = -2 pi lambda d f^2 / (1 + sqrt(1 - lambda^2 f^2)), evanescent = 0.
-
-Sources: Goodman, Introduction to Fourier Optics, section 3.10; band limit: Matsushima and Shimobaba,
-Opt. Express 17, 19662 (2009).
-"""
+"""Propagation by the angular spectrum through air and plane-parallel layers, with a phase that stays accurate in float32."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
-from simulator.arrays import Array, namespace, next_fast_len
+import numpy as np
+
+from simulator.arrays import (
+    Array,
+    fft,
+    fft_threads,
+    ifft,
+    is_torch,
+    namespace,
+    next_fast_len,
+    number,
+    real_dtype,
+    unit_phasor,
+)
+from simulator.arrays import like as as_array
 from simulator.errors import InputError
-from simulator.optics.even_filter import even_filter
-from simulator.optics.transfer import Transfer, band_edge_m
+from simulator.types import CameraGeometry, Layer
+
+_KNOTS = 4096
+_STEEPEST = 0.98  # of the lowest index: where the table ends
+
+Strata = tuple[tuple[Any, float], ...]
+"""Layers at one wavelength: (thickness in metres, refractive index); a thickness may be a torch scalar."""
+Distance = Any
+"""Metres of air (a torch scalar where gradients are wanted), or Strata."""
+
+
+def as_strata(distance_m: Distance) -> Strata:
+    """Return a distance as layers: a plain number means air."""
+    return distance_m if isinstance(distance_m, tuple) else ((distance_m, 1.0),)
+
+
+def air_equivalent_m(layers: Sequence[Layer], wavelength_m: float) -> float:
+    """Return the distance in air at which paraxial rays arrive where they do behind the layers: sum of d / n, metres."""
+    return sum(layer.thickness_m / layer.material.index(wavelength_m) for layer in layers)
+
+
+def gap_strata(camera: CameraGeometry, wavelength_m: float) -> Strata:
+    """Return the layers between mask and sensor at one wavelength; air alone where the camera has no layered gap."""
+    if not camera.gap:
+        return ((camera.mask_to_sensor_m, 1.0),)
+    return tuple((layer.thickness_m, layer.material.index(wavelength_m)) for layer in camera.gap)
+
+
+def scaled(strata: Strata, factor: Any) -> Strata:
+    """Return the layers with every thickness times a factor."""
+    return tuple((thickness_m * factor, index) for thickness_m, index in strata)
+
+
+def reduced_m(strata: Strata) -> Any:
+    """Return the sum of thickness over index, metres: the distance in air with the same paraxial rays."""
+    return sum(thickness_m / index for thickness_m, index in strata)
+
+
+@dataclass(frozen=True)
+class Fan:
+    """Rays from one point through layers, at sideways distances rho.
+
+    Attributes:
+        path_m: optical path minus that of the straight ray at rho = 0, metres.
+        inverse_m: s / rho, 1 / metres; 1 / r in air.
+        spreading: sqrt(s ds / (rho d rho)), 1 / metres: the amplitude's fall; d / r^2 in air.
+    """
+
+    path_m: Array
+    inverse_m: Array
+    spreading: Array
+
+
+def fan(strata: Strata, rho_squared: Array) -> Fan:
+    """Trace the rays of one point to sideways distances.
+
+    Args:
+        strata: layers; one of index 1 is reckoned analytically, several through a table (NumPy only).
+        rho_squared: squared sideways distances, square metres, float64.
+
+    Raises:
+        InputError: for torch arrays with several layers, or for rays too steep for them.
+    """
+    xp = namespace(rho_squared)
+    if len(strata) == 1 and strata[0][1] == 1:
+        d = strata[0][0]
+        r = xp.sqrt(rho_squared + d**2)
+        inverse = 1 / r
+        return Fan(rho_squared / (r + d), inverse, inverse**2 * d)
+    if is_torch(rho_squared):
+        msg = "gap, window: rays through several layers are traced on NumPy only; use xp='numpy', or a gap of air"
+        raise InputError(msg)
+    from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+    thickness = np.array([number(t) for t, _ in strata])[:, None]
+    index = np.array([n for _, n in strata])[:, None]
+    # Even steps of the angle in the thinnest medium crowd no knots anywhere.
+    sine = index.min() * np.sin(np.linspace(0, np.arcsin(_STEEPEST), _KNOTS))
+    cosine = np.sqrt(index**2 - sine**2)
+    per_sine = np.sum(thickness / cosine, axis=0)  # rho / s
+    path = np.sum(thickness * index * sine**2 / (cosine * (index + cosine)), axis=0)  # minus the sum of t n
+    slope = np.sum(thickness * index**2 / cosine**3, axis=0)  # d(rho) / ds
+    rho, wanted = sine * per_sine, np.sqrt(rho_squared)
+    if np.max(wanted) > rho[-1]:
+        msg = f"rays to {np.max(wanted):g} m sideways are steeper than the layers' {rho[-1]:g} m; use a narrower mask"
+        raise InputError(msg)
+    return Fan(
+        CubicHermiteSpline(rho, path, sine)(wanted),
+        CubicSpline(rho, 1 / per_sine)(wanted),
+        CubicSpline(rho, 1 / np.sqrt(per_sine * slope))(wanted),
+    )
+
+
+_ALL = slice(None)
+
+
+class Transfer:
+    """The transfer function of one grid and wavelength, evaluated for any distance at the price of one exponential.
+
+    It is even in both frequencies, so only one quadrant is computed. Phases are reckoned in turns in float64 and reduced
+    to one turn before the exponential: this is what keeps complex64 accurate.
+    """
+
+    def __init__(self, shape: tuple[int, ...], pitch_m: float, wavelength_m: float, *, like: Array) -> None:
+        """Prepare the quadrant.
+
+        Args:
+            shape: rows and columns of the (padded) grid.
+            pitch_m: sample pitch, metres.
+            wavelength_m: vacuum wavelength, metres (of the medium, where distances are plain numbers).
+            like: array whose kind, device and precision the transfer function takes.
+        """
+        self._wavelength_m, self._real = wavelength_m, real_dtype(like)
+        self._sine_y, self._sine_x = (
+            as_array(np.arange(n // 2 + 1) * (wavelength_m / (n * pitch_m)), like, namespace(like).float64)
+            for n in shape
+        )
+
+    def quadrant(
+        self,
+        distance_m: Distance,
+        reach_m: tuple[float, ...] | None = None,
+        rows: slice = _ALL,
+        columns: slice = _ALL,
+    ) -> Array:
+        """Return exp(i phase) for frequencies from zero to Nyquist, ``(H // 2 + 1, W // 2 + 1)``.
+
+        Args:
+            distance_m: distance in metres, or layers.
+            reach_m: drop plane waves that travel farther sideways than this (rows, columns; metres; ``inf`` keeps all):
+                the band limit. Its edge is soft, over ``band_edge_m`` inwards: a sharp one (Matsushima's) rings by 1-5 %.
+            rows: which of the quadrant's rows.
+            columns: which of the quadrant's columns.
+        """
+        sine_y, sine_x = self._sine_y[rows, None], self._sine_x[None, columns]
+        return _transfer(sine_y, sine_x, (0.0, 0.0), as_strata(distance_m), self._wavelength_m, self._real, reach_m)
+
+
+class TiltedTransfer:
+    """The transfer function around an oblique carrier, without the carrier's own phase and sideways travel.
+
+    The output grid is therefore centred where the carrier's ray through the input grid's centre arrives.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, ...],
+        pitch_m: float,
+        wavelength_m: float,
+        carrier: tuple[float, float],
+        *,
+        like: Array,
+    ) -> None:
+        """Prepare the frequencies, in FFT order.
+
+        Args:
+            shape: rows and columns of the grid.
+            pitch_m: sample pitch, metres.
+            wavelength_m: vacuum wavelength, metres.
+            carrier: transverse sines (x, y) of the direction in which the carrier travels.
+            like: as in ``Transfer``.
+        """
+        self._wavelength_m, self._real, self._carrier = wavelength_m, real_dtype(like), carrier
+        self._sine_y, self._sine_x = (
+            as_array(np.fft.fftfreq(n, pitch_m) * wavelength_m, like, namespace(like).float64) for n in shape
+        )
+
+    def block(
+        self,
+        distance_m: Distance,
+        reach_m: tuple[float, ...] | None = None,
+        rows: slice = _ALL,
+        columns: slice = _ALL,
+    ) -> Array:
+        """Return rows and columns of the transfer function in FFT order; arguments as in ``Transfer.quadrant``."""
+        sine_y, sine_x = self._sine_y[rows, None], self._sine_x[None, columns]
+        return _transfer(sine_y, sine_x, self._carrier, as_strata(distance_m), self._wavelength_m, self._real, reach_m)
+
+
+def band_edge_m(wavelength_m: float, distance_m: float) -> float:
+    """Return the width of the band limit's soft edge: a few Fresnel zones, in metres of sideways travel."""
+    return 4 * math.sqrt(wavelength_m * distance_m)
+
+
+def _transfer(
+    offset_y: Array,
+    offset_x: Array,
+    carrier: tuple[float, float],
+    strata: Strata,
+    wavelength_m: float,
+    real: Any,
+    reach_m: tuple[float, ...] | None,
+) -> Array:
+    """Return the transfer function at transverse sines ``carrier + offset``."""
+    xp = namespace(offset_y)
+    carrier_x, carrier_y = carrier
+    carrier_squared = carrier_x**2 + carrier_y**2
+    offset_squared = offset_y**2 + offset_x**2
+    # s^2 - s_c^2, exact near zero where the phase must be
+    excess = (
+        offset_squared if carrier_squared == 0 else offset_squared + 2 * (carrier_y * offset_y + carrier_x * offset_x)
+    )
+    along = None if carrier_squared == 0 else carrier_y * offset_y + carrier_x * offset_x
+    turns: Any = 0.0
+    lowest = min(index for _, index in strata)
+    for thickness_m, index in strata:
+        chief = math.sqrt(index**2 - carrier_squared)
+        cosine = xp.sqrt(xp.clip(chief**2 - excess, 0, None))
+        path = offset_squared / (cosine + chief)
+        if along is not None:
+            # Beside the parabola: the carrier's own sideways travel is taken out, its change with the angle is not.
+            path += along * excess / (chief * (cosine + chief) ** 2)
+        turns = turns + path * (-thickness_m / wavelength_m)
+    turns = turns - xp.round(turns)
+    transfer = unit_phasor(xp.astype(turns * (2 * np.pi), real))
+    if float(xp.max(excess)) > lowest**2 - carrier_squared:
+        transfer *= xp.astype(excess <= lowest**2 - carrier_squared, real)  # evanescent waves end here
+    if reach_m is not None:
+        total_m = sum(number(thickness_m) for thickness_m, _ in strata)
+        edge_m = max(band_edge_m(wavelength_m, total_m), 1e-12)
+        sines = (offset_y + carrier_y, offset_x + carrier_x)
+        for axis, reach in enumerate(reach_m):
+            if math.isfinite(reach):
+                _limit(transfer, sines, axis, carrier, strata, reach, edge_m)
+    return transfer
+
+
+def _limit(
+    transfer: Array,
+    sines: tuple[Array, Array],
+    axis: int,
+    carrier: tuple[float, float],
+    strata: Strata,
+    reach_m: float,
+    edge_m: float,
+) -> None:
+    """Take away, in place, the waves that travel farther than ``reach_m`` along an axis beyond the carrier's travel."""
+    xp = namespace(transfer)
+    carrier_squared = carrier[0] ** 2 + carrier[1] ** 2
+    straight = sum(number(t) * carrier[1 - axis] / math.sqrt(n**2 - carrier_squared) for t, n in strata)
+
+    def travelled(along: Array, across_squared: Any) -> Array:
+        total: Any = -straight
+        for thickness_m, index in strata:
+            cosine = xp.sqrt(xp.clip(index**2 - along**2 - across_squared, 1e-12, None))
+            total = total + along * (number(thickness_m) / cosine)
+        return xp.abs(total)
+
+    # Most waves stay far inside: only those that would not, were the other axis as steep as it gets, are looked at.
+    along, across = xp.reshape(sines[axis], (-1,)), sines[1 - axis]
+    steepest = xp.max(across**2)
+    concerned = travelled(along, steepest) > reach_m - edge_m
+    if not bool(xp.any(concerned)):
+        return
+    where = xp.nonzero(concerned)[0]
+    part = slice(int(where[0]), int(where[-1]) + 1)
+    index = (part, slice(None)) if axis == 0 else (slice(None), part)
+    chosen = sines[axis][part] if axis == 0 else sines[axis][:, part]
+    beyond = xp.clip((travelled(chosen, across**2) - reach_m) / edge_m + 1, 0, 1)
+    transfer[index] = transfer[index] * xp.astype(xp.cos(np.pi / 2 * beyond) ** 2, real_dtype(transfer))
+
+
+Quadrant = Callable[[slice], Array]  # rows of a transfer function from zero to Nyquist: (rows, W // 2 + 1)
+_BLOCK = 2**17  # samples: about a megabyte of complex64
+
+
+def even_filter(field: Array, shape: tuple[int, ...], quadrant: Quadrant, *, overwrite: bool = False) -> Array:
+    """Zero-pad a field, multiply its spectrum by an even function and return the field's own window.
+
+    Rows of zeros on the way in and rows that the window does not keep on the way out are left out of the transforms.
+
+    Args:
+        field: complex ``(..., h, w)``.
+        shape: H, W of the padded grid.
+        quadrant: gives rows of the function, out of 0..H // 2, with columns 0..W // 2.
+        overwrite: lets NumPy reuse the field's memory, which it can where h = H.
+    """
+    height, width = field.shape[-2:]
+    columns = fft(field, shape[0], -2, overwrite=overwrite)
+
+    def filter_rows(rows: slice, weights: Array) -> None:
+        spectrum = fft(columns[..., rows, :], shape[1], -1)
+        spectrum *= weights
+        columns[..., rows, :] = ifft(spectrum, -1, overwrite=True)[..., :width]
+
+    each_rows(field, shape, quadrant, filter_rows)
+    return ifft(columns, -2, overwrite=True)[..., :height, :]
+
+
+def multiply_even(spectrum: Array, quadrant: Array) -> Array:
+    """Multiply a spectrum by a function that is even in both frequencies.
+
+    Args:
+        spectrum: ``(..., H, W)`` in FFT order.
+        quadrant: the function from zero to Nyquist, ``(H // 2 + 1, W // 2 + 1)``.
+    """
+    product = namespace(spectrum).empty_like(spectrum)
+
+    def multiply(rows: slice, weights: Array) -> None:
+        product[..., rows, :] = spectrum[..., rows, :] * weights
+
+    each_rows(spectrum, spectrum.shape[-2:], quadrant.__getitem__, multiply)
+    return product
+
+
+def each_rows(like: Array, shape: tuple[int, ...], quadrant: Quadrant, work: Callable[[slice, Array], None]) -> None:
+    """Call ``work(rows, weights)`` once for every block of rows of a spectrum, with an even function's weights there.
+
+    Args:
+        like: an array of the spectrum's kind: torch gets blocks as large as possible.
+        shape: H, W of the spectrum.
+        quadrant: as in ``even_filter``.
+        work: its weights are ``(rows, W)``.
+    """
+    height, width = shape
+    xp = namespace(like)
+
+    def both_signs(rows: slice) -> None:
+        weights = quadrant(rows)
+        weights = xp.concat([weights, xp.flip(weights[:, 1 : (width + 1) // 2], axis=1)], axis=1)
+        work(rows, weights)
+        # The negative frequencies repeat all rows but zero and, for an even height, Nyquist.
+        first, stop = max(rows.start, 1), min(rows.stop, (height + 1) // 2)
+        if first < stop:
+            mirrored = xp.flip(weights[first - rows.start : stop - rows.start], axis=0)
+            work(slice(height - stop + 1, height - first + 1), mirrored)
+
+    in_threads(both_signs, blocks(like, height // 2 + 1, width))
+
+
+def blocks(like: Array, length: int, width: int, least: int = 8) -> list[slice]:
+    """Cut a length into slices of which each, ``width`` samples wide, stays in the cache; torch gets one slice."""
+    step = length if is_torch(like) else max(least, _BLOCK // width // 8 * 8)  # whole cache lines
+    return [slice(start, min(start + step, length)) for start in range(0, length, step)]
+
+
+def in_threads(work: Callable[[slice], None], parts: list[slice], threads: int | None = None) -> None:
+    """Call ``work`` for every part, on as many threads as given or as FFTs may use; the parts do not depend on the number."""
+    threads = min(threads or fft_threads(), len(parts))
+    if threads == 1:
+        for part in parts:
+            work(part)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(work, parts))
+
 
 MAX_SINE = 0.9  # steeper waves (64 degrees) do not reach a sensor behind a mask in any useful strength
 

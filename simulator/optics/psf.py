@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from simulator.arrays import Array, is_torch, module, namespace, number
 from simulator.errors import InputError
 from simulator.optics.exact import exact_images, exact_points, exact_width_m
-from simulator.optics.illumination import Source
 from simulator.optics.mask import Mask
-from simulator.optics.psf_stack import PsfStack, check_depths
 from simulator.optics.scaled import scaled_images, scaled_points, scaled_width_m
-from simulator.optics.spectrum import Line, quantile_lines
+from simulator.optics.sources import Source
+from simulator.optics.spectra import Line, quantile_lines
+from simulator.optics.stack import PsfStack, check_depths
 from simulator.types import CameraGeometry, Layer
 
 Model = Literal["scaled_distance", "scaled_psf", "exact"]
@@ -83,8 +83,8 @@ def compute_psf_stack(
     Raises:
         InputError: when the sampling error is above 5 % (or ``accept_error``), or the mask and camera do not fit.
     """
-    from simulator.optics.check import quick_errors
-    from simulator.optics.sampling import prove_sampling
+    from simulator.optics.error_budget.budget import quick_errors
+    from simulator.optics.error_budget.sampling import prove_sampling
 
     if not camera.mask_to_sensor_m > 0:
         msg = f"mask_to_sensor_m: got {camera.mask_to_sensor_m:g}; the mask lies in front of the sensor, so it is positive"

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
-from simulator.optics.drjit_process import run_kernel
+from simulator.optics.error_budget.drjit_process import run_kernel
 from simulator.optics.mask import Mask
 
 _R2 = (0.7548776662466927, 0.5698402909980532)  # 1 / g and 1 / g^2, g^3 = g + 1

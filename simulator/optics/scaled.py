@@ -28,15 +28,23 @@ from simulator.arrays import (
     pad2d,
     require_memory,
 )
-from simulator.optics.even_filter import Quadrant, blocks, each_rows
-from simulator.optics.illumination import Source
 from simulator.optics.kernel import ORDERS, PixelKernel, kernel_reach_m
-from simulator.optics.layers import Strata, gap_strata, reduced_m, scaled
-from simulator.optics.mask import Mask
-from simulator.optics.propagation import holds_steep_waves, spread_samples
+from simulator.optics.mask import Mask, followed_frequency
+from simulator.optics.propagation import (
+    Quadrant,
+    Strata,
+    Transfer,
+    band_edge_m,
+    blocks,
+    each_rows,
+    gap_strata,
+    holds_steep_waves,
+    reduced_m,
+    scaled,
+    spread_samples,
+)
 from simulator.optics.resample import Band, MovingBoxes, box_integral
-from simulator.optics.steepness import followed_frequency
-from simulator.optics.transfer import Transfer, band_edge_m
+from simulator.optics.sources import Source
 from simulator.types import CameraGeometry
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from learning.capture import CaptureModel
 from learning.config.train import TrainConfig
-from simulator.optics.psf_stack import PsfStack, depth_planes
+from simulator.optics.stack import PsfStack, depth_planes
 
 # Every surface has a texture, without which a depth shows nowhere; and its own depth, so that depth cannot be guessed.
 PATCHES = '''

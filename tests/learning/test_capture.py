@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
 from learning.capture import CaptureModel, capture_model
-from simulator.dataset.psf_files import read_psf_stack, write_psf_stack
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import read_psf_stack, write_psf_stack
 
 ONE = {"train": 2, "validation": 0, "test": 0}
 

@@ -14,7 +14,7 @@ from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.models import LearnedMethod, build_network
 from simulator.errors import InputError
 from simulator.io.files import StorageError
-from simulator.optics.psf_stack import depth_planes
+from simulator.optics.stack import depth_planes
 
 ARCHITECTURE = {"network": "flatnet3d", "size": "tiny", "filters": 6}
 RECORD = {

@@ -28,10 +28,10 @@ from learning.reconstruction.measurements import load_measurement
 from learning.reconstruction.method_choice import choose_method
 from learning.reconstruction.plain_capture import plain_capture, typical_white
 from simulator.dataset import open_dataset
-from simulator.dataset.psf_files import write_psf_stack
 from simulator.errors import InputError
 from simulator.io.exr import read_exr, write_exr
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import write_psf_stack
 
 NETWORK = {"network": "flatnet3d", "size": "tiny"}
 

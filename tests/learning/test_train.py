@@ -355,7 +355,7 @@ def test_captured_stack_is_another_training(settings: Callable[..., TrainConfig]
     config = settings(steps=1, data={"stack": "captured"})
     train(config)
     capture = load_checkpoint(Path(config.output) / LAST).capture
-    from simulator.dataset.psf_files import read_psf_stack
+    from simulator.optics.stack_files import read_psf_stack
 
     assert capture.stack.fingerprint == read_psf_stack(tiny_dataset / "psf_captured").fingerprint
     assert capture.stack.fingerprint != read_psf_stack(tiny_dataset / "psf").fingerprint

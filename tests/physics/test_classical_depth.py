@@ -9,8 +9,8 @@ import pytest
 from simulator.camera.forward import ForwardModel
 from simulator.optics.mask import Mask
 from simulator.optics.psf import PsfConfig, compute_psf_stack
-from simulator.optics.psf_stack import depth_planes
-from simulator.optics.spectrum import Line
+from simulator.optics.spectra import Line
+from simulator.optics.stack import depth_planes
 from simulator.types import CameraGeometry, SpectralResponse
 
 torch = pytest.importorskip("torch")
@@ -64,7 +64,7 @@ def psf_stack(depths_m):
     camera = CameraGeometry(2e-3, 20e-6, GREEN)
     depths_m = tuple(float(z) for z in depths_m)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("simulator.optics.sampling.prove_sampling", lambda *_: {})
+        patch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: {})
         return compute_psf_stack(mask, camera, PsfConfig(depths_m, "scaled_distance"), lines=[Line(0, 532e-9, 1.0)])
 
 

@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
-from simulator.optics.exact import exact_images
-from simulator.optics.exact_plan import ORDERS
-from simulator.optics.exact_wave import Wave, waves
+from simulator.optics.exact import ORDERS, Wave, exact_images, waves
 from simulator.optics.fine_mask import TAPER
-from simulator.optics.illumination import Source
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA
 from simulator.optics.psf import PsfConfig, compute_psf_stack, depth_images, sampled_intensity
 from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
+from simulator.optics.sources import Source
 from simulator.types import CameraGeometry, SpectralResponse
 
 GREEN = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")
@@ -277,7 +275,7 @@ def test_many_depths_share_grids_and_equal_each_alone():
 
 def test_a_stack_of_exact_psfs(monkeypatch):
     """The stack holds what the model yields; from 2 cm the mask of 60 um loses (r0 / r)^2 of its rim's light: 1e-5."""
-    monkeypatch.setattr("simulator.optics.sampling.prove_sampling", lambda *_: {})
+    monkeypatch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: {})
     config, mask = PsfConfig((0.02, np.inf), "exact", wavelengths_per_channel=1), random_phase()
     stack = compute_psf_stack(mask, CAMERA, config)
     images = np.stack(list(depth_images(mask, CAMERA, config, 532e-9, stack.values.shape[-1])))

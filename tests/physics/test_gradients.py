@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulator.optics.fabrication import quantise
+from simulator.design.fabrication import quantise
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA
 from simulator.optics.psf import PsfConfig, compute_psf_stack
-from simulator.optics.spectrum import Line
+from simulator.optics.spectra import Line
 from simulator.types import CameraGeometry, SpectralResponse
 
 torch = pytest.importorskip("torch")
@@ -22,7 +22,7 @@ STEP = 1e-5  # relative: central differences are then good to 1e-9, rounding to 
 
 @pytest.fixture(autouse=True)
 def no_proof(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("simulator.optics.sampling.prove_sampling", lambda *_: {})
+    monkeypatch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: {})
 
 
 def stack(height_um: Any, distance_mm: Any, weights: Any, model: str, profile: str) -> Any:

@@ -9,13 +9,12 @@ from scipy.optimize import minimize
 
 from simulator.errors import InputError
 from simulator.optics.exact import exact_images
-from simulator.optics.illumination import Source
 from simulator.optics.kernel import PixelKernel
-from simulator.optics.layers import air_equivalent_m, fan, gap_strata, reduced_m
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA
+from simulator.optics.propagation import TiltedTransfer, Transfer, air_equivalent_m, fan, gap_strata, reduced_m
 from simulator.optics.psf import PsfConfig, compute_psf_stack, depth_images, psf_fingerprint
-from simulator.optics.transfer import TiltedTransfer, Transfer
+from simulator.optics.sources import Source
 from simulator.types import CameraGeometry, Layer, SpectralResponse
 
 WAVELENGTH_M = 532e-9
@@ -185,7 +184,7 @@ def test_a_window_of_air_changes_nothing_and_one_of_glass_moves_the_source():
 
 
 def test_layers_are_part_of_a_stacks_identity_and_record(monkeypatch):
-    monkeypatch.setattr("simulator.optics.sampling.prove_sampling", lambda *_: {})
+    monkeypatch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: {})
     mask, config = _lens(1e-3, 60), PsfConfig((0.1,), wavelengths_per_channel=1)
     camera = _camera(GAP, 8e-6, (Layer(0.5e-3, FUSED_SILICA),))
     prints = {psf_fingerprint(mask, c, config) for c in (camera, replace(camera, gap=()), replace(camera, window=()))}

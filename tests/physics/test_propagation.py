@@ -5,11 +5,9 @@ import pytest
 from numpy.fft import fft2, ifft2
 
 from simulator.errors import InputError
-from simulator.optics.even_filter import multiply_even
 from simulator.optics.kernel import PixelKernel, kernel_reach_m
-from simulator.optics.propagation import angular_spectrum
+from simulator.optics.propagation import Transfer, angular_spectrum, multiply_even
 from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
-from simulator.optics.transfer import Transfer
 
 WAVELENGTH_M = 532e-9
 

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from numpy.fft import fft2, ifft2
 
-from simulator.optics.even_filter import multiply_even
-from simulator.optics.propagation import angular_spectrum
-from simulator.optics.transfer import Transfer
+from simulator.optics.propagation import Transfer, angular_spectrum, multiply_even
 
 pytestmark = pytest.mark.shared
 

@@ -9,12 +9,12 @@ import pytest
 from simulator.camera.forward import ForwardModel
 from simulator.camera.planes import mask_irradiance
 from simulator.errors import InputError
+from simulator.optics.error_budget.sampling import sampling_error
 from simulator.optics.kernel import ORDERS
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA
 from simulator.optics.psf import PsfConfig, compute_psf_stack
 from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
-from simulator.optics.sampling import sampling_error
 from simulator.types import CameraGeometry, Clip, SpectralResponse, View
 
 GREEN = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")
@@ -40,8 +40,8 @@ def _staircase_mask(samples=150, seed=0) -> Mask:
 def _compute(mask, camera, config, **kwargs):
     """The stack without its sampling proof, which has tests of its own and is most of the work on grids this small."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("simulator.optics.sampling.prove_sampling", lambda *_: None)
-        patch.setattr("simulator.optics.check.quick_errors", lambda *_: {})
+        patch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: None)
+        patch.setattr("simulator.optics.error_budget.budget.quick_errors", lambda *_: {})
         return compute_psf_stack(mask, camera, config, **kwargs)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from simulator.errors import InputError
 from simulator.optics import ray_trace
-from simulator.optics.drjit_process import llvm_works, run_kernel
+from simulator.optics.error_budget.drjit_process import llvm_works, run_kernel
 from simulator.optics.mask import Mask
 from simulator.optics.psf import PsfConfig, depth_images
 from simulator.optics.ray_trace import geometric_psf

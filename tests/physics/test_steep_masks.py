@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulator.optics.mask import Mask
+from simulator.optics.mask import Mask, steepest_frequency
 from simulator.optics.materials import FUSED_SILICA
 from simulator.optics.psf import PsfConfig, compute_psf_stack, sampled_intensity
 from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
-from simulator.optics.steepness import steepest_frequency
 from simulator.types import CameraGeometry, SpectralResponse
 
 GREEN = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")
@@ -38,7 +37,7 @@ def test_oversampling_two_equals_the_direct_sum(turns, model):
     )
     assert np.linalg.norm(found - truth) / np.linalg.norm(truth) < 0.01
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("simulator.optics.sampling.prove_sampling", lambda *_: {})
+        patch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: {})
         stack = compute_psf_stack(mask, camera, replace(config, wavelengths_per_channel=1))
     assert stack.energy_m2()[0, 0] == pytest.approx(mask.transmitted_area_m2, rel=2e-3)
 

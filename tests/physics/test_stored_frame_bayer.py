@@ -38,8 +38,8 @@ def stack(mask):
     response = SpectralResponse(wavelengths_m, weights, ("R", "G", "B"), "three lines")
     config = PsfConfig((DEPTH_M,), model="exact", wavelengths_per_channel=1, accept_error=1.0)
     with pytest.MonkeyPatch.context() as patch:  # the sampling proof has tests of its own and is most of the work here
-        patch.setattr("simulator.optics.sampling.prove_sampling", lambda *_: None)
-        patch.setattr("simulator.optics.check.quick_errors", lambda *_: {})
+        patch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: None)
+        patch.setattr("simulator.optics.error_budget.budget.quick_errors", lambda *_: {})
         return compute_psf_stack(mask, CameraGeometry(DISTANCE_M, PITCH_M, response), config)
 
 

@@ -5,11 +5,11 @@ import pytest
 
 from psf_library.designs.flatcam import flatcam, sequence
 from psf_library.designs.mura import coded_array, decoding_array, mura
+from simulator.design.patterns import amplitude_mask
 from simulator.errors import InputError
-from simulator.optics.amplitude_mask import amplitude_mask
+from simulator.optics.error_budget.sampling import sampling_error
 from simulator.optics.psf import PsfConfig, compute_psf_stack
 from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
-from simulator.optics.sampling import sampling_error
 from simulator.types import CameraGeometry, SpectralResponse
 
 BLUE = SpectralResponse(np.array([449e-9, 450e-9, 451e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulator.optics import sampling
+from simulator.optics.error_budget import sampling
+from simulator.optics.error_budget.sampling import judged_crop, sampling_error
 from simulator.optics.psf import PsfConfig, depth_images, stack_size
-from simulator.optics.sampling import judged_crop, sampling_error
 from simulator.plugins import available, resolve
 from simulator.types import CameraGeometry, SpectralResponse
 

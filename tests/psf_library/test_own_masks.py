@@ -5,10 +5,10 @@ import pytest
 from PIL import Image
 
 from psf_library import load_mask
+from simulator.design.export import stl_bytes
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA, PHLATCAM_RESIST
-from simulator.optics.relief import stl_bytes
 
 HEIGHT_M = np.float32([[0.0, 0.25e-6, 1.0e-6], [0.1e-6, 0.5e-6, 0.7e-6]])
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 from psf_library.reference import CASES, compare_stacks, compute, draw_difference, load, load_pinned_mask
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 
 @pytest.fixture

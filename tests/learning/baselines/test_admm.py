@@ -12,7 +12,7 @@ from learning.capture import CaptureModel
 from learning.reconstruction.plain_capture import plain_capture
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 SENSOR, SCENE, PSF = (13, 12), (7, 6), 9
 TV, SPARSITY = 0.05, 0.02

@@ -10,7 +10,7 @@ from learning.baselines.cls import ConstrainedLeastSquares
 from learning.capture import CaptureModel
 from learning.reconstruction.plain_capture import plain_capture
 from simulator.camera.forward import ForwardModel
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 SENSOR, SCENE = (12, 10), (6, 4)
 

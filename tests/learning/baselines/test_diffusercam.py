@@ -12,7 +12,7 @@ from learning.baselines.admm import Admm
 from learning.baselines.cls import ConstrainedLeastSquares
 from learning.capture import CaptureModel
 from learning.reconstruction.plain_capture import plain_capture, typical_white
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 pytestmark = pytest.mark.shared
 

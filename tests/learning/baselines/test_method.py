@@ -12,7 +12,7 @@ from learning.baselines.graph_cut import energy
 from learning.baselines.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
 from learning.method import Clock
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 THESIS = {"cost": "defocus", "measure": "gradient", "contrast": 0.5, "window_px": 1.0, "light": "label"}
 

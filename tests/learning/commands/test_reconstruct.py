@@ -11,9 +11,9 @@ from PIL import Image
 
 from learning.commands.reconstruct import reconstruct
 from simulator.dataset import open_dataset
-from simulator.dataset.psf_files import read_depths_m
 from simulator.errors import InputError
 from simulator.io.exr import read_exr
+from simulator.optics.stack_files import read_depths_m
 
 
 def test_a_sample_becomes_a_folder(tiny_dataset: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -11,9 +11,9 @@ import pytest
 from learning.capture import CaptureModel
 from learning.display import measure_white
 from learning.evaluation.cameras import Cameras, camera_identity
-from simulator.dataset.psf_files import read_psf_stack, write_psf_stack
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
+from simulator.optics.stack_files import read_psf_stack, write_psf_stack
 
 
 def _entry(capture: CaptureModel | None, name: str = "net") -> Any:

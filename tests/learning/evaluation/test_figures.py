@@ -12,8 +12,7 @@ from learning.evaluation.montage import Shown, montage_png
 from learning.evaluation.outcome import Outcome
 from learning.evaluation.summary import summarise
 from learning.evaluation.timing import Times
-from simulator.preview.colours import depth_colours
-from simulator.preview.drawing import UNSEEN
+from simulator.plots.drawing import UNSEEN, depth_colours
 
 NAMES = ("FlatNet3D", "CLS + graph cut")
 COLOURS = method_colours(NAMES)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from learning.capture import CaptureModel
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 
 def random_capture(

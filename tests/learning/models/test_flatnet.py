@@ -11,7 +11,7 @@ from learning.method import Clock
 from learning.models import SIZES, LearnedMethod, build_network
 from learning.models.flatnet import hyperfocal_plane
 from simulator.errors import InputError
-from simulator.optics.psf_stack import depth_planes
+from simulator.optics.stack import depth_planes
 
 
 @pytest.mark.parametrize(("name", "planes"), [("flatnet3d", (0, 1, 2)), ("flatnet2d", (1,))])

@@ -10,7 +10,7 @@ from learning.checkpoint import Checkpoint
 from learning.models import build_network
 from learning.models.transfer import plane_mixing, transfer
 from simulator.errors import InputError
-from simulator.optics.psf_stack import depth_planes
+from simulator.optics.stack import depth_planes
 
 
 def with_planes(capture, count, near_m=0.01, far_m=0.2):

@@ -6,7 +6,7 @@ import pytest
 from learning.reconstruction.plain_capture import plain_capture, typical_white
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 
 def random_stack(channels: tuple[str, ...], planes: int = 2) -> PsfStack:

@@ -94,4 +94,4 @@ def test_picture(tiny_capture: CaptureModel) -> None:
     assert np.abs(codes[:16].astype(int) - 128).max() <= 1
     assert tuple(guesses[20, 5]) == (255, 128, 128)
     assert np.array_equal(depths, guessed)
-    assert tuple(depths[5, 5]) == (33, 145, 140)  # the middle of `simulator.preview.colours`
+    assert tuple(depths[5, 5]) == (33, 145, 140)  # the middle of `simulator.plots.drawing`

@@ -6,8 +6,8 @@ from PIL import Image
 from scipy.ndimage import distance_transform_edt
 
 from psf_library.designs.phlatcam import phlatcam
+from simulator.design.patterns import contours, contours_of_image
 from simulator.errors import InputError
-from simulator.optics.contours import contours, contours_of_image
 from simulator.optics.mask import Mask
 from simulator.optics.materials import PHLATCAM_RESIST
 

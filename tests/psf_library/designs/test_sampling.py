@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from psf_library.designs import diffusercam, fresnel_zone, lens, phlatcam, random_lenslets, spiral, vortex
+from simulator.optics.error_budget.sampling import REFUSE, prove_sampling
 from simulator.optics.psf import PsfConfig
-from simulator.optics.sampling import REFUSE, prove_sampling
-from simulator.optics.spectrum import NOMINAL_CAMERA, spectral_response
+from simulator.optics.spectra import NOMINAL_CAMERA, spectral_response
 from simulator.types import CameraGeometry
 
 DESIGNS = [lens.lens, vortex.vortex, spiral.spiral, fresnel_zone.fresnel_zone, random_lenslets.random_lenslets]

@@ -9,7 +9,7 @@ import pytest
 from simulator.assemble import build_captured_stack, build_psf_stack, build_source, check_calibration, input_files
 from simulator.config import load_config
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 NO_ERROR = {
     "source_um": 0,
@@ -22,7 +22,7 @@ NO_ERROR = {
     "glow_percent": 0,
     "noise": "none",
 }
-pytestmark = pytest.mark.filterwarnings("ignore::simulator.optics.sampling.SamplingWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::simulator.optics.error_budget.sampling.SamplingWarning")
 PSF = {"depths_cm": [3.6, 20, "inf"], "wavelengths_per_channel": 2, "accept_error": 1}
 
 
@@ -106,7 +106,7 @@ def test_the_seed_decides(capture, monkeypatch, tmp_path) -> None:
 
 
 def test_a_measured_psf_is_refused(trial, capture) -> None:
-    from simulator.dataset.psf_files import write_psf_stack
+    from simulator.optics.stack_files import write_psf_stack
 
     nominal, _ = capture(**NO_ERROR)
     write_psf_stack(trial.folder / "stack", nominal)

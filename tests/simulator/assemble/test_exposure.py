@@ -7,7 +7,7 @@ from simulator import assemble
 from simulator.assemble.exposure import fixed_exposure
 from simulator.config import load_config
 from simulator.errors import InputError
-from simulator.optics.curves import camera_curves
+from simulator.optics.spectra import camera_curves
 from simulator.types import Clip
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")

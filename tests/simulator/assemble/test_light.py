@@ -10,7 +10,7 @@ from simulator.config import load_config
 from simulator.dataset import open_dataset, verify
 from simulator.errors import InputError
 from simulator.optics.camera_colour import fit_camera_colour
-from simulator.optics.spectrum import spectral_response
+from simulator.optics.spectra import spectral_response
 
 
 def _config(trial, **camera):

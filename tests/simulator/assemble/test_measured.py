@@ -6,11 +6,11 @@ import pytest
 from simulator.assemble import build_psf_stack, build_view, input_files
 from simulator.assemble.scenes import build_source
 from simulator.config import load_config
-from simulator.dataset.psf_files import write_psf_stack
 from simulator.errors import InputError
-from simulator.optics.stack_interpolation import interpolate_stack
+from simulator.optics.interpolation import interpolate_stack
+from simulator.optics.stack_files import write_psf_stack
 
-pytestmark = pytest.mark.filterwarnings("ignore::simulator.optics.sampling.SamplingWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::simulator.optics.error_budget.sampling.SamplingWarning")
 NO_MASK = {"mask": None}
 
 

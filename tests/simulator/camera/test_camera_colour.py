@@ -6,7 +6,7 @@ import pytest
 from simulator.camera.colour import clipped_share, to_camera
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 from simulator.types import Clip
 
 MATRIX = np.array([[0.6, 0.3, 0.1], [0.1, 0.7, 0.2], [-0.5, 0.3, 1.2]])

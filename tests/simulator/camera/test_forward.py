@@ -9,7 +9,7 @@ from simulator.camera.convolution import StackConvolution
 from simulator.camera.forward import DepthRule, ForwardModel
 from simulator.camera.shutter import GlobalShutter
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 from simulator.types import Clip
 
 

@@ -12,7 +12,7 @@ from simulator.camera.sensor import Sensor
 from simulator.camera.sensor_models import MODELS
 from simulator.camera.shutter import RowShutter
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 SHAPE = (600, 600)  # times three channels: more than 10^6 values
 

@@ -16,7 +16,7 @@ from simulator.camera.planes import split_planes
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, RowShutter, Shutter
 from simulator.camera.slivers import exposed_part, sliver_edges, sliver_means, split_measurement
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 from simulator.types import Clip
 
 SENSOR, SCENE = (24, 18), (10, 8)

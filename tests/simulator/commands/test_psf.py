@@ -11,7 +11,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 def test_writes_and_describes_the_stack(flatlight, trial, tmp_path: Path) -> None:
     from simulator.assemble import build_psf_stack
     from simulator.config import load_config
-    from simulator.dataset.psf_files import read_psf_stack
+    from simulator.optics.stack_files import read_psf_stack
 
     path = trial.write()
     code, out, err = flatlight("psf", path, "--output", tmp_path / "stack")

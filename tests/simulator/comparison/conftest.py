@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from simulator.comparison.candidates import Candidate, judge
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
+from simulator.plots.comparison import Candidate, judge
 
 AREA_M2 = 2e-6
 

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulator.comparison.candidates import load_configs, measure
-from simulator.comparison.columns import COLUMNS, NOTES, cameras_in_words
 from simulator.errors import InputError
+from simulator.plots.comparison import COLUMNS, NOTES, cameras_in_words, load_configs, measure
 
 
 def test_the_figures_of_a_gaussian(gaussian_candidate) -> None:

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from simulator.comparison.columns import COLUMNS
-from simulator.comparison.figures import DPI, WIDTH_INCH, comparison_png, curves_png, design_png
-from simulator.comparison.page import comparison_html
+from simulator.plots.comparison import COLUMNS
+from simulator.plots.comparison_page import DPI, WIDTH_INCH, comparison_html, comparison_png, curves_png, design_png
 
 
 class Reader(HTMLParser):

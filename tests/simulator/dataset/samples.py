@@ -9,9 +9,9 @@ import numpy as np
 from simulator.dataset.dataset_info import DatasetInfo, write_info
 from simulator.dataset.fingerprint import build_fingerprint
 from simulator.dataset.manifest import ManifestWriter
-from simulator.dataset.psf_files import write_psf_stack
 from simulator.dataset.sample import Sample, write_sample
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import write_psf_stack
 
 SENSOR, SCENE = (24, 36), (10, 12)
 

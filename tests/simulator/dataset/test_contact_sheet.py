@@ -6,12 +6,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from simulator.dataset.contact_sheet import contact_sheet
 from simulator.dataset.dataset_info import write_info
 from simulator.dataset.manifest import ManifestWriter
 from simulator.dataset.sample import write_sample
 from simulator.errors import InputError
 from simulator.io.files import StorageError
+from simulator.plots.contact_sheet import contact_sheet
 
 SENSOR, SCENE = (192, 288), (192, 192)  # the size of the tiles: nothing is resampled
 MEASUREMENT_LEFT, SCENE_LEFT, DEPTH_LEFT, TOP = 12, 312, 516, 64

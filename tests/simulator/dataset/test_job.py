@@ -20,8 +20,8 @@ from simulator.camera.shutter import GlobalShutter
 from simulator.config import load_config
 from simulator.dataset import generate, open_dataset, verify
 from simulator.dataset.manifest import load_manifest
-from simulator.dataset.psf_files import read_psf_stack
 from simulator.errors import InputError
+from simulator.optics.stack_files import read_psf_stack
 from simulator.types import Clip
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")

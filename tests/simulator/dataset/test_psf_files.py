@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulator.dataset.psf_files import read_psf_stack, write_psf_stack
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import read_psf_stack, write_psf_stack
 
 
 def make_stack(depths_m: tuple[float, ...] = (0.036, 0.2, np.inf), seed: int = 0) -> PsfStack:

@@ -8,8 +8,8 @@ import pytest
 
 from psf_library import load_psf_stack
 from simulator.dataset import generate, open_dataset, verify
-from simulator.dataset.psf_files import stack_folder
 from simulator.errors import InputError
+from simulator.optics.stack_files import stack_folder
 
 PSF = {"depths_cm": [3.6, 20], "wavelengths_per_channel": 1, "accept_error": 1}
 

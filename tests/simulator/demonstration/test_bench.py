@@ -6,7 +6,7 @@ import pytest
 from simulator.assemble import build_psf_stack, build_view
 from simulator.camera.planes import mask_irradiance
 from simulator.config import load_config
-from simulator.demonstration.bench import SAMPLES, Bench, Spot
+from simulator.plots.shutter_bench import SAMPLES, Bench, Spot
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, RowShutter
-from simulator.demonstration.facts import duration, shutter_facts
+from simulator.plots.shutter_bench import duration, shutter_facts
 
 
 def _facts(shutter, rows, **scene):

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from simulator.config import load_config
-from simulator.demonstration.bench import Bench
-from simulator.demonstration.figures import figures_of
-from simulator.demonstration.flashes import across_figure
-from simulator.demonstration.paper import tinted, white_of
+from simulator.plots.shutter_bench import Bench
+from simulator.plots.shutter_figures import across_figure, figures_of, tinted, white_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulator.optics.aperture import radius_squared_m2, round_aperture, sample_positions_m
+from simulator.design.patterns import radius_squared_m2, round_aperture, sample_positions_m
 
 
 @pytest.mark.parametrize(("samples", "diameter"), [(40, 40.0), (41, 30.4), (200, 150.7), (31, 31.0)])

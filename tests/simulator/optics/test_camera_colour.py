@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from simulator.optics.camera_colour import fit_camera_colour, linear_srgb
-from simulator.optics.curves import Led
-from simulator.optics.spectrum import spectral_response
+from simulator.optics.spectra import Led, spectral_response
 from simulator.types import SpectralResponse
 
 NM = 1e-9

@@ -9,7 +9,7 @@ from simulator.errors import InputError
 from simulator.optics.captured import CalibrationSource, SourcePlaces, captured_light
 from simulator.optics.mask import Mask
 from simulator.optics.psf import PsfConfig, compute_psf_stack, depth_images, stack_size
-from simulator.optics.spectrum import quantile_lines
+from simulator.optics.spectra import quantile_lines
 from simulator.types import CameraGeometry, SpectralResponse
 
 D = 1.9e-3
@@ -18,7 +18,7 @@ RESPONSE = SpectralResponse(
 )
 CAMERA = CameraGeometry(D, 20e-6, RESPONSE)
 # A SamplingWarning is no matter here: both sides of every comparison have the same grid.
-pytestmark = pytest.mark.filterwarnings("ignore::simulator.optics.sampling.SamplingWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::simulator.optics.error_budget.sampling.SamplingWarning")
 CONFIG = PsfConfig((0.04, 0.05, np.inf), wavelengths_per_channel=2, accept_error=1.0)
 
 

@@ -7,9 +7,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from simulator.errors import InputError
-from simulator.optics.captured_plot import plot_captured
-from simulator.optics.captured_report import captured_differences, describe_captured, registration_shift
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
+from simulator.plots.captured import captured_differences, describe_captured, plot_captured, registration_shift
 
 
 def pattern(shift=(0.0, 0.0)) -> np.ndarray:

@@ -7,16 +7,16 @@ from functools import partial
 import numpy as np
 import pytest
 
-from simulator.optics import check
-from simulator.optics.check import full_errors, quick_errors
-from simulator.optics.check_angle import field_angle_error
-from simulator.optics.check_model import direct_error, pixel_error
-from simulator.optics.check_spectrum import common_lines, spectral_error
-from simulator.optics.check_table import budget_tables
+from simulator.optics.error_budget import budget as check
+from simulator.optics.error_budget.budget import full_errors, quick_errors
+from simulator.optics.error_budget.field import field_angle_error
+from simulator.optics.error_budget.model import direct_error, pixel_error
+from simulator.optics.error_budget.sampling import sampling_error
+from simulator.optics.error_budget.spectrum import common_lines, spectral_error
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA
 from simulator.optics.psf import PsfConfig, depth_images, stack_size
-from simulator.optics.sampling import sampling_error
+from simulator.plots.psf_facts import budget_tables
 from simulator.types import CameraGeometry, Layer, SpectralResponse
 
 D, PITCH_M = 0.5e-3, 6e-6
@@ -56,7 +56,7 @@ def test_common_lines_are_a_quadrature_of_every_channel():
 
 def test_the_spectral_error_is_the_distance_from_a_sum_over_many_quantile_lines():
     """Another quadrature altogether, 30 quantile lines per channel, is as far away, to a tenth."""
-    from simulator.optics.spectrum import quantile_lines
+    from simulator.optics.spectra import quantile_lines
 
     mask, config = _mask(), _config(np.inf)
     found = spectral_error(mask, CAMERA, config)
@@ -194,7 +194,7 @@ def test_the_full_budget_is_a_table_of_everything(few_wavelengths):
 def test_without_llvm_the_direct_sum_judges_a_crop(few_wavelengths, monkeypatch):
     monkeypatch.setattr(check, "llvm_works", lambda: False)
     monkeypatch.setattr(check, "PLAIN_CROP_M", 40e-6)
-    monkeypatch.setattr("simulator.optics.drjit_process.llvm_works", lambda: False)
+    monkeypatch.setattr("simulator.optics.error_budget.drjit_process.llvm_works", lambda: False)
     errors = full_errors(_mask(40), CAMERA, _config(np.inf, model="exact"))
     assert errors["direct_sum"]["crop_m"] == pytest.approx(40e-6)
     assert errors["direct_sum"]["error"] < 0.05

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
 
-from simulator.optics.contours import contours
+from simulator.design.patterns import contours
 
 
 @pytest.mark.parametrize("line", [6.0, 17.9, 18.0, 18.5, 33.0])

@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
-from simulator.optics.curves import Led, camera_curves, illuminant_curve
 from simulator.optics.materials import load_material
-from simulator.optics.spectrum import check_materials, quantile_lines, spectral_response
+from simulator.optics.spectra import (
+    Led,
+    camera_curves,
+    check_materials,
+    illuminant_curve,
+    quantile_lines,
+    spectral_response,
+)
 
 NM = 1e-9
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
+from simulator.design.fabrication import fabricate, quantise
 from simulator.errors import InputError
-from simulator.optics.fabrication import fabricate, quantise
 from simulator.optics.mask import Mask
 
 STEP = 0.2e-6

@@ -5,9 +5,9 @@ import pytest
 import tifffile
 from PIL import Image
 
+from simulator.design.height_maps import read_height_map, read_unit_map
 from simulator.errors import InputError
 from simulator.io.exr import write_exr
-from simulator.optics.map_files import read_height_map, read_unit_map
 
 CODES = np.array([[0, 10, 255], [128, 3, 77]], np.uint8)
 METRES = np.array([[0.0, 1e-7, 2e-6], [5e-7, 3e-7, 9e-7]], np.float32)

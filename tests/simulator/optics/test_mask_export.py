@@ -8,10 +8,10 @@ import tifffile
 from PIL import Image
 
 from psf_library import load_mask
+from simulator.design.export import binary_layers, height_tiff, write_layers
 from simulator.errors import InputError
 from simulator.io.files import StorageError
 from simulator.optics.mask import Mask
-from simulator.optics.mask_export import binary_layers, height_tiff, write_layers
 from simulator.optics.materials import PHLATCAM_RESIST
 
 

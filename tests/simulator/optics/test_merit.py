@@ -6,8 +6,8 @@ from scipy.optimize import brentq
 from scipy.special import erf
 
 from simulator.errors import InputError
-from simulator.optics.merit import autocorrelation_peak, depth_correlations, distinct_depths, mean_mtf
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.metrics import autocorrelation_peak, depth_correlations, distinct_depths, mean_mtf
+from simulator.optics.stack import PsfStack
 
 
 def _gaussian(rows: float, columns: float, size: int = 121) -> np.ndarray:

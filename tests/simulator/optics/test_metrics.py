@@ -7,7 +7,7 @@ from scipy.special import j1
 
 from simulator.errors import InputError
 from simulator.optics.metrics import autocorrelation, depth_limit_m, light_off_sensor, radial_mtf
-from simulator.optics.psf_stack import PsfStack
+from simulator.optics.stack import PsfStack
 
 
 def _stack(values: np.ndarray) -> PsfStack:

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from simulator import arrays as memory
+from simulator.design.patterns import gaussian_surface, perlin, poisson_disc
 from simulator.errors import InputError
-from simulator.optics.noise import gaussian_surface, perlin, poisson_disc
 
 
 def test_perlin_noise_is_smooth_and_of_its_cell():

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from simulator import arrays as memory
+from simulator.design.patterns import contours
+from simulator.design.phase_retrieval import retrieve_phase
 from simulator.errors import InputError
-from simulator.optics.contours import contours
-from simulator.optics.phase_retrieval import retrieve_phase
 from simulator.optics.propagation import angular_spectrum
 
 PITCH, GREEN, D = 2e-6, 532e-9, 1.869e-3

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
-from simulator.optics.curves import Led, camera_curves
-from simulator.optics.photometry import electron_rates
+from simulator.optics.spectra import Led, camera_curves, electron_rates
 
 H, C = 6.62607015e-34, 299792458.0
 

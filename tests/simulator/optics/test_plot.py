@@ -14,13 +14,13 @@ from psf_library.designs.diffusercam import diffusercam
 from psf_library.designs.pinhole import pinhole
 from simulator.errors import InputError
 from simulator.io.files import StorageError
-from simulator.optics.facts import psf_depth_limit_m, psf_facts
 from simulator.optics.mask import Mask
 from simulator.optics.materials import PHLATCAM_RESIST
-from simulator.optics.plot import plot_psf_stack, psf_figure, shown_depths
 from simulator.optics.psf import PsfConfig, compute_psf_stack
-from simulator.optics.psf_stack import PsfStack
-from simulator.optics.spectrum import spectral_response
+from simulator.optics.spectra import spectral_response
+from simulator.optics.stack import PsfStack
+from simulator.plots.psf import plot_psf_stack, psf_figure, shown_depths
+from simulator.plots.psf_facts import psf_depth_limit_m, psf_facts
 from simulator.text import length, share
 from simulator.types import CameraGeometry, SpectralResponse
 

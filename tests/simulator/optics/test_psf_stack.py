@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from simulator.errors import InputError
-from simulator.optics.psf_stack import PsfStack, check_depths, depth_planes
+from simulator.optics.stack import PsfStack, check_depths, depth_planes
 
 
 def _stack(values, depths=(0.1, 0.2), channels=("R", "G"), pitch=1e-5):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from simulator.design.export import relief_solid, stl_bytes
+from simulator.design.height_maps import read_stl_height
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
-from simulator.optics.relief import relief_solid, stl_bytes
-from simulator.optics.stl_height import read_stl_height
 
 
 def _mask(height_m, pitch_m=2e-6, profile="staircase") -> Mask:
@@ -227,7 +227,7 @@ def test_files_that_are_no_stl_are_refused(tmp_path):
 
 def test_files_too_large_are_refused_unread(tmp_path, monkeypatch):
     path = _stl(tmp_path / "blocks.stl", _blocks([[1.0, 2.0]]))
-    monkeypatch.setattr("simulator.optics.stl_height.MAX_TRIANGLES", 3)
+    monkeypatch.setattr("simulator.design.height_maps.MAX_TRIANGLES", 3)
     with pytest.raises(InputError, match=r"blocks.stl is larger than 3 triangles, the most that are read"):
         read_stl_height(path, 1e-4, 1e-3)
 

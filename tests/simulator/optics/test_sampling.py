@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
+from simulator.optics.error_budget.sampling import CROP_M, REFUSE, WARN, prove_sampling, sampling_error
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA
 from simulator.optics.psf import PsfConfig, compute_psf_stack
-from simulator.optics.sampling import CROP_M, REFUSE, WARN, prove_sampling, sampling_error
 from simulator.types import CameraGeometry, SpectralResponse
 
 D, PITCH = 0.2e-3, 6e-6

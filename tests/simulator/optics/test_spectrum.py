@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
-from simulator.optics.spectrum import NOMINAL_CAMERA, quantile_lines, spectral_response
+from simulator.optics.spectra import NOMINAL_CAMERA, quantile_lines, spectral_response
 from simulator.types import SpectralResponse
 
 NM = 1e-9

@@ -11,11 +11,11 @@ from simulator.camera.noise import PhysicalNoise
 from simulator.camera.sensor import Sensor
 from simulator.errors import InputError
 from simulator.optics.captured import CalibrationSource, captured_light
+from simulator.optics.interpolation import interpolate_stack, left_out_errors, magnified
 from simulator.optics.mask import Mask
 from simulator.optics.measured import load_measured_psf
 from simulator.optics.psf import PsfConfig, compute_psf_stack
-from simulator.optics.psf_stack import PsfStack, depth_planes
-from simulator.optics.stack_interpolation import interpolate_stack, left_out_errors, magnified
+from simulator.optics.stack import PsfStack, depth_planes
 from simulator.types import CameraGeometry, SpectralResponse
 
 D = 1.9e-3

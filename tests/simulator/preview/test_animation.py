@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from simulator.errors import InputError
-from simulator.preview import animation
+from simulator.plots.clips import animation
 
 LEFT, TOP = 12, 76
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulator.preview.colours import depth_colours, id_colours, motion_colours, normal_colours
+from simulator.plots.drawing import depth_colours, id_colours, motion_colours, normal_colours
 
 GREY = [120, 120, 120]
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from simulator.preview import clip_sheet
-from simulator.preview.drawing import white_level
-from simulator.preview.sheet import shown_frames
+from simulator.plots.clips import clip_sheet, shown_frames
+from simulator.plots.drawing import white_level
 
 LEFT, TOP, STEP = 12, 76, 130  # of the first tile; tiles of 64 pixels are doubled and stand 2 apart
 QUARTER = 99  # sRGB of 0.25 / 2: 1.055 * 0.125^(1 / 2.4) - 0.055 = 0.3885

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from simulator.camera.forward import ForwardModel
 from simulator.camera.planes import mask_irradiance
-from simulator.optics.psf_stack import PsfStack, depth_planes
+from simulator.optics.stack import PsfStack, depth_planes
 from simulator.render import Environment, Material, Renderer, Scene, TriangleMesh, activate
 from simulator.render.lensless import lensless_render, shadow_psfs
 from simulator.types import Clip, View

@@ -1,0 +1,1 @@
+"""Designing masks: patterns, phase retrieval, fabrication, height maps from files, export."""

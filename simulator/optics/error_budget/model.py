@@ -1,0 +1,128 @@
+"""How far the configured depth model is from the truth: from the direct sum at random points, from ``exact`` by pixel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from simulator.optics.error_budget.direct_sum import true_intensity
+from simulator.optics.error_budget.sampling import judged_crop
+from simulator.optics.mask import Mask
+from simulator.optics.spectra import quantile_lines
+from simulator.types import CameraGeometry
+
+if TYPE_CHECKING:
+    from simulator.optics.psf import Progress, PsfConfig
+
+POINTS = 20  # per depth and wavelength: the error of an error of 20 points is a quarter of it
+CROP_M = 1.5e-3
+
+
+def pixel_error(
+    mask: Mask,
+    camera: CameraGeometry,
+    psf_config: PsfConfig,
+    wavelengths_m: list[float],
+    *,
+    crop_m: float | None = None,
+    threads: int = 1,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Measure the relative L2 difference of the model's PSFs from the exact ones, on the sensor's pixels.
+
+    Args:
+        mask: the mask.
+        camera: the camera.
+        psf_config: the model and its depths.
+        wavelengths_m: wavelengths, metres.
+        crop_m: judge a crop of this width, metres; None judges the whole mask.
+        threads: depths computed at a time.
+        progress: called with (done, total) after every PSF.
+
+    Returns:
+        ``error`` (the largest) and ``table``, one row per depth and wavelength; JSON-serialisable.
+    """
+    from simulator.optics.psf import depth_images, stack_size
+
+    part = judged_crop(mask, max(mask.shape) * mask.pitch_m if crop_m is None else crop_m)
+    exact = replace(psf_config, model="exact")
+    size = max(stack_size(part, camera, config) for config in (psf_config, exact))
+    table, total = [], len(wavelengths_m) * len(psf_config.depths_m)
+    for wavelength_m in wavelengths_m:
+        pairs = zip(
+            psf_config.depths_m,
+            depth_images(part, camera, psf_config, wavelength_m, size, threads=threads),
+            depth_images(part, camera, exact, wavelength_m, size, threads=threads),
+            strict=True,
+        )
+        for depth_m, found, truth in pairs:
+            error = float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
+            table.append({"wavelength_m": wavelength_m, "depth_m": depth_m, "error": error})
+            if progress is not None:
+                progress(len(table), total)
+    return {
+        "error": max(row["error"] for row in table),
+        "model": psf_config.model,
+        "crop_m": max(part.shape) * part.pitch_m,
+        "table": table,
+    }
+
+
+def direct_error(
+    mask: Mask,
+    camera: CameraGeometry,
+    psf_config: PsfConfig,
+    wavelengths_m: list[float],
+    *,
+    points: int = POINTS,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Measure the relative L2 error of the model's intensity at random sensor points against the direct sum, in air.
+
+    The points lie on the model's own grid and are not averaged over pixels, so this judges the wave itself: fine
+    structure that a pixel would blur counts in full.
+
+    Returns:
+        ``error`` (the largest) and ``table``, one row per depth and wavelength with the truth's own ``uncertainty``;
+        JSON-serialisable.
+    """
+    from simulator.optics.psf import sampled_intensity
+
+    rng = np.random.default_rng(seed)
+    table, total = [], len(wavelengths_m) * len(psf_config.depths_m)
+    for wavelength_m in wavelengths_m:
+        for depth_m in psf_config.depths_m:
+            places_m, found = sampled_intensity(mask, camera, psf_config, wavelength_m, depth_m, points, rng)
+            truth, off = true_intensity(mask, wavelength_m, camera.mask_to_sensor_m, depth_m, places_m)
+            norm = np.linalg.norm(truth)
+            row = {
+                "wavelength_m": wavelength_m,
+                "depth_m": depth_m,
+                "error": float(np.linalg.norm(found - truth) / norm),
+            }
+            table.append(row | {"uncertainty": float(np.linalg.norm(off) / norm)})
+            if progress is not None:
+                progress(len(table), total)
+    return {"error": max(row["error"] for row in table), "points": points, "table": table}
+
+
+def three_depths(depths_m: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the nearest, the middle (in disparity) and the farthest depth, fewer when there are fewer.
+
+    Example:
+        >>> three_depths((0.1, 0.15, 0.2, 0.5, float("inf")))
+        (0.1, 0.2, inf)
+    """
+    disparity = 1 / np.asarray(depths_m)
+    middle = int(np.argmin(np.abs(disparity - (disparity[0] + disparity[-1]) / 2)))
+    return tuple(dict.fromkeys((depths_m[0], depths_m[middle], depths_m[-1])))
+
+
+def three_wavelengths(camera: CameraGeometry, psf_config: PsfConfig) -> list[float]:
+    """Return the shortest, the middle and the longest wavelength of the configuration, metres."""
+    lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel)
+    ordered = sorted({line.wavelength_m for line in lines})
+    return list(dict.fromkeys((ordered[0], ordered[len(ordered) // 2], ordered[-1])))

@@ -1,0 +1,181 @@
+"""A PSF stack on disk: one EXR per depth and psf.json with depths, scale, provenance and hashes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.dataset.dataset_info import PSF_FOLDER
+from simulator.errors import InputError
+from simulator.io.exr import decode_exr, write_exr
+from simulator.io.files import committed_folder, sha256_bytes, write_atomic
+from simulator.io.json import plain, readable_json
+from simulator.optics.stack import PsfStack
+
+DESCRIPTION = "psf.json"
+
+
+def write_psf_stack(folder: Path, stack: PsfStack) -> None:
+    """Write a stack; the folder appears whole or not at all, and replaces an older stack.
+
+    Raises:
+        InputError: something other than a stack is there.
+        StorageError: the place cannot be written to.
+    """
+    check_replaceable(folder)
+    with committed_folder(folder) as temporary:
+        files = {}
+        for k, planes in enumerate(stack.values):
+            name = _file_name(k)
+            channels = {c: np.asarray(v, np.float32) for c, v in zip(stack.channels, planes, strict=True)}
+            metadata = {"depth_m": float(stack.depths_m[k]), "pixel_pitch_m": stack.pixel_pitch_m}
+            files[name] = sha256_bytes(write_exr(temporary / name, channels, plain(metadata, "PSF")))
+        content = {
+            "depths_m": [float(depth) for depth in stack.depths_m],
+            "pixel_pitch_m": stack.pixel_pitch_m,
+            "channels": list(stack.channels),
+            "frame": "stored",
+            "fingerprint": stack.fingerprint,
+            "provenance": stack.provenance,
+            "files": files,
+        }
+        write_atomic(temporary / DESCRIPTION, readable_json(content))
+
+
+def read_psf_stack(folder: Path) -> PsfStack:
+    """Read a stack that ``write_psf_stack`` wrote; every file's hash is checked.
+
+    Raises:
+        InputError: no such stack, or a damaged one.
+    """
+    content = _description(folder)
+    planes = [_read_planes(folder / name, digest, content.channels) for name, digest in content.files.items()]
+    return PsfStack(
+        np.stack(planes),
+        content.depths_m,
+        content.pixel_pitch_m,
+        content.channels,
+        content.fingerprint,
+        content.provenance,
+    )
+
+
+def read_depths_m(folder: Path) -> NDArray[np.float64]:
+    """Return the depths ``(K,)`` of a stack on disk, metres, without reading its images.
+
+    Raises:
+        InputError: no such stack, or a damaged description.
+    """
+    return _description(folder).depths_m
+
+
+def stack_files(folder: Path) -> list[Path]:
+    """Return the files of a stack on disk.
+
+    Raises:
+        InputError: no such stack, or a damaged description.
+    """
+    return [folder / name for name in (DESCRIPTION, *_description(folder).files)]
+
+
+def stack_folder(place: Path, *, captured: bool = False) -> Path:
+    """Return where a stack lies: ``place`` itself, or ``psf`` in it when it is a data set's folder.
+
+    Args:
+        place: a folder.
+        captured: the stack as a calibration would measure it instead, which lies beside the true one.
+
+    Example:
+        >>> stack_folder(Path("out/stack"), captured=True).as_posix()
+        'out/stack_captured'
+    """
+    folder = place / PSF_FOLDER if (place / PSF_FOLDER).is_dir() else place
+    if not captured:
+        return folder
+    folder = folder if folder.name else folder.absolute()  # the current folder has no name of its own
+    return folder.with_name(f"{folder.name}_captured")
+
+
+def check_replaceable(folder: Path) -> None:
+    """Refuse a place where writing a stack would take away something else.
+
+    Raises:
+        InputError: it is a file, or a folder with other files in it.
+    """
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        msg = f"{folder} is a file; a PSF stack is a folder: choose another name"
+        raise InputError(msg)
+    foreign = [
+        path.name for path in sorted(folder.iterdir()) if path.name != DESCRIPTION and not path.match("depth_*.exr")
+    ]
+    if foreign:
+        msg = f"{folder} holds other files than a PSF stack ({foreign[0]}, ...) and would be replaced: choose another name"
+        raise InputError(msg)
+
+
+@dataclass(frozen=True)
+class _Description:
+    """The content of psf.json."""
+
+    depths_m: NDArray[np.float64]
+    pixel_pitch_m: float
+    channels: tuple[str, ...]
+    fingerprint: str
+    provenance: dict[str, Any]
+    files: dict[str, str]
+
+
+def _description(folder: Path) -> _Description:
+    path = folder / DESCRIPTION
+    try:
+        content = json.loads(path.read_bytes())
+        description = _Description(
+            np.array([float(depth) for depth in content["depths_m"]]),
+            float(content["pixel_pitch_m"]),
+            tuple(content["channels"]),
+            str(content["fingerprint"]),
+            dict(content["provenance"]),
+            dict(content["files"]),
+        )
+        depths, files = len(description.depths_m), description.files
+        if list(files) != [_file_name(k) for k in range(depths)] or not files:
+            msg = f"{len(files)} files for {depths} depths"
+            raise ValueError(msg)
+    except FileNotFoundError as error:
+        msg = f"no PSF stack in {folder}: it has no {DESCRIPTION}; `flatlight psf --output FOLDER` writes one"
+        raise InputError(msg) from error
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        msg = (
+            f"{path} is unreadable or damaged ({reason}); restore it, or delete its folder and compute the stack again"
+        )
+        raise InputError(msg) from error
+    return description
+
+
+def _file_name(k: int) -> str:
+    return f"depth_{k:04d}.exr"
+
+
+def _read_planes(file: Path, digest: str, channels: tuple[str, ...]) -> NDArray[np.float32]:
+    """Return the PSFs ``(C, H, W)`` of one depth."""
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        msg = f"cannot read {file}: {error.strerror or error}; delete {file.parent} and compute the stack again"
+        raise InputError(msg) from error
+    if sha256_bytes(data) != digest:
+        msg = f"{file} is damaged: its hash differs from {DESCRIPTION}; delete {file.parent} and compute it again"
+        raise InputError(msg)
+    found, _ = decode_exr(data, file)
+    if set(found) != set(channels):
+        msg = f"{file} has the channels {sorted(found)}, {DESCRIPTION} says {sorted(channels)}: restore both"
+        raise InputError(msg)
+    return np.stack([found[name] for name in channels])
