@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from simulator import __version__
-from simulator.commands import about, compare, datasets, importing, masks, plugins, psf, render, shutter
+from simulator.commands import about, compare, datasets, importing, masks, psf, render, scenes, shutter
 from simulator.errors import InputError
 
 app = typer.Typer(
@@ -27,10 +27,10 @@ for command in (
     psf.psf,
     shutter.shutter,
     compare.compare,
-    plugins.masks,
+    masks.masks,
     masks.export_mask,
-    plugins.scenes,
-    plugins.materials,
+    scenes.scenes,
+    masks.materials,
     datasets.verify,
     about.schema,
     about.doctor,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from simulator.commands.options import Overrides
+from simulator.commands.shared import Overrides
 
 
 def tune(

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from learning.reconstruction.pixels import binned, crop_window
 from simulator.dataset.dataset_info import FILE
-from simulator.dataset.sample_layout import DESCRIPTION, MEASUREMENT
-from simulator.dataset.stored_sample import StoredSample
+from simulator.dataset.sample import DESCRIPTION, MEASUREMENT, StoredSample
 from simulator.errors import InputError
 from simulator.io.measurements import read_measurement
 

@@ -16,13 +16,12 @@ from simulator.assemble.masks import build_mask, optics_code
 from simulator.assemble.psfs import build_geometry, build_psf_config
 from simulator.camera import calibration, noise
 from simulator.camera import sensor as sensor_module
-from simulator.camera.calibration import Recording
+from simulator.camera.calibration import CalibrationSource, Recording, SourcePlaces, captured_light
 from simulator.camera.noise import NoNoise, PhysicalNoise
 from simulator.config.captured import AsCaptured
 from simulator.config.psf import ComputedPsf
 from simulator.errors import InputError
 from simulator.io.cache import Entry, cached
-from simulator.optics.captured import CalibrationSource, SourcePlaces, captured_light
 from simulator.optics.psf import Progress
 from simulator.optics.spectra import Line, check_materials, quantile_lines
 from simulator.optics.stack import PsfStack

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simulator.assemble.masks import optics_code
+from simulator.camera.colour import CameraColour, fit_camera_colour
 from simulator.errors import InputError
 from simulator.io.cache import Entry, cached
 from simulator.io.files import sha256_file
-from simulator.optics.camera_colour import CameraColour, fit_camera_colour
 from simulator.optics.spectra import NOMINAL_CAMERA, Led, curve_file, electron_rates, spectral_response
 from simulator.types import SpectralResponse
 

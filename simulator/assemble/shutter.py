@@ -5,8 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, RowShutter, Shutter
-from simulator.camera.shutter_files import read_row_shutter, row_shutter
+from simulator.camera.shutter import (
+    DualRollingShutter,
+    GlobalShutter,
+    RollingShutter,
+    RowShutter,
+    Shutter,
+    read_row_shutter,
+    row_shutter,
+)
 from simulator.config import shutter as shutter_config
 from simulator.errors import InputError
 from simulator.plugins import Plugin, plugin_errors, resolve

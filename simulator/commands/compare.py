@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from simulator.commands.options import Overrides
-from simulator.commands.outputs import check_output_file
+from simulator.commands.shared import Overrides, check_output_file
 
 
 def compare(

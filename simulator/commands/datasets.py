@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from simulator.commands.options import ConfigPath, Overrides
+from simulator.commands.shared import ConfigPath, Overrides
 from simulator.errors import InputError
 
 _USE = re.compile(r"# [A-Z][^:]*: +flatlight ")  # in the head of a preset: what it is for
@@ -53,7 +53,7 @@ def generate(
     """Make a data set, or finish one that was begun."""
     from simulator.console import Bar
     from simulator.dataset.job import generate as run
-    from simulator.dataset.skipped import PROBLEMS, SKIPPED, shortened
+    from simulator.dataset.manifest import PROBLEMS, SKIPPED, shortened
 
     with Bar() as bar:
         result = run(config, set_ or [], skip_bad=skip_bad, progress=bar.update, say=bar.say)

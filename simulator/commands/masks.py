@@ -1,4 +1,4 @@
-"""``export-mask``: the files from which a mask is made."""
+"""`masks`, `materials` and `export-mask`: what masks there are, of what, and the files that fabrication takes."""
 
 from __future__ import annotations
 
@@ -8,12 +8,31 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from simulator.commands.options import ConfigPath, Overrides
-from simulator.commands.outputs import check_distinct, check_output_file, check_output_folder
+from simulator.commands.shared import ConfigPath, Overrides, check_distinct, check_output_file, check_output_folder
 from simulator.errors import InputError
 
 if TYPE_CHECKING:
     from simulator.optics.mask import Mask
+
+
+def masks(
+    names: Annotated[list[str] | None, typer.Argument(help="designs to list; all when left out")] = None,
+) -> None:
+    """List the mask designs: what they are, and their parameters with range, default and meaning."""
+    from simulator.plugin_listing import print_plugins
+
+    print_plugins("mask", "camera.mask.design", names or ())
+
+
+def materials() -> None:
+    """List the built-in materials: refractive index, range of wavelengths and source; a file's path names another."""
+    from simulator.optics.materials import MATERIALS
+
+    print(f"{'name':<16} {'n at 532 nm':<12} {'range in nm':<14} source")
+    for name, material in sorted(MATERIALS.items()):
+        low, high = (f"{wavelength_m * 1e9:.0f}" for wavelength_m in material.range_m)
+        print(f"{name:<16} {material.index(532e-9):<12.5f} {f'{low}-{high}':<14} {material.source}")
+    print("or a file: a table .csv (wavelength_nm,n or wavelength_um,n,k) or a page .yml of refractiveindex.info")
 
 
 def export_mask(

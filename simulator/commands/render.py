@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from simulator.commands.options import ConfigPath, Overrides
-from simulator.commands.outputs import check_output_file
+from simulator.commands.shared import ConfigPath, Overrides, check_output_file
 from simulator.errors import InputError
 
 if TYPE_CHECKING:

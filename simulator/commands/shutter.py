@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from simulator.commands.options import ConfigPath, Overrides
-from simulator.commands.outputs import check_output_folder
+from simulator.commands.shared import ConfigPath, Overrides, check_output_folder
 
 
 def shutter(

@@ -95,7 +95,7 @@ def shutter_problems(config: Config) -> list[Problem]:
     chosen, sensor = config.camera.shutter, config.camera.sensor
     if not isinstance(chosen, RowWindows) or chosen.file is None:
         return []
-    from simulator.camera.shutter_files import read_row_shutter  # imports NumPy, which other shutters do not need
+    from simulator.camera.shutter import read_row_shutter  # imports NumPy, which other shutters do not need
 
     try:
         read_row_shutter(config.resolve_path(chosen.file), sensor.shape[0], sensor.binning)

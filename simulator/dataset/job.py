@@ -1,44 +1,214 @@
-"""The job: makes a data set, resumes it after any death, never mixes two.
-
-Truth is on disk. A sample exists when its line stands in the manifest; everything before that line may be lost and is
-made again, byte by byte the same.
-"""
+"""The job: makes a data set, resumes it after any death, never mixes two."""
 
 from __future__ import annotations
 
+import shutil
 import time
+import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from simulator.assemble import build_camera_colour, build_sensor, build_shutter, build_source, input_files, scene_plugin
+from simulator.assemble import (
+    build_camera_colour,
+    build_captured_stack,
+    build_psf_stack,
+    build_response,
+    build_sensor,
+    build_shutter,
+    build_source,
+    check_calibration,
+    check_psf_stack,
+    input_files,
+    scene_plugin,
+    wants_full_check,
+)
 from simulator.assemble.exposure import fixed_exposure
 from simulator.camera.exposure import PERCENTILE, PILOTS, TARGET, full_scale_from_pilots
-from simulator.camera.shutter import Shutter
-from simulator.camera.shutter_record import shutter_record
+from simulator.camera.shutter import Shutter, shutter_record
 from simulator.config import Config, dump, load_config
-from simulator.dataset.dataset_info import PSF_FOLDER, DatasetInfo, write_info
+from simulator.config.psf import ComputedPsf
+from simulator.dataset.clips import ClipTimesError, check_clip, check_parameters, clip_order
+from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER, DatasetInfo, read_info, write_info
 from simulator.dataset.engines import Outcome, WorkerError, available_cpus, run
-from simulator.dataset.existing import all_or_nothing, existing_info, made_folder
-from simulator.dataset.fingerprint import build_fingerprint
-from simulator.dataset.manifest import ManifestWriter, load_manifest
+from simulator.dataset.fingerprint import build_fingerprint, difference
+from simulator.dataset.manifest import (
+    MANIFEST,
+    ManifestWriter,
+    SkippedWriter,
+    list_problems,
+    load_manifest,
+    load_skipped,
+    refuse_problems,
+)
 from simulator.dataset.recipe import Recipe, make_pilot, make_sample, scene_clip, start_worker
 from simulator.dataset.sample import SPLITS, sample_id
-from simulator.dataset.skipped import SkippedWriter, list_problems, load_skipped, refuse_problems
-from simulator.dataset.splits import clip_order
-from simulator.dataset.stacks import data_set_stack
-from simulator.dataset.timing import ClipTimesError, check_clip, check_parameters
 from simulator.errors import InputError
-from simulator.io.files import StorageError, remove_leftovers
+from simulator.io.files import TEMPORARY_PREFIX, StorageError, remove_leftovers, storage_errors
+from simulator.io.json import canonical_json
+from simulator.optics.error_budget.sampling import SamplingWarning
+from simulator.optics.metrics import light_off_sensor
 from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import read_psf_stack, write_psf_stack
 from simulator.plots.contact_sheet import contact_sheet
 from simulator.plugins import Plugin, plugin_errors
 from simulator.render.backend import choose_backend
 from simulator.types import SceneSource
+
+
+def existing_info(
+    root: Path, counts: dict[str, int], fingerprint: str, parts: dict[str, Any], shutter: Shutter
+) -> DatasetInfo | None:
+    """Return the description of a data set that is begun in a folder already; None where there is none.
+
+    Args:
+        root: the folder.
+        counts: samples that are wanted per split.
+        fingerprint: of what is to be made.
+        parts: what was hashed for it.
+        shutter: through which it is to be exposed.
+
+    Raises:
+        InputError: the folder holds something else, another data set, or one with more samples.
+    """
+    if not root.exists():
+        return None
+    if not root.is_dir():
+        msg = f"dataset.output: {root} is a file; choose another folder"
+        raise InputError(msg)
+    if not (root / FILE).exists():
+        foreign = [path.name for path in sorted(root.iterdir()) if not _left_by_a_start(path)]
+        if foreign:
+            msg = (
+                f"dataset.output: {root} is not empty and holds no data set ({foreign[0]}, ...); choose another "
+                "folder, or empty this one"
+            )
+            raise InputError(msg)
+        return None
+    info = read_info(root)
+    if info.fingerprint != fingerprint:
+        msg = (
+            f"dataset.output: {root} holds a data set of another configuration; choose another folder, or undo "
+            f"the change:\n{difference(info.fingerprint_parts, parts)}"
+        )
+        raise InputError(msg)
+    _refuse_other_windows(root, info, shutter, parts["config"]["camera"]["shutter"].get("function"))
+    for split, count in counts.items():
+        if count < info.counts.get(split, 0):
+            msg = (
+                f"dataset.{split}: got {count}, but the data set in {root} already has {info.counts[split]}; counts "
+                "can grow later, not shrink: choose another folder for a smaller one"
+            )
+            raise InputError(msg)
+    return info
+
+
+@contextmanager
+def made_folder(root: Path) -> Iterator[None]:
+    """Make the data set's folder; on an error, take away what is empty of the folders made.
+
+    Raises:
+        StorageError: the folder cannot be made.
+    """
+    made = [folder for folder in (root, *root.parents) if not folder.exists()]
+    with storage_errors(root):
+        root.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            for folder in made:
+                folder.rmdir()
+        raise
+
+
+@contextmanager
+def all_or_nothing(root: Path) -> Iterator[None]:
+    """On an error before the data set has its description, leave nothing of it; to be entered under its lock."""
+    try:
+        yield
+    except BaseException:
+        if not (root / FILE).exists():
+            for name in (PSF_FOLDER, CAPTURED_FOLDER):
+                shutil.rmtree(root / name, ignore_errors=True)
+            with suppress(OSError):
+                (root / MANIFEST).unlink()
+        raise
+
+
+def _refuse_other_windows(root: Path, info: DatasetInfo, shutter: Shutter, function: str | None) -> None:
+    """Refuse a shutter that is another one than the recorded, though its configuration is the same."""
+    recorded = info.time.get("shutter")
+    if recorded is None or canonical_json(recorded) == canonical_json(shutter_record(shutter)):
+        return
+    if function is None:
+        msg = f"{root / FILE}: time.shutter is not what its configuration says; restore the file from a copy"
+        raise InputError(msg)
+    msg = (
+        f"camera.shutter.function: {function} gave other windows than the data set in {root} was begun with; it must return "
+        "the same at every call: seed what it draws, or write its windows into a file and give camera.shutter.file"
+    )
+    raise InputError(msg)
+
+
+def _left_by_a_start(path: Path) -> bool:
+    """Whether a run that was killed before ``dataset.json`` leaves such a file: it holds nothing of worth."""
+    empty_manifest = path.name == MANIFEST and path.stat().st_size == 0
+    return empty_manifest or path.name in (PSF_FOLDER, CAPTURED_FOLDER) or path.name.startswith(TEMPORARY_PREFIX)
+
+
+def data_set_stack(
+    config: Config, root: Path, progress: Callable[[str, int, int], None], say: Callable[[str], None]
+) -> PsfStack:
+    """Return the true stack; it and the captured one are written on the first run and kept on later ones.
+
+    A stack that was deleted from a data set is made again.
+
+    Args:
+        config: the data set's configuration.
+        root: the data set's folder.
+        progress: called with (stage, done, total).
+        say: called with lines worth reading.
+    """
+    begun = (root / FILE).exists()
+    folder, captured_folder = root / PSF_FOLDER, root / CAPTURED_FOLDER
+    asked = isinstance(config.psf, ComputedPsf) and config.psf.as_captured is not None
+    if begun and folder.exists():
+        stack = read_psf_stack(folder)
+    else:
+        if isinstance(config.psf, ComputedPsf):  # mistakes come out before the work that they would spoil
+            build_camera_colour(config, build_response(config).channels)
+        if asked:
+            check_calibration(config)
+        say("designing the mask and computing its PSFs" if config.camera.mask else "reading the measured PSF")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SamplingWarning)  # the job tells it on every run
+            stack = build_psf_stack(
+                config, threads=available_cpus(), progress=lambda done, total: progress("PSFs", done, total)
+            )
+        if wants_full_check(config):
+            say("checking the PSFs against exact ones and direct sums")
+            stack = check_psf_stack(config, stack, threads=available_cpus(), progress=progress)
+        lost = light_off_sensor(stack, config.camera.sensor.shape, config.scene.size)
+        stack = replace(stack, provenance=stack.provenance | {"light_off_sensor": float(lost.max())})
+        write_psf_stack(folder, stack)
+    if asked and begun and captured_folder.exists():
+        read_psf_stack(captured_folder)  # a damaged one is refused, like the true one
+    elif asked:
+        say("measuring the PSFs as a calibration would")
+        captured = build_captured_stack(
+            config,
+            stack,
+            threads=available_cpus(),
+            progress=lambda done, total: progress("captured PSFs", done, total),
+        )
+        write_psf_stack(captured_folder, captured)
+    return stack
+
 
 SHEET = "contact_sheet.png"
 OFF_SENSOR_WARNING = 0.01

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from simulator.camera.shutter import Shutter
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info
 from simulator.dataset.manifest import load_manifest
-from simulator.dataset.sample import SPLITS, Sample, sample_folder, sample_index
-from simulator.dataset.stored_sample import StoredSample
+from simulator.dataset.sample import SPLITS, Sample, StoredSample, sample_folder, sample_index
 from simulator.errors import InputError
 
 

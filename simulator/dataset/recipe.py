@@ -19,9 +19,8 @@ from simulator.camera.planes import clamped_share
 from simulator.camera.shutter import Shutter
 from simulator.camera.slivers import exposed_part, sliver_means
 from simulator.config import Config
+from simulator.dataset.clips import ClipOrder, check_clip, clip_order, durations_s
 from simulator.dataset.sample import Sample, SampleRecord, write_sample
-from simulator.dataset.splits import ClipOrder, clip_order
-from simulator.dataset.timing import check_clip, durations_s
 from simulator.optics.stack_files import read_psf_stack
 from simulator.plugins import plugin_errors
 from simulator.seeds import generator
@@ -129,7 +128,7 @@ class SampleMaker:
 def scene_clip(source: SceneSource, seed: int, split: str, index: int, order: ClipOrder | None = None) -> Clip:
     """Return the clip that a sample shows, drawn from the sample's own generator.
 
-    Splits of a source with a length share no video (see `simulator.dataset.splits`). A source without end is asked for 0, 1,
+    Splits of a source with a length share no video (see `simulator.dataset.clips`). A source without end is asked for 0, 1,
     2 and so on in every split: what it takes in turn, such as its classes, comes in equal parts; the generator makes the
     splits differ.
 

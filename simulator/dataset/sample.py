@@ -1,38 +1,104 @@
-"""One sample: what the camera measured, what was there, and how both are written to disk.
-
-``measurement.exr`` holds the channels (DN / 2^bits) and, beside them, ``noiseless.<channel>``: an OpenEXR part has one
-size, and the noiseless measurement has the sensor's, not the scene's. ``ground_truth.exr``, or for a clip a file per frame,
-holds linear radiance R, G, B, depth ``Z`` in metres and ``valid`` (0 or 1), and the extras that the scene was asked for, in
-the channels that `simulator.io.clips` names. ``sample.json`` repeats their metadata, says which extras and frames there are,
-and adds the hashes. See `simulator.dataset.sample_layout` for the names.
-"""
+"""One sample: what the camera measured and what was there, the files of its folder, how they are written and read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.dataset.sample_layout import (
-    DESCRIPTION,
-    FRAMES,
-    MEASUREMENT,
-    MOST_FRAMES,
-    NOISELESS,
-    digest_of,
-    file_metadata,
-    global_file,
-    truth_file,
-)
 from simulator.errors import InputError
-from simulator.io.clips import describe_extras, frame_channels
-from simulator.io.exr import write_exr
+from simulator.io.clips import TRUTH, describe_extras, frame_channels, frame_extras, layout_channels
+from simulator.io.exr import decode_exr, write_exr
 from simulator.io.files import committed_folder, sha256_bytes, write_atomic
 from simulator.io.json import plain, readable_json
+
+MEASUREMENT, GROUND_TRUTH, DESCRIPTION = "measurement.exr", "ground_truth.exr", "sample.json"
+FRAMES = "frames"  # the folder inside a sample's
+NOISELESS = "noiseless."
+MOST_FRAMES = 10_000  # names have four digits, so that they sort
+_FIELDS = {"channels", "files", "id", "index", "label", "metadata", "seed", "split"}
+
+
+def truth_file(frame: int, frames: int) -> str:
+    """Return the name of a frame's ground truth in a sample of so many frames.
+
+    Example:
+        >>> truth_file(0, 1), truth_file(3, 10)
+        ('ground_truth.exr', 'frames/ground_truth.0003.exr')
+    """
+    return GROUND_TRUTH if frames == 1 else f"{FRAMES}/ground_truth.{frame:04d}.exr"
+
+
+def global_file(frame: int) -> str:
+    """Return the name of a frame's global measurement."""
+    return f"{FRAMES}/global.{frame:04d}.exr"
+
+
+def file_names(frames: int, global_measurements: bool) -> list[str]:
+    """Return the names of the EXR files of a sample."""
+    names = [MEASUREMENT, *(truth_file(frame, frames) for frame in range(frames))]
+    return names + [global_file(frame) for frame in range(frames if global_measurements else 0)]
+
+
+def file_metadata(description: Mapping[str, Any], frame: int | None) -> dict[str, Any]:
+    """Return the metadata of an EXR file: all of ``sample.json`` but the hashes, and its frame where a clip has several.
+
+    So no file can take another's place, of its own sample or of another.
+    """
+    shared = {key: value for key, value in description.items() if key != "files"}
+    return shared if frame is None else shared | {"frame": frame}
+
+
+def digest_of(hashes: Mapping[str, str]) -> str:
+    """Return the digest of a sample from the SHA-256 of its files by name, ``sample.json`` included."""
+    return sha256_bytes("".join(f"{name} {hashes[name]}\n" for name in sorted(hashes)).encode())
+
+
+def read_description(folder: Path) -> tuple[dict[str, Any], bytes]:
+    """Read ``sample.json``: its content and its bytes.
+
+    Raises:
+        InputError: missing or not what ``write_sample`` wrote.
+    """
+    path = Path(folder) / DESCRIPTION
+    cure = "make the sample again or restore it from a copy"
+    try:
+        data = path.read_bytes()
+        description = json.loads(data)
+        complete = set(description) >= _FIELDS and _files_fit(description)
+        complete = complete and all(isinstance(name, str) for name in description["channels"])
+        complete = complete and isinstance(description["metadata"], dict)
+        layout_channels(description.get("extras", {}) if complete else {})
+    except OSError as error:
+        msg = f"cannot read {path}: {error.strerror or error}; is {folder} a sample?"
+        raise InputError(msg) from error
+    except (ValueError, TypeError, RecursionError) as error:
+        msg = f"{path} is not a sample description ({error}); {cure}"
+        raise InputError(msg) from error
+    if not complete:
+        msg = f"{path} lacks fields of a sample description; {cure}"
+        raise InputError(msg)
+    return description, data
+
+
+def _files_fit(description: dict[str, Any]) -> bool:
+    """Whether a description lists just the files, and the times, of the frames that it speaks of."""
+    frames, measured = description.get("frames", 1), description.get("global_measurements", False)
+    if type(frames) is not int or not 1 <= frames <= MOST_FRAMES or type(measured) is not bool:
+        return False
+    edges_s = description.get("frame_edges_s")
+    if edges_s is not None:
+        edges = np.array(edges_s, np.float64)
+        if edges.shape != (frames + 1,) or not np.all(np.isfinite(edges)) or not np.all(np.diff(edges) > 0):
+            return False
+    return set(description["files"]) == set(file_names(frames, measured)) and (edges_s is not None or frames == 1)
+
 
 SPLITS = ("train", "validation", "test")
 _LAST_INDEX = 99_999_999  # ids have eight digits, so that names sort
@@ -247,3 +313,155 @@ def _expect(name: str, values: NDArray[Any], kind: type, wanted: str, fits: bool
     if not fits or values.dtype != kind:
         msg = f"Sample.{name} must be {np.dtype(kind)} {wanted}, got {values.dtype} {values.shape}"
         raise InputError(msg)
+
+
+class SceneFrame(NamedTuple):
+    """What was there in one frame: ``Sample``'s fields of the same names without their first axis."""
+
+    rgb: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    valid: NDArray[np.bool_]
+    extras: dict[str, NDArray[Any]]
+
+
+class StoredSample:
+    """A sample on disk; every file is read, and checked against ``sample.json``, when it is asked for.
+
+    Attributes:
+        folder: the sample's folder.
+        description: the content of ``sample.json``.
+        channels: one name per measurement channel.
+        label: class name, or None.
+        frames: how many frames the ground truth has.
+        frame_edges_s: see ``Sample``.
+        has_global_measurements: whether there is one for each frame.
+    """
+
+    def __init__(
+        self,
+        folder: Path | str,
+        description: dict[str, Any] | None = None,
+        files: Mapping[str, bytes] | None = None,
+    ) -> None:
+        """Read ``sample.json``.
+
+        Args:
+            folder: the sample's folder.
+            description: what `read_description` gave, where it was read already.
+            files: the content of the EXR files by name, where they were read already; ``folder`` only names them then.
+
+        Raises:
+            InputError: no sample, or a damaged ``sample.json``.
+        """
+        self.folder = Path(folder)
+        self.description = read_description(self.folder)[0] if description is None else description
+        self.channels: tuple[str, ...] = tuple(self.description["channels"])
+        self.label: str | None = self.description["label"]
+        self.frames: int = self.description.get("frames", 1)
+        edges_s = self.description.get("frame_edges_s")
+        self.frame_edges_s = None if edges_s is None else np.array(edges_s, np.float64)
+        self.has_global_measurements: bool = self.description.get("global_measurements", False)
+        self._files = files
+
+    def measurement(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the measurement and the same before noise, ``(C, H, W)`` each.
+
+        Raises:
+            InputError: the file is missing, damaged, or belongs to another sample; it is named.
+        """
+        expected = [*self.channels, *(NOISELESS + name for name in self.channels)]
+        planes = self._read(MEASUREMENT, None, expected)
+        return self._stacked(planes), self._stacked(planes, NOISELESS)
+
+    def frame(self, number: int) -> SceneFrame:
+        """Return what was there in a frame, 0 to ``frames - 1``.
+
+        Raises:
+            InputError: the file is missing, damaged, or belongs elsewhere; it is named.
+        """
+        layout = self.description.get("extras", {})
+        own = number if self.frames > 1 else None
+        planes = self._read(truth_file(number, self.frames), own, [*TRUTH, *layout_channels(layout)])
+        rgb = np.stack([planes[name] for name in "RGB"], axis=-1)
+        return SceneFrame(rgb, planes["Z"], planes["valid"] != 0, frame_extras(planes, layout))
+
+    def global_measurement(self, number: int) -> NDArray[np.float32]:
+        """Return what a global shutter would have measured of a frame, ``(C, H, W)``.
+
+        Raises:
+            InputError: the sample has none, or the file is missing, damaged, or belongs elsewhere; it is named.
+        """
+        if not self.has_global_measurements:
+            msg = f"{self.folder} has no global measurements; make the data set with dataset.global_measurements=true"
+            raise InputError(msg)
+        return self._stacked(self._read(global_file(number), number, list(self.channels)))
+
+    def sample(self) -> Sample:
+        """Return all of the sample.
+
+        Raises:
+            InputError: a file is missing, damaged, of no use, or belongs elsewhere; it is named.
+        """
+        self._check_no_more_frames()
+        measurement, noiseless = self.measurement()
+        frames = [self.frame(number) for number in range(self.frames)]
+        measured = None
+        if self.has_global_measurements:
+            measured = np.stack([self.global_measurement(number) for number in range(self.frames)])
+        return Sample(
+            measurement=measurement,
+            noiseless=noiseless,
+            rgb=np.stack([frame.rgb for frame in frames]),
+            depth_m=np.stack([frame.depth_m for frame in frames]),
+            valid=np.stack([frame.valid for frame in frames]),
+            seed=self.description["seed"],
+            label=self.label,
+            channels=self.channels,
+            metadata=self.description["metadata"],
+            extras={name: np.stack([frame.extras[name] for frame in frames]) for name in frames[0].extras},
+            frame_edges_s=self.frame_edges_s,
+            global_measurements=measured,
+        )
+
+    def _stacked(self, planes: dict[str, NDArray[np.float32]], prefix: str = "") -> NDArray[np.float32]:
+        return np.stack([planes[prefix + name] for name in self.channels])
+
+    def _read(self, name: str, frame: int | None, expected: list[str]) -> dict[str, NDArray[np.float32]]:
+        path = self.folder / name
+        try:
+            data = path.read_bytes() if self._files is None else self._files[name]
+        except OSError as error:
+            msg = f"cannot read {path}: {error.strerror or error}"
+            raise InputError(msg) from error
+        planes, metadata = decode_exr(data, path, require_checksums=True)
+        wanted = file_metadata(self.description, frame)
+        if metadata != wanted:
+            what = f"{path} does not belong to the {DESCRIPTION} beside it: their metadata differ"
+            if metadata | {"frame": frame} == wanted:
+                what = f"{path} is frame {metadata.get('frame')} of this sample, not frame {frame}"
+            msg = f"{what} (mixed-up or edited files)"
+            raise InputError(msg)
+        if sorted(planes) != sorted(expected):
+            msg = f"{path} must have the channels {sorted(expected)}, got {sorted(planes)}"
+            raise InputError(msg)
+        return planes
+
+    def _check_no_more_frames(self) -> None:
+        """Refuse frames beyond those described: whoever lists the folder would take them for this sample's."""
+        folder = self.folder / FRAMES
+        if self.frames == 1 or not folder.is_dir():
+            return
+        names = [path.name for path in folder.iterdir() if re.fullmatch(r"(ground_truth|global)\.\d+\.exr", path.name)]
+        unknown = sorted(f"{FRAMES}/{name}" for name in names if f"{FRAMES}/{name}" not in self.description["files"])
+        if unknown:
+            msg = f"{self.folder / unknown[0]} is no file of this sample, which has {self.frames} frames; remove it"
+            raise InputError(msg)
+
+
+def read_sample(folder: Path | str) -> Sample:
+    """Read a sample's folder.
+
+    Raises:
+        InputError: a file is missing, damaged, of no use, or belongs elsewhere; it is named.
+    """
+    return StoredSample(folder).sample()

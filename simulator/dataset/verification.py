@@ -13,14 +13,25 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 
 from simulator.camera.shutter import Shutter
-from simulator.dataset.dataset_info import CAPTURED_FOLDER, PSF_FOLDER, DatasetInfo, read_info
+from simulator.dataset.dataset_info import (
+    CAPTURED_FOLDER,
+    PSF_FOLDER,
+    DatasetInfo,
+    check_fingerprint,
+    check_shutter,
+    read_info,
+)
 from simulator.dataset.engines import run
-from simulator.dataset.manifest import MANIFEST, Entry, Manifest, load_manifest
-from simulator.dataset.record_checks import check_fingerprint, check_shutter
-from simulator.dataset.sample import SPLITS, sample_folder, sample_index
-from simulator.dataset.sample_layout import DESCRIPTION, digest_of, read_description
-from simulator.dataset.skipped import SKIPPED, load_skipped
-from simulator.dataset.stored_sample import StoredSample
+from simulator.dataset.manifest import MANIFEST, SKIPPED, Entry, Manifest, load_manifest, load_skipped
+from simulator.dataset.sample import (
+    DESCRIPTION,
+    SPLITS,
+    StoredSample,
+    digest_of,
+    read_description,
+    sample_folder,
+    sample_index,
+)
 from simulator.errors import InputError
 from simulator.io.files import leftovers, sha256_bytes
 from simulator.optics.stack_files import read_psf_stack

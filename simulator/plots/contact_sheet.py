@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from simulator.dataset.dataset_info import read_info
 from simulator.dataset.reader import Dataset, open_dataset
-from simulator.dataset.stored_sample import SceneFrame, StoredSample
+from simulator.dataset.sample import SceneFrame, StoredSample
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
 from simulator.plots.drawing import (

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from simulator import assemble
+from simulator.camera.colour import fit_camera_colour
 from simulator.config import load_config
 from simulator.dataset import open_dataset, verify
 from simulator.errors import InputError
-from simulator.optics.camera_colour import fit_camera_colour
 from simulator.optics.spectra import spectral_response
 
 

@@ -8,8 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, RowShutter, Shutter
-from simulator.camera.shutter_record import shutter_from_record, shutter_record
+from simulator.camera.shutter import (
+    DualRollingShutter,
+    GlobalShutter,
+    RollingShutter,
+    RowShutter,
+    Shutter,
+    shutter_from_record,
+    shutter_record,
+)
 from simulator.errors import InputError
 
 SECONDS = st.floats(1e-12, 1e3, allow_subnormal=False)

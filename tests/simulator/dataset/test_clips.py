@@ -12,8 +12,7 @@ import pytest
 from scipy.signal import fftconvolve
 
 from simulator.dataset import generate, open_dataset, verify
-from simulator.dataset.manifest import load_manifest
-from simulator.dataset.skipped import load_skipped
+from simulator.dataset.manifest import load_manifest, load_skipped
 from simulator.errors import InputError
 from simulator.io.exr import decode_exr
 from simulator.plugins import import_file

@@ -12,8 +12,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from simulator.camera.shutter import RowShutter
-from simulator.camera.shutter_record import shutter_record
+from simulator.camera.shutter import RowShutter, shutter_record
 from simulator.dataset.dataset_info import DatasetInfo, read_info, write_info
 from simulator.dataset.reader import open_dataset
 from simulator.errors import InputError

@@ -7,8 +7,14 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, RowShutter, Shutter
-from simulator.camera.shutter_record import shutter_record
+from simulator.camera.shutter import (
+    DualRollingShutter,
+    GlobalShutter,
+    RollingShutter,
+    RowShutter,
+    Shutter,
+    shutter_record,
+)
 from simulator.camera.slivers import split_measurement
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.dataset.verification import verify

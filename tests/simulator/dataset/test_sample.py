@@ -7,8 +7,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from simulator.dataset.sample import sample_folder, sample_id, sample_index, write_sample
-from simulator.dataset.stored_sample import read_sample
+from simulator.dataset.sample import read_sample, sample_folder, sample_id, sample_index, write_sample
 from simulator.errors import InputError
 from simulator.io.exr import read_exr
 from simulator.io.files import sha256_bytes, sha256_file

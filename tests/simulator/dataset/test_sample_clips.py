@@ -15,9 +15,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulator.dataset.sample import Sample, sample_folder, write_sample
-from simulator.dataset.sample_layout import MOST_FRAMES, file_names
-from simulator.dataset.stored_sample import StoredSample, read_sample
+from simulator.dataset.sample import (
+    MOST_FRAMES,
+    Sample,
+    StoredSample,
+    file_names,
+    read_sample,
+    sample_folder,
+    write_sample,
+)
 from simulator.errors import InputError
 from simulator.io import files
 from simulator.io.exr import read_exr

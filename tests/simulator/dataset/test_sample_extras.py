@@ -10,8 +10,7 @@ import pytest
 from simulator.assemble import build_source
 from simulator.config import load_config
 from simulator.dataset import open_dataset, verify
-from simulator.dataset.sample import sample_folder, write_sample
-from simulator.dataset.stored_sample import read_sample
+from simulator.dataset.sample import read_sample, sample_folder, write_sample
 from simulator.errors import InputError
 from simulator.io.exr import read_exr
 from simulator.seeds import generator

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from simulator.dataset.splits import ClipOrder, clip_order
+from simulator.dataset.clips import ClipOrder, clip_order
 from simulator.errors import InputError
 
 SPLITS = ("train", "validation", "test")

@@ -10,9 +10,8 @@ from types import ModuleType
 import pytest
 
 from simulator.dataset.fingerprint import hash_parts
-from simulator.dataset.manifest import ManifestWriter
+from simulator.dataset.manifest import ManifestWriter, SkippedWriter
 from simulator.dataset.sample import write_sample
-from simulator.dataset.skipped import SkippedWriter
 from simulator.dataset.verification import verify
 from simulator.errors import InputError
 

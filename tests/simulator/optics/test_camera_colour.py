@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulator.optics.camera_colour import fit_camera_colour, linear_srgb
+from simulator.camera.colour import fit_camera_colour, linear_srgb
 from simulator.optics.spectra import Led, spectral_response
 from simulator.types import SpectralResponse
 

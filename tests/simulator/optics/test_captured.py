@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from simulator.camera.calibration import CalibrationSource, SourcePlaces, captured_light
 from simulator.errors import InputError
-from simulator.optics.captured import CalibrationSource, SourcePlaces, captured_light
 from simulator.optics.mask import Mask
 from simulator.optics.psf import PsfConfig, compute_psf_stack, depth_images, stack_size
 from simulator.optics.spectra import quantile_lines

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from simulator.camera.calibration import Recording
+from simulator.camera.calibration import CalibrationSource, Recording, captured_light
 from simulator.camera.noise import PhysicalNoise
 from simulator.camera.sensor import Sensor
 from simulator.errors import InputError
-from simulator.optics.captured import CalibrationSource, captured_light
 from simulator.optics.interpolation import interpolate_stack, left_out_errors, magnified
 from simulator.optics.mask import Mask
 from simulator.optics.measured import load_measured_psf

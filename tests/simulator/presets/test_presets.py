@@ -8,7 +8,7 @@ import pytest
 
 from simulator.assemble import build_shutter, build_source, build_view, scene_plugin
 from simulator.config import load_config
-from simulator.dataset.timing import check_parameters
+from simulator.dataset.clips import check_parameters
 from simulator.errors import InputError
 from simulator.presets import preset_names, preset_text
 from simulator.seeds import generator

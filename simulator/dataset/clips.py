@@ -1,19 +1,20 @@
-"""Which clip of a finite source a sample shows: no two splits share a video, and raising a count moves no clip.
-
-Training samples walk through the source from its front; validation and test samples take every second video each, from
-the back, and all clips of a video before the next one's.
-"""
+"""Which clip of a finite source a sample shows, and whether clips last as long as the shutter is open."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simulator.camera.shutter import ROUNDING, Shutter
+from simulator.camera.slivers import frames_seen
+from simulator.config.schema import DatasetConfig
 from simulator.errors import InputError
 from simulator.seeds import SPLITS
-from simulator.types import SceneSource
+from simulator.types import Clip, SceneSource
 
 _FRONT = ("train", "pilot")
 
@@ -116,3 +117,102 @@ def _checked(groups: ArrayLike) -> NDArray[np.integer]:
         msg = "scene: the groups of its source must be whole numbers that never fall, one per clip: the number of its video"
         raise InputError(msg)
     return numbers
+
+
+class ClipTimesError(InputError):
+    """A clip does not last as long as the shutter is open, or its frames make no equal slivers."""
+
+
+def check_parameters(params: Mapping[str, Any], shutter: Shutter, rows: int, chosen: DatasetConfig) -> bool:
+    """Refuse, before any work, scenes whose parameters say that their clips do not suit the shutter.
+
+    Args:
+        params: parameters of the scenes; clips last ``frames / frames_per_second``, and one frame stands still.
+        shutter: the camera's.
+        rows: stored rows of the sensor.
+        chosen: how many slivers are wanted.
+
+    Returns:
+        Whether the parameters say how long clips last.
+
+    Raises:
+        ClipTimesError: with a number of frames that would do.
+    """
+    frames, rate = params.get("frames"), params.get("frames_per_second")
+    if not isinstance(frames, int) or isinstance(frames, bool) or frames < 1:
+        return False
+    if frames == 1:
+        _check_slivers(1, 1, chosen.slivers)
+        return True
+    if not isinstance(rate, int | float) or isinstance(rate, bool) or not 0 < rate < math.inf:
+        return False
+    open_s = shutter.duration_s(rows)
+    if frames / rate < open_s * (1 - ROUNDING):
+        needed = math.ceil(open_s * rate * (1 - ROUNDING))
+        msg = (
+            f"scene.frames: got {frames} at {rate:g} per second, which last {_time(frames / rate)}, but the shutter is open "
+            f"for {_time(open_s)}; expected at least {needed}, or fewer per second, or a faster camera.shutter"
+        )
+        raise ClipTimesError(msg)
+    _check_slivers(count_seen(np.arange(frames + 1) / rate, shutter, rows), frames, chosen.slivers)
+    return True
+
+
+def check_clip(clip: Clip, shutter: Shutter, rows: int, slivers: int | None) -> None:
+    """Refuse a clip that does not suit the shutter; a still always does.
+
+    Raises:
+        ClipTimesError: naming where the clip comes from.
+    """
+    frames, edges = len(clip.rgb), clip.frame_edges_s
+    if frames == 1:
+        _check_slivers(1, 1, slivers)
+        return
+    first_s, open_s = shutter.span_s(rows)
+    if edges[0] <= first_s and edges[-1] < open_s * (1 - ROUNDING):
+        needed = math.ceil((open_s - edges[0]) * frames / (edges[-1] - edges[0]) * (1 - ROUNDING))
+        msg = (
+            f"scene: a clip of {frames} frames lasts {_time(edges[-1])}, but the shutter is open for {_time(open_s)}; take "
+            f"{needed} frames, or fewer per second, or a faster camera.shutter. The clip: {clip.source}"
+        )
+        raise ClipTimesError(msg)
+    try:
+        shutter.check_covered(rows, edges)
+    except InputError as error:
+        msg = f"scene: {error}; times count from the capture's start. The clip: {clip.source}"
+        raise ClipTimesError(msg) from error
+    _check_slivers(count_seen(edges, shutter, rows), frames, slivers)
+
+
+def count_seen(frame_edges_s: NDArray[np.float64], shutter: Shutter, rows: int) -> int:
+    """Return how many frames of a clip last while the shutter is open."""
+    seen = frames_seen(frame_edges_s, shutter, rows)
+    return seen.stop - seen.start
+
+
+def durations_s(frame_edges_s: NDArray[np.float64]) -> float | list[float]:
+    """Return how long frames last, seconds: one number where all last as long."""
+    durations = np.diff(frame_edges_s)
+    mean = float(durations.mean())
+    # Differences of times carry the rounding of the times, which grow along the clip.
+    same = np.allclose(durations, mean, rtol=1e-9, atol=4e-16 * float(np.abs(frame_edges_s).max()))
+    return float((frame_edges_s[-1] - frame_edges_s[0]) / len(durations)) if same else durations.tolist()
+
+
+def _check_slivers(seen: int, frames: int, slivers: int | None) -> None:
+    if slivers is None or (1 <= slivers <= seen and seen % slivers == 0):
+        return
+    if frames == 1:
+        msg = f"dataset.slivers: got {slivers}, but the scenes stand still (scene.frames is 1); leave it out"
+        raise ClipTimesError(msg)
+    fitting = ", ".join(str(number) for number in range(1, seen + 1) if seen % number == 0)
+    of = f"{seen} of the {frames}" if seen < frames else f"all {seen}"
+    msg = (
+        f"dataset.slivers: got {slivers}, but the shutter sees {of} frames of a clip, which do not come out even; expected "
+        f"one of {fitting}, or change scene.frames, scene.frames_per_second or the shutter's times"
+    )
+    raise ClipTimesError(msg)
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds * 1e3:.6g} ms"

@@ -1,12 +1,15 @@
-"""``scenes --thumbnails``: what the scene families look like, a few samples of each in one picture."""
+"""`flatlight scenes`: the families with their parameters, and a picture of each."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import typer
+
+from simulator.commands.shared import check_output_file
 from simulator.errors import InputError
 
 if TYPE_CHECKING:
@@ -99,3 +102,34 @@ def _view(family: str) -> View:
 
 def _middle(clip: Clip) -> int:
     return len(clip.rgb) // 2
+
+
+def scenes(
+    names: Annotated[list[str] | None, typer.Argument(help="families and sources to list; all when left out")] = None,
+    thumbnails: Annotated[
+        Path | None, typer.Option("--thumbnails", help="picture to write: a few samples of each family (.png)")
+    ] = None,
+) -> None:
+    """List the scene families and imported sources with their parameters; --thumbnails shows them too."""
+    from simulator.plugin_listing import print_plugins
+    from simulator.plugins import available, resolve
+
+    if thumbnails is not None:
+        check_output_file("--thumbnails", thumbnails, (".png",))
+    sources = available("source")
+    wanted = {
+        "scene": [name for name in names if name not in sources] if names else available("scene"),
+        "source": [name for name in names if name in sources] if names else sources,
+    }
+    plugins = [resolve(kind, name) for kind, chosen in wanted.items() for name in chosen]
+    for kind, key in (("scene", "scene.family"), ("source", "scene.source")):
+        if wanted[kind]:
+            print_plugins(kind, key, wanted[kind])
+    if thumbnails is not None:
+        from simulator.console import Bar
+
+        with Bar() as bar:
+            left_out = draw_thumbnails(plugins, thumbnails, bar)
+        if left_out:
+            print(f"not drawn: {'; '.join(left_out)}")
+        print(f"look at {thumbnails}")

@@ -1,11 +1,19 @@
-"""Places that commands write to, looked at before the work whose result would go there."""
+"""What the commands share: options and the files that they write."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from simulator.errors import InputError
+
+ConfigPath = Annotated[Path, typer.Argument(help="configuration; `flatlight init` writes one", show_default=False)]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override one setting, e.g. dataset.train=100")
+]
 
 
 def check_output_file(option: str, path: Path, suffixes: tuple[str, ...]) -> None:
