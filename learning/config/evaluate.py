@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from learning.config.load import FileSection
-from simulator.config.base import Range, Section, refusal
+from simulator.config.sections import Range, Section, refusal
 
 Decibels = Annotated[float, Range(0, 100, "dB")]
 Count = Annotated[int, Range(1, 10_000_000, below="at least one")]

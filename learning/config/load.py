@@ -8,10 +8,9 @@ from typing import Any, TypeVar
 
 from pydantic import PrivateAttr, ValidationError
 
-from simulator.config.base import Section
 from simulator.config.load import ConfigError
-from simulator.config.overrides import apply_overrides
-from simulator.config.yaml_loader import read_yaml
+from simulator.config.sections import Section
+from simulator.config.yaml import apply_overrides, read_yaml
 from simulator.errors import InputError
 from simulator.text import show
 from simulator.validation import find_problems, validate

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from learning.config.load import FileSection
-from simulator.config.base import Range, Section, refusal
+from simulator.config.sections import Range, Section, refusal
 
 Weight = Annotated[float, Range(0, 1e6, below="a weight is not negative")]
 Decibels = Annotated[float, Range(1, 120, "dB")]

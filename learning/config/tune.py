@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from learning.config.load import FileSection
-from simulator.config.base import Range, Section, refusal
+from simulator.config.sections import Range, Section, refusal
 
 FEWEST_SCENES = 32
 

@@ -15,7 +15,7 @@ from learning.reconstruction.files import RECORD, check_place, write_reconstruct
 from learning.reconstruction.measurements import Measurement, load_measurement
 from learning.reconstruction.method_choice import choose_method
 from simulator import __version__
-from simulator.config.yaml_scalars import parse_scalar
+from simulator.config.yaml import parse_scalar
 from simulator.errors import InputError
 from simulator.plots.drawing import centimetres
 

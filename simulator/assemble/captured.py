@@ -18,8 +18,7 @@ from simulator.camera import calibration, noise
 from simulator.camera import sensor as sensor_module
 from simulator.camera.calibration import CalibrationSource, Recording, SourcePlaces, captured_light
 from simulator.camera.noise import NoNoise, PhysicalNoise
-from simulator.config.captured import AsCaptured
-from simulator.config.psf import ComputedPsf
+from simulator.config.psf import AsCaptured, ComputedPsf
 from simulator.errors import InputError
 from simulator.io.cache import Entry, cached
 from simulator.optics.psf import Progress

@@ -11,7 +11,7 @@ from simulator.types import Layer
 
 if TYPE_CHECKING:
     from simulator.config import Config
-    from simulator.config.layers import GapLayer
+    from simulator.config.camera import GapLayer
 
 
 def build_gap(config: Config) -> tuple[Layer, ...]:

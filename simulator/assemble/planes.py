@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from simulator.config.planes import Planes
+from simulator.config.psf import Planes
 from simulator.optics.stack import depth_planes
 
 

@@ -14,7 +14,7 @@ from simulator.camera.shutter import (
     read_row_shutter,
     row_shutter,
 )
-from simulator.config import shutter as shutter_config
+from simulator.config import camera as shutter_config
 from simulator.errors import InputError
 from simulator.plugins import Plugin, plugin_errors, resolve
 

@@ -32,8 +32,7 @@ def import_check(
     skip_bad: Annotated[bool, typer.Option("--skip-bad", help="list what is bad, but do not fail for it")] = False,
 ) -> None:
     """Read a data set in its original layout once and report what was found; nothing is copied or changed."""
-    from simulator.config.overrides import apply_overrides
-    from simulator.config.yaml_loader import parse_yaml
+    from simulator.config.yaml import apply_overrides, parse_yaml
     from simulator.console import Bar
     from simulator.importers.check import choose, find_candidates, run_survey
     from simulator.plugins import resolve

@@ -1,15 +1,160 @@
-"""The ``camera`` section: mask, sensor, light, shutter, exposure and noise."""
+"""The camera section: layers and light, shutter, mask, sensor, exposure and noise."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from simulator.config.base import PluginSection, Range, Section, refusal
-from simulator.config.layers import GapLayer, Substrate
-from simulator.config.light import IlluminantConfig, SceneToCamera
-from simulator.config.shutter import GlobalShutter, ShutterConfig
+from simulator.config.sections import PluginSection, Range, Section, refusal
+from simulator.text import nearest, show
+
+if TYPE_CHECKING:
+    pass
+
+_THICK = Range(0.0001, 100, "mm", below="a layer has a thickness")
+MaterialName = Annotated[str, Field(min_length=1)]
+
+
+class GapLayer(Section):
+    """A plane-parallel layer of the gap, such as air or a cover glass."""
+
+    mm: Annotated[float, _THICK] = Field(description="thickness, millimetres")
+    n: Literal["air"] | Annotated[float, Range(1, 4, below="air has 1, and nothing here has less")] | None = Field(
+        default=None, description="refractive index, the same for all wavelengths; or air"
+    )
+    material: MaterialName | None = Field(
+        default=None, description="name of a material (see flatlight materials), or its file (.csv, .yml)"
+    )
+
+    @model_validator(mode="after")
+    def _one_medium(self) -> Self:
+        if (self.n is None) == (self.material is None):
+            came = "neither" if self.n is None else "both"
+            text = f"needs exactly one of n (air or a number) and material, got {came}"
+            raise refusal(text, *([] if self.n is None else ["n"]))
+        return self
+
+
+class Substrate(Section):
+    """The plate that carries the mask's modulating surface."""
+
+    mm: Annotated[float, _THICK] = Field(description="thickness, millimetres")
+    material: MaterialName = Field(description="name of a material (see flatlight materials), or its file (.csv, .yml)")
+    side: Literal["scene", "sensor"] = Field(
+        description="where the plate lies, seen from the modulating surface; on the sensor's side it comes before the gap"
+    )
+
+
+class Led(Section):
+    """A light-emitting diode: a Gaussian spectrum."""
+
+    led_nm: Annotated[float, Range(200, 2000, "nm")] = Field(description="centre wavelength, nanometres")
+    fwhm_nm: Annotated[float, Range(1, 300, "nm", below="narrower lines look the same to a camera")] = Field(
+        description="full width at half maximum, nanometres"
+    )
+    power: Annotated[float, Range(1e-6, 1e6)] = Field(
+        default=1.0, description="radiant power relative to the other LEDs"
+    )
+
+
+def _illuminant_kind(data: Any) -> str:
+    if isinstance(data, dict | Led):
+        return "one LED"
+    return "several LEDs" if isinstance(data, list | tuple) else "a name"
+
+
+# The tags hold spaces, so that they cannot be mistaken for keys in a message's path.
+IlluminantConfig = Annotated[
+    Annotated[str, Field(min_length=1), Tag("a name")]
+    | Annotated[Led, Tag("one LED")]
+    | Annotated[tuple[Led, ...], Field(min_length=1), Tag("several LEDs")],
+    Discriminator(_illuminant_kind),
+]
+
+Number = Annotated[float, Range(-100, 100)]
+SceneToCamera = Annotated[
+    Annotated[Literal["auto", "identity"], Tag("a word")]
+    | Annotated[tuple[tuple[Number, Number, Number], ...], Field(min_length=1, max_length=16), Tag("a matrix")],
+    Discriminator(lambda data: "a matrix" if isinstance(data, list | tuple) else "a word"),
+]
+
+
+ExposureMs = Annotated[float, Range(1e-4, 1e5, "ms", below="without exposure time there is no light")]
+LineTimeUs = Annotated[float, Range(1e-3, 1e6, "us", below="rows that open together are a global shutter")]
+_EXPOSURE = "exposure time of each row, milliseconds"
+
+
+class GlobalShutter(Section):
+    """All rows are exposed at once."""
+
+    type: Literal["global"] = "global"
+    exposure_ms: ExposureMs = Field(default=10.0, description="exposure time, milliseconds")
+
+
+class RollingShutter(Section):
+    """One physical row after another."""
+
+    type: Literal["rolling"] = "rolling"
+    exposure_ms: ExposureMs = Field(default=10.0, description=_EXPOSURE)
+    line_time_us: LineTimeUs = Field(description="time from one physical row's opening to the next, microseconds")
+    direction: Literal["down", "up"] = Field(
+        default="down",
+        description="from the physical sensor's top row down (the stored picture's bottom row up), or up",
+    )
+
+
+class DualRollingShutter(Section):
+    """Two halves at once: a pair of physical rows after another."""
+
+    type: Literal["dual_rolling"] = "dual_rolling"
+    exposure_ms: ExposureMs = Field(default=10.0, description=_EXPOSURE)
+    line_time_us: LineTimeUs = Field(description="time from one pair of physical rows to the next, microseconds")
+    order: Literal["outside_in", "centre_out"] = Field(
+        default="outside_in", description="begin with the top and bottom rows (pco.edge) or in the middle (Zyla)"
+    )
+
+
+class RowWindows(PluginSection):
+    """A window of its own for every physical row, from a file or a function; further keys are the function's parameters."""
+
+    type: Literal["windows"] = "windows"
+    file: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
+        description=".csv (a line per physical row, top first: open_s,close_s; the header may say _ms or _us) or .npy "
+        "(rows, 2) in seconds",
+    )
+    function: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
+        description="./file.py:name or package.module:name: called with the number of physical rows, returns seconds "
+        "(rows, 2)",
+    )
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Self:
+        if self.function is None:
+            for key, value in self.params.items():
+                hint = nearest(key, ["file", "function"])
+                text = f"unknown key, got {show(value)}; expected type and file, or function and its parameters{hint}"
+                raise refusal(text, key, on_key=True)
+        if (self.file is None) == (self.function is None):
+            came = "neither" if self.file is None else "both"
+            text = f"needs exactly one of file and function, got {came}; each says when every row opens and closes"
+            raise refusal(text, *([] if self.file is None else ["file"]))
+        return self
+
+
+def _named(data: Any) -> Any:
+    """Take a shutter without a type for a global one."""
+    return {"type": "global", **data} if isinstance(data, dict) and "type" not in data else data
+
+
+ShutterConfig = Annotated[
+    GlobalShutter | RollingShutter | DualRollingShutter | RowWindows,
+    Field(discriminator="type"),
+    BeforeValidator(_named),
+]
+
 
 Pixels = Annotated[int, Range(1, 32768, below="a picture has at least one pixel on each side")]
 Shape = tuple[Pixels, Pixels]

@@ -10,12 +10,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from simulator import plugins
-from simulator.config.layers import material_problems
-from simulator.config.light import curve_problems
-from simulator.config.overrides import Origins, apply_overrides
+from simulator.config.camera import RowWindows
 from simulator.config.schema import Config
-from simulator.config.shutter import shutter_problems
-from simulator.config.yaml_loader import read_yaml
+from simulator.config.yaml import Origins, apply_overrides, read_yaml
 from simulator.errors import InputError
 from simulator.text import KeyPath, show
 from simulator.validation import Problem, find_problems, validate
@@ -157,3 +154,72 @@ def _without_infinity(value: Any) -> Any:
     if isinstance(value, float) and math.isinf(value):
         return "inf" if value > 0 else "-inf"
     return value
+
+
+def material_problems(config: Config) -> list[Problem]:
+    """Return what is wrong with the materials that the camera names: unknown names, unreadable files.
+
+    The mask's ``material`` is looked at where the design has a bare name; a user's own may mean something else by it.
+    """
+    camera = config.camera
+    named: dict[KeyPath, str | None] = {
+        ("camera", "gap", index, "material"): layer.material for index, layer in enumerate(camera.gap or ())
+    }
+    if camera.substrate is not None:
+        named["camera", "substrate", "material"] = camera.substrate.material
+    mask = camera.mask
+    if mask is not None and ":" not in mask.design and isinstance(mask.params.get("material"), str):
+        named["camera", "mask", "material"] = mask.params["material"]
+    return [problem for path, name in named.items() if name and (problem := _material_problem(path, name, config))]
+
+
+def curve_problems(config: Config) -> list[Problem]:
+    """Return what is wrong with the files of spectral curves; names are looked up on use, which takes a second."""
+    named: dict[KeyPath, Any] = {
+        ("camera", "sensor", "spectral_response"): config.camera.sensor.spectral_response,
+        ("camera", "illuminant"): config.camera.illuminant,
+    }
+    captured = getattr(config.psf, "as_captured", None)
+    if captured is not None:
+        named["psf", "as_captured", "illuminant"] = captured.illuminant
+    return [
+        problem
+        for path, name in named.items()
+        if isinstance(name, str) and (problem := _curve_problem(path, name, config))
+    ]
+
+
+def shutter_problems(config: Config) -> list[Problem]:
+    """Return what is wrong with the file of the rows' windows."""
+    chosen, sensor = config.camera.shutter, config.camera.sensor
+    if not isinstance(chosen, RowWindows) or chosen.file is None:
+        return []
+    from simulator.camera.shutter import read_row_shutter  # imports NumPy, which other shutters do not need
+
+    try:
+        read_row_shutter(config.resolve_path(chosen.file), sensor.shape[0], sensor.binning)
+    except InputError as error:
+        return [Problem(("camera", "shutter", "file"), str(error))]
+    return []
+
+
+def _material_problem(path: KeyPath, name: str, config: Config) -> Problem | None:
+    from simulator.optics.materials import load_material  # imports NumPy, which reading a plain camera does not need
+
+    try:
+        load_material(name, config.base_dir)
+    except InputError as error:
+        return Problem(path, str(error).removeprefix("material: "))
+    return None
+
+
+def _curve_problem(path: KeyPath, name: str, config: Config) -> Problem | None:
+    if not name.lower().endswith((".csv", ".json")):
+        return None
+    from simulator.optics.spectra import camera_curves, illuminant_curve  # import NumPy, which a name does not need
+
+    try:
+        (illuminant_curve if path[-1] == "illuminant" else camera_curves)(name, config.base_dir)
+    except InputError as error:
+        return Problem(path, str(error))
+    return None

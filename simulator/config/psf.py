@@ -1,14 +1,126 @@
-"""The ``psf`` section: a stack computed by wave optics, measured with a real camera, or read from a folder."""
+"""Depth planes in a configuration: a range and a count, or a list; shared by computed and interpolated stacks."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from simulator.config.base import Range, Section, refusal
-from simulator.config.captured import AsCaptured
-from simulator.config.planes import Depths, InterpolatedPlanes, Planes, check_increasing
+from simulator.config.camera import IlluminantConfig, Led
+from simulator.config.sections import Range, Section, refusal
+
+_IN_FRONT = "depths are measured from the mask into the scene, so they are positive"
+Depth = Annotated[float, Range(0.01, 1e7, "cm", infinite=True, below=_IN_FRONT)]
+Depths = Annotated[tuple[Depth, ...], Field(min_length=1)]
+
+
+class Planes(Section):
+    """Depth planes as near, far and count, or as a list."""
+
+    near_cm: Annotated[float, Range(0.01, 1e7, "cm", below=_IN_FRONT)] | None = Field(
+        default=None, description="nearest plane, centimetres from the mask"
+    )
+    far_cm: Depth | None = Field(default=None, description="farthest plane, centimetres from the mask, or inf")
+    depths: Annotated[int, Range(1, 1000, below="a stack has at least one plane")] | None = Field(
+        default=None, description="number of planes"
+    )
+    spacing: Literal["disparity", "log", "linear"] = Field(
+        default="disparity", description="planes at even steps of 1/z (disparity), log z or z"
+    )
+    depths_cm: Depths | None = Field(
+        default=None, description="the planes themselves, in place of near, far and depths"
+    )
+
+    @model_validator(mode="after")
+    def _sensible_depths(self) -> Self:
+        if self.depths_cm is not None:
+            for key, unset in (("near_cm", None), ("far_cm", None), ("depths", None), ("spacing", "disparity")):
+                if getattr(self, key) != unset:
+                    text = f"got {getattr(self, key)!r} beside depths_cm, which already lists the planes; keep one"
+                    raise refusal(text, key)
+            check_increasing(self.depths_cm)
+            return self
+        near, far = self.near_cm, self.far_cm
+        if near is None or far is None or self.depths is None:
+            text = "the planes are not given: needs near_cm, far_cm and depths, or depths_cm: [...]"
+            raise refusal(text)
+        if near > far or (near == far and self.depths > 1):
+            text = f"got {near:g}, which is not nearer than far_cm = {far:g}; swap them?"
+            raise refusal(text, "near_cm")
+        if self.depths == 1 and near < far:
+            text = "got 1 plane for a range; one plane is written depths_cm: [z] without near_cm, far_cm and depths"
+            raise refusal(text, "depths")
+        if math.isinf(far) and self.spacing != "disparity":
+            text = f"got {self.spacing!r}, whose even steps never reach far_cm = inf; use disparity"
+            raise refusal(text, "spacing")
+        return self
+
+    @property
+    def nearest_cm(self) -> float:
+        """The nearest plane, centimetres."""
+        return self.depths_cm[0] if self.depths_cm is not None else self.near_cm  # pyright: ignore[reportReturnType]
+
+
+class InterpolatedPlanes(Planes):
+    """Planes that a measured stack is interpolated to, by magnification and disparity."""
+
+    extrapolate: bool = Field(
+        default=False, description="whether planes outside the measured range are allowed: the outermost one, rescaled"
+    )
+
+
+def check_increasing(depths_cm: Sequence[float]) -> None:
+    """Raise pydantic's error at the first depth that is not beyond the one before it."""
+    for index, (before, depth) in enumerate(pairwise(depths_cm), start=1):
+        if not depth > before:
+            text = f"got {depth:g} after {before:g}; depths must increase strictly, nearest first"
+            raise refusal(text, "depths_cm", index)
+
+
+Tilt = Annotated[float, Range(-10, 10, "deg (degrees)")]
+Percent = Annotated[float, Range(0, 50, "percent of full scale")]
+
+
+class AsCaptured(Section):
+    """What differs between the true PSFs and those that a laboratory measures. The defaults are a careful one's."""
+
+    source_um: Annotated[float, Range(0, 5000, "um")] = Field(
+        default=25.0, description="diameter of the point source (a pinhole before a light), micrometres"
+    )
+    illuminant: IlluminantConfig = Field(
+        default=(Led(led_nm=630, fwhm_nm=18), Led(led_nm=530, fwhm_nm=33), Led(led_nm=465, fwhm_nm=22)),
+        description="light of the source, as in camera.illuminant, or the word camera for the same as there",
+    )
+    depth_offset_mm: Annotated[float, Range(-1e3, 1e3, "mm")] = Field(
+        default=0.2, description="how much farther than stated every source is (the zero of the scale), millimetres"
+    )
+    depth_std_mm: Annotated[float, Range(0, 1e3, "mm")] = Field(
+        default=0.05, description="standard deviation of every depth on top of that, millimetres"
+    )
+    shift_std_um: Annotated[float, Range(0, 1e5, "um")] = Field(
+        default=20.0, description="standard deviation of the source's place across the axis, x and y, micrometres"
+    )
+    tilt_deg: tuple[Tilt, Tilt] = Field(
+        default=(0.1, -0.05),
+        description="angles of the depth stage to the axis, x and y, degrees: aligned at the nearest plane, off beyond",
+    )
+    pedestal_percent: Percent = Field(default=0.5, description="stray light, everywhere alike, percent of full scale")
+    glow_percent: Percent = Field(
+        default=0.3, description="glow of the sensor's left edge, where it is brightest, percent of full scale"
+    )
+    background: Literal["dark", "border", "none"] = Field(
+        default="dark",
+        description="what is subtracted: pictures with the source covered, the median of the picture's border, nothing",
+    )
+    noise: Literal["physical", "none"] = Field(default="physical", description="noise of the sensor, or none")
+    peak_percent: Annotated[float, Range(0.1, 100, "percent of full scale")] = Field(
+        default=70.0, description="where each depth's exposure puts the brightest pixel, percent of full scale"
+    )
+    frames: Annotated[int, Range(1, 10000)] = Field(default=10, description="pictures that are averaged")
+
 
 _PLANES = "other planes than the measured ones, interpolated between them"
 

@@ -8,9 +8,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from simulator.config.base import PluginSection, Range, Section, refusal
 from simulator.config.camera import CameraConfig, PhysicalNoise, Shape
 from simulator.config.psf import ComputedPsf, PsfConfig
+from simulator.config.sections import PluginSection, Range, Section, refusal
 from simulator.text import nearest, show
 
 Count = Annotated[int, Range(0, 100_000_000, below="a number of samples is not negative")]

@@ -5,8 +5,7 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from simulator.config.captured import AsCaptured
-from simulator.config.psf import ComputedPsf, MeasuredPsf, PsfConfig, StoredPsf
+from simulator.config.psf import AsCaptured, ComputedPsf, MeasuredPsf, PsfConfig, StoredPsf
 
 PSF: TypeAdapter[Any] = TypeAdapter(PsfConfig)
 

@@ -8,7 +8,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulator.config.yaml_loader import Mark, YamlError, parse_yaml, read_yaml
+from simulator.config.yaml import Mark, YamlError, parse_yaml, read_yaml
 from simulator.errors import InputError
 
 
