@@ -11,7 +11,7 @@ import typer
 from simulator.errors import InputError
 
 if TYPE_CHECKING:
-    from simulator.importers.survey import Survey
+    from simulator.importers.inspection import Survey
     from simulator.plugins import Plugin
 
 _EXAMPLE_SIZE = "[128, 128]"
@@ -35,7 +35,7 @@ def import_check(
     from simulator.config.overrides import apply_overrides
     from simulator.config.yaml_loader import parse_yaml
     from simulator.console import Bar
-    from simulator.importers.check import choose, find_candidates, run_survey
+    from simulator.importers.inspection import choose, find_candidates, run_survey
     from simulator.plugins import resolve
 
     if not check.exists():

@@ -4,6 +4,6 @@ A source module has a function of its own name, and may have ``recognises(path) 
 ``survey(path, progress=None, **options) -> Survey``, by which ``flatlight import --check`` finds and reads it.
 """
 
-from simulator.importers.survey import Progress, Survey
+from simulator.importers.inspection import Progress, Survey
 
 __all__ = ["Progress", "Survey"]

@@ -9,13 +9,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from simulator.errors import InputError
-from simulator.importers.films.checks import FilmCheck
-from simulator.importers.films.flat_videos import FlatVideos, choose_raiser, flat_videos, plane_depth
-from simulator.importers.films.numbering import counting_fault, natural
-from simulator.importers.films.sequences import FILM_SUFFIXES, PICTURE_SUFFIXES, Film, PictureSequence, open_films
-from simulator.importers.films.video import ClipPlan
-from simulator.importers.listing import is_folder, list_folder
-from simulator.importers.survey import Progress, Survey
+from simulator.importers.film_files import FILM_SUFFIXES, PICTURE_SUFFIXES, Film, FilmCheck, PictureSequence, open_films
+from simulator.importers.inspection import Progress, Survey
+from simulator.importers.listing import counting_fault, is_folder, list_folder, natural
+from simulator.importers.videos import ClipPlan, FlatVideos, choose_raiser, flat_videos, plane_depth
 from simulator.types import View
 
 FALLBACK = True

@@ -16,12 +16,17 @@ from pydantic import Field
 
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
-from simulator.importers.listing import Fault, grouped
-from simulator.importers.stereo.depth_scaling import AffineKind, DepthMap, FixedDepth, affine_map, check_fixed_depths
-from simulator.importers.stereo.pairs import disparity_range, read_disparity
-from simulator.importers.stereo.runs import check_rate, fault_of, find_runs
-from simulator.importers.stereo.sceneflow import FOCAL_PX, Eye, Frame, PicturePass, Subset, list_frames
-from simulator.importers.stereo.survey import recognises, survey
+from simulator.importers.disparity import (
+    AffineKind,
+    DepthMap,
+    FixedDepth,
+    affine_map,
+    check_fixed_depths,
+    disparity_range,
+    read_disparity,
+)
+from simulator.importers.listing import Fault, check_rate, fault_of, find_runs, grouped
+from simulator.importers.sceneflow import FOCAL_PX, Eye, Frame, PicturePass, Subset, list_frames, recognises, survey
 from simulator.pictures import read_picture
 from simulator.types import Clip, View
 

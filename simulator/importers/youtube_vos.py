@@ -13,12 +13,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from simulator.errors import InputError
-from simulator.importers.films.flat_videos import FlatVideos
-from simulator.importers.films.video import ClipPlan
+from simulator.importers.inspection import Progress, Survey
 from simulator.importers.listing import is_folder, list_folder
-from simulator.importers.survey import Progress, Survey
-from simulator.importers.vos.survey import survey_videos
-from simulator.importers.vos.videos import Categories, Found, RaiseWith, find_videos, masked_source
+from simulator.importers.masked_videos import Categories, Found, RaiseWith, find_videos, masked_source, survey_videos
+from simulator.importers.videos import ClipPlan, FlatVideos
 from simulator.types import View
 
 FILMED_AT = 30.0

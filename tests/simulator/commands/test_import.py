@@ -11,8 +11,7 @@ import yaml
 from PIL import Image
 
 from simulator.importers import film
-from simulator.importers.check import choose, find_candidates
-from simulator.importers.survey import Survey
+from simulator.importers.inspection import Survey, choose, find_candidates
 
 
 @pytest.fixture
@@ -163,7 +162,7 @@ def install(tmp_path, monkeypatch):
         (site / package).mkdir(parents=True)
         (site / package / "__init__.py").touch()
         for name, recognises in sources.items():
-            imports = "" if recognises is None else "from simulator.importers.survey import Survey\n"
+            imports = "" if recognises is None else "from simulator.importers.inspection import Survey\n"
             code = SOURCE.format(name=name, imports=imports)
             code += "" if recognises is None else SURVEY.format(name=name, recognises=recognises)
             (site / package / f"{name}.py").write_text(textwrap.dedent(code), encoding="utf-8")
@@ -282,7 +281,7 @@ def test_many_problems_are_counted() -> None:
 
 
 def test_a_users_own_file(flatlight, rocks, tmp_path, monkeypatch) -> None:
-    code = SOURCE.format(name="mine", imports="from simulator.importers.survey import Survey\n")
+    code = SOURCE.format(name="mine", imports="from simulator.importers.inspection import Survey\n")
     (tmp_path / "mine.py").write_text(code + SURVEY.format(name="mine", recognises="return False"), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     code, out, _ = flatlight("import", "--check", rocks, "--source", "./mine.py:mine")

@@ -502,7 +502,7 @@ class TestSurvey:
 
     @pytest.mark.shared
     def test_the_real_sample(self, shared_data, monkeypatch):
-        monkeypatch.setattr("simulator.importers.rgbd.depth_limit._WARNED", set())
+        monkeypatch.setattr("simulator.importers.depth_codes._WARNED", set())
         folder = shared_data / "endoslam/new_code/data"
         assert recognises(folder)
         found = survey(folder)

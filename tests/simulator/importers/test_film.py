@@ -11,7 +11,7 @@ from PIL import Image
 from simulator.errors import InputError
 from simulator.exr import write_exr
 from simulator.importers.film import film, recognises, survey
-from simulator.importers.films.numbering import counting_fault
+from simulator.importers.listing import counting_fault
 from simulator.types import View
 
 VIEW = View(shape=(24, 24), pixel_pitch_m=19.2e-6, distance_m=1.9e-3, near_m=0.04, far_m=0.2)

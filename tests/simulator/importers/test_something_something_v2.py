@@ -10,8 +10,14 @@ import pytest
 
 from simulator.errors import InputError
 from simulator.importers import film
-from simulator.importers.films.ssv2_labels import COARSE_TABLE, read_table, read_templates
-from simulator.importers.something_something_v2 import recognises, something_something_v2, survey
+from simulator.importers.something_something_v2 import (
+    COARSE_TABLE,
+    read_table,
+    read_templates,
+    recognises,
+    something_something_v2,
+    survey,
+)
 from simulator.types import View
 
 VIEW = View(shape=(16, 16), pixel_pitch_m=19.2e-6, distance_m=1.9e-3, near_m=0.04, far_m=0.2)

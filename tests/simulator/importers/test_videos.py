@@ -1,0 +1,205 @@
+"""Clips cut out of videos: which frames, when, at what depth, with what record; and what goes wrong."""
+
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from simulator.errors import InputError
+from simulator.importers.videos import ClipPlan, choose_raiser, flat_videos, plane_depth
+from simulator.types import FARTHEST_M, SceneSource, View
+
+VIEW = View(shape=(8, 8), pixel_pitch_m=19.2e-6, distance_m=1.9e-3, near_m=0.04, far_m=0.2)
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """A video whose frame ``i`` shines with ``i`` everywhere, plus its place in tenths along the columns."""
+
+    name: str
+    frames: int
+    frames_per_second: float | None = 10.0
+    label: str | None = None
+    packages: ClassVar[tuple[str, ...]] = ("numbers-decoder",)
+
+    @property
+    def files(self):
+        return (Path(self.name),)
+
+    def __len__(self):
+        return self.frames
+
+    def read(self, start, stop):
+        place = np.broadcast_to(np.arange(20, dtype=np.float32)[:, None] / 100, (8, 20, 3))
+        return (place + np.float32(number) for number in range(start, stop))
+
+    def record(self, start, stop):
+        return {"codec": "numbers"}
+
+
+@dataclass(frozen=True)
+class Doubling:
+    """A raiser that repeats frames, so that it can be seen which ones came from where."""
+
+    inputs: tuple[Path, ...] = (Path("weights"),)
+    packages: ClassVar[tuple[str, ...]] = ("doubler",)
+
+    def raise_frames(self, frames, factor):
+        return np.repeat(frames, factor, axis=0)[: (len(frames) - 1) * factor + 1]
+
+    def record(self):
+        return {"name": "doubling"}
+
+
+def source(videos, plan, **options):
+    return flat_videos("numbers", VIEW, videos, plan=plan, plane_m=0.2, **options)
+
+
+def first_frame(clip):
+    return round(float(clip.rgb[0, 0, 0, 0]))
+
+
+def test_clip_holds_consecutive_frames_at_one_depth_and_says_where_from():
+    videos = [Numbers("a", 9, label="closing"), Numbers("b", 5)]
+    clips = source(videos, ClipPlan(4, frames_per_second=100.0))
+    assert isinstance(clips, SceneSource)
+    clip = clips.clip(0, np.random.default_rng(1))
+    start = clip.source["first_frame"]
+    # The centre window of 8 x 20 pixels begins at column 6.
+    np.testing.assert_allclose(clip.rgb[:, 3, 0, 2], start + np.arange(4) + 0.06, rtol=1e-6)
+    np.testing.assert_allclose(clip.frame_edges_s, [0, 0.01, 0.02, 0.03, 0.04])
+    assert np.all(clip.depth_m == np.float32(0.2))
+    assert clip.valid.all()
+    assert clip.label == "closing"
+    assert clip.source == {
+        "importer": "numbers",
+        "video": "a",
+        "codec": "numbers",
+        "first_frame": start,
+        "frames_read": 4,
+        "own_frames_per_second": 10.0,
+        "frames_per_second": 100.0,
+        "crop": {"place": "centre", "corner_px": [0, 6], "size_px": [8, 8]},
+        "plane_m": 0.2,
+    }
+
+
+def test_without_a_rate_frames_last_as_long_as_in_the_film():
+    clip = source([Numbers("a", 9)], ClipPlan(3)).clip(0, np.random.default_rng(1))
+    np.testing.assert_allclose(np.diff(clip.frame_edges_s), 0.1)
+
+
+def test_one_clip_per_video_begins_anywhere_and_the_same_state_gives_the_same_clip():
+    clips = source([Numbers("a", 7)], ClipPlan(4, crop="random"))
+    starts = {first_frame(clips.clip(0, np.random.default_rng(seed))) for seed in range(60)}
+    assert starts == {0, 1, 2, 3}
+    first, second = (clips.clip(0, np.random.default_rng(5)) for _ in range(2))
+    np.testing.assert_array_equal(first.rgb, second.rgb)
+    assert first.source == second.source
+    assert len({clips.clip(0, np.random.default_rng(seed)).source["crop"]["corner_px"][1] for seed in range(60)}) == 13
+
+
+def test_several_clips_per_video_are_evenly_spread_and_grouped():
+    clips = source([Numbers("a", 10), Numbers("b", 6), Numbers("c", 12)], ClipPlan(4, clips_per_video=3))
+    assert len(clips) == 9
+    assert clips.groups == (0, 0, 0, 1, 1, 1, 2, 2, 2)
+    made = [clips.clip(index, np.random.default_rng(index)) for index in range(9)]
+    assert [clip.source["video"] for clip in made] == list("aaabbbccc")
+    assert [first_frame(clip) for clip in made] == [0, 3, 6, 0, 1, 2, 0, 4, 8]
+
+
+def test_a_video_in_which_clips_would_repeat_is_listed_with_how_many_fit():
+    clips = source([Numbers("a", 5), Numbers("b", 6)], ClipPlan(4, clips_per_video=3))
+    assert [video.name for video in clips.videos] == ["b"]
+    assert clips.problems == (
+        "a: has 5 frames, in which no more than 2 different clips of 4 begin, but clips_per_video is 3: ask for fewer",
+    )
+    with pytest.raises(InputError, match="no more than 2 different clips"):
+        ClipPlan(4, clips_per_video=3).start(5, 0, np.random.default_rng(0))
+
+
+def test_a_video_without_a_rate_needs_one():
+    clips = source([Numbers("a", 5, None)], ClipPlan(4))
+    with pytest.raises(InputError, match="frames_per_second: a has no rate of its own"):
+        clips.clip(0, np.random.default_rng(0))
+    clip = source([Numbers("a", 5, None)], ClipPlan(4, frames_per_second=10)).clip(0, np.random.default_rng(0))
+    assert "own_frames_per_second" not in clip.source
+
+
+def test_index_is_taken_modulo_the_number_of_clips():
+    clips = source([Numbers("a", 4), Numbers("b", 4), Numbers("c", 4)], ClipPlan(4))
+    names = [clips.clip(index, np.random.default_rng(0)).source["video"] for index in (-1, -3, 3, 5)]
+    assert names == ["c", "a", "a", "c"]
+
+
+def test_raised_clips_take_fewer_frames_and_run_faster():
+    clips = source([Numbers("a", 4)], ClipPlan(6, raise_by=2), raiser=Doubling())
+    clip = clips.clip(0, np.random.default_rng(0))
+    # 6 frames, 2 from each: of 4 frames 0 0 1 1 2 2 3 the first 6.
+    np.testing.assert_array_equal(np.floor(clip.rgb[:, 0, 0, 0]), [0, 0, 1, 1, 2, 2])
+    np.testing.assert_allclose(np.diff(clip.frame_edges_s), 1 / 20)
+    assert clip.source["raising"] == {"raise_by": 2, "name": "doubling"}
+    assert clip.source["frames_read"] == 4
+    assert clips.inputs == [Path("a"), Path("weights")]
+    assert clips.packages == ("doubler", "numbers-decoder", "opencv-python-headless")
+
+
+def test_short_videos_are_listed_and_left_out():
+    clips = source(
+        [Numbers("a", 3), Numbers("b", 4)], ClipPlan(4), problems=["c: broken"], other_inputs=[Path("labels")]
+    )
+    assert clips.problems == (
+        "c: broken",
+        "a: has 3 frames, but a clip of 4 takes 4: ask for fewer, or raise them by more",
+    )
+    assert [video.name for video in clips.videos] == ["b"]
+    assert clips.inputs == [Path("b"), Path("labels")]
+
+
+def test_no_usable_video_is_an_error_that_lists_why():
+    with pytest.raises(InputError, match=r"no video that can be used:\n  v0: has 1 frames(.|\n)*and 2 more"):
+        source([Numbers(f"v{number}", 1) for number in range(12)], ClipPlan(4))
+
+
+def test_a_video_that_gives_fewer_frames_than_it_promised_is_named():
+    class Lying(Numbers):
+        def read(self, start, stop):
+            return list(super().read(start, stop))[:-1]
+
+    with pytest.raises(InputError, match="a gave 3 of the 4 frames"):
+        source([Lying("a", 4)], ClipPlan(4)).clip(0, np.random.default_rng(0))
+
+
+def test_plane_lies_far_away_unless_it_is_said_where():
+    assert plane_depth(VIEW, None) == 0.2
+    assert plane_depth(VIEW, 5) == 0.05
+    assert plane_depth(View((8, 8), 1e-5, 2e-3, 0.04, float("inf")), None) == FARTHEST_M
+    with pytest.raises(InputError, match=r"plane_cm: got 21, which is outside near\.\.far = 4..20 cm"):
+        plane_depth(VIEW, 21)
+
+
+def test_a_checkpoint_that_nothing_uses_is_refused():
+    assert choose_raiser(1, "optical_flow", None) is None
+    with pytest.raises(InputError, match=r"superslomo_checkpoint is w\.ckpt, but raise_by: 1"):
+        choose_raiser(1, "superslomo", Path("w.ckpt"))
+    with pytest.raises(InputError, match="raise_with: got superslomo, but raise_by: 1"):
+        choose_raiser(1, "superslomo", None)
+    raiser = choose_raiser(2, "optical_flow", None)
+    assert raiser is not None
+    assert raiser.record()["name"] == "optical_flow"
+
+
+def test_thirty_thousand_videos_travel_to_a_worker_in_little_time():
+    from simulator.importers.film_files import Film
+
+    root = Path("/data/20bn")
+    clips = source(
+        [Film(root, f"clips/{number}.webm", 50, 12.0, "BT.601", label="Closing something") for number in range(30_000)],
+        ClipPlan(4),
+    )
+    packed = pickle.dumps(clips)
+    assert len(packed) < 4_000_000  # about 100 bytes each, and no frame
+    assert pickle.loads(packed) == clips
