@@ -4,7 +4,7 @@ Sources: Brown, Close-range camera calibration, 1971, as OpenCV and MATLAB write
 generic camera model and calibration method, TPAMI 2006, as ``cv2.fisheye`` writes it; Scaramuzza, Martinelli and
 Siegwart, A toolbox for easily calibrating omnidirectional cameras, IROS 2006, as MATLAB's ``fisheyeIntrinsics`` writes it.
 
-The camera of a data set of pictures with depth, from the configuration or from a file beside the pictures.
+The camera of a data set of images with depth, from the configuration or from a file beside the images.
 """
 
 from __future__ import annotations

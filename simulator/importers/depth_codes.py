@@ -23,7 +23,7 @@ DepthAlong: TypeAlias = Literal["axis", "ray"]
 
 
 def read_codes(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Read a depth chart without loss; of a colour picture all three channels must be the same, alpha is ignored.
+    """Read a depth chart without loss; of a colour image all three channels must be the same, alpha is ignored.
 
     Returns:
         ``(H, W)``, uint8 or uint16.
@@ -61,6 +61,11 @@ class DepthDecoding:
     full_m: float
     zero_m: float | None
     full_code: int | None
+
+    @classmethod
+    def of_cm(cls, code: DepthCode, full_cm: float, zero_cm: float | None, full_code: int | None) -> DepthDecoding:
+        """Return the decoding of a configuration's centimetres."""
+        return cls(code, full_cm * 1e-2, None if zero_cm is None else zero_cm * 1e-2, full_code)
 
     def depth_m(self, codes: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.float64]:
         """Return metres, same shape; infinite where the chart gives no depth."""
@@ -105,7 +110,7 @@ def check_depths(root: Path, chart: Path, seen_m: NDArray[np.float64], decoding:
     """
     known_m = seen_m[np.isfinite(seen_m)]
     if known_m.size == 0:
-        msg = f"{root / chart} gives no depth where its picture is seen: check border and field, or leave this clip out"
+        msg = f"{root / chart} gives no depth where its image is seen: check border and field, or leave this clip out"
         raise InputError(msg)
     beyond = float((known_m > max_m).sum() / seen_m.size)
     if beyond <= MOSTLY and known_m.min() <= max_m:
@@ -121,7 +126,7 @@ def check_depths(root: Path, chart: Path, seen_m: NDArray[np.float64], decoding:
         warnings.warn(f"{text}; others of this data set may be alike: {cure}", stacklevel=3)
 
 
-class Depths:
+class DepthCounts:
     """Counts of all codes, by the bits of a code, exact for any number of charts.
 
     Attributes:

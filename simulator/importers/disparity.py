@@ -1,14 +1,10 @@
-"""Reading portable float maps (.pfm), the format of the SceneFlow data sets' disparities.
+"""Disparity maps of stereo data sets: the PFM files that hold them, and the three ways from disparity to depth.
 
-Source: Paul Debevec's PFM description: ``Pf`` (one channel) or ``PF`` (three), width and height, scale (negative means
-little endian), then float32 rows from the bottom up.
+Depth and disparity are reciprocal (z = f B / d), so an affine map of one is not an affine map of the other; which was used is
+part of a sample's record.
 
-Disparity maps as they are used: unsigned, of one channel, and their range.
-
-From a stereo data set's disparity to metres before the mask: the three ways of bringing foreign depths into range.
-
-Depth and disparity are reciprocal (z = f B / d), so an affine map of one is not an affine map of the other; which was
-used is part of a sample's record.
+Source: Paul Debevec's PFM description: ``Pf`` (one channel) or ``PF`` (three), width and height, scale (negative means little
+endian), then float32 rows from the bottom up.
 """
 
 from __future__ import annotations
@@ -30,6 +26,8 @@ MAX_PIXELS = 200_000_000
 _HEADER = re.compile(rb"(P[fF])\s+(\S+)\s+(\S+)\s+(\S+)\s")
 _HEADER_BYTES = 256
 
+AffineKind: TypeAlias = Literal["affine_depth", "affine_disparity"]
+
 
 def read_pfm(path: Path) -> NDArray[np.float32]:
     """Read one PFM file.
@@ -43,15 +41,24 @@ def read_pfm(path: Path) -> NDArray[np.float32]:
         float32 ``(H, W)`` for ``Pf`` or ``(H, W, 3)`` for ``PF``, row 0 at the top, all finite.
 
     Raises:
-        InputError: naming the file, when it is missing, is no PFM, has a bad header, the wrong length or values that
-            are not finite.
+        InputError: naming the file, when it is missing, not a PFM file, has a bad header, the wrong length or non-finite
+            values.
     """
     try:
-        content = _checked_bytes(path)
+        with path.open("rb") as file:
+            (height, width, channels, order), start = _parse_header(file.read(_HEADER_BYTES), path)
+            size, expected = path.stat().st_size - start, 4 * height * width * channels
+            if size != expected:
+                msg = (
+                    f"{path} is {'cut short' if size < expected else 'too long'}: {size} bytes of data for {height} x "
+                    f"{width} x {channels} values, expected {expected}: fetch it again"
+                )
+                raise InputError(msg)
+            file.seek(start)
+            data = file.read(expected)
     except OSError as error:
         msg = f"{path} cannot be read: {error.strerror or error}"
         raise InputError(msg) from error
-    (height, width, channels, order), data = content
     values = np.frombuffer(data, dtype=f"{order}f4").astype(np.float32).reshape(height, width, channels)
     if not np.all(np.isfinite(values)):
         bad = int(np.count_nonzero(~np.isfinite(values)))
@@ -59,39 +66,6 @@ def read_pfm(path: Path) -> NDArray[np.float32]:
         raise InputError(msg)
     upright = np.ascontiguousarray(values[::-1])
     return upright[..., 0] if channels == 1 else upright
-
-
-def pfm_shape(path: Path) -> tuple[int, int]:
-    """Rows and columns of a PFM file, from its header alone.
-
-    Raises:
-        InputError: when the header is not that of a PFM file.
-    """
-    try:
-        with path.open("rb") as file:
-            (height, width, _, _), _ = _parse_header(file.read(_HEADER_BYTES), path)
-    except OSError as error:
-        msg = f"{path} cannot be read: {error.strerror or error}"
-        raise InputError(msg) from error
-    return height, width
-
-
-def _checked_bytes(path: Path) -> tuple[tuple[int, int, int, str], bytes]:
-    """Header numbers and the data's bytes, whose count is right."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        header, start = _parse_header(file.read(_HEADER_BYTES), path)
-        height, width, channels, _ = header
-        expected = 4 * height * width * channels
-        if size - start != expected:
-            kind = "cut short" if size - start < expected else "too long"
-            msg = (
-                f"{path} is {kind}: {size - start} bytes of data for {height} x {width} x {channels} values, "
-                f"expected {expected}: fetch it again"
-            )
-            raise InputError(msg)
-        file.seek(start)
-        return header, file.read(expected)
 
 
 def _parse_header(head: bytes, path: Path) -> tuple[tuple[int, int, int, str], int]:
@@ -149,20 +123,20 @@ def disparity_range(disparity: NDArray[np.float32], path: Path) -> tuple[float, 
     return float(seen.min()), float(seen.max())
 
 
-AffineKind: TypeAlias = Literal["affine_depth", "affine_disparity"]
-
-
 @dataclass(frozen=True)
-class AffineDisparity:
-    """1/z is affine in the disparity: ``lowest`` falls on the far depth and ``highest`` on the near one.
+class AffineMap:
+    """Depth or one over depth is affine: ``lowest`` falls on the far depth and ``highest`` on the near one.
 
     Attributes:
+        kind: ``affine_disparity``: 1/z is affine in the disparity; ``affine_depth``: z is affine in 1/disparity, that is in
+            the data set's own depth.
         lowest: smallest disparity of the image or set, pixels.
         highest: largest disparity, pixels.
         near_m: nearest depth, metres.
-        far_m: farthest depth, metres; may be ``inf``.
+        far_m: farthest depth, metres; may be ``inf`` for ``affine_disparity``.
     """
 
+    kind: AffineKind
     lowest: float
     highest: float
     near_m: float
@@ -170,45 +144,42 @@ class AffineDisparity:
 
     def depth_m(self, disparity: NDArray[np.float64]) -> NDArray[np.float64]:
         """Depths in metres, within near..far; any shape of positive disparities."""
-        share = (disparity - self.lowest) / (self.highest - self.lowest)
-        with np.errstate(divide="ignore"):  # the lowest disparity lies at an infinite far depth
-            depth = 1.0 / ((1.0 - share) / self.far_m + share / self.near_m)
+        if self.kind == "affine_disparity":
+            share = (disparity - self.lowest) / (self.highest - self.lowest)
+            with np.errstate(divide="ignore"):  # the lowest disparity lies at an infinite far depth
+                depth = 1.0 / ((1.0 - share) / self.far_m + share / self.near_m)
+        else:
+            share = (1.0 / disparity - 1.0 / self.highest) / (1.0 / self.lowest - 1.0 / self.highest)
+            depth = self.near_m + share * (self.far_m - self.near_m)
         return np.clip(depth, self.near_m, self.far_m)
 
     def record(self) -> dict[str, Any]:
-        """The map in numbers: 1/z = slope x disparity + offset."""
-        slope = (1.0 / self.near_m - 1.0 / self.far_m) / (self.highest - self.lowest)
-        return {
-            "depth_scaling": "affine_disparity",
-            "disparity_range_px": [self.lowest, self.highest],
-            "inverse_depth_slope_per_m_px": slope,
-            "inverse_depth_offset_per_m": 1.0 / self.far_m - slope * self.lowest,
-        }
-
-
-@dataclass(frozen=True)
-class AffineDepth:
-    """z is affine in 1/disparity, that is in the data set's own depth; attributes as for :class:`AffineDisparity`."""
-
-    lowest: float
-    highest: float
-    near_m: float
-    far_m: float
-
-    def depth_m(self, disparity: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Depths in metres, within near..far; any shape of positive disparities."""
-        share = (1.0 / disparity - 1.0 / self.highest) / (1.0 / self.lowest - 1.0 / self.highest)
-        return np.clip(self.near_m + share * (self.far_m - self.near_m), self.near_m, self.far_m)
-
-    def record(self) -> dict[str, Any]:
-        """The map in numbers: z = slope / disparity + offset."""
+        """The map in numbers: 1/z = slope x disparity + offset, or z = slope / disparity + offset."""
+        found = {"depth_scaling": self.kind, "disparity_range_px": [self.lowest, self.highest]}
+        if self.kind == "affine_disparity":
+            slope = (1.0 / self.near_m - 1.0 / self.far_m) / (self.highest - self.lowest)
+            offset = 1.0 / self.far_m - slope * self.lowest
+            return found | {"inverse_depth_slope_per_m_px": slope, "inverse_depth_offset_per_m": offset}
         slope = (self.far_m - self.near_m) / (1.0 / self.lowest - 1.0 / self.highest)
-        return {
-            "depth_scaling": "affine_depth",
-            "disparity_range_px": [self.lowest, self.highest],
-            "depth_slope_m_px": slope,
-            "depth_offset_m": self.near_m - slope / self.highest,
-        }
+        return found | {"depth_slope_m_px": slope, "depth_offset_m": self.near_m - slope / self.highest}
+
+    @classmethod
+    def over(
+        cls, kind: AffineKind, ranges: list[tuple[float, float]], near_m: float, far_m: float, name: str
+    ) -> AffineMap:
+        """Return the map of one image, clip or set from the disparity ranges of its images.
+
+        Raises:
+            InputError: naming it, when the range is empty, so that no affine map exists.
+        """
+        lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
+        if not highest > lowest:
+            msg = (
+                f"{name} has one single disparity ({lowest:g} px), which cannot be spread over {near_m:g}..{far_m:g} m: "
+                "use depth_scaling: fixed, or per: set"
+            )
+            raise InputError(msg)
+        return cls(kind, lowest, highest, near_m, far_m)
 
 
 @dataclass(frozen=True)
@@ -239,37 +210,7 @@ class FixedDepth:
         }
 
 
-DepthMap: TypeAlias = AffineDisparity | AffineDepth | FixedDepth
-
-
-def affine_map(
-    kind: AffineKind,
-    lowest: float,
-    highest: float,
-    near_m: float,
-    far_m: float,
-    name: str,
-) -> AffineDisparity | AffineDepth:
-    """The affine map of one image or set.
-
-    Args:
-        kind: what is affine.
-        lowest: smallest positive disparity, pixels.
-        highest: largest disparity, pixels.
-        near_m: nearest depth, metres.
-        far_m: farthest depth, metres; ``inf`` only for ``affine_disparity``.
-        name: the image or set, for the message.
-
-    Raises:
-        InputError: when the range is empty, so that no affine map exists.
-    """
-    if not highest > lowest:
-        msg = (
-            f"{name} has one single disparity ({lowest:g} px), which cannot be spread over {near_m:g}..{far_m:g} m: "
-            "use depth_scaling: fixed, or per: set"
-        )
-        raise InputError(msg)
-    return (AffineDisparity if kind == "affine_disparity" else AffineDepth)(lowest, highest, near_m, far_m)
+DepthMap: TypeAlias = AffineMap | FixedDepth
 
 
 def check_fixed_depths(depth_m: NDArray[np.float64], disparity: NDArray[np.float64], path: Path) -> None:

@@ -1,7 +1,4 @@
-"""Films and numbered pictures as videos: what is held of them, and how their frames are read.
-
-Looking through films and picture folders once, for `survey`.
-"""
+"""Films and folders of numbered images as videos: what is held of them, how frames are read, and all of them read once."""
 
 from __future__ import annotations
 
@@ -16,21 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.importers.inspection import Survey
-from simulator.importers.listing import counting_fault
+from simulator.importers.inspection import Survey, sizes_text
+from simulator.importers.listing import counting_fault, fault_of
 from simulator.importers.video_decoding import MissingPackageError, count_decodable, index_film, read_film
 from simulator.importers.videos import ClipPlan
 from simulator.light import read_light
 
 FILM_SUFFIXES = frozenset((".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ogv", ".ts", ".webm", ".wmv"))
 """Endings of films, by which they are found in folders; what a film really is, its contents say."""
-PICTURE_SUFFIXES = frozenset((".bmp", ".exr", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"))
-"""Endings of pictures, by which they are found in folders."""
+IMAGE_SUFFIXES = frozenset((".bmp", ".exr", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"))
+"""Endings of images, by which they are found in folders."""
 
 
 @dataclass(frozen=True)
 class Film:
-    """One film file as a video.
+    """One film file as a :class:`simulator.importers.videos.Video`.
 
     Attributes:
         root: folder that ``name`` starts from.
@@ -71,42 +68,44 @@ class Film:
 
 
 @dataclass(frozen=True)
-class PictureSequence:
-    """Pictures of one size, one per frame, as a video.
+class ImageSequence:
+    """Images of one size, one per frame, as a :class:`simulator.importers.videos.Video`.
 
     Attributes:
         root: folder that ``name`` starts from.
         name: their folder, relative to ``root``.
-        pictures: their file names, in the order of showing.
-        label: their class, or None.
+        images: their file names, in the order of showing.
     """
 
     root: Path
     name: str
-    pictures: tuple[str, ...]
-    label: str | None = None
+    images: tuple[str, ...]
     packages: ClassVar[tuple[str, ...]] = ()
 
     @property
     def frames_per_second(self) -> None:
-        """Pictures have no rate of their own."""
+        """Images have no rate of their own."""
+
+    @property
+    def label(self) -> None:
+        """Images have no class."""
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All pictures."""
-        return tuple(self.root / self.name / picture for picture in self.pictures)
+        """All images."""
+        return tuple(self.root / self.name / image for image in self.images)
 
     def __len__(self) -> int:
-        """Return how many pictures there are."""
-        return len(self.pictures)
+        """Return how many images there are."""
+        return len(self.images)
 
     def read(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
-        """Give pictures as linear light, see `simulator.light.read_light`."""
+        """Give images as linear light, see `simulator.light.read_light`."""
         return (read_light(path) for path in self.files[start:stop])
 
     def record(self, start: int, stop: int) -> dict[str, Any]:
-        """Return the first and the last picture's names."""
-        return {"pictures": [self.pictures[start], self.pictures[stop - 1]]}
+        """Return the first and the last image's names."""
+        return {"pictures": [self.images[start], self.images[stop - 1]]}
 
 
 def open_films(root: Path, films: Iterable[tuple[str, str | None]]) -> tuple[list[Film], list[str]]:
@@ -118,6 +117,9 @@ def open_films(root: Path, films: Iterable[tuple[str, str | None]]) -> tuple[lis
 
     Returns:
         The films that can be read, in order; and problems, ``"file: reason"``, with the others.
+
+    Raises:
+        MissingPackageError: when PyAV is not installed.
     """
 
     def try_open(entry: tuple[str, str | None]) -> Film | str:
@@ -127,7 +129,7 @@ def open_films(root: Path, films: Iterable[tuple[str, str | None]]) -> tuple[lis
         except MissingPackageError:
             raise
         except InputError as error:
-            return f"{name}: {str(error).removeprefix(str(root / name)).lstrip(': ')}"
+            return f"{name}: {fault_of(error, root / name)[1]}"
         return Film(root, name, index.frames, index.frames_per_second, index.matrix, index.variable, label)
 
     opened: list[Film] = []
@@ -139,14 +141,14 @@ def open_films(root: Path, films: Iterable[tuple[str, str | None]]) -> tuple[lis
 
 
 @dataclass
-class FilmCheck:
-    """What was found so far.
+class VideoSurvey:
+    """What reading films and folders of images once has shown so far.
 
     Attributes:
         plan: clips to be cut, by which videos may be too short; None asks for no length.
         lengths: frames of every video that can be used.
         rates: their frame rates.
-        sizes: all pictures' rows and columns.
+        sizes: all images' rows and columns.
         problems: lines ``"file: what is wrong and what to do"``.
         notes: lines about what is used all the same.
     """
@@ -167,52 +169,49 @@ class FilmCheck:
         except MissingPackageError:
             raise
         except InputError as error:
-            return self._problem(name, str(error).removeprefix(str(path)).lstrip(": "))
+            return self._problem(name, fault_of(error, path)[1])
         if frames < index.frames:
-            return self._problem(
-                name, f"gives only {frames} of its {index.frames} frames: it is damaged, fetch or convert it again"
-            )
+            reason = f"gives only {frames} of its {index.frames} frames: it is damaged, fetch or convert it again"
+            return self._problem(name, reason)
+        rate = f"{index.frames_per_second:.4g}"
         if index.variable:
-            self.notes.append(
-                f"{name}: its frame rate varies; frames are taken as evenly spaced, {index.frames_per_second:.4g} per second"
-            )
+            self.notes.append(f"{name}: its frame rate varies; frames are taken as evenly spaced, {rate} per second")
         if not index.square_pixels:
             self.notes.append(f"{name}: its pixels are not square, but are taken as if they were")
-        return self._video(name, index.frames, sizes, f"{index.frames_per_second:.4g}")
+        return self._video(name, index.frames, sizes, {rate})
 
-    def add_pictures(self, root: Path, name: str, pictures: tuple[str, ...]) -> bool:
-        """Read a folder of pictures; return whether it can be used."""
-        if fault := counting_fault(pictures):
+    def add_images(self, root: Path, name: str, images: tuple[str, ...]) -> bool:
+        """Read a folder of images; return whether it can be used."""
+        if fault := counting_fault(images):
             return self._problem(name, fault)
         sizes: set[tuple[int, int]] = set()
-        for picture in pictures:
+        for image in images:
+            path = root / name / image
             try:
-                rows, columns, _ = read_light(root / name / picture).shape
+                rows, columns, _ = read_light(path).shape
             except InputError as error:
-                place = (Path(name) / picture).as_posix()
-                return self._problem(place, str(error).removeprefix(str(root / name / picture)).lstrip(": "))
+                return self._problem(path.relative_to(root).as_posix(), fault_of(error, path)[1])
             sizes.add((rows, columns))
-        return self._video(name, len(pictures), sizes, None)
+        return self._video(name, len(images), sizes, set())
 
-    def result(self, importer: str, path: Path, facts: Mapping[str, str]) -> Survey:
+    def result(self, importer: str, path: Path, facts: Mapping[str, str], needed: tuple[str, ...] = ()) -> Survey:
         """Return the survey, with facts of the importer's own first."""
         found = dict(facts)
         if self.lengths:
             found["frames"] = f"{sum(self.lengths)} ({min(self.lengths)} to {max(self.lengths)} per video)"
-            found["sizes"] = ", ".join(f"{rows} x {columns}" for rows, columns in sorted(self.sizes))
+            found["sizes"] = sizes_text(self.sizes)
             if self.rates:
                 found["frames per second"] = ", ".join(sorted(self.rates, key=float))
-        return Survey(importer, path, len(self.lengths), found, tuple(self.problems), tuple(self.notes))
+        return Survey(importer, path, len(self.lengths), found, tuple(self.problems), tuple(self.notes), needed)
 
-    def _video(self, name: str, frames: int, sizes: set[tuple[int, int]], rate: str | None) -> bool:
+    def _video(self, name: str, frames: int, sizes: set[tuple[int, int]], rates: set[str]) -> bool:
         if len(sizes) > 1:
-            found = ", ".join(f"{rows} x {columns}" for rows, columns in sorted(sizes))
-            return self._problem(name, f"changes its size ({found} pixels): split it where that happens")
-        if self.plan is not None and frames < self.plan.needed:
-            return self._problem(name, self.plan.too_short(frames))
+            return self._problem(name, f"changes its size ({sizes_text(sizes)} pixels): split it where that happens")
+        if self.plan is not None and (fault := self.plan.fault(frames)):
+            return self._problem(name, fault)
         self.lengths.append(frames)
         self.sizes |= sizes
-        self.rates |= set() if rate is None else {rate}
+        self.rates |= rates
         return True
 
     def _problem(self, name: str, reason: str) -> bool:

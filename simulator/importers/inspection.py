@@ -1,6 +1,4 @@
-"""What an importer found in a folder: counts, facts and problems, for people to read before they rely on it.
-
-Which importer reads a folder, and its survey: what ``flatlight import --check`` does.
+"""What lies in a folder: which source reads it, and what reading all of it once shows; for ``flatlight import --check``.
 
 The module of a source may hold two functions beside the one of its own name: ``recognises(path) -> bool``, which looks at
 names only, and ``survey(path, progress, **options) -> Survey``, whose options are some of the source's own parameters.
@@ -13,47 +11,34 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import create_model
 
 from simulator.errors import InputError
-from simulator.importers.listing import is_folder, list_folder
+from simulator.importers.listing import first_lines, is_folder, list_folder
 from simulator.plugins import SECTION_KEYS, Plugin, available, plugin_errors, resolve
 
+Item = TypeVar("Item")
 Progress = Callable[[int, int], None]  # (done, total)
-
-LISTED = 20
-"""Problems that are shown one by one."""
-
-
-def first_lines(lines: Sequence[str], most: int = LISTED) -> list[str]:
-    """Return the first lines, and how many more there are.
-
-    Example:
-        >>> first_lines(["a", "b", "c"], 2)
-        ['a', 'b', 'and 1 more']
-    """
-    more = len(lines) - most
-    return [*lines[:most], *([f"and {more} more"] if more > 0 else [])]
 
 
 @dataclass(frozen=True)
 class Survey:
-    """The result of reading everything in a data set's folder once.
+    """The result of reading everything in a data set's folder once, for people to read before they rely on it.
 
     Attributes:
         importer: the importer's name, as ``scene.source`` takes it.
         path: the folder or file.
-        usable: how many videos (or pictures) can be used.
+        usable: how many videos (or images) can be used.
         facts: what was found, by name, in the order to be shown: ``{"videos": "2", "frames": "20 (16 to 4)", ...}``.
         problems: lines ``"file: what is wrong and what to do"``, for everything that cannot be used.
         notes: lines about what was used all the same but should be known (a mask resized by a pixel, frames skipped).
-        needed: parameters that the source demands for what was found, though they have a default: a frame rate for pictures.
+        needed: parameters that the source demands for what was found, though they have a default: a frame rate for images.
     """
 
     importer: str
@@ -71,6 +56,19 @@ class Survey:
         lines += [f"  note: {line}" for line in self.notes]
         lines += [f"  problem: {line}" for line in first_lines(self.problems)]
         return "\n".join(lines)
+
+
+def told(items: Iterable[Item], total: int, progress: Progress | None) -> Iterator[Item]:
+    """Give items one by one, and tell the progress after each."""
+    for done, item in enumerate(items, start=1):
+        yield item
+        if progress is not None:
+            progress(done, total)
+
+
+def sizes_text(sizes: Iterable[tuple[int, ...]]) -> str:
+    """Return sizes in rows and columns, sorted: ``240 x 427, 480 x 854``."""
+    return ", ".join(" x ".join(map(str, size)) for size in sorted(sizes))
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,8 @@
-"""One video with object masks: frames as linear light, black outside the objects.
+"""Videos with object masks: what DAVIS and YouTube-VOS share, from listing their folders to the scene source and the survey.
 
-Masks are applied to linear light at full resolution, so that an edge that is shrunk later mixes object and darkness in the
-right shares.
-
-Data sets of videos with object masks: what YouTube-VOS and DAVIS share, from listing their folders to the scene source.
-
-Both keep a folder of pictures and a folder of masks per video, the files of a frame named alike; masks may be fewer.
-
-Reads every frame and mask of a data set of videos with object masks, and says what is there.
+Both keep a folder of images and a folder of masks per video, the files of a frame named alike; masks may be fewer. Masks
+are applied to linear light at full resolution, so that an edge that is shrunk later mixes object and darkness in the right
+shares.
 """
 
 from __future__ import annotations
@@ -15,25 +10,29 @@ from __future__ import annotations
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
-from typing import Any, ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
-from simulator.importers.inspection import Progress, Survey
-from simulator.importers.listing import Fault, examples, grouped, list_folder
+from simulator.importers.inspection import Progress, Survey, told
+from simulator.importers.listing import Fault, examples, fault_of, grouped, list_folder
 from simulator.importers.object_masks import VOID, fit_mask, object_pixels, read_object_numbers
-from simulator.importers.videos import ClipPlan, FlatVideos, choose_raiser, flat_videos, plane_depth
+from simulator.importers.videos import ClipPlan, FlatVideos
 from simulator.pictures import picture_shape, read_picture
 from simulator.types import View
 
+Categories: TypeAlias = Mapping[int, str | None]
+
+_IMAGES = {".jpg", ".jpeg", ".png", ".webp"}
+_MASK = ".png"
 _WARNED: set[Path] = set()  # data sets whose mask sizes were told of: once for each, not for every mask and reading
 
 
@@ -43,7 +42,7 @@ class MaskFacts:
 
     Attributes:
         objects: the numbers in it.
-        resized: whether it is a pixel larger or smaller than its picture.
+        resized: whether it is a pixel larger or smaller than its image.
         void: whether it has void pixels.
     """
 
@@ -54,27 +53,27 @@ class MaskFacts:
 
 @dataclass(frozen=True)
 class MaskedVideo:
-    """A :class:`simulator.importers.videos.Video` of pictures and masks of the same names, without its background.
+    """A :class:`simulator.importers.videos.Video` of images and masks of the same names, without its background.
 
     Attributes:
         name: its folder's name.
-        pictures: folder of its pictures.
+        images: folder of its images.
         masks: folder of its masks.
-        frames: names of the pictures that are used, in the order of their numbers.
-        mask_names: the name of each frame's mask, by its picture's; empty where masks are not used.
-        filmed_at: rate at which pictures are numbered, 1/s.
+        frames: names of the images that are used, in the order of their numbers.
+        mask_names: the name of each frame's mask, by its image's; empty where masks are not used.
+        filmed_at: rate at which images are numbered, 1/s.
         categories: of each object, by its number; empty when the data set lists no objects, None in it for one that it lists
             without a category.
-        keep_background: take the pictures as they are and read no mask.
+        keep_background: take the images as they are and read no mask.
     """
 
     name: str
-    pictures: Path
+    images: Path
     masks: Path
     frames: tuple[str, ...]
     mask_names: Mapping[str, str]
     filmed_at: float
-    categories: Mapping[int, str | None] = field(default_factory=dict)
+    categories: Categories = field(default_factory=dict)
     keep_background: bool = False
     packages: ClassVar[tuple[str, ...]] = ()
 
@@ -102,14 +101,9 @@ class MaskedVideo:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All pictures and masks that are used."""
-        pictures = tuple(self.pictures / name for name in self.frames)
-        return pictures if self.keep_background else (*pictures, *map(self.mask, self.frames))
-
-    def files_of(self, frame: str) -> tuple[Path, ...]:
-        """Return a frame's picture and, where it is used, its mask."""
-        picture = self.pictures / frame
-        return (picture,) if self.keep_background else (picture, self.mask(frame))
+        """All images and masks that are used."""
+        images = tuple(self.images / name for name in self.frames)
+        return images if self.keep_background else (*images, *map(self.mask, self.frames))
 
     def mask(self, frame: str) -> Path:
         """Return the file of a frame's mask."""
@@ -119,16 +113,24 @@ class MaskedVideo:
         """Give frames one after the other as linear light ``(H, W, 3)`` in 0..1, black outside the objects.
 
         Raises:
-            InputError: naming the file, when a picture or mask is broken, the two differ in size by more than a pixel, frames
+            InputError: naming the file, when an image or mask is broken, the two differ in size by more than a pixel, frames
                 differ in size, or a mask has an object that the data set does not list.
         """
         size: tuple[int, ...] = ()
         for name in self.frames[start:stop]:
-            frame = self._frame(name)
+            frame = decode_srgb_picture(read_picture(self.images / name))
+            if frame.ndim == 2:
+                frame = np.repeat(frame[..., None], 3, axis=-1)
+            if not self.keep_background:
+                numbers = self._numbers(name)
+                fitted = fit_mask(numbers, frame.shape[:2], self.mask(name), self.images / name)
+                if fitted.shape != numbers.shape:
+                    _warn_of_size(self.masks.parent, self.mask(name), numbers.shape, fitted.shape)
+                frame = np.where(object_pixels(fitted)[..., None], frame, np.float32(0))
             size = size or frame.shape
             if frame.shape != size:
                 msg = (
-                    f"{self.pictures / name} is {frame.shape[0]} x {frame.shape[1]} pixels, but {self.frames[start]} "
+                    f"{self.images / name} is {frame.shape[0]} x {frame.shape[1]} pixels, but {self.frames[start]} "
                     f"before it is {size[0]} x {size[1]}: expected frames of one size; fetch the video again"
                 )
                 raise InputError(msg)
@@ -151,7 +153,7 @@ class MaskedVideo:
             return found
         facts = {Path(name).stem: self.mask_facts(name) for name in names}
         if not any(fact.objects for fact in facts.values()):
-            raise InputError(self.nothing_in([self.mask(name) for name in names]))
+            raise InputError(self.nothing_in(names))
         return found | {
             "objects": sorted({number for fact in facts.values() for number in fact.objects}),
             "masks_resized_by_a_pixel": [name for name, fact in facts.items() if fact.resized],
@@ -159,189 +161,131 @@ class MaskedVideo:
             "masks_with_void": [name for name, fact in facts.items() if fact.void],
         }
 
-    def nothing_in(self, masks: Sequence[Path]) -> str:
-        """Return the message about masks without any object."""
+    def nothing_in(self, frames: Sequence[str]) -> str:
+        """Return the message about frames whose masks are all without any object."""
+        those = f"and the {len(frames) - 1} after it have" if len(frames) > 1 else "has"
         return (
-            f"{masks[0]} {f'and the {len(masks) - 1} after it have' if len(masks) > 1 else 'has'} no object, so that nothing "
-            f"is left of the pictures (index {VOID} is void): save objects as 1..{VOID - 1}, or leave video {self.name} out"
+            f"{self.mask(frames[0])} {those} no object, so that nothing is left of the images (index {VOID} is void): save "
+            f"objects as 1..{VOID - 1}, or leave video {self.name} out"
         )
 
     def mask_facts(self, frame: str) -> MaskFacts:
-        """Read a frame's mask, but of its picture the header only, and say what it holds.
+        """Read a frame's mask, but of its image the header only, and say what it holds.
 
         Raises:
             InputError: as for :meth:`read`, for the mask.
         """
-        numbers, picture = self._numbers(frame), self.pictures / frame
-        shape = picture_shape(picture)
-        fit_mask(numbers, shape, self.mask(frame), picture)
+        numbers, image = self._numbers(frame), self.images / frame
+        shape = picture_shape(image)
+        fit_mask(numbers, shape, self.mask(frame), image)
         return MaskFacts(_objects(numbers), numbers.shape != shape, bool(np.any(numbers == VOID)))
-
-    def _frame(self, name: str) -> NDArray[np.float32]:
-        picture = self.pictures / name
-        values = read_picture(picture)
-        linear = decode_srgb_picture(values)
-        if linear.ndim == 2:
-            linear = np.repeat(linear[..., None], 3, axis=-1)
-        if self.keep_background:
-            return linear
-        numbers = self._numbers(name)
-        fitted = fit_mask(numbers, (linear.shape[0], linear.shape[1]), self.mask(name), picture)
-        if fitted.shape != numbers.shape:
-            _warn_of_size(self.masks.parent, self.mask(name), numbers.shape, fitted.shape)
-        return np.where(object_pixels(fitted)[..., None], linear, np.float32(0))
 
     def _numbers(self, frame: str) -> NDArray[np.uint8]:
         numbers = read_object_numbers(self.mask(frame))
-        if not self.categories:
-            return numbers
         unknown = [number for number in _objects(numbers) if number not in self.categories]
-        if unknown:
+        if self.categories and unknown:
             msg = (
-                f"{self.mask(frame)} has object {_listed(unknown)}, but meta.json gives video {self.name} only "
-                f"{_listed(self.categories)}: fetch masks and meta.json from the same release"
+                f"{self.mask(frame)} has object {', '.join(map(str, unknown))}, but meta.json gives video {self.name} only "
+                f"{', '.join(map(str, self.categories))}: fetch masks and meta.json from the same release"
             )
             raise InputError(msg)
         return numbers
 
 
-def frame_number(picture: str) -> int:
-    """Return the number at the end of a picture's name.
-
-    Raises:
-        InputError: it has none.
-
-    Example:
-        >>> frame_number("00005.jpg")
-        5
-    """
-    digits = re.search(r"(\d+)$", Path(picture).stem)
-    if digits is None:
-        msg = f"{picture}: expected a name that ends in the frame's number, such as 00005.jpg; rename it"
-        raise InputError(msg)
-    return int(digits[1])
-
-
-def _warn_of_size(masks: Path, mask: Path, had: tuple[int, ...], wanted: tuple[int, ...]) -> None:
-    if masks in _WARNED:
-        return
-    _WARNED.add(masks)
-    sizes = " instead of ".join(f"{rows} x {columns}" for rows, columns in (had, wanted))
-    warnings.warn(
-        f"{mask} is {sizes} pixels: it is resized to its picture by nearest neighbour, as others like it will be; they are "
-        "named in the samples' records and by flatlight import --check",
-        stacklevel=4,
-    )
-
-
-def _objects(numbers: NDArray[np.uint8]) -> tuple[int, ...]:
-    counts = np.bincount(numbers.ravel(), minlength=VOID + 1)
-    return tuple((np.flatnonzero(counts[1:VOID]) + 1).tolist())
-
-
-def _listed(numbers: Iterable[int]) -> str:
-    return ", ".join(map(str, numbers))
-
-
-RaiseWith: TypeAlias = Literal["optical_flow", "superslomo"]
-Categories: TypeAlias = Mapping[int, str | None]
-
-_PICTURES = {".jpg", ".jpeg", ".png", ".webp"}
-_MASK = ".png"
-
-
 @dataclass(frozen=True)
-class Found:
+class MaskedVideos:
     """The videos of a data set, as the names of its files tell.
 
     Attributes:
+        importer: the importer's name.
         root: the folder that messages shorten paths by.
         videos: those with a frame that can be used, sorted by name.
         faults: of the others: the video's name and the reason.
-        unannotated: how many pictures have no mask.
-        stray: how many masks have no picture.
+        unannotated: how many images have no mask.
+        stray: how many masks have no image.
     """
 
+    importer: str
     root: Path
     videos: tuple[MaskedVideo, ...]
     faults: tuple[Fault, ...]
     unannotated: int
     stray: int
 
-    def long_enough(self, plan: ClipPlan) -> Found:
-        """Return the same with the videos that are too short for a plan among the faults."""
+    def source(self, view: View, plan: ClipPlan, other_inputs: Iterable[Path] = ()) -> FlatVideos:
+        """Return the videos as flat scenes; those that are too short are among its problems, in few lines.
+
+        Raises:
+            InputError: no video can be used.
+        """
+        found = self._long_enough(plan)
+        return FlatVideos.of(self.importer, view, found.videos, plan, grouped(found.faults), other_inputs)
+
+    def survey(self, progress: Progress | None, frames: int | None, interpolate_by: int) -> Survey:
+        """Read every image and mask once and say what is in them; a video is usable when all its frames can be read.
+
+        Args:
+            progress: called with the number of frames done and of all frames.
+            frames: of a clip; with it, videos that are too short are among the problems and not read.
+            interpolate_by: frames that one becomes.
+        """
+        found = self if frames is None else self._long_enough(ClipPlan(frames, interpolate_by=interpolate_by))
+        every = [(video.name, frame) for video in found.videos for frame in video.frames]
+        results = {video.name: _Read(video, found.root) for video in found.videos}
+        for name, frame in told(every, len(every), progress):
+            results[name].add(frame)
+        for result in results.values():
+            result.judge()
+        good = [result for result in results.values() if not result.faults]
+        faults = [*found.faults, *(fault for result in results.values() for fault in result.faults)]
+        return Survey(self.importer, found.root, len(good), _facts(good), grouped(faults), _notes(found, good))
+
+    def _long_enough(self, plan: ClipPlan) -> MaskedVideos:
+        """The same with the videos that are too short for a plan among the faults."""
         short = [video for video in self.videos if len(video) < plan.needed]
         if not short:
             return self
         lengths = sorted(len(video) for video in self.videos)
         kind = "frames" if short[0].keep_background else "frames with a mask"
-        raised = f", raised by {plan.raise_by}," if plan.raise_by > 1 else ""
+        clip = f"{plan.frames}{plan.interpolated}{',' if plan.interpolated else ''}"
         reason = (
-            f"fewer {kind} than the {plan.needed} that a clip of {plan.frames}{raised} takes (videos here have {lengths[0]} "
-            f"to {lengths[-1]}): ask for fewer, or raise them by more"
+            f"fewer {kind} than the {plan.needed} that a clip of {clip} takes (videos here have {lengths[0]} to "
+            f"{lengths[-1]}): ask for fewer, or a larger interpolate_by"
         )
         faults = (*self.faults, *((video.name, reason) for video in short))
-        kept = tuple(video for video in self.videos if len(video) >= plan.needed)
-        return replace(self, videos=kept, faults=faults)
-
-
-def masked_source(
-    importer: str,
-    view: View,
-    found: Found,
-    plan: ClipPlan,
-    *,
-    plane_cm: float | None,
-    raise_with: RaiseWith,
-    superslomo_checkpoint: Path | None,
-    other_inputs: Iterable[Path] = (),
-) -> FlatVideos:
-    """Return the videos as flat scenes; those that are too short are among its problems, in few lines.
-
-    Raises:
-        InputError: no video can be used, or as `plane_depth` and `choose_raiser` of `simulator.importers.videos`.
-    """
-    found = found.long_enough(plan)
-    return flat_videos(
-        importer,
-        view,
-        found.videos,
-        plan=plan,
-        plane_m=plane_depth(view, plane_cm),
-        raiser=choose_raiser(plan.raise_by, raise_with, superslomo_checkpoint),
-        problems=grouped(found.faults),
-        other_inputs=other_inputs,
-    )
+        return replace(self, videos=tuple(v for v in self.videos if len(v) >= plan.needed), faults=faults)
 
 
 def find_videos(
+    importer: str,
     root: Path,
-    pictures: Path,
+    images: Path,
     masks: Path,
     filmed_at: float,
     *,
     names: Iterable[str] | None = None,
     categories: Mapping[str, Categories] | None = None,
     keep_background: bool = False,
-) -> Found:
-    """List videos and match masks with pictures, by name; no file is opened.
+) -> MaskedVideos:
+    """List videos and match masks with images, by name; no file is opened.
 
     Args:
+        importer: the importer's name.
         root: the data set's folder.
-        pictures: folder with a folder of pictures per video.
+        images: folder with a folder of images per video.
         masks: folder with a folder of masks per video.
-        filmed_at: rate at which pictures are numbered, 1/s.
+        filmed_at: rate at which images are numbered, 1/s.
         names: the videos wanted; None takes all.
         categories: of each video's objects, by the video's name; None when the data set lists none.
-        keep_background: use pictures without a mask too.
+        keep_background: use images without a mask too.
 
     Raises:
-        InputError: when there is no folder of pictures at all.
+        InputError: when there is no folder of images at all.
     """
-    here, _ = list_folder(pictures)
+    here, _ = list_folder(images)
     list_folder(masks)  # one that cannot be read is not the fault of each video
     if not here:
-        msg = f"path: {pictures} holds no video; expected a folder of pictures for each, fetch them"
+        msg = f"path: {images} holds no video; expected a folder of images for each, fetch them"
         raise InputError(msg)
     videos: list[MaskedVideo] = []
     faults: list[Fault] = []
@@ -350,15 +294,15 @@ def find_videos(
         try:
             annotated = _masks(masks / name)
             if categories is not None and not categories.get(name):
-                msg = "meta.json lists no object of it: fetch pictures and meta.json from the same release"
+                msg = "meta.json lists no object of it: fetch images and meta.json from the same release"
                 raise InputError(msg)
-            frames = _frames(pictures / name)
+            frames = _frames(images / name)
             matched = tuple(frame for frame in frames if Path(frame).stem in annotated)
             if not frames:
-                msg = f"no pictures in {pictures.relative_to(root)}: fetch them, or take its name off the list"
+                msg = f"no images in {images.relative_to(root)}: fetch them, or take its name off the list"
                 raise InputError(msg)
             if not (matched or keep_background):
-                msg = f"no mask in {masks.relative_to(root)} for any picture: fetch them, or use keep_background: true"
+                msg = f"no mask in {masks.relative_to(root)} for any image: fetch them, or use keep_background: true"
                 raise InputError(msg)
         except InputError as error:
             faults.append((name, str(error)))
@@ -369,9 +313,9 @@ def find_videos(
         used = frames if keep_background else matched
         of_frames = {} if keep_background else {frame: annotated[Path(frame).stem] for frame in matched}
         videos.append(
-            MaskedVideo(name, pictures / name, masks / name, used, of_frames, filmed_at, known, keep_background)
+            MaskedVideo(name, images / name, masks / name, used, of_frames, filmed_at, known, keep_background)
         )
-    return Found(root, tuple(videos), tuple(faults), unannotated, stray)
+    return MaskedVideos(importer, root, tuple(videos), tuple(faults), unannotated, stray)
 
 
 def _masks(folder: Path) -> dict[str, str]:
@@ -389,8 +333,8 @@ def _masks(folder: Path) -> dict[str, str]:
 
 
 def _frames(folder: Path) -> tuple[str, ...]:
-    """The pictures of a video in the order of their numbers."""
-    found = [name for name in list_folder(folder)[1] if Path(name).suffix.lower() in _PICTURES]
+    """The images of a video in the order of their numbers."""
+    found = [name for name in list_folder(folder)[1] if Path(name).suffix.lower() in _IMAGES]
     numbered = sorted((frame_number(name), name) for name in found)
     for (number, name), (following, other) in pairwise(numbered):
         if number == following:
@@ -399,99 +343,93 @@ def _frames(folder: Path) -> tuple[str, ...]:
     return tuple(name for _, name in numbered)
 
 
+def frame_number(image: str) -> int:
+    """Return the number at the end of an image's name.
+
+    Raises:
+        InputError: it has none.
+
+    Example:
+        >>> frame_number("00005.jpg")
+        5
+    """
+    digits = re.search(r"(\d+)$", Path(image).stem)
+    if digits is None:
+        msg = f"{image}: expected a name that ends in the frame's number, such as 00005.jpg; rename it"
+        raise InputError(msg)
+    return int(digits[1])
+
+
+def _warn_of_size(masks: Path, mask: Path, had: tuple[int, ...], wanted: tuple[int, ...]) -> None:
+    if masks in _WARNED:
+        return
+    _WARNED.add(masks)
+    sizes = " instead of ".join(f"{rows} x {columns}" for rows, columns in (had, wanted))
+    warnings.warn(
+        f"{mask} is {sizes} pixels: it is resized to its image by nearest neighbour, as others like it will be; they are "
+        "named in the samples' records and by flatlight import --check",
+        stacklevel=3,
+    )
+
+
+def _objects(numbers: NDArray[np.uint8]) -> tuple[int, ...]:
+    counts = np.bincount(numbers.ravel(), minlength=VOID + 1)
+    return tuple((np.flatnonzero(counts[1:VOID]) + 1).tolist())
+
+
 @dataclass
 class _Read:
-    """What reading one video showed; masks by their file."""
+    """What reading one video shows; masks by their file, shortened by the data set's folder."""
 
     video: MaskedVideo
+    root: Path
     faults: list[Fault] = field(default_factory=list)
+    sizes: Counter[tuple[int, ...]] = field(default_factory=Counter)
     objects: set[int] = field(default_factory=set)
     resized: list[str] = field(default_factory=list)
     empty: list[str] = field(default_factory=list)
     void: list[str] = field(default_factory=list)
 
-
-def survey_videos(importer: str, found: Found, progress: Progress | None, frames: int | None, raise_by: int) -> Survey:
-    """Read every picture and mask of a data set once and say what is in it.
-
-    Args:
-        importer: the importer's name.
-        found: its videos.
-        progress: called with the number of frames done and of all frames.
-        frames: of a clip; with it, videos that are too short are among the problems and not read.
-        raise_by: frames that one becomes by interpolation.
-
-    Returns:
-        The survey; a video counts as usable when all its frames can be read.
-    """
-    if frames is not None:
-        found = found.long_enough(ClipPlan(frames, raise_by=raise_by))
-    total, done = sum(len(video) for video in found.videos), 0
-
-    def step() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, total)
-
-    results = [_read(video, found.root, step) for video in found.videos]
-    good = [result for result in results if not result.faults]
-    faults = [*found.faults, *(fault for result in results for fault in result.faults)]
-    return Survey(importer, found.root, len(good), _facts(good), grouped(faults), _notes(found, good))
-
-
-def _read(video: MaskedVideo, root: Path, step: Callable[[], None]) -> _Read:
-    result, sizes = _Read(video), Counter[tuple[int, ...]]()
-    for frame in video.frames:
-        picture, *mask = video.files_of(frame)
+    def add(self, frame: str) -> None:
+        """Read a frame and its mask."""
+        files = [self.video.images / frame, *([] if self.video.keep_background else [self.video.mask(frame)])]
         try:
-            sizes[read_picture(picture).shape[:2]] += 1
-            if not video.keep_background:
-                facts, where = video.mask_facts(frame), mask[0].relative_to(root).as_posix()
-                result.objects.update(facts.objects)
-                result.resized += [where] * facts.resized
-                result.empty += [where] * (not facts.objects)
-                result.void += [where] * facts.void
+            self.sizes[read_picture(files[0]).shape[:2]] += 1
+            if not self.video.keep_background:
+                facts, where = self.video.mask_facts(frame), files[1].relative_to(self.root).as_posix()
+                self.objects.update(facts.objects)
+                self.resized += [where] * facts.resized
+                self.empty += [where] * (not facts.objects)
+                self.void += [where] * facts.void
         except InputError as error:
-            result.faults.append(_fault(str(error), root, picture, *mask))
-        step()
-    if len(sizes) > 1:
-        listed = ", ".join(f"{count} of {rows} x {columns}" for (rows, columns), count in sizes.items())
-        result.faults.append((video.name, f"frames of several sizes ({listed}): fetch the video again"))
-    if len(result.empty) == len(video):
-        masks = [video.mask(frame) for frame in video.frames]
-        result.faults.append(_fault(video.nothing_in(masks), root, masks[0]))
-    return result
+            self.faults.append(fault_of(error, *files, root=self.root))
+
+    def judge(self) -> None:
+        """Find what only all frames together show."""
+        if len(self.sizes) > 1:
+            listed = ", ".join(f"{count} of {rows} x {columns}" for (rows, columns), count in self.sizes.items())
+            self.faults.append((self.video.name, f"frames of several sizes ({listed}): fetch the video again"))
+        if len(self.empty) == len(self.video):
+            nothing = InputError(self.video.nothing_in(self.video.frames))
+            self.faults.append(fault_of(nothing, self.video.mask(self.video.frames[0]), root=self.root))
 
 
-def _fault(message: str, root: Path, *files: Path) -> Fault:
-    """A message that begins with its file, apart from it, so that the same fault of many files makes one line."""
-    for file in files:
-        if message.startswith(f"{file} "):
-            return file.relative_to(root).as_posix(), message.removeprefix(f"{file} ").replace(f"{root}/", "")
-    return files[0].relative_to(root).as_posix(), message
-
-
-def _notes(found: Found, good: list[_Read]) -> tuple[str, ...]:
+def _notes(found: MaskedVideos, good: list[_Read]) -> tuple[str, ...]:
     """What is used all the same but should be known, with counts and examples."""
     keeps = any(result.video.keep_background for result in good)
     uneven = [result.video.name for result in good if len(set(result.video.steps)) > 1]
-    counted = (
-        ("pictures without a mask, left out", 0 if keeps else found.unannotated, []),
-        ("masks without a picture, left out", found.stray, []),
-        *(
-            (what, len(where), where)
-            for what, where in (
-                ("masks a pixel larger or smaller than their picture, resized", [n for r in good for n in r.resized]),
-                ("masks without an object, which make black frames", [n for r in good for n in r.empty]),
-                ("masks with void (index 255), which is taken as background", [n for r in good for n in r.void]),
-                ("videos annotated at uneven steps, which are taken as even", uneven),
-            )
-        ),
-    )
-    return tuple(
-        f"{what}: {count}{f' ({examples(where)})' if where else ''}" for what, count, where in counted if count
-    )
+    named = {
+        "masks a pixel larger or smaller than their image, resized": [name for read in good for name in read.resized],
+        "masks without an object, which make black frames": [name for read in good for name in read.empty],
+        "masks with void (index 255), which is taken as background": [name for read in good for name in read.void],
+        "videos annotated at uneven steps, which are taken as even": uneven,
+    }
+    counts = {
+        "images without a mask, left out": 0 if keeps else found.unannotated,
+        "masks without an image, left out": found.stray,
+    }
+    lines = [f"{what}: {count}" for what, count in counts.items() if count]
+    return (*lines, *(f"{what}: {len(where)} ({examples(where)})" for what, where in named.items() if where))
 
 
 def _facts(good: list[_Read]) -> dict[str, str]:

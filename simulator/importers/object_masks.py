@@ -35,7 +35,7 @@ def read_object_numbers(path: Path) -> NDArray[np.uint8]:
     """
     from PIL import Image
 
-    picture_shape(path)  # a file that is no picture, or claims too many pixels, is refused by its header
+    picture_shape(path)  # a file that is no image, or claims too many pixels, is refused by its header
     try:
         with Image.open(path) as image:
             mode, values = image.mode, np.asarray(image)
@@ -60,14 +60,14 @@ def object_pixels(numbers: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return (numbers != 0) & (numbers != VOID)
 
 
-def fit_mask(numbers: NDArray[np.uint8], shape: tuple[int, int], mask: Path, picture: Path) -> NDArray[np.uint8]:
-    """Return a mask in its picture's size; one that is a pixel larger or smaller is resized, by nearest neighbour.
+def fit_mask(numbers: NDArray[np.uint8], shape: tuple[int, int], mask: Path, image: Path) -> NDArray[np.uint8]:
+    """Return a mask in its image's size; one that is a pixel larger or smaller is resized, by nearest neighbour.
 
     Args:
         numbers: ``(H, W)``.
-        shape: rows and columns of the picture.
+        shape: rows and columns of the image.
         mask: the mask's file, for the message.
-        picture: the picture's file, for the message.
+        image: the image's file, for the message.
 
     Raises:
         InputError: when the sizes differ by more than a pixel.
@@ -77,7 +77,7 @@ def fit_mask(numbers: NDArray[np.uint8], shape: tuple[int, int], mask: Path, pic
         return numbers
     if max(abs(found[0] - shape[0]), abs(found[1] - shape[1])) > 1:
         msg = (
-            f"{mask} is {found[0]} x {found[1]} pixels and its picture {picture} is {shape[0]} x {shape[1]}: expected the "
+            f"{mask} is {found[0]} x {found[1]} pixels and its image {image} is {shape[0]} x {shape[1]}: expected the "
             "same size (one pixel more or less is mended); fetch both again, in the same resolution"
         )
         raise InputError(msg)
@@ -92,7 +92,7 @@ def _binary(values: NDArray[np.uint8], path: Path) -> NDArray[np.uint8]:
     if not (set(found) <= {0, 255} or set(found) <= {0, 1}):
         shown = ", ".join(map(str, found[:5])) + (", ..." if len(found) > 5 else "")
         msg = (
-            f"{path} is a grey picture with the values {shown}: expected 0 and 255 (a binary mask), or a palette PNG whose "
+            f"{path} is a grey image with the values {shown}: expected 0 and 255 (a binary mask), or a palette PNG whose "
             "indices are the objects' numbers; save it as one of these, without smoothing"
         )
         raise InputError(msg)

@@ -1,15 +1,10 @@
-"""Dense optical flow by OpenCV's DIS, and pictures looked up along it.
+"""Temporal frame interpolation by dense optical flow (OpenCV's DIS): what Flatlight can do without any weights.
 
-Source: T. Kroeger, R. Timofte, D. Dai and L. Van Gool, "Fast optical flow using dense inverse search", ECCV 2016. OpenCV
-splits its work into parts of a fixed number, so the same frames give the same bytes on any number of threads: its setting,
-which all of a process shares, is left alone.
-
-What moves where between two frames, and which of them shows it: from the flows of both directions.
-
-Source: S. Baker et al., "A database and evaluation methodology for optical flow", IJCV 92 (2011), section 3.3.2: flow is
-carried along itself to the time in between; what the flow of the other direction does not confirm is hidden there.
-
-Frames in between by dense optical flow: what Flatlight can do without any weights.
+Sources: T. Kroeger, R. Timofte, D. Dai and L. Van Gool, "Fast optical flow using dense inverse search", ECCV 2016. S. Baker
+et al., "A database and evaluation methodology for optical flow", IJCV 92 (2011), section 3.3.2: flow is carried along itself
+to the time in between; what the flow of the other direction does not confirm is hidden there. OpenCV splits its work into
+parts of a fixed number, so the same frames give the same bytes on any number of threads: its setting, which all of a process
+shares, is left alone.
 """
 
 from __future__ import annotations
@@ -22,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.colour import linear_to_srgb
-from simulator.errors import InputError
-from simulator.importers.frame_interpolation import raise_pairs
+from simulator.importers.frame_interpolation import interpolate_pairs
+from simulator.importers.video_decoding import load_extra
+
+cv2 = load_extra("cv2", "OpenCV")
 
 ENLARGED = 2
 """DIS sees the frames this many times as large: it starts from a fixed size of patches, so that motion may be longer."""
@@ -31,82 +28,95 @@ ENLARGED = 2
 SMALLEST = 32
 """Rows and columns that DIS is given at least, pixels: four of its patches."""
 
-
-def opencv() -> Any:
-    """Return OpenCV.
-
-    Raises:
-        InputError: when it is not installed.
-    """
-    try:
-        import cv2
-    except ImportError as error:
-        msg = "raise_with: optical_flow needs OpenCV, which is not installed; pip install 'flatlight[import]'"
-        raise InputError(msg) from error
-    return cv2
-
-
-def both_flows(first: NDArray[np.float32], second: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
-    """Return the flow from the first frame to the second, and back.
-
-    Args:
-        first: ``(H, W, 3)`` linear light.
-        second: the same, one frame later.
-
-    Returns:
-        Twice ``(H, W, 2)`` float32, pixels to the right and down: what the frame shows at ``x`` is at ``x + flow[x]`` in the
-        other one.
-    """
-    cv2 = opencv()
-    height, width = first.shape[:2]
-    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    grey = _grey(first), _grey(second)
-    flows = []
-    for here, there in (grey, grey[::-1]):
-        flow = dis.calc(here, there, None)[: ENLARGED * height, : ENLARGED * width]
-        flows.append(cv2.resize(flow, (width, height), interpolation=cv2.INTER_AREA) / np.float32(ENLARGED))
-    return tuple(flows)
-
-
-def _grey(frame: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Return a frame as DIS takes it: 8 bit, encoded so that shadows count, light beyond 1 white."""
-    cv2 = opencv()
-    encoded = (255 * linear_to_srgb(frame.clip(0, 1)) + 0.5).astype(np.uint8)
-    grey = cv2.cvtColor(encoded, cv2.COLOR_RGB2GRAY)
-    large = cv2.resize(grey, None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC)
-    rows, columns = (max(0, SMALLEST - size) for size in large.shape)
-    return cv2.copyMakeBorder(large, 0, rows, 0, columns, cv2.BORDER_REPLICATE)
-
-
-def look_up(picture: NDArray[np.float32], places: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return a picture at other places, bicubically; beyond its edges the edge goes on.
-
-    OpenCV rounds places to 1/32 pixel, so a flow that is nearly zero changes nothing.
-
-    Args:
-        picture: ``(H, W)`` or ``(H, W, channels)``.
-        places: ``(H, W, 2)``, column and row, pixels.
-    """
-    cv2 = opencv()
-    x, y = (np.ascontiguousarray(places[..., axis], np.float32) for axis in (0, 1))
-    return cv2.remap(picture, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-
-
-def pixel_places(shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Return column and row of each pixel, ``(H, W, 2)``."""
-    rows, columns = np.indices(shape, dtype=np.float32)
-    return np.stack((columns, rows), -1)
-
-
 CONFIRMED_PIXELS = 2.0
 """Disagreement of the two flows, pixels, at which a point counts as seen by both frames with a weight of 1/e."""
 
 TIE_COST = 0.1
 """Squared pixels of disagreement that one pixel of distance costs: of equally well confirmed flows the nearest one lands."""
 
-
 COST_STEPS = 1024
 """Steps to a squared pixel in which costs are compared."""
+
+FAINT = 1e-4
+"""Visibility of what neither frame shows: it keeps the weights apart from zero, so that such a pixel is a plain blend."""
+
+SURROUNDING = 0.25
+"""Standard deviation of the Gaussian window in which light is compared, of the frame's shorter side."""
+
+SAME_LIGHT, OTHER_LIGHT = 0.12, 0.25
+"""Relative difference of light up to which the moved frame counts, and from which the cross-faded one does: new
+things that a turning camera shows change it by 0.1."""
+
+TINY = 1e-12
+"""Light that is as good as none: it keeps black divided by black apart from NaN."""
+
+
+@dataclass(frozen=True)
+class OpticalFlow:
+    """Looks both frames up along the flow and blends them by time and visibility.
+
+    Where the flow loses what moves far, such as a small thing on black that moves by more than its width, light would vanish
+    or double; there frames are cross-faded, see :func:`_keep_light`. Before a bright background so small a loss goes
+    unnoticed.
+
+    Light beyond 1 is carried through (the flow sees it as white). Nothing in between is darker than black or brighter than
+    the brightest pixel of its two frames.
+    """
+
+    packages: ClassVar[tuple[str, ...]] = ("opencv-python-headless",)
+
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """No files."""
+        return ()
+
+    def interpolate(self, frames: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+        """Return the frames with ``factor - 1`` new ones between each two; see :func:`interpolate_pairs`."""
+        return interpolate_pairs(frames, factor, _between)
+
+    def record(self) -> dict[str, Any]:
+        """Return the name, the flow and the version of what computes it."""
+        return {"name": "optical_flow", "flow": "DIS medium, both directions", "opencv": cv2.__version__}
+
+
+def _between(first: NDArray[np.float32], second: NDArray[np.float32], times: list[float]) -> NDArray[np.float32]:
+    """Blend as equation 5 of Super SloMo (H. Jiang et al., CVPR 2018) does, with visibilities from the two flows."""
+    motion = Motion.of(first, second)
+    places = pixel_places(first.shape[:2])
+    brightest = max(first.max(), second.max())
+    frames = np.empty((len(times), *first.shape), np.float32)
+    for index, time in enumerate(times):
+        velocity, visible = motion.at(time)
+        before, after = places - time * velocity, places + (1 - time) * velocity
+        weight_first = (1 - time) * (visible[..., :1] * _inside(before) + FAINT)
+        weight_second = time * (visible[..., 1:] * _inside(after) + FAINT)
+        blended = weight_first * look_up(first, before) + weight_second * look_up(second, after)
+        moved = (blended / (weight_first + weight_second)).clip(0, brightest)
+        frames[index] = _keep_light(moved, (1 - time) * first + time * second)
+    return frames
+
+
+def _keep_light(moved: NDArray[np.float32], faded: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Go over to the cross-faded frame where the moved one does not hold as much light as that does in a wide surrounding.
+
+    Of what moves by less than the surrounding's width both hold the same light there, though at other places.
+    """
+    sigma = SURROUNDING * min(moved.shape[:2])
+    here, expected = (
+        cv2.GaussianBlur(frame.mean(2), (0, 0), sigma, borderType=cv2.BORDER_REPLICATE) for frame in (moved, faded)
+    )
+    off = np.abs(here - expected) / np.maximum(np.maximum(here, expected), TINY)
+    share = ((off - SAME_LIGHT) / (OTHER_LIGHT - SAME_LIGHT)).clip(0, 1)[..., None]
+    share = share**2 * (3 - 2 * share)
+    return (1 - share) * moved + share * faded
+
+
+def _inside(places: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return 1 for places in the image, falling to 0 within a pixel outside of it; ``(H, W, 1)``."""
+    height, width = places.shape[:2]
+    x, y = places[..., :1], places[..., 1:]
+    beyond = np.maximum(np.maximum(-x, x - (width - 1)), np.maximum(-y, y - (height - 1)))
+    return (1 - beyond).clip(0, 1)
 
 
 @dataclass(frozen=True)
@@ -149,7 +159,6 @@ class Motion:
         Returns:
             Velocity ``(H, W, 2)`` in pixels per frame, and visibility ``(H, W, 2)`` in the first and in the second frame.
         """
-        cv2 = opencv()
         shape = self.there.shape[:2]
         winner = self._winner(time).reshape(shape)
         hole = winner < 0
@@ -181,94 +190,42 @@ def _squared(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     return vectors[..., 0] ** 2 + vectors[..., 1] ** 2
 
 
-FAINT = 1e-4
-"""Visibility of what neither frame shows: it keeps the weights apart from zero, so that such a pixel is a plain blend."""
+def both_flows(first: NDArray[np.float32], second: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+    """Return the flow from the first frame ``(H, W, 3)`` of linear light to the second, and back.
 
-SURROUNDING = 0.25
-"""Standard deviation of the Gaussian window in which light is compared, of the frame's shorter side."""
-
-SAME_LIGHT, OTHER_LIGHT = 0.12, 0.25
-"""Relative difference of light up to which the moved frame counts, and from which the cross-faded one does: new
-things that a turning camera shows change it by 0.1."""
-
-TINY = 1e-12
-"""Light that is as good as none: it keeps black divided by black apart from NaN."""
-
-
-@dataclass(frozen=True)
-class OpticalFlow:
-    """Looks both frames up along the flow and blends them by time and visibility.
-
-    Where the flow loses what moves far, such as a small thing on black that moves by more than its own width, light would
-    vanish or double; there frames are cross-faded, see :func:`_keep_light`. Before a bright background a loss so small
-    beside it goes unnoticed.
-
-    Light beyond 1 is carried through (the flow sees it as white). Nothing in between is darker than black or brighter than
-    the brightest pixel of its two frames.
+    Returns:
+        Twice ``(H, W, 2)`` float32, pixels to the right and down: what the frame shows at ``x`` is at ``x + flow[x]`` in the
+        other one.
     """
-
-    packages: ClassVar[tuple[str, ...]] = ("opencv-python-headless",)
-
-    @classmethod
-    def checked(cls) -> OpticalFlow:
-        """Return it where OpenCV is installed.
-
-        Raises:
-            InputError: when OpenCV is not installed.
-        """
-        opencv()
-        return cls()
-
-    @property
-    def inputs(self) -> tuple[Path, ...]:
-        """No files."""
-        return ()
-
-    def raise_frames(self, frames: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
-        """Return the frames with ``factor - 1`` new ones between each two; see ``Raiser``."""
-        return raise_pairs(frames, factor, _between)
-
-    def record(self) -> dict[str, Any]:
-        """Return the name, the flow and the version of what computes it."""
-        return {"name": "optical_flow", "flow": "DIS medium, both directions", "opencv": opencv().__version__}
+    height, width = first.shape[:2]
+    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    grey = _grey(first), _grey(second)
+    flows = []
+    for here, there in (grey, grey[::-1]):
+        flow = dis.calc(here, there, None)[: ENLARGED * height, : ENLARGED * width]
+        flows.append(cv2.resize(flow, (width, height), interpolation=cv2.INTER_AREA) / np.float32(ENLARGED))
+    return tuple(flows)
 
 
-def _between(first: NDArray[np.float32], second: NDArray[np.float32], times: list[float]) -> NDArray[np.float32]:
-    """Blend as equation 5 of Super SloMo (H. Jiang et al., CVPR 2018) does, with visibilities from the two flows."""
-    motion = Motion.of(first, second)
-    places = pixel_places(first.shape[:2])
-    brightest = max(first.max(), second.max())
-    frames = np.empty((len(times), *first.shape), np.float32)
-    for index, time in enumerate(times):
-        velocity, visible = motion.at(time)
-        before, after = places - time * velocity, places + (1 - time) * velocity
-        weight_first = (1 - time) * (visible[..., :1] * _inside(before) + FAINT)
-        weight_second = time * (visible[..., 1:] * _inside(after) + FAINT)
-        blended = weight_first * look_up(first, before) + weight_second * look_up(second, after)
-        moved = (blended / (weight_first + weight_second)).clip(0, brightest)
-        frames[index] = _keep_light(moved, (1 - time) * first + time * second)
-    return frames
+def _grey(frame: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return a frame as DIS takes it: 8 bit, encoded so that shadows count, light beyond 1 white."""
+    encoded = (255 * linear_to_srgb(frame.clip(0, 1)) + 0.5).astype(np.uint8)
+    grey = cv2.cvtColor(encoded, cv2.COLOR_RGB2GRAY)
+    large = cv2.resize(grey, None, fx=ENLARGED, fy=ENLARGED, interpolation=cv2.INTER_CUBIC)
+    rows, columns = (max(0, SMALLEST - size) for size in large.shape)
+    return cv2.copyMakeBorder(large, 0, rows, 0, columns, cv2.BORDER_REPLICATE)
 
 
-def _keep_light(moved: NDArray[np.float32], faded: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Go over to the cross-faded frame where the moved one does not hold as much light as that does in a wide surrounding.
+def look_up(image: NDArray[np.float32], places: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Return an image ``(H, W[, channels])`` at other places ``(H, W, 2)``, column and row in pixels, bicubically.
 
-    Of what moves by less than the surrounding's width both hold the same light there, though at other places.
+    Beyond its edges the edge goes on. OpenCV rounds places to 1/32 pixel, so a flow that is nearly zero changes nothing.
     """
-    sigma = SURROUNDING * min(moved.shape[:2])
-    here, expected = (
-        opencv().GaussianBlur(picture.mean(2), (0, 0), sigma, borderType=opencv().BORDER_REPLICATE)
-        for picture in (moved, faded)
-    )
-    off = np.abs(here - expected) / np.maximum(np.maximum(here, expected), TINY)
-    share = ((off - SAME_LIGHT) / (OTHER_LIGHT - SAME_LIGHT)).clip(0, 1)[..., None]
-    share = share**2 * (3 - 2 * share)
-    return (1 - share) * moved + share * faded
+    x, y = (np.ascontiguousarray(places[..., axis], np.float32) for axis in (0, 1))
+    return cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _inside(places: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return 1 for places in the picture, falling to 0 within a pixel outside of it; ``(H, W, 1)``."""
-    height, width = places.shape[:2]
-    x, y = places[..., :1], places[..., 1:]
-    beyond = np.maximum(np.maximum(-x, x - (width - 1)), np.maximum(-y, y - (height - 1)))
-    return (1 - beyond).clip(0, 1)
+def pixel_places(shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Return column and row of each pixel, ``(H, W, 2)``."""
+    rows, columns = np.indices(shape, dtype=np.float32)
+    return np.stack((columns, rows), -1)

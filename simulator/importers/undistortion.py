@@ -1,9 +1,9 @@
-"""From a data set's camera to the view's pinhole: every ray of the view is looked up in the picture.
+"""From a data set's camera to the view's pinhole: every ray of the view is looked up in the image.
 
-Colour is the mean over each view pixel's footprint, in linear light; depth is that of the picture's nearest pixel, so that
+Colour is the mean over each view pixel's footprint, in linear light; depth is that of the image's nearest pixel, so that
 fore- and background never mix.
 
-The black border of endoscopes' pictures: the circle that the lens fills, found where all frames are dark.
+The black border of endoscopes' images, the circle that the lens fills, is found where all frames are dark.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ Circle: TypeAlias = tuple[float, float, float]
 WIDEST_DEG = 70.0
 """Angle between the axis and the view's corners at which ``fill`` stops: a fisheye may see farther than any pinhole."""
 _FINEST = 64
-"""Most samples per side of a view pixel; pictures that shrink by more are read with gaps."""
+"""Most samples per side of a view pixel; images that shrink by more are read with gaps."""
 
 
 @dataclass(frozen=True)
 class Lookup:
-    """Where a view's pixels are found in a picture.
+    """Where a view's pixels are found in a image.
 
     Attributes:
         weights: ``(h w, H W)``: the mean over a view pixel's footprint; rows add up to the share of it that is seen.
-        nearest: ``(h, w)`` index into the picture's pixels of the one nearest to each view pixel's centre.
-        seen: ``(h, w)`` whether the centre of a view pixel lies in the picture.
-        cosine: ``(h, w)`` of the angle between the picture's ray and its optical axis.
-        scale: tangents of the picture's rays over those of the view's; 1 keeps angles.
+        nearest: ``(h, w)`` index into the image's pixels of the one nearest to each view pixel's centre.
+        seen: ``(h, w)`` whether the centre of a view pixel lies in the image.
+        cosine: ``(h, w)`` of the angle between the image's ray and its optical axis.
+        scale: tangents of the image's rays over those of the view's; 1 keeps angles.
         samples: per side of a view pixel.
     """
 
@@ -60,21 +60,21 @@ def build_lookup(lens: Lens, shape: tuple[int, int], view: View, field: Field, c
     """Work out where each view pixel is found; kept for the next clip, since all of a source share it.
 
     Args:
-        lens: the picture's camera.
-        shape: rows and columns of the picture.
+        lens: the image's camera.
+        shape: rows and columns of the image.
         view: the view to fill.
         field: ``angles`` keeps each ray's direction; ``fill`` multiplies all tangents by the largest number at which every
-            pixel of the view is seen, as if the picture had been taken with another focal length; at most 70 degrees.
-        circle: column, row and radius in pixels of the part of the picture that shows anything; None is all of it.
+            pixel of the view is seen, as if the image had been taken with another focal length; at most 70 degrees.
+        circle: column, row and radius in pixels of the part of the image that shows anything; None is all of it.
 
     Raises:
-        InputError: when the view's axis is not in the picture.
+        InputError: when the view's axis is not in the image.
     """
     if not _seen(*lens.pixels(np.zeros(1), np.zeros(1)), shape, circle)[0]:
         column, row = lens.centre
         msg = (
             f"intrinsics: the optical axis is at column {column:g}, row {row:g}, outside what the {shape[0]} x {shape[1]} "
-            "picture shows; check that they belong to pictures of this size"
+            "image shows; check that they belong to images of this size"
         )
         raise InputError(msg)
     scale = 1.0 if field == "angles" else _fill_scale(lens, shape, view, circle)
@@ -103,7 +103,7 @@ def _tangents(view: View, samples: int) -> tuple[NDArray[np.float64], NDArray[np
 def _seen(
     columns: NDArray[np.float64], rows: NDArray[np.float64], shape: tuple[int, int], circle: Circle | None
 ) -> NDArray[np.bool_]:
-    """Whether points lie on a pixel of the picture, and inside the circle."""
+    """Whether points lie on a pixel of the image, and inside the circle."""
     with np.errstate(invalid="ignore"):  # NaN, where the lens sees no such ray, compares as false
         inside = (np.abs(columns - (shape[1] - 1) / 2) <= shape[1] / 2) & (
             np.abs(rows - (shape[0] - 1) / 2) <= shape[0] / 2
@@ -136,7 +136,7 @@ def _fill_scale(lens: Lens, shape: tuple[int, int], view: View, circle: Circle |
 
 
 def _samples(columns: NDArray[np.float64], rows: NDArray[np.float64]) -> int:
-    """Samples per side of a view pixel at which neighbouring ones are at most a picture pixel apart."""
+    """Samples per side of a view pixel at which neighbouring ones are at most a image pixel apart."""
     steps = [np.nanmax(np.hypot(np.diff(columns, axis=axis), np.diff(rows, axis=axis)), initial=0.0) for axis in (0, 1)]
     return int(np.clip(np.ceil(max(steps) - 1e-6), 1, _FINEST))
 
@@ -177,23 +177,23 @@ _MARGIN_PX = 1.5
 _RESIDUAL_PX = 1.5
 
 
-def find_circle(pictures: Sequence[NDArray[np.uint8] | NDArray[np.uint16]], name: str) -> Circle | None:
-    """Find the circle outside which all pictures are black.
+def find_circle(images: Sequence[NDArray[np.uint8] | NDArray[np.uint16]], name: str) -> Circle | None:
+    """Find the circle outside which all images are black.
 
     Args:
-        pictures: sRGB codes ``(H, W, 3)`` of one camera.
+        images: sRGB codes ``(H, W, 3)`` of one camera.
         name: the sequence, for the message.
 
     Returns:
         Column, row and radius in pixels, 1.5 pixels within the edge, since the lens fades out there; None when less than
-        0.5 % of the picture is black from its rim inwards.
+        0.5 % of the image is black from its rim inwards.
 
     Raises:
         InputError: when what is black is not bounded by a circle.
     """
     from scipy.ndimage import label
 
-    brightest = np.max([picture.max(axis=-1) / np.iinfo(picture.dtype).max for picture in pictures], axis=0)
+    brightest = np.max([image.max(axis=-1) / np.iinfo(image.dtype).max for image in images], axis=0)
     dark = brightest <= DARK_CODE / 255
     regions = np.empty(dark.shape, np.int32)
     label(dark, output=regions)
@@ -206,12 +206,12 @@ def find_circle(pictures: Sequence[NDArray[np.uint8] | NDArray[np.uint16]], name
     if circle is not None:
         column, row, radius = circle
         miss = np.hypot(columns - column, rows - row) - radius
-        # A straight rim is an arc of a huge circle, whose centre lies outside the picture.
+        # A straight rim is an arc of a huge circle, whose centre lies outside the image.
         centred = abs(column / dark.shape[1] - 0.5) < 0.5 and abs(row / dark.shape[0] - 0.5) < 0.5
         if centred and np.median(np.abs(miss)) <= _RESIDUAL_PX:
             return column, row, radius - _MARGIN_PX
     msg = (
-        f"border: the black rim of {name}'s pictures ({100 * border.mean():.1f} % of them) is bounded by no circle: give "
+        f"border: the black rim of {name}'s images ({100 * border.mean():.1f} % of them) is bounded by no circle: give "
         "border: [column, row, radius] in pixels, or border: none"
     )
     raise InputError(msg)

@@ -29,12 +29,13 @@ class MissingPackageError(InputError):
     """A package that importers need is not installed: no fault of any file."""
 
 
-def load_extra(module: str, package: str) -> ModuleType:
-    """Import a package of the extra ``import``.
+def load_extra(module: str, package: str, extra: str = "import") -> ModuleType:
+    """Import a package of an extra.
 
     Args:
         module: as Python imports it, such as ``cv2``.
         package: as people know it, such as ``OpenCV``.
+        extra: which one.
 
     Raises:
         MissingPackageError: when it is not installed.
@@ -42,7 +43,8 @@ def load_extra(module: str, package: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        msg = f"this importer needs {package} ({error}): pip install 'flatlight[import]', or in a clone uv run --extra import"
+        cure = f"pip install 'flatlight[{extra}]', or in a clone uv run --extra {extra}"
+        msg = f"this importer needs {package} ({error}): {cure}"
         raise MissingPackageError(msg) from error
 
 
@@ -71,7 +73,7 @@ class FilmIndex:
     """What a film's packets say.
 
     Attributes:
-        frames: how many pictures it holds.
+        frames: how many images it holds.
         frames_per_second: its frame rate; of a variable one the mean.
         variable: the frames are not evenly spaced.
         times: when each frame is shown, in the stream's own units, increasing; None where the film does not say.
@@ -123,8 +125,8 @@ def read_film(path: Path, start: int, stop: int) -> Iterator[NDArray[np.float32]
     for frame in _frames(path, index, start, stop):
         deep = max(component.bits for component in frame.format.components) > 8
         shown = converter.reformat(frame, format="rgb48le" if deep else "rgb24", src_colorspace=matrix)
-        picture = shown.to_ndarray()
-        yield decode_srgb_picture(_upright(picture, frame.rotation, path))
+        image = shown.to_ndarray()
+        yield decode_srgb_picture(_upright(image, frame.rotation, path))
 
 
 def count_decodable(path: Path) -> tuple[int, set[tuple[int, int]]]:
@@ -195,7 +197,7 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
     if seen < promised:
         msg = f"{path} holds {seen} of the {promised} frames that its header promises: fetch it again"
         raise InputError(msg)
-    # AVI holds no times of showing: what libav makes up is the order of decoding, wrong where pictures are out of order.
+    # AVI holds no times of showing: what libav makes up is the order of decoding, wrong where images are out of order.
     times = None if avi else _increasing(shown)
     variable = False
     if times is not None and len(times) > 1:
@@ -299,10 +301,10 @@ def _refuse_corrupt(frame: Any, number: int, path: Path) -> None:
         raise InputError(msg)
 
 
-def _upright(picture: NDArray[Any], degrees: float, path: Path) -> NDArray[Any]:
-    """Turn a picture anticlockwise as the film's display matrix says."""
+def _upright(image: NDArray[Any], degrees: float, path: Path) -> NDArray[Any]:
+    """Turn a image anticlockwise as the film's display matrix says."""
     quarters = degrees / 90
     if quarters != round(quarters):
         msg = f"{path} is to be shown turned by {degrees:g} degrees; expected quarters of a turn: convert it"
         raise InputError(msg)
-    return np.rot90(picture, round(quarters))
+    return np.rot90(image, round(quarters))

@@ -1,24 +1,26 @@
-"""What importers of films share: a video whose frames are read when they are wanted, and how clips are cut out of videos.
-
-From a picture's size to the view's: the largest part of the view's proportions, resampled in linear light.
-
-Videos as flat scenes: clips cut out of films, each on a plane that faces the camera.
-"""
+"""Videos as flat scenes: clips cut out of films and fitted to the view in linear light, on a plane that faces the camera."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from simulator.errors import InputError
-from simulator.importers.inspection import first_lines
+from simulator.importers.frame_interpolation import FrameInterpolator
+from simulator.importers.listing import first_lines
 from simulator.importers.video_decoding import load_extra
 from simulator.types import FARTHEST_M, Clip, View
+
+Count: TypeAlias = Annotated[int, Field(ge=1)]
+Positive: TypeAlias = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Crop: TypeAlias = Literal["centre", "random"]
+InterpolateWith: TypeAlias = Literal["optical_flow", "superslomo"]
 
 
 class Video(Protocol):
@@ -57,8 +59,7 @@ class Video(Protocol):
     def read(self, start: int, stop: int) -> Iterable[NDArray[np.float32]]:
         """Give frames one after the other as linear light ``(H, W, 3)``, all of one size, black where nothing is to be seen.
 
-        An array ``(T, H, W, 3)`` will do; reading them one by one keeps large frames out of memory. Full scale is 1; pictures
-        of linear light may hold more.
+        Reading them one by one keeps large frames out of memory. Full scale is 1; images of linear light may hold more.
 
         Raises:
             InputError: naming the file that is broken.
@@ -72,28 +73,32 @@ class Video(Protocol):
 
 @dataclass(frozen=True)
 class ClipPlan:
-    """How clips are cut out of videos.
+    """How clips are cut out of videos and shown.
 
     Attributes:
-        frames: of a clip, after raising.
-        frames_per_second: rate at which a clip is taken to have been filmed; None is the video's own, raised. A shutter of
-            some milliseconds sees motion in a film of 24 frames per second only if that is taken to run faster.
-        raise_by: frames that one of the video's becomes, by interpolation; 1 leaves them.
+        frames: of a clip, after interpolation.
+        frames_per_second: rate at which a clip is taken to have been filmed; None is the video's own times interpolate_by. A
+            shutter of some milliseconds sees motion in a film of 24 frames per second only if that is taken to run faster.
+        interpolate_by: frames that one of the video's becomes by temporal interpolation; 1 leaves them.
         clips_per_video: how many clips a video gives, evenly spread over it; 1 begins anywhere, as the sample's random
             stream says.
-        crop: where the view is cut out of the picture: in the ``centre`` or at a ``random`` place, the same for all frames.
+        crop: where the view is cut out of the image: in the ``centre`` or at a ``random`` place, the same for all frames.
+        plane_m: depth of the plane on which clips are shown.
+        interpolator: what interpolates frames; None where ``interpolate_by`` is 1.
     """
 
     frames: int
     frames_per_second: float | None = None
-    raise_by: int = 1
+    interpolate_by: int = 1
     clips_per_video: int = 1
-    crop: Literal["centre", "random"] = "centre"
+    crop: Crop = "centre"
+    plane_m: float = FARTHEST_M
+    interpolator: FrameInterpolator | None = None
 
     @property
     def needed(self) -> int:
-        """The video's frames that a clip takes: r times as many frames between each two, and the last one."""
-        return -(-(self.frames - 1) // self.raise_by) + 1
+        """The video's frames that a clip takes: each but the last becomes ``interpolate_by`` frames."""
+        return -(-(self.frames - 1) // self.interpolate_by) + 1
 
     def start(self, available: int, number: int, rng: np.random.Generator) -> int:
         """Return the first frame of a video's clip.
@@ -106,66 +111,241 @@ class ClipPlan:
         Raises:
             InputError: the video is too short.
         """
+        if reason := self.fault(available):
+            raise InputError(reason)
         spare = available - self.needed
-        if spare < 0:
-            raise InputError(self.too_short(available))
         if self.clips_per_video == 1:
             return int(rng.integers(spare + 1))
-        if self.clips_per_video > spare + 1:
-            raise InputError(self.too_alike(available))
         return round(number * spare / (self.clips_per_video - 1))
 
     def fault(self, available: int) -> str | None:
         """Say why a video of so many frames cannot give its clips, or None where it can."""
         if available < self.needed:
-            return self.too_short(available)
-        if self.clips_per_video > available - self.needed + 1:
-            return self.too_alike(available)
+            return (
+                f"has {available} frames, but a clip of {self.frames}{self.interpolated} takes {self.needed}: ask for fewer, "
+                "or a larger interpolate_by"
+            )
+        fit = available - self.needed + 1
+        if self.clips_per_video > fit:
+            return (
+                f"has {available} frames, in which no more than {fit} different clips of {self.frames} begin, but "
+                f"clips_per_video is {self.clips_per_video}: ask for fewer"
+            )
         return None
 
-    def too_alike(self, available: int) -> str:
-        """Say why a video of so many frames does not give so many clips."""
-        fit = available - self.needed + 1
-        return (
-            f"has {available} frames, in which no more than {fit} different clips of {self.frames} begin, but "
-            f"clips_per_video is {self.clips_per_video}: ask for fewer"
-        )
+    @property
+    def interpolated(self) -> str:
+        """How much is interpolated, for messages; empty where nothing is."""
+        return f", interpolated by {self.interpolate_by}" if self.interpolate_by > 1 else ""
 
-    def too_short(self, available: int) -> str:
-        """Say why a video of so many frames gives no clip."""
-        raised = f", raised by {self.raise_by}" if self.raise_by > 1 else ""
-        return (
-            f"has {available} frames, but a clip of {self.frames}{raised} takes {self.needed}: ask for fewer, or raise "
-            "them by more"
+
+def plane_depth(view: View, plane_cm: float | None) -> float:
+    """Return the plane's depth in metres: as given, else the view's far depth.
+
+    Raises:
+        InputError: when it lies outside near..far.
+    """
+    if plane_cm is None:
+        return min(view.far_m, FARTHEST_M)
+    if not view.near_m <= plane_cm * 1e-2 <= view.far_m:
+        msg = (
+            f"plane_cm: got {plane_cm:g}, which is outside near..far = {view.near_m * 100:.4g}..{view.far_m * 100:.4g} "
+            "cm; choose a depth inside, or set scene.near_cm and scene.far_cm"
+        )
+        raise InputError(msg)
+    return plane_cm * 1e-2
+
+
+def choose_interpolator(
+    interpolate_by: int, interpolate_with: InterpolateWith, checkpoint: Path | None
+) -> FrameInterpolator | None:
+    """Return what interpolates frames, or None where nothing is to be interpolated.
+
+    Args:
+        interpolate_by: frames that one becomes.
+        interpolate_with: ``optical_flow`` or ``superslomo``.
+        checkpoint: the weights of ``superslomo``: the public ``SuperSloMo.ckpt``, or the same tensors as ``.safetensors``.
+
+    Raises:
+        InputError: the checkpoint is missing, broken, or meaningless for what was asked; or a package is not installed.
+    """
+    if interpolate_by == 1:
+        if checkpoint is not None:
+            msg = f"superslomo_checkpoint is {checkpoint}, but interpolate_by is 1: leave it out or take more"
+            raise InputError(msg)
+        if interpolate_with != "optical_flow":
+            msg = f"interpolate_with: got {interpolate_with}, but interpolate_by is 1: leave it out or take more"
+            raise InputError(msg)
+        return None
+    # OpenCV or torch, which nobody needs who interpolates nothing.
+    if interpolate_with == "optical_flow":
+        if checkpoint is not None:
+            msg = (
+                f"superslomo_checkpoint: got {checkpoint}, but interpolate_with is optical_flow, which takes no weights; "
+                "set interpolate_with: superslomo, or leave the checkpoint out"
+            )
+            raise InputError(msg)
+        from simulator.importers.optical_flow import OpticalFlow
+
+        return OpticalFlow()
+    if checkpoint is None:
+        msg = (
+            "superslomo_checkpoint: got none, but interpolate_with is superslomo, whose weights are not part of Flatlight; "
+            "give the path of SuperSloMo.ckpt, or set interpolate_with: optical_flow"
+        )
+        raise InputError(msg)
+    load_extra("torch", "torch", "learn")
+    from simulator.importers.superslomo import SuperSloMo
+
+    return SuperSloMo.from_checkpoint(checkpoint)
+
+
+@dataclass(frozen=True)
+class FlatVideos:
+    """A scene source of clips on a plane; picklable, it holds names and numbers only.
+
+    Black light of a removed background lies on the same plane: it is known that no light comes from there, so ``valid`` is
+    true everywhere.
+
+    Attributes:
+        importer: the name of what made it.
+        view: the camera's view.
+        videos: long enough for the plan.
+        plan: how clips are cut out of them and shown.
+        problems: lines ``"file: reason"`` about what cannot be used and was left out.
+        other_inputs: files beside the videos' own that decide what a clip holds, such as label files.
+    """
+
+    importer: str
+    view: View
+    videos: tuple[Video, ...]
+    plan: ClipPlan
+    problems: tuple[str, ...] = ()
+    other_inputs: tuple[Path, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        importer: str,
+        view: View,
+        videos: Iterable[Video],
+        plan: ClipPlan,
+        problems: Iterable[str] = (),
+        other_inputs: Iterable[Path] = (),
+    ) -> FlatVideos:
+        """Make a source of those videos that are long enough, and list the others among its problems.
+
+        Args:
+            importer: see above.
+            view: see above.
+            videos: in the order in which splits are filled.
+            plan: see above.
+            problems: lines that were found already.
+            other_inputs: see above.
+
+        Raises:
+            InputError: no video can be used.
+        """
+        usable: list[Video] = []
+        found = list(problems)
+        for video in videos:
+            if fault := plan.fault(len(video)):
+                found.append(f"{video.name}: {fault}")
+            else:
+                usable.append(video)
+        if not usable:
+            listed = "".join(f"\n  {line}" for line in first_lines(found, 10))
+            msg = f"source: {importer} found no video that can be used{':' if found else ''}{listed}"
+            raise InputError(msg)
+        return cls(importer, view, tuple(usable), plan, tuple(found), tuple(other_inputs))
+
+    def __len__(self) -> int:
+        """Return the number of clips: videos times clips per video."""
+        return len(self.videos) * self.plan.clips_per_video
+
+    @property
+    def groups(self) -> tuple[int, ...]:
+        """The number of each clip's video."""
+        return tuple(index // self.plan.clips_per_video for index in range(len(self)))
+
+    @property
+    def inputs(self) -> list[Path]:
+        """All files: which of them a data set uses depends on its size only."""
+        weights = () if self.plan.interpolator is None else self.plan.interpolator.inputs
+        return [*(file for video in self.videos for file in video.files), *self.other_inputs, *weights]
+
+    @property
+    def packages(self) -> tuple[str, ...]:
+        """Packages whose versions may change a clip: those that decode the videos, fit them and interpolate them."""
+        interpolating = () if self.plan.interpolator is None else self.plan.interpolator.packages
+        decoders = {package for video in self.videos for package in video.packages}
+        return tuple(sorted({"opencv-python-headless", *decoders, *interpolating}))
+
+    def clip(self, index: int, rng: np.random.Generator) -> Clip:
+        """Cut one clip out of its video; the index is taken modulo their number.
+
+        Raises:
+            InputError: naming the file, when it is broken or its frames differ in size.
+        """
+        which, number = divmod(index % len(self), self.plan.clips_per_video)
+        video, plan = self.videos[which], self.plan
+        start = plan.start(len(video), number, rng)
+        stop = start + plan.needed
+        rgb, window = fit_frames(video.read(start, stop), video.name, self.view.shape, plan.crop, rng)
+        if len(rgb) != plan.needed:
+            msg = f"{video.name} gave {len(rgb)} of the {plan.needed} frames from {start} on: fetch it again"
+            raise InputError(msg)
+        interpolation: dict[str, Any] = {}
+        if plan.interpolator is not None:
+            rgb = plan.interpolator.interpolate(rgb, plan.interpolate_by)[: plan.frames]
+            interpolation = {"interpolation": {"interpolate_by": plan.interpolate_by, **plan.interpolator.record()}}
+        own_rate = video.frames_per_second
+        rate = plan.frames_per_second or (None if own_rate is None else own_rate * plan.interpolate_by)
+        if rate is None:
+            msg = f"frames_per_second: {video.name} has no rate of its own; say at which a clip is taken to have been filmed"
+            raise InputError(msg)
+        shape = rgb.shape[:3]
+        source = {
+            "importer": self.importer,
+            "video": video.name,
+            **video.record(start, stop),
+            "first_frame": start,
+            "frames_read": plan.needed,
+            **({} if own_rate is None else {"own_frames_per_second": own_rate}),
+            "frames_per_second": rate,
+            "crop": {"place": plan.crop, **window.record()},
+            **interpolation,
+            "plane_m": plan.plane_m,
+        }
+        return Clip(
+            rgb=rgb,
+            depth_m=np.full(shape, plan.plane_m, np.float32),
+            valid=np.ones(shape, bool),
+            frame_edges_s=np.arange(len(rgb) + 1) / rate,
+            label=video.label,
+            source=source,
         )
 
 
 @dataclass(frozen=True)
 class Window:
-    """A part of a picture, in its pixels: the first row and column, and how many of each."""
+    """A part of an image, in its pixels: the first row and column, and how many of each."""
 
     row: int
     column: int
     rows: int
     columns: int
 
-    @property
-    def cut(self) -> tuple[slice, slice]:
-        """The part as an index of ``(H, W, ...)``."""
-        return slice(self.row, self.row + self.rows), slice(self.column, self.column + self.columns)
-
     def record(self) -> dict[str, Any]:
         """Where it lies, for a sample's record."""
         return {"corner_px": [self.row, self.column], "size_px": [self.rows, self.columns]}
 
 
-def largest_window(
-    size: tuple[int, int], shape: tuple[int, int], crop: Literal["centre", "random"], rng: np.random.Generator
-) -> Window:
+def largest_window(size: tuple[int, int], shape: tuple[int, int], crop: Crop, rng: np.random.Generator) -> Window:
     """Return the largest window with the view's proportions, to the nearest whole pixel.
 
     Args:
-        size: rows and columns of the picture.
+        size: rows and columns of the image.
         shape: rows and columns of the view.
         crop: in the ``centre`` or at a ``random`` place along the side on which something is cut off.
         rng: the sample's; drawn from only for ``random``.
@@ -182,15 +362,15 @@ def largest_window(
     return Window(int(rng.integers(spare[0] + 1)), int(rng.integers(spare[1] + 1)), rows, columns)
 
 
-def fit(picture: NDArray[np.float32], window: Window, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Cut a window out of a picture and resample it.
+def fit(image: NDArray[np.float32], window: Window, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Cut a window out of an image and resample it.
 
     Where the window is larger than the view, each new pixel is the mean over its area, so the mean light stays what it was;
     where it is smaller, values are interpolated bilinearly, so none is brighter or darker than its neighbours.
 
     Args:
-        picture: linear light ``(H, W, 3)``.
-        window: part of the picture.
+        image: linear light ``(H, W, 3)``.
+        window: part of the image.
         shape: rows and columns of the result.
 
     Returns:
@@ -199,20 +379,17 @@ def fit(picture: NDArray[np.float32], window: Window, shape: tuple[int, int]) ->
     Raises:
         InputError: OpenCV is not installed.
     """
-    part = np.ascontiguousarray(picture[window.cut])
+    cut = np.s_[window.row : window.row + window.rows, window.column : window.column + window.columns]
+    part = np.ascontiguousarray(image[cut])
     if part.shape[:2] == shape:
-        return part.copy() if np.shares_memory(part, picture) else part
+        return part.copy() if np.shares_memory(part, image) else part
     cv2 = load_extra("cv2", "OpenCV")
     shrinks = part.shape[0] >= shape[0] and part.shape[1] >= shape[1]
     return cv2.resize(part, shape[::-1], interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
 
 
 def fit_frames(
-    frames: Iterable[NDArray[np.float32]],
-    name: str,
-    shape: tuple[int, int],
-    crop: Literal["centre", "random"],
-    rng: np.random.Generator,
+    frames: Iterable[NDArray[np.float32]], name: str, shape: tuple[int, int], crop: Crop, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], Window]:
     """Fit frames one after the other, all through the same window; only one frame at a time is held in its own size.
 
@@ -246,183 +423,3 @@ def fit_frames(
         msg = f"{name} gave no frames"
         raise InputError(msg)
     return np.stack(fitted), window
-
-
-if TYPE_CHECKING:
-    from simulator.importers.frame_interpolation import Raiser
-
-
-def plane_depth(view: View, plane_cm: float | None) -> float:
-    """Return the plane's depth in metres: as given, else the view's far depth.
-
-    Raises:
-        InputError: when it lies outside near..far.
-    """
-    if plane_cm is None:
-        return min(view.far_m, FARTHEST_M)
-    if not view.near_m <= plane_cm * 1e-2 <= view.far_m:
-        msg = (
-            f"plane_cm: got {plane_cm:g}, which is outside near..far = {view.near_m * 100:.4g}..{view.far_m * 100:.4g} "
-            "cm; choose a depth inside, or set scene.near_cm and scene.far_cm"
-        )
-        raise InputError(msg)
-    return plane_cm * 1e-2
-
-
-def choose_raiser(
-    raise_by: int, raise_with: Literal["optical_flow", "superslomo"], checkpoint: Path | None
-) -> Raiser | None:
-    """Return what interpolates frames, or None where none are wanted.
-
-    Raises:
-        InputError: the checkpoint is missing, broken, or meaningless for what was asked.
-    """
-    if raise_by == 1:
-        if checkpoint is not None:
-            msg = (
-                f"superslomo_checkpoint is {checkpoint}, but raise_by: 1 leaves the frames: leave it out or raise more"
-            )
-            raise InputError(msg)
-        if raise_with != "optical_flow":
-            msg = f"raise_with: got {raise_with}, but raise_by: 1 leaves the frames: leave it out or raise more"
-            raise InputError(msg)
-        return None
-    # OpenCV or torch, which nobody needs who raises nothing.
-    from simulator.importers.frame_interpolation import build_raiser
-
-    return build_raiser(raise_with, checkpoint)
-
-
-def flat_videos(
-    importer: str,
-    view: View,
-    videos: Iterable[Video],
-    *,
-    plan: ClipPlan,
-    plane_m: float,
-    raiser: Raiser | None = None,
-    problems: Iterable[str] = (),
-    other_inputs: Iterable[Path] = (),
-) -> FlatVideos:
-    """Make a source of those videos that are long enough, and list the others among its problems.
-
-    Args:
-        importer: its name, for the samples' records.
-        view: the camera's view.
-        videos: in the order in which splits are filled.
-        plan: how clips are cut out of them.
-        plane_m: depth of the plane.
-        raiser: what interpolates frames; needed when ``plan.raise_by`` is more than 1.
-        problems: lines ``"file: reason"`` that were found already.
-        other_inputs: files beside the videos' own that decide what a clip holds, such as label files.
-
-    Raises:
-        InputError: no video can be used.
-    """
-    usable: list[Video] = []
-    found = list(problems)
-    for video in videos:
-        if fault := plan.fault(len(video)):
-            found.append(f"{video.name}: {fault}")
-        else:
-            usable.append(video)
-    if not usable:
-        listed = "".join(f"\n  {line}" for line in first_lines(found, 10))
-        msg = f"source: {importer} found no video that can be used{':' if found else ''}{listed}"
-        raise InputError(msg)
-    return FlatVideos(importer, view, tuple(usable), plan, plane_m, raiser, tuple(found), tuple(other_inputs))
-
-
-@dataclass(frozen=True)
-class FlatVideos:
-    """A scene source of clips on a plane; picklable, it holds names and numbers only.
-
-    Black light of a removed background lies on the same plane: it is known that no light comes from there, so ``valid`` is
-    true everywhere.
-
-    Attributes:
-        importer: the name of what made it.
-        view: the camera's view.
-        videos: long enough for the plan.
-        plan: how clips are cut out of them.
-        plane_m: depth of the plane.
-        raiser: what interpolates frames, or None.
-        problems: lines ``"file: reason"`` about what cannot be used and was left out.
-        other_inputs: files beside the videos' own that decide what a clip holds.
-    """
-
-    importer: str
-    view: View
-    videos: tuple[Video, ...]
-    plan: ClipPlan
-    plane_m: float
-    raiser: Raiser | None = None
-    problems: tuple[str, ...] = ()
-    other_inputs: tuple[Path, ...] = ()
-
-    def __len__(self) -> int:
-        """Return the number of clips: videos times clips per video."""
-        return len(self.videos) * self.plan.clips_per_video
-
-    @property
-    def groups(self) -> tuple[int, ...]:
-        """The number of each clip's video."""
-        return tuple(index // self.plan.clips_per_video for index in range(len(self)))
-
-    @property
-    def inputs(self) -> list[Path]:
-        """All files: which of them a data set uses depends on its size only."""
-        raisers = () if self.raiser is None else self.raiser.inputs
-        return [*(file for video in self.videos for file in video.files), *self.other_inputs, *raisers]
-
-    @property
-    def packages(self) -> tuple[str, ...]:
-        """Packages whose versions may change a clip: those that decode the videos, fit them and raise them."""
-        raisers = () if self.raiser is None else self.raiser.packages
-        decoders = {package for video in self.videos for package in video.packages}
-        return tuple(sorted({"opencv-python-headless", *decoders, *raisers}))
-
-    def clip(self, index: int, rng: np.random.Generator) -> Clip:
-        """Cut one clip out of its video; the index is taken modulo their number.
-
-        Raises:
-            InputError: naming the file, when it is broken or its frames differ in size.
-        """
-        which, number = divmod(index % len(self), self.plan.clips_per_video)
-        video, plan = self.videos[which], self.plan
-        start = plan.start(len(video), number, rng)
-        stop = start + plan.needed
-        rgb, window = fit_frames(video.read(start, stop), video.name, self.view.shape, plan.crop, rng)
-        if len(rgb) != plan.needed:
-            msg = f"{video.name} gave {len(rgb)} of the {plan.needed} frames from {start} on: fetch it again"
-            raise InputError(msg)
-        raising: dict[str, Any] = {}
-        if self.raiser is not None:
-            rgb = self.raiser.raise_frames(rgb, plan.raise_by)[: plan.frames]
-            raising = {"raising": {"raise_by": plan.raise_by, **self.raiser.record()}}
-        own_rate = video.frames_per_second
-        rate = plan.frames_per_second or (None if own_rate is None else own_rate * plan.raise_by)
-        if rate is None:
-            msg = f"frames_per_second: {video.name} has no rate of its own; say at which a clip is taken to have been filmed"
-            raise InputError(msg)
-        shape = rgb.shape[:3]
-        source = {
-            "importer": self.importer,
-            "video": video.name,
-            **video.record(start, stop),
-            "first_frame": start,
-            "frames_read": plan.needed,
-            **({} if own_rate is None else {"own_frames_per_second": own_rate}),
-            "frames_per_second": rate,
-            "crop": {"place": plan.crop, **window.record()},
-            **raising,
-            "plane_m": self.plane_m,
-        }
-        return Clip(
-            rgb=rgb,
-            depth_m=np.full(shape, self.plane_m, np.float32),
-            valid=np.ones(shape, bool),
-            frame_edges_s=np.arange(len(rgb) + 1) / rate,
-            label=video.label,
-            source=source,
-        )

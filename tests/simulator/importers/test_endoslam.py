@@ -159,7 +159,7 @@ class TestDepth:
         codes = np.zeros(SHAPE, np.uint8)
         codes[0, 0] = 9  # outside the circle
         unity(tmp_path, codes=codes)
-        with pytest.raises(InputError, match=r"aov_image_0000\.png gives no depth where its picture is seen"):
+        with pytest.raises(InputError, match=r"aov_image_0000\.png gives no depth where its image is seen"):
             clip_of(tmp_path, border=[8, 8, 5], field="angles")
 
     @pytest.mark.parametrize(("rows", "warned"), [(8, 0), (9, 1)])
@@ -287,7 +287,7 @@ class TestClips:
             assert recognises(tmp_path / folder)
             assert [pair.sequence for pair in source_of(tmp_path / folder).pairs] == expected
         pair = source_of(tmp_path / "c").pairs[-1]
-        assert (pair.picture.as_posix(), pair.depth.as_posix()) == (
+        assert (pair.image.as_posix(), pair.depth.as_posix()) == (
             "train_frame/image_0001.png",
             "train_depth/aov_image_0001.png",
         )
@@ -301,8 +301,8 @@ class TestClips:
         assert len(source) == 1
         lonely, chart, camera = sorted(source.problems, key=lambda line: ("MiroCam" in line, "aov" in line))
         assert lonely.startswith(f"{tmp_path}/UnityCam/Colon/Frames/image_0002.png: has no depth chart of its number")
-        assert chart.startswith(f"{tmp_path}/UnityCam/Colon/Pixelwise Depths/aov_image_0004.png: has no picture")
-        assert camera.startswith(f"{tmp_path}/MiroCam: holds pictures without any depth chart (1)")
+        assert chart.startswith(f"{tmp_path}/UnityCam/Colon/Pixelwise Depths/aov_image_0004.png: has no image")
+        assert camera.startswith(f"{tmp_path}/MiroCam: holds images without any depth chart (1)")
 
 
 class TestFolders:
@@ -325,9 +325,7 @@ class TestFolders:
         (tmp_path / "root/organ").symlink_to(tmp_path / "disk/UnityCam/Colon", target_is_directory=True)
         (tmp_path / "disk/UnityCam/Colon/back").symlink_to(tmp_path / "root", target_is_directory=True)
         source = source_of(tmp_path / "root")
-        assert [pair.picture.as_posix() for pair in source.pairs] == [
-            f"organ/Frames/image_000{n}.png" for n in range(3)
-        ]
+        assert [pair.image.as_posix() for pair in source.pairs] == [f"organ/Frames/image_000{n}.png" for n in range(3)]
         assert recognises(tmp_path / "root")
 
     def test_a_folder_that_may_not_be_read_is_named(self, tmp_path, monkeypatch):
@@ -444,10 +442,10 @@ class TestMistakes:
     def test_folders(self, tmp_path):
         with pytest.raises(InputError, match=r"there is no folder .*nowhere"):
             source_of(tmp_path / "nowhere")
-        with pytest.raises(InputError, match=r"holds no pictures with depth charts \(such as"):
+        with pytest.raises(InputError, match=r"holds no images with depth charts \(such as"):
             source_of(tmp_path)
         save(tmp_path / "Frames/image_0000.png", picture())
-        with pytest.raises(InputError, match=r"holds pictures without any depth chart \(1\)"):
+        with pytest.raises(InputError, match=r"holds images without any depth chart \(1\)"):
             source_of(tmp_path)
         assert not recognises(tmp_path)
         assert not recognises(tmp_path / "nowhere")
@@ -467,7 +465,7 @@ class TestSurvey:
         assert found.facts["depth codes"] == "16 bit, 0 to 65025"
         assert found.facts["code zero"] == "2 pixels"
         assert found.facts["consecutive frames"] == "1 to 1"
-        assert found.facts["image circle"] == "the whole picture"
+        assert found.facts["image circle"] == "the whole image"
         assert [line.partition(":")[0].rpartition("/")[2] for line in found.problems] == [
             "FrameBuffer_0004.png",
             "Depth_0001.png",

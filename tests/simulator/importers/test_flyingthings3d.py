@@ -191,7 +191,7 @@ class TestLayouts:
         write_frame(root, "TEST/A/0000/left/0006", rgb, disparity)
 
         def pictures(**choice):
-            return [frame.picture.as_posix() for frame in flyingthings3d(VIEW, path=root, **choice).frames]
+            return [pair.image.as_posix() for pair in flyingthings3d(VIEW, path=root, **choice).pairs]
 
         assert pictures(eye="right") == ["frames_cleanpass/TRAIN/A/0032/right/0006.png"]
         assert pictures(picture_pass="finalpass") == ["frames_finalpass/TEST/A/0000/left/0006.png"]
@@ -204,7 +204,7 @@ class TestLayouts:
         found = {}
         for scaling in ("affine_disparity", "affine_depth"):
             source = flyingthings3d(view, path=shared_data / "flyingthings3d", depth_scaling=scaling)
-            assert len(source.frames) == 1
+            assert len(source.pairs) == 1
             clip = source.clip(4, np.random.default_rng(4))
             assert clip.source["downscale"] == 4
             assert clip.source["disparity_range_px"] == pytest.approx([1.206, 130.365], abs=5e-4)
@@ -231,7 +231,7 @@ class TestMistakes:
         with pytest.raises(InputError, match=r"has none of frames_cleanpass.*it has pictures"):
             self.make(tmp_path)
         (tmp_path / "frames_cleanpass").mkdir()
-        with pytest.raises(InputError, match=r"holds no left picture"):
+        with pytest.raises(InputError, match=r"holds no left image"):
             self.make(tmp_path)
 
     def test_two_data_sets_side_by_side(self, tmp_path, rgb, disparity):
@@ -248,7 +248,7 @@ class TestMistakes:
         (problem,) = source.problems
         assert problem.startswith(f"{root}/frames_cleanpass/TRAIN/A/0032/left/0007.png: has no .pfm at its place")
         (root / "disparity/TRAIN/A/0032/left/0006.pfm").unlink()
-        with pytest.raises(InputError, match=r"none of the 2 pictures .*the first wants .*/disparity/.*left/0006\.pfm"):
+        with pytest.raises(InputError, match=r"none of the 2 images .*the first wants .*/disparity/.*left/0006\.pfm"):
             self.make(root)
 
     def test_subset_needs_the_original_layout(self, tmp_path, rgb, disparity):

@@ -180,7 +180,7 @@ class TestFolders:
         for number in (8, 9, 10, 11):  # names without leading zeros sort as 10, 11, 8, 9
             write(tmp_path, f"TRAIN/A/0000/left/{number}", number)
         source = clips_of(tmp_path, frames=4)
-        assert [frame.picture.name for frame in source.frames] == ["8.png", "9.png", "10.png", "11.png"]
+        assert [pair.image.name for pair in source.pairs] == ["8.png", "9.png", "10.png", "11.png"]
         clip = source.clip(0, np.random.default_rng(0))
         assert len(source) == 1
         for t, number in enumerate((8, 9, 10, 11)):
@@ -191,14 +191,14 @@ class TestFolders:
 
     @pytest.mark.parametrize("name", ["._0006", ".ipynb_checkpoints/0006", "__MACOSX/left/0006"])
     def test_what_systems_leave_behind_is_no_frame(self, root, name):
-        expected = clips_of(root).frames
+        expected = clips_of(root).pairs
         for folder in ("TRAIN/A/0000/left", "TRAIN/A", "."):
             for top, suffix in (("frames_cleanpass", ".png"), ("disparity", ".pfm")):
                 path = (root / top / folder / name).with_suffix(suffix)
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(b"\x00\x05\x16\x07")
         source = clips_of(root)
-        assert (source.frames, source.problems) == (expected, ())
+        assert (source.pairs, source.problems) == (expected, ())
         assert survey(root).problems == ()
 
     def test_suffixes_may_be_in_capitals(self, root):

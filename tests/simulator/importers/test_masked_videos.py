@@ -162,7 +162,7 @@ def test_only_annotated_frames_are_used_in_the_order_of_their_numbers(tmp_path, 
     np.testing.assert_allclose(clip.rgb[:, 0, 0, 0], linear([102, 109, 110]), **ROUNDING)
     assert clip.source["frames"] == ["2", "9", "10"]
     survey = str(davis_module.survey(root))
-    assert "pictures without a mask, left out: 3" in survey
+    assert "images without a mask, left out: 3" in survey
     assert "videos annotated at uneven steps, which are taken as even: 1 (x)" in survey
 
 
@@ -179,9 +179,9 @@ def test_frame_rates_follow_from_the_numbers(tube, rng, tmp_path) -> None:
     np.testing.assert_allclose(clip.frame_edges_s, np.arange(3) / 500, rtol=1e-12)
 
 
-def test_raised_frames_come_faster(tube, rng) -> None:
+def test_interpolated_frames_come_faster(tube, rng) -> None:
     pytest.importorskip("cv2")
-    clip = tube.source(frames=3, raise_by=2).clip(0, rng)
+    clip = tube.source(frames=3, interpolate_by=2).clip(0, rng)
     np.testing.assert_allclose(clip.frame_edges_s, np.arange(4) / 12, rtol=1e-12)
     # The background went first, so nothing comes back between the frames.
     assert not clip.rgb[:, :, 8:].any()
@@ -337,8 +337,8 @@ def test_videos_that_cannot_be_used_are_problems(tube) -> None:
     source = tube.source()
     assert [video.name for video in source.videos] == ["a1b2"]
     lines = dict(line.split(": ", 1) for line in source.problems)
-    assert lines["bare"].startswith("no mask in Annotations for any picture")
-    assert lines["gone"].startswith("no pictures in JPEGImages")
+    assert lines["bare"].startswith("no mask in Annotations for any image")
+    assert lines["gone"].startswith("no images in JPEGImages")
     assert lines["unlisted"].startswith("meta.json lists no object of it")
     assert lines["short"].startswith("fewer frames with a mask than the 2 that a clip of 2 takes")
     assert lines["twice"].startswith("00005.jpg and 0005.jpg are both frame 5")
@@ -457,7 +457,7 @@ def test_lists_of_davis(davis_root) -> None:
     assert names("2016/train") == ["bear", "dog"]
     assert names("db_info") == ["bear"]
     (line,) = davis(VIEW, path=davis_root, frames=3, subset="val").problems
-    assert line.startswith("elephant: no pictures in JPEGImages/480p")
+    assert line.startswith("elephant: no images in JPEGImages/480p")
     message = error_of(names, "test-dev")
     assert "expected one of the lists in" in message
     assert "2016/train, 2017/train" in message
@@ -514,8 +514,8 @@ def test_the_real_judo_and_bike(shared_data, monkeypatch) -> None:
     view = View((240, 427), VIEW.pixel_pitch_m, VIEW.distance_m, VIEW.near_m, VIEW.far_m)
     source = davis(view, path=root, frames=4)
     assert source.problems == (
-        "bike: fewer frames with a mask than the 4 that a clip of 4 takes (videos here have 1 to 4): ask for fewer, or raise "
-        "them by more",
+        "bike: fewer frames with a mask than the 4 that a clip of 4 takes (videos here have 1 to 4): ask for fewer, or a "
+        "larger interpolate_by",
     )
     with pytest.warns(UserWarning, match=r"judo/00005\.png is 480 x 853 instead of 480 x 854"):
         clip = source.clip(0, np.random.default_rng(0))

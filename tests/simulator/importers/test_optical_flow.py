@@ -1,11 +1,11 @@
 """Raising by optical flow against scenes whose frames in between are known: they are drawn at these times."""
 
 import pickle
-import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,8 +13,7 @@ from PIL import Image
 
 from simulator.colour import decode_srgb_picture, linear_to_srgb, srgb_to_linear
 from simulator.errors import InputError
-from simulator.importers.frame_interpolation import build_raiser
-from simulator.importers.optical_flow import Motion, both_flows, opencv
+from simulator.importers.optical_flow import Motion, OpticalFlow, both_flows
 
 SIZE = 112
 
@@ -115,10 +114,10 @@ def error(found: NDArray, truth: NDArray) -> float:
 def test_frames_in_between_are_those_of_the_moving_scene(scene: Callable, fade: float, hold: float) -> None:
     factor = 4
     first, second = drawn(scene, 0), drawn(scene, 1)
-    raised = build_raiser("optical_flow").raise_frames(np.stack([first, second]), factor)
+    found = OpticalFlow().interpolate(np.stack([first, second]), factor)
     truth = [drawn(scene, step / factor) for step in range(1, factor)]
     times = [step / factor for step in range(1, factor)]
-    own = error(raised[1:-1], np.stack(truth))
+    own = error(found[1:-1], np.stack(truth))
     faded = error(np.stack([(1 - time) * first + time * second for time in times]), np.stack(truth))
     held = error(np.stack([first if time < 0.5 else second for time in times]), np.stack(truth))
     print(f"{scene.__name__}: {own:.5f}, cross-fading {faded / own:.2f} times, holding {held / own:.2f} times")
@@ -128,57 +127,56 @@ def test_frames_in_between_are_those_of_the_moving_scene(scene: Callable, fade: 
 
 def test_black_stays_black_and_the_still_stays_still() -> None:
     frames = np.stack([drawn(on_black, 0), drawn(on_black, 1)])
-    raised = build_raiser("optical_flow").raise_frames(frames, 4)
+    found = OpticalFlow().interpolate(frames, 4)
     away = np.ones((SIZE, SIZE), bool)
     away[26:80, 20:82] = False  # the disc's path and 2 pixels, as far as the bicubic looks
-    assert np.all(raised[:, away] == 0)
+    assert np.all(found[:, away] == 0)
     still = np.stack([drawn(occluding, 0), drawn(occluding, 1)])
-    raised = build_raiser("optical_flow").raise_frames(still, 4)
+    found = OpticalFlow().interpolate(still, 4)
     # DIS works on patches of 8 pixels at steps up to 8: 20 pixels from what moves it finds no motion.
     corner = np.s_[:, 96:]
-    assert np.abs(raised[1:-1][corner] - still[0][96:]).max() < 1e-6
+    assert np.abs(found[1:-1][corner] - still[0][96:]).max() < 1e-6
 
 
 def test_frames_that_were_given_are_left_bit_for_bit() -> None:
     frames = np.stack([drawn(translating, time) for time in (0, 0.25, 1)])
-    raiser = build_raiser("optical_flow")
-    assert np.array_equal(raiser.raise_frames(frames, 1), frames)
-    assert np.array_equal(raiser.raise_frames(frames, 3)[::3], frames)
-    assert np.array_equal(raiser.raise_frames(frames[:1], 5), frames[:1])
+    interpolator = OpticalFlow()
+    assert np.array_equal(interpolator.interpolate(frames, 1), frames)
+    assert np.array_equal(interpolator.interpolate(frames, 3)[::3], frames)
+    assert np.array_equal(interpolator.interpolate(frames[:1], 5), frames[:1])
     twice = np.repeat(frames[:1], 2, axis=0)
-    assert np.array_equal(raiser.raise_frames(twice, 3), np.repeat(frames[:1], 4, axis=0))
+    assert np.array_equal(interpolator.interpolate(twice, 3), np.repeat(frames[:1], 4, axis=0))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (3, 50), (31, 33)])
 def test_tiny_frames_of_noise_stay_between_black_and_the_brightest(shape: tuple[int, int]) -> None:
     frames = np.random.default_rng(3).exponential(1, (3, *shape, 3)).astype(np.float32)
-    raised = build_raiser("optical_flow").raise_frames(frames, 3)
-    assert raised.shape == (7, *shape, 3)
-    assert raised.dtype == np.float32
-    assert np.isfinite(raised).all()
-    assert raised.min() >= 0
-    assert raised.max() <= frames.max()
+    found = OpticalFlow().interpolate(frames, 3)
+    assert found.shape == (7, *shape, 3)
+    assert found.dtype == np.float32
+    assert np.isfinite(found).all()
+    assert found.min() >= 0
+    assert found.max() <= frames.max()
 
 
 def test_light_beyond_white_is_carried() -> None:
     frames = 1.5 * np.stack([drawn(translating, 0), drawn(translating, 1)])
     truth = 1.5 * drawn(translating, 0.5)
-    raised = build_raiser("optical_flow").raise_frames(frames, 2)[1]
+    found = OpticalFlow().interpolate(frames, 2)[1]
     assert truth.max() > 1.2
     faded = (frames[0] + frames[1]) / 2
     # The flow sees white without texture there, so less is asked than of light in 0..1; clipped light would be no better.
-    assert error(raised, truth) * 5 < min(error(faded, truth), error(np.minimum(truth, 1), truth))
-    assert abs(raised.max() / truth.max() - 1) < 0.02
+    assert error(found, truth) * 5 < min(error(faded, truth), error(np.minimum(truth, 1), truth))
+    assert abs(found.max() / truth.max() - 1) < 0.02
 
 
 def test_bytes_do_not_depend_on_the_number_of_threads_and_the_number_stays() -> None:
-    cv2 = opencv()
     frames = np.stack([drawn(occluding_moving, 0), drawn(occluding_moving, 1)])
-    raiser, before, results = build_raiser("optical_flow"), cv2.getNumThreads(), []
+    interpolator, before, results = OpticalFlow(), cv2.getNumThreads(), []
     try:
         for threads in (1, 2, 3, 8):
             cv2.setNumThreads(threads)
-            results.append(raiser.raise_frames(frames, 3).tobytes())
+            results.append(interpolator.interpolate(frames, 3).tobytes())
             assert cv2.getNumThreads() == threads
     finally:
         cv2.setNumThreads(before)
@@ -229,8 +227,8 @@ def test_where_nothing_comes_to_lie_both_flows_are_mixed() -> None:
 def test_edges_do_not_overshoot() -> None:
     frames = np.full((2, 64, 64, 3), 0.1, np.float32)
     frames[0, 20:40, 20:40] = frames[1, 20:40, 23:43] = 1
-    raised = build_raiser("optical_flow").raise_frames(frames, 2)
-    assert raised.max() == 1  # bicubic look-up alone overshoots beside the edge
+    found = OpticalFlow().interpolate(frames, 2)
+    assert found.max() == 1  # bicubic look-up alone overshoots beside the edge
 
 
 def test_what_is_hidden_in_one_frame_is_found_out() -> None:
@@ -246,10 +244,10 @@ def test_what_is_hidden_in_one_frame_is_found_out() -> None:
 
 def test_a_still_scene_brightens_in_proportion_to_time() -> None:
     scene = drawn(translating, 0)
-    raised = build_raiser("optical_flow").raise_frames(np.stack([0.6 * scene, 0.8 * scene]), 4)
+    found = OpticalFlow().interpolate(np.stack([0.6 * scene, 0.8 * scene]), 4)
     for step in (1, 2, 3):
         # 0.05 between two steps; a 15th of it is let pass, for the flow is not quite zero where the brightness changes.
-        assert error(raised[step], (0.6 + 0.05 * step) * scene) < 0.05 / 15
+        assert error(found[step], (0.6 + 0.05 * step) * scene) < 0.05 / 15
 
 
 def disc_on_black(radius: float, column: float, row: float) -> NDArray[np.float32]:
@@ -264,18 +262,18 @@ def disc_on_black(radius: float, column: float, row: float) -> NDArray[np.float3
 def test_the_light_of_what_moves_far_is_kept(radius: float, diameters: float) -> None:
     half = min(radius * diameters, 33)
     first, second = disc_on_black(radius, 48 - half, 48), disc_on_black(radius, 48 + half, 50)
-    raised = build_raiser("optical_flow").raise_frames(np.stack([first, second]), 4)
-    light = raised.sum((1, 2, 3)) / first.sum()
+    found = OpticalFlow().interpolate(np.stack([first, second]), 4)
+    light = found.sum((1, 2, 3)) / first.sum()
     print(f"radius {radius}, {diameters} diameters: {light[1]:.3f} {light[2]:.3f} {light[3]:.3f}")
     # Flow alone lets it fall to 0.32 or rise to 1.82; 0.86 to 1.10 were measured.
     assert np.abs(light - 1).max() < 0.15
 
 
 def test_it_travels_and_says_what_it_is() -> None:
-    raiser = pickle.loads(pickle.dumps(build_raiser("optical_flow")))
-    assert raiser.inputs == ()
-    assert raiser.record()["name"] == "optical_flow"
-    assert raiser.record()["opencv"] == opencv().__version__
+    interpolator = pickle.loads(pickle.dumps(OpticalFlow()))
+    assert interpolator.inputs == ()
+    assert interpolator.record()["name"] == "optical_flow"
+    assert interpolator.record()["opencv"] == cv2.__version__
 
 
 @pytest.mark.parametrize(
@@ -291,17 +289,7 @@ def test_it_travels_and_says_what_it_is() -> None:
 )
 def test_bad_frames_are_refused(frames: NDArray, factor: int, reason: str) -> None:
     with pytest.raises(InputError, match=reason):
-        build_raiser("optical_flow").raise_frames(frames, factor)
-
-
-def test_wrong_names_and_missing_packages_are_explained(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="expected one of optical_flow, superslomo"):
-        build_raiser("magic")  # pyright: ignore[reportArgumentType]
-    with pytest.raises(InputError, match="optical_flow, which takes no weights"):
-        build_raiser("optical_flow", tmp_path / "SuperSloMo.ckpt")
-    monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(InputError, match=r"flatlight\[import\]"):
-        build_raiser("optical_flow")
+        OpticalFlow().interpolate(frames, factor)
 
 
 def decibels(found: NDArray, truth: NDArray) -> float:
@@ -314,9 +302,9 @@ def test_left_out_frames_of_a_real_film_are_found_again(shared_data: Path) -> No
     # 428 x 240 of the film's 854 x 480, the middle of them.
     small = [np.asarray(Image.open(file).reduce(2))[40:200, 130:290] for file in files]
     frames = decode_srgb_picture(np.stack(small))
-    raised = build_raiser("optical_flow").raise_frames(frames[::2], 2)
+    found = OpticalFlow().interpolate(frames[::2], 2)
     for index in (1, 3):
         faded = (frames[index - 1] + frames[index + 1]) / 2
-        gain = decibels(raised[index], frames[index]) - decibels(faded, frames[index])
-        print(f"frame {index}: {decibels(raised[index], frames[index]):.2f} dB, {gain:.2f} dB over cross-fading")
+        gain = decibels(found[index], frames[index]) - decibels(faded, frames[index])
+        print(f"frame {index}: {decibels(found[index], frames[index]):.2f} dB, {gain:.2f} dB over cross-fading")
         assert gain > 2.8  # about 0.7 of the 4.0 and 4.8 that were measured

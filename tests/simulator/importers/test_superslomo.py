@@ -2,7 +2,6 @@
 
 import datetime
 import pickle
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from torch import nn
 from simulator.colour import linear_to_srgb, srgb_to_linear
 from simulator.errors import InputError
 from simulator.files import sha256_file
-from simulator.importers.frame_interpolation import build_raiser
+from simulator.importers.superslomo import SuperSloMo
 
 MEAN = np.array([0.429, 0.431, 0.397])
 
@@ -133,9 +132,9 @@ def frames() -> NDArray[np.float32]:
 def test_frames_are_those_of_the_formulas(
     checkpoint: Path, networks: tuple[Published, Published], frames: NDArray[np.float32]
 ) -> None:
-    raised = build_raiser("superslomo", checkpoint).raise_frames(frames, 3)
-    assert raised.shape == (4, 37, 50, 3)
-    assert np.array_equal(raised[::3], frames)
+    found = SuperSloMo.from_checkpoint(checkpoint).interpolate(frames, 3)
+    assert found.shape == (4, 37, 50, 3)
+    assert np.array_equal(found[::3], frames)
 
     first, second = (
         np.pad(linear_to_srgb(frame).astype(np.float64), ((0, 27), (0, 14), (0, 0)), mode="edge") - MEAN
@@ -156,7 +155,7 @@ def test_frames_are_those_of_the_formulas(
         blended = (1 - t) * from_first + t * from_second  # equation 5
         encoded = blended / ((1 - t) * visible + t * (1 - visible)) + MEAN
         # float32 places of some 60 pixels, told apart to 4e-6, times steps of up to 0.3 per pixel, through two networks.
-        np.testing.assert_allclose(linear_to_srgb(raised[index]), encoded[:37, :50].clip(0), atol=1e-4)
+        np.testing.assert_allclose(linear_to_srgb(found[index]), encoded[:37, :50].clip(0), atol=1e-4)
 
 
 def test_networks_that_say_nothing_leave_the_mean_by_time(content: dict[str, Any], tmp_path: Path) -> None:
@@ -166,26 +165,26 @@ def test_networks_that_say_nothing_leave_the_mean_by_time(content: dict[str, Any
         for key in ("state_dictFC", "state_dictAT")
     }
     torch.save(empty, tmp_path / "zero.ckpt")
-    raiser = build_raiser("superslomo", tmp_path / "zero.ckpt")
+    interpolator = SuperSloMo.from_checkpoint(tmp_path / "zero.ckpt")
     # One tint each, encoded: the sides are no multiples of 32, and no look-up can change a tint.
     tints = np.array([[0.2, 0.5, 0.9], [0.6, 0.1, 0.4]])
-    raised = raiser.raise_frames(np.broadcast_to(srgb_to_linear(tints)[:, None, None], (2, 20, 30, 3)).copy(), 4)
+    found = interpolator.interpolate(np.broadcast_to(srgb_to_linear(tints)[:, None, None], (2, 20, 30, 3)).copy(), 4)
     for step in (1, 2, 3):
         expected = (1 - step / 4) * tints[0] + step / 4 * tints[1]
-        np.testing.assert_allclose(linear_to_srgb(raised[step]), np.broadcast_to(expected, (20, 30, 3)), atol=1e-6)
+        np.testing.assert_allclose(linear_to_srgb(found[step]), np.broadcast_to(expected, (20, 30, 3)), atol=1e-6)
     x, y = np.meshgrid(np.arange(64), np.arange(32))
     shrunk = 0.1 + 0.01 * x * 63 / 64 + 0.005 * y * 31 / 32
     ramps = np.stack([0.1 + 0.01 * x + 0.005 * y, np.full(x.shape, 0.5)])
-    raised = raiser.raise_frames(srgb_to_linear(np.repeat(ramps[..., None], 3, -1)), 4)
-    np.testing.assert_allclose(linear_to_srgb(raised[1, ..., 0]), 0.75 * shrunk + 0.25 * 0.5, atol=1e-6)
+    found = interpolator.interpolate(srgb_to_linear(np.repeat(ramps[..., None], 3, -1)), 4)
+    np.testing.assert_allclose(linear_to_srgb(found[1, ..., 0]), 0.75 * shrunk + 0.25 * 0.5, atol=1e-6)
 
 
 def test_bytes_do_not_depend_on_threads_which_stay(checkpoint: Path, frames: NDArray[np.float32]) -> None:
-    raiser, before, results = build_raiser("superslomo", checkpoint), torch.get_num_threads(), set()
+    interpolator, before, results = SuperSloMo.from_checkpoint(checkpoint), torch.get_num_threads(), set()
     try:
         for threads in (1, 4):
             torch.set_num_threads(threads)
-            results.add(pickle.loads(pickle.dumps(raiser)).raise_frames(frames, 2).tobytes())
+            results.add(pickle.loads(pickle.dumps(interpolator)).interpolate(frames, 2).tobytes())
             assert torch.get_num_threads() == threads
     finally:
         torch.set_num_threads(before)
@@ -193,9 +192,9 @@ def test_bytes_do_not_depend_on_threads_which_stay(checkpoint: Path, frames: NDA
 
 
 def test_the_checkpoint_is_recorded_and_hashed(checkpoint: Path) -> None:
-    raiser = build_raiser("superslomo", checkpoint)
-    assert raiser.inputs == (checkpoint,)
-    record = raiser.record()
+    interpolator = SuperSloMo.from_checkpoint(checkpoint)
+    assert interpolator.inputs == (checkpoint,)
+    record = interpolator.record()
     assert record["name"] == "superslomo"
     assert record["checkpoint"] == "SuperSloMo.ckpt"
     assert record["sha256"] == sha256_file(checkpoint)
@@ -208,9 +207,9 @@ def test_safetensors_give_the_same(
     flat = {f"{key}.{name}": content[key][name] for key in ("state_dictFC", "state_dictAT") for name in content[key]}
     path = tmp_path / "weights.safetensors"
     save_file(flat, path)
-    from_safetensors = build_raiser("superslomo", path).raise_frames(frames, 2)
+    from_safetensors = SuperSloMo.from_checkpoint(path).interpolate(frames, 2)
     path.unlink()
-    assert np.array_equal(from_safetensors, build_raiser("superslomo", checkpoint).raise_frames(frames, 2))
+    assert np.array_equal(from_safetensors, SuperSloMo.from_checkpoint(checkpoint).interpolate(frames, 2))
 
 
 class Evil:
@@ -231,7 +230,7 @@ def test_checkpoints_that_are_none_are_refused_by_name(content: dict[str, Any], 
         else:
             torch.save(found, path)
         with pytest.raises(InputError, match=r"SuperSloMo\.ckpt") as caught:
-            build_raiser("superslomo", path)
+            SuperSloMo.from_checkpoint(path)
         assert str(path) in str(caught.value)
         assert "weights_only" not in str(caught.value)  # torch's advice to let the file run its code
         return str(caught.value)
@@ -252,13 +251,3 @@ def test_checkpoints_that_are_none_are_refused_by_name(content: dict[str, Any], 
     assert "conv2.bias holds NaN" in refusal({"state_dictFC": damaged})
     assert "cannot read" in refusal({"state_dictFC": Evil(tmp_path / "touched")})
     assert not (tmp_path / "touched").exists()
-
-
-def test_what_is_missing_is_said(checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match="got none, but raise_with is superslomo"):
-        build_raiser("superslomo")
-    with pytest.raises(InputError, match=r"nowhere\.ckpt is not a file"):
-        build_raiser("superslomo", tmp_path / "nowhere.ckpt")
-    monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(InputError, match=r"flatlight\[learn\]"):
-        build_raiser("superslomo", checkpoint)

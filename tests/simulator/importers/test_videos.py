@@ -1,15 +1,28 @@
-"""Clips cut out of videos: which frames, when, at what depth, with what record; and what goes wrong."""
+"""Clips cut out of videos and fitted to the view, against known ramps, block means and the window's geometry; refusals."""
 
 import pickle
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from simulator.errors import InputError
-from simulator.importers.videos import ClipPlan, choose_raiser, flat_videos, plane_depth
+from simulator.importers.videos import (
+    ClipPlan,
+    FlatVideos,
+    Window,
+    choose_interpolator,
+    fit,
+    fit_frames,
+    largest_window,
+    plane_depth,
+)
+from simulator.plugins import ParameterError, resolve
 from simulator.types import FARTHEST_M, SceneSource, View
 
 VIEW = View(shape=(8, 8), pixel_pitch_m=19.2e-6, distance_m=1.9e-3, near_m=0.04, far_m=0.2)
@@ -42,12 +55,12 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Doubling:
-    """A raiser that repeats frames, so that it can be seen which ones came from where."""
+    """An interpolator that repeats frames, so that it can be seen which ones came from where."""
 
     inputs: tuple[Path, ...] = (Path("weights"),)
     packages: ClassVar[tuple[str, ...]] = ("doubler",)
 
-    def raise_frames(self, frames, factor):
+    def interpolate(self, frames, factor):
         return np.repeat(frames, factor, axis=0)[: (len(frames) - 1) * factor + 1]
 
     def record(self):
@@ -55,7 +68,7 @@ class Doubling:
 
 
 def source(videos, plan, **options):
-    return flat_videos("numbers", VIEW, videos, plan=plan, plane_m=0.2, **options)
+    return FlatVideos.of("numbers", VIEW, videos, replace(plan, plane_m=0.2), **options)
 
 
 def first_frame(clip):
@@ -135,13 +148,13 @@ def test_index_is_taken_modulo_the_number_of_clips():
     assert names == ["c", "a", "a", "c"]
 
 
-def test_raised_clips_take_fewer_frames_and_run_faster():
-    clips = source([Numbers("a", 4)], ClipPlan(6, raise_by=2), raiser=Doubling())
+def test_interpolated_clips_take_fewer_frames_and_run_faster():
+    clips = source([Numbers("a", 4)], ClipPlan(6, interpolate_by=2, interpolator=Doubling()))
     clip = clips.clip(0, np.random.default_rng(0))
     # 6 frames, 2 from each: of 4 frames 0 0 1 1 2 2 3 the first 6.
     np.testing.assert_array_equal(np.floor(clip.rgb[:, 0, 0, 0]), [0, 0, 1, 1, 2, 2])
     np.testing.assert_allclose(np.diff(clip.frame_edges_s), 1 / 20)
-    assert clip.source["raising"] == {"raise_by": 2, "name": "doubling"}
+    assert clip.source["interpolation"] == {"interpolate_by": 2, "name": "doubling"}
     assert clip.source["frames_read"] == 4
     assert clips.inputs == [Path("a"), Path("weights")]
     assert clips.packages == ("doubler", "numbers-decoder", "opencv-python-headless")
@@ -153,7 +166,7 @@ def test_short_videos_are_listed_and_left_out():
     )
     assert clips.problems == (
         "c: broken",
-        "a: has 3 frames, but a clip of 4 takes 4: ask for fewer, or raise them by more",
+        "a: has 3 frames, but a clip of 4 takes 4: ask for fewer, or a larger interpolate_by",
     )
     assert [video.name for video in clips.videos] == ["b"]
     assert clips.inputs == [Path("b"), Path("labels")]
@@ -181,15 +194,36 @@ def test_plane_lies_far_away_unless_it_is_said_where():
         plane_depth(VIEW, 21)
 
 
-def test_a_checkpoint_that_nothing_uses_is_refused():
-    assert choose_raiser(1, "optical_flow", None) is None
-    with pytest.raises(InputError, match=r"superslomo_checkpoint is w\.ckpt, but raise_by: 1"):
-        choose_raiser(1, "superslomo", Path("w.ckpt"))
-    with pytest.raises(InputError, match="raise_with: got superslomo, but raise_by: 1"):
-        choose_raiser(1, "superslomo", None)
-    raiser = choose_raiser(2, "optical_flow", None)
-    assert raiser is not None
-    assert raiser.record()["name"] == "optical_flow"
+@pytest.mark.parametrize(
+    ("by", "way", "checkpoint", "key"),
+    [
+        (1, "superslomo", "w.ckpt", "superslomo_checkpoint"),
+        (1, "superslomo", None, "interpolate_with"),
+        (2, "optical_flow", "w.ckpt", "superslomo_checkpoint"),
+        (2, "superslomo", None, "superslomo_checkpoint"),
+        (2, "superslomo", "nowhere.ckpt", r"superslomo_checkpoint: nowhere\.ckpt"),
+    ],
+)
+def test_a_checkpoint_that_does_not_fit_is_refused(by, way, checkpoint, key):
+    with pytest.raises(InputError, match=key):
+        choose_interpolator(by, way, checkpoint and Path(checkpoint))
+
+
+@pytest.mark.parametrize(
+    ("way", "package", "extra"), [("optical_flow", "cv2", "import"), ("superslomo", "torch", "learn")]
+)
+def test_missing_packages_are_named_with_their_extra(monkeypatch, way, package, extra):
+    monkeypatch.delitem(sys.modules, f"simulator.importers.{way}", raising=False)
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(InputError, match=rf"flatlight\[{extra}\]"):
+        choose_interpolator(2, way, None if way == "optical_flow" else Path("w.ckpt"))
+
+
+def test_what_interpolates_is_chosen_by_name():
+    assert choose_interpolator(1, "optical_flow", None) is None
+    interpolator = choose_interpolator(2, "optical_flow", None)
+    assert interpolator is not None
+    assert interpolator.record()["name"] == "optical_flow"
 
 
 def test_thirty_thousand_videos_travel_to_a_worker_in_little_time():
@@ -203,3 +237,97 @@ def test_thirty_thousand_videos_travel_to_a_worker_in_little_time():
     packed = pickle.dumps(clips)
     assert len(packed) < 4_000_000  # about 100 bytes each, and no frame
     assert pickle.loads(packed) == clips
+
+
+# OpenCV adds up to a few hundred float32 numbers per pixel: some roundings of 2**-24 each.
+ROUNDING = {"rtol": 2e-6, "atol": 0}
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(3)
+
+
+@pytest.mark.parametrize("factor", [2, 3, 5])
+def test_whole_factors_give_block_means(rng, factor):
+    image = rng.random((8 * factor, 6 * factor, 3), dtype=np.float32)
+    expected = image.astype(np.float64).reshape(8, factor, 6, factor, 3).mean(axis=(1, 3))
+    result = fit(image, Window(0, 0, 8 * factor, 6 * factor), (8, 6))
+    np.testing.assert_allclose(result, expected, **ROUNDING)
+
+
+def test_shrinking_keeps_the_mean_light_for_any_factor(rng):
+    # One bright pixel: wherever it falls, its light is shared out whole, which neither gamma nor point sampling would do.
+    for place in rng.integers(0, (240, 427), (20, 2)):
+        image = np.zeros((240, 427, 3), np.float32)
+        image[tuple(place)] = 1000
+        result = fit(image, Window(0, 0, 240, 427), (160, 150))
+        np.testing.assert_allclose(result.mean((0, 1), np.float64), image.mean((0, 1), np.float64), rtol=1e-5)
+
+
+def test_enlarging_interpolates_between_neighbours_and_never_beyond(rng):
+    ramp = np.broadcast_to(np.arange(10, dtype=np.float32)[:, None, None], (10, 10, 3))
+    large = fit(ramp, Window(0, 0, 10, 10), (40, 40))
+    # Centres of the new pixels in the old one's coordinates; the edge pixels reach outwards.
+    expected = np.clip((np.arange(40) + 0.5) / 4 - 0.5, 0, 9)
+    np.testing.assert_allclose(large[:, 7, 1], expected, atol=1e-6)
+    noise = rng.random((9, 9, 3), dtype=np.float32)
+    large = fit(noise, Window(0, 0, 9, 9), (31, 31))
+    assert large.min() >= noise.min()
+    assert large.max() <= noise.max()
+
+
+def test_same_size_is_a_copy(rng):
+    image = rng.random((8, 9, 3), dtype=np.float32)
+    result = fit(image, Window(0, 0, 8, 9), (8, 9))
+    np.testing.assert_array_equal(result, image)
+    result[:] = 0
+    assert image.any()
+
+
+sizes = st.tuples(st.integers(4, 2000), st.integers(4, 2000))
+
+
+@given(size=sizes, shape=sizes, crop=st.sampled_from(["centre", "random"]), seed=st.integers(0, 9))
+def test_window_lies_inside_is_as_large_as_can_be_and_keeps_proportions(size, shape, crop, seed):
+    window = largest_window(size, shape, crop, np.random.default_rng(seed))
+    assert window.row >= 0
+    assert window.column >= 0
+    assert window.row + window.rows <= size[0]
+    assert window.column + window.columns <= size[1]
+    assert window.rows == size[0] or window.columns == size[1]
+    scale = min(size[0] / shape[0], size[1] / shape[1])
+    # To the nearest whole pixel, and at least one.
+    assert abs(window.rows - max(1, scale * shape[0])) <= 0.5 + 1e-9
+    assert abs(window.columns - max(1, scale * shape[1])) <= 0.5 + 1e-9
+    if crop == "centre":
+        assert abs(size[0] - window.rows - 2 * window.row) <= 1
+        assert abs(size[1] - window.columns - 2 * window.column) <= 1
+
+
+def test_random_window_takes_every_place():
+    rng = np.random.default_rng(0)
+    columns = {largest_window((10, 14), (5, 5), "random", rng).column for _ in range(200)}
+    assert columns == {0, 1, 2, 3, 4}
+
+
+def test_all_frames_of_a_clip_go_through_one_window(rng):
+    image = rng.random((10, 30, 3), dtype=np.float32)
+    frames, window = fit_frames((image + i for i in range(4)), "film", (10, 10), "random", rng)
+    expected = image[:, window.column : window.column + 10]
+    for number, frame in enumerate(frames):
+        np.testing.assert_array_equal(frame, expected + np.float32(number))
+
+
+def test_changing_size_and_no_frames_are_refused(rng):
+    with pytest.raises(InputError, match=r"my\.mp4 changes its size from 8 x 8 to 8 x 9"):
+        fit_frames([np.zeros((8, 8, 3), np.float32), np.zeros((8, 9, 3), np.float32)], "my.mp4", (4, 4), "centre", rng)
+    with pytest.raises(InputError, match=r"my\.mp4 gave no frames"):
+        fit_frames([], "my.mp4", (4, 4), "centre", rng)
+
+
+@pytest.mark.parametrize("source", ["davis", "film", "something_something_v2", "youtube_vos"])
+@pytest.mark.parametrize(("old", "new"), [("raise_by", "interpolate_by"), ("raise_with", "interpolate_with")])
+def test_earlier_names_of_parameters_are_refused_with_the_new_ones(source, old, new):
+    with pytest.raises(ParameterError, match=f"{old}: .*{new}"):
+        resolve("source", source).bind({"path": "x", "frames": 3, old: 2})
