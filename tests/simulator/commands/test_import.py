@@ -288,11 +288,3 @@ def test_a_users_own_file(flatlight, rocks, tmp_path, monkeypatch) -> None:
     assert code == 0
     assert "mine, 3 usable" in out
     assert "source: ./mine.py:mine" in out
-
-
-@pytest.mark.shared
-def test_the_real_samples(flatlight, shared_data) -> None:
-    code, out, _ = flatlight("import", "--check", shared_data / "davis")
-    assert code == 0
-    assert "davis, 2 usable" in out
-    assert "note: masks a pixel larger or smaller than their image, resized: 1 (masks/judo/00005.png)" in out

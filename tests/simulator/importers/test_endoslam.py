@@ -1,10 +1,8 @@
 """Pictures with depth charts become clips: layouts, codes at full range, depth's sense, undistortion, borders, mistakes."""
 
 import json
-import os
 import pickle
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -305,54 +303,8 @@ class TestClips:
         assert camera.startswith(f"{tmp_path}/MiroCam: holds images without any depth chart (1)")
 
 
-class TestFolders:
-    @pytest.mark.parametrize("name", ["._{}", ".ipynb_checkpoints/{}", "__MACOSX/Frames/{}"])
-    def test_what_systems_leave_behind_is_no_frame(self, tmp_path, name):
-        root = unity(tmp_path)
-        expected = source_of(root).pairs
-        for file in [path for path in root.rglob("*") if path.is_file()]:
-            for folder in (file.parent, root):
-                junk = folder / name.format(file.name)
-                junk.parent.mkdir(parents=True, exist_ok=True)
-                junk.write_bytes(b"\x00\x05\x16\x07")
-        source = source_of(root)
-        assert (source.pairs, source.problems) == (expected, ())
-        assert survey(root).problems == ()
-
-    def test_linked_folders_are_followed(self, tmp_path):
-        unity(tmp_path / "disk")
-        (tmp_path / "root").mkdir()
-        (tmp_path / "root/organ").symlink_to(tmp_path / "disk/UnityCam/Colon", target_is_directory=True)
-        (tmp_path / "disk/UnityCam/Colon/back").symlink_to(tmp_path / "root", target_is_directory=True)
-        source = source_of(tmp_path / "root")
-        assert [pair.image.as_posix() for pair in source.pairs] == [f"organ/Frames/image_000{n}.png" for n in range(3)]
-        assert recognises(tmp_path / "root")
-
-    def test_a_folder_that_may_not_be_read_is_named(self, tmp_path, monkeypatch):
-        root, scandir = unity(tmp_path), os.scandir
-        shut = root / "UnityCam/Colon/Pixelwise Depths"
-
-        def refuse(path):
-            if Path(path) == shut:
-                raise PermissionError(13, "Permission denied", str(path))
-            return scandir(path)
-
-        monkeypatch.setattr(os, "scandir", refuse)
-        for call in (source_of, survey):
-            with pytest.raises(InputError, match=f"path: {shut} cannot be read: Permission denied"):
-                call(root)
-
-    def test_one_reason_for_many_files_makes_one_line(self, tmp_path):
-        root = unity(tmp_path, range(9))
-        for number in range(1, 9):
-            (root / f"UnityCam/Colon/Pixelwise Depths/aov_image_{number:04}.png").unlink()
-        for (line,) in (source_of(root).problems, survey(root).problems):
-            assert line.startswith(f"{root}/UnityCam/Colon/Frames/image_0001.png, ")
-            assert "image_0003.png and 5 more: has no depth chart of its number" in line
-
-
 class TestMistakes:
-    @pytest.mark.parametrize("name", ["depth_scale_cm", "depth_at_zero_cm", "frames_per_second"])
+    @pytest.mark.parametrize("name", ["depth_scale_cm", "frames_per_second"])
     def test_infinite_parameters(self, tmp_path, name):
         plain = {"path": str(tmp_path), "depth_scale_cm": 20, "depth_code": "linear", name: float("inf")}
         with pytest.raises(ParameterError, match=f"{name}: "):

@@ -199,16 +199,6 @@ def test_films_and_pictures_are_recognised_by_name(films, tmp_path):
     assert not recognises(tmp_path / "parts")
 
 
-def test_what_systems_leave_behind_is_no_video(films, tmp_path):
-    write_pictures(tmp_path / "seq", films.numbered(3))
-    (tmp_path / "seq" / "._frame8.png").write_bytes(b"")
-    (tmp_path / "__MACOSX").mkdir()
-    (tmp_path / "__MACOSX" / "a.webm").write_bytes(b"")
-    assert recognises(tmp_path)
-    source = film(VIEW, path=tmp_path, frames=2, frames_per_second=10)
-    assert ([video.name for video in source.videos], source.problems) == (["seq"], ())
-
-
 def test_folders_in_whose_count_pictures_are_missing_are_problems(films, tmp_path):
     write_pictures(tmp_path / "whole", films.numbered(4))
     write_pictures(tmp_path / "torn", films.numbered(4))
@@ -238,15 +228,3 @@ def test_a_folder_that_may_not_be_read_is_named(films, tmp_path, monkeypatch):
 def test_a_clip_says_by_which_matrix_its_colours_were_read(films, tmp_path):
     path = films.write(tmp_path / "a.webm", films.numbered(2))
     assert clip_of(film(VIEW, path=path, frames=2)).source["colour_matrix"] == "BT.601 (untagged)"
-
-
-@pytest.mark.shared
-def test_real_clips_are_films(shared_data):
-    source = film(VIEW, path=shared_data / "ssv2" / "clips", frames=49)
-    assert [len(video) for video in source.videos] == [49, 52, 58]
-    clip = clip_of(source)
-    assert clip.source["first_frame"] == 0
-    assert clip.frame_edges_s[-1] == pytest.approx(49 / 12)
-    # A hand is filmed, neither black nor white nor still.
-    assert 0.02 < clip.rgb.mean() < 0.8
-    assert np.abs(clip.rgb[24] - clip.rgb[0]).max() > 0.05

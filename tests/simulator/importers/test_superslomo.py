@@ -122,6 +122,11 @@ def checkpoint(content: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
 
 
 @pytest.fixture(scope="module")
+def interpolator(checkpoint: Path) -> SuperSloMo:
+    return SuperSloMo.from_checkpoint(checkpoint)
+
+
+@pytest.fixture(scope="module")
 def frames() -> NDArray[np.float32]:
     """Two smooth frames whose sides are no multiples of 32."""
     noise = np.random.default_rng(2).random((2, 37, 50, 3))
@@ -130,11 +135,14 @@ def frames() -> NDArray[np.float32]:
 
 
 def test_frames_are_those_of_the_formulas(
-    checkpoint: Path, networks: tuple[Published, Published], frames: NDArray[np.float32]
+    interpolator: SuperSloMo, checkpoint: Path, networks: tuple[Published, Published], frames: NDArray[np.float32]
 ) -> None:
-    found = SuperSloMo.from_checkpoint(checkpoint).interpolate(frames, 3)
+    found = interpolator.interpolate(frames, 3)
     assert found.shape == (4, 37, 50, 3)
     assert np.array_equal(found[::3], frames)
+    assert interpolator.inputs == (checkpoint,)
+    written = {"name": "superslomo", "checkpoint": "SuperSloMo.ckpt", "sha256": sha256_file(checkpoint)}
+    assert written.items() <= interpolator.record().items()
 
     first, second = (
         np.pad(linear_to_srgb(frame).astype(np.float64), ((0, 27), (0, 14), (0, 0)), mode="edge") - MEAN
@@ -179,8 +187,8 @@ def test_networks_that_say_nothing_leave_the_mean_by_time(content: dict[str, Any
     np.testing.assert_allclose(linear_to_srgb(found[1, ..., 0]), 0.75 * shrunk + 0.25 * 0.5, atol=1e-6)
 
 
-def test_bytes_do_not_depend_on_threads_which_stay(checkpoint: Path, frames: NDArray[np.float32]) -> None:
-    interpolator, before, results = SuperSloMo.from_checkpoint(checkpoint), torch.get_num_threads(), set()
+def test_bytes_do_not_depend_on_threads_which_stay(interpolator: SuperSloMo, frames: NDArray[np.float32]) -> None:
+    before, results = torch.get_num_threads(), set()
     try:
         for threads in (1, 4):
             torch.set_num_threads(threads)
@@ -191,25 +199,16 @@ def test_bytes_do_not_depend_on_threads_which_stay(checkpoint: Path, frames: NDA
     assert len(results) == 1
 
 
-def test_the_checkpoint_is_recorded_and_hashed(checkpoint: Path) -> None:
-    interpolator = SuperSloMo.from_checkpoint(checkpoint)
-    assert interpolator.inputs == (checkpoint,)
-    record = interpolator.record()
-    assert record["name"] == "superslomo"
-    assert record["checkpoint"] == "SuperSloMo.ckpt"
-    assert record["sha256"] == sha256_file(checkpoint)
-
-
 @pytest.mark.slow  # writes and reads 158 MB
 def test_safetensors_give_the_same(
-    checkpoint: Path, content: dict[str, Any], frames: NDArray[np.float32], tmp_path: Path
+    interpolator: SuperSloMo, content: dict[str, Any], frames: NDArray[np.float32], tmp_path: Path
 ) -> None:
     flat = {f"{key}.{name}": content[key][name] for key in ("state_dictFC", "state_dictAT") for name in content[key]}
     path = tmp_path / "weights.safetensors"
     save_file(flat, path)
     from_safetensors = SuperSloMo.from_checkpoint(path).interpolate(frames, 2)
     path.unlink()
-    assert np.array_equal(from_safetensors, SuperSloMo.from_checkpoint(checkpoint).interpolate(frames, 2))
+    assert np.array_equal(from_safetensors, interpolator.interpolate(frames, 2))
 
 
 class Evil:
