@@ -4,7 +4,7 @@ Sources: Brown, Close-range camera calibration, 1971, as OpenCV and MATLAB write
 generic camera model and calibration method, TPAMI 2006, as ``cv2.fisheye`` writes it; Scaramuzza, Martinelli and
 Siegwart, A toolbox for easily calibrating omnidirectional cameras, IROS 2006, as MATLAB's ``fisheyeIntrinsics`` writes it.
 
-The camera of a data set of images with depth, from the configuration or from a file beside the images.
+The camera of a data set comes from the configuration or from a file beside the images.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ class _Lens(BaseModel, frozen=True):
     """What all models share.
 
     Attributes:
+        cx: column of the optical axis.
+        cy: row of the optical axis.
         first_pixel: coordinate of the centre of the first pixel: 0 as in OpenCV, 1 as in MATLAB.
     """
 
@@ -69,8 +71,6 @@ class Pinhole(_Lens, frozen=True):
     Attributes:
         fx: focal length in pixels, across.
         fy: focal length in pixels, downwards.
-        cx: column of the optical axis.
-        cy: row of the optical axis.
         distortion: k1, k2, p1, p2, k3 in OpenCV's order; none, two, four or five.
     """
 
@@ -98,8 +98,6 @@ class OpencvFisheye(_Lens, frozen=True):
     Attributes:
         fx: focal length in pixels, across.
         fy: focal length in pixels, downwards.
-        cx: column of the optical axis.
-        cy: row of the optical axis.
         distortion: k1 to k4.
     """
 
@@ -125,8 +123,6 @@ class Scaramuzza(_Lens, frozen=True):
 
     Attributes:
         mapping: a0, a2, a3, a4 (``MappingCoefficients``); a0 in pixels.
-        cx: column of the distortion centre.
-        cy: row of the distortion centre.
         stretch: rows of the matrix that takes (u, v) to the sensor's pixels (``StretchMatrix``).
     """
 

@@ -1,8 +1,6 @@
-"""Depth charts as integers, and what their codes mean in metres.
+"""Depth charts as integers: what their codes mean in metres, how often each occurs, and depths beyond the limit.
 
-Depths beyond the limit: a clip that has no others is refused, one that mostly has such is warned of.
-
-How often each depth code occurs in a data set, and which depths that makes.
+A clip that has no other depths is refused, one that mostly has such is warned of.
 """
 
 from __future__ import annotations

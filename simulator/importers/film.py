@@ -8,16 +8,7 @@ from simulator.errors import InputError
 from simulator.importers.film_files import FILM_SUFFIXES, IMAGE_SUFFIXES, Film, ImageSequence, VideoSurvey, open_films
 from simulator.importers.inspection import Progress, Survey, told
 from simulator.importers.listing import counting_fault, is_folder, list_folder, natural
-from simulator.importers.videos import (
-    ClipPlan,
-    Count,
-    Crop,
-    FlatVideos,
-    InterpolateWith,
-    Positive,
-    choose_interpolator,
-    plane_depth,
-)
+from simulator.importers.videos import ClipPlan, Count, Crop, FlatVideos, InterpolateWith, Positive
 from simulator.types import View
 
 FALLBACK = True
@@ -63,9 +54,8 @@ def film(
     Raises:
         InputError: nothing at ``path`` can be used, or the parameters contradict one another.
     """
-    interpolator = choose_interpolator(interpolate_by, interpolate_with, superslomo_checkpoint)
-    plane_m = plane_depth(view, plane_cm)
-    plan = ClipPlan(frames, frames_per_second, interpolate_by, clips_per_video, crop, plane_m, interpolator)
+    interpolation = interpolate_by, interpolate_with, superslomo_checkpoint
+    plan = ClipPlan.of(view, frames, frames_per_second, clips_per_video, crop, plane_cm, *interpolation)
     root, film_names, sequences = _list(Path(path))
     if sequences and frames_per_second is None:
         msg = (

@@ -18,16 +18,7 @@ from simulator.errors import InputError
 from simulator.importers.film_files import VideoSurvey, open_films
 from simulator.importers.inspection import Progress, Survey, told
 from simulator.importers.listing import first_lines, is_folder, list_folder, refuse_unreadable
-from simulator.importers.videos import (
-    ClipPlan,
-    Count,
-    Crop,
-    FlatVideos,
-    InterpolateWith,
-    Positive,
-    choose_interpolator,
-    plane_depth,
-)
+from simulator.importers.videos import ClipPlan, Count, Crop, FlatVideos, InterpolateWith, Positive
 from simulator.types import View
 from simulator.validation import nearest
 
@@ -83,9 +74,8 @@ def something_something_v2(
     Raises:
         InputError: missing folders or files, no clip that can be used, contradicting parameters.
     """
-    interpolator = choose_interpolator(interpolate_by, interpolate_with, superslomo_checkpoint)
-    plane_m = plane_depth(view, plane_cm)
-    plan = ClipPlan(frames, frames_per_second, interpolate_by, clips_per_video, crop, plane_m, interpolator)
+    interpolation = interpolate_by, interpolate_with, superslomo_checkpoint
+    plan = ClipPlan.of(view, frames, frames_per_second, clips_per_video, crop, plane_cm, *interpolation)
     found = _list(Path(path), subset, classes)
     films, problems = open_films(found.root, found.films)
     problems = [*found.problems, *problems]

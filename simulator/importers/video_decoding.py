@@ -1,6 +1,4 @@
-"""Loading of packages that only importers need (the extra ``import``), with a word on how to get them.
-
-Reading films through PyAV (libav): which frames there are, and exactly those that are asked for.
+"""Reading films through PyAV (libav): which frames there are, and exactly those that are asked for.
 
 A frame's number is its place in the order of showing. A film is first read without decoding, for its packets' times; frames
 are then found by seeking to the key frame before them and comparing every time that comes out with the list. Where times are
@@ -49,14 +47,8 @@ def load_extra(module: str, package: str, extra: str = "import") -> ModuleType:
 
 
 _HDR = {16: "PQ (SMPTE ST 2084)", 18: "HLG (ARIB STD-B67)"}  # transfer characteristics of ITU-T H.273, table 3
-_MATRICES = {
-    1: "BT.709",
-    4: "FCC",
-    5: "BT.601",
-    6: "BT.601",
-    7: "SMPTE 240M",
-    9: "BT.2020",
-}  # its table 4: those that libav converts to RGB
+# Its table 4: those that libav converts to RGB.
+_MATRICES = {1: "BT.709", 4: "FCC", 5: "BT.601", 6: "BT.601", 7: "SMPTE 240M", 9: "BT.2020"}
 _UNSPECIFIED = 2
 _HD_UNTAGGED, _SD_UNTAGGED = "BT.709 (untagged)", "BT.601 (untagged)"
 """What players take untagged films for: those of high definition (720 rows or 1280 columns) follow its standard, BT.709."""
@@ -165,7 +157,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
 @functools.lru_cache(maxsize=64)
 def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
     shown: list[int | None] = []
-    keys: list[tuple[int | None, int | None]] = []
+    keys: list[tuple[int, int]] = []  # times of showing and of decoding
     seen = 0
     with _opened(path) as (container, stream):
         transfer = stream.codec_context.color_trc
@@ -182,10 +174,12 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
             if packet.stream.index != stream.index:
                 continue
             seen += packet.size > 0 or packet.dts is not None  # the last one, of no size and time, is PyAV's own
-            if packet.size and not packet.is_discard and not (vp8 and _hidden(packet)):
+            # A VP8 packet that only serves to predict others has show_frame unset (RFC 6386, section 9.1).
+            hidden = vp8 and packet.size and not memoryview(packet)[0] & 0x10
+            if packet.size and not packet.is_discard and not hidden:
                 shown.append(packet.pts)
-                if packet.is_keyframe:
-                    keys.append((packet.pts, packet.dts))
+                if packet.is_keyframe and packet.pts is not None:
+                    keys.append((packet.pts, packet.pts if packet.dts is None else packet.dts))
         promised, rate, unit = stream.frames, stream.average_rate or stream.guessed_rate, stream.time_base
         alone = len(container.streams) == 1
         duration_s = container.duration / 1e6 if container.duration else None  # microseconds
@@ -198,7 +192,8 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
         msg = f"{path} holds {seen} of the {promised} frames that its header promises: fetch it again"
         raise InputError(msg)
     # AVI holds no times of showing: what libav makes up is the order of decoding, wrong where images are out of order.
-    times = None if avi else _increasing(shown)
+    times = np.unique(np.array([time for time in shown if time is not None], np.int64))
+    times = times if len(times) == len(shown) and not avi else None
     variable = False
     if times is not None and len(times) > 1:
         intervals = np.diff(times)
@@ -217,7 +212,9 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
     if not rate:
         msg = f"{path} does not say how many frames per second it has: convert it to a film that does"
         raise InputError(msg)
-    return FilmIndex(len(shown), float(rate), variable, times, _key_table(times, keys), square, matrix)
+    rows = [] if times is None else [(int(np.searchsorted(times, pts)), pts, min(pts, dts)) for pts, dts in keys]
+    key_table = np.array(sorted(rows), np.int64).reshape(-1, 3)
+    return FilmIndex(len(shown), float(rate), variable, times, key_table, square, matrix)
 
 
 def _matrix(codec: Any, path: Path) -> str:
@@ -232,28 +229,6 @@ def _matrix(codec: Any, path: Path) -> str:
         )
         raise InputError(msg)
     return _HD_UNTAGGED if codec.height >= 720 or codec.width >= 1280 else _SD_UNTAGGED
-
-
-def _hidden(packet: Any) -> bool:
-    """Whether a VP8 packet only serves to predict others: show_frame is not set (RFC 6386, section 9.1)."""
-    return not memoryview(packet)[0] & 0x10
-
-
-def _increasing(shown: list[int | None]) -> NDArray[np.int64] | None:
-    known = [time for time in shown if time is not None]
-    times = np.unique(np.array(known, np.int64))
-    return times if len(times) == len(shown) else None
-
-
-def _key_table(times: NDArray[np.int64] | None, keys: list[tuple[int | None, int | None]]) -> NDArray[np.int64]:
-    if times is None:
-        return np.empty((0, 3), np.int64)
-    rows = [
-        (int(np.searchsorted(times, pts)), pts, pts if dts is None else min(pts, dts))
-        for pts, dts in keys
-        if pts is not None
-    ]
-    return np.array(sorted(rows), np.int64).reshape(-1, 3)
 
 
 def _frames(path: Path, index: FilmIndex, start: int, stop: int) -> Iterator[Any]:

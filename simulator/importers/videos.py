@@ -95,6 +95,34 @@ class ClipPlan:
     plane_m: float = FARTHEST_M
     interpolator: FrameInterpolator | None = None
 
+    @classmethod
+    def of(
+        cls,
+        view: View,
+        frames: int,
+        frames_per_second: float | None,
+        clips_per_video: int,
+        crop: Crop,
+        plane_cm: float | None,
+        interpolate_by: int,
+        interpolate_with: InterpolateWith,
+        superslomo_checkpoint: Path | None,
+    ) -> ClipPlan:
+        """Return the plan that a source's parameters make; the plane lies at the view's far depth unless it is said where.
+
+        Raises:
+            InputError: when the plane lies outside near..far, or as :func:`choose_interpolator`.
+        """
+        plane_m = min(view.far_m, FARTHEST_M) if plane_cm is None else plane_cm * 1e-2
+        if plane_cm is not None and not view.near_m <= plane_m <= view.far_m:
+            msg = (
+                f"plane_cm: got {plane_cm:g}, which is outside near..far = {view.near_m * 100:.4g}..{view.far_m * 100:.4g} "
+                "cm; choose a depth inside, or set scene.near_cm and scene.far_cm"
+            )
+            raise InputError(msg)
+        interpolator = choose_interpolator(interpolate_by, interpolate_with, superslomo_checkpoint)
+        return cls(frames, frames_per_second, interpolate_by, clips_per_video, crop, plane_m, interpolator)
+
     @property
     def needed(self) -> int:
         """The video's frames that a clip takes: each but the last becomes ``interpolate_by`` frames."""
@@ -137,23 +165,6 @@ class ClipPlan:
     def interpolated(self) -> str:
         """How much is interpolated, for messages; empty where nothing is."""
         return f", interpolated by {self.interpolate_by}" if self.interpolate_by > 1 else ""
-
-
-def plane_depth(view: View, plane_cm: float | None) -> float:
-    """Return the plane's depth in metres: as given, else the view's far depth.
-
-    Raises:
-        InputError: when it lies outside near..far.
-    """
-    if plane_cm is None:
-        return min(view.far_m, FARTHEST_M)
-    if not view.near_m <= plane_cm * 1e-2 <= view.far_m:
-        msg = (
-            f"plane_cm: got {plane_cm:g}, which is outside near..far = {view.near_m * 100:.4g}..{view.far_m * 100:.4g} "
-            "cm; choose a depth inside, or set scene.near_cm and scene.far_cm"
-        )
-        raise InputError(msg)
-    return plane_cm * 1e-2
 
 
 def choose_interpolator(

@@ -14,16 +14,7 @@ from simulator.errors import InputError
 from simulator.importers.inspection import Progress, Survey
 from simulator.importers.listing import is_folder, list_folder
 from simulator.importers.masked_videos import Categories, MaskedVideos, find_videos
-from simulator.importers.videos import (
-    ClipPlan,
-    Count,
-    Crop,
-    FlatVideos,
-    InterpolateWith,
-    Positive,
-    choose_interpolator,
-    plane_depth,
-)
+from simulator.importers.videos import ClipPlan, Count, Crop, FlatVideos, InterpolateWith, Positive
 from simulator.types import View
 
 FILMED_AT = 30.0
@@ -76,9 +67,8 @@ def youtube_vos(
         InputError: for missing folders, a damaged meta.json, or when no video is long enough.
     """
     found = find(Path(path), subset, keep_background)
-    interpolator = choose_interpolator(interpolate_by, interpolate_with, superslomo_checkpoint)
-    plane_m = plane_depth(view, plane_cm)
-    plan = ClipPlan(frames, frames_per_second, interpolate_by, clips_per_video, crop, plane_m, interpolator)
+    interpolation = interpolate_by, interpolate_with, superslomo_checkpoint
+    plan = ClipPlan.of(view, frames, frames_per_second, clips_per_video, crop, plane_cm, *interpolation)
     return found.source(view, plan, [found.root / _META])
 
 

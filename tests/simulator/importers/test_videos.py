@@ -20,7 +20,6 @@ from simulator.importers.videos import (
     fit,
     fit_frames,
     largest_window,
-    plane_depth,
 )
 from simulator.plugins import ParameterError, resolve
 from simulator.types import FARTHEST_M, SceneSource, View
@@ -187,11 +186,14 @@ def test_a_video_that_gives_fewer_frames_than_it_promised_is_named():
 
 
 def test_plane_lies_far_away_unless_it_is_said_where():
-    assert plane_depth(VIEW, None) == 0.2
-    assert plane_depth(VIEW, 5) == 0.05
-    assert plane_depth(View((8, 8), 1e-5, 2e-3, 0.04, float("inf")), None) == FARTHEST_M
-    with pytest.raises(InputError, match=r"plane_cm: got 21, which is outside near\.\.far = 4..20 cm"):
-        plane_depth(VIEW, 21)
+    def plane_m(view, plane_cm):
+        return ClipPlan.of(view, 4, None, 1, "centre", plane_cm, 1, "optical_flow", None).plane_m
+
+    assert plane_m(VIEW, None) == 0.2
+    assert plane_m(VIEW, 5) == 0.05
+    assert plane_m(replace(VIEW, far_m=float("inf")), None) == FARTHEST_M
+    with pytest.raises(InputError, match="plane_cm"):
+        plane_m(VIEW, 21)
 
 
 @pytest.mark.parametrize(
