@@ -160,7 +160,7 @@ def pinhole_of(matrix: NDArray[np.float64], name: str) -> Pinhole:
         name: the file, for the message.
 
     Raises:
-        InputError: when it is no such matrix, or MATLAB's transposed one.
+        InputError: when it is not such a matrix, or is MATLAB's transposed one.
     """
     numbers = matrix.tolist()
     if matrix[2, 0] > 0 and matrix[2, 1] > 0 and not matrix[0, 2] and not matrix[1, 2]:

@@ -39,7 +39,7 @@ def film(
             folder of films or of such folders.
         frames: of a clip, after interpolation.
         frames_per_second: rate at which a clip is taken to have been filmed; without it the film's own times interpolate_by.
-            Images have none of their own. A shutter of some milliseconds sees motion only if the frames are that short.
+            Images have none. A shutter of some milliseconds sees motion only if the frames are that short.
         interpolate_by: frames that one of the film's becomes by temporal interpolation.
         interpolate_with: how frames are interpolated.
         superslomo_checkpoint: the published weights, for ``superslomo``.
@@ -59,7 +59,7 @@ def film(
     root, film_names, sequences = _list(Path(path))
     if sequences and frames_per_second is None:
         msg = (
-            f"frames_per_second: images such as those in {root / next(iter(sequences))} have no rate of their own; say at "
+            f"frames_per_second: images such as those in {root / next(iter(sequences))} have no frame rate; say at "
             "which rate a clip is taken to have been filmed"
         )
         raise InputError(msg)
@@ -77,8 +77,8 @@ def film(
 def recognises(path: Path) -> bool:
     """Whether there are films or images at a path, judged by names alone.
 
-    A folder of folders must hold nothing else: files beside them, or folders without images, tell of a data set with a layout
-    of its own.
+    A folder of folders must hold nothing else: files beside them, or folders without images, tell of a data set with another
+    layout.
 
     Raises:
         InputError: a folder cannot be read.

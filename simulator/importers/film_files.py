@@ -84,7 +84,7 @@ class ImageSequence:
 
     @property
     def frames_per_second(self) -> None:
-        """Images have no rate of their own."""
+        """Images have no frame rate."""
 
     @property
     def label(self) -> None:

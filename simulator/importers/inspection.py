@@ -1,6 +1,6 @@
 """What lies in a folder: which source reads it, and what reading all of it once shows; for ``flatlight import --check``.
 
-The module of a source may hold two functions beside the one of its own name: ``recognises(path) -> bool``, which looks at
+The module of a source may hold two functions beside the one of its name: ``recognises(path) -> bool``, which looks at
 names only, and ``survey(path, progress, **options) -> Survey``, whose options are some of the source's own parameters.
 Modules without them, such as a user's own, are left out. A module whose ``FALLBACK`` is true steps aside where another one
 recognises the path too. Nothing that the folder names is imported.

@@ -35,7 +35,7 @@ def read_object_numbers(path: Path) -> NDArray[np.uint8]:
     """
     from PIL import Image
 
-    picture_shape(path)  # a file that is no image, or claims too many pixels, is refused by its header
+    picture_shape(path)  # a file that is not an image, or claims too many pixels, is refused by its header
     try:
         with Image.open(path) as image:
             mode, values = image.mode, np.asarray(image)

@@ -148,7 +148,7 @@ class _Found:
 
 def _list(root: Path, subset: Subset | None, classes: Classes) -> _Found:
     if not is_folder(root):
-        msg = f"path: {root} is no folder; expected the one that holds the clips' folder and the label files"
+        msg = f"path: {root} is not a folder; expected the one that holds the clips' folder and the label files"
         raise InputError(msg)
     chosen: Subset = subset or ("train" if find_labels(root, "train") else "validation")
     places = {name: find_labels(root, name) for name in ("labels", chosen)}
@@ -227,7 +227,7 @@ def read_templates(path: Path) -> dict[str, Any]:
     """
     content = _read_json(path)
     if not isinstance(content, dict) or not content or not all(str(value).isdecimal() for value in content.values()):
-        msg = f'{path} is no file of labels: expected {{"Approaching something with your camera": "0", ...}}'
+        msg = f'{path} is not a file of labels: expected {{"Approaching something with your camera": "0", ...}}'
         raise InputError(msg)
     return content
 
@@ -299,7 +299,7 @@ def read_table(path: Path, templates: Collection[str], labels: Path) -> dict[str
     try:
         rows = [(reader.line_num, row) for row in reader if row]
     except csv.Error as error:
-        msg = f"{path}:{reader.line_num} is no line of a CSV file ({error})"
+        msg = f"{path}:{reader.line_num} is not a line of a CSV file ({error})"
         raise InputError(msg) from error
     columns = [name.strip() for name in rows[0][1]] if rows else []
     if columns != ["template", "class"] or len(rows) == 1:

@@ -211,7 +211,7 @@ def find_circle(images: Sequence[NDArray[np.uint8] | NDArray[np.uint16]], name: 
         if centred and np.median(np.abs(miss)) <= _RESIDUAL_PX:
             return column, row, radius - _MARGIN_PX
     msg = (
-        f"border: the black rim of {name}'s images ({100 * border.mean():.1f} % of them) is bounded by no circle: give "
+        f"border: the black rim of {name}'s images ({100 * border.mean():.1f} % of them) is not bounded by a circle: give "
         "border: [column, row, radius] in pixels, or border: none"
     )
     raise InputError(msg)

@@ -88,7 +88,7 @@ def index_film(path: Path) -> FilmIndex:
     """Read a film's packets, without decoding them. The last few films are remembered as long as their files stay the same.
 
     Raises:
-        InputError: naming the file, when it is missing, no film, damaged, cut short or of high dynamic range.
+        InputError: naming the file, when it is missing, not a film, damaged, cut short or of high dynamic range.
     """
     try:
         state = path.stat()
@@ -150,7 +150,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
             stream.codec_context.thread_count = 1  # jobs run one process per core already
             yield container, stream
     except av.FFmpegError as error:
-        msg = f"{path} is no film, damaged or cut short ({error.strerror}): fetch it again"
+        msg = f"{path} is not a film, or is damaged or cut short ({error.strerror}): fetch it again"
         raise InputError(msg) from error
 
 

@@ -313,7 +313,7 @@ class FlatVideos:
         own_rate = video.frames_per_second
         rate = plan.frames_per_second or (None if own_rate is None else own_rate * plan.interpolate_by)
         if rate is None:
-            msg = f"frames_per_second: {video.name} has no rate of its own; say at which a clip is taken to have been filmed"
+            msg = f"frames_per_second: {video.name} has no frame rate; say at which a clip is taken to have been filmed"
             raise InputError(msg)
         shape = rgb.shape[:3]
         source = {

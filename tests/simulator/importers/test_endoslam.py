@@ -246,7 +246,7 @@ class TestPictures:
             barred[black] = 0
             save(tmp_path / f"Frames/image_{number:04}.png", barred)
             save(tmp_path / f"Pixelwise Depths/aov_image_{number:04}.png", np.full((64, 64), 60, np.uint8))
-        with pytest.raises(InputError, match=r"bounded by no circle: give border: \[column, row, radius\]"):
+        with pytest.raises(InputError, match=r"not bounded by a circle: give border: \[column, row, radius\]"):
             source_of(tmp_path, border="auto")
         assert source_of(tmp_path, border="none").circle is None
         assert source_of(tmp_path, border=[31.5, 30, 20]).circle == (31.5, 30.0, 20.0)

@@ -53,7 +53,7 @@ def test_pictures_are_taken_in_the_order_of_their_numbers(films, tmp_path):
 
 def test_pictures_without_a_rate_are_refused(films, tmp_path):
     write_pictures(tmp_path / "seq", films.numbered(3))
-    with pytest.raises(InputError, match=r"frames_per_second: images such as those in .*seq have no rate"):
+    with pytest.raises(InputError, match=r"frames_per_second: images such as those in .*seq have no frame rate"):
         film(VIEW, path=tmp_path / "seq", frames=2)
 
 

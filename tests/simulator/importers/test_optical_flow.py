@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from simulator.colour import decode_srgb_picture, linear_to_srgb, srgb_to_linear
-from simulator.errors import InputError
 from simulator.importers.optical_flow import Motion, OpticalFlow, both_flows
 
 SIZE = 112
@@ -136,16 +135,6 @@ def test_black_stays_black_and_the_still_stays_still() -> None:
     # DIS works on patches of 8 pixels at steps up to 8: 20 pixels from what moves it finds no motion.
     corner = np.s_[:, 96:]
     assert np.abs(found[1:-1][corner] - still[0][96:]).max() < 1e-6
-
-
-def test_frames_that_were_given_are_left_bit_for_bit() -> None:
-    frames = np.stack([drawn(translating, time) for time in (0, 0.25, 1)])
-    interpolator = OpticalFlow()
-    assert np.array_equal(interpolator.interpolate(frames, 1), frames)
-    assert np.array_equal(interpolator.interpolate(frames, 3)[::3], frames)
-    assert np.array_equal(interpolator.interpolate(frames[:1], 5), frames[:1])
-    twice = np.repeat(frames[:1], 2, axis=0)
-    assert np.array_equal(interpolator.interpolate(twice, 3), np.repeat(frames[:1], 4, axis=0))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 3), (3, 50), (31, 33)])
@@ -274,22 +263,6 @@ def test_it_travels_and_says_what_it_is() -> None:
     assert interpolator.inputs == ()
     assert interpolator.record()["name"] == "optical_flow"
     assert interpolator.record()["opencv"] == cv2.__version__
-
-
-@pytest.mark.parametrize(
-    ("frames", "factor", "reason"),
-    [
-        (np.zeros((2, 4, 4, 3), np.float32), 0, "factor: got 0"),
-        (np.zeros((2, 4, 4, 3), np.float32), 2.5, "factor: got 2.5"),
-        (np.zeros((2, 4, 4), np.float32), 2, r"float32 \(2, 4, 4\)"),
-        (np.zeros((2, 4, 4, 3)), 2, "float64"),
-        (np.full((2, 4, 4, 3), -1, np.float32), 2, "negative"),
-        (np.full((2, 4, 4, 3), np.nan, np.float32), 2, "NaN"),
-    ],
-)
-def test_bad_frames_are_refused(frames: NDArray, factor: int, reason: str) -> None:
-    with pytest.raises(InputError, match=reason):
-        OpticalFlow().interpolate(frames, factor)
 
 
 def decibels(found: NDArray, truth: NDArray) -> float:

@@ -299,7 +299,7 @@ def test_high_dynamic_range_other_files_and_missing_ones_are_refused(films, tmp_
         index_film(path)
     text = tmp_path / "text.mp4"
     text.write_text("no film at all, but some text in a file with a film's name")
-    with pytest.raises(InputError, match=r"text\.mp4 is no film"):
+    with pytest.raises(InputError, match=r"text\.mp4 is not a film"):
         index_film(text)
     with pytest.raises(InputError, match=r"none\.mp4 cannot be read: No such file"):
         index_film(tmp_path / "none.mp4")

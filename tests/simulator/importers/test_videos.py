@@ -135,7 +135,7 @@ def test_a_video_in_which_clips_would_repeat_is_listed_with_how_many_fit():
 
 def test_a_video_without_a_rate_needs_one():
     clips = source([Numbers("a", 5, None)], ClipPlan(4))
-    with pytest.raises(InputError, match="frames_per_second: a has no rate of its own"):
+    with pytest.raises(InputError, match="frames_per_second: a has no frame rate"):
         clips.clip(0, np.random.default_rng(0))
     clip = source([Numbers("a", 5, None)], ClipPlan(4, frames_per_second=10)).clip(0, np.random.default_rng(0))
     assert "own_frames_per_second" not in clip.source
