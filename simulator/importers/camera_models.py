@@ -153,11 +153,7 @@ Lens: TypeAlias = Pinhole | OpencvFisheye | Scaramuzza
 
 
 def pinhole_of(matrix: NDArray[np.float64], name: str) -> Pinhole:
-    """Return the pinhole of a camera matrix.
-
-    Args:
-        matrix: ``(3, 3)``: fx, 0, cx; 0, fy, cy; 0, 0, 1.
-        name: the file, for the message.
+    """Return the pinhole of a camera matrix ``(3, 3)``: fx, 0, cx; 0, fy, cy; 0, 0, 1.
 
     Raises:
         InputError: when it is not such a matrix, or is MATLAB's transposed one.

@@ -100,8 +100,8 @@ def check_depths(root: Path, chart: Path, seen_m: NDArray[np.float64], decoding:
         root: the data set's folder.
         chart: the clip's first chart, relative to ``root``.
         seen_m: metres of the clip's pixels that are seen, any shape; infinite where there is no depth.
-        decoding: what its codes mean, for the message.
-        max_m: deepest valid depth, metres.
+        decoding: for the message.
+        max_m: deepest valid depth.
 
     Raises:
         InputError: naming the chart, when no depth is at most ``max_m``.

@@ -151,17 +151,10 @@ def read_pairs(
     read: Callable[[Pair], tuple[int, ...]],
     progress: Progress | None,
 ) -> tuple[list[Pair], list[Fault], dict[str, str], list[str]]:
-    """Read every pair once, for a survey.
-
-    Args:
-        root: the data set's folder.
-        pairs: all of them.
-        unpaired: what is wrong with other files.
-        read: reads one, and returns its rows and columns; its errors are problems.
-        progress: called with how many pairs were read, and of how many.
+    """Read every pair once, for a survey; ``read`` returns a pair's rows and columns, its errors are faults.
 
     Returns:
-        The pairs that can be used; the faults of all others; facts about sequences and sizes; and notes.
+        The pairs that can be used; the faults of the others, after ``unpaired``; facts on sequences and sizes; and notes.
     """
     good: list[Pair] = []
     faults, sizes = list(unpaired), set[tuple[int, ...]]()

@@ -34,9 +34,6 @@ def read_pfm(path: Path) -> NDArray[np.float32]:
 
     The scale's sign gives the byte order; its magnitude, a display hint, is not applied.
 
-    Args:
-        path: the file.
-
     Returns:
         float32 ``(H, W)`` for ``Pf`` or ``(H, W, 3)`` for ``PF``, row 0 at the top, all finite.
 
@@ -214,12 +211,7 @@ DepthMap: TypeAlias = AffineMap | FixedDepth
 
 
 def check_fixed_depths(depth_m: NDArray[np.float64], disparity: NDArray[np.float64], path: Path) -> None:
-    """Refuse disparities so small or large that single precision cannot hold their depth.
-
-    Args:
-        depth_m: by :class:`FixedDepth`, metres, any shape.
-        disparity: what they come from, pixels, same shape.
-        path: the file, for the message.
+    """Refuse disparities (pixels) so small or large that single precision cannot hold their depth by :class:`FixedDepth`.
 
     Raises:
         InputError: naming the file.

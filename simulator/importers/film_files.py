@@ -109,11 +109,7 @@ class ImageSequence:
 
 
 def open_films(root: Path, films: Iterable[tuple[str, str | None]]) -> tuple[list[Film], list[str]]:
-    """Read the packets of films, some at a time.
-
-    Args:
-        root: folder that the names start from.
-        films: their names and labels.
+    """Read the packets of films, given by their names below a folder and their labels; some at a time.
 
     Returns:
         The films that can be read, in order; and problems, ``"file: reason"``, with the others.

@@ -270,7 +270,7 @@ def find_videos(
     """List videos and match masks with images, by name; no file is opened.
 
     Args:
-        importer: the importer's name.
+        importer: its name.
         root: the data set's folder.
         images: folder with a folder of images per video.
         masks: folder with a folder of masks per video.

@@ -63,12 +63,6 @@ def object_pixels(numbers: NDArray[np.uint8]) -> NDArray[np.bool_]:
 def fit_mask(numbers: NDArray[np.uint8], shape: tuple[int, int], mask: Path, image: Path) -> NDArray[np.uint8]:
     """Return a mask in its image's size; one that is a pixel larger or smaller is resized, by nearest neighbour.
 
-    Args:
-        numbers: ``(H, W)``.
-        shape: rows and columns of the image.
-        mask: the mask's file, for the message.
-        image: the image's file, for the message.
-
     Raises:
         InputError: when the sizes differ by more than a pixel.
     """

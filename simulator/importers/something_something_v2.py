@@ -235,11 +235,6 @@ def read_templates(path: Path) -> dict[str, Any]:
 def read_entries(path: Path, templates: Collection[str], labels: Path) -> tuple[dict[str, str], dict[str, str]]:
     """Read a subset's file, ``[{"id": "74225", "template": "Spinning [something] ...", ...}, ...]``.
 
-    Args:
-        path: the file.
-        templates: all that are known.
-        labels: the file that they come from, for messages.
-
     Returns:
         By a clip's number, which names its file: the template, without brackets, where that is known; and, for the other
         clips, the line that says what they have instead.
@@ -277,11 +272,6 @@ def read_entries(path: Path, templates: Collection[str], labels: Path) -> tuple[
 
 def read_table(path: Path, templates: Collection[str], labels: Path) -> dict[str, str]:
     """Read a table of classes: a CSV file with the columns ``template`` and ``class``; lines that begin with # are comments.
-
-    Args:
-        path: the file.
-        templates: all that are known.
-        labels: the file that they come from, for messages.
 
     Returns:
         Each listed template's class.

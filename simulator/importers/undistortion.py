@@ -178,11 +178,7 @@ _RESIDUAL_PX = 1.5
 
 
 def find_circle(images: Sequence[NDArray[np.uint8] | NDArray[np.uint16]], name: str) -> Circle | None:
-    """Find the circle outside which all images are black.
-
-    Args:
-        images: sRGB codes ``(H, W, 3)`` of one camera.
-        name: the sequence, for the message.
+    """Find the circle outside which all images of one camera, sRGB codes ``(H, W, 3)``, are black.
 
     Returns:
         Column, row and radius in pixels, 1.5 pixels within the edge, since the lens fades out there; None when less than

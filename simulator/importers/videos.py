@@ -244,15 +244,9 @@ class FlatVideos:
         problems: Iterable[str] = (),
         other_inputs: Iterable[Path] = (),
     ) -> FlatVideos:
-        """Make a source of those videos that are long enough, and list the others among its problems.
+        """Make a source of those videos that are long enough, and add the others to the problems that were found already.
 
-        Args:
-            importer: see above.
-            view: see above.
-            videos: in the order in which splits are filled.
-            plan: see above.
-            problems: lines that were found already.
-            other_inputs: see above.
+        Videos stand in the order in which splits are filled.
 
         Raises:
             InputError: no video can be used.
@@ -374,15 +368,10 @@ def largest_window(size: tuple[int, int], shape: tuple[int, int], crop: Crop, rn
 
 
 def fit(image: NDArray[np.float32], window: Window, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Cut a window out of an image and resample it.
+    """Cut a window out of an image ``(H, W, 3)`` of linear light and resample it to a shape of rows and columns.
 
     Where the window is larger than the view, each new pixel is the mean over its area, so the mean light stays what it was;
     where it is smaller, values are interpolated bilinearly, so none is brighter or darker than its neighbours.
-
-    Args:
-        image: linear light ``(H, W, 3)``.
-        window: part of the image.
-        shape: rows and columns of the result.
 
     Returns:
         float32 ``(*shape, 3)``, a copy.
@@ -402,14 +391,9 @@ def fit(image: NDArray[np.float32], window: Window, shape: tuple[int, int]) -> N
 def fit_frames(
     frames: Iterable[NDArray[np.float32]], name: str, shape: tuple[int, int], crop: Crop, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], Window]:
-    """Fit frames one after the other, all through the same window; only one frame at a time is held in its own size.
+    """Fit frames ``(H, W, 3)`` of linear light one after the other, all through the same window, see :func:`largest_window`.
 
-    Args:
-        frames: linear light, each ``(H, W, 3)``.
-        name: what they are called in messages.
-        shape: rows and columns of the view.
-        crop: see :func:`largest_window`.
-        rng: the sample's.
+    Only one frame at a time is held in its full size.
 
     Returns:
         ``(T, *shape, 3)`` float32, and the window.
