@@ -7,6 +7,7 @@ import hashlib
 import importlib
 import inspect
 import pkgutil
+import re
 import sys
 import traceback
 import warnings
@@ -58,6 +59,9 @@ def modules_defining(package: str, kind: str) -> frozenset[str]:
 
 def _defines(source: str, name: str) -> bool:
     """Whether a module's top level binds a name; a module that does not even parse is left for its import to report."""
+    binding = rf"^(?:(?:def|class)\s+)?{name}\b|^(?:from|import)\s.*\b{name}\b|^[ \t]+(?:\w+\s+as\s+)?{name}\b"
+    if not re.search(binding, source, re.MULTILINE):  # parsing takes a thousand times as long
+        return False
     try:
         body = ast.parse(source).body
     except (SyntaxError, ValueError):

@@ -20,6 +20,7 @@ from simulator.text import KeyPath, dotted, nearest, show
 Model = TypeVar("Model", bound=BaseModel)
 
 _INFINITIES = {sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in ("inf", ".inf")}
+_RENAMED = {"raise_by": "interpolate_by", "raise_with": "interpolate_with"}  # keys of earlier versions
 _EXPECTED = {
     "float_type": "a number",
     "int_type": "a whole number",
@@ -181,6 +182,8 @@ def _unknown_key(model: type[BaseModel], loc: KeyPath, value: Any, also: Iterabl
     text = f"unknown key, got {show(value)}"
     if tag not in options:
         return text
+    if _RENAMED.get(key) in options[tag].model_fields:
+        return f"got {show(value)}; this key is now called {_RENAMED[key]}"
     for other, section in options.items():
         if other != tag and key in section.model_fields:
             return f"got {show(value)}; this key belongs to {other}, but this is {tag}: keep one of the two"

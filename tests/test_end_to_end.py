@@ -196,7 +196,7 @@ def test_eight_samples_of_the_real_frame_through_phlatcam(trial, shared_data: Pa
     """Crops of the real FlyingThings3D frame: the picture's own pixels, linearised, at the camera's depths."""
     from PIL import Image
 
-    from simulator.importers.stereo.pfm import read_pfm
+    from simulator.importers.disparity import read_pfm
 
     changes: dict[str, Any] = {
         "camera": {"mask": PHLATCAM, "sensor": {"binning": 8, "shape": [96, 128]}, "exposure": {"full_scale": "auto"}},

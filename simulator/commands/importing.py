@@ -11,7 +11,6 @@ import typer
 from simulator.errors import InputError
 
 if TYPE_CHECKING:
-    from simulator.importers.survey import Survey
     from simulator.plugins import Plugin
 
 _EXAMPLE_SIZE = "[128, 128]"
@@ -34,7 +33,7 @@ def import_check(
     """Read a data set in its original layout once and report what was found; nothing is copied or changed."""
     from simulator.config.yaml import apply_overrides, parse_yaml
     from simulator.console import Bar
-    from simulator.importers.check import choose, find_candidates, run_survey
+    from simulator.importers.inspection import choose, find_candidates, run_survey
     from simulator.plugins import resolve
 
     if not check.exists():
@@ -51,11 +50,6 @@ def import_check(
             plugin = choose(check, candidates)
         survey = run_survey(plugin, check, options, lambda done, total: bar.update("read", done, total))
     print(survey)
-    _judge(survey, skip_bad)
-    print(_usage(plugin, check, options, survey.needed))
-
-
-def _judge(survey: Survey, skip_bad: bool) -> None:
     if not survey.usable:
         msg = f"{survey.path}: nothing can be used; mend the problems above, or check the path"
         raise InputError(msg)
@@ -65,6 +59,7 @@ def _judge(survey: Survey, skip_bad: bool) -> None:
             "here and in flatlight generate"
         )
         raise InputError(msg)
+    print(_usage(plugin, check, options, survey.needed))
 
 
 def _usage(plugin: Plugin, path: Path, options: dict[str, Any], needed: tuple[str, ...]) -> str:

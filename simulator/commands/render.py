@@ -94,7 +94,7 @@ def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) 
     from simulator.assemble import build_source, scene_plugin
     from simulator.dataset.engines import available_cpus
     from simulator.dataset.recipe import scene_clip
-    from simulator.importers.survey import first_lines
+    from simulator.importers.inspection import first_lines
     from simulator.plugins import plugin_errors
     from simulator.render.backend import activate, choose_backend
 

@@ -8,25 +8,19 @@ per object). Films of 24 frames per second.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
-
-from pydantic import Field
+from typing import Literal, get_args
 
 from simulator.errors import InputError
-from simulator.importers.films.flat_videos import FlatVideos
-from simulator.importers.films.video import ClipPlan
+from simulator.importers.inspection import Progress, Survey
 from simulator.importers.listing import is_folder, list_folder
-from simulator.importers.survey import Progress, Survey
-from simulator.importers.vos.survey import survey_videos
-from simulator.importers.vos.videos import Found, RaiseWith, find_videos, masked_source
+from simulator.importers.masked_videos import MaskedVideos, find_videos
+from simulator.importers.videos import ClipPlan, Count, Crop, FlatVideos, InterpolateWith, Positive
 from simulator.types import View
 
 FILMED_AT = 24.0
 """Frames per second (Perazzi et al., section 3)."""
 
 Resolution = Literal["480p", "1080p", "Full-Resolution"]
-_RESOLUTIONS = ("480p", "1080p", "Full-Resolution")
-_IMAGE_SETS = "ImageSets"
 _FLAT = ("images", "masks")
 
 
@@ -34,16 +28,16 @@ def davis(
     view: View,
     *,
     path: Path,
-    frames: Annotated[int, Field(ge=1)],
+    frames: Count,
     subset: str | None = None,
     resolution: Resolution = "480p",
-    frames_per_second: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
-    clips_per_video: Annotated[int, Field(ge=1)] = 1,
-    crop: Literal["centre", "random"] = "centre",
-    plane_cm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
+    frames_per_second: Positive | None = None,
+    clips_per_video: Count = 1,
+    crop: Crop = "centre",
+    plane_cm: Positive | None = None,
     keep_background: bool = False,
-    raise_by: Annotated[int, Field(ge=1)] = 1,
-    raise_with: RaiseWith = "optical_flow",
+    interpolate_by: Count = 1,
+    interpolate_with: InterpolateWith = "optical_flow",
     superslomo_checkpoint: Path | None = None,
 ) -> FlatVideos:
     """Read clips of the annotated objects of DAVIS.
@@ -55,16 +49,16 @@ def davis(
         view: the camera's view: size of the clips, far depth.
         path: the folder that holds JPEGImages and Annotations (or Annotations_unsupervised); or ``images`` and ``masks``
             with a folder per video.
-        frames: frames of a clip, after raising; videos have 25 to 104.
+        frames: frames of a clip, after interpolation; videos have 25 to 104.
         subset: a list of ImageSets, such as train or val (of 2017 where both years have it), or 2016/val; null takes all.
         resolution: which folder of JPEGImages.
-        frames_per_second: rate at which a clip is taken to run; null is the video's own, 24 per second, times raise_by.
+        frames_per_second: rate at which a clip is taken to run; null is the video's own, 24 per second, times interpolate_by.
         clips_per_video: clips that one video gives, evenly spread; 1 begins at a random frame.
         crop: where the largest window of the view's proportions is cut out, the same for all frames of a clip.
         plane_cm: depth of the plane that shows the clip; null is the far depth.
-        keep_background: leave pictures as they are; then frames without a mask are used too.
-        raise_by: frames that one becomes by interpolation, after the background is removed; 1 leaves them.
-        raise_with: how frames are interpolated.
+        keep_background: leave images as they are; then frames without a mask are used too.
+        interpolate_by: frames that one becomes by temporal interpolation, after the background is removed; 1 leaves them.
+        interpolate_with: how frames are interpolated.
         superslomo_checkpoint: file of the published network's weights, for superslomo.
 
     Returns:
@@ -73,23 +67,17 @@ def davis(
     Raises:
         InputError: for missing folders and lists, or when no video is long enough.
     """
-    found = find(Path(path), subset=subset, resolution=resolution, keep_background=keep_background)
-    plan = ClipPlan(frames, frames_per_second, raise_by, clips_per_video, crop)
-    return masked_source(
-        "davis",
-        view,
-        found,
-        plan,
-        plane_cm=plane_cm,
-        raise_with=raise_with,
-        superslomo_checkpoint=superslomo_checkpoint,
-    )
+    found = find(Path(path), subset, resolution, keep_background)
+    interpolation = interpolate_by, interpolate_with, superslomo_checkpoint
+    plan = ClipPlan.of(view, frames, frames_per_second, clips_per_video, crop, plane_cm, *interpolation)
+    return found.source(view, plan)
 
 
 def recognises(path: Path) -> bool:
     """Whether a folder is laid out like DAVIS; looks at names only."""
-    original = any((path / "JPEGImages" / resolution).is_dir() for resolution in _RESOLUTIONS)
-    return original or _is_flat(path)
+    images, masks = (list_folder(path / name)[0] for name in _FLAT)
+    original = any((path / "JPEGImages" / resolution).is_dir() for resolution in get_args(Resolution))
+    return original or bool(set(images) & set(masks))
 
 
 def survey(
@@ -100,29 +88,13 @@ def survey(
     resolution: Resolution = "480p",
     keep_background: bool = False,
     frames: int | None = None,
-    raise_by: int = 1,
+    interpolate_by: int = 1,
 ) -> Survey:
-    """Read every annotated frame and its mask once and say what is there.
-
-    Args:
-        path: as all others, see :func:`davis`.
-        progress: called with the number of frames done and of all frames.
-        subset: which list.
-        resolution: which pictures.
-        keep_background: whether frames without a mask count.
-        frames: of a clip; with it, videos that are too short are among the problems.
-        raise_by: counts with ``frames``.
-
-    Raises:
-        InputError: as :func:`davis`.
-    """
-    found = find(path, subset=subset, resolution=resolution, keep_background=keep_background)
-    return survey_videos("davis", found, progress, frames, raise_by)
+    """Read every annotated frame and its mask once; parameters and errors as for :func:`davis`."""
+    return find(path, subset, resolution, keep_background).survey(progress, frames, interpolate_by)
 
 
-def find(
-    path: Path, *, subset: str | None = None, resolution: Resolution = "480p", keep_background: bool = False
-) -> Found:
+def find(path: Path, subset: str | None, resolution: Resolution, keep_background: bool) -> MaskedVideos:
     """List the videos.
 
     Raises:
@@ -130,15 +102,15 @@ def find(
     """
     if is_folder(path / _FLAT[0]) and not is_folder(path / "JPEGImages"):
         if subset is not None:
-            msg = f"subset is {subset!r}, but {path} holds images and masks without {_IMAGE_SETS}: leave subset out"
+            msg = f"subset is {subset!r}, but {path} holds images and masks without ImageSets: leave subset out"
             raise InputError(msg)
         images, masks = (path / name for name in _FLAT)
         if not (is_folder(masks) or keep_background):
             msg = f"path: {path} has a folder images, but none called masks: fetch the masks, or use keep_background: true"
             raise InputError(msg)
-        return find_videos(path, images, masks, FILMED_AT, keep_background=keep_background)
-    pictures = path / "JPEGImages" / resolution
-    if not is_folder(pictures):
+        return find_videos("davis", path, images, masks, FILMED_AT, keep_background=keep_background)
+    images = path / "JPEGImages" / resolution
+    if not is_folder(images):
         there = ", ".join(list_folder(path / "JPEGImages")[0]) or "none"
         msg = (
             f"path: {path} has no folder JPEGImages/{resolution} (resolutions there: {there}): name the folder that holds "
@@ -147,8 +119,8 @@ def find(
         raise InputError(msg)
     annotations = next((name for name in ("Annotations", "Annotations_unsupervised") if is_folder(path / name)), None)
     masks = path / (annotations or "Annotations") / resolution
-    names = None if subset is None else read_image_set(path / _IMAGE_SETS, subset, resolution)
-    return find_videos(path, pictures, masks, FILMED_AT, names=names, keep_background=keep_background)
+    names = None if subset is None else read_image_set(path / "ImageSets", subset, resolution)
+    return find_videos("davis", path, images, masks, FILMED_AT, names=names, keep_background=keep_background)
 
 
 def read_image_set(folder: Path, subset: str, resolution: str) -> list[str]:
@@ -157,7 +129,7 @@ def read_image_set(folder: Path, subset: str, resolution: str) -> list[str]:
     Args:
         folder: ``ImageSets``.
         subset: a list's name, looked for in ``2017``, ``2016`` and the resolution's folder, or with its folder in front.
-        resolution: names the folder of the original release of 2016, whose lists name each frame's picture and mask.
+        resolution: names the folder of the original release of 2016, whose lists name each frame's image and mask.
 
     Raises:
         InputError: there is no such list, or it names no video.
@@ -180,9 +152,3 @@ def read_image_set(folder: Path, subset: str, resolution: str) -> list[str]:
         msg = f"{files[name]} names no video: fetch it again"
         raise InputError(msg)
     return list(dict.fromkeys(names))
-
-
-def _is_flat(path: Path) -> bool:
-    """Whether pictures and masks lie in folders of that name, one folder per video in each."""
-    images, masks = (list_folder(path / name)[0] for name in _FLAT)
-    return bool(set(images) & set(masks))

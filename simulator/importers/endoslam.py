@@ -1,4 +1,4 @@
-"""EndoSLAM, SimCol3D and folders like theirs: pictures with depth charts give stills or clips, undistorted to the view.
+"""EndoSLAM, SimCol3D and folders like theirs: images with depth charts give stills or clips, undistorted to the view.
 
 Sources: Ozyoruk et al., EndoSLAM dataset and an unsupervised monocular visual odometry and depth estimation approach for
 endoscopic videos, Medical Image Analysis 2021; Rau et al., SimCol3D: 3D reconstruction during colonoscopy challenge,
@@ -18,23 +18,24 @@ from pydantic import Field
 
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
+from simulator.importers.camera_models import Intrinsics, Lens, Pinhole, nearest_file, read_intrinsics
+from simulator.importers.depth_codes import DepthAlong, DepthCode, DepthCounts, DepthDecoding, check_depths, read_codes
+from simulator.importers.depth_pairs import list_pairs, recognises
+from simulator.importers.depth_sequences import DepthClips, Pair, check_rate, find_runs, read_pairs
+from simulator.importers.inspection import Progress, Survey
 from simulator.importers.listing import grouped
-from simulator.importers.rgbd.border import find_circle
-from simulator.importers.rgbd.camera_models import Lens, Pinhole
-from simulator.importers.rgbd.depth_decoding import DepthAlong, DepthCode, DepthDecoding, read_codes
-from simulator.importers.rgbd.depth_limit import check_depths
-from simulator.importers.rgbd.frames import Pair, list_pairs
-from simulator.importers.rgbd.intrinsics import Intrinsics, read_intrinsics
-from simulator.importers.rgbd.survey import recognises, survey
-from simulator.importers.rgbd.undistort import Circle, Lookup, build_lookup
-from simulator.importers.stereo.runs import check_rate, find_runs
+from simulator.importers.undistortion import Circle, Lookup, build_lookup, find_circle
+from simulator.importers.videos import Count, Positive
 from simulator.io.images import picture_shape, read_picture
 from simulator.types import Clip, View
 
 __all__ = ["EndoSlam", "endoslam", "recognises", "survey"]
 
 _LOOKED_AT = 8
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_OFF_CENTRE = 0.05
+_SIMCOL = (
+    "SimCol3D's own code reads code / 65280 x 20 cm: depth_scale_cm: 20, depth_code: linear, depth_full_code: 65280"
+)
 
 
 def endoslam(
@@ -47,18 +48,18 @@ def endoslam(
     depth_full_code: Annotated[int, Field(gt=0, le=65535)] | None = None,
     depth_along: DepthAlong = "axis",
     max_cm: Annotated[float, Field(gt=0)] = 10.0,
-    frames: Annotated[int, Field(gt=0)] = 1,
+    frames: Count = 1,
     frames_per_second: Positive | None = None,
     intrinsics: Intrinsics | None = None,
     intrinsics_file: Path | None = None,
     field: Literal["fill", "angles"] = "fill",
     border: Literal["auto", "none"] | tuple[float, float, Positive] = "auto",
 ) -> EndoSlam:
-    """Read stills or clips from pictures with depth charts, paired by their numbers.
+    """Read stills or clips from images with depth charts, paired by their numbers.
 
     Clip ``index`` modulo the number of clips, in sorted order; clips of a sequence lie one after the other, share no frame
     and never cross a gap in the frames' numbers. Files are listed at once and read when a clip is asked for; only
-    ``border: auto`` opens up to eight pictures at construction.
+    ``border: auto`` opens up to eight images at construction.
 
     EndoSLAM's UnityCam charts are bright where near, in 8 bits, and no formula was published: ``depth_code: inverse``, with
     a ``depth_scale_cm`` of your choice. SimCol3D's own code reads 16 bit charts as code / 65280 x 20 cm:
@@ -66,7 +67,7 @@ def endoslam(
 
     Args:
         view: the camera's view: size, angles, far depth.
-        path: a folder with pictures and depth charts somewhere below it, such as ``Frames`` beside ``Pixelwise Depths``,
+        path: a folder with images and depth charts somewhere below it, such as ``Frames`` beside ``Pixelwise Depths``,
             ``train_frame`` beside ``train_depth``, or ``FrameBuffer_0000.png`` and ``Depth_0000.png`` in one folder.
         depth_scale_cm: depth at the full code: the farthest of a ``linear`` chart, the nearest of an ``inverse`` one.
         depth_code: ``linear``: depth is proportional to the code; ``inverse``: one over depth is (bright is near).
@@ -78,16 +79,16 @@ def endoslam(
             beyond it everywhere is refused.
         frames: of a clip, with consecutive numbers; 1 gives stills.
         frames_per_second: rate at which a clip's frames were taken; clips need it (UnityCam's was 30).
-        intrinsics: the pictures' camera in pixels: ``type: pinhole`` (fx, fy, cx, cy, distortion [k1, k2, p1, p2, k3]),
+        intrinsics: the images' camera in pixels: ``type: pinhole`` (fx, fy, cx, cy, distortion [k1, k2, p1, p2, k3]),
             ``opencv_fisheye`` (fx, fy, cx, cy, distortion [k1, k2, k3, k4]) or ``scaramuzza`` (mapping [a0, a2, a3, a4], cx,
-            cy, stretch), with ``first_pixel: 1`` for MATLAB's numbers. Without it, and without a file, the pictures are
+            cy, stretch), with ``first_pixel: 1`` for MATLAB's numbers. Without it, and without a file, the images are
             taken for undistorted and of unknown focal length.
         intrinsics_file: the same as YAML or JSON, or a text file with the camera matrix's nine numbers, row by row.
-        field: ``fill`` takes the largest part of the picture around its optical axis that fills the view, at most 70
+        field: ``fill`` takes the largest part of the image around its optical axis that fills the view, at most 70
             degrees to its corners, as if taken with another focal length; ``angles`` keeps each ray's direction (needs
-            intrinsics), black where the picture ends.
-        border: the circle that the lens fills; outside it the picture is black and ``valid`` false. ``auto`` finds it in
-            eight pictures, ``none`` uses the whole picture; or column, row and radius in pixels, the first pixel being 0.
+            intrinsics), black where the image ends.
+        border: the circle that the lens fills; outside it the image is black and ``valid`` false. ``auto`` finds it in
+            eight images, ``none`` uses the whole image; or column, row and radius in pixels, the first pixel being 0.
 
     Returns:
         A scene source. A still holds one frame of 1 s. Files without partner and sequences too short for a clip are its
@@ -103,26 +104,26 @@ def endoslam(
     known = intrinsics or (read_intrinsics(intrinsics_file) if intrinsics_file is not None else None)
     if known is None and (field == "angles" or depth_along == "ray"):
         what = "field: angles" if field == "angles" else "depth_along: ray"
-        msg = f"{what} needs the directions of the pictures' rays: give intrinsics or intrinsics_file"
+        msg = f"{what} needs the directions of the images' rays: give intrinsics or intrinsics_file"
         raise InputError(msg)
     if depth_at_zero_cm == depth_scale_cm:
         msg = f"depth_at_zero_cm and depth_scale_cm are both {depth_scale_cm:g}: every code would mean the same depth"
         raise InputError(msg)
     root = Path(path)
     pairs, faults = list_pairs(root)
-    runs = find_runs([pair.sequence for pair in pairs], [pair.number for pair in pairs], frames)
+    starts, groups, short = find_runs(pairs, frames)
     shape = _first_shape(root, pairs)
     circle = _find_border(root, pairs, shape) if border == "auto" else None if border == "none" else border
-    zero_m = None if depth_at_zero_cm is None else depth_at_zero_cm * 1e-2
     return EndoSlam(
         view=view,
         root=root,
         pairs=pairs,
-        starts=runs.starts,
-        groups=runs.groups,
+        starts=starts,
+        groups=groups,
         length=frames,
         frames_per_second=frames_per_second,
-        decoding=DepthDecoding(depth_code, depth_scale_cm * 1e-2, zero_m, depth_full_code),
+        problems=grouped(faults) + short,
+        decoding=DepthDecoding.of_cm(depth_code, depth_scale_cm, depth_at_zero_cm, depth_full_code),
         along=depth_along,
         max_m=max_cm * 1e-2,
         lens=known,
@@ -130,40 +131,24 @@ def endoslam(
         field=field,
         circle=circle,
         intrinsics_file=intrinsics_file,
-        problems=grouped(faults) + runs.problems,
     )
 
 
 @dataclass(frozen=True)
-class EndoSlam:
-    """A scene source made by :func:`endoslam`; picklable, it holds names and numbers only.
+class EndoSlam(DepthClips):
+    """A scene source made by :func:`endoslam`; the first attributes are those of :class:`DepthClips`.
 
     Attributes:
-        view: the camera's view.
-        root: the data set's folder.
-        pairs: pictures and depth charts, relative to ``root``, sequence after sequence.
-        starts: index of each clip's first frame.
-        groups: number of the sequence that each clip comes from.
-        length: frames of a clip.
-        frames_per_second: of clips; None for stills.
         decoding: what the codes mean.
         along: whether charts hold z or distances along rays.
         max_m: deepest valid depth, metres.
-        lens: the pictures' camera, or None.
-        shape: rows and columns of all pictures.
+        lens: the images' camera, or None.
+        shape: rows and columns of all images.
         field: ``fill`` or ``angles``.
-        circle: what the lens fills of the picture, or None.
+        circle: what the lens fills of the image, or None.
         intrinsics_file: where the camera came from, or None.
-        problems: what was found and cannot be used.
     """
 
-    view: View
-    root: Path
-    pairs: tuple[Pair, ...]
-    starts: tuple[int, ...]
-    groups: tuple[int, ...]
-    length: int
-    frames_per_second: float | None
     decoding: DepthDecoding
     along: DepthAlong
     max_m: float
@@ -172,17 +157,11 @@ class EndoSlam:
     field: Literal["fill", "angles"]
     circle: Circle | None
     intrinsics_file: Path | None
-    problems: tuple[str, ...] = ()
-
-    def __len__(self) -> int:
-        """Return how many different clips there are."""
-        return len(self.starts)
 
     @property
     def inputs(self) -> list[Path]:
-        """All pictures and depth charts, and the file with intrinsics."""
-        files = [self.root / file for pair in self.pairs for file in (pair.picture, pair.depth)]
-        return files if self.intrinsics_file is None else [*files, self.intrinsics_file]
+        """All images and depth charts, and the file with intrinsics."""
+        return [*super().inputs, *([] if self.intrinsics_file is None else [self.intrinsics_file])]
 
     def clip(self, index: int, rng: np.random.Generator) -> Clip:
         """Return clip ``index`` (modulo their number); nothing is left to chance.
@@ -192,13 +171,12 @@ class EndoSlam:
                 pixel with a depth of at most ``max_cm``.
         """
         del rng
-        start = self.starts[index % len(self.starts)]
-        pairs = self.pairs[start : start + self.length]
+        pairs = self.pairs_of(index)
         lookup = build_lookup(self._lens(), self.shape, self.view, self.field, self.circle)
         rgb = np.empty((self.length, *self.view.shape, 3), np.float32)
         depth = np.empty((self.length, *self.view.shape))
         for t, pair in enumerate(pairs):
-            rgb[t] = lookup.colour(decode_srgb_picture(self._read(pair.picture, read_picture, 3)))
+            rgb[t] = lookup.colour(decode_srgb_picture(self._read(pair.image, read_picture, 3)))
             codes = self._read(pair.depth, read_codes, 2)
             depth[t] = self.decoding.depth_m(codes.reshape(-1)[lookup.nearest])
             if self.along == "ray":
@@ -211,21 +189,20 @@ class EndoSlam:
             "without_depth_share": float(none.mean()),
             "beyond_max_share": float(beyond.mean()),
         }
-        edges_s = np.arange(self.length + 1) / (self.frames_per_second or 1.0)
         metres = np.where(valid, depth, self.view.far_m).astype(np.float32)
-        return Clip(rgb, metres, valid, edges_s, source=self._record(pairs, lookup) | shares)
+        return Clip(rgb, metres, valid, self.frame_edges_s, source=self._record(pairs, lookup) | shares)
 
     def _read(self, name: Path, reader: Any, dimensions: int) -> NDArray[Any]:
-        picture = reader(self.root / name)
-        if picture.shape[:2] != self.shape or picture.ndim != dimensions:
-            what = " x ".join(map(str, picture.shape))
-            kind = "RGB picture" if dimensions == 3 else "depth chart"
+        image = reader(self.root / name)
+        if image.shape[:2] != self.shape or image.ndim != dimensions:
+            what = " x ".join(map(str, image.shape))
+            kind = "RGB image" if dimensions == 3 else "depth chart"
             msg = (
                 f"{self.root / name} is {what}; expected a {kind} of {self.shape[0]} x {self.shape[1]} pixels like "
-                f"{self.pairs[0].picture}: name a path that holds one camera's pictures"
+                f"{self.pairs[0].image}: name a path that holds one camera's images"
             )
             raise InputError(msg)
-        return picture
+        return image
 
     def _lens(self) -> Lens:
         """The camera; where none is known any pinhole does, since ``fill`` finds the focal length."""
@@ -241,7 +218,7 @@ class EndoSlam:
             "importer": "endoslam",
             "sequence": ends[0].sequence,
             "frames": len(pairs),
-            "pictures": [pair.picture.as_posix() for pair in ends],
+            "pictures": [pair.image.as_posix() for pair in ends],
             "depths": [pair.depth.as_posix() for pair in ends],
             **self.decoding.record(),
             "depth_along": self.along,
@@ -254,11 +231,11 @@ class EndoSlam:
 
 
 def _first_shape(root: Path, pairs: tuple[Pair, ...]) -> tuple[int, int]:
-    """Rows and columns of the first picture that is one; those that are broken fail when their clip is asked for."""
+    """Rows and columns of the first image that is one; those that are broken fail when their clip is asked for."""
     first: InputError | None = None
     for pair in pairs:
         try:
-            return picture_shape(root / pair.picture)
+            return picture_shape(root / pair.image)
         except InputError as error:
             first = first or error
     assert first is not None
@@ -266,11 +243,99 @@ def _first_shape(root: Path, pairs: tuple[Pair, ...]) -> tuple[int, int]:
 
 
 def _find_border(root: Path, pairs: tuple[Pair, ...], shape: tuple[int, int]) -> Circle | None:
-    """The image circle, from pictures spread over all sequences."""
+    """The image circle, from images spread over all sequences."""
     chosen = np.unique(np.linspace(0, len(pairs) - 1, _LOOKED_AT).round().astype(int))
-    pictures = []
+    images = []
     for k in chosen:
         with suppress(InputError):
-            pictures.append(read_picture(root / pairs[k].picture))
-    alike = [picture for picture in pictures if picture.shape == (*shape, 3)]
+            images.append(read_picture(root / pairs[k].image))
+    alike = [image for image in images if image.shape == (*shape, 3)]
     return find_circle(alike, str(root)) if alike else None
+
+
+def survey(
+    path: Path,
+    progress: Progress | None = None,
+    *,
+    depth_scale_cm: float | None = None,
+    depth_code: DepthCode | None = None,
+    depth_at_zero_cm: float | None = None,
+    depth_full_code: int | None = None,
+    depth_along: DepthAlong = "axis",
+    max_cm: float = 10.0,
+) -> Survey:
+    """Read every pair once; parameters as for :func:`endoslam`.
+
+    With ``depth_scale_cm`` and ``depth_code``, codes are told in centimetres too, and a chart that lies beyond ``max_cm``
+    everywhere is a problem.
+
+    Raises:
+        InputError: when there is no such folder or no pair in it, or only one of ``depth_scale_cm`` and ``depth_code`` is
+            given.
+    """
+    decoding = None
+    if any(value is not None for value in (depth_scale_cm, depth_code, depth_at_zero_cm, depth_full_code)):
+        if depth_scale_cm is None or depth_code is None:
+            missing = "depth_scale_cm" if depth_scale_cm is None else "depth_code"
+            msg = (
+                f"{missing} is missing: depths follow from depth_scale_cm and depth_code together; give both or neither"
+            )
+            raise InputError(msg)
+        decoding = DepthDecoding.of_cm(depth_code, depth_scale_cm, depth_at_zero_cm, depth_full_code)
+    root = Path(path)
+    pairs, unpaired = list_pairs(root)
+    counts = DepthCounts(decoding, max_cm * 1e-2, depth_along)
+    images: list[NDArray[Any]] = []
+
+    def read(pair: Pair) -> tuple[int, ...]:
+        image, codes = read_picture(root / pair.image), read_codes(root / pair.depth)
+        if image.shape != (*codes.shape, 3):
+            texts = (" x ".join(map(str, array.shape)) for array in (image, codes))
+            msg = f"{root / pair.image} is {' and its depth chart '.join(texts)}: fetch both again"
+            raise InputError(msg)
+        if not counts.add(codes):
+            msg = f"{root / pair.depth} {counts.all_beyond}"
+            raise InputError(msg)
+        if len(images) < _LOOKED_AT:
+            images.append(image)
+        return codes.shape
+
+    good, faults, facts, gaps = read_pairs(root, pairs, unpaired, read, progress)
+    facts |= counts.facts()
+    notes = [*counts.notes(), *gaps]
+    if images:
+        alike = [image for image in images if image.shape == images[0].shape]
+        facts["image circle"], note = _circle(alike, root)
+        notes += note
+        facts["intrinsics"], note = _intrinsics(root, good[0], images[0].shape)
+        notes += note
+        if good[0].image.name.startswith("FrameBuffer"):
+            notes.append(_SIMCOL)
+    return Survey("endoslam", root, len(good), facts, grouped(faults), tuple(notes))
+
+
+def _circle(images: list[NDArray[Any]], root: Path) -> tuple[str, list[str]]:
+    try:
+        circle = find_circle(images, str(root))
+    except InputError as error:
+        return "none found", [str(error)]
+    if circle is None:
+        return "the whole image", []
+    return f"column {circle[0]:.1f}, row {circle[1]:.1f}, radius {circle[2]:.1f} px", []
+
+
+def _intrinsics(root: Path, pair: Pair, shape: tuple[int, ...]) -> tuple[str, list[str]]:
+    file = nearest_file(root, (root / pair.image).parent)
+    if file is None:
+        return "no file", []
+    try:
+        column, row = read_intrinsics(file).centre
+    except InputError as error:
+        return str(file), [str(error)]
+    off = max(abs(column - (shape[1] - 1) / 2) / shape[1], abs(row - (shape[0] - 1) / 2) / shape[0])
+    if off <= _OFF_CENTRE:
+        return str(file), []
+    return str(file), [
+        f"{file} puts the optical axis at column {column:g}, row {row:g} of {shape[0]} x {shape[1]} pixels: check that it "
+        "belongs to images of this size"
+    ]

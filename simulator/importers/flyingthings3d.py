@@ -1,31 +1,36 @@
-"""FlyingThings3D, Monkaa and Driving (the SceneFlow data sets): pictures with disparity as stills or clips with depth.
+"""FlyingThings3D, Monkaa and Driving (the SceneFlow data sets): images with disparity as stills or clips with depth.
 
 Source: Mayer et al., A Large Dataset to Train Convolutional Networks for Disparity, Optical Flow, and Scene Flow
-Estimation, CVPR 2016. A picture is taken as seen through the camera's own pinhole view; its disparity gives z.
+Estimation, CVPR 2016. An image is taken as seen through the camera's own pinhole view; its disparity gives z.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
-from simulator.importers.listing import Fault, grouped
-from simulator.importers.stereo.depth_scaling import AffineKind, DepthMap, FixedDepth, affine_map, check_fixed_depths
-from simulator.importers.stereo.pairs import disparity_range, read_disparity
-from simulator.importers.stereo.runs import check_rate, fault_of, find_runs
-from simulator.importers.stereo.sceneflow import FOCAL_PX, Eye, Frame, PicturePass, Subset, list_frames
-from simulator.importers.stereo.survey import recognises, survey
+from simulator.importers.depth_sequences import DepthClips, Pair, check_rate, find_runs, read_pairs
+from simulator.importers.disparity import (
+    AffineKind,
+    AffineMap,
+    DepthMap,
+    FixedDepth,
+    check_fixed_depths,
+    disparity_range,
+    read_disparity,
+)
+from simulator.importers.inspection import Progress, Survey
+from simulator.importers.listing import Fault, fault_of, grouped
+from simulator.importers.sceneflow import PASSES, Eye, PicturePass, Subset, find_root, focal_px, list_frames
+from simulator.importers.videos import Count, Crop, Positive
 from simulator.io.images import read_picture
 from simulator.types import Clip, View
-
-__all__ = ["FlyingThings3D", "flyingthings3d", "recognises", "survey"]
 
 BASELINE_UNITS = 1.0
 """Distance of the two cameras in the data set's units."""
@@ -35,16 +40,16 @@ def flyingthings3d(
     view: View,
     *,
     path: Path,
-    frames: Annotated[int, Field(gt=0)] = 1,
-    frames_per_second: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
+    frames: Count = 1,
+    frames_per_second: Positive | None = None,
     picture_pass: PicturePass = "cleanpass",
     eye: Eye = "left",
     subset: Subset = "all",
     depth_scaling: Literal["affine_disparity", "affine_depth", "fixed"] = "affine_disparity",
     per: Literal["image", "set"] = "image",
-    metres_per_unit: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
-    crop: Literal["random", "centre"] = "random",
-    downscale: Annotated[int, Field(gt=0)] | Literal["auto"] = "auto",
+    metres_per_unit: Positive | None = None,
+    crop: Crop = "random",
+    downscale: Count | Literal["auto"] = "auto",
 ) -> FlyingThings3D:
     """Read stills or clips from a folder of FlyingThings3D (original or flattened layout), Monkaa or Driving.
 
@@ -69,18 +74,18 @@ def flyingthings3d(
         metres_per_unit: metres per unit of the data set; needed by ``fixed`` and meaningless otherwise.
         crop: where the view is cut out.
         downscale: pixels per side that are averaged into one (colour, in linear light); depth takes the centre
-            sample, so that fore- and background never mix. ``auto`` is the largest at which the picture fills the view.
+            sample, so that fore- and background never mix. ``auto`` is the largest at which the image fills the view.
 
     Returns:
         A scene source. A still holds one frame of 1 s; where the disparity is zero, ``valid`` is false and the depth
-        far. Pictures without disparity, sequences too short for a clip and, with ``per: set``, broken disparities are its
+        far. Images without disparity, sequences too short for a clip and, with ``per: set``, broken disparities are its
         ``problems``; a sequence is a group.
 
     Raises:
         InputError: for missing folders, when nothing in them can be used, and when the parameters contradict one another.
     """
     check_rate(frames, frames_per_second)
-    root, found, faults = list_frames(Path(path), picture_pass, eye, subset)
+    root, pairs, faults = list_frames(Path(path), picture_pass, eye, subset)
     if depth_scaling != "fixed" and metres_per_unit is not None:
         msg = (
             f"metres_per_unit is {metres_per_unit}, but depth_scaling: {depth_scaling} fills near..far: "
@@ -90,189 +95,196 @@ def flyingthings3d(
     if depth_scaling == "affine_depth" and not np.isfinite(view.far_m):
         msg = "depth_scaling: affine_depth cannot reach far = inf: use affine_disparity, or give a finite far depth"
         raise InputError(msg)
+    depth: float | AffineMap | AffineKind
     if depth_scaling == "fixed":
         if metres_per_unit is None:
             msg = "depth_scaling: fixed needs metres_per_unit (the metres that one unit of the data set stands for)"
             raise InputError(msg)
-        depth: DepthMap | AffineKind = FixedDepth(FOCAL_PX, BASELINE_UNITS, metres_per_unit)
+        depth = metres_per_unit
     elif per == "set":
-        found, ranges, broken = _usable(root, found)
+        pairs, ranges, broken = _usable(root, pairs)
         faults += broken
-        lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
-        depth = affine_map(depth_scaling, lowest, highest, view.near_m, view.far_m, f"path: {root}")
+        depth = AffineMap.over(depth_scaling, ranges, view.near_m, view.far_m, f"path: {root}")
     else:
         depth = depth_scaling
-    runs = find_runs([frame.sequence for frame in found], [frame.number for frame in found], frames)
+    starts, groups, short = find_runs(pairs, frames)
+    problems = grouped(faults) + short
     return FlyingThings3D(
-        view,
-        root,
-        found,
-        runs.starts,
-        runs.groups,
-        frames,
-        frames_per_second,
-        depth,
-        crop,
-        downscale,
-        grouped(faults) + runs.problems,
+        view, root, pairs, starts, groups, frames, frames_per_second, problems, depth, crop, downscale
     )
 
 
+def recognises(path: Path) -> bool:
+    """Return whether a folder looks like a SceneFlow data set, by the names in it alone."""
+    try:
+        root, _ = find_root(path, PASSES)
+    except (InputError, OSError):
+        return False
+    return (root / "disparity").is_dir()
+
+
+def survey(
+    path: Path,
+    progress: Progress | None = None,
+    *,
+    picture_pass: PicturePass | None = None,
+    eye: Eye = "left",
+    subset: Subset = "all",
+) -> Survey:
+    """Read every pair of one eye once; parameters and errors as for :func:`flyingthings3d`.
+
+    Without ``picture_pass`` it is the first rendering that is there.
+    """
+    root, images = find_root(path, (picture_pass,) if picture_pass else PASSES)
+    used: PicturePass = "finalpass" if "finalpass" in images.name else "cleanpass"
+    _, pairs, unpaired = list_frames(path, used, eye, subset)
+    ranges: list[tuple[float, float]] = []
+    holes = 0
+
+    def read(pair: Pair) -> tuple[int, ...]:
+        nonlocal holes
+        disparity = read_disparity(root / pair.depth)
+        ranges.append(disparity_range(disparity, root / pair.depth))
+        _read_image(root, pair, disparity.shape)
+        holes += int((disparity == 0).sum())
+        return disparity.shape
+
+    good, faults, sequences, notes = read_pairs(root, pairs, unpaired, read, progress)
+    facts = {"images": f"{images.name}, {eye} eye", **sequences}
+    if ranges:
+        lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
+        facts["disparity"] = f"{lowest:.4g} to {highest:.4g} px"
+    if holes:
+        facts["without disparity"] = f"{holes} pixels (valid is false there)"
+    if len({focal_px(pair) for pair in good}) > 1:
+        facts["focal lengths"] = "450 and 1050 px (15 and 35 mm)"
+    return Survey("flyingthings3d", path, len(good), facts, grouped(faults), tuple(notes))
+
+
 @dataclass(frozen=True)
-class FlyingThings3D:
-    """A scene source made by :func:`flyingthings3d`; picklable, it holds names and numbers only.
+class FlyingThings3D(DepthClips):
+    """A scene source made by :func:`flyingthings3d`; the first attributes are those of :class:`DepthClips`.
 
     Attributes:
-        view: the camera's view.
-        root: the data set's folder.
-        frames: the pairs of files, relative to ``root``, sequence after sequence.
-        starts: index of each clip's first frame.
-        groups: number of the sequence that each clip comes from.
-        length: frames of a clip.
-        frames_per_second: of clips; None for stills.
-        depth: how disparity becomes metres: one map for all frames, or the kind of map that each clip gets.
+        depth: how disparity becomes metres: the metres that one unit stands for, one map for all images, or the kind of map
+            that each clip gets.
         crop: where the view is cut out.
         downscale: pixels per side that become one, or ``auto``.
-        problems: what was found and cannot be used.
     """
 
-    view: View
-    root: Path
-    frames: tuple[Frame, ...]
-    starts: tuple[int, ...]
-    groups: tuple[int, ...]
-    length: int
-    frames_per_second: float | None
-    depth: DepthMap | AffineKind
-    crop: Literal["random", "centre"]
+    depth: float | AffineMap | AffineKind
+    crop: Crop
     downscale: int | Literal["auto"]
-    problems: tuple[str, ...] = ()
-
-    def __len__(self) -> int:
-        """Return how many different clips there are."""
-        return len(self.starts)
-
-    @property
-    def inputs(self) -> list[Path]:
-        """All pictures and disparity maps: which of them a data set uses depends on its size only."""
-        return [self.root / file for frame in self.frames for file in (frame.picture, frame.disparity)]
 
     def clip(self, index: int, rng: np.random.Generator) -> Clip:
         """Cut clip ``index`` (modulo their number) out of its frames.
 
         Raises:
-            InputError: naming the file, when it is broken, when pictures and disparities differ in size, or when the view
-                is larger than the picture.
+            InputError: naming the file, when it is broken, when images and disparities differ in size, or when the view
+                is larger than the image.
         """
-        start = self.starts[index % len(self.starts)]
-        frames = self.frames[start : start + self.length]
-        disparities = [read_disparity(self.root / frame.disparity) for frame in frames]
-        depth_map = self._depth_map(disparities, frames)
+        pairs = self.pairs_of(index)
+        disparities = [read_disparity(self.root / pair.depth) for pair in pairs]
+        depth_map = self._depth_map(disparities, pairs)
         shape = disparities[0].shape
-        factor = self._factor(shape, frames[0])
+        factor = self._factor(shape, pairs[0])
         rows, columns = (size * factor for size in self.view.shape)
-        row, column = self._corner(shape[0] - rows, shape[1] - columns, rng)
+        row, column = (shape[0] - rows) // 2, (shape[1] - columns) // 2
+        if self.crop == "random":
+            row, column = int(rng.integers(shape[0] - rows + 1)), int(rng.integers(shape[1] - columns + 1))
         window = np.s_[row : row + rows, column : column + columns]
         centres = np.s_[factor // 2 :: factor, factor // 2 :: factor]
         rgb = np.empty((self.length, *self.view.shape, 3), np.float32)
-        for t, frame in enumerate(frames):
-            picture = self._read_picture(frame, disparities[t].shape, shape)
-            rgb[t] = _box_mean(decode_srgb_picture(picture[window]), factor)
+        for t, (pair, disparity) in enumerate(zip(pairs, disparities, strict=True)):
+            image = _read_image(self.root, pair, disparity.shape)
+            if disparity.shape != shape:
+                msg = (
+                    f"{self.root / pair.image} is {disparity.shape[0]} x {disparity.shape[1]}, but the clip's first frame is "
+                    f"{shape[0]} x {shape[1]}: expected one size in a sequence, fetch it again"
+                )
+                raise InputError(msg)
+            rgb[t] = _box_mean(decode_srgb_picture(image[window]), factor)
         cut = np.stack([disparity[window][centres] for disparity in disparities]).astype(np.float64)
         valid = cut > 0
         depth = np.full(cut.shape, self.view.far_m)
         depth[valid] = depth_map.depth_m(cut[valid])
         if isinstance(depth_map, FixedDepth):
-            for t, frame in enumerate(frames):
-                check_fixed_depths(depth[t][valid[t]], cut[t][valid[t]], self.root / frame.disparity)
+            for t, pair in enumerate(pairs):
+                check_fixed_depths(depth[t][valid[t]], cut[t][valid[t]], self.root / pair.depth)
         source = {
             "importer": "flyingthings3d",
-            **_names(frames),
+            **_names(pairs),
             "corner_px": [row, column],
             "downscale": factor,
             "per": "image" if isinstance(self.depth, str) else "set",
             **depth_map.record(),
         }
-        edges_s = np.arange(self.length + 1) / (self.frames_per_second or 1.0)
-        return Clip(rgb, depth.astype(np.float32), valid, edges_s, source=source)
+        return Clip(rgb, depth.astype(np.float32), valid, self.frame_edges_s, source=source)
 
-    def _read_picture(
-        self, frame: Frame, shape: tuple[int, ...], first: tuple[int, ...]
-    ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        picture = read_picture(self.root / frame.picture)
-        if picture.shape != (*shape, 3):
-            msg = (
-                f"{self.root / frame.picture} is {' x '.join(map(str, picture.shape))} and its disparity "
-                f"{frame.disparity} is {' x '.join(map(str, shape))}: expected an RGB picture of the same "
-                "size, fetch both again"
-            )
-            raise InputError(msg)
-        if shape != first:
-            msg = (
-                f"{self.root / frame.picture} is {shape[0]} x {shape[1]}, but the clip's first frame is "
-                f"{first[0]} x {first[1]}: expected one size in a sequence, fetch it again"
-            )
-            raise InputError(msg)
-        return picture
-
-    def _depth_map(self, disparities: list[NDArray[np.float32]], frames: tuple[Frame, ...]) -> DepthMap:
-        if isinstance(self.depth, FixedDepth):
-            return replace(self.depth, focal_px=frames[0].focal_px)
-        if not isinstance(self.depth, str):
+    def _depth_map(self, disparities: list[NDArray[np.float32]], pairs: tuple[Pair, ...]) -> DepthMap:
+        if isinstance(self.depth, AffineMap):
             return self.depth
-        names = [self.root / frame.disparity for frame in frames]
+        if not isinstance(self.depth, str):
+            return FixedDepth(focal_px(pairs[0]), BASELINE_UNITS, self.depth)
+        names = [self.root / pair.depth for pair in pairs]
         ranges = [disparity_range(disparity, name) for disparity, name in zip(disparities, names, strict=True)]
-        lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
-        return affine_map(self.depth, lowest, highest, self.view.near_m, self.view.far_m, str(names[0]))
+        return AffineMap.over(self.depth, ranges, self.view.near_m, self.view.far_m, str(names[0]))
 
-    def _factor(self, shape: tuple[int, ...], frame: Frame) -> int:
+    def _factor(self, shape: tuple[int, ...], pair: Pair) -> int:
         largest = min(shape[0] // self.view.shape[0], shape[1] // self.view.shape[1])
         factor = max(largest, 1) if self.downscale == "auto" else self.downscale
         if factor > largest:
             cure = f"downscale at most {largest}" if largest else f"a scene of at most {shape[0]} x {shape[1]}"
             msg = (
                 f"the scene's {self.view.shape[0]} x {self.view.shape[1]} pixels at downscale {factor} are more than "
-                f"{frame.picture} has ({shape[0]} x {shape[1]}): use {cure}"
+                f"{pair.image} has ({shape[0]} x {shape[1]}): use {cure}"
             )
             raise InputError(msg)
         return factor
 
-    def _corner(self, spare_rows: int, spare_columns: int, rng: np.random.Generator) -> tuple[int, int]:
-        if self.crop == "centre":
-            return spare_rows // 2, spare_columns // 2
-        return int(rng.integers(spare_rows + 1)), int(rng.integers(spare_columns + 1))
+
+def _read_image(root: Path, pair: Pair, shape: tuple[int, ...]) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Read the image of a disparity map of this size."""
+    image = read_picture(root / pair.image)
+    if image.shape != (*shape, 3):
+        msg = (
+            f"{root / pair.image} is {' x '.join(map(str, image.shape))} and its disparity {pair.depth} is "
+            f"{' x '.join(map(str, shape))}: expected an RGB image of the same size, fetch both again"
+        )
+        raise InputError(msg)
+    return image
 
 
 def _usable(
-    root: Path, frames: tuple[Frame, ...]
-) -> tuple[tuple[Frame, ...], list[tuple[float, float]], tuple[Fault, ...]]:
-    """The frames whose disparity can be read, the range of each, and what is wrong with the others."""
+    root: Path, pairs: tuple[Pair, ...]
+) -> tuple[tuple[Pair, ...], list[tuple[float, float]], tuple[Fault, ...]]:
+    """The pairs whose disparity can be read, the range of each, and what is wrong with the others."""
     usable, ranges, faults = [], [], []
-    for frame in frames:
-        name = root / frame.disparity
+    for pair in pairs:
+        name = root / pair.depth
         try:
             ranges.append(disparity_range(read_disparity(name), name))
         except InputError as error:
-            if len(frames) == 1:
+            if len(pairs) == 1:
                 raise
             faults.append(fault_of(error, name))
         else:
-            usable.append(frame)
+            usable.append(pair)
     if not usable:
-        msg = f"none of the {len(frames)} disparities in {root} can be used; the first: {': '.join(faults[0])}"
+        msg = f"none of the {len(pairs)} disparities in {root} can be used; the first: {': '.join(faults[0])}"
         raise InputError(msg)
     return tuple(usable), ranges, tuple(faults)
 
 
-def _names(frames: tuple[Frame, ...]) -> dict[str, Any]:
+def _names(pairs: tuple[Pair, ...]) -> dict[str, Any]:
     """A clip's files: those of a still, or the first and the last of consecutive ones."""
-    if len(frames) == 1:
-        return {"picture": frames[0].picture.as_posix(), "disparity": frames[0].disparity.as_posix()}
+    if len(pairs) == 1:
+        return {"picture": pairs[0].image.as_posix(), "disparity": pairs[0].depth.as_posix()}
     return {
-        "sequence": frames[0].sequence,
-        "frames": len(frames),
-        "pictures": [frame.picture.as_posix() for frame in (frames[0], frames[-1])],
-        "disparities": [frame.disparity.as_posix() for frame in (frames[0], frames[-1])],
+        "sequence": pairs[0].sequence,
+        "frames": len(pairs),
+        "pictures": [pair.image.as_posix() for pair in (pairs[0], pairs[-1])],
+        "disparities": [pair.depth.as_posix() for pair in (pairs[0], pairs[-1])],
     }
 
 

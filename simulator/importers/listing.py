@@ -1,9 +1,12 @@
-"""What lies in the folders of a data set, by name; and messages about many files in few lines."""
+"""What lies in the folders of a data set, by name and by number; and messages about many files in few lines."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import NoReturn, TypeAlias
 
@@ -13,6 +16,7 @@ Fault: TypeAlias = tuple[str, str]  # where, what and what to do
 
 _JUNK = frozenset(("__macosx", "thumbs.db", "desktop.ini"))
 _EXAMPLES = 3
+_LISTED = 20
 
 
 def is_hidden(name: str) -> bool:
@@ -43,20 +47,32 @@ def list_folder(path: Path) -> tuple[list[str], list[str]]:
     except (FileNotFoundError, NotADirectoryError):
         return [], []
     except OSError as error:
-        _refuse(Path(error.filename or path), error)
+        refuse_unreadable(Path(error.filename or path), error)
     return sorted(folders), sorted(files)
 
 
 def walk(root: Path) -> Iterator[tuple[Path, list[str]]]:
     """Give each folder from a root downwards with the names of its files, sorted, without hidden ones.
 
-    Links are followed, after the folders beside them. No folder is given twice, whatever leads to it: the same pictures
+    Links are followed, after the folders beside them. No folder is given twice, whatever leads to it: the same images
     under two names would be two sequences, which splits could share.
 
     Raises:
         InputError: naming the folder, when one cannot be read.
     """
-    return _walk(Path(root), set())
+    visited: set[str] = set()
+
+    def visit(folder: Path) -> Iterator[tuple[Path, list[str]]]:
+        real = os.path.realpath(folder)
+        if real in visited:
+            return
+        visited.add(real)
+        folders, files = list_folder(folder)
+        yield folder, files
+        for name in sorted(folders, key=lambda name: (folder / name).is_symlink()):  # its own name before a link's
+            yield from visit(folder / name)
+
+    return visit(Path(root))
 
 
 def is_folder(path: Path) -> bool:
@@ -68,7 +84,74 @@ def is_folder(path: Path) -> bool:
     try:
         return path.is_dir()
     except OSError as error:
-        _refuse(path, error)
+        refuse_unreadable(path, error)
+
+
+def refuse_unreadable(path: Path, error: OSError) -> NoReturn:
+    """Refuse a place that the system does not let us read."""
+    msg = f"path: {path} cannot be read: {error.strerror or error}; check who may read it, or name a path without it"
+    raise InputError(msg) from error
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """Key that sorts ``frame2`` before ``frame10``.
+
+    Example:
+        >>> sorted(["frame10.png", "frame2.png"], key=natural)
+        ['frame2.png', 'frame10.png']
+    """
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", name)]
+
+
+def counting_fault(names: Sequence[str]) -> str | None:
+    """Say where the numbers of images leave their count, such as 3, 4, 7: between two of them is more time than elsewhere.
+
+    Names count where one of their numbers differs and most of its steps are the same; times and other numbers do not.
+
+    Args:
+        names: of the images of one video, in order.
+
+    Returns:
+        What is wrong and what to do, or None.
+
+    Example:
+        >>> counting_fault(["a1.png", "a2.png", "a3.png", "a7.png"])
+        'its images leave their count of 1 after a3.png (the next is a7.png): fetch what is missing, or split it there'
+    """
+    keys = [tuple(natural(name)) for name in names]
+    if len(keys) < 3 or len({len(key) for key in keys}) > 1:
+        return None
+    differing = [place for place, parts in enumerate(zip(*keys, strict=True)) if len(set(parts)) > 1]
+    if len(differing) != 1 or keys[0][differing[0]][0] < 0:
+        return None
+    numbers = [key[differing[0]][0] for key in keys]
+    steps = [after - before for before, after in pairwise(numbers)]
+    (usual, count), *_ = Counter(steps).most_common()
+    if count == len(steps) or 2 * count <= len(steps):
+        return None
+    places = [index for index, step in enumerate(steps) if step != usual]
+    more = f", and {len(places) - 1} times more" if len(places) > 1 else ""
+    return (
+        f"its images leave their count of {usual} after {names[places[0]]} (the next is {names[places[0] + 1]}{more}): "
+        "fetch what is missing, or split it there"
+    )
+
+
+def fault_of(error: InputError, *files: Path, root: Path | None = None) -> Fault:
+    """Take the file apart from a message that begins with it, so that the same fault of many files makes one line.
+
+    Args:
+        error: what a reader raised.
+        *files: those that were read; a message that names none of them is about the first.
+        root: a folder by which names, in the reason too, are shortened.
+    """
+    text = str(error)
+    named = next((file for file in files if text.startswith((f"{file} ", f"{file}: "))), None)
+    where = (named or files[0]).as_posix() if root is None else (named or files[0]).relative_to(root).as_posix()
+    if named is None:
+        return where, text
+    reason = text.removeprefix(str(named)).lstrip(": ")
+    return where, reason if root is None else reason.replace(f"{root}/", "")
 
 
 def grouped(faults: Iterable[Fault]) -> tuple[str, ...]:
@@ -90,17 +173,12 @@ def examples(names: list[str]) -> str:
     return ", ".join(names) if more <= 0 else f"{', '.join(names[:_EXAMPLES])} and {more} more"
 
 
-def _refuse(path: Path, error: OSError) -> NoReturn:
-    msg = f"path: {path} cannot be read: {error.strerror or error}; check who may read it, or name a path without it"
-    raise InputError(msg) from error
+def first_lines(lines: Sequence[str], most: int = _LISTED) -> list[str]:
+    """Return the first lines, and how many more there are.
 
-
-def _walk(folder: Path, visited: set[str]) -> Iterator[tuple[Path, list[str]]]:
-    real = os.path.realpath(folder)
-    if real in visited:
-        return
-    visited.add(real)
-    folders, files = list_folder(folder)
-    yield folder, files
-    for name in sorted(folders, key=lambda name: (folder / name).is_symlink()):  # a folder's own name before a link's
-        yield from _walk(folder / name, visited)
+    Example:
+        >>> first_lines(["a", "b", "c"], 2)
+        ['a', 'b', 'and 1 more']
+    """
+    more = len(lines) - most
+    return [*lines[:most], *([f"and {more} more"] if more > 0 else [])]

@@ -6,47 +6,45 @@ Source: Goyal et al., The "something something" video database for learning and 
 
 from __future__ import annotations
 
+import csv
+import json
 from collections import Counter
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
-
-from pydantic import Field
+from typing import Any, Literal
 
 from simulator.errors import InputError
-from simulator.importers.films.checks import FilmCheck
-from simulator.importers.films.flat_videos import FlatVideos, choose_raiser, flat_videos, plane_depth
-from simulator.importers.films.sequences import open_films
-from simulator.importers.films.ssv2_labels import (
-    COARSE_TABLE,
-    Subset,
-    find_labels,
-    read_entries,
-    read_table,
-    read_templates,
-)
-from simulator.importers.films.video import ClipPlan
-from simulator.importers.listing import is_folder, list_folder
-from simulator.importers.survey import Progress, Survey, first_lines
+from simulator.importers.film_files import VideoSurvey, open_films
+from simulator.importers.inspection import Progress, Survey, told
+from simulator.importers.listing import first_lines, is_folder, list_folder, refuse_unreadable
+from simulator.importers.videos import ClipPlan, Count, Crop, FlatVideos, InterpolateWith, Positive
+from simulator.text import nearest
 from simulator.types import View
 
+Subset = Literal["train", "validation"]
+Classes = Literal["all", "coarse"] | Path
+COARSE_TABLE = Path(__file__).with_name("something_something_v2_coarse.csv")
+"""The 41 templates in 10 classes of the paper's tables 5 and 7, reconstructed; its first lines say from what."""
 _CLIP_FOLDERS = ("20bn-something-something-v2", "clips", ".")
+_LABEL_FOLDERS = ("", "labels")
+_PREFIXES = ("something-something-v2-", "")
 
 
 def something_something_v2(
     view: View,
     *,
     path: Path,
-    frames: Annotated[int, Field(gt=0)],
+    frames: Count,
     subset: Subset | None = None,
-    classes: Literal["all", "coarse"] | Path = "all",
-    frames_per_second: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
-    raise_by: Annotated[int, Field(gt=0)] = 1,
-    raise_with: Literal["optical_flow", "superslomo"] = "optical_flow",
+    classes: Classes = "all",
+    frames_per_second: Positive | None = None,
+    interpolate_by: Count = 1,
+    interpolate_with: InterpolateWith = "optical_flow",
     superslomo_checkpoint: Path | None = None,
-    clips_per_video: Annotated[int, Field(gt=0)] = 1,
-    crop: Literal["centre", "random"] = "centre",
-    plane_cm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
+    clips_per_video: Count = 1,
+    crop: Crop = "centre",
+    plane_cm: Positive | None = None,
 ) -> FlatVideos:
     """Read labelled clips from a Something-Something V2 folder.
 
@@ -57,17 +55,17 @@ def something_something_v2(
         path: the folder that holds ``20bn-something-something-v2`` (or ``clips``) with ``74225.webm`` and so on, and the
             label files ``something-something-v2-labels.json``, ``-train.json``, ``-validation.json`` (or ``labels.json``,
             ``train.json``, ``validation.json``), there or in ``labels``.
-        frames: of a clip, after raising.
+        frames: of a clip, after interpolation.
         subset: the data set's own part; without it ``train`` where that is there, else ``validation``.
         classes: ``all`` labels a clip by its template, one of 174; ``coarse`` by one of 10 classes of 41 templates, a table
             that was reconstructed from the paper; or a table of your own, a CSV file with the columns template and class.
             Clips of templates that a table does not list are left out.
-        frames_per_second: rate at which a clip is taken to have been filmed; without it the film's own, raised.
-        raise_by: frames that one of the film's becomes, by interpolation.
-        raise_with: how frames are interpolated.
+        frames_per_second: rate at which a clip is taken to have been filmed; without it the film's own times interpolate_by.
+        interpolate_by: frames that one of the film's becomes by temporal interpolation.
+        interpolate_with: how frames are interpolated.
         superslomo_checkpoint: the published weights, for ``superslomo``.
         clips_per_video: how many clips a film gives, evenly spread; 1 begins anywhere.
-        crop: where the view's proportions are cut out of the picture, the same for all frames of a clip.
+        crop: where the view's proportions are cut out of the image, the same for all frames of a clip.
         plane_cm: depth of the plane on which the film is seen; without it the view's far depth.
 
     Returns:
@@ -76,21 +74,12 @@ def something_something_v2(
     Raises:
         InputError: missing folders or files, no clip that can be used, contradicting parameters.
     """
-    plan = ClipPlan(frames, frames_per_second, raise_by, clips_per_video, crop)
-    depth_m = plane_depth(view, plane_cm)
-    raiser = choose_raiser(raise_by, raise_with, superslomo_checkpoint)
+    interpolation = interpolate_by, interpolate_with, superslomo_checkpoint
+    plan = ClipPlan.of(view, frames, frames_per_second, clips_per_video, crop, plane_cm, *interpolation)
     found = _list(Path(path), subset, classes)
     films, problems = open_films(found.root, found.films)
-    return flat_videos(
-        "something_something_v2",
-        view,
-        films,
-        plan=plan,
-        plane_m=depth_m,
-        raiser=raiser,
-        problems=[*found.problems, *problems],
-        other_inputs=found.label_files,
-    )
+    problems = [*found.problems, *problems]
+    return FlatVideos.of("something_something_v2", view, films, plan, problems, found.label_files)
 
 
 def recognises(path: Path) -> bool:
@@ -104,47 +93,30 @@ def survey(
     progress: Progress | None = None,
     *,
     subset: Subset | None = None,
-    classes: Literal["all", "coarse"] | Path = "all",
+    classes: Classes = "all",
     frames: int | None = None,
-    raise_by: int = 1,
+    interpolate_by: int = 1,
 ) -> Survey:
-    """Decode every clip once and count classes.
-
-    Args:
-        path: as for :func:`something_something_v2`.
-        progress: told after each clip.
-        subset: see :func:`something_something_v2`.
-        classes: see :func:`something_something_v2`.
-        frames: of a clip; with it, films that are too short are among the problems.
-        raise_by: see :func:`something_something_v2`.
-
-    Raises:
-        InputError: missing folders or files, or no clip of a known template.
-    """
+    """Decode every clip once and count classes; parameters and errors as for :func:`something_something_v2`."""
     found = _list(Path(path), subset, classes)
-    check = FilmCheck(None if frames is None else ClipPlan(frames, raise_by=raise_by))
-    check.problems += found.problems
-    counts: Counter[str] = Counter()
-    for done, (name, label) in enumerate(found.films, start=1):
-        if check.add_film(found.root, name):
-            counts[label] += 1
-        if progress is not None:
-            progress(done, len(found.films))
+    plan = None if frames is None else ClipPlan(frames, interpolate_by=interpolate_by)
+    read = VideoSurvey(plan, problems=[*found.problems])
+    films = told(found.films, len(found.films), progress)
+    counts = Counter(label for name, label in films if read.add_film(found.root, name))
     if found.absent:
-        check.notes.append(
+        read.notes.append(
             f"{found.absent} of the {found.listed} clips in {found.label_files[1].name} are not in the folder"
         )
     if found.unlabelled:
-        check.notes.append(f"{found.unlabelled} clips are of templates that {found.label_files[-1].name} leaves out")
+        read.notes.append(f"{found.unlabelled} clips are of templates that {found.label_files[-1].name} leaves out")
     if classes == "coarse":
-        check.notes.append("the coarse classes are reconstructed from the paper, not the authors' own file")
+        read.notes.append("the coarse classes are reconstructed from the paper, not the authors' own file")
+    most = ", ".join(f"{name} ({count})" for name, count in counts.most_common(5)) or "none"
     facts = {
         "subset": f"{found.subset}, {found.listed} clips listed, {found.listed - found.absent} in the folder",
-        "classes": f"{len(counts)} of {found.classes}: "
-        + (", ".join(f"{name} ({count})" for name, count in counts.most_common(5)) or "none")
-        + (", ..." if len(counts) > 5 else ""),
+        "classes": f"{len(counts)} of {found.classes}: {most}{', ...' if len(counts) > 5 else ''}",
     }
-    return check.result("something_something_v2", Path(path), facts)
+    return read.result("something_something_v2", Path(path), facts)
 
 
 @dataclass(frozen=True)
@@ -174,13 +146,17 @@ class _Found:
     classes: int
 
 
-def _list(root: Path, subset: Subset | None, classes: Literal["all", "coarse"] | Path) -> _Found:
+def _list(root: Path, subset: Subset | None, classes: Classes) -> _Found:
     if not is_folder(root):
-        msg = f"path: {root} is no folder; expected the one that holds the clips' folder and the label files"
+        msg = f"path: {root} is not a folder; expected the one that holds the clips' folder and the label files"
         raise InputError(msg)
-    labels = _label_file(root, "labels")
     chosen: Subset = subset or ("train" if find_labels(root, "train") else "validation")
-    entries_file = _label_file(root, chosen)
+    places = {name: find_labels(root, name) for name in ("labels", chosen)}
+    for name, place in places.items():
+        if place is None:
+            msg = f"path: {root} holds no something-something-v2-{name}.json (or {name}.json), there or in labels"
+            raise InputError(msg)
+    labels, entries_file = filter(None, places.values())
     templates = read_templates(labels)
     entries, unknown = read_entries(entries_file, templates, labels)
     listed = len(entries) + len(unknown)
@@ -190,28 +166,29 @@ def _list(root: Path, subset: Subset | None, classes: Literal["all", "coarse"] |
         place = COARSE_TABLE if classes == "coarse" else Path(classes)
         table, files = read_table(place, templates, labels), (labels, entries_file, place)
 
-    folder = next((name for name in _CLIP_FOLDERS if (root / name).is_dir() and _any_film(root / name)), None)
+    listings = ((name, [f for f in list_folder(root / name)[1] if f.endswith(".webm")]) for name in _CLIP_FOLDERS)
+    folder, clips = next((found for found in listings if found[1]), (None, []))
     if folder is None:
         msg = f"path: {root} holds no clips: expected 74225.webm and so on in {' or '.join(_CLIP_FOLDERS[:2])}"
         raise InputError(msg)
-    there = {name.removesuffix(".webm") for name in list_folder(root / folder)[1] if name.endswith(".webm")}
-    present = [entry for entry in entries if entry.identity in there]
+    there = {name.removesuffix(".webm") for name in clips}
+    present = {identity: template for identity, template in entries.items() if identity in there}
     problems = tuple(line for identity, line in unknown.items() if identity in there)
     if problems and not present:
         listed_problems = "\n  ".join(first_lines(problems))
         msg = f"path: {root} holds no clip whose template is known:\n  {listed_problems}"
         raise InputError(msg)
     if not present:
-        first = next(iter((*(entry.identity for entry in entries), *unknown)))
+        first = next(iter((*entries, *unknown)))
         msg = (
             f"path: none of the {len(there)} clips in {root / folder} is listed in {entries_file.name} (of {listed}, the "
             f"first {first}): expected files named by their id"
         )
         raise InputError(msg)
     films = [
-        ((Path(folder) / f"{entry.identity}.webm").as_posix(), table[entry.template])
-        for entry in present
-        if entry.template in table
+        ((Path(folder) / f"{identity}.webm").as_posix(), table[template])
+        for identity, template in present.items()
+        if template in table
     ]
     if not films:
         msg = f"classes: none of the {len(present)} clips in {root / folder} is of a template that {files[-1]} lists"
@@ -229,13 +206,127 @@ def _list(root: Path, subset: Subset | None, classes: Literal["all", "coarse"] |
     )
 
 
-def _any_film(folder: Path) -> bool:
-    return any(name.endswith(".webm") for name in list_folder(folder)[1])
+def find_labels(root: Path, name: str) -> Path | None:
+    """Return a label file's path under one of its original names (``name`` is ``labels``, ``train`` or ``validation``).
+
+    Raises:
+        InputError: the folder cannot be looked into.
+    """
+    places = (root / folder / f"{prefix}{name}.json" for folder in _LABEL_FOLDERS for prefix in _PREFIXES)
+    try:
+        return next((place for place in places if place.is_file()), None)
+    except OSError as error:
+        refuse_unreadable(root, error)
 
 
-def _label_file(root: Path, name: str) -> Path:
-    place = find_labels(root, name)
-    if place is None:
-        msg = f"path: {root} holds no something-something-v2-{name}.json (or {name}.json), there or in labels"
+def read_templates(path: Path) -> dict[str, Any]:
+    """Read the file of all templates, ``{"Closing something": "5", ...}``.
+
+    Raises:
+        InputError: naming the file, when it is something else.
+    """
+    content = _read_json(path)
+    if not isinstance(content, dict) or not content or not all(str(value).isdecimal() for value in content.values()):
+        msg = f'{path} is not a file of labels: expected {{"Approaching something with your camera": "0", ...}}'
         raise InputError(msg)
-    return place
+    return content
+
+
+def read_entries(path: Path, templates: Collection[str], labels: Path) -> tuple[dict[str, str], dict[str, str]]:
+    """Read a subset's file, ``[{"id": "74225", "template": "Spinning [something] ...", ...}, ...]``.
+
+    Returns:
+        By a clip's number, which names its file: the template, without brackets, where that is known; and, for the other
+        clips, the line that says what they have instead.
+
+    Raises:
+        InputError: naming the file and the clip, when an entry is broken.
+    """
+    content = _read_json(path)
+    if not isinstance(content, list) or not content:
+        msg = (
+            f'{path} holds no list of clips: expected [{{"id": "74225", "template": "Closing [something]", ...}}, ...]'
+        )
+        raise InputError(msg)
+    entries: dict[str, str] = {}
+    unknown: dict[str, str] = {}
+    for place, item in enumerate(content):
+        if not isinstance(item, Mapping) or not str(item.get("id", "")).isdecimal():
+            msg = f"{path}: entry {place} has no id of digits, got {str(item)[:80]}"
+            raise InputError(msg)
+        identity, written = str(item["id"]), item.get("template")
+        if not isinstance(written, str):
+            msg = f"{path}: clip {identity} has no template; the file of the test subset has none, use train or validation"
+            raise InputError(msg)
+        template = _bare(written)
+        if template not in templates:
+            text = f"clip {identity} has the unknown template {written!r}, not in {labels.name}"
+            unknown[identity] = f"{path.name}: {text}{_nearest(template, templates)}"
+        elif identity in entries:
+            msg = f"{path} lists clip {identity} twice: keep one of them"
+            raise InputError(msg)
+        else:
+            entries[identity] = template
+    return entries, unknown
+
+
+def read_table(path: Path, templates: Collection[str], labels: Path) -> dict[str, str]:
+    """Read a table of classes: a CSV file with the columns ``template`` and ``class``; lines that begin with # are comments.
+
+    Returns:
+        Each listed template's class.
+
+    Raises:
+        InputError: naming the file and line, for a missing column, an empty class, an unknown or repeated template.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        msg = f"classes: {path} cannot be read as a table of classes ({error}); expected all, coarse or a CSV file"
+        raise InputError(msg) from error
+    # Comments become empty lines, so that lines keep their numbers.
+    reader = csv.reader(("" if line.startswith("#") else line for line in lines), strict=True)
+    try:
+        rows = [(reader.line_num, row) for row in reader if row]
+    except csv.Error as error:
+        msg = f"{path}:{reader.line_num} is not a line of a CSV file ({error})"
+        raise InputError(msg) from error
+    columns = [name.strip() for name in rows[0][1]] if rows else []
+    if columns != ["template", "class"] or len(rows) == 1:
+        msg = f"{path} begins with {','.join(columns) or 'nothing'}; expected the line template,class and a line per template"
+        raise InputError(msg)
+    table: dict[str, str] = {}
+    for number, row in rows[1:]:
+        if len(row) != 2 or not row[1].strip():
+            msg = f"{path}:{number} holds {','.join(row)}; expected a template and its class, in quotes if they hold commas"
+            raise InputError(msg)
+        template = _bare(row[0]).strip()
+        if template not in templates:
+            hint = _nearest(template, templates)
+            msg = f"{path}:{number} has the unknown template {template!r}, not in {labels.name}{hint}"
+            raise InputError(msg)
+        if template in table:
+            msg = f"{path}:{number} lists {template!r} a second time: keep one of them"
+            raise InputError(msg)
+        table[template] = row[1].strip()
+    return table
+
+
+def _bare(template: str) -> str:
+    return template.replace("[", "").replace("]", "")
+
+
+def _nearest(template: str, templates: Collection[str]) -> str:
+    by_lower = {known.lower(): known for known in templates}
+    hint = nearest(template, by_lower)
+    for lower, known in by_lower.items():
+        hint = hint.replace(repr(lower), repr(known))
+    return hint
+
+
+def _read_json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        msg = f"{path} cannot be read as JSON ({error}): fetch it again"
+        raise InputError(msg) from error

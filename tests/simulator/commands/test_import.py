@@ -11,8 +11,7 @@ import yaml
 from PIL import Image
 
 from simulator.importers import film
-from simulator.importers.check import choose, find_candidates
-from simulator.importers.survey import Survey
+from simulator.importers.inspection import Survey, choose, find_candidates
 
 
 @pytest.fixture
@@ -98,9 +97,9 @@ def test_videos_too_short_for_a_clip_are_problems_once_its_length_is_known(flatl
     code, out, err = flatlight(*run)
     one_error((code, out, err), "problems above: 1;")
     assert "problem: dog: fewer frames with a mask than the 3 that a clip of 3 takes (videos here have 2 to 3)" in out
-    code, out, _ = flatlight(*run, "--set", "raise_by=2")
+    code, out, _ = flatlight(*run, "--set", "interpolate_by=2")
     assert code == 0
-    assert "frames: 3, raise_by: 2}" in out
+    assert "frames: 3, interpolate_by: 2}" in out
 
 
 def test_what_no_importer_knows(flatlight, tmp_path, one_error) -> None:
@@ -163,7 +162,7 @@ def install(tmp_path, monkeypatch):
         (site / package).mkdir(parents=True)
         (site / package / "__init__.py").touch()
         for name, recognises in sources.items():
-            imports = "" if recognises is None else "from simulator.importers.survey import Survey\n"
+            imports = "" if recognises is None else "from simulator.importers import Survey\n"
             code = SOURCE.format(name=name, imports=imports)
             code += "" if recognises is None else SURVEY.format(name=name, recognises=recognises)
             (site / package / f"{name}.py").write_text(textwrap.dedent(code), encoding="utf-8")
@@ -282,18 +281,10 @@ def test_many_problems_are_counted() -> None:
 
 
 def test_a_users_own_file(flatlight, rocks, tmp_path, monkeypatch) -> None:
-    code = SOURCE.format(name="mine", imports="from simulator.importers.survey import Survey\n")
+    code = SOURCE.format(name="mine", imports="from simulator.importers import Survey\n")
     (tmp_path / "mine.py").write_text(code + SURVEY.format(name="mine", recognises="return False"), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     code, out, _ = flatlight("import", "--check", rocks, "--source", "./mine.py:mine")
     assert code == 0
     assert "mine, 3 usable" in out
     assert "source: ./mine.py:mine" in out
-
-
-@pytest.mark.shared
-def test_the_real_samples(flatlight, shared_data) -> None:
-    code, out, _ = flatlight("import", "--check", shared_data / "davis")
-    assert code == 0
-    assert "davis, 2 usable" in out
-    assert "note: masks a pixel larger or smaller than their picture, resized: 1 (masks/judo/00005.png)" in out

@@ -1,10 +1,8 @@
 """Pictures with depth charts become clips: layouts, codes at full range, depth's sense, undistortion, borders, mistakes."""
 
 import json
-import os
 import pickle
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -159,7 +157,7 @@ class TestDepth:
         codes = np.zeros(SHAPE, np.uint8)
         codes[0, 0] = 9  # outside the circle
         unity(tmp_path, codes=codes)
-        with pytest.raises(InputError, match=r"aov_image_0000\.png gives no depth where its picture is seen"):
+        with pytest.raises(InputError, match=r"aov_image_0000\.png gives no depth where its image is seen"):
             clip_of(tmp_path, border=[8, 8, 5], field="angles")
 
     @pytest.mark.parametrize(("rows", "warned"), [(8, 0), (9, 1)])
@@ -248,7 +246,7 @@ class TestPictures:
             barred[black] = 0
             save(tmp_path / f"Frames/image_{number:04}.png", barred)
             save(tmp_path / f"Pixelwise Depths/aov_image_{number:04}.png", np.full((64, 64), 60, np.uint8))
-        with pytest.raises(InputError, match=r"bounded by no circle: give border: \[column, row, radius\]"):
+        with pytest.raises(InputError, match=r"not bounded by a circle: give border: \[column, row, radius\]"):
             source_of(tmp_path, border="auto")
         assert source_of(tmp_path, border="none").circle is None
         assert source_of(tmp_path, border=[31.5, 30, 20]).circle == (31.5, 30.0, 20.0)
@@ -287,7 +285,7 @@ class TestClips:
             assert recognises(tmp_path / folder)
             assert [pair.sequence for pair in source_of(tmp_path / folder).pairs] == expected
         pair = source_of(tmp_path / "c").pairs[-1]
-        assert (pair.picture.as_posix(), pair.depth.as_posix()) == (
+        assert (pair.image.as_posix(), pair.depth.as_posix()) == (
             "train_frame/image_0001.png",
             "train_depth/aov_image_0001.png",
         )
@@ -301,60 +299,12 @@ class TestClips:
         assert len(source) == 1
         lonely, chart, camera = sorted(source.problems, key=lambda line: ("MiroCam" in line, "aov" in line))
         assert lonely.startswith(f"{tmp_path}/UnityCam/Colon/Frames/image_0002.png: has no depth chart of its number")
-        assert chart.startswith(f"{tmp_path}/UnityCam/Colon/Pixelwise Depths/aov_image_0004.png: has no picture")
-        assert camera.startswith(f"{tmp_path}/MiroCam: holds pictures without any depth chart (1)")
-
-
-class TestFolders:
-    @pytest.mark.parametrize("name", ["._{}", ".ipynb_checkpoints/{}", "__MACOSX/Frames/{}"])
-    def test_what_systems_leave_behind_is_no_frame(self, tmp_path, name):
-        root = unity(tmp_path)
-        expected = source_of(root).pairs
-        for file in [path for path in root.rglob("*") if path.is_file()]:
-            for folder in (file.parent, root):
-                junk = folder / name.format(file.name)
-                junk.parent.mkdir(parents=True, exist_ok=True)
-                junk.write_bytes(b"\x00\x05\x16\x07")
-        source = source_of(root)
-        assert (source.pairs, source.problems) == (expected, ())
-        assert survey(root).problems == ()
-
-    def test_linked_folders_are_followed(self, tmp_path):
-        unity(tmp_path / "disk")
-        (tmp_path / "root").mkdir()
-        (tmp_path / "root/organ").symlink_to(tmp_path / "disk/UnityCam/Colon", target_is_directory=True)
-        (tmp_path / "disk/UnityCam/Colon/back").symlink_to(tmp_path / "root", target_is_directory=True)
-        source = source_of(tmp_path / "root")
-        assert [pair.picture.as_posix() for pair in source.pairs] == [
-            f"organ/Frames/image_000{n}.png" for n in range(3)
-        ]
-        assert recognises(tmp_path / "root")
-
-    def test_a_folder_that_may_not_be_read_is_named(self, tmp_path, monkeypatch):
-        root, scandir = unity(tmp_path), os.scandir
-        shut = root / "UnityCam/Colon/Pixelwise Depths"
-
-        def refuse(path):
-            if Path(path) == shut:
-                raise PermissionError(13, "Permission denied", str(path))
-            return scandir(path)
-
-        monkeypatch.setattr(os, "scandir", refuse)
-        for call in (source_of, survey):
-            with pytest.raises(InputError, match=f"path: {shut} cannot be read: Permission denied"):
-                call(root)
-
-    def test_one_reason_for_many_files_makes_one_line(self, tmp_path):
-        root = unity(tmp_path, range(9))
-        for number in range(1, 9):
-            (root / f"UnityCam/Colon/Pixelwise Depths/aov_image_{number:04}.png").unlink()
-        for (line,) in (source_of(root).problems, survey(root).problems):
-            assert line.startswith(f"{root}/UnityCam/Colon/Frames/image_0001.png, ")
-            assert "image_0003.png and 5 more: has no depth chart of its number" in line
+        assert chart.startswith(f"{tmp_path}/UnityCam/Colon/Pixelwise Depths/aov_image_0004.png: has no image")
+        assert camera.startswith(f"{tmp_path}/MiroCam: holds images without any depth chart (1)")
 
 
 class TestMistakes:
-    @pytest.mark.parametrize("name", ["depth_scale_cm", "depth_at_zero_cm", "frames_per_second"])
+    @pytest.mark.parametrize("name", ["depth_scale_cm", "frames_per_second"])
     def test_infinite_parameters(self, tmp_path, name):
         plain = {"path": str(tmp_path), "depth_scale_cm": 20, "depth_code": "linear", name: float("inf")}
         with pytest.raises(ParameterError, match=f"{name}: "):
@@ -444,10 +394,10 @@ class TestMistakes:
     def test_folders(self, tmp_path):
         with pytest.raises(InputError, match=r"there is no folder .*nowhere"):
             source_of(tmp_path / "nowhere")
-        with pytest.raises(InputError, match=r"holds no pictures with depth charts \(such as"):
+        with pytest.raises(InputError, match=r"holds no images with depth charts \(such as"):
             source_of(tmp_path)
         save(tmp_path / "Frames/image_0000.png", picture())
-        with pytest.raises(InputError, match=r"holds pictures without any depth chart \(1\)"):
+        with pytest.raises(InputError, match=r"holds images without any depth chart \(1\)"):
             source_of(tmp_path)
         assert not recognises(tmp_path)
         assert not recognises(tmp_path / "nowhere")
@@ -467,7 +417,7 @@ class TestSurvey:
         assert found.facts["depth codes"] == "16 bit, 0 to 65025"
         assert found.facts["code zero"] == "2 pixels"
         assert found.facts["consecutive frames"] == "1 to 1"
-        assert found.facts["image circle"] == "the whole picture"
+        assert found.facts["image circle"] == "the whole image"
         assert [line.partition(":")[0].rpartition("/")[2] for line in found.problems] == [
             "FrameBuffer_0004.png",
             "Depth_0001.png",
@@ -502,7 +452,7 @@ class TestSurvey:
 
     @pytest.mark.shared
     def test_the_real_sample(self, shared_data, monkeypatch):
-        monkeypatch.setattr("simulator.importers.rgbd.depth_limit._WARNED", set())
+        monkeypatch.setattr("simulator.importers.depth_codes._WARNED", set())
         folder = shared_data / "endoslam/new_code/data"
         assert recognises(folder)
         found = survey(folder)

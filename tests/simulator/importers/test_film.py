@@ -10,7 +10,6 @@ from PIL import Image
 
 from simulator.errors import InputError
 from simulator.importers.film import film, recognises, survey
-from simulator.importers.films.numbering import counting_fault
 from simulator.io.exr import write_exr
 from simulator.types import View
 
@@ -54,7 +53,7 @@ def test_pictures_are_taken_in_the_order_of_their_numbers(films, tmp_path):
 
 def test_pictures_without_a_rate_are_refused(films, tmp_path):
     write_pictures(tmp_path / "seq", films.numbered(3))
-    with pytest.raises(InputError, match=r"frames_per_second: pictures such as those in .*seq have no rate"):
+    with pytest.raises(InputError, match=r"frames_per_second: images such as those in .*seq have no frame rate"):
         film(VIEW, path=tmp_path / "seq", frames=2)
 
 
@@ -96,18 +95,18 @@ def test_a_folder_of_films_and_picture_folders_holds_a_video_each(films, tmp_pat
     assert films.number_of(clip_of(source, 7).rgb[0]) == 2
 
 
-def test_raising_puts_frames_between(films, tmp_path):
+def test_interpolation_puts_frames_between(films, tmp_path):
     path = films.write(tmp_path / "a.webm", films.numbered(3))
-    clip = clip_of(film(VIEW, path=path, frames=5, raise_by=2))
+    clip = clip_of(film(VIEW, path=path, frames=5, interpolate_by=2))
     assert clip.rgb.shape[0] == 5
     assert [films.number_of(frame) for frame in clip.rgb[::2]] == [0, 1, 2]
-    assert clip.source["raising"]["name"] == "optical_flow"
+    assert clip.source["interpolation"]["name"] == "optical_flow"
     np.testing.assert_allclose(np.diff(clip.frame_edges_s), 1 / 24)
 
 
-def test_raised_pictures_were_filmed_more_slowly(films, tmp_path):
+def test_interpolated_images_were_filmed_more_slowly(films, tmp_path):
     write_pictures(tmp_path / "seq", films.numbered(3))
-    clip = clip_of(film(VIEW, path=tmp_path / "seq", frames=5, frames_per_second=100, raise_by=2))
+    clip = clip_of(film(VIEW, path=tmp_path / "seq", frames=5, frames_per_second=100, interpolate_by=2))
     assert "own_frames_per_second" not in clip.source  # pictures have none
     np.testing.assert_allclose(np.diff(clip.frame_edges_s), 0.01)
 
@@ -137,7 +136,7 @@ def test_survey_decodes_everything_and_tells_its_progress(films, tmp_path):
     assert steps == [(1, 3), (2, 3), (3, 3)]
     assert (found.importer, found.usable, found.problems) == ("film", 3, ())
     assert found.facts["films"] == "2"
-    assert found.facts["picture folders"] == "1"
+    assert found.facts["image folders"] == "1"
     assert found.facts["frames"] == "16 (4 to 7 per video)"
     assert found.facts["sizes"] == "32 x 32, 48 x 64"
     assert len(found.notes) == 1
@@ -172,8 +171,8 @@ def test_survey_names_damage_that_only_decoding_shows_and_pictures_that_differ(f
     [
         ("none", "does not exist"),
         ("empty", "holds no films"),
-        ("mixed", r"holds both films \(a.webm\) and pictures \(frame8.png\)"),
-        ("mixed/frame8.png", "is one picture; expected a film or a folder"),
+        ("mixed", r"holds both films \(a.webm\) and images \(frame8.png\)"),
+        ("mixed/frame8.png", "is one image; expected a film or a folder"),
     ],
 )
 def test_what_cannot_be_read_is_refused(films, tmp_path, name, message):
@@ -200,16 +199,6 @@ def test_films_and_pictures_are_recognised_by_name(films, tmp_path):
     assert not recognises(tmp_path / "parts")
 
 
-def test_what_systems_leave_behind_is_no_video(films, tmp_path):
-    write_pictures(tmp_path / "seq", films.numbered(3))
-    (tmp_path / "seq" / "._frame8.png").write_bytes(b"")
-    (tmp_path / "__MACOSX").mkdir()
-    (tmp_path / "__MACOSX" / "a.webm").write_bytes(b"")
-    assert recognises(tmp_path)
-    source = film(VIEW, path=tmp_path, frames=2, frames_per_second=10)
-    assert ([video.name for video in source.videos], source.problems) == (["seq"], ())
-
-
 def test_folders_in_whose_count_pictures_are_missing_are_problems(films, tmp_path):
     write_pictures(tmp_path / "whole", films.numbered(4))
     write_pictures(tmp_path / "torn", films.numbered(4))
@@ -217,20 +206,8 @@ def test_folders_in_whose_count_pictures_are_missing_are_problems(films, tmp_pat
     source = film(VIEW, path=tmp_path, frames=2, frames_per_second=10)
     assert [video.name for video in source.videos] == ["whole"]
     (problem,) = source.problems
-    assert problem.startswith("torn: its pictures leave their count of 1 after frame11.png (the next is frame15.png)")
+    assert problem.startswith("torn: its images leave their count of 1 after frame11.png (the next is frame15.png)")
     assert survey(tmp_path).problems == source.problems
-
-
-def test_only_counts_have_gaps():
-    every_fifth = [f"{number:05d}.jpg" for number in range(0, 30, 5)]
-    assert counting_fault(every_fifth) is None
-    assert counting_fault([*every_fifth[:2], *every_fifth[3:]]) is not None
-    assert counting_fault(["1305031102.175304.png", "1305031102.211214.png", "1305031102.243211.png"]) is None
-    assert counting_fault(["a.png", "b.png", "c.png"]) is None
-    assert counting_fault(["a1.png", "a2.png", "b3.png", "b9.png"]) is None
-    two = counting_fault(["s3_1.png", "s3_2.png", "s3_4.png", "s3_5.png", "s3_6.png", "s3_7.png", "s3_9.png"])
-    assert two is not None
-    assert "after s3_2.png (the next is s3_4.png, and 1 times more)" in two
 
 
 def test_a_folder_that_may_not_be_read_is_named(films, tmp_path, monkeypatch):
@@ -251,15 +228,3 @@ def test_a_folder_that_may_not_be_read_is_named(films, tmp_path, monkeypatch):
 def test_a_clip_says_by_which_matrix_its_colours_were_read(films, tmp_path):
     path = films.write(tmp_path / "a.webm", films.numbered(2))
     assert clip_of(film(VIEW, path=path, frames=2)).source["colour_matrix"] == "BT.601 (untagged)"
-
-
-@pytest.mark.shared
-def test_real_clips_are_films(shared_data):
-    source = film(VIEW, path=shared_data / "ssv2" / "clips", frames=49)
-    assert [len(video) for video in source.videos] == [49, 52, 58]
-    clip = clip_of(source)
-    assert clip.source["first_frame"] == 0
-    assert clip.frame_edges_s[-1] == pytest.approx(49 / 12)
-    # A hand is filmed, neither black nor white nor still.
-    assert 0.02 < clip.rgb.mean() < 0.8
-    assert np.abs(clip.rgb[24] - clip.rgb[0]).max() > 0.05

@@ -1,13 +1,14 @@
-"""FlyingThings3D frames become clips: layouts, gamma, depth maps, crops, and each mistake by name."""
+"""FlyingThings3D frames become stills and clips: layouts, gamma, depth maps, crops, sequences, mistakes, a survey."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from simulator.errors import InputError
-from simulator.importers.flyingthings3d import flyingthings3d
+from simulator.importers.flyingthings3d import flyingthings3d, recognises, survey
 from simulator.types import SceneSource, View
 
 SHAPE = (24, 32)
@@ -16,34 +17,38 @@ VIEW = View(shape=(8, 8), pixel_pitch_m=19.2e-6, distance_m=1.9e-3, near_m=0.04,
 ROUNDING = {"rtol": 2**-24, "atol": 0}
 
 
-def write_frame(root, name, rgb, disparity, flattened=False, folder="frames_cleanpass", suffix=".png"):
-    top = "RGB_cleanpass" if flattened else folder
-    picture, depth = (root / top / name).with_suffix(suffix), (root / "disparity" / name).with_suffix(".pfm")
-    for path in (picture, depth):
+def frame(seed, shape=SHAPE):
+    rng = np.random.default_rng(seed)
+    return rng.integers(0, 255, (*shape, 3), dtype=np.uint8, endpoint=True), rng.uniform(2, 90, shape).astype(
+        np.float32
+    )
+
+
+def write(root, name, seed=0, *, rgb=None, disparity=None, folder="frames_cleanpass", suffix=".png"):
+    """Write an image and its disparity; what is not given is drawn."""
+    drawn = frame(seed)
+    rgb, disparity = drawn[0] if rgb is None else rgb, drawn[1] if disparity is None else disparity
+    image, depth = (root / folder / name).with_suffix(suffix), (root / "disparity" / name).with_suffix(".pfm")
+    for path in (image, depth):
         path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(rgb).save(picture, **({"lossless": True} if suffix == ".webp" else {}))
+    Image.fromarray(rgb).save(image, **({"lossless": True} if suffix == ".webp" else {}))
     header = f"Pf \n{disparity.shape[1]} {disparity.shape[0]} \n-1.0\n".encode()
     depth.write_bytes(header + disparity[::-1].astype("<f4").tobytes())
 
 
 @pytest.fixture
-def rng():
-    return np.random.default_rng(5)
+def rgb():
+    return frame(5)[0]
 
 
 @pytest.fixture
-def rgb(rng):
-    return rng.integers(0, 255, (*SHAPE, 3), dtype=np.uint8, endpoint=True)
-
-
-@pytest.fixture
-def disparity(rng):
-    return rng.uniform(2.0, 90.0, SHAPE).astype(np.float32)
+def disparity():
+    return frame(5)[1]
 
 
 @pytest.fixture
 def root(tmp_path, rgb, disparity):
-    write_frame(tmp_path, "TRAIN/A/0032/left/0006", rgb, disparity)
+    write(tmp_path, "TRAIN/A/0032/left/0006", rgb=rgb, disparity=disparity)
     return tmp_path
 
 
@@ -62,10 +67,10 @@ def centre(array, size=8):
 
 class TestClip:
     def test_colour_is_linear_light_of_the_centre(self, root, rgb):
-        import colour
-
         clip = flyingthings3d(VIEW, path=root, crop="centre", downscale=1).clip(0, np.random.default_rng(0))
-        np.testing.assert_allclose(clip.rgb[0], colour.models.eotf_sRGB(centre(rgb) / 255.0), rtol=0, atol=2**-24)
+        encoded = centre(rgb) / 255
+        light = np.where(encoded > 0.04045, ((encoded + 0.055) / 1.055) ** 2.4, encoded / 12.92)  # IEC 61966-2-1
+        np.testing.assert_allclose(clip.rgb[0], light, rtol=0, atol=2**-24)
         assert clip.valid.all()
         assert clip.frame_edges_s.tolist() == [0.0, 1.0]
 
@@ -73,8 +78,8 @@ class TestClip:
         rgb = np.zeros((12, 12, 3), np.uint8)
         rgb[::3] = 255  # one row in three is white: a mean of codes, then linearised, would be 0.09
         disparity = np.where(np.indices((12, 12)).sum(0) % 2, 10.0, 80.0).astype(np.float32)
-        write_frame(tmp_path, "TRAIN/A/0000/left/0006", rgb, disparity)
-        view = View((4, 4), VIEW.pixel_pitch_m, VIEW.distance_m, VIEW.near_m, VIEW.far_m)
+        write(tmp_path, "TRAIN/A/0000/left/0006", rgb=rgb, disparity=disparity)
+        view = replace(VIEW, shape=(4, 4))
         clip = flyingthings3d(view, path=tmp_path).clip(0, np.random.default_rng(0))
         assert clip.source["downscale"] == 3
         np.testing.assert_allclose(clip.rgb, 1 / 3, rtol=1e-7)
@@ -110,19 +115,19 @@ class TestClip:
 
     def test_both_signs_of_the_releases_mean_the_same(self, root, rgb, disparity, tmp_path):
         first = flyingthings3d(VIEW, path=root).clip(0, np.random.default_rng(0))
-        write_frame(root, "TRAIN/A/0032/left/0006", rgb, -disparity)
+        write(root, "TRAIN/A/0032/left/0006", rgb=rgb, disparity=-disparity)
         assert same_clip(first, flyingthings3d(VIEW, path=root).clip(0, np.random.default_rng(0)))
 
     def test_zero_disparity_is_invalid_and_far(self, root, rgb, disparity):
         disparity[:, ::2] = 0
-        write_frame(root, "TRAIN/A/0032/left/0006", rgb, disparity)
+        write(root, "TRAIN/A/0032/left/0006", rgb=rgb, disparity=disparity)
         clip = flyingthings3d(VIEW, path=root, crop="centre", downscale=1).clip(0, np.random.default_rng(0))
         assert np.array_equal(clip.valid[0], centre(disparity) > 0)
         assert np.all(clip.depth_m[~clip.valid] == np.float32(VIEW.far_m))
         assert clip.source["disparity_range_px"][0] >= 2.0
 
     def test_an_infinite_far_depth_takes_the_lowest_disparity(self, root, disparity):
-        view = View(SHAPE, VIEW.pixel_pitch_m, VIEW.distance_m, VIEW.near_m, np.inf)
+        view = replace(VIEW, shape=SHAPE, far_m=np.inf)
         clip = flyingthings3d(view, path=root).clip(0, np.random.default_rng(0))
         assert np.argwhere(np.isinf(clip.depth_m[0])).tolist() == [list(np.unravel_index(disparity.argmin(), SHAPE))]
         assert clip.valid.all()
@@ -138,14 +143,14 @@ class TestDrawing:
         assert corners.min(0).tolist() == [0, 0]
         assert corners.max(0).tolist() == [SHAPE[0] - 8, SHAPE[1] - 8]  # the last position is reached too
         row, column = corners[7]
-        whole = View(SHAPE, VIEW.pixel_pitch_m, VIEW.distance_m, VIEW.near_m, VIEW.far_m)
+        whole = replace(VIEW, shape=SHAPE)
         full = flyingthings3d(whole, path=root).clip(0, np.random.default_rng(0))
         window = np.s_[:, row : row + 8, column : column + 8]
         assert np.array_equal(clips[7].rgb, full.rgb[window])
         assert np.array_equal(clips[7].depth_m, full.depth_m[window])  # the map is that of the whole image
 
     def test_same_index_and_generator_give_the_same_clip_after_pickling(self, root, rgb, disparity):
-        write_frame(root, "TRAIN/A/0032/left/0007", rgb[::-1], disparity)
+        write(root, "TRAIN/A/0032/left/0007", rgb=rgb[::-1], disparity=disparity)
         source = flyingthings3d(VIEW, path=root)
         copy = pickle.loads(pickle.dumps(source))
         assert isinstance(copy, SceneSource)
@@ -157,7 +162,7 @@ class TestDrawing:
         assert source.clip(3, np.random.default_rng(0)).source["picture"].endswith("0007.png")  # 3 modulo 2
 
     def test_per_set_shares_one_range(self, root, rgb, disparity):
-        write_frame(root, "TRAIN/A/0032/left/0007", rgb, 2 * disparity)
+        write(root, "TRAIN/A/0032/left/0007", rgb=rgb, disparity=2 * disparity)
         source = flyingthings3d(VIEW, path=root, per="set", crop="centre", downscale=1)
         for index in range(2):
             record = source.clip(index, np.random.default_rng(0)).source
@@ -168,7 +173,7 @@ class TestDrawing:
         assert alone["disparity_range_px"] == [float(2 * disparity.min()), float(2 * disparity.max())]
 
     def test_inputs_are_all_files_that_may_be_read(self, root, rgb, disparity):
-        write_frame(root, "TRAIN/A/0032/right/0006", rgb, disparity)
+        write(root, "TRAIN/A/0032/right/0006", rgb=rgb, disparity=disparity)
         found = [path.relative_to(root).as_posix() for path in flyingthings3d(VIEW, path=root).inputs]
         assert found == ["frames_cleanpass/TRAIN/A/0032/left/0006.png", "disparity/TRAIN/A/0032/left/0006.pfm"]
 
@@ -177,8 +182,10 @@ class TestLayouts:
     def test_all_layouts_and_roots_give_the_same_pixels(self, root, rgb, disparity, tmp_path_factory):
         expected = flyingthings3d(VIEW, path=root).clip(0, np.random.default_rng(0))
         flat, webp = tmp_path_factory.mktemp("flat") / "SCENE_FLOW", tmp_path_factory.mktemp("webp")
-        write_frame(flat, "left/A-0032-0006", rgb, disparity, flattened=True)
-        write_frame(webp, "TRAIN/A/0032/left/0006", rgb, disparity, folder="frames_cleanpass_webp", suffix=".webp")
+        write(flat, "left/A-0032-0006", rgb=rgb, disparity=disparity, folder="RGB_cleanpass")
+        write(
+            webp, "TRAIN/A/0032/left/0006", rgb=rgb, disparity=disparity, folder="frames_cleanpass_webp", suffix=".webp"
+        )
         paths = [root / "frames_cleanpass", root / "disparity", flat, flat.parent, flat / "RGB_cleanpass", webp]
         for path in paths:
             clip = flyingthings3d(VIEW, path=path).clip(0, np.random.default_rng(0))
@@ -186,12 +193,12 @@ class TestLayouts:
             assert np.array_equal(clip.depth_m, expected.depth_m)
 
     def test_eye_pass_and_subset_choose(self, root, rgb, disparity):
-        write_frame(root, "TRAIN/A/0032/right/0006", 255 - rgb, disparity)
-        write_frame(root, "TEST/A/0000/left/0006", rgb // 2, disparity, folder="frames_finalpass")
-        write_frame(root, "TEST/A/0000/left/0006", rgb, disparity)
+        write(root, "TRAIN/A/0032/right/0006", rgb=255 - rgb, disparity=disparity)
+        write(root, "TEST/A/0000/left/0006", rgb=rgb // 2, disparity=disparity, folder="frames_finalpass")
+        write(root, "TEST/A/0000/left/0006", rgb=rgb, disparity=disparity)
 
         def pictures(**choice):
-            return [frame.picture.as_posix() for frame in flyingthings3d(VIEW, path=root, **choice).frames]
+            return [pair.image.as_posix() for pair in flyingthings3d(VIEW, path=root, **choice).pairs]
 
         assert pictures(eye="right") == ["frames_cleanpass/TRAIN/A/0032/right/0006.png"]
         assert pictures(picture_pass="finalpass") == ["frames_finalpass/TEST/A/0000/left/0006.png"]
@@ -201,10 +208,14 @@ class TestLayouts:
     @pytest.mark.shared
     def test_the_real_sample(self, shared_data):
         view = View((128, 128), VIEW.pixel_pitch_m, VIEW.distance_m, 0.036, 0.2)
+        surveyed = survey(shared_data / "flyingthings3d")
+        assert (surveyed.usable, surveyed.problems) == (1, ())
+        assert surveyed.facts["sizes"] == "540 x 960"
+        assert surveyed.facts["disparity"] == "1.206 to 130.4 px"
         found = {}
         for scaling in ("affine_disparity", "affine_depth"):
             source = flyingthings3d(view, path=shared_data / "flyingthings3d", depth_scaling=scaling)
-            assert len(source.frames) == 1
+            assert len(source.pairs) == 1
             clip = source.clip(4, np.random.default_rng(4))
             assert clip.source["downscale"] == 4
             assert clip.source["disparity_range_px"] == pytest.approx([1.206, 130.365], abs=5e-4)
@@ -231,28 +242,28 @@ class TestMistakes:
         with pytest.raises(InputError, match=r"has none of frames_cleanpass.*it has pictures"):
             self.make(tmp_path)
         (tmp_path / "frames_cleanpass").mkdir()
-        with pytest.raises(InputError, match=r"holds no left picture"):
+        with pytest.raises(InputError, match=r"holds no left image"):
             self.make(tmp_path)
 
     def test_two_data_sets_side_by_side(self, tmp_path, rgb, disparity):
         for name in "ab":
-            write_frame(tmp_path / name, "TRAIN/A/0032/left/0006", rgb, disparity)
+            write(tmp_path / name, "TRAIN/A/0032/left/0006", rgb=rgb, disparity=disparity)
         with pytest.raises(InputError, match=r"several data sets in it \(a, b\)"):
             self.make(tmp_path)
 
     def test_a_picture_without_disparity(self, root, rgb, disparity):
-        write_frame(root, "TRAIN/A/0032/left/0007", rgb, disparity)
+        write(root, "TRAIN/A/0032/left/0007", rgb=rgb, disparity=disparity)
         (root / "disparity/TRAIN/A/0032/left/0007.pfm").unlink()
         source = self.make(root)
         assert len(source) == 1
         (problem,) = source.problems
         assert problem.startswith(f"{root}/frames_cleanpass/TRAIN/A/0032/left/0007.png: has no .pfm at its place")
         (root / "disparity/TRAIN/A/0032/left/0006.pfm").unlink()
-        with pytest.raises(InputError, match=r"none of the 2 pictures .*the first wants .*/disparity/.*left/0006\.pfm"):
+        with pytest.raises(InputError, match=r"none of the 2 images .*the first wants .*/disparity/.*left/0006\.pfm"):
             self.make(root)
 
     def test_subset_needs_the_original_layout(self, tmp_path, rgb, disparity):
-        write_frame(tmp_path, "left/A-0032-0006", rgb, disparity, flattened=True)
+        write(tmp_path, "left/A-0032-0006", rgb=rgb, disparity=disparity, folder="RGB_cleanpass")
         with pytest.raises(InputError, match="flattened layout without TRAIN and TEST"):
             self.make(tmp_path, subset="TEST")
 
@@ -265,10 +276,10 @@ class TestMistakes:
     def test_sizes_that_do_not_fit(self, root, rgb, disparity):
         with pytest.raises(InputError, match=r"8 x 8 pixels at downscale 4 .*\(24 x 32\): use downscale at most 3"):
             self.make(root, downscale=4).clip(0, np.random.default_rng(0))
-        large = View((40, 8), VIEW.pixel_pitch_m, VIEW.distance_m, VIEW.near_m, VIEW.far_m)
+        large = replace(VIEW, shape=(40, 8))
         with pytest.raises(InputError, match=r"use a scene of at most 24 x 32"):
             flyingthings3d(large, path=root).clip(0, np.random.default_rng(0))
-        write_frame(root, "TRAIN/A/0032/left/0006", rgb, disparity[1:])
+        write(root, "TRAIN/A/0032/left/0006", rgb=rgb, disparity=disparity[1:])
         with pytest.raises(InputError, match=r"24 x 32 x 3 and its disparity .*0006\.pfm is 23 x 32"):
             self.make(root).clip(0, np.random.default_rng(0))
 
@@ -280,7 +291,7 @@ class TestMistakes:
             (disparity - 20, "mixes disparities of both signs"),
             (np.where(disparity > 80, np.nan, disparity), "NaN or infinite"),
         ]:
-            write_frame(root, name, rgb, np.asarray(values, np.float32))
+            write(root, name, rgb=rgb, disparity=np.asarray(values, np.float32))
             with pytest.raises(InputError, match=message):
                 self.make(root).clip(0, np.random.default_rng(0))
             with pytest.raises(InputError, match=message):
@@ -291,3 +302,234 @@ class TestMistakes:
         picture.write_bytes(picture.read_bytes()[:200])
         with pytest.raises(InputError, match=r"0006\.png is damaged"):
             self.make(root).clip(0, np.random.default_rng(0))
+
+
+@pytest.fixture
+def sequences(tmp_path):
+    """Sequence 0000 has frames 6..9 and 11, 0001 has 6 and 7: three clips of two frames and one left over."""
+    for k, name in enumerate(
+        ["0000/left/0006", "0000/left/0007", "0000/left/0008", "0000/left/0009", "0000/left/0011"]
+    ):
+        write(tmp_path, f"TRAIN/A/{name}", k)
+    for k, name in enumerate(["0001/left/0006", "0001/left/0007"]):
+        write(tmp_path, f"TRAIN/A/{name}", 10 + k)
+    return tmp_path
+
+
+def clips_of(root, **choice):
+    return flyingthings3d(VIEW, path=root, **{"frames": 2, "frames_per_second": 50.0, **choice})
+
+
+def images(source, index):
+    return [name.rpartition("/")[2] for name in source.clip(index, np.random.default_rng(0)).source["pictures"]]
+
+
+class TestSequences:
+    def test_consecutive_frames_of_one_sequence_that_no_other_clip_has(self, sequences):
+        source = clips_of(sequences)
+        assert len(source) == 3
+        assert [images(source, k) for k in range(3)] == [
+            ["0006.png", "0007.png"],
+            ["0008.png", "0009.png"],
+            ["0006.png", "0007.png"],
+        ]
+        assert list(source.groups) == [0, 0, 1]
+        clip = source.clip(2, np.random.default_rng(0))
+        assert clip.source["sequence"] == "TRAIN/A/0001"
+        assert clip.frame_edges_s.tolist() == [0.0, 0.02, 0.04]
+
+    def test_all_frames_are_cut_at_one_place(self, sequences):
+        source = clips_of(sequences, downscale=1)
+        clip = pickle.loads(pickle.dumps(source)).clip(0, np.random.default_rng(3))
+        row, column = clip.source["corner_px"]
+        stills = flyingthings3d(replace(VIEW, shape=SHAPE), path=sequences)
+        for t in range(2):
+            whole = stills.clip(t, np.random.default_rng(0)).rgb[0]
+            assert np.array_equal(clip.rgb[t], whole[row : row + 8, column : column + 8])
+
+    def test_one_depth_map_for_all_frames_of_a_clip(self, tmp_path):
+        rows = np.linspace(1.0, 2.0, SHAPE[0] * SHAPE[1], dtype=np.float32).reshape(SHAPE)
+        write(tmp_path, "TRAIN/A/0000/left/0006", 0, disparity=10 * rows)
+        write(tmp_path, "TRAIN/A/0000/left/0007", 1, disparity=40 * rows)
+        clip = clips_of(tmp_path, crop="centre", downscale=1).clip(0, np.random.default_rng(0))
+        assert clip.source["disparity_range_px"] == [10.0, 80.0]
+        # 1/z runs from 1/far at 10 px to 1/near at 80 px in both frames.
+        inverse = 1 / VIEW.far_m + (40 * centre(rows).astype(float) - 10) / 70 * (1 / VIEW.near_m - 1 / VIEW.far_m)
+        np.testing.assert_allclose(clip.depth_m[1], 1 / inverse, rtol=1e-6)
+        assert clip.depth_m[0].min() > clip.depth_m[1].max()
+
+    def test_stills_of_a_sequence_are_one_group(self, sequences):
+        source = flyingthings3d(VIEW, path=sequences)
+        assert list(source.groups) == [0] * 5 + [1] * 2
+        still = source.clip(0, np.random.default_rng(0))
+        assert set(still.source) >= {"picture", "disparity"}
+        assert "pictures" not in still.source
+
+    def test_a_missing_disparity_is_a_gap_and_a_problem(self, sequences):
+        (sequences / "disparity/TRAIN/A/0000/left/0007.pfm").unlink()
+        source = clips_of(sequences)
+        assert [images(source, k) for k in range(len(source))] == [["0008.png", "0009.png"], ["0006.png", "0007.png"]]
+        assert len(source.problems) == 1
+        assert "0007.png: has no .pfm" in source.problems[0]
+
+    def test_flattened_names(self, tmp_path):
+        for k, name in enumerate(["A-0032-0006", "A-0032-0007", "A-0033-0008", "A-0033-0009"]):
+            write(tmp_path, f"left/{name}", k, folder="RGB_cleanpass")
+        source = clips_of(tmp_path)
+        assert [images(source, k) for k in range(2)] == [
+            ["A-0032-0006.png", "A-0032-0007.png"],
+            ["A-0033-0008.png", "A-0033-0009.png"],
+        ]
+        assert list(source.groups) == [0, 1]
+
+    def test_broken_disparities_of_a_set_are_problems(self, sequences):
+        write(sequences, "TRAIN/A/0001/left/0007", 11, disparity=np.zeros(SHAPE, np.float32))
+        source = clips_of(sequences, per="set")
+        assert len(source) == 2
+        broken, short = source.problems
+        assert broken.startswith(f"{sequences}/disparity/TRAIN/A/0001/left/0007.pfm: is zero everywhere")
+        assert short.startswith("TRAIN/A/0001: has 1 consecutive frames, but a clip takes 2")
+
+
+class TestRegistration:
+    @pytest.mark.parametrize("factor", [2, 3, 4])
+    def test_depth_is_that_of_the_middle_of_what_colour_averages(self, tmp_path, factor):
+        """A ramp of light and one of disparity that are each other's images stay so, to half a pixel of an even factor.
+
+        The mean of a linear ramp over a block is its value in the block's middle, (factor - 1) / 2; the sample nearest to it
+        is factor // 2. Another would move depth against colour by up to a block.
+        """
+        size = 8 * factor
+        rows, columns = np.indices((size, size))
+        disparity = (1 + columns + 100 * rows).astype(np.float32)
+        write(tmp_path, "TRAIN/A/0000/left/0006", disparity=disparity)
+        light = ((columns + rows) / (2 * size))[..., None].repeat(3, -1)
+        encoded = np.where(light > 0.0031308, 1.055 * light ** (1 / 2.4) - 0.055, 12.92 * light)
+        picture = tmp_path / "frames_cleanpass/TRAIN/A/0000/left/0006.png"
+        Image.fromarray((255 * encoded).round().astype(np.uint8)).save(picture)
+        view = replace(VIEW, shape=(8, 8))
+        source = flyingthings3d(view, path=tmp_path, depth_scaling="fixed", metres_per_unit=1.0)
+        clip = source.clip(0, np.random.default_rng(0))
+        assert clip.source["downscale"] == factor
+        sampled = (1050 / clip.depth_m[0].astype(float)).round().astype(int) - 1
+        column, row = sampled % 100, sampled // 100
+        assert np.array_equal(column[0], factor * np.arange(8) + factor // 2)
+        assert np.array_equal(row[:, 0], factor * np.arange(8) + factor // 2)
+        # Colour by colour: the ramp's value at the sample, half a pixel on (of both axes) where the factor is even.
+        shift = factor // 2 - (factor - 1) / 2
+        expected = (column + row - 2 * shift) / (2 * size)
+        np.testing.assert_allclose(clip.rgb[0, ..., 0], expected, atol=0.005)  # 8 bit codes are 0.009 apart at white
+
+
+class TestOtherSets:
+    def test_monkaa(self, tmp_path):
+        for number in (1, 2):
+            write(tmp_path, f"a_rain_of_stones_x2/left/{number:04}", number)
+        clip = clips_of(tmp_path).clip(0, np.random.default_rng(0))
+        assert clip.source["sequence"] == "a_rain_of_stones_x2"
+
+    def test_driving_has_two_lenses(self, tmp_path):
+        """Depth is z = f B / d with f = 450 px for 15 mm and 1050 px for 35 mm on the same 32 mm / 960 px film."""
+        disparity = np.linspace(5, 60, SHAPE[0] * SHAPE[1], dtype=np.float32).reshape(SHAPE)
+        for lens in ("15mm", "35mm"):
+            for number in (1, 2):
+                write(tmp_path, f"{lens}_focallength/scene_forwards/fast/left/{number:04}", number, disparity=disparity)
+        source = clips_of(tmp_path, depth_scaling="fixed", metres_per_unit=0.01, crop="centre", downscale=1)
+        for index, millimetres in enumerate((15, 35)):
+            clip = source.clip(index, np.random.default_rng(0))
+            focal_px = millimetres / 32 * 960
+            expected = focal_px * 0.01 / centre(disparity).astype(float)
+            np.testing.assert_allclose(clip.depth_m[1], expected, rtol=1e-7)
+            assert clip.source["focal_px"] == focal_px
+        assert survey(tmp_path).facts["focal lengths"] == "450 and 1050 px (15 and 35 mm)"
+
+
+class TestFolders:
+    def test_frames_are_in_the_order_of_their_numbers(self, tmp_path):
+        for number in (8, 9, 10, 11):  # names without leading zeros sort as 10, 11, 8, 9
+            write(tmp_path, f"TRAIN/A/0000/left/{number}", number)
+        source = clips_of(tmp_path, frames=4, downscale=1)
+        assert [pair.image.name for pair in source.pairs] == ["8.png", "9.png", "10.png", "11.png"]
+        clip = source.clip(0, np.random.default_rng(0))
+        assert len(source) == 1
+        for t, number in enumerate((8, 9, 10, 11)):
+            row, column = clip.source["corner_px"]
+            encoded = frame(number)[0][row : row + 8, column : column + 8] / 255
+            linear = np.where(encoded > 0.04045, ((encoded + 0.055) / 1.055) ** 2.4, encoded / 12.92)
+            np.testing.assert_allclose(clip.rgb[t], linear, rtol=0, atol=2**-23)
+
+    def test_suffixes_may_be_in_capitals(self, sequences):
+        expected = clips_of(sequences).clip(0, np.random.default_rng(1))
+        for path in [path for path in sequences.rglob("*") if path.is_file()]:
+            path.rename(path.with_suffix(path.suffix.upper()))
+        clip = clips_of(sequences).clip(0, np.random.default_rng(1))
+        assert np.array_equal(clip.rgb, expected.rgb)
+        assert np.array_equal(clip.depth_m, expected.depth_m)
+        assert clip.source["disparities"][0].endswith("0006.PFM")
+
+
+class TestMistakesInSequences:
+    @pytest.mark.parametrize("value", [1e-36, 1e38])
+    def test_a_depth_that_no_number_holds_names_its_file(self, sequences, value):
+        rows = np.full(SHAPE, value, np.float32)
+        write(sequences, "TRAIN/A/0000/left/0007", 1, disparity=rows)
+        scale = 1e6 if value < 1 else 1e-12
+        with pytest.raises(InputError, match=r"left/0007\.pfm has a disparity of 1e.*check metres_per_unit"):
+            clips_of(sequences, depth_scaling="fixed", metres_per_unit=scale).clip(0, np.random.default_rng(0))
+
+    def test_clips_need_a_rate_and_stills_take_none(self, sequences):
+        with pytest.raises(InputError, match="frames_per_second is missing: a clip of 2 frames"):
+            flyingthings3d(VIEW, path=sequences, frames=2)
+        with pytest.raises(InputError, match="frames_per_second is 24, but frames: 1"):
+            flyingthings3d(VIEW, path=sequences, frames_per_second=24.0)
+
+    def test_no_sequence_is_long_enough(self, sequences):
+        with pytest.raises(InputError, match=r"frames is 5, .* the longest, 'TRAIN/A/0000', has 4; ask for fewer"):
+            clips_of(sequences, frames=5)
+        assert clips_of(sequences, frames=3).problems == (
+            "TRAIN/A/0001: has 2 consecutive frames, but a clip takes 3: ask for fewer frames",
+        )
+
+    def test_a_sequence_of_two_sizes(self, sequences):
+        rgb, disparity = frame(0)
+        write(sequences, "TRAIN/A/0001/left/0007", disparity=disparity[:-1])
+        Image.fromarray(rgb[:-1]).save(sequences / "frames_cleanpass/TRAIN/A/0001/left/0007.png")
+        with pytest.raises(InputError, match=r"0001/left/0007\.png is 23 x 32, but the clip's first frame is 24 x 32"):
+            clips_of(sequences).clip(2, np.random.default_rng(0))
+
+    def test_a_broken_frame_inside_a_clip_is_named(self, sequences):
+        broken = sequences / "disparity/TRAIN/A/0000/left/0007.pfm"
+        broken.write_bytes(b"P6" + broken.read_bytes()[2:])
+        with pytest.raises(InputError, match=r"0007\.pfm is not a PFM file"):
+            clips_of(sequences).clip(0, np.random.default_rng(0))
+        write(sequences, "TRAIN/A/0000/left/0007", disparity=np.zeros(SHAPE, np.float32))
+        with pytest.raises(InputError, match=r"0007\.pfm is zero everywhere"):
+            clips_of(sequences).clip(0, np.random.default_rng(0))
+
+
+class TestSurvey:
+    def test_facts_and_problems(self, sequences):
+        (sequences / "disparity/TRAIN/A/0001/left/0007.pfm").unlink()
+        zero = sequences / "disparity/TRAIN/A/0001/left/0006.pfm"
+        write(sequences, "TRAIN/A/0001/left/0006", disparity=np.zeros(SHAPE, np.float32))
+        cut = sequences / "frames_cleanpass/TRAIN/A/0000/left/0006.png"
+        cut.write_bytes(cut.read_bytes()[:200])
+        seen = []
+        found = survey(sequences, lambda done, total: seen.append((done, total)))
+        assert seen == [(k, 6) for k in range(1, 7)]
+        assert found.usable == 4
+        assert found.facts["sequences"] == "1"
+        assert found.facts["consecutive frames"] == "1 to 3"
+        assert found.facts["sizes"] == "24 x 32"
+        assert found.notes == ("gaps in the numbering: 1, which no clip crosses",)
+        unpaired, damaged, empty = found.problems
+        assert "0007.png: has no .pfm" in unpaired
+        assert damaged.startswith(f"{cut}: is damaged")
+        assert empty.startswith(f"{zero}: is zero everywhere")
+
+    def test_recognises_by_names(self, sequences, tmp_path_factory):
+        assert recognises(sequences)
+        assert recognises(sequences / "frames_cleanpass")
+        assert not recognises(tmp_path_factory.mktemp("empty"))
+        assert not recognises(sequences / "nowhere")
+        assert not recognises(sequences / "disparity/TRAIN/A/0000/left/0006.pfm")

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from simulator.errors import InputError
-from simulator.importers.listing import is_hidden, list_folder, walk
+from simulator.importers.listing import counting_fault, is_hidden, list_folder, walk
 
 
 @pytest.mark.parametrize("name", ["._00000.jpg", ".DS_Store", ".ipynb_checkpoints", "__MACOSX", "Thumbs.db"])
@@ -63,3 +63,15 @@ def test_a_folder_that_may_not_be_read_is_named(tmp_path: Path, monkeypatch: pyt
 
 def test_a_folder_that_is_not_there_is_empty(tmp_path: Path) -> None:
     assert list_folder(tmp_path / "none") == ([], [])
+
+
+def test_only_counts_have_gaps() -> None:
+    every_fifth = [f"{number:05d}.jpg" for number in range(0, 30, 5)]
+    assert counting_fault(every_fifth) is None
+    assert counting_fault([*every_fifth[:2], *every_fifth[3:]]) is not None
+    assert counting_fault(["1305031102.175304.png", "1305031102.211214.png", "1305031102.243211.png"]) is None
+    assert counting_fault(["a.png", "b.png", "c.png"]) is None
+    assert counting_fault(["a1.png", "a2.png", "b3.png", "b9.png"]) is None
+    two = counting_fault(["s3_1.png", "s3_2.png", "s3_4.png", "s3_5.png", "s3_6.png", "s3_7.png", "s3_9.png"])
+    assert two is not None
+    assert "after s3_2.png (the next is s3_4.png, and 1 times more)" in two

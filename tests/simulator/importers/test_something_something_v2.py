@@ -10,8 +10,14 @@ import pytest
 
 from simulator.errors import InputError
 from simulator.importers import film
-from simulator.importers.films.ssv2_labels import COARSE_TABLE, read_table, read_templates
-from simulator.importers.something_something_v2 import recognises, something_something_v2, survey
+from simulator.importers.something_something_v2 import (
+    COARSE_TABLE,
+    read_table,
+    read_templates,
+    recognises,
+    something_something_v2,
+    survey,
+)
 from simulator.types import View
 
 VIEW = View(shape=(16, 16), pixel_pitch_m=19.2e-6, distance_m=1.9e-3, near_m=0.04, far_m=0.2)
@@ -126,7 +132,7 @@ def test_a_table_groups_templates_and_leaves_out_the_others(root):
         ("label,class\nClosing something,a\n", "begins with label,class; expected the line template,class"),
         ("", "begins with nothing"),
         ("template,class\n", "expected the line template,class and a line per template"),
-        ('template,class\n"Closing something,a\n', "table.csv:2 is no line of a CSV file"),
+        ('template,class\n"Closing something,a\n', "table.csv:2 is not a line of a CSV file"),
         ("template,class\nPushing something from left to right,x\n", None),
     ],
 )
@@ -209,7 +215,7 @@ def test_broken_json_and_labels_are_named(root):
     with pytest.raises(InputError, match=r"v2-labels\.json cannot be read as JSON"):
         clips(root)
     write_json(labels, ["Closing something"])
-    with pytest.raises(InputError, match=r"v2-labels\.json is no file of labels"):
+    with pytest.raises(InputError, match=r"v2-labels\.json is not a file of labels"):
         clips(root)
 
 
@@ -227,7 +233,7 @@ def test_missing_parts_are_named(root, tmp_path):
     with pytest.raises(InputError, match=r"holds no something-something-v2-labels\.json"):
         clips(root)
     assert not recognises(root)
-    with pytest.raises(InputError, match="nowhere is no folder"):
+    with pytest.raises(InputError, match="nowhere is not a folder"):
         clips(tmp_path / "nowhere")
 
 

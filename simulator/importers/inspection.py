@@ -1,0 +1,213 @@
+"""What lies in a folder: which source reads it, and what reading all of it once shows; for ``flatlight import --check``.
+
+The module of a source may hold two functions beside the one of its name: ``recognises(path) -> bool``, which looks at
+names only, and ``survey(path, progress, **options) -> Survey``, whose options are some of the source's own parameters.
+Modules without them, such as a user's own, are left out. A module whose ``FALLBACK`` is true steps aside where another one
+recognises the path too. Nothing that the folder names is imported.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated, Any, TypeVar
+
+from pydantic import create_model
+
+from simulator.errors import InputError
+from simulator.importers.listing import first_lines, is_folder, list_folder
+from simulator.plugins import SECTION_KEYS, Plugin, available, plugin_errors, resolve
+
+Item = TypeVar("Item")
+Progress = Callable[[int, int], None]  # (done, total)
+
+
+@dataclass(frozen=True)
+class Survey:
+    """The result of reading everything in a data set's folder once, for people to read before they rely on it.
+
+    Attributes:
+        importer: the importer's name, as ``scene.source`` takes it.
+        path: the folder or file.
+        usable: how many videos (or images) can be used.
+        facts: what was found, by name, in the order to be shown: ``{"videos": "2", "frames": "20 (16 to 4)", ...}``.
+        problems: lines ``"file: what is wrong and what to do"``, for everything that cannot be used.
+        notes: lines about what was used all the same but should be known (a mask resized by a pixel, frames skipped).
+        needed: parameters that the source demands for what was found, though they have a default: a frame rate for images.
+    """
+
+    importer: str
+    path: Path
+    usable: int
+    facts: dict[str, str]
+    problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    needed: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        width = max((len(name) for name in self.facts), default=0)
+        lines = [f"{self.path}: {self.importer}, {self.usable} usable"]
+        lines += [f"  {name:<{width}}  {value}" for name, value in self.facts.items()]
+        lines += [f"  note: {line}" for line in self.notes]
+        lines += [f"  problem: {line}" for line in first_lines(self.problems)]
+        return "\n".join(lines)
+
+
+def told(items: Iterable[Item], total: int, progress: Progress | None) -> Iterator[Item]:
+    """Give items one by one, and tell the progress after each."""
+    for done, item in enumerate(items, start=1):
+        yield item
+        if progress is not None:
+            progress(done, total)
+
+
+def sizes_text(sizes: Iterable[tuple[int, ...]]) -> str:
+    """Return sizes in rows and columns, sorted: ``240 x 427, 480 x 854``."""
+    return ", ".join(" x ".join(map(str, size)) for size in sorted(sizes))
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """The sources that might read a folder.
+
+    Attributes:
+        recognised: those that say that they can; without fallbacks where there are others.
+        others: those that say that they cannot, and fallbacks that stepped aside.
+        silent: those that cannot tell, as their module has no ``recognises``.
+        broken: names and reasons of those that failed.
+    """
+
+    recognised: tuple[Plugin, ...]
+    others: tuple[Plugin, ...]
+    silent: tuple[Plugin, ...]
+    broken: tuple[str, ...]
+
+
+def find_candidates(path: Path) -> Candidates:
+    """Ask every installed source whether it recognises a folder or file.
+
+    Raises:
+        InputError: the folder cannot be read.
+    """
+    if is_folder(path):
+        list_folder(path)
+    recognised: list[Plugin] = []
+    others: list[Plugin] = []
+    silent: list[Plugin] = []
+    broken: list[str] = []
+    for name in available("source"):
+        try:
+            plugin = resolve("source", name)
+            recognises = getattr(_module(plugin), "recognises", None)
+            kind = silent if not callable(recognises) else recognised if recognises(path) else others
+        except InputError as error:
+            broken.append(f"{name}: {error}")
+        except Exception as error:  # another package's fault must not keep ours from answering
+            broken.append(f"{name}: {type(error).__name__}: {error}")
+        else:
+            kind.append(plugin)
+    specific = [plugin for plugin in recognised if not getattr(_module(plugin), "FALLBACK", False)]
+    if specific:
+        others += [plugin for plugin in recognised if plugin not in specific]
+        recognised = specific
+    return Candidates(tuple(recognised), tuple(others), tuple(silent), tuple(broken))
+
+
+def choose(path: Path, candidates: Candidates) -> Plugin:
+    """Return the one source that recognises a folder.
+
+    Raises:
+        InputError: none does, or several do; the message lists the sources and what each expects.
+    """
+    if len(candidates.recognised) == 1:
+        return candidates.recognised[0]
+    if candidates.recognised:
+        listed = _lines(candidates.recognised)
+        msg = f"--check: {path} is recognised by several sources; choose one with --source:{listed}"
+        raise InputError(msg)
+    msg = f"--check: {path} is laid out like none of these; check the path, or choose one with --source:"
+    msg += _lines(candidates.others)
+    if candidates.silent:
+        msg += f"\nnot asked, as they do not say what they expect:{_lines(candidates.silent)}"
+    raise InputError(msg)
+
+
+def run_survey(plugin: Plugin, path: Path, options: Mapping[str, Any], progress: Progress | None = None) -> Survey:
+    """Survey a folder by one source.
+
+    Args:
+        plugin: the source.
+        path: folder or file.
+        options: of the source's parameters, plain data, those that decide what is read (such as ``subset``).
+        progress: called as the survey goes on.
+
+    Raises:
+        InputError: the source has no survey, an option is unknown or wrong, or as the survey does.
+    """
+    survey = getattr(_module(plugin), "survey", None)
+    if not callable(survey):
+        msg = (
+            f"--source: {plugin.name!r} has no survey(path, progress) in its module, so nothing can be checked before use; "
+            f"`flatlight render` shows what it makes of {path}"
+        )
+        raise InputError(msg)
+    values = _options(plugin, survey, options)
+    with plugin_errors(plugin):
+        try:
+            result = survey(path, progress, **values)
+        except PermissionError as error:
+            msg = f"path: {error.filename or path} cannot be read: {error.strerror or error}; check who may read it"
+            raise InputError(msg) from error
+    if not isinstance(result, Survey):
+        msg = f"source {plugin.name!r}: its survey returned {type(result).__name__}, expected a Survey"
+        raise InputError(msg)
+    return result
+
+
+def _module(plugin: Plugin) -> ModuleType:
+    """The module that defines a source; already imported."""
+    return sys.modules[plugin.function.__module__]
+
+
+def _options(plugin: Plugin, survey: Any, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Validate options by those of the source's parameters that its survey takes too.
+
+    Raises:
+        InputError: one is a key of the scene, unknown or wrong.
+    """
+    for key in options:
+        if key in SECTION_KEYS["source"]:
+            msg = f"--set: {key} is a key of scene, which decides nothing about what is read here; leave it out"
+            raise InputError(msg)
+    taken = inspect.signature(survey).parameters.values()
+    anything = any(parameter.kind is parameter.VAR_KEYWORD for parameter in taken)
+    named = [parameter for parameter in taken if parameter.kind is parameter.KEYWORD_ONLY]
+    names = {parameter.name for parameter in named}
+    required = {parameter.name: ... for parameter in named if parameter.default is parameter.empty}
+    fields: dict[str, Any] = {
+        name: (Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation, required.get(name))
+        for name, field in plugin.parameters.model_fields.items()
+        if name in names or (anything and name != "path")
+    }
+    config = plugin.parameters.model_config.copy()
+    config["validate_default"] = False  # what is not given is not passed on
+    model = create_model(f"{plugin.name} survey", __config__=config, **fields)
+    bound = dataclasses.replace(plugin, parameters=model).bind(options)
+    return {name: value for name, value in bound.items() if name in options}
+
+
+def _lines(plugins: tuple[Plugin, ...]) -> str:
+    return "".join(f"\n  {plugin.name}: {_summary(plugin)}" for plugin in plugins)
+
+
+def _summary(plugin: Plugin) -> str:
+    """The first line of the source's module, then where its docstring says what ``path`` is."""
+    from simulator.plugin_listing import parameter_lines, summary
+
+    meaning = next((line.meaning for line in parameter_lines(plugin) if line.name == "path"), "")
+    return f"{summary(plugin)}{f' path: {meaning}' if meaning else ''}"

@@ -1,1 +1,0 @@
-"""Pictures with depth charts: pairing, decoding, cameras and their distortion."""

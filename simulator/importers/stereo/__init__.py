@@ -1,1 +1,0 @@
-"""The SceneFlow data sets: stereo frames with disparity, and how that becomes depth."""

@@ -1,1 +1,0 @@
-"""Video object segmentation data: frames with masks of the labelled objects."""

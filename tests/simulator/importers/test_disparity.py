@@ -1,0 +1,100 @@
+"""PFM files against OpenCV's reader, and every way of being broken."""
+
+import cv2
+import numpy as np
+import pytest
+
+from simulator.errors import InputError
+from simulator.importers.disparity import read_pfm
+from simulator.io.images import read_picture
+
+
+def write_pfm(path, values, scale=-1.0):
+    """Row 0 of ``values`` is the top; the sign of the scale chooses the byte order."""
+    magic = "PF" if values.ndim == 3 else "Pf"
+    header = f"{magic}\n{values.shape[1]} {values.shape[0]}\n{scale}\n".encode()
+    path.write_bytes(header + values[::-1].astype("<f4" if scale < 0 else ">f4").tobytes())
+
+
+@pytest.fixture
+def values():
+    return np.random.default_rng(1).normal(size=(4, 7)).astype(np.float32)
+
+
+@pytest.mark.parametrize("scale", [-1.0, 1.0])
+@pytest.mark.parametrize("channels", [None, 3])
+def test_agrees_with_opencv_in_both_byte_orders(tmp_path, scale, channels):
+    shape = (4, 7) if channels is None else (4, 7, channels)
+    original = np.random.default_rng(1).normal(size=shape).astype(np.float32)
+    path = tmp_path / "a.pfm"
+    write_pfm(path, original, scale)
+    found = read_pfm(path)
+    theirs = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert theirs is not None
+    assert found.dtype == np.float32
+    assert found.flags.c_contiguous
+    assert np.array_equal(found, original)
+    assert np.array_equal(found, theirs if channels is None else theirs[..., ::-1])  # OpenCV has BGR
+
+
+def test_reads_what_opencv_writes(tmp_path, values):
+    assert cv2.imwrite(str(tmp_path / "a.pfm"), values)
+    assert np.array_equal(read_pfm(tmp_path / "a.pfm"), values)
+
+
+@pytest.mark.shared
+def test_the_real_sample_has_the_noted_range_and_is_upright(shared_data):
+    root = shared_data / "flyingthings3d/SCENE_FLOW"
+    disparity = read_pfm(root / "disparity/left/A-0032-0006.pfm")
+    assert disparity.shape == (540, 960)
+    assert disparity.min() == pytest.approx(1.206, abs=5e-4)  # the note's digits
+    assert disparity.max() == pytest.approx(130.365, abs=5e-4)
+    # The right picture, fetched at x - d, must be the left one where nothing hides it.
+    left, right, hidden = (
+        read_picture(root / f"{folder}/A-0032-0006.png").astype(float)
+        for folder in ("RGB_cleanpass/left", "RGB_cleanpass/right", "occlusion/left")
+    )
+    columns = np.rint(np.arange(960) - disparity).astype(int)
+    seen = (hidden == 0) & (columns >= 0)
+    fetched = right[np.arange(540)[:, None], np.maximum(columns, 0)]
+    assert np.abs(fetched - left).mean(-1)[seen].mean() < 2.5  # of 255; upside down it is above 16
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        (b"P5\n7 4\n-1.0\n", "is not a PFM file"),
+        (b"", "is not a PFM file"),
+        (b"Pf\n7\n", "is not a PFM file"),
+        (b"Pf\nseven 4\n-1.0\n", "bad PFM header.*'seven 4 -1.0'"),
+        (b"Pf\n7 4\nsmall\n", "bad PFM header"),
+        (b"Pf\n7 4\n0.0\n", "PFM scale of 0.0"),
+        (b"Pf\n7 4\nnan\n", "PFM scale of nan"),
+        (b"Pf\n7 4\n-inf\n", "PFM scale of -inf"),
+        (b"Pf\n-7 4\n-1.0\n", "claims 4 x -7 pixels"),
+        (b"Pf\n0 4\n-1.0\n", "claims 4 x 0 pixels"),
+        (b"Pf\n9999999999 9999999999\n-1.0\n", "claims 9999999999 x 9999999999 pixels"),
+        (b"Pf\n8 4\n-1.0\n", "is cut short: 112 bytes of data for 4 x 8 x 1 values, expected 128"),
+        (b"Pf\n6 4\n-1.0\n", "is too long: 112 bytes"),
+        (b"PF\n7 4\n-1.0\n", "is cut short: 112 bytes of data for 4 x 7 x 3"),
+    ],
+)
+def test_bad_headers_and_lengths_are_named(tmp_path, header, message):
+    path = tmp_path / "bad.pfm"
+    path.write_bytes(header + (bytes(112) if header else b""))
+    with pytest.raises(InputError, match=rf"bad\.pfm.*{message}"):
+        read_pfm(path)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_are_refused(tmp_path, values, bad):
+    values[2, 3] = bad
+    write_pfm(tmp_path / "bad.pfm", values)
+    with pytest.raises(InputError, match=r"bad\.pfm holds 1 values that are NaN or infinite"):
+        read_pfm(tmp_path / "bad.pfm")
+
+
+def test_missing_file_and_folder_are_named(tmp_path):
+    for path in (tmp_path / "none.pfm", tmp_path):
+        with pytest.raises(InputError, match="cannot be read"):
+            read_pfm(path)

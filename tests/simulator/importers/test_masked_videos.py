@@ -1,0 +1,527 @@
+"""YouTube-VOS and DAVIS folders become clips: masks, gamma, edges, frame rates, labels, lists, and each mistake by name."""
+
+import json
+import os
+import pickle
+import re
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from simulator.errors import InputError
+from simulator.importers import davis as davis_module
+from simulator.importers import youtube_vos as youtube_vos_module
+from simulator.importers.davis import davis
+from simulator.importers.youtube_vos import youtube_vos
+from simulator.types import SceneSource, View
+
+SHAPE = (8, 12)
+VIEW = View(shape=SHAPE, pixel_pitch_m=19.2e-6, distance_m=1.9e-3, near_m=0.04, far_m=0.2)
+# The first colours of the palette that both data sets use; 255 is a light grey.
+PALETTE = [0, 0, 0, 128, 0, 0, 0, 128, 0, 128, 128, 0] + [0] * (3 * 252 - 3) + [224, 224, 192]
+ROUNDING = {"rtol": 2**-23, "atol": 0}  # float32
+
+
+def linear(value):
+    """IEC 61966-2-1, above its threshold."""
+    return ((np.asarray(value) / 255 + 0.055) / 1.055) ** 2.4
+
+
+def write_picture(path, value, shape=SHAPE):
+    """Save one grey; at this quality a JPEG of one grey is exact."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.full((*shape, 3), value, np.uint8)).save(path, quality=100, subsampling=0)
+
+
+def write_mask(path, numbers):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = Image.fromarray(np.asarray(numbers, np.uint8), "P")
+    image.putpalette(PALETTE)
+    image.save(path)
+
+
+def box(rows, columns, number=1, shape=SHAPE):
+    numbers = np.zeros(shape, np.uint8)
+    numbers[rows, columns] = number
+    return numbers
+
+
+LEFT = box(slice(None), slice(0, 6))
+
+
+class Tube:
+    """A YouTube-VOS folder under construction."""
+
+    def __init__(self, root: Path, subset: str = "train") -> None:
+        self.root, self.folder = root, root / subset
+        self.videos: dict[str, dict] = {}
+
+    def video(self, name, frames, masks, objects=(("1", "zebra"),), value=188):
+        for number in frames:
+            write_picture(self.folder / "JPEGImages" / name / f"{number:05d}.jpg", value)
+        for number, mask in masks.items():
+            write_mask(self.folder / "Annotations" / name / f"{number:05d}.png", mask)
+        listed = {}
+        for number, category in objects:
+            listed[number] = {"frames": [f"{frame:05d}" for frame in masks]} | (
+                {"category": category} if category else {}
+            )
+        self.videos[name] = {"objects": listed}
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.meta()
+
+    def meta(self):
+        (self.folder / "meta.json").write_text(json.dumps({"videos": self.videos}), encoding="utf-8")
+
+    def source(self, **parameters: Any):
+        return youtube_vos(VIEW, path=self.root, **{"frames": 2, **parameters})
+
+
+@pytest.fixture
+def tube(tmp_path):
+    found = Tube(tmp_path)
+    found.video("a1b2", (0, 5, 10, 15), dict.fromkeys((0, 5, 10, 15), LEFT))
+    return found
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+def error_of(call, *arguments, **parameters) -> str:
+    with pytest.raises(InputError) as caught:
+        call(*arguments, **parameters)
+    return str(caught.value)
+
+
+def test_gamma_is_removed_and_so_is_the_background(tube, rng) -> None:
+    source = tube.source()
+    assert isinstance(source, SceneSource)
+    clip = source.clip(0, rng)
+    assert clip.rgb.shape == (2, *SHAPE, 3)
+    # Half of the picture is lit; any gamma left would give 188/255 or its square root instead.
+    np.testing.assert_allclose(clip.rgb[:, :, :6], linear(188), **ROUNDING)
+    assert not clip.rgb[:, :, 6:].any()
+    assert clip.rgb.mean() == pytest.approx(linear(188) / 2, rel=1e-6)
+    assert clip.valid.all()
+    assert set(clip.depth_m.ravel().tolist()) == {np.float32(0.2)}
+
+
+def test_the_plane_lies_where_it_is_asked_for(tube, rng) -> None:
+    assert tube.source(plane_cm=7).clip(0, rng).depth_m == pytest.approx(0.07)
+    assert "plane_cm" in error_of(tube.source, plane_cm=30)
+
+
+def test_the_union_of_all_objects_stays(tmp_path, rng) -> None:
+    tube = Tube(tmp_path)
+    draw = np.random.default_rng(8)
+    masks = {number: draw.integers(0, 4, SHAPE, dtype=np.uint8) for number in (0, 5)}
+    tube.video("many", masks, masks, objects=(("1", "ape"), ("2", "owl"), ("3", "ape")))
+    clip = tube.source().clip(0, rng)
+    for frame, mask in zip(clip.rgb, masks.values(), strict=True):
+        for row, column in np.ndindex(SHAPE):
+            expected = linear(188) if mask[row, column] in (1, 2, 3) else 0
+            np.testing.assert_allclose(frame[row, column], expected, **ROUNDING)
+    assert clip.source["objects"] == [1, 2, 3]
+
+
+def test_void_is_background(tmp_path, rng) -> None:
+    tube = Tube(tmp_path)
+    mask = LEFT + box(slice(None), slice(6, 9), 255)
+    tube.video("void", (0, 5), {0: mask, 5: LEFT})
+    clip = tube.source().clip(0, rng)
+    assert (clip.rgb[0] > 0).any(axis=-1).sum() == 8 * 6
+    assert clip.source["masks_with_void"] == ["00000"]
+    assert "masks with void" in str(youtube_vos_module.survey(tmp_path))
+
+
+def test_edges_mix_light_in_the_shares_of_their_areas(tmp_path, rng) -> None:
+    tube = Tube(tmp_path)
+    # Five of twelve columns: at half the size the third column is half object, half darkness, in linear light. A mask that is
+    # shrunk by itself would leave 0 or 1 of it, and shrinking before gamma is removed something else than a half.
+    tube.video("edge", (0, 5), dict.fromkeys((0, 5), box(slice(None), slice(0, 5))))
+    clip = youtube_vos(replace(VIEW, shape=(4, 6)), path=tmp_path, frames=2).clip(0, rng)
+    expected = linear(188) * np.array([1, 1, 0.5, 0, 0, 0])
+    np.testing.assert_allclose(clip.rgb[0, :, :, 0], np.tile(expected, (4, 1)), rtol=1e-6, atol=1e-7)
+
+
+def test_only_annotated_frames_are_used_in_the_order_of_their_numbers(tmp_path, rng) -> None:
+    root = tmp_path / "davis"
+    numbers = (1, 2, 3, 9, 10, 11)
+    for number in numbers:  # names without leading zeros sort otherwise than their numbers
+        write_picture(root / "images" / "x" / f"{number}.jpg", 100 + number)
+    for number in (2, 9, 10):
+        write_mask(root / "masks" / "x" / f"{number}.png", LEFT)
+    clip = davis(VIEW, path=root, frames=3).clip(0, rng)
+    np.testing.assert_allclose(clip.rgb[:, 0, 0, 0], linear([102, 109, 110]), **ROUNDING)
+    assert clip.source["frames"] == ["2", "9", "10"]
+    survey = str(davis_module.survey(root))
+    assert "images without a mask, left out: 3" in survey
+    assert "videos annotated at uneven steps, which are taken as even: 1 (x)" in survey
+
+
+def test_frame_rates_follow_from_the_numbers(tube, rng, tmp_path) -> None:
+    clip = tube.source(frames=4).clip(0, rng)  # every fifth of 30 per second
+    np.testing.assert_allclose(clip.frame_edges_s, np.arange(5) / 6, rtol=1e-12)
+    root = tmp_path / "davis"
+    for number in range(3):
+        write_picture(root / "JPEGImages" / "480p" / "v" / f"{number:05d}.jpg", 50)
+        write_mask(root / "Annotations" / "480p" / "v" / f"{number:05d}.png", LEFT)
+    clip = davis(VIEW, path=root, frames=2).clip(0, rng)
+    np.testing.assert_allclose(clip.frame_edges_s, np.arange(3) / 24, rtol=1e-12)
+    clip = davis(VIEW, path=root, frames=2, frames_per_second=500).clip(0, rng)
+    np.testing.assert_allclose(clip.frame_edges_s, np.arange(3) / 500, rtol=1e-12)
+
+
+def test_interpolated_frames_come_faster(tube, rng) -> None:
+    pytest.importorskip("cv2")
+    clip = tube.source(frames=3, interpolate_by=2).clip(0, rng)
+    np.testing.assert_allclose(clip.frame_edges_s, np.arange(4) / 12, rtol=1e-12)
+    # The background went first, so nothing comes back between the frames.
+    assert not clip.rgb[:, :, 8:].any()
+
+
+def test_kept_background_uses_every_frame_and_reads_no_mask(tube, rng) -> None:
+    write_picture(tube.folder / "JPEGImages" / "a1b2" / "00020.jpg", 188)
+    (tube.folder / "Annotations" / "a1b2" / "00000.png").write_text("broken")
+    source = tube.source(frames=5, keep_background=True)
+    clip = source.clip(0, rng)
+    np.testing.assert_allclose(clip.rgb, linear(188), **ROUNDING)
+    assert all(file.suffix != ".png" for file in source.inputs)
+    assert clip.source["background"] == "kept"
+
+
+def test_labels_are_categories_that_all_objects_share(tmp_path, rng) -> None:
+    tube = Tube(tmp_path)
+    both = LEFT + box(slice(None), slice(8, 10), 2)
+    tube.video("same", (0, 5), dict.fromkeys((0, 5), both), objects=(("1", "ape"), ("2", "ape")))
+    tube.video("several", (0, 5), dict.fromkeys((0, 5), both), objects=(("1", "ape"), ("2", "owl")))
+    tube.video("unnamed", (0, 5), dict.fromkeys((0, 5), both), objects=(("1", None), ("2", None)))
+    source = tube.source()
+    clips = [source.clip(index, rng) for index in range(3)]
+    assert [clip.label for clip in clips] == ["ape", None, None]
+    assert clips[1].source["categories"] == {"1": "ape", "2": "owl"}
+    survey = youtube_vos_module.survey(tmp_path)
+    assert survey.facts["categories"] == "2: ape 3, owl 1"
+    assert survey.facts["labelled"].startswith("1 videos")
+
+
+@pytest.mark.parametrize("spare", [-1, 1])
+def test_a_mask_that_differs_by_a_pixel_is_resized_warned_of_and_recorded(tube, rng, spare) -> None:
+    wide = box(slice(None), slice(0, 6), shape=(8, 12 + spare))
+    write_mask(tube.folder / "Annotations" / "a1b2" / "00005.png", wide)
+    source = tube.source(frames=4)
+    with pytest.warns(UserWarning, match=rf"a1b2/00005\.png is 8 x {12 + spare} instead of 8 x 12 pixels"):
+        clip = source.clip(0, rng)
+    expected = np.asarray(Image.fromarray(wide).resize((12, 8), Image.Resampling.NEAREST)) > 0
+    np.testing.assert_array_equal((clip.rgb[1] > 0).all(axis=-1), expected)
+    assert clip.source["masks_resized_by_a_pixel"] == ["00005"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        source.clip(0, rng)  # told once, not for each clip
+    assert "resized: 1 (Annotations/a1b2/00005.png)" in str(youtube_vos_module.survey(tube.root))
+
+
+def test_a_mask_that_differs_by_more_is_refused_with_both_names(tube, rng) -> None:
+    write_mask(tube.folder / "Annotations" / "a1b2" / "00005.png", np.zeros((8, 14)))
+    message = error_of(tube.source(frames=4).clip, 0, rng)
+    for words in ("Annotations/a1b2/00005.png is 8 x 14", "JPEGImages/a1b2/00005.jpg is 8 x 12"):
+        assert words in message
+    survey = youtube_vos_module.survey(tube.root)
+    assert survey.usable == 0
+    assert survey.problems[0].startswith("Annotations/a1b2/00005.png: is 8 x 14")
+
+
+def test_a_mask_without_object_gives_a_black_frame_that_is_counted(tube, rng) -> None:
+    write_mask(tube.folder / "Annotations" / "a1b2" / "00005.png", np.zeros(SHAPE))
+    clip = tube.source(frames=4).clip(0, rng)
+    assert clip.rgb.any(axis=(1, 2, 3)).tolist() == [True, False, True, True]
+    assert clip.source["masks_without_object"] == ["00005"]
+    assert "make black frames: 1 (Annotations/a1b2/00005.png)" in str(youtube_vos_module.survey(tube.root))
+
+
+@pytest.mark.parametrize("number", [0, 255])
+def test_masks_that_leave_nothing_are_refused_by_name(tmp_path, rng, number) -> None:
+    """Masks of 0 and 255 in a palette are void everywhere, so a clip would be black from end to end."""
+    tube = Tube(tmp_path)
+    tube.video("empty", (0, 5, 10), dict.fromkeys((0, 5, 10), LEFT * number))
+    message = error_of(tube.source().clip, 0, rng)
+    assert re.match(r".*/Annotations/empty/000\d\d\.png and the 1 after it have no object", message)
+    assert "index 255 is void): save objects as 1..254, or leave video empty out" in message
+    survey = youtube_vos_module.survey(tube.root)
+    assert survey.usable == 0
+    assert survey.problems[0].startswith("Annotations/empty/00000.png: and the 2 after it have no object")
+    assert tube.source(keep_background=True).clip(0, rng).rgb.all()
+    write_mask(tube.folder / "Annotations" / "empty" / "00005.png", LEFT)
+    assert tube.source().clip(0, rng).rgb.any(), "one of any two frames has an object"
+
+
+def test_what_systems_leave_behind_is_no_video_and_no_list(davis_root) -> None:
+    junk = davis_root / "JPEGImages" / ".ipynb_checkpoints"
+    junk.mkdir()
+    (davis_root / "ImageSets" / "2017" / "._train.txt").write_bytes(b"\x00\x05\x16\x07")
+    assert "(resolutions there: 480p)" in error_of(davis, VIEW, path=davis_root, frames=1, resolution="1080p")
+    assert "._train" not in error_of(davis, VIEW, path=davis_root, frames=1, subset="no")
+
+
+def test_suffixes_may_be_in_capitals(tube, rng) -> None:
+    expected = tube.source(frames=4).clip(0, rng)
+    for file in [*tube.folder.glob("Annotations/*/*"), *tube.folder.glob("JPEGImages/*/*")]:
+        file.rename(file.with_suffix(file.suffix.upper()))
+    source = tube.source(frames=4)
+    np.testing.assert_array_equal(source.clip(0, rng).rgb, expected.rgb)
+    assert tube.folder / "Annotations" / "a1b2" / "00005.PNG" in source.inputs
+    write_mask(tube.folder / "Annotations" / "a1b2" / "00005.png", LEFT)
+    assert "00005.PNG and 00005.png are both the mask of frame 00005" in error_of(tube.source)
+
+
+@pytest.mark.parametrize("shut", ["JPEGImages", "Annotations", "JPEGImages/a1b2", "Annotations/a1b2"])
+def test_a_folder_that_may_not_be_read_is_named(tube, monkeypatch, shut) -> None:
+    scandir = os.scandir
+
+    def refuse(path):
+        if Path(path) == tube.folder / shut:
+            raise PermissionError(13, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    assert f"path: {tube.folder / shut} cannot be read: Permission denied" in error_of(tube.source)
+
+
+@pytest.mark.parametrize(("numbers", "step"), [((0, 5, 15), 5), ((0, 10, 15), 5), ((0, 10, 15, 25), 10)])
+def test_of_several_commonest_steps_the_smallest_gives_the_rate(tmp_path, rng, numbers, step) -> None:
+    tube = Tube(tmp_path)
+    tube.video("uneven", numbers, dict.fromkeys(numbers, LEFT))
+    clip = tube.source(frames=2).clip(0, rng)
+    np.testing.assert_allclose(clip.frame_edges_s, np.arange(3) * step / 30, rtol=1e-12)
+
+
+def test_an_object_that_meta_json_does_not_list_is_refused(tube, rng) -> None:
+    write_mask(tube.folder / "Annotations" / "a1b2" / "00005.png", LEFT * 3)
+    message = error_of(tube.source(frames=4).clip, 0, rng)
+    assert "00005.png has object 3, but meta.json gives video a1b2 only 1" in message
+    assert youtube_vos_module.survey(tube.root).usable == 0
+
+
+def test_videos_that_cannot_be_used_are_problems(tube) -> None:
+    tube.video("bare", (0, 5), {})
+    tube.video("gone", (), {}, objects=(("1", "owl"),))
+    tube.video("unlisted", (0, 5), dict.fromkeys((0, 5), LEFT))
+    tube.video("short", (0, 5), {0: LEFT})
+    tube.video("twice", (0, 5), dict.fromkeys((0, 5), LEFT))
+    write_picture(tube.folder / "JPEGImages" / "twice" / "0005.jpg", 3)
+    tube.video("nameless", (0, 5), dict.fromkeys((0, 5), LEFT))
+    write_picture(tube.folder / "JPEGImages" / "nameless" / "cover.jpg", 3)
+    del tube.videos["unlisted"]
+    tube.meta()
+    source = tube.source()
+    assert [video.name for video in source.videos] == ["a1b2"]
+    lines = dict(line.split(": ", 1) for line in source.problems)
+    assert lines["bare"].startswith("no mask in Annotations for any image")
+    assert lines["gone"].startswith("no images in JPEGImages")
+    assert lines["unlisted"].startswith("meta.json lists no object of it")
+    assert lines["short"].startswith("fewer frames with a mask than the 2 that a clip of 2 takes")
+    assert lines["twice"].startswith("00005.jpg and 0005.jpg are both frame 5")
+    assert "cover.jpg" in lines["nameless"]
+    assert len(lines) == len(source.problems) == 6
+
+
+def test_one_reason_for_many_videos_makes_one_line(tube) -> None:
+    for number in range(12):
+        tube.video(f"v{number:02d}", (0, 5), {0: LEFT})
+    (line,) = tube.source().problems
+    assert line.startswith("v00, v01, v02 and 9 more: fewer frames with a mask than the 2")
+    assert "videos here have 1 to 4" in line
+    assert "no video that can be used" in error_of(tube.source, frames=5)
+
+
+def test_damaged_files_are_named(tube, rng) -> None:
+    picture = tube.folder / "JPEGImages" / "a1b2" / "00005.jpg"
+    mask = tube.folder / "Annotations" / "a1b2" / "00010.png"
+    whole = picture.read_bytes()
+    picture.write_bytes(whole[: len(whole) // 2])
+    assert str(picture) in error_of(tube.source(frames=4).clip, 0, rng)
+    picture.write_bytes(whole)
+    mask.write_bytes(mask.read_bytes()[:-30])
+    assert str(mask) in error_of(tube.source(frames=4).clip, 0, rng)
+    picture.write_bytes(b"GIF, perhaps")
+    survey = youtube_vos_module.survey(tube.root)
+    assert survey.usable == 0
+    assert [line.split(": ")[0] for line in survey.problems] == [
+        "JPEGImages/a1b2/00005.jpg",
+        "Annotations/a1b2/00010.png",
+    ]
+
+
+def test_frames_of_another_size_are_named(tube, rng) -> None:
+    write_picture(tube.folder / "JPEGImages" / "a1b2" / "00010.jpg", 7, (9, 12))
+    write_mask(tube.folder / "Annotations" / "a1b2" / "00010.png", np.ones((9, 12)))
+    assert "00010.jpg is 9 x 12 pixels, but 00000.jpg before it is 8 x 12" in error_of(
+        tube.source(frames=4).clip, 0, rng
+    )
+    (line,) = youtube_vos_module.survey(tube.root).problems
+    assert line.startswith("a1b2: frames of several sizes (3 of 8 x 12, 1 of 9 x 12)")
+
+
+def test_the_folder_may_be_the_set_or_its_subset(tube) -> None:
+    valid = Tube(tube.root, "valid")
+    valid.video("v9", (0, 5), dict.fromkeys((0, 5), LEFT))
+    cases: list[tuple[Path, Any]] = [
+        (tube.root, None),
+        (tube.root, "train"),
+        (tube.root, "valid"),
+        (tube.folder, None),
+        (tube.folder, "train"),
+        (valid.folder, None),
+    ]
+    names = [youtube_vos(VIEW, path=path, frames=1, subset=subset).videos[0].name for path, subset in cases]
+    assert names == ["a1b2", "a1b2", "v9", "a1b2", "a1b2", "v9"]
+    assert "subset: valid has no folder JPEGImages" in error_of(
+        youtube_vos, VIEW, path=tube.folder, frames=1, subset="valid"
+    )
+    assert "it does not exist" in error_of(youtube_vos, VIEW, path=tube.root / "no", frames=1)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "meta.json is missing"),
+        ("{", "meta.json cannot be read as JSON"),
+        ('{"videos": []}', "meta.json is not laid out like YouTube-VOS"),
+        ('{"videos": {"a1b2": {"objects": {"one": {}}}}}', "meta.json is not laid out like YouTube-VOS"),
+    ],
+)
+def test_a_damaged_meta_json_is_refused(tube, text, words) -> None:
+    meta = tube.folder / "meta.json"
+    meta.unlink() if text is None else meta.write_text(text, encoding="utf-8")
+    assert words in error_of(tube.source)
+
+
+def test_a_source_names_its_files_and_survives_pickling(tube, rng) -> None:
+    source = tube.source()
+    assert {file.name for file in source.inputs} == {
+        "meta.json",
+        *(f"{number:05d}{suffix}" for number in (0, 5, 10, 15) for suffix in (".jpg", ".png")),
+    }
+    copy = pickle.loads(pickle.dumps(source))
+    np.testing.assert_array_equal(
+        copy.clip(0, np.random.default_rng(1)).rgb, source.clip(0, np.random.default_rng(1)).rgb
+    )
+    assert json.loads(json.dumps(source.clip(0, rng).source))["video"] == "a1b2"
+
+
+@pytest.fixture
+def davis_root(tmp_path):
+    root = tmp_path / "DAVIS"
+    for name, value in (("bear", 60), ("camel", 90), ("dog", 120)):
+        for number in range(3):
+            write_picture(root / "JPEGImages" / "480p" / name / f"{number:05d}.jpg", value)
+            write_mask(root / "Annotations" / "480p" / name / f"{number:05d}.png", LEFT * 2)
+    sets = root / "ImageSets"
+    for folder in ("2016", "2017", "480p"):
+        (sets / folder).mkdir(parents=True)
+    (sets / "2017" / "train.txt").write_text("camel\ndog\n", encoding="utf-8")
+    (sets / "2016" / "train.txt").write_text("dog\nbear\n", encoding="utf-8")
+    lines = [f"/JPEGImages/480p/bear/{n:05d}.jpg /Annotations/480p/bear/{n:05d}.png\n" for n in range(3)]
+    (sets / "480p" / "db_info.txt").write_text("".join(lines), encoding="utf-8")  # as the release of 2016 lists frames
+    (sets / "2017" / "val.txt").write_text("camel\nelephant\n", encoding="utf-8")
+    return root
+
+
+def test_lists_of_davis(davis_root) -> None:
+    def names(subset):
+        return [video.name for video in davis(VIEW, path=davis_root, frames=3, subset=subset).videos]
+
+    assert names(None) == ["bear", "camel", "dog"]
+    assert names("train") == ["camel", "dog"]
+    assert names("2016/train") == ["bear", "dog"]
+    assert names("db_info") == ["bear"]
+    (line,) = davis(VIEW, path=davis_root, frames=3, subset="val").problems
+    assert line.startswith("elephant: no images in JPEGImages/480p")
+    message = error_of(names, "test-dev")
+    assert "expected one of the lists in" in message
+    assert "2016/train, 2017/train" in message
+
+
+def test_resolutions_of_davis(davis_root) -> None:
+    message = error_of(davis, VIEW, path=davis_root, frames=1, resolution="Full-Resolution")
+    assert "no folder JPEGImages/Full-Resolution (resolutions there: 480p)" in message
+    (davis_root / "JPEGImages" / "480p").rename(davis_root / "JPEGImages" / "Full-Resolution")
+    (davis_root / "Annotations" / "480p").rename(davis_root / "Annotations" / "Full-Resolution")
+    assert len(davis(VIEW, path=davis_root, frames=1, resolution="Full-Resolution")) == 3
+
+
+def test_binary_masks_of_davis_2016(tmp_path, rng) -> None:
+    for number in range(2):
+        write_picture(tmp_path / "images" / "x" / f"{number:05d}.jpg", 188)
+        (tmp_path / "masks" / "x").mkdir(parents=True, exist_ok=True)
+        Image.fromarray(LEFT * 255).save(tmp_path / "masks" / "x" / f"{number:05d}.png")
+    clip = davis(VIEW, path=tmp_path, frames=2).clip(0, rng)
+    assert clip.rgb.mean() == pytest.approx(linear(188) / 2, rel=1e-6)
+    assert clip.source["objects"] == [1]
+    assert "leave subset out" in error_of(davis, VIEW, path=tmp_path, frames=2, subset="train")
+
+
+def test_images_without_masks_are_told_so(tmp_path, rng) -> None:
+    for number in range(2):
+        write_picture(tmp_path / "images" / "x" / f"{number:05d}.jpg", 188)
+    for call in (lambda: davis(VIEW, path=tmp_path, frames=2), lambda: davis_module.survey(tmp_path)):
+        assert "has a folder images, but none called masks: fetch the masks" in error_of(call)
+    clip = davis(VIEW, path=tmp_path, frames=2, keep_background=True).clip(0, rng)
+    np.testing.assert_allclose(clip.rgb, linear(188), **ROUNDING)
+
+
+def test_a_damaged_list_of_davis_is_named(davis_root) -> None:
+    (davis_root / "ImageSets" / "2017" / "train.txt").write_bytes(b"camel\xff\n")
+    assert "2017/train.txt cannot be read as a list of names" in error_of(
+        davis, VIEW, path=davis_root, frames=1, subset="train"
+    )
+
+
+def test_layouts_are_told_apart(tube, davis_root, tmp_path) -> None:
+    flat = tmp_path / "flat"
+    write_picture(flat / "images" / "x" / "00000.jpg", 1)
+    write_mask(flat / "masks" / "x" / "00000.png", LEFT)
+    paths = (tube.root, tube.folder, davis_root, flat, tmp_path / "none", davis_root / "ImageSets")
+    assert [youtube_vos_module.recognises(path) for path in paths] == [True, True, False, False, False, False]
+    assert [davis_module.recognises(path) for path in paths] == [False, False, True, True, False, False]
+
+
+@pytest.mark.shared
+def test_the_real_judo_and_bike(shared_data, monkeypatch) -> None:
+    monkeypatch.setattr("simulator.importers.masked_videos._WARNED", set())
+    root = shared_data / "davis"
+    view = replace(VIEW, shape=(240, 427))
+    source = davis(view, path=root, frames=4)
+    assert source.problems == (
+        "bike: fewer frames with a mask than the 4 that a clip of 4 takes (videos here have 1 to 4): ask for fewer, or a "
+        "larger interpolate_by",
+    )
+    with pytest.warns(UserWarning, match=r"judo/00005\.png is 480 x 853 instead of 480 x 854"):
+        clip = source.clip(0, np.random.default_rng(0))
+    assert clip.source["frames"] == ["00000", "00005", "00008", "00013"]
+    assert clip.source["objects"] == [1, 2, 3, 4]  # the sample's NOTE: each mask holds only the object that is new
+    assert clip.source["masks_resized_by_a_pixel"] == ["00005"]
+    for frame, name in zip(clip.rgb, clip.source["frames"], strict=True):
+        picture = np.asarray(Image.open(root / "images" / "judo" / f"{name}.jpg")) / 255
+        mask = np.asarray(
+            Image.open(root / "masks" / "judo" / f"{name}.png").resize((854, 480), Image.Resampling.NEAREST)
+        )
+        lit = np.where(picture > 0.04045, ((picture + 0.055) / 1.055) ** 2.4, picture / 12.92) * (mask > 0)[..., None]
+        halved = lit.reshape(240, 2, 427, 2, 3).mean(axis=(1, 3))
+        np.testing.assert_allclose(frame, halved, rtol=0, atol=1e-6)  # OpenCV's float32 sums of four
+    survey = davis_module.survey(root)
+    assert survey.usable == 2
+    assert survey.problems == ()
+    assert survey.facts["frames"].startswith("5 (1 to 4 per video")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        still = davis(view, path=root, frames=1).clip(0, np.random.default_rng(0))
+    assert still.source["video"] == "bike"
+    assert still.source["objects"] == [1, 2]
