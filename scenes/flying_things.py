@@ -12,12 +12,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from scenes.layout import Ball, far_end, place_balls
+from scenes.layout import Ball, far_end, place_balls, random_rotation
 from scenes.lights import draw_room, tint
 from scenes.meshes import mesh_library
-from scenes.motion import random_rotation
-from scenes.palettes import draw_ramp, draw_theme
-from scenes.textures import draw_reflectance, tiled
+from scenes.textures import draw_ramp, draw_reflectance, draw_theme, tiled
 from simulator.render import Box, Light, Material, Renderer, Scene, Sphere, SphereLight, TriangleMesh
 from simulator.render.scene import Shape
 from simulator.types import Clip, View

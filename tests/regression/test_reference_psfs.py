@@ -19,7 +19,7 @@ from PIL import Image
 
 from psf_library import reference
 from psf_library.reference import CASES, build_mask, compare_stacks, compute, draw_difference, load, load_pinned_mask
-from psf_library.reference.files import PINNED, write
+from psf_library.reference.cases import PINNED, write
 from psf_library.reference.make import CHANGED_SAMPLES, PSF_TOLERANCE, changed_samples, remake
 from simulator.errors import InputError
 from simulator.plugins import available

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scenes.surfaces import grid_faces
+from scenes.meshes import grid_faces
 from simulator.render import Environment, Material, Renderer, Scene, TriangleMesh
 from simulator.render.hidden import is_open
-from simulator.render.mesh import cuboid
+from simulator.render.mitsuba_scene import cuboid
 from simulator.types import View
 
 Pictures = Mapping[str, NDArray[Any]]
