@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.render.library import mitsuba
+from simulator.render.backend import mitsuba
 from simulator.render.mitsuba_scene import BLOCK_SIZE
 
 # Rays per pixel of the guides. Centre rays alone leave stair-steps at outlines, which the denoiser keeps; 16 strata
@@ -52,7 +52,6 @@ def guides(scene: Any, seed: int) -> tuple[NDArray[np.float32], NDArray[np.float
         seed: of the positions; with the picture's own seed both look through the same ones.
     """
     mi = mitsuba()
-
     # FIELD_NOTES: no source of depths, since it mixes surfaces at edges; which is what guides must do, like the picture.
     integrator = mi.load_dict({"type": "aov", "aovs": "albedo:albedo,normal:sh_normal", "block_size": BLOCK_SIZE})
     both = np.array(mi.render(scene, integrator=integrator, spp=_GUIDE_SAMPLES, seed=seed), dtype=np.float32)

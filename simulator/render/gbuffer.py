@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.render.backend import drjit, mitsuba
 from simulator.render.bands import albedo_of
-from simulator.render.library import aligned, drjit, mitsuba
-from simulator.render.mitsuba_scene import UNITS_PER_M, cuboid, scene_order
+from simulator.render.mitsuba_scene import UNITS_PER_M, aligned, cuboid, scene_order
 from simulator.render.scene import Box, Material, Scene, Sphere, SphereLight, TriangleMesh
 from simulator.types import View
 
@@ -61,7 +61,6 @@ def centre_depth(scene: Any) -> NDArray[np.float64]:
                 z[pixel] = ray(hit.t).z
     else:
         dr = drjit()
-
         ray = centre_rays(scene)
         hit = scene.ray_intersect_preliminary(ray)
         z = np.array(dr.select(hit.is_valid(), ray(hit.t).z, dr.inf), dtype=np.float64)
@@ -92,13 +91,11 @@ def centre_gbuffer(scene: Any) -> GBuffer:
 
 def is_scalar() -> bool:
     """Whether the active variant handles one ray at a time."""
-    mi = mitsuba()
-
-    return str(mi.variant()).startswith("scalar")
+    return str(mitsuba().variant()).startswith("scalar")
 
 
 def film_shape(scene: Any) -> tuple[int, int]:
-    """Return rows and columns of the picture."""
+    """Return rows and columns of the image."""
     columns, rows = (int(size) for size in scene.sensors()[0].film().size())
     return rows, columns
 
@@ -106,7 +103,6 @@ def film_shape(scene: Any) -> tuple[int, int]:
 def centre_rays(scene: Any) -> Any:
     """Return the rays through the pixels' centres, row by row: all of them at once, or one by one in a scalar variant."""
     mi = mitsuba()
-
     sensor = scene.sensors()[0]
     rows, columns = film_shape(scene)
     if is_scalar():
@@ -116,7 +112,6 @@ def centre_rays(scene: Any) -> Any:
             for column in range(columns)
         )
     dr = drjit()
-
     pixel = dr.arange(mi.UInt32, rows * columns)
     row = pixel // columns
     column = pixel - row * columns
@@ -124,20 +119,29 @@ def centre_rays(scene: Any) -> Any:
     return sensor.sample_ray(0.0, 0.5, position, 0.5)[0]
 
 
-def _look_at_all(scene: Any) -> dict[str, NDArray[Any]]:
-    dr = drjit()
-    mi = mitsuba()
+def order_by_registry(scene: Any) -> NDArray[np.int64]:
+    """Return a table from the numbers of Dr.Jit's registry, given as shapes are made, to a loaded scene's own."""
+    dr, mi = drjit(), mitsuba()
+    numbers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]) for shape in scene.shapes()]
+    order = np.full(max(numbers, default=0) + 1, NOTHING)
+    order[numbers] = scene_order(scene)
+    return order
 
+
+def order_by_id(scene: Any) -> dict[str, int]:
+    """Return the same for a scalar variant, by the shapes' names."""
+    return dict(zip((shape.id() for shape in scene.shapes()), scene_order(scene), strict=True))
+
+
+def _look_at_all(scene: Any) -> dict[str, NDArray[Any]]:
+    dr, mi = drjit(), mitsuba()
     ray = centre_rays(scene)
     first = scene.ray_intersect_preliminary(ray)
     seen = first.is_valid()
     hit = first.compute_surface_interaction(ray, mi.RayFlags.All, seen)
     albedo = _albedo(hit.bsdf(ray), hit, seen)
     normal = dr.select(dr.dot(hit.sh_frame.n, ray.d) > 0, -hit.sh_frame.n, hit.sh_frame.n)
-    # Dr.Jit's registry numbers shapes as they are made; the scene's own order is what users know.
-    numbers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]) for shape in scene.shapes()]
-    order = np.full(max(numbers, default=0) + 1, NOTHING)
-    order[numbers] = scene_order(scene)
+    order = order_by_registry(scene)
     shape = dr.reinterpret_array(mi.UInt32, hit.shape)
     instance = dr.reinterpret_array(mi.UInt32, hit.instance)
     return {
@@ -165,8 +169,7 @@ def _columns(vectors: Any) -> NDArray[Any]:
 
 def _look_one_by_one(scene: Any) -> dict[str, NDArray[Any]]:
     mi = mitsuba()
-
-    order = dict(zip((shape.id() for shape in scene.shapes()), scene_order(scene), strict=True))
+    order = order_by_id(scene)
     rows, columns = film_shape(scene)
     count = rows * columns
     found = {"seen": np.zeros(count, bool), "shape": np.zeros(count, np.int32), "triangle": np.zeros(count, np.int64)}
@@ -266,7 +269,6 @@ def seen_points(scene: Any, points_m: NDArray[np.float64], view: View) -> NDArra
 def _blocked(scene: Any, targets: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether something stands between the origin and each target ``(N, 3)``."""
     mi = mitsuba()
-
     distance = np.linalg.norm(targets, axis=-1)
     directions = targets / distance[:, np.newaxis]
     reach = distance * (1 - _CLEARANCE)

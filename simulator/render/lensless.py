@@ -35,104 +35,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.render.backend import LLVM_VARIANT, activate
-from simulator.render.library import drjit, mitsuba
+from simulator.render.backend import LLVM_VARIANT, activate, drjit, mitsuba
 from simulator.render.mitsuba_scene import UNITS_PER_M, load_scene
 from simulator.render.renderer import DEFAULT_MAX_DEPTH
 from simulator.render.scene import Scene
 from simulator.types import View
-
-
-@dataclass(frozen=True)
-class MaskedSensor:
-    """A sensor and its mask, in Mitsuba's world units.
-
-    Attributes:
-        transmittance: ``(rows, columns)`` of the mask's cells, 0..1, in world axes (x right, y down).
-        cell: pitch of the cells.
-        distance: mask to sensor.
-        pixel: pitch of the pixels.
-        shape: rows and columns of the sensor.
-    """
-
-    transmittance: NDArray[np.float64]
-    cell: float
-    distance: float
-    pixel: float
-    shape: tuple[int, int]
-
-
-def mitsuba_sensor(camera: MaskedSensor) -> Any:
-    """Return the ``mitsuba.Sensor`` of a camera; needs an active LLVM variant."""
-    mi = mitsuba()
-
-    properties = mi.Properties()
-    rows, columns = camera.shape
-    film = {
-        "type": "hdrfilm",
-        "width": columns,
-        "height": rows,
-        "rfilter": {"type": "box"},
-        "pixel_format": "rgb",
-        "component_format": "float32",
-    }
-    properties["film"] = mi.load_dict(film)
-    properties["sampler"] = mi.load_dict({"type": "multijitter"})
-    return _sensor_class()(properties, camera)
-
-
-@functools.cache
-def _sensor_class() -> Any:
-    """Return the class of the sensor; ``mitsuba.Sensor`` is another class in each variant, and exists only in one."""
-    dr = drjit()
-    mi = mitsuba()
-
-    class LenslessSensor(mi.Sensor):
-        """Rays from a point in a pixel through a point in an opening, which is drawn with the transmittance's weight."""
-
-        def __init__(self, properties: Any, camera: MaskedSensor) -> None:
-            super().__init__(properties)
-            openings = camera.transmittance > 0
-            row, column = np.nonzero(openings)
-            rows, columns = camera.transmittance.shape
-            self._left = mi.Float((column - 0.5 * columns) * camera.cell)
-            self._top = mi.Float((row - 0.5 * rows) * camera.cell)
-            weights = camera.transmittance[openings]
-            self._openings = mi.DiscreteDistribution(mi.Float(weights))
-            self._open_area = mi.Float(float(weights.sum()) * camera.cell**2)
-            self._cell, self._distance = mi.Float(camera.cell), mi.Float(camera.distance)
-            height, width = camera.shape
-            self._width, self._height = mi.Float(width * camera.pixel), mi.Float(height * camera.pixel)
-
-        def sample_ray(
-            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
-        ) -> tuple[Any, Any]:
-            del sample1  # of the wavelength
-            # The picture is the physical sensor's turned by 180 degrees.
-            x, y = (0.5 - sample2.x) * self._width, (0.5 - sample2.y) * self._height
-            number, across = self._openings.sample_reuse(sample3.x, active)
-            left, top = (dr.gather(mi.Float, part, number, active) for part in (self._left, self._top))
-            opening = mi.Point3f(left + across * self._cell, top + sample3.y * self._cell, 0)
-            along = opening - mi.Point3f(x, y, -self._distance)
-            squared = dr.squared_norm(along)
-            cosine_squared = self._distance * self._distance / squared
-            weight = self._open_area * dr.square(cosine_squared / self._distance)
-            ray = mi.Ray3f(opening, along * dr.rsqrt(squared), time, [])
-            return ray, mi.Color3f(weight)
-
-        def sample_ray_differential(
-            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
-        ) -> tuple[Any, Any]:
-            ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
-            return mi.RayDifferential3f(ray), weight
-
-        def needs_aperture_sample(self) -> bool:
-            return True
-
-        def to_string(self) -> str:
-            return "LenslessSensor[]"
-
-    return LenslessSensor
 
 
 def lensless_render(
@@ -158,7 +65,7 @@ def lensless_render(
         mask_pitch_m: pitch of the cells, metres.
         sensor_shape: rows and columns of the sensor.
         samples_per_pixel: rays per pixel and seed, at least 1; rounded up like those of `Renderer.clip`.
-        seeds: of independent pictures, each 0 <= seed < 2**32.
+        seeds: of independent images, each 0 <= seed < 2**32.
         max_depth: longest light path, in segments.
 
     Returns:
@@ -173,18 +80,17 @@ def lensless_render(
     _check(amplitude, mask_pitch_m, sensor_shape, samples_per_pixel, seeds)
     _activate_llvm()
     mi = mitsuba()
-
     loaded = load_scene(scene, view, max_depth)
-    camera = MaskedSensor(
+    camera = _MaskedSensor(
         transmittance=amplitude**2,
         cell=mask_pitch_m * UNITS_PER_M,
         distance=view.distance_m * UNITS_PER_M,
         pixel=view.pixel_pitch_m * UNITS_PER_M,
         shape=sensor_shape,
     )
-    sensor = mitsuba_sensor(camera)
-    pictures = [np.array(mi.render(loaded, sensor=sensor, spp=samples_per_pixel, seed=seed)) for seed in seeds]
-    return np.stack(pictures).astype(np.float32)
+    sensor = _mitsuba_sensor(camera)
+    images = [np.array(mi.render(loaded, sensor=sensor, spp=samples_per_pixel, seed=seed)) for seed in seeds]
+    return np.stack(images).astype(np.float32)
 
 
 def _activate_llvm() -> None:
@@ -224,6 +130,96 @@ def _check(
         raise InputError(msg)
 
 
+@dataclass(frozen=True)
+class _MaskedSensor:
+    """A sensor and its mask, in Mitsuba's world units.
+
+    Attributes:
+        transmittance: ``(rows, columns)`` of the mask's cells, 0..1, in world axes (x right, y down).
+        cell: pitch of the cells.
+        distance: mask to sensor.
+        pixel: pitch of the pixels.
+        shape: rows and columns of the sensor.
+    """
+
+    transmittance: NDArray[np.float64]
+    cell: float
+    distance: float
+    pixel: float
+    shape: tuple[int, int]
+
+
+def _mitsuba_sensor(camera: _MaskedSensor) -> Any:
+    """Return the ``mitsuba.Sensor`` of a camera; needs an active LLVM variant."""
+    mi = mitsuba()
+    properties = mi.Properties()
+    rows, columns = camera.shape
+    film = {
+        "type": "hdrfilm",
+        "width": columns,
+        "height": rows,
+        "rfilter": {"type": "box"},
+        "pixel_format": "rgb",
+        "component_format": "float32",
+    }
+    properties["film"] = mi.load_dict(film)
+    properties["sampler"] = mi.load_dict({"type": "multijitter"})
+    return _sensor_class()(properties, camera)
+
+
+@functools.cache
+def _sensor_class() -> Any:
+    """Return the class of the sensor; ``mitsuba.Sensor`` is another class in each variant, and exists only in one."""
+    dr, mi = drjit(), mitsuba()
+
+    class LenslessSensor(mi.Sensor):
+        """Rays from a point in a pixel through a point in an opening, which is drawn with the transmittance's weight."""
+
+        def __init__(self, properties: Any, camera: _MaskedSensor) -> None:
+            super().__init__(properties)
+            openings = camera.transmittance > 0
+            row, column = np.nonzero(openings)
+            rows, columns = camera.transmittance.shape
+            self._left = mi.Float((column - 0.5 * columns) * camera.cell)
+            self._top = mi.Float((row - 0.5 * rows) * camera.cell)
+            weights = camera.transmittance[openings]
+            self._openings = mi.DiscreteDistribution(mi.Float(weights))
+            self._open_area = mi.Float(float(weights.sum()) * camera.cell**2)
+            self._cell, self._distance = mi.Float(camera.cell), mi.Float(camera.distance)
+            height, width = camera.shape
+            self._width, self._height = mi.Float(width * camera.pixel), mi.Float(height * camera.pixel)
+
+        def sample_ray(
+            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
+        ) -> tuple[Any, Any]:
+            del sample1  # of the wavelength
+            # The image is the physical sensor's, rotated by 180 degrees.
+            x, y = (0.5 - sample2.x) * self._width, (0.5 - sample2.y) * self._height
+            number, across = self._openings.sample_reuse(sample3.x, active)
+            left, top = (dr.gather(mi.Float, part, number, active) for part in (self._left, self._top))
+            opening = mi.Point3f(left + across * self._cell, top + sample3.y * self._cell, 0)
+            along = opening - mi.Point3f(x, y, -self._distance)
+            squared = dr.squared_norm(along)
+            cosine_squared = self._distance * self._distance / squared
+            weight = self._open_area * dr.square(cosine_squared / self._distance)
+            ray = mi.Ray3f(opening, along * dr.rsqrt(squared), time, [])
+            return ray, mi.Color3f(weight)
+
+        def sample_ray_differential(
+            self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
+        ) -> tuple[Any, Any]:
+            ray, weight = self.sample_ray(time, sample1, sample2, sample3, active)
+            return mi.RayDifferential3f(ray), weight
+
+        def needs_aperture_sample(self) -> bool:
+            return True
+
+        def to_string(self) -> str:
+            return "LenslessSensor[]"
+
+    return LenslessSensor
+
+
 Source = Literal["point", "pixel"]
 
 
@@ -252,7 +248,7 @@ def shadow_psfs(
             these, a scene that is even over each of its pixels is convolved without any error of sampling.
 
     Returns:
-        ``(K, size, size)`` irradiance per irradiance at the mask, turned by 180 degrees, with the origin on sample
+        ``(K, size, size)`` irradiance per irradiance at the mask, rotated by 180 degrees, with the origin on sample
         ``size // 2``; an odd size that holds the largest shadow.
 
     Raises:

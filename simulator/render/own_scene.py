@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.render.backend import home_for_kernels
+from simulator.render.backend import home_for_kernels, mitsuba
 from simulator.render.gbuffer import GBuffer, centre_gbuffer
-from simulator.render.library import mitsuba
 from simulator.render.mitsuba_scene import UNITS_PER_M, path_tracer, pinhole, shape_name
 from simulator.types import View
 
@@ -96,7 +95,6 @@ def load_own_scene(path: Path, view: View, max_depth: int) -> OwnScene:
             depth (participating media).
     """
     mi = mitsuba()
-
     state, _ = _parsed(path)
     root = state.root
     sensor_to_world, clipping = None, _CLIPPING
@@ -227,7 +225,6 @@ def _check_part(path: Path, user: str, value: str, file: Path) -> None:
 
 def _refuse_what_has_no_depth(path: Path, state: Any) -> None:
     mi = mitsuba()
-
     if state.root.type != mi.ObjectType.Scene:
         msg = f"{path}: its outermost element is a {state.root.props.plugin_name()!r}, expected <scene>"
         raise InputError(msg)
@@ -241,7 +238,6 @@ def _refuse_what_has_no_depth(path: Path, state: Any) -> None:
 def _children(state: Any) -> list[tuple[str, Any]]:
     """Return the scene's own parts and the names of their properties, in the file's order."""
     mi = mitsuba()
-
     references = [(key, value) for key, value in state.root.props.items()]
     return [
         (key, state.nodes[value.index()])
@@ -253,7 +249,6 @@ def _children(state: Any) -> list[tuple[str, Any]]:
 def _config(variant: str) -> Any:
     """Return how to parse: shapes stay apart, so that each keeps its number."""
     mi = mitsuba()
-
     config = mi.parser.ParserConfig(variant)
     config.merge_meshes = False
     config.merge_equivalent = False

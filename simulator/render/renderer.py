@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from simulator.errors import InputError
-from simulator.render.backend import activate
+from simulator.render.backend import activate, mitsuba
 from simulator.render.bands import check_edges, split_film
 from simulator.render.denoise import check_denoiser, denoise, denoiser_name, guides
 from simulator.render.frames import Frame, check_outputs, dim_fireflies_in, join_frames, repair
 from simulator.render.gbuffer import GBuffer, centre_depth, centre_gbuffer, motion_vectors, moved_points, seen_points
 from simulator.render.hidden import hidden_layers
-from simulator.render.library import mitsuba
 from simulator.render.mitsuba_scene import Stage
 from simulator.render.own_scene import OwnScene, load_own_scene
 from simulator.render.scene import Scene
@@ -222,7 +221,6 @@ class Renderer:
 
     def _frame(self, stage: Stage | OwnScene, samples_per_pixel: int, seed: int) -> Frame:
         mi = mitsuba()
-
         loaded = stage.loaded
         image = mi.render(loaded, spp=samples_per_pixel, seed=seed)
         picture = np.array(image, dtype=np.float32)
