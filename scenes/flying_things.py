@@ -13,10 +13,10 @@ import numpy as np
 from pydantic import Field
 
 from scenes.layout import Ball, far_end, place_balls, random_rotation
-from scenes.lights import draw_room, tint
+from scenes.lights import draw_room, lamp
 from scenes.meshes import mesh_library
 from scenes.textures import draw_ramp, draw_reflectance, draw_theme, tiled
-from simulator.render import Box, Light, Material, Renderer, Scene, Sphere, SphereLight, TriangleMesh
+from simulator.render import Box, Light, Material, Renderer, Scene, Sphere, TriangleMesh
 from simulator.render.scene import Shape
 from simulator.types import Clip, View
 
@@ -145,8 +145,5 @@ def _lights(view: View, rng: np.random.Generator) -> tuple[Light, ...]:
         direction /= np.linalg.norm(direction)
         distance = reach * rng.uniform(2.5, 4.0)
         radius = distance * rng.uniform(0.12, 0.3)
-        # A lamp of radiance L seen under the half angle asin(r / D) gives pi L (r / D)^2 cos(angle) of irradiance.
-        radiance = exposure * share * (distance / radius) ** 2 / -direction[2]
-        middle = np.array([0, 0, reach / 2])
-        lamps.append(SphereLight(middle + distance * direction, radius, radiance * tint(colour)))
+        lamps.append(lamp(np.array([0, 0, reach / 2]), direction, distance, radius, exposure * share, colour))
     return (*lamps, draw_room(rng, exposure * (1 - shares.sum()), -warmth / 2))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scenes.endoscopy.organs import Course
 from scenes.layout import rotation
+from scenes.lights import tint
 from simulator.render import SphereLight
 from simulator.types import View
 
@@ -104,13 +105,12 @@ def draw_lamps(rng: np.random.Generator) -> list[SphereLight]:
     angles = rng.uniform(0, 2 * math.pi) + 2 * math.pi / _LAMPS * (np.arange(_LAMPS) + rng.uniform(-0.15, 0.15, _LAMPS))
     shares = rng.uniform(0.3, 1, _LAMPS)
     shares /= shares.sum()
-    warmth = rng.uniform(-0.06, 0.06)
-    tint = np.array([1 + warmth, 1.0, 1 - warmth])
+    colour = tint(rng.uniform(-0.06, 0.06))
     lamps = []
     for angle, share in zip(angles, shares, strict=True):
         away, radius = rng.uniform(0.0025, 0.004), rng.uniform(0.0005, 0.0008)
         centre = np.array([away * math.cos(angle), away * math.sin(angle), -radius])
-        lamps.append(SphereLight(centre, radius, share / radius**2 * tint))
+        lamps.append(SphereLight(centre, radius, share / radius**2 * colour))
     return lamps
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from scenes.high_speed.actors import Act, Actor, floor_depth, rigid
-from scenes.high_speed.bodies import bodies
+from scenes.high_speed.bodies import body_library
 from scenes.high_speed.events import EVENTS, MOST_ACTORS, Event, cast_event
 from scenes.high_speed.rooms import Room, draw_room, floor_of, lamps_of, wall_of
 from scenes.layout import far_end, random_rotation
@@ -188,7 +188,7 @@ def _props(act: Act, actors: list[Actor]) -> list[Actor]:
         relative = min(float(act.room.half.min()) * rng.uniform(0.12, 0.3), 0.3)
         depth = floor_depth(act, relative)
         radius = relative * depth
-        mesh, turn = bodies()[rng.integers(len(bodies()))], random_rotation(rng)
+        mesh, turn = body_library()[rng.integers(len(body_library()))], random_rotation(rng)
         lowest = radius * float((mesh.vertices @ turn.T)[:, 1].max())
         spot = np.array([rng.uniform(-0.9, 0.9) * act.room.half[0] * depth, act.room.floor_m - lowest, depth])
         prop = rigid(

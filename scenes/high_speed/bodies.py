@@ -13,12 +13,22 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.meshes import UnitMesh, face_cross, grid_faces, mesh_library, smooth_normals, unit, welded
+from scenes.meshes import (
+    Radius,
+    UnitMesh,
+    closed_surface,
+    grid_faces,
+    lumps,
+    mesh_library,
+    rounded,
+    smooth_normals,
+    superellipsoid,
+    unit,
+    welded,
+)
 from simulator.render import Material, TriangleMesh
 
 Array = NDArray[np.float64]
-Radius = Callable[[Array], Array]
-"""Unit directions ``(..., 3)`` to how far a surface is from the origin, ``(...)``."""
 _SEED = 20260401
 _MOST_FACES = 700
 _COLUMNS, _ROWS = 22, 14
@@ -35,17 +45,17 @@ _TOP = ((0, 0.8), (0.1, 0.78), (0.1, 0.35), (0.75, 0.15), (0.8, 0), (0.5, -0.35)
 def round_bodies() -> tuple[UnitMesh, ...]:
     """Return balls of which every vertex is within 10 % of the unit sphere: they touch where a ball would."""
     rng = np.random.default_rng(_SEED)
-    return (_ball(_no_lumps), *(_ball(_lumps(rng, 0.045)) for _ in range(2)), _ball(_ribs(8, 0.05)))
+    return (_ball(_no_lumps), *(_ball(lumps(rng, 4, 2.2, 0.045)) for _ in range(2)), _ball(_ribs(8, 0.05)))
 
 
 @functools.cache
-def bodies() -> tuple[UnitMesh, ...]:
+def body_library() -> tuple[UnitMesh, ...]:
     """Return all bodies, the round ones first; at most 700 faces each."""
     rng = np.random.default_rng(_SEED + 1)
     return (
         *round_bodies(),
-        *(_superellipsoid(*exponents) for exponents in ((0.3, 0.3), (0.25, 1.0), (1.0, 0.3), (1.9, 1.0))),
-        *(_ball(_lumps(rng, 0.35)) for _ in range(2)),
+        *(superellipsoid(*exponents, 24, _ROWS) for exponents in ((0.3, 0.3), (0.25, 1.0), (1.0, 0.3), (1.9, 1.0))),
+        *(_ball(lumps(rng, 4, 2.2, 0.35)) for _ in range(2)),
         *(_turned(profile) for profile in (_PIN, _DUMBBELL, _BOTTLE, _TOP)),
         *(_tube(_circle(28), tube) for tube in (0.25, 0.45)),
         _tube(_trefoil(48), 0.24),
@@ -53,44 +63,8 @@ def bodies() -> tuple[UnitMesh, ...]:
     )
 
 
-def closed_surface(points: Array) -> UnitMesh:
-    """Triangulate a closed grid of points ``(rows, columns, 3)``, seams and poles stored twice, at size 1.
-
-    Its bounding box is centred, its farthest vertex 1 from the origin; normals are averaged over the seams.
-    """
-    rows, columns = points.shape[:2]
-    vertices = points.reshape(-1, 3) - (points.min(axis=(0, 1)) + points.max(axis=(0, 1))) / 2
-    vertices = vertices / np.linalg.norm(vertices, axis=1).max()
-    faces = grid_faces(rows, columns)
-    cross = face_cross(vertices, faces)
-    kept = np.linalg.norm(cross, axis=1) > 1e-9  # at poles one of the two triangles has no area
-    faces = faces[kept]
-    if np.einsum("fi,fi->", vertices[faces[:, 0]], cross[kept]) < 0:  # a negative volume: the grid is seen from inside
-        faces = faces[:, ::-1]
-    down, across = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, columns), indexing="ij")
-    uv = np.stack([across, down], axis=-1).reshape(-1, 2)
-    return UnitMesh(vertices, smooth_normals(vertices, faces, welded(vertices)), uv, faces)
-
-
-def _angles(columns: int, rows: int) -> tuple[Array, Array]:
-    """Return angles around (0..2 pi) and up (-pi/2..pi/2), each ``(rows + 1, columns + 1)``."""
-    up, around = np.meshgrid(
-        np.linspace(-np.pi / 2, np.pi / 2, rows + 1), np.linspace(0, 2 * np.pi, columns + 1), indexing="ij"
-    )
-    return around, up
-
-
 def _no_lumps(direction: Array) -> Array:
     return np.ones(direction.shape[:-1])
-
-
-def _lumps(rng: np.random.Generator, strength: float) -> Radius:
-    waves, phases = rng.normal(0, 2.2, (4, 3)), rng.uniform(0, 2 * np.pi, 4)
-
-    def radius(direction: Array) -> Array:
-        return 1 + strength * np.mean(np.sin(direction @ waves.T + phases), axis=-1)
-
-    return radius
 
 
 def _ribs(count: int, depth: float) -> Radius:
@@ -103,33 +77,16 @@ def _ribs(count: int, depth: float) -> Radius:
 
 
 def _ball(radius: Radius) -> UnitMesh:
-    around, up = _angles(_COLUMNS, _ROWS)
+    up, around = np.meshgrid(
+        np.linspace(-np.pi / 2, np.pi / 2, _ROWS + 1), np.linspace(0, 2 * np.pi, _COLUMNS + 1), indexing="ij"
+    )
     direction = np.stack([np.cos(up) * np.cos(around), np.sin(up), np.cos(up) * np.sin(around)], axis=-1)
     return closed_surface(direction * radius(direction)[..., np.newaxis])
 
 
-def _superellipsoid(e_up: float, e_around: float) -> UnitMesh:
-    """Barr's superellipsoid: exponents of 0.3 give a rounded box or cylinder, near 2 a pinched spindle."""
-
-    def power(base: Array, exponent: float) -> Array:
-        base = np.round(base, 12)  # sin(pi) is 1e-16, and a small exponent would make that 1e-5
-        return np.sign(base) * np.abs(base) ** exponent
-
-    around, up = _angles(24, _ROWS)
-    ring = power(np.cos(up), e_up)
-    return closed_surface(
-        np.stack(
-            [ring * power(np.cos(around), e_around), power(np.sin(up), e_up), ring * power(np.sin(around), e_around)],
-            -1,
-        )
-    )
-
-
 def _turned(profile: tuple[tuple[float, float], ...]) -> UnitMesh:
-    """Turn a profile, made round by one pass of corner cutting (Chaikin), about the y axis."""
-    points = np.array(profile, dtype=float)
-    cut = np.stack([0.75 * points[:-1] + 0.25 * points[1:], 0.25 * points[:-1] + 0.75 * points[1:]], axis=1)
-    points = np.concatenate([points[:1], cut.reshape(-1, 2)[1:-1], points[-1:]])
+    """Turn a profile about the y axis."""
+    points = rounded(profile, 1)
     around = np.linspace(0, 2 * np.pi, 17)
     radius, height = points[:, :1], -points[:, 1:]
     return closed_surface(

@@ -32,7 +32,7 @@ from scenes.high_speed.actors import (
 from scenes.high_speed.bodies import (
     Bend,
     Soft,
-    bodies,
+    body_library,
     bowing,
     flapping,
     jelly,
@@ -221,7 +221,7 @@ def _flyer(
     course = straight(*draw_line(act, depth, radius, share), act.duration_s)
     tumble = tumbling(act, (0.0, 0.12))
     facts = {"speed_m_s": act.mean_speed(course)}
-    return rigid("body", _pick(act.rng, bodies()), radius, course, tumble.turn, facts=facts)
+    return rigid("body", _pick(act.rng, body_library()), radius, course, tumble.turn, facts=facts)
 
 
 def _translation(act: Act) -> list[Actor]:
@@ -249,7 +249,7 @@ def _rotation(act: Act) -> list[Actor]:
         # A rod precesses slowly and spins fast: limit both.
         tumble = tumbling(act, (0.35, 1.6 if ratio < 2 else 0.9), ratio)
         facts = {"speed_m_s": act.mean_speed(course), "turns_per_s": tumble.rate_rad_s / (2 * math.pi)}
-        return [rigid("top", _pick(rng, bodies()), size, course, tumble.turn, facts=facts)]
+        return [rigid("top", _pick(rng, body_library()), size, course, tumble.turn, facts=facts)]
 
     return cast(act, int(act.rng.integers(1, 4)), propose)
 
@@ -309,7 +309,7 @@ def _deformation(act: Act) -> list[Actor]:
         name, bend = _draw_bend(rng)
         phase, rate = _beats(act, 0.8, 2.2)
         # Fine triangles bend; the bodies of few large ones would show their edges move.
-        mesh = _pick(rng, [body for body in bodies() if len(body.faces) > 300])
+        mesh = _pick(rng, [body for body in body_library() if len(body.faces) > 300])
         course = swaying(act, draw_spot(act, depth, radius), rng.uniform(0.0, 0.35))
         tumble = tumbling(act, (0.0, 0.15))
         facts = {"speed_m_s": act.mean_speed(course), "beats_per_s": rate}
@@ -373,7 +373,7 @@ def _occlusion(act: Act) -> list[Actor]:
         course = straight(room.place(ends[0], depth), room.place(ends[1], depth), act.duration_s)
         tumble = tumbling(act, (0.0, 0.35))
         facts = {"speed_m_s": act.mean_speed(course)}
-        return [rigid("body", _pick(rng, bodies()), radius, course, tumble.turn, facts=facts)]
+        return [rigid("body", _pick(rng, body_library()), radius, course, tumble.turn, facts=facts)]
 
     return cast(act, count, propose)
 

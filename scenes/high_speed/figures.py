@@ -14,8 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scenes.high_speed.bodies import closed_surface
-from scenes.meshes import UnitMesh, unit
+from scenes.meshes import UnitMesh, closed_surface, unit
 from simulator.render import Material, TriangleMesh
 
 Array = NDArray[np.float64]

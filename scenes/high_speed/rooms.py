@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scenes.layout import far_end
 from scenes.lights import draw_room as draw_surroundings
-from scenes.lights import tint
+from scenes.lights import lamp
 from scenes.meshes import face_cross, unit
 from scenes.textures import draw_ramp, draw_reflectance
 from simulator.render import EnvironmentMap, Material, SphereLight, TriangleMesh
@@ -113,11 +113,8 @@ def lamps_of(room: Room, rng: np.random.Generator) -> tuple[SphereLight, Environ
     direction = unit(np.array([rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 1.0), rng.uniform(-1.3, -0.3), -1.0]))
     distance = room.wall_m * rng.uniform(2.0, 3.5)
     radius = distance * rng.uniform(0.1, 0.2)
-    # A lamp of radiance L seen under the half angle asin(r / D) gives pi L (r / D)^2 cos(angle) of irradiance.
-    radiance = exposure * share * (distance / radius) ** 2 / -direction[2]
-    middle = np.array([0, 0, room.wall_m / 2])
     return (
-        SphereLight(middle + distance * direction, radius, radiance * tint(warmth)),
+        lamp(np.array([0, 0, room.wall_m / 2]), direction, distance, radius, exposure * share, warmth),
         draw_surroundings(rng, exposure * (1 - share), -warmth / 2),
     )
 

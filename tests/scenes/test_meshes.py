@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenes.high_speed.bodies import bodies
+from scenes.high_speed.bodies import body_library
 from scenes.layout import random_rotation
 from scenes.meshes import UnitMesh, face_cross, mesh_library, placed
 from simulator.render import Material
@@ -50,7 +50,7 @@ def test_the_library_is_varied_and_cheap() -> None:
 
 
 def test_a_stretched_mesh_has_the_normals_of_its_surface() -> None:
-    ball = bodies()[0]
+    ball = body_library()[0]
     turn = random_rotation(np.random.default_rng(2))
     size = np.array([0.01, 0.03, 0.02])
     thing = placed(ball, Material(np.ones((2, 2, 3), np.float32)), (0.1, 0.2, 0.3), size, turn)

@@ -10,7 +10,7 @@ import pytest
 from scenes.high_speed.bodies import (
     Bend,
     Soft,
-    bodies,
+    body_library,
     bowing,
     flapping,
     jelly,
@@ -67,7 +67,7 @@ def test_a_flag_stays_on_its_pole_and_flaps_most_at_its_free_edge() -> None:
 
 @pytest.mark.parametrize("bend", BENDS.values(), ids=BENDS.keys())
 def test_motion_is_smooth_and_periodic_and_the_reach_holds(bend: Bend) -> None:
-    mesh = bodies()[5]
+    mesh = body_library()[5]
     there = [bend(mesh.vertices, phase) for phase in np.linspace(0, 2 * np.pi, 257)]
     np.testing.assert_allclose(there[0], there[-1], atol=1e-9)
     steps = [np.linalg.norm(after - before, axis=1).max() for before, after in pairwise(there)]
@@ -76,7 +76,7 @@ def test_motion_is_smooth_and_periodic_and_the_reach_holds(bend: Bend) -> None:
 
 
 def test_normals_belong_to_the_bent_form_and_sharp_edges_stay_sharp() -> None:
-    for mesh in (round_bodies()[0], next(mesh for mesh in bodies() if len(mesh.vertices) == 3 * len(mesh.faces))):
+    for mesh in (round_bodies()[0], next(mesh for mesh in body_library() if len(mesh.vertices) == 3 * len(mesh.faces))):
         bent = Soft(mesh, bowing(1.5)).placed(1.0, WHITE, np.zeros(3), 1.0, np.eye(3))
         flat = face_cross(bent.vertices_m, bent.faces)
         flat /= np.linalg.norm(flat, axis=1, keepdims=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenes.high_speed.bodies import bodies, round_bodies
+from scenes.high_speed.bodies import body_library, round_bodies
 from scenes.high_speed.figures import FIGURES, draw_figure
 from scenes.meshes import face_cross, welded
 from simulator.render import Material
@@ -45,7 +45,7 @@ def test_every_link_is_a_rigid_piece_of_the_mesh_with_outward_normals(kind: str)
 
 
 def test_bodies_are_closed_coarse_and_of_unit_size() -> None:
-    for mesh in bodies():
+    for mesh in body_library():
         assert len(mesh.faces) <= 700
         assert np.linalg.norm(mesh.vertices, axis=1).max() == pytest.approx(1)
         corners = welded(mesh.vertices)[mesh.faces]
