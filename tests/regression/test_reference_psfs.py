@@ -109,6 +109,7 @@ class TestTheTestItself:
             assert picture.width > 1000
         test_the_design_makes_the_pinned_mask(SUBJECT, bent)  # the mask is as it was
 
+    @pytest.mark.slow
     def test_a_change_is_accepted_on_request(self, bent: Path) -> None:
         """In a process of its own, because the option belongs to a whole run."""
         root = Path(__file__).parents[2]

@@ -179,6 +179,7 @@ def test_tolerances_reach_the_mask(small):
     assert round_.height_m.std() < 0.95 * small.height_m.std()
 
 
+@pytest.mark.slow
 def test_rounded_edges_blur_the_contours(small, psf_at_infinity):
     """The price of rounding: less light in the lines, more in the zeroth order and around."""
     target = _pixels_of(contours(400, 120, 6, 1))

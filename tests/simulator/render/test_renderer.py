@@ -99,11 +99,12 @@ def test_a_lamp_gives_the_irradiance_of_its_solid_angle(pictures: Pictures) -> N
     np.testing.assert_allclose(centre, expected, rtol=0.01)  # 16 pixels x 64 paths; off-axis by at most 0.3 degrees
 
 
+@pytest.mark.slow
 def test_threads_and_order_do_not_change_a_byte(
-    pictures: Pictures, render_cases: Callable[[str, int], Pictures], request: pytest.FixtureRequest
+    pictures: Pictures, rendered: Callable[..., Pictures], request: pytest.FixtureRequest
 ) -> None:
     variant = request.node.callspec.params["pictures"]
-    other = render_cases(variant, 2)
+    other = rendered("worker.py", variant, "2")
     assert pictures.keys() == other.keys()
     for name, picture in pictures.items():
         assert picture.tobytes() == other[name].tobytes(), name
@@ -112,8 +113,8 @@ def test_threads_and_order_do_not_change_a_byte(
 
 
 @pytest.mark.usefixtures("needs_llvm")
-def test_both_variants_agree(render_cases: Callable[[str, int], Pictures]) -> None:
-    scalar, llvm = render_cases("scalar_rgb", 1), render_cases("llvm_ad_rgb", 1)
+def test_both_variants_agree(rendered: Callable[..., Pictures]) -> None:
+    scalar, llvm = (rendered("worker.py", variant, "1") for variant in ("scalar_rgb", "llvm_ad_rgb"))
     for name in ("plane", "ball", "box", "edge", "things0", "things1", "things2"):
         np.testing.assert_array_equal(scalar[f"{name}.valid"], llvm[f"{name}.valid"])
         different = ~np.isclose(scalar[f"{name}.depth"], llvm[f"{name}.depth"], rtol=1e-5)
