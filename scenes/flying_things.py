@@ -33,12 +33,12 @@ def flying_things(
     objects: Annotated[int, Field(ge=1, le=200)] = 30,
     renderer: Renderer,
 ) -> FlyingThings:
-    """Return the family for a view: each clip is one picture of ``objects`` random solids before a textured wall.
+    """Return the family for a view: each clip is one image of ``objects`` random solids before a textured wall.
 
     Args:
         view: image shape, pinhole geometry and depth range; ``far_m`` must be at least 1.1 ``near_m``.
         samples_per_pixel: light paths per pixel; noise falls with the square root.
-        objects: how many solids; their size adapts, so that they cover about the same share of the picture.
+        objects: how many solids; their size adapts, so that they cover about the same share of the image.
         renderer: how to render.
 
     Raises:
@@ -104,14 +104,14 @@ def _solid(slot: int, ball: Ball, theme: np.ndarray, rng: np.random.Generator) -
 
 
 def _wall(view: View, theme: np.ndarray, rng: np.random.Generator) -> TriangleMesh:
-    """Return a slanted plane that fills the picture and stays just inside the far end.
+    """Return a slanted plane that fills the image and stays just inside the far end.
 
-    A plane's disparity is linear over the picture, ``1 / z = a + b x + c y`` for a direction (x, y, 1).
+    A plane's disparity is linear over the image, ``1 / z = a + b x + c y`` for a direction (x, y, 1).
     """
     nearest, farthest = 1 / view.near_m, 1 / (0.98 * far_end(view))
     slant = rng.uniform(-1, 1, 2) * 0.12 * (nearest - farthest) / 2
     # The diagonal between the two triangles must not pass through pixel centres, where rays may slip between them: so the
-    # wall is no centred rectangle, and its edges lie at odd places beyond the picture's.
+    # wall is not a centred rectangle, and its edges lie at odd places beyond the image's.
     places = np.array([(-1.05, -1.05), (1.3137, -1.05), (1.3137, 1.1741), (-1.05, 1.1741)])
     directions = places * (view.tan_half_width, view.tan_half_height)
     disparity = farthest - np.min(places @ slant) + places @ slant
@@ -132,7 +132,7 @@ def _wall(view: View, theme: np.ndarray, rng: np.random.Generator) -> TriangleMe
 def _lights(view: View, rng: np.random.Generator) -> tuple[Light, ...]:
     """Return a key and a fill lamp behind the camera and a room around all, with white balanced only roughly.
 
-    Together they give a white surface that faces the camera a radiance of ``exposure``, so that pictures come out alike.
+    Together they give a white surface that faces the camera a radiance of ``exposure``, so that images come out alike.
     """
     reach = far_end(view)
     exposure = rng.uniform(1.2, 1.9)

@@ -56,7 +56,7 @@ def place_balls(view: View, count: int, rng: np.random.Generator) -> list[Ball]:
 
     Args:
         view: the frustum.
-        count: how many balls; their picture size falls with its square root, so that coverage stays about the same.
+        count: how many balls; their size in the image falls with its square root, so that coverage stays about the same.
         rng: decides everything.
     """
     near, far = view.near_m * (1 + _MARGIN), far_end(view) * (1 - _MARGIN)

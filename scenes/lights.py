@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from simulator.render import EnvironmentMap, SphereLight
 
-_ROWS = 16  # coarse: it is light, not a picture; windows are soft
+_ROWS = 16  # coarse: it is light, not an image; windows are soft
 _MOST_WINDOWS = 3
 
 

@@ -29,7 +29,7 @@ from simulator.types import CameraGeometry
 from simulator.validation import nearest
 
 INPUTS = Path(__file__).parent / "inputs"
-"""Folder of the pictures that designs read, neither with any symmetry: a letter F of three greys, and a tilted bowl with a
+"""Folder of the images that designs read, neither with any symmetry: a letter F of three greys, and a tilted bowl with a
 ridge. Paths among a case's parameters are relative to it."""
 
 PIXEL_PITCH_M = 14.4e-6  # six pixels of an IMX183

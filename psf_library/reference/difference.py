@@ -1,4 +1,4 @@
-"""Where two PSF stacks differ, by how much, and a picture of it."""
+"""Where two PSF stacks differ, by how much, and an image of it."""
 
 from __future__ import annotations
 
@@ -103,14 +103,14 @@ def draw_difference(found: PsfStack, expected: PsfStack, path: Path) -> Path:
     Args:
         found: the stack to judge.
         expected: the stack that it should be.
-        path: the picture to write; its folder must exist.
+        path: the image to write; its folder must exist.
 
     Returns:
-        The path of the picture.
+        The path of the image.
 
     Raises:
         InputError: when the stacks cannot be compared.
-        StorageError: the picture cannot be written.
+        StorageError: the image cannot be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import PowerNorm

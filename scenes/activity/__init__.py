@@ -47,7 +47,7 @@ def activity(
 
     Args:
         view: image shape, pinhole geometry and depth range; ``far_m`` must be about 3.5 ``near_m`` (65 degrees wide).
-        frames: pictures in a clip.
+        frames: number of frames in a clip.
         frames_per_second: frame rate; the default is that of Something-Something, 20 frames last 1.7 s.
         samples_per_pixel: light paths per pixel of a frame; noise falls with the square root.
         actions: the classes, in turn; all ten unless given.

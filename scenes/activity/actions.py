@@ -45,7 +45,7 @@ class Cast:
         thing: what is handled.
         main: the hand that acts.
         second: the other hand, which tears.
-        second_rests: whether the other hand lies on the table, else it is out of the picture.
+        second_rests: whether the other hand lies on the table, else it is out of the image.
         spot_m: ``(x, z)`` of the action on the table.
         aloft_m: how high a lifted thing's foot is.
         grip_height_m: above the thing's foot.
@@ -120,7 +120,7 @@ class Moment:
 
     Attributes:
         hand: the acting hand.
-        second: the other hand; None where it is out of the picture.
+        second: the other hand; None where it is out of the image.
         halves: poses of the thing's left and right half.
         grains_m: ``(GRAINS, 3)`` centres; None where none is out yet. Those still inside are NaN.
     """

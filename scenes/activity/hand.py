@@ -22,7 +22,7 @@ from simulator.render import Material, TriangleMesh
 Array = NDArray[np.float64]
 
 FOREARM_M = 0.55
-"""Elbow side of the forearm: longer than anatomy (a sleeve goes on), so that its end stays out of the picture."""
+"""Elbow side of the forearm: longer than anatomy (a sleeve goes on), so that its end stays out of the image."""
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 # Where each finger's first bone starts, and how long its three bones are.

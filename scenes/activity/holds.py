@@ -1,6 +1,6 @@
 """What actions are made of: hands that grip, point or rest, things that are held, fall or lie, courses in time.
 
-All in the axes of the set (`scenes.activity.tabletop`): x right in the picture, y down with the table at 0, z away.
+All in the axes of the set (`scenes.activity.tabletop`): x right in the image, y down with the table at 0, z away.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def between_states(start: HandState, end: HandState, share: float) -> HandState:
 
 @dataclass(frozen=True)
 class Actor:
-    """A hand and the arm's way into the picture.
+    """A hand and the arm's way into the image.
 
     Attributes:
         size: of the hand, 1 for 0.19 m.

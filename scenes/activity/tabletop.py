@@ -1,7 +1,7 @@
 """A set for actions: a table before a wall, seen from above at an angle, scaled so that it lies in the view's depth range.
 
-Set axes: origin on the table where the action is, x right in the picture, y down, z away from the viewer, in metres of the
-real world (a hand is 0.19 m). The whole set is scaled down (or up) about the camera, which leaves the picture unchanged.
+Set axes: origin on the table where the action is, x right in the image, y down, z away from the viewer, in metres of the
+real world (a hand is 0.19 m). The whole set is scaled down (or up) about the camera, which leaves the image unchanged.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _ROLL_RAD = math.radians(4)
 _WALL_YAW_RAD = math.radians(14)
 # Where the camera looks: this high above the action's place on the table.
 _AIM_M = 0.1
-# Half of the picture's smaller side at the action, and the least distance to it.
+# Half of the image's smaller side at the action, and the least distance to it.
 _HALF_EXTENT_M = (0.22, 0.28)
 _CLOSEST_M = 0.37
 # Hands and things seldom come nearer to the camera than the action's place by more; see `Viewpoint.placed`.
@@ -66,11 +66,11 @@ class Viewpoint:
     def placed(self, mesh: TriangleMesh) -> TriangleMesh:
         """Return a mesh of the set in the rendered world, where it is nearer than the near depth pushed back behind it.
 
-        Points move along their line of sight, so that the picture stays as it is; all depths below ``knee_m`` are
+        Points move along their line of sight, so that the image stays as it is; all depths below ``knee_m`` are
         compressed into those from the near depth to it. Only an arm or a thing that is shown comes that close.
         """
         points = self.to_world(mesh.vertices_m)
-        # What is beside or behind the camera goes far aside, out of the picture.
+        # What is beside or behind the camera goes far aside, out of the image.
         depth = np.maximum(points[:, 2:], 0.02 * self.near_m)
         spare = self.knee_m - self.near_m
         stops = ([0, 0.25 * self.knee_m, self.knee_m], self.near_m + spare * np.array([0.02, 0.1, 1]))
@@ -164,7 +164,7 @@ def _scales(view: View, turn: Array, eye: Array, wall_m: float, yaw: float) -> t
 
 
 def table_mesh(view: View, viewpoint: Viewpoint, material: Material, repeats: float) -> TriangleMesh:
-    """Return the table's top, larger than the picture; ``repeats`` textures for each metre."""
+    """Return the table's top, larger than the image; ``repeats`` textures for each metre."""
     half = _backdrop_half(view, viewpoint)
     corners = np.array([(-half, 0, -half), (half, 0, -half), (half, 0, half), (-half, 0, half)])
     uv = repeats * corners[:, [0, 2]]
@@ -183,7 +183,7 @@ def wall_mesh(view: View, viewpoint: Viewpoint, material: Material, repeats: flo
 
 
 def _backdrop_half(view: View, viewpoint: Viewpoint) -> float:
-    """Half an edge of the table and of the wall: beyond what the widest picture shows."""
+    """Half an edge of the table and of the wall: beyond what the widest image shows."""
     farthest = far_end(view) / viewpoint.scale
     return 1.5 * farthest * max(1.0, view.tan_half_width, view.tan_half_height)
 

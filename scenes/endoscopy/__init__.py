@@ -68,7 +68,7 @@ def endoscopy(
         view: image shape, pinhole geometry and depth range; sizes are anatomical, so near and far must suit them.
         samples_per_pixel: light paths per pixel; noise falls with the square root.
         organ: what is seen, and the clips' label; ``mixed`` takes the three in turn, by index.
-        frames: pictures in a clip; 1 is a still.
+        frames: number of frames in a clip; 1 is a still.
         frames_per_second: of a clip.
         advance_mm_per_s: how fast the camera moves along the organ; negative withdraws it.
         surface: a segmented surface to look into: legacy VTK polydata, or any mesh that trimesh reads; ``organ`` must then
@@ -181,7 +181,7 @@ def check_view(view: View, organs: tuple[str, ...]) -> None:
     corner = math.hypot(view.tan_half_width, view.tan_half_height)
     for name in organs:
         organ = ORGANS[name]
-        # A wall at this distance beside the axis comes into view at the picture's corner; the rest is what `fits` allows for.
+        # A wall at this distance beside the axis comes into view at the image's corner; the rest is what `fits` allows for.
         nearest = (organ.narrowest_m - CLEARANCE_M / 3) / corner
         label = name.replace("_", " ")
         if not view.near_m <= nearest:

@@ -91,7 +91,7 @@ def clears(view: View, vertices_m: Array) -> bool:
 
 
 def pressed(view: View, vertices_m: Array) -> Array:
-    """Return vertices with those beyond the far depth pulled to it along their lines of sight: the picture stays the same."""
+    """Return vertices with those beyond the far depth pulled to it along their lines of sight: the image stays the same."""
     deepest = 0.99 * view.far_m
     return vertices_m * np.minimum(1, deepest / np.maximum(vertices_m[:, 2:], deepest))
 
@@ -139,7 +139,7 @@ _RAYS = 9
 
 @dataclass(frozen=True)
 class Glance:
-    """Where rays through the middles and edges of a picture meet a surface first.
+    """Where rays through the middles and edges of an image meet a surface first.
 
     Attributes:
         points_m: ``(N, 3)`` in the camera's coordinates, of the rays that meet it.
@@ -153,7 +153,7 @@ class Glance:
 
 
 def glance(view: View, vertices_m: Array, faces: NDArray[np.integer]) -> Glance:
-    """Follow 9 x 9 rays, evenly over the picture and to its very edges, to the nearest face that looks at the camera.
+    """Follow 9 x 9 rays, evenly over the image and to its very edges, to the nearest face that looks at the camera.
 
     A ray r meets the triangle (a, b, c) where the triple products r.(a x b), r.(b x c), r.(c x a) agree in sign; their sum is
     r.n with the normal n, and the depth is a.n / r.n (homogeneous rasterisation, Olano and Greer, 1997).

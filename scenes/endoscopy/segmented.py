@@ -128,7 +128,7 @@ def find_shot(
 
 
 def _encloses(view: View, pose: Pose, wall: Wall) -> bool:
-    """Whether there is wall in every part of the picture, nearer than far."""
+    """Whether there is wall in every part of the image, nearer than far."""
     seen = glance(view, pose.seen(wall.vertices_m), wall.faces)
     return seen.missed == 0 and bool(seen.points_m[:, 2].max() < 0.9 * view.far_m)
 

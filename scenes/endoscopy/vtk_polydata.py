@@ -66,7 +66,7 @@ def read_vtk_polydata(path: Path) -> Surface:
     """Return the points and the triangulated polygons of a legacy VTK file; its lines, vertices and data are left out.
 
     Raises:
-        InputError: when it is no polydata, truncated, or refers to points that it does not hold.
+        InputError: when it is not polydata, truncated, or refers to points that it does not hold.
     """
     return _Reader(path, path.read_bytes()).surface()
 
@@ -91,7 +91,9 @@ class _Reader:
 
     def surface(self) -> Surface:
         if not self._line().startswith("# vtk DataFile"):
-            self._refuse("does not begin with '# vtk DataFile': no legacy VTK file; save it as legacy .vtk or .ply")
+            self._refuse(
+                "does not begin with '# vtk DataFile', so it is not legacy VTK; save it as legacy .vtk or .ply"
+            )
         self._line()  # a title
         kind, dataset = self._line().strip().upper(), self._words()
         if kind not in ("ASCII", "BINARY"):

@@ -1,4 +1,4 @@
-"""Scene family "files": your own Mitsuba scenes (XML), meshes (OBJ, PLY, STL, glTF, GLB) and pictures."""
+"""Scene family "files": your own Mitsuba scenes (XML), meshes (OBJ, PLY, STL, glTF, GLB) and images."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def files(
     Args:
         view: image shape, pinhole geometry and depth range.
         path: a file, a list of files, or a folder, of which the scenes and meshes are taken in the order of their names, or
-            its pictures if it has neither; pictures are turned as their EXIF data say, and what is transparent is seen before
+            its images if it has neither; images are turned as their EXIF data say, and what is transparent is seen before
             black.
         samples_per_pixel: light paths per pixel; noise falls with the square root.
         length_of_unit_cm: what one unit of an XML scene or a mesh stands for; without it, scenes are scaled about their
@@ -52,7 +52,7 @@ def files(
         turn_degrees: turns meshes about their upright, to the right as seen from above.
         light: of meshes, studio is always the same, varied is drawn; XML scenes bring their own.
         background: of meshes, a wall of drawn pattern at the far end, or black.
-        plane_cm: depth of pictures; without it midway between near and far in disparity.
+        plane_cm: depth of images; without it midway between near and far in disparity.
         renderer: how to render.
 
     Raises:
@@ -94,7 +94,7 @@ class OwnFiles:
         turn_degrees: of meshes.
         light: of meshes.
         wall: whether a wall stands behind meshes.
-        plane_m: depth of pictures.
+        plane_m: depth of images.
         renderer: how to render.
     """
 
@@ -192,12 +192,12 @@ def _list_files(path: Path | list[Path]) -> tuple[Path, ...]:
     if not given:
         msg = "path: got an empty list, expected at least one file"
         raise InputError(msg)
-    known = f"Mitsuba scenes (.xml), meshes ({', '.join(MESH_SUFFIXES)}) and pictures ({', '.join(_PICTURES)})"
+    known = f"Mitsuba scenes (.xml), meshes ({', '.join(MESH_SUFFIXES)}) and images ({', '.join(_PICTURES)})"
     found: list[Path] = []
     for one in map(Path, given):
         if one.is_dir():
             inside = sorted(file for file in one.iterdir() if file.is_file() and not file.name.startswith("."))
-            # Pictures beside meshes are their textures.
+            # Images beside meshes are their textures.
             shown = [file for file in inside if _is(file, (*_SCENES, *MESH_SUFFIXES))]
             shown = shown or [file for file in inside if _is(file, _PICTURES)]
             if not shown:

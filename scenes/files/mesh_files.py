@@ -42,7 +42,7 @@ def mesh_inputs(path: Path) -> list[Path]:
     """Return the files that decide what a mesh file looks like, itself first.
 
     Raises:
-        InputError: when one is missing or no picture, or the file is packed in a way that is not read.
+        InputError: when one is missing or is not an image, or the file is packed in a way that is not read.
     """
     if not path.is_file():
         msg = f"{path}: no such file; expected a mesh (OBJ, PLY, STL, glTF or GLB)"
@@ -114,18 +114,18 @@ def _gltf_tree(path: Path) -> dict[str, Any]:
             content = content[20 : 20 + length]
         tree = json.loads(content)
     except (ValueError, struct.error) as error:
-        msg = f"{path} is no glTF file, or damaged ({error}): export it again"
+        msg = f"{path} is not a glTF file, or is damaged ({error}): export it again"
         raise InputError(msg) from error
     if not isinstance(tree, dict):
-        msg = f"{path} is no glTF file: its JSON is no object"
+        msg = f"{path} is not a glTF file: its JSON is not an object"
         raise InputError(msg)
     return tree
 
 
 _NEUTRAL = 0.5  # reflectance of what says nothing of its colour
-# trimesh gives what has texture coordinates and no material a picture of 2 x 2 such pixels.
+# trimesh gives what has texture coordinates and no material an image of 2 x 2 such pixels.
 _MADE_UP = (100, 100, 100)
-# Pictures are a few hundred pixels wide: larger textures would only cost memory and alias.
+# Images are a few hundred pixels wide: larger textures would only cost memory and alias.
 _LARGEST_TEXTURE = 1024
 # A rougher coat looks matt, a smoother one only makes noise.
 _MATT_ROUGHNESS, _SMOOTHEST = 0.9, 0.15
@@ -206,7 +206,7 @@ def baked(colours: Array) -> tuple[Array, NDArray[np.float32]]:
 
 
 def _material(material: Any) -> tuple[Array, Any, float | None]:
-    """Return a material's linear colour factor, its picture or None, and its roughness."""
+    """Return a material's linear colour factor, its image or None, and its roughness."""
     if hasattr(material, "baseColorFactor"):  # glTF
         factor = _scaled(material.baseColorFactor, 1.0)
         given = material.roughnessFactor
@@ -248,7 +248,7 @@ def _texture(image: Any, factor: tuple[float, ...], path: Path) -> NDArray[np.fl
 
 @functools.lru_cache(maxsize=16)
 def _decoded(pixels: bytes, shape: tuple[int, ...], factor: tuple[float, ...]) -> NDArray[np.float32]:
-    """Return one object for equal pictures, so that their triangles are joined."""
+    """Return one object for equal images, so that their triangles are joined."""
     light = decode_srgb_picture(np.frombuffer(pixels, np.uint8).reshape(shape))
     light = area_mean(light, [min(size, _LARGEST_TEXTURE) for size in shape[:2]])
     return np.clip(light * np.array(factor), 0, 1).astype(np.float32)

@@ -115,7 +115,7 @@ def model_scene(
 
 
 def _check_as_is(path: Path, model: Model, unit_m: float, view: View, back: float) -> None:
-    """Refuse what the picture alone would not tell: nothing before the camera, or parts behind the wall."""
+    """Refuse what the image alone would not tell: nothing before the camera, or parts behind the wall."""
     z = np.concatenate([part.corners[:, 2] for part in model.parts]) * unit_m
     if z.max() <= 0:
         msg = (

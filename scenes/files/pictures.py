@@ -1,6 +1,6 @@
-"""A picture as a flat scene: a plane across the view that shines as the picture says; nothing is rendered.
+"""An image as a flat scene: a plane across the view that shines as the image says; nothing is rendered.
 
-Pictures and textures change their size by averaging areas: no light is lost and nothing aliases.
+Images and textures change their size by averaging areas: no light is lost and nothing aliases.
 """
 
 from __future__ import annotations
@@ -70,12 +70,12 @@ def plane_depth(view: View, plane_cm: float | None) -> float:
 
 
 def picture_clip(path: Path, view: View, depth_m: float, outputs: tuple[str, ...], source: dict[str, Any]) -> Clip:
-    """Return a picture that fills the view, at one depth: one frame of 1 s.
+    """Return an image that fills the view, at one depth: one frame of 1 s.
 
     The largest centred part of the view's proportions is taken, and averaged to the view's pixels.
 
     Args:
-        path: the picture.
+        path: the image.
         view: image shape.
         depth_m: of the plane.
         outputs: of the renderer; the plane is shape 0, faces the camera and reflects nothing.
@@ -101,7 +101,7 @@ def picture_clip(path: Path, view: View, depth_m: float, outputs: tuple[str, ...
     if "albedo" in outputs:
         extras["albedo"] = np.zeros((*frame, 3), np.float32)
     if "hidden" in outputs:
-        msg = f"render.outputs: nothing is hidden behind the picture {path}; leave hidden out"
+        msg = f"render.outputs: nothing is hidden behind the image {path}; leave hidden out"
         raise InputError(msg)
     return Clip(
         rgb=rgb[np.newaxis],

@@ -43,7 +43,7 @@ def high_speed(
 ) -> HighSpeed:
     """Return the family for a view: clips of one to five things that fly, tumble, bend, bounce, collide or cross.
 
-    Speeds follow from the picture: over the clip a thing crosses 0.2 to 1 of the width, or makes about one turn or beat.
+    Speeds follow from the image: over the clip a thing crosses 0.2 to 1 of the width, or makes about one turn or beat.
     Twenty frames at 2000 per second last 10 ms, so at 10 cm a thing flies at 3 to 13 m/s. Gravity is scaled alike: a fall
     takes a third to two thirds of the clip, as if time ran faster; the sample's metadata tell gravity and speeds.
 

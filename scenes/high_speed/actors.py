@@ -74,7 +74,7 @@ class Act:
         return float(np.linalg.norm(np.diff(self.path(course), axis=0), axis=1).sum() / self.duration_s)
 
     def accepts(self, group: Sequence[Actor], others: Sequence[Actor]) -> bool:
-        """Whether actors stay in the room, are in the picture most of the time, and run into no others."""
+        """Whether actors stay in the room, are in the image most of the time, and run into no others."""
         paths = [self.path(actor.centre) for actor in group]
         for actor, path in zip(group, paths, strict=True):
             if not self.room.holds(path, actor.radius_m, above_floor=not actor.grounded):
@@ -143,7 +143,7 @@ def jointed(name: str, figure: Figure, size_m: float, centre: Course, turn: Cour
 
 # A ball that just fits still does after rounding.
 _ROUNDING = 1e-9
-# How far most ways across the picture lean, standard deviation in radians.
+# How far most ways across the image lean, standard deviation in radians.
 _LEAN = 0.35
 
 
@@ -154,7 +154,7 @@ def draw_depth(
 
     Args:
         act: the stage.
-        size: range of the radius in the picture, as a share of half of its shorter edge.
+        size: range of the radius in the image, as a share of half of its shorter edge.
         shrink: a factor of it.
         depths: part of the room's disparities that is used: 0 is at the wall, 1 is nearest.
     """
@@ -169,7 +169,7 @@ def draw_depth(
 
 
 def draw_line(act: Act, depth_m: float, radius_m: float, share: tuple[float, float]) -> tuple[Array, Array]:
-    """Draw a straight way across the picture that stays above the floor if it can: its first and last point.
+    """Draw a straight way across the image that stays above the floor if it can: its first and last point.
 
     Three ways in four are about level, the others have any slope.
 
@@ -177,7 +177,7 @@ def draw_line(act: Act, depth_m: float, radius_m: float, share: tuple[float, flo
         act: the stage.
         depth_m: about the depth of its middle.
         radius_m: of what moves.
-        share: range of its length in the picture, as a share of the width.
+        share: range of its length in the image, as a share of the width.
     """
     room, rng = act.room, act.rng
     length = rng.uniform(*share)
@@ -196,7 +196,7 @@ def draw_line(act: Act, depth_m: float, radius_m: float, share: tuple[float, flo
 
 
 def draw_spot(act: Act, depth_m: float, radius_m: float, *, spread: float = 0.8) -> Array:
-    """Draw a place in the picture at which a ball is above the floor, if there is one in this depth."""
+    """Draw a place in the image at which a ball is above the floor, if there is one in this depth."""
     room = act.room
     slack = np.maximum(spread - 0.7 * radius_m / (room.half * depth_m), 0.1)
     across = act.rng.uniform(-slack, slack)
@@ -205,7 +205,7 @@ def draw_spot(act: Act, depth_m: float, radius_m: float, *, spread: float = 0.8)
 
 
 def floor_depth(act: Act, radius_m_per_m: float) -> float:
-    """Draw a depth in which a ball that stands on the floor is wholly in the picture, if the room has one.
+    """Draw a depth in which a ball that stands on the floor is wholly in the image, if the room has one.
 
     Args:
         act: the stage.

@@ -1,6 +1,6 @@
 """The kinds of fast motion: each is a function that casts the actors of a clip.
 
-Speeds follow from the picture: over the clip a thing crosses a drawn share of the view's width, or makes a drawn number of
+Speeds follow from the image: over the clip a thing crosses a drawn share of the view's width, or makes a drawn number of
 turns or beats, whatever the frame rate. Gravity is scaled alike: it is what makes the drawn fall last as long as it does.
 """
 
@@ -124,7 +124,7 @@ def collision(act: Act) -> list[Actor]:
         spot = draw_spot(act, depth, 1.5 * float(radii.max()), spread=0.5)
         frame = _table(rng)
         places, speeds = _set_up(pattern, radii, rng)
-        # In the picture's plane: the shot crosses a share of the width until it hits, and hits in the first half.
+        # In the image's plane: the shot crosses a share of the width until it hits, and hits in the first half.
         hit = rng.uniform(0.25, 0.5) * act.duration_s
         reach = rng.uniform(0.4, 0.9) * room.view.tan_half_width * depth
         velocities = speeds * reach / hit
@@ -155,7 +155,7 @@ def collision(act: Act) -> list[Actor]:
 
 
 def _table(rng: np.random.Generator) -> Array:
-    """Return two directions ``(2, 3)`` in which balls roll: across the picture and up or down, the first turned a little."""
+    """Return two directions ``(2, 3)`` in which balls roll: across the image and up or down, the first turned a little."""
     turn = rotation([0, 1, 0], rng.normal(0, 0.15))
     return np.stack([turn @ (1.0, 0, 0), (0.0, 1, 0)])
 
@@ -225,7 +225,7 @@ def _flyer(
 
 
 def _translation(act: Act) -> list[Actor]:
-    """Bodies that cross a share of the picture in straight lines."""
+    """Bodies that cross a share of the image in straight lines."""
 
     def propose(shrink: float, number: int) -> list[Actor]:
         share = (0.45, 1.0) if number == 0 else (0.2, 1.0)
@@ -330,7 +330,7 @@ def _draw_bend(rng: np.random.Generator) -> tuple[str, Bend]:
 
 
 def _cloth(act: Act, shrink: float) -> Actor:
-    """Return a flag that flaps, or a free sheet that flutters across the picture."""
+    """Return a flag that flaps, or a free sheet that flutters across the image."""
     rng = act.rng
     radius, depth = draw_depth(act, (0.7, 1.0), shrink)
     phase, rate = _beats(act, 0.8, 2.2)
@@ -351,7 +351,7 @@ def _cloth(act: Act, shrink: float) -> Actor:
 
 
 def _occlusion(act: Act) -> list[Actor]:
-    """Bodies in different depths whose ways cross in the picture, so that the nearer hide the farther."""
+    """Bodies in different depths whose ways cross in the image, so that the nearer hide the farther."""
     rng, room = act.rng, act.room
     crossing = rng.uniform((-0.3, -0.3), (0.3, 0.15))
     count = int(rng.integers(2, _MOST_BODIES + 1))

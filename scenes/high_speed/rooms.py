@@ -17,8 +17,8 @@ from simulator.types import View
 
 Array = NDArray[np.float64]
 _MARGIN = 1.005
-# A wall or floor is one triangle, larger than the picture: a ray that hits an edge between two triangles can slip through in
-# float32, and the diagonal of a rectangle runs through many pixels' centres when it is the picture's own.
+# A wall or floor is one triangle, larger than the image: a ray that hits an edge between two triangles can slip through in
+# float32, and the diagonal of a rectangle runs through many pixels' centres when it is the image's own.
 _FACE = np.array([(0, 1, 2)])
 
 
@@ -30,7 +30,7 @@ class Room:
         view: the frustum.
         near_m: nothing comes nearer.
         wall_m: depth of the wall's nearest point.
-        wall_slant: how much the wall's disparity grows from the picture's middle to its right edge, in units of the largest.
+        wall_slant: how much the wall's disparity grows from the image's middle to its right edge, in units of the largest.
         floor_m: how far below the optical axis the floor lies, y.
     """
 
@@ -42,20 +42,20 @@ class Room:
 
     @property
     def half(self) -> Array:
-        """Tangents of the angles to the picture's right and lower edge, ``(2,)``."""
+        """Tangents of the angles to the image's right and lower edge, ``(2,)``."""
         return np.array([self.view.tan_half_width, self.view.tan_half_height])
 
     @property
     def floor_begins_m(self) -> float:
-        """Depth from which on the floor is in the picture."""
+        """Depth from which on the floor is in the image."""
         return self.floor_m / self.view.tan_half_height
 
     def place(self, across: ArrayLike, depth_m: float) -> Array:
-        """Return the point that is seen at a place of the picture, both -1..1 from edge to edge, in a depth."""
+        """Return the point that is seen at a place of the image, both -1..1 from edge to edge, in a depth."""
         return np.array([*(np.asarray(across) * self.half * depth_m), depth_m])
 
     def seen(self, points_m: Array) -> NDArray[np.bool_]:
-        """Return which points ``(n, 3)`` are in the picture."""
+        """Return which points ``(n, 3)`` are in the image."""
         return np.all(np.abs(points_m[:, :2]) <= self.half * points_m[:, 2:], axis=1)
 
     def holds(self, points_m: Array, radius_m: float, *, above_floor: bool = True) -> bool:
@@ -75,14 +75,14 @@ def draw_room(view: View, rng: np.random.Generator) -> Room:
     farthest = far * (near / far) ** rng.uniform(0, 0.3)
     slant = rng.uniform(-0.15, 0.15) * (1 - near / farthest)
     wall = farthest * (1 - 2 * abs(slant))
-    # In the depth ``wall`` the floor is this share of the way from the axis to the picture's lower edge.
+    # In the depth ``wall`` the floor is this share of the way from the axis to the image's lower edge.
     lowest = near / wall
     share = max(rng.uniform(0.35, 0.75), lowest)
     return Room(view, near, wall, slant, share * view.tan_half_height * wall)
 
 
 def wall_of(room: Room, theme: Array, size: int, rng: np.random.Generator) -> TriangleMesh:
-    """Return a textured plane that fills the picture behind the room; its disparity is linear over the picture."""
+    """Return a textured plane that fills the image behind the room; its disparity is linear over the image."""
     across = np.array([(-1.1, -1.1), (3.4, -1.1), (-1.1, 3.4)])
     disparity = (1 - abs(room.wall_slant) + room.wall_slant * across[:, 0]) / room.wall_m
     corners = np.column_stack([across * room.half, np.ones(3)]) / disparity[:, np.newaxis]

@@ -24,7 +24,7 @@ OUTPUTS: tuple[str, ...] = get_args(Output)
 - ``albedo``: float32 ``(T, H, W, 3)``, diffuse reflectance, linear RGB;
 - ``motion``: float32 ``(T, H, W, 3)``, where the surface point at the pixel's centre will be in the next frame: pixels to the
   right, pixels down, metres away; zero in the last frame. ``motion_valid``, bool ``(T, H, W)``, is true where that point is
-  seen in both frames (in the picture and not hidden);
+  seen in both frames (in the image and not hidden);
 - ``hidden``: the surfaces behind those that are seen, one layer after the other: ``hidden1_rgb`` float32 ``(T, H, W, 3)``,
   ``hidden1_depth_m`` float32 ``(T, H, W)``, ``hidden1_valid`` bool ``(T, H, W)``, then ``hidden2_...``.
 """
@@ -60,7 +60,7 @@ def repair(rgb: NDArray[np.float32]) -> tuple[NDArray[np.float32], int]:
         rgb: ``(H, W, n)``, colour and any bands.
 
     Returns:
-        The repaired picture and the number of pixels that were replaced.
+        The repaired image and the number of pixels that were replaced.
 
     Raises:
         RuntimeError: when more than 0.1 % of the pixels (and more than one) are broken.
@@ -88,7 +88,7 @@ def firefly_dimming(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
     for their ends.
 
     Args:
-        rgb: ``(H, W, 3)``; pictures of one row or column are left as they are.
+        rgb: ``(H, W, 3)``; images of one row or column are left as they are.
     """
     light = rgb.mean(axis=-1)
     rows, columns = light.shape

@@ -251,7 +251,7 @@ def project(points_m: NDArray[np.float64], view: View) -> NDArray[np.float64]:
 
 
 def seen_points(scene: Any, points_m: NDArray[np.float64], view: View) -> NDArray[np.bool_]:
-    """Return which points ``(H, W, 3)`` are in the picture of a loaded scene, with no surface before them.
+    """Return which points ``(H, W, 3)`` are in the image of a loaded scene, with no surface before them.
 
     Args:
         scene: the ``mitsuba.Scene``.

@@ -58,7 +58,7 @@ def lensless_render(
     A million rays take 0.03 CPU-s into an empty scene, 0.15 CPU-s onto a lit surface.
 
     Args:
-        scene: what is seen, also outside of the view's picture.
+        scene: what is seen, also outside of the view's image.
         view: mask-sensor distance and pixel pitch; its shape and depths have no influence.
         mask_amplitude: ``(rows, columns)`` amplitude transmission 0..1 of the mask's cells, in world axes (x right, y down,
             seen from behind the sensor); outside of them the mask is opaque.

@@ -260,7 +260,7 @@ class Stage:
         """
         if self._parameters is None:
             self._parameters = mitsuba().traverse(self.loaded)
-            for key in self._parameters.keys():  # noqa: SIM118 (no dictionary)
+            for key in self._parameters.keys():  # noqa: SIM118 (not a dictionary)
                 self._keys[key.partition(".")[0]].append(key)
         old = self.scene
         if len(old.shapes) != len(scene.shapes) or len(old.lights) != len(scene.lights):

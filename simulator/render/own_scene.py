@@ -116,7 +116,9 @@ def load_own_scene(path: Path, view: View, max_depth: int) -> OwnScene:
         root.props["integrator"] = mi.load_dict(path_tracer(max_depth))
         loaded = mi.parser.instantiate(_config(mi.variant()), state)
     if not loaded.emitters():
-        msg = f"{path}: nothing in it shines, its picture would be black; add an emitter such as <emitter type='constant'/>"
+        msg = (
+            f"{path}: nothing in it shines, its image would be black; add an emitter such as <emitter type='constant'/>"
+        )
         raise InputError(msg)
     # Mitsuba's cameras have x to the left and y up.
     return OwnScene(path, loaded, sensor_to_world @ np.diag([-1.0, -1.0, 1.0, 1.0]), tuple(names))
@@ -137,7 +139,7 @@ def check_depths(name: str, depth_m: NDArray[np.floating], pixels: int, view: Vi
     Args:
         name: of the file, for the message.
         depth_m: depths that are seen, metres.
-        pixels: of the whole picture.
+        pixels: of the whole image.
         view: near and far.
 
     Raises:
@@ -193,7 +195,7 @@ def _parsed(path: Path) -> tuple[Any, list[Path]]:
             files.append(_beside(resolver, folder, str(name)))
             _check_part(path, "an <include>", str(name), files[-1])
         for node in state.nodes:
-            for key in node.props.keys():  # noqa: SIM118 (no dictionary)
+            for key in node.props.keys():  # noqa: SIM118 (not a dictionary)
                 # Only these are looked at: Mitsuba takes what was looked at for known, and would keep misspelt names quiet.
                 if key.endswith("filename") and node.props.type(key) == mi.Properties.Type.String:
                     value = str(node.props[key])

@@ -32,9 +32,9 @@ class Renderer:
     Attributes:
         backend: the Mitsuba variant, see `simulator.render.choose_backend`.
         outputs: what clips hold in ``extras`` beside colour and depth, see `simulator.render.frames.OUTPUTS`.
-        hidden: how many layers behind the picture the output ``hidden`` holds.
+        hidden: how many layers behind the image the output ``hidden`` holds.
         max_depth: longest light path, in segments.
-        denoise: whether the picture passes a trained denoiser: less noise, but biased (see `simulator.render.denoise`). The
+        denoise: whether the image passes a trained denoiser: less noise, but biased (see `simulator.render.denoise`). The
             clip's ``source`` says so; hidden layers are left as they are.
 
         bands_nm: edges of wavelength bands in nanometres, none or at least two: clips then hold ``bands`` in ``extras``,
@@ -82,7 +82,7 @@ class Renderer:
         source: dict[str, Any],
         label: str | None = None,
     ) -> Clip:
-        """Render one picture: a clip of a single frame that lasts from 0 to 1 s.
+        """Render one image: a clip of a single frame that lasts from 0 to 1 s.
 
         The arguments and errors are those of `clip`.
         """
