@@ -176,10 +176,7 @@ class _SetUp:
             table_mesh(view, drawn.viewpoint, looks.table, looks.repeats[0]),
             wall_mesh(view, drawn.viewpoint, looks.wall, looks.repeats[1]),
         )
-        self._hands = (
-            replace(looks.hand, left=drawn.cast.main.left),
-            replace(looks.hand, left=drawn.cast.second.left),
-        )
+        self._hands = (replace(looks.hand, left=drawn.cast.main.left), replace(looks.hand, left=drawn.cast.second.left))
         # Out of sight: a speck behind the camera.
         self._parked_m = np.array([0, 0, -0.5 * view.near_m])
         surface = hand_surface().mesh

@@ -368,10 +368,7 @@ def _triangles(path: Path, mesh: Any, matrix: Array, to_ours: Array) -> tuple[Ar
     """Return a geometry's corners and normals in our axes, and how it looks."""
     # Only what came with the file: asking for the attribute would make normals up.
     normals = mesh._cache["vertex_normals"]
-    vertices, faces = (
-        np.asarray(mesh.vertices, dtype=np.float64),
-        np.asarray(mesh.faces),
-    )
+    vertices, faces = (np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
     broken = ~np.isfinite(vertices).all(axis=1)
     if broken.any():
         msg = f"{path}: {np.count_nonzero(broken)} of {len(vertices)} vertices are NaN or inf; clean the mesh"

@@ -78,13 +78,7 @@ class Bounce:
 
 
 def bounce(
-    height_m: float,
-    speed_m_s: float,
-    *,
-    gravity_m_s2: float,
-    restitution: float,
-    contact_s: float,
-    duration_s: float,
+    height_m: float, speed_m_s: float, *, gravity_m_s2: float, restitution: float, contact_s: float, duration_s: float
 ) -> Bounce:
     """Follow a bouncing body: parabolas, and between them contacts on a damped spring, so that its speed never jumps.
 

@@ -252,7 +252,7 @@ BROKEN = {
     "words.stl": ("hello", "holds no faces"),
     "words.glb": ("hello hello hello hello", "is not a glTF file"),
     "words.gltf": ("{", "is not a glTF file"),
-    "list.gltf": ("[]", "its JSON is no object"),
+    "list.gltf": ("[]", "its JSON is not an object"),
     "packed.gltf": ('{"extensionsRequired": ["KHR_draco_mesh_compression"]}', "needs KHR_draco.* without compression"),
     "apart.gltf": ('{"buffers": [{"uri": "a%20b.bin"}]}', r"needs the file 'a b\.bin'"),
     "textured.ply": (ply(CORNERS, TRIANGLES, "comment TextureFile skin.png\n"), r"needs the file 'skin\.png'"),

@@ -16,16 +16,7 @@ from geometry_cases import arrays as geometry_arrays
 from numpy.typing import NDArray
 
 from scenes.flying_things import draw_scene, flying_things
-from simulator.render import (
-    Box,
-    Material,
-    Renderer,
-    Scene,
-    Sphere,
-    SphereLight,
-    TriangleMesh,
-    activate,
-)
+from simulator.render import Box, Material, Renderer, Scene, Sphere, SphereLight, TriangleMesh, activate
 from simulator.types import Clip, View
 
 SMALL = View((20, 26), 80e-6, 1.9e-3, 0.036, 0.2)
