@@ -1,1 +1,1 @@
-"""Scene families: one file per family, each a function named like its module that returns a SceneSource."""
+"""Scene families: one file or folder per family, each a function named like its module that returns a SceneSource."""

@@ -12,13 +12,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from scenes.layout import Ball, far_end, place_balls
-from scenes.lights import draw_room, tint
+from scenes.layout import Ball, far_end, place_balls, random_rotation
+from scenes.lights import draw_room, lamp
 from scenes.meshes import mesh_library
-from scenes.motion import random_rotation
-from scenes.palettes import draw_ramp, draw_theme
-from scenes.textures import draw_reflectance, tiled
-from simulator.render import Box, Light, Material, Renderer, Scene, Sphere, SphereLight, TriangleMesh
+from scenes.textures import draw_ramp, draw_reflectance, draw_theme, tiled
+from simulator.render import Box, Light, Material, Renderer, Scene, Sphere, TriangleMesh
 from simulator.render.scene import Shape
 from simulator.types import Clip, View
 
@@ -35,12 +33,12 @@ def flying_things(
     objects: Annotated[int, Field(ge=1, le=200)] = 30,
     renderer: Renderer,
 ) -> FlyingThings:
-    """Return the family for a view: each clip is one picture of ``objects`` random solids before a textured wall.
+    """Return the family for a view: each clip is one image of ``objects`` random solids before a textured wall.
 
     Args:
         view: image shape, pinhole geometry and depth range; ``far_m`` must be at least 1.1 ``near_m``.
         samples_per_pixel: light paths per pixel; noise falls with the square root.
-        objects: how many solids; their size adapts, so that they cover about the same share of the picture.
+        objects: how many solids; their size adapts, so that they cover about the same share of the image.
         renderer: how to render.
 
     Raises:
@@ -106,14 +104,14 @@ def _solid(slot: int, ball: Ball, theme: np.ndarray, rng: np.random.Generator) -
 
 
 def _wall(view: View, theme: np.ndarray, rng: np.random.Generator) -> TriangleMesh:
-    """Return a slanted plane that fills the picture and stays just inside the far end.
+    """Return a slanted plane that fills the image and stays just inside the far end.
 
-    A plane's disparity is linear over the picture, ``1 / z = a + b x + c y`` for a direction (x, y, 1).
+    A plane's disparity is linear over the image, ``1 / z = a + b x + c y`` for a direction (x, y, 1).
     """
     nearest, farthest = 1 / view.near_m, 1 / (0.98 * far_end(view))
     slant = rng.uniform(-1, 1, 2) * 0.12 * (nearest - farthest) / 2
     # The diagonal between the two triangles must not pass through pixel centres, where rays may slip between them: so the
-    # wall is no centred rectangle, and its edges lie at odd places beyond the picture's.
+    # wall is not a centred rectangle, and its edges lie at odd places beyond the image's.
     places = np.array([(-1.05, -1.05), (1.3137, -1.05), (1.3137, 1.1741), (-1.05, 1.1741)])
     directions = places * (view.tan_half_width, view.tan_half_height)
     disparity = farthest - np.min(places @ slant) + places @ slant
@@ -134,7 +132,7 @@ def _wall(view: View, theme: np.ndarray, rng: np.random.Generator) -> TriangleMe
 def _lights(view: View, rng: np.random.Generator) -> tuple[Light, ...]:
     """Return a key and a fill lamp behind the camera and a room around all, with white balanced only roughly.
 
-    Together they give a white surface that faces the camera a radiance of ``exposure``, so that pictures come out alike.
+    Together they give a white surface that faces the camera a radiance of ``exposure``, so that images come out alike.
     """
     reach = far_end(view)
     exposure = rng.uniform(1.2, 1.9)
@@ -147,8 +145,5 @@ def _lights(view: View, rng: np.random.Generator) -> tuple[Light, ...]:
         direction /= np.linalg.norm(direction)
         distance = reach * rng.uniform(2.5, 4.0)
         radius = distance * rng.uniform(0.12, 0.3)
-        # A lamp of radiance L seen under the half angle asin(r / D) gives pi L (r / D)^2 cos(angle) of irradiance.
-        radiance = exposure * share * (distance / radius) ** 2 / -direction[2]
-        middle = np.array([0, 0, reach / 2])
-        lamps.append(SphereLight(middle + distance * direction, radius, radiance * tint(colour)))
+        lamps.append(lamp(np.array([0, 0, reach / 2]), direction, distance, radius, exposure * share, colour))
     return (*lamps, draw_room(rng, exposure * (1 - shares.sum()), -warmth / 2))

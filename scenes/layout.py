@@ -1,4 +1,4 @@
-"""Where solids go in a view's frustum: balls between near and far, even in disparity, of sizes that fit the picture."""
+"""Where solids go in a view's frustum (balls, even in disparity, of sizes that fit the image), and how they are turned."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from simulator.errors import InputError
 from simulator.types import View
 
+Array = NDArray[np.float64]
 # Solids and wall stay this far inside near and far, so that rounding to float32 never puts a depth outside.
 _MARGIN = 1e-3
 # An infinite far depth is filled this many times the near depth deep: the rest is the last 2 % of the disparities.
@@ -55,7 +56,7 @@ def place_balls(view: View, count: int, rng: np.random.Generator) -> list[Ball]:
 
     Args:
         view: the frustum.
-        count: how many balls; their picture size falls with its square root, so that coverage stays about the same.
+        count: how many balls; their size in the image falls with its square root, so that coverage stays about the same.
         rng: decides everything.
     """
     near, far = view.near_m * (1 + _MARGIN), far_end(view) * (1 - _MARGIN)
@@ -85,3 +86,27 @@ def _gaps(centres: NDArray[np.float64], radius: float, others: list[Ball]) -> ND
     distance = np.linalg.norm(centres[:, np.newaxis] - np.array([other.centre_m for other in others]), axis=-1)
     reach = radius + np.array([other.radius_m for other in others])
     return np.min(distance / reach - 1, axis=1)
+
+
+def random_rotation(rng: np.random.Generator) -> Array:
+    """Return a uniformly distributed rotation matrix, from a random unit quaternion (Shoemake, 1992)."""
+    w, x, y, z = (q := rng.standard_normal(4)) / math.sqrt(float(q @ q))
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def rotation(axis: ArrayLike, angle_rad: float) -> Array:
+    """Return the matrix that turns by an angle about an axis, right-handed (Rodrigues).
+
+    Example:
+        >>> (rotation([0, 0, 1], math.pi / 2) @ [1, 0, 0]).round(6).tolist()
+        [0.0, 1.0, 0.0]
+    """
+    x, y, z = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + math.sin(angle_rad) * cross + (1 - math.cos(angle_rad)) * cross @ cross

@@ -1,4 +1,4 @@
-"""Surroundings that shine: rooms with a ceiling, a floor and bright windows, which coated things mirror."""
+"""Lamps, and surroundings that shine: rooms with a ceiling, a floor and bright windows, which coated things mirror."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.render import EnvironmentMap
+from simulator.render import EnvironmentMap, SphereLight
 
-_ROWS = 16  # coarse: it is light, not a picture; windows are soft
+_ROWS = 16  # coarse: it is light, not an image; windows are soft
 _MOST_WINDOWS = 3
 
 
@@ -37,6 +37,23 @@ def draw_room(rng: np.random.Generator, radiance: float, warmth: float) -> Envir
 def tint(warmth: float | NDArray[np.float64]) -> NDArray[np.float64]:
     """Return R, G, B around white with mean 1: reddish for positive warmth, bluish for negative."""
     return 1 + warmth * np.array([1.0, 0.0, -1.0])
+
+
+def lamp(
+    middle_m: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    distance_m: float,
+    radius_m: float,
+    exposure: float,
+    warmth: float,
+) -> SphereLight:
+    """Return a lamp in a direction (a unit vector) from a place, behind the camera.
+
+    It gives a white matt surface that faces the camera the radiance ``exposure``: a lamp of radiance L and radius r at a
+    distance D gives pi L (r / D)^2 cos(angle) of irradiance.
+    """
+    radiance = exposure * (distance_m / radius_m) ** 2 / -direction[2]
+    return SphereLight(middle_m + distance_m * direction, radius_m, radiance * tint(warmth))
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""A library of closed triangle meshes inside the unit ball, with normals and texture coordinates; made once per process.
+"""Triangle meshes: surfaces from grids of points, normals, and a library of closed shapes inside the unit ball.
 
 The shapes are fixed (they are part of what a seed means); a scene picks, turns and scales them.
 """
@@ -11,11 +11,65 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from scenes.surfaces import face_cross, grid_faces, smooth_normals, unit, welded
+from simulator.render import Material, TriangleMesh
 
 Array = NDArray[np.float64]
+Radius = Callable[[Array], Array]
+"""Unit directions ``(..., 3)`` to how far a surface is from the origin, ``(...)``."""
+
+
+def grid_faces(rows: int, columns: int) -> NDArray[np.int64]:
+    """Return the triangles ``(2 (rows - 1) (columns - 1), 3)`` of a grid of points stored row by row.
+
+    They run counter-clockwise seen from the side to which the cross product (along columns) x (along rows) points.
+
+    Example:
+        >>> grid_faces(2, 2)
+        array([[0, 1, 2],
+               [1, 3, 2]])
+    """
+    corner = (np.arange(rows - 1)[:, np.newaxis] * columns + np.arange(columns - 1)).ravel()
+    right, below = corner + 1, corner + columns
+    return np.concatenate([np.stack([corner, right, below], 1), np.stack([right, below + 1, below], 1)])
+
+
+def face_cross(vertices: Array, faces: NDArray[np.integer]) -> Array:
+    """Return the normals of triangles ``(F, 3)``, as long as twice their areas."""
+    a, b, c = (vertices[faces[:, side]] for side in range(3))
+    return np.cross(b - a, c - a)
+
+
+def smooth_normals(vertices: Array, faces: NDArray[np.integer], weld: NDArray[np.integer] | None = None) -> Array:
+    """Return unit normals ``(V, 3)``: the means of the adjoining triangles' normals, weighted by area.
+
+    Args:
+        vertices: ``(V, 3)``.
+        faces: ``(F, 3)``.
+        weld: ``(V,)`` group numbers of vertices that share one normal, of `welded`; None keeps each vertex apart, so that
+            a seam shows.
+    """
+    place = np.arange(len(vertices)) if weld is None else weld
+    cross = face_cross(vertices, faces)
+    sums = np.zeros((place.max() + 1, 3))
+    for side in range(3):
+        np.add.at(sums, place[faces[:, side]], cross)
+    return unit(sums)[place]
+
+
+def welded(vertices: Array, tolerance: float = 1e-6) -> NDArray[np.int64]:
+    """Return group numbers ``(V,)`` that vertices at the same place share, within a tolerance in their own units."""
+    _, place = np.unique(np.round(vertices / tolerance), axis=0, return_inverse=True)
+    return place.ravel()
+
+
+def unit(vectors: Array) -> Array:
+    """Return vectors ``(..., 3)`` at length 1; zero ones stay zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(length > 0, length, 1)
+
+
 _LIBRARY_SEED = 20260102
 
 
@@ -29,12 +83,52 @@ class UnitMesh:
     faces: NDArray[np.int64]
 
 
+def placed(mesh: UnitMesh, material: Material, centre_m: ArrayLike, size_m: ArrayLike, turn: Array) -> TriangleMesh:
+    """Return a unit mesh as a thing of a scene.
+
+    Args:
+        mesh: inside the unit ball.
+        material: of its surface.
+        centre_m: where its origin goes, metres.
+        size_m: metres per unit, one number or one for each of its own axes.
+        turn: rotation matrix from its own axes to the world's.
+    """
+    scale = np.broadcast_to(np.asarray(size_m, dtype=float), 3)
+    normals = mesh.normals / scale
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return TriangleMesh(
+        vertices_m=np.asarray(centre_m) + (mesh.vertices * scale) @ turn.T,
+        normals=normals @ turn.T,
+        uv=mesh.uv,
+        faces=mesh.faces,
+        material=material,
+    )
+
+
+def closed_surface(points: Array) -> UnitMesh:
+    """Triangulate a closed grid of points ``(rows, columns, 3)``, seams and poles stored twice, at size 1.
+
+    Its bounding box is centred, its farthest vertex 1 from the origin; normals are averaged over the seams.
+    """
+    rows, columns = points.shape[:2]
+    vertices = _normalised(points.reshape(-1, 3))
+    faces = grid_faces(rows, columns)
+    cross = face_cross(vertices, faces)
+    kept = np.linalg.norm(cross, axis=1) > 1e-9  # at poles one of the two triangles has no area
+    faces = faces[kept]
+    if np.einsum("fi,fi->", vertices[faces[:, 0]], cross[kept]) < 0:  # a negative volume: the grid is seen from inside
+        faces = faces[:, ::-1]
+    down, across = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, columns), indexing="ij")
+    uv = np.stack([across, down], axis=-1).reshape(-1, 2)
+    return UnitMesh(vertices, smooth_normals(vertices, faces, welded(vertices)), uv, faces)
+
+
 @functools.cache
 def mesh_library() -> tuple[UnitMesh, ...]:
     """Return the library, the same in every process."""
     rng = np.random.default_rng(_LIBRARY_SEED)
     smooth = [
-        *(_superellipsoid(*exponents) for exponents in ((0.3, 0.3), (0.3, 1.0), (1.0, 0.3), (2.2, 1.0), (0.4, 2.4))),
+        *(superellipsoid(*exponents) for exponents in ((0.3, 0.3), (0.3, 1.0), (1.0, 0.3), (2.2, 1.0), (0.4, 2.4))),
         *(_torus(tube) for tube in (0.2, 0.45)),
         *(_knot(p, q) for p, q in ((2, 3), (3, 2), (2, 5))),
         *(_lumpy_ball(rng, strength) for strength in (0.25, 0.35, 0.45)),
@@ -54,20 +148,12 @@ def mesh_library() -> tuple[UnitMesh, ...]:
 
 
 def _surface(position: Callable[[Array, Array], tuple[Array, Array, Array]], columns: int, rows: int) -> UnitMesh:
-    """Triangulate ``position(u, v)``; where the surface closes on itself, normals are averaged over the seam."""
+    """Triangulate ``position(u, v)``."""
     v, u = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
-    vertices = _normalised(np.stack(position(u, v), axis=-1).reshape(-1, 3))
-    faces = grid_faces(rows + 1, columns + 1)
-    cross = face_cross(vertices, faces)
-    kept = np.linalg.norm(cross, axis=1) > 1e-9  # at poles one of the two triangles has no area
-    faces = faces[kept]
-    if np.einsum("fi,fi->", vertices[faces[:, 0]], cross[kept]) < 0:  # a negative volume: the grid is seen from inside
-        faces = faces[:, ::-1]
-    normals = smooth_normals(vertices, faces, welded(vertices))
-    return UnitMesh(vertices, normals, np.stack([u, v], axis=-1).reshape(-1, 2), faces)
+    return closed_surface(np.stack(position(u, v), axis=-1))
 
 
-def _superellipsoid(e_v: float, e_u: float) -> UnitMesh:
+def superellipsoid(e_v: float, e_u: float, columns: int = 26, rows: int = 16) -> UnitMesh:
     """Barr's superellipsoid: exponents of 0.3 give a rounded box or cylinder, above 2 a pinched spindle."""
 
     def power(base: Array, exponent: float) -> Array:
@@ -83,7 +169,7 @@ def _superellipsoid(e_v: float, e_u: float) -> UnitMesh:
             power(cos_up, e_v) * power(np.sin(around), e_u),
         )
 
-    return _surface(position, 26, 16)
+    return _surface(position, columns, rows)
 
 
 def _torus(tube: float) -> UnitMesh:
@@ -117,15 +203,20 @@ def _knot(p: int, q: int) -> UnitMesh:
     return _surface(position, 64, 8)
 
 
+def lumps(rng: np.random.Generator, count: int, spread: float, strength: float) -> Radius:
+    """Draw ``count`` plane waves that push a ball in and out; ``spread`` is the deviation of their wave numbers."""
+    waves, phases = rng.normal(0, spread, (count, 3)), rng.uniform(0, 2 * np.pi, count)
+    return lambda direction: 1 + strength * np.mean(np.sin(direction @ waves.T + phases), axis=-1)
+
+
 def _lumpy_ball(rng: np.random.Generator, strength: float) -> UnitMesh:
-    """A ball pushed in and out by a few plane waves: a pebble."""
-    waves, phases = rng.normal(0, 2.5, (6, 3)), rng.uniform(0, 2 * np.pi, 6)
+    """A pebble."""
+    reach = lumps(rng, 6, 2.5, strength)
 
     def position(u: Array, v: Array) -> tuple[Array, Array, Array]:
         around, down = 2 * np.pi * u, np.pi * v
         direction = np.stack([np.sin(down) * np.cos(around), np.cos(down), np.sin(down) * np.sin(around)], axis=-1)
-        radius = 1 + strength * np.mean(np.sin(direction @ waves.T + phases), axis=-1)
-        ball = direction * radius[..., np.newaxis]
+        ball = direction * reach(direction)[..., np.newaxis]
         return ball[..., 0], ball[..., 1], ball[..., 2]
 
     return _surface(position, 26, 15)
@@ -169,12 +260,18 @@ _CAPSULE = (
 )
 
 
-def _turned(profile: tuple[tuple[float, float], ...]) -> UnitMesh:
-    """Turn a profile, made round by two passes of corner cutting (Chaikin), about the y axis."""
+def rounded(profile: tuple[tuple[float, float], ...], passes: int) -> Array:
+    """Return the points ``(n, 2)`` of a profile after some passes of corner cutting (Chaikin), which keep its ends."""
     points = np.array(profile, dtype=float)
-    for _ in range(2):
+    for _ in range(passes):
         cut = np.stack([0.75 * points[:-1] + 0.25 * points[1:], 0.25 * points[:-1] + 0.75 * points[1:]], axis=1)
         points = np.concatenate([points[:1], cut.reshape(-1, 2)[1:-1], points[-1:]])
+    return points
+
+
+def _turned(profile: tuple[tuple[float, float], ...]) -> UnitMesh:
+    """Turn a profile about the y axis."""
+    points = rounded(profile, 2)
     along = np.append(0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
     def position(u: Array, v: Array) -> tuple[Array, Array, Array]:

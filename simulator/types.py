@@ -61,7 +61,7 @@ class Clip:
         label: the class name of an action, or None.
         source: where the clip came from, JSON-serialisable; it is stored with the sample.
         extras: more that is known of every pixel, by name: arrays of numbers ``(T, H, W)`` or ``(T, H, W, n)``, finite; see
-            `simulator.render.outputs` for those that rendering gives.
+            `simulator.render.frames` for those that rendering gives.
 
     Raises:
         InputError: when shapes, types or values break these rules.

@@ -1,4 +1,4 @@
-"""The gallery of designs is whole and says what the designs say of themselves."""
+"""The galleries are whole and say what the designs and the scene families say of themselves."""
 
 import importlib.util
 import sys
@@ -13,13 +13,14 @@ from psf_library import load_mask
 from simulator.plugins import available, resolve
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-LARGEST_BYTES = 150_000  # of one picture: the repository holds a dozen
+# Largest number of bytes, least and greatest width of an image.
+IMAGES = {"designs": (150_000, 720, 720), "scenes": (250_000, 800, 1500)}
 
 
 @pytest.fixture(scope="module")
-def gallery() -> ModuleType:
-    """The script that makes the gallery."""
-    spec = importlib.util.spec_from_file_location("docs_designs", DOCS / "designs.py")
+def galleries() -> ModuleType:
+    """The script that makes the galleries."""
+    spec = importlib.util.spec_from_file_location("docs_galleries", DOCS / "galleries.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -30,28 +31,41 @@ def gallery() -> ModuleType:
     return module
 
 
-def test_every_design_is_shown(gallery) -> None:
-    assert set(gallery.EXAMPLES) == set(available("mask"))
-    for design in available("mask"):
-        picture = DOCS / "images" / "designs" / f"{design}.png"
-        assert picture.stat().st_size < LARGEST_BYTES, design
-        with Image.open(picture) as image:
-            assert image.size == (720, 270)
+@pytest.mark.parametrize("name", IMAGES)
+def test_every_plugin_is_shown(galleries, name: str) -> None:
+    gallery = galleries.GALLERIES[name]
+    assert set(gallery.examples) == set(available(gallery.kind))
+    most_bytes, least, greatest = IMAGES[name]
+    for shown in gallery.examples:
+        path = DOCS / "images" / name / f"{shown}{gallery.suffix}"
+        assert path.stat().st_size < most_bytes, shown
+        with Image.open(path) as image:
+            assert least <= image.width <= greatest
             assert np.ptp(np.asarray(image.convert("L"))) > 200
 
 
-def test_the_lists_of_parameters_are_the_designs_own(gallery) -> None:
-    """Fails when a design's parameters changed since: run docs/designs.py --text, or let it draw them anew."""
-    assert (DOCS / "designs.md").read_text() == gallery.gallery()
+@pytest.mark.parametrize("name", IMAGES)
+def test_the_lists_of_parameters_are_the_plugins_own(galleries, name: str) -> None:
+    """Fails when a plugin's parameters changed since: run docs/galleries.py NAME --text, or let it draw them anew."""
+    assert (DOCS / f"{name}.md").read_text(encoding="utf-8") == galleries.GALLERIES[name].text(name)
 
 
-@pytest.mark.parametrize("design", ["amplitude_image", "height_map"])
-def test_the_files_of_the_examples_are_read(gallery, tmp_path: Path, design: str) -> None:
-    gallery.own_files(tmp_path)
-    mask = load_mask(design, tmp_path, **gallery.EXAMPLES[design].parameters)
-    assert mask.shape == (300, 300)
-
-
-def test_the_examples_parameters_are_valid(gallery) -> None:
-    for design, shown in gallery.EXAMPLES.items():
+def test_the_designs_take_their_examples_parameters_and_files(galleries, tmp_path: Path) -> None:
+    for design, shown in galleries.DESIGNS.items():
         resolve("mask", design).bind(shown.parameters)
+        if shown.files is not galleries.no_files:
+            shown.files(tmp_path)
+            assert load_mask(design, tmp_path, **shown.parameters).shape == (300, 300)
+
+
+def test_the_families_take_their_examples_parameters_files_and_view(galleries, tmp_path: Path) -> None:
+    from simulator.render import Renderer
+
+    for family, shown in galleries.FAMILIES.items():
+        folder = tmp_path / family
+        folder.mkdir()
+        shown.files(folder)
+        plugin = resolve("scene", family, folder)
+        view = galleries.view_of(shown, folder)
+        assert view.shape == (galleries.SIDE, galleries.SIDE)
+        plugin.function(view, **plugin.bind(shown.parameters), renderer=Renderer("scalar_rgb"))

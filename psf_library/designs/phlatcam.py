@@ -72,13 +72,7 @@ def phlatcam(
     else:
         target = contours_of_image(image, samples, line_um / pixel_um)
     retrieved = retrieve_phase(
-        target,
-        pitch_m,
-        wavelength_m,
-        distance_um * 1e-6,
-        iterations,
-        tolerance=tolerance,
-        threads=os.cpu_count() or 1,
+        target, pitch_m, wavelength_m, distance_um * 1e-6, iterations, tolerance=tolerance, threads=os.cpu_count() or 1
     )
     turns = np.mod(retrieved.phase / (2 * np.pi), 1).astype(np.float32)
     height_m = turns * np.float32(wave_m)

@@ -4,10 +4,8 @@
 differ and by how much, ``draw_difference`` shows it. ``python -m psf_library.reference.make`` makes the stacks again.
 """
 
-from psf_library.reference.cases import CASES, Case, build_mask, compute
-from psf_library.reference.difference import StackDifference, compare_stacks
-from psf_library.reference.files import load, load_pinned_mask
-from psf_library.reference.picture import draw_difference
+from psf_library.reference.cases import CASES, Case, build_mask, compute, load, load_pinned_mask
+from psf_library.reference.difference import StackDifference, compare_stacks, draw_difference
 
 __all__ = [
     "CASES",

@@ -1,7 +1,8 @@
-"""What is pinned: one entry per mask design, all seen through one small camera.
+"""What is pinned: one entry per mask design, all seen through one small camera, and the files that hold it.
 
 The masks are 0.3 mm wide, half a millimetre from the sensor: large enough for every part of a design and of the light
-path to matter, small enough for the whole of the light that is followed to fit into 67 x 67 pixels.
+path to matter, small enough for the whole of the light that is followed to fit into 67 x 67 pixels. Each design has a
+folder with its mask (``mask.exr``) and its PSFs (``psf/``).
 """
 
 from __future__ import annotations
@@ -16,17 +17,19 @@ import numpy as np
 
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
+from simulator.io.exr import read_exr, write_exr
 from simulator.optics.error_budget.sampling import SamplingWarning
 from simulator.optics.mask import Mask
 from simulator.optics.psf import PsfConfig, compute_psf_stack
 from simulator.optics.spectra import spectral_response
 from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import read_psf_stack, write_psf_stack
 from simulator.plugins import resolve
 from simulator.text import nearest
 from simulator.types import CameraGeometry
 
 INPUTS = Path(__file__).parent / "inputs"
-"""Folder of the pictures that designs read, neither with any symmetry: a letter F of three greys, and a tilted bowl with a
+"""Folder of the images that designs read, neither with any symmetry: a letter F of three greys, and a tilted bowl with a
 ridge. Paths among a case's parameters are relative to it."""
 
 PIXEL_PITCH_M = 14.4e-6  # six pixels of an IMX183
@@ -108,3 +111,58 @@ def _case(name: str) -> Case:
         msg = f"name: got {name!r}, expected one of {', '.join(CASES)}{nearest(name, list(CASES))}"
         raise InputError(msg)
     return CASES[name]
+
+
+PINNED = Path(__file__).parent / "pinned"
+"""Folder of the references that are shipped."""
+
+
+def load(name: str, folder: Path = PINNED) -> PsfStack:
+    """Return the pinned PSFs of a design.
+
+    Args:
+        name: the design's name.
+        folder: where the references lie; the shipped ones when left out.
+
+    Returns:
+        Two depths, three channels, float32; ``provenance["reference"]`` says from what it was made.
+
+    Raises:
+        InputError: no such reference, or a damaged one.
+
+    Example:
+        >>> stack = load("pinhole")
+        >>> stack.channels, stack.depths_m.tolist(), stack.provenance["reference"]["parameters"]
+        (('R', 'G', 'B'), [0.006, 0.2], {'diameter_um': 40})
+    """
+    return read_psf_stack(_folder(name, folder) / "psf")
+
+
+def load_pinned_mask(name: str, folder: Path = PINNED) -> Mask:
+    """Return the mask that a reference's PSFs were computed from: its pinned arrays and pitch, of the design's material.
+
+    Raises:
+        InputError: no such reference, or a damaged one.
+    """
+    arrays, described = read_exr(_folder(name, folder) / "mask.exr", require_checksums=True)
+    return replace(build_mask(name), pitch_m=described["pitch_m"], **arrays)
+
+
+def write(name: str, mask: Mask, stack: PsfStack, folder: Path = PINNED) -> None:
+    """Write a reference in place of an older one.
+
+    Raises:
+        StorageError: the place cannot be written to.
+    """
+    place = folder / name
+    write_psf_stack(place / "psf", stack)
+    channels = {"height_m": np.asarray(mask.height_m), "amplitude": np.asarray(mask.amplitude)}
+    write_exr(place / "mask.exr", channels, {"design": name, "pitch_m": mask.pitch_m})
+
+
+def _folder(name: str, folder: Path) -> Path:
+    known = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+    if name not in known:
+        msg = f"name: got {name!r}, expected one of {', '.join(known) or f'(there is none in {folder})'}"
+        raise InputError(msg + nearest(name, known))
+    return folder / name

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from psf_library.reference.cases import CASES, build_mask, compute
+from psf_library.reference.cases import CASES, PINNED, build_mask, compute, load, load_pinned_mask, write
 from psf_library.reference.difference import compare_stacks
-from psf_library.reference.files import PINNED, load, load_pinned_mask, write
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
 

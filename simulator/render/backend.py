@@ -6,6 +6,7 @@ The parent process chooses once (`choose_backend`); every process that renders t
 from __future__ import annotations
 
 import functools
+import importlib
 import json
 import os
 import signal
@@ -16,10 +17,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from simulator.errors import InputError
-from simulator.render.llvm_advice import LLVM_VERSIONS, how_to_get_llvm
 
 Request = Literal["auto", "llvm", "scalar"]
 LLVM_VARIANT = "llvm_ad_rgb"
@@ -28,6 +28,31 @@ LLVM_SPECTRAL = "llvm_ad_spectral"
 SCALAR_SPECTRAL = "scalar_spectral"
 VARIANTS = (LLVM_VARIANT, SCALAR_VARIANT, LLVM_SPECTRAL, SCALAR_SPECTRAL)
 
+# Versions that Mitsuba 3.9.0 with Dr.Jit 1.4.0 renders with; 14 and older lack opaque pointers.
+_LLVM_VERSIONS = range(15, 23)
+# Run in a process of its own, because an unsuitable libLLVM does not raise but aborts: reports the version that Dr.Jit
+# finds, then the mean of an image of a half-white wall in uniform light, one JSON line each.
+_PROOF = """
+import json
+import drjit as dr
+
+facts = {"found": bool(dr.has_backend(dr.JitBackend.LLVM)), "version": list(dr.detail.llvm_version())}
+print(json.dumps(facts), flush=True)
+import mitsuba as mi
+import numpy as np
+
+mi.set_variant("llvm_ad_rgb")
+towards = mi.ScalarTransform4f().translate([0, 0, 1]).rotate([1, 0, 0], 180).scale(10)
+film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
+scene = {
+    "type": "scene",
+    "integrator": {"type": "path", "max_depth": 3},
+    "sensor": {"type": "perspective", "film": film},
+    "light": {"type": "constant", "radiance": 1.0},
+    "wall": {"type": "rectangle", "to_world": towards, "bsdf": {"type": "diffuse", "reflectance": 0.5}},
+}
+print(json.dumps({"mean": float(np.mean(np.asarray(mi.render(mi.load_dict(scene), spp=16))))}), flush=True)
+"""
 # Importing Mitsuba from a cold network disk takes most of this; the proof itself takes about a second.
 _PROOF_TIMEOUT_S = 120.0
 _activated: tuple[int, str] | None = None  # the process id and the variant it renders with
@@ -68,7 +93,7 @@ def choose_backend(requested: Request = "auto", spectral: bool = False) -> Backe
             library, not the kind of colour.
 
     Raises:
-        InputError: when ``requested`` is no such word, or is ``llvm`` and LLVM cannot be proven.
+        InputError: when ``requested`` is not one of these, or is ``llvm`` and LLVM cannot be proven.
 
     Example:
         >>> choose_backend("scalar").variant
@@ -84,7 +109,7 @@ def choose_backend(requested: Request = "auto", spectral: bool = False) -> Backe
     proof = _prove_llvm(library)
     if not proof.problem:
         return Backend(llvm, proof.version, f"{llvm}, proven with libLLVM {proof.version}")
-    advice = how_to_get_llvm(library)
+    advice = _how_to_get_llvm(library)
     if requested == "llvm":
         msg = (
             f"render.backend: llvm was asked for but {proof.problem}. {advice}, or set render.backend to auto or scalar"
@@ -98,7 +123,7 @@ def activate(variant: str, threads: int | None = None) -> None:
 
     Args:
         variant: a `Backend.variant`.
-        threads: CPU threads for rendering, at least 1; None leaves them as they are. The picture does not depend on it.
+        threads: CPU threads for rendering, at least 1; None leaves them as they are. The image does not depend on it.
 
     Raises:
         InputError: when the variant is unknown, the threads are below 1, or LLVM has gone since it was proven.
@@ -128,7 +153,7 @@ def activate(variant: str, threads: int | None = None) -> None:
         try:
             mi.set_variant(variant)
         except ImportError as error:
-            advice = how_to_get_llvm(os.environ.get("DRJIT_LIBLLVM_PATH"))
+            advice = _how_to_get_llvm(os.environ.get("DRJIT_LIBLLVM_PATH"))
             msg = f"variant: {variant} does not start in this process ({error}). {advice}, or use {SCALAR_VARIANT}"
             raise InputError(msg) from error
         mi.set_log_level(mi.LogLevel.Error)
@@ -139,15 +164,24 @@ def activate(variant: str, threads: int | None = None) -> None:
         dr.set_thread_count(threads)
 
 
+def mitsuba() -> Any:
+    """Return the module ``mitsuba``, untyped (its stubs do not know a variant's types); heavy, so imported where used."""
+    return importlib.import_module("mitsuba")
+
+
+def drjit() -> Any:
+    """Return the module ``drjit``, likewise."""
+    return importlib.import_module("drjit")
+
+
 @functools.cache
 def _prove_llvm(library: str | None) -> _Proof:
     """Render with LLVM in a subprocess; ``library`` (DRJIT_LIBLLVM_PATH) only tells the cached results apart."""
     del library
-    script = Path(__file__).with_name("llvm_proof.py")
     try:
         with home_for_kernels():
             done = subprocess.run(
-                [sys.executable, "-P", str(script)],
+                [sys.executable, "-P", "-c", _PROOF],
                 capture_output=True,
                 text=True,
                 errors="replace",
@@ -179,8 +213,8 @@ def _judge(done: subprocess.CompletedProcess[str]) -> _Proof:
         return _Proof(
             None, "too old a libLLVM was found" if "too old" in done.stderr else "no usable libLLVM was found"
         )
-    if isinstance(numbers, list) and numbers[0] not in LLVM_VERSIONS:
-        return _Proof(version, f"libLLVM {version} is not one of {LLVM_VERSIONS.start} to {LLVM_VERSIONS.stop - 1}")
+    if isinstance(numbers, list) and numbers[0] not in _LLVM_VERSIONS:
+        return _Proof(version, f"libLLVM {version} is not one of {_LLVM_VERSIONS.start} to {_LLVM_VERSIONS.stop - 1}")
     if done.returncode != 0:
         end = f"was killed by {signal.Signals(-done.returncode).name}" if done.returncode < 0 else "failed"
         return _Proof(version, f"a test render with libLLVM {version} {end} ({last_words})")
@@ -188,6 +222,14 @@ def _judge(done: subprocess.CompletedProcess[str]) -> _Proof:
     if not isinstance(mean, float) or abs(mean - 0.5) > 0.1:
         return _Proof(version, f"a test render with libLLVM {version} came out wrong (mean {mean}, expected 0.5)")
     return _Proof(version, "")
+
+
+def _how_to_get_llvm(library: str | None) -> str:
+    """Return the cure as one clause; ``library`` is DRJIT_LIBLLVM_PATH, beside which Dr.Jit looks nowhere."""
+    versions = f"any version from {_LLVM_VERSIONS.start} to {_LLVM_VERSIONS.stop - 1} will do"
+    if library:
+        return f"DRJIT_LIBLLVM_PATH names {library!r}: unset it, or let it name a libLLVM ({versions})"
+    return f"install the package libLLVM ({versions}), or set DRJIT_LIBLLVM_PATH to its library"
 
 
 def _last_line(text: str) -> str:

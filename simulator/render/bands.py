@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.render.library import mitsuba
+from simulator.render.backend import mitsuba
 
 SHORTEST_NM, LONGEST_NM = 360.0, 830.0
 """Where Mitsuba's colour matching functions and its D65 end: there is no light beyond."""
@@ -94,7 +94,6 @@ def albedo_of(bsdf: Any, hit: Any, *more: Any) -> Any:
         more: further arguments of ``eval_diffuse_reflectance``.
     """
     mi = mitsuba()
-
     rgb = [0.0, 0.0, 0.0]
     for four, weights in zip(_ALBEDO_NM, _albedo_weights(), strict=True):
         hit.wavelengths = mi.Spectrum(four.tolist())
@@ -113,7 +112,6 @@ def _colour_scale(bands: int) -> float:
 def _matching_functions() -> NDArray[np.float64]:
     """CIE 1931 colour matching functions at ``_CURVE_NM``, ``(95, 3)``."""
     mi = mitsuba()
-
     return np.array([np.ravel(np.array(mi.cie1931_xyz(float(wavelength)))) for wavelength in _CURVE_NM], np.float64)
 
 

@@ -1,4 +1,4 @@
-"""Denoising of rendered pictures by Intel Open Image Denoise, on the CPU; optional, and biased.
+"""Denoising of rendered images by Intel Open Image Denoise, on the CPU; optional, and biased.
 
 A trained network replaces noise by what it holds for likely: much less error from few light paths, but what it removes or
 invents is not light that was simulated. It does not converge to the truth as paths are added (measured by
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.render.library import mitsuba
+from simulator.render.backend import mitsuba
 from simulator.render.mitsuba_scene import BLOCK_SIZE
 
 # Rays per pixel of the guides. Centre rays alone leave stair-steps at outlines, which the denoiser keeps; 16 strata
@@ -49,11 +49,10 @@ def guides(scene: Any, seed: int) -> tuple[NDArray[np.float32], NDArray[np.float
 
     Args:
         scene: a ``mitsuba.Scene`` of `load_scene`.
-        seed: of the positions; with the picture's own seed both look through the same ones.
+        seed: of the positions; with the image's own seed both look through the same ones.
     """
     mi = mitsuba()
-
-    # FIELD_NOTES: no source of depths, since it mixes surfaces at edges; which is what guides must do, like the picture.
+    # FIELD_NOTES: no source of depths, since it mixes surfaces at edges; which is what guides must do, like the image.
     integrator = mi.load_dict({"type": "aov", "aovs": "albedo:albedo,normal:sh_normal", "block_size": BLOCK_SIZE})
     both = np.array(mi.render(scene, integrator=integrator, spp=_GUIDE_SAMPLES, seed=seed), dtype=np.float32)
     return both[..., :3], both[..., 3:6]
@@ -62,7 +61,7 @@ def guides(scene: Any, seed: int) -> tuple[NDArray[np.float32], NDArray[np.float
 def denoise(
     rgb: NDArray[np.float32], albedo: NDArray[np.float32], normal: NDArray[np.float32], threads: int = 1
 ) -> NDArray[np.float32]:
-    """Return a picture with its noise removed; the same input gives the same bytes, whatever the number of threads.
+    """Return an image with its noise removed; the same input gives the same bytes, whatever the number of threads.
 
     Open Image Denoise's ray tracing filter (Áfra, https://www.openimagedenoise.org) in its HDR mode, with ``cleanAux``: the
     guides are taken for noise-free, which those of `guides` are.
@@ -93,7 +92,7 @@ def denoise(
         network.execute()
     problem = device.get_error()
     if problem:
-        msg = f"Open Image Denoise failed on a picture of {rgb.shape}: {problem}"
+        msg = f"Open Image Denoise failed on an image of {rgb.shape}: {problem}"
         raise RuntimeError(msg)
     return np.maximum(result, 0)
 

@@ -1,17 +1,105 @@
-"""Rendered frames, and how they become one clip."""
+"""Rendered frames: what they hold beside colour and depth, how broken pixels are repaired, and how they become one clip."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.errors import InputError
 from simulator.render.gbuffer import GBuffer
 from simulator.render.hidden import HiddenLayer
-from simulator.render.repair import firefly_dimming, repair
 from simulator.types import FARTHEST_M, Clip, View
+
+Output = Literal["shape_id", "normal", "albedo", "motion", "hidden"]
+OUTPUTS: tuple[str, ...] = get_args(Output)
+"""What may be asked for:
+
+- ``shape_id``: int32 ``(T, H, W)``, number of the shape at the pixel's centre, -1 where nothing is seen;
+- ``normal``: float32 ``(T, H, W, 3)``, unit shading normal in world axes (x right, y down, z into the scene), towards the
+  camera; zero where nothing is seen;
+- ``albedo``: float32 ``(T, H, W, 3)``, diffuse reflectance, linear RGB;
+- ``motion``: float32 ``(T, H, W, 3)``, where the surface point at the pixel's centre will be in the next frame: pixels to the
+  right, pixels down, metres away; zero in the last frame. ``motion_valid``, bool ``(T, H, W)``, is true where that point is
+  seen in both frames (in the image and not hidden);
+- ``hidden``: the surfaces behind those that are seen, one layer after the other: ``hidden1_rgb`` float32 ``(T, H, W, 3)``,
+  ``hidden1_depth_m`` float32 ``(T, H, W)``, ``hidden1_valid`` bool ``(T, H, W)``, then ``hidden2_...``.
+"""
+
+
+def check_outputs(outputs: Sequence[str]) -> None:
+    """Refuse what cannot be rendered.
+
+    Raises:
+        InputError: an unknown name, or one that is given twice.
+    """
+    for name in outputs:
+        if name not in OUTPUTS:
+            msg = f"render.outputs: got {name!r}, expected some of {', '.join(OUTPUTS)}"
+            raise InputError(msg)
+    if len(set(outputs)) != len(outputs):
+        msg = f"render.outputs: got {list(outputs)}, in which a name comes twice; name each once"
+        raise InputError(msg)
+
+
+# More broken pixels than this mean a broken scene, not a path tracer's rare accident.
+_MAX_BROKEN_SHARE = 1e-3
+_FIREFLY_RATIO = np.float32(2)
+
+
+def repair(rgb: NDArray[np.float32]) -> tuple[NDArray[np.float32], int]:
+    """Replace pixels that are not finite or are negative by the median of their sound neighbours.
+
+    A path tracer divides by probabilities and now and then yields a NaN; one such pixel would spread over the whole
+    measurement. Bright pixels are left alone: clamping them would bias the light.
+
+    Args:
+        rgb: ``(H, W, n)``, colour and any bands.
+
+    Returns:
+        The repaired image and the number of pixels that were replaced.
+
+    Raises:
+        RuntimeError: when more than 0.1 % of the pixels (and more than one) are broken.
+    """
+    broken = ~np.all(np.isfinite(rgb) & (rgb >= 0), axis=-1)
+    count = int(np.count_nonzero(broken))
+    if count == 0:
+        return rgb, 0
+    if count > max(1, _MAX_BROKEN_SHARE * broken.size):
+        msg = f"{count} of {broken.size} rendered pixels are not finite or negative: the scene holds broken values"
+        raise RuntimeError(msg)
+    repaired = rgb.copy()
+    for row, column in np.argwhere(broken):
+        window = (slice(max(row - 1, 0), row + 2), slice(max(column - 1, 0), column + 2))
+        sound = rgb[window][~broken[window]]
+        repaired[row, column] = np.median(sound, axis=0) if len(sound) else 0.0
+    return repaired, count
+
+
+def firefly_dimming(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the factors ``(H, W)`` in 0..1 that dim lone bright pixels to twice their second brightest neighbour.
+
+    Where small lamps light wet walls, one path in thousands finds a lamp's mirror image by way of another wall; its pixel
+    glares for want of the other paths that would share its light. Highlights of 2 x 2 pixels and more stay, and lines but
+    for their ends.
+
+    Args:
+        rgb: ``(H, W, 3)``; images of one row or column are left as they are.
+    """
+    light = rgb.mean(axis=-1)
+    rows, columns = light.shape
+    if min(rows, columns) < 2:
+        return np.ones_like(light)
+    around = np.pad(light, 1, constant_values=-np.inf)
+    places = [(row, column) for row in range(3) for column in range(3) if (row, column) != (1, 1)]
+    neighbours = np.stack([around[row : row + rows, column : column + columns] for row, column in places])
+    limit = _FIREFLY_RATIO * np.partition(neighbours, -2, axis=0)[-2]
+    glaring = light > limit
+    return np.divide(limit, light, out=np.ones_like(light), where=glaring)
 
 
 @dataclass
@@ -80,7 +168,7 @@ def _finite_depth(depths: list[NDArray[np.float64]], view: View) -> tuple[NDArra
 
 
 def _extras(frames: list[Frame], view: View) -> dict[str, NDArray[Any]]:
-    """Collect what was asked for; see `simulator.render.outputs`."""
+    """Collect what was asked for; see `simulator.render.frames`."""
     extras: dict[str, NDArray[Any]] = {}
     outputs = frames[0].outputs
     bands = [frame.bands for frame in frames if frame.bands is not None]

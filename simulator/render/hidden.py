@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.render.gbuffer import NOTHING, centre_rays, film_shape, is_scalar
-from simulator.render.library import drjit, mitsuba
-from simulator.render.mitsuba_scene import UNITS_PER_M, path_tracer, scene_order
+from simulator.render.backend import drjit, mitsuba
+from simulator.render.gbuffer import NOTHING, centre_rays, film_shape, is_scalar, order_by_id, order_by_registry
+from simulator.render.mitsuba_scene import UNITS_PER_M, path_tracer
 from simulator.render.scene import Scene, TriangleMesh
 
 # A ray that has crossed so many surfaces without finding another shape sees nothing more.
@@ -24,7 +24,7 @@ _CLEARANCE = 1 + 1e-3
 
 @dataclass(frozen=True)
 class HiddenLayer:
-    """One layer behind the picture.
+    """One layer behind the image.
 
     Attributes:
         rgb: ``(H, W, 3)`` float32, linear radiance towards the camera if nothing stood before it; zero where there is none.
@@ -66,13 +66,11 @@ def hidden_layers(
         max_depth: longest light path, in segments.
     """
     mi = mitsuba()
-
-    numbers = scene_order(loaded)
     open_shapes = {number for number, shape in enumerate(scene.shapes) if is_open(shape)}
     integrator = mi.load_dict(path_tracer(max_depth, scene.hide_lights))
     paths = _Paths(integrator, mi.load_dict({"type": "independent"}), samples, seed)
     peel = _peel_one_by_one if is_scalar() else _peel_all
-    found = peel(loaded, numbers, open_shapes, layers, paths)
+    found = peel(loaded, open_shapes, layers, paths)
     rows, columns = film_shape(loaded)
     result = []
     for rgb, z, shape_id in found:
@@ -98,15 +96,9 @@ def is_open(shape: object) -> bool:
     return bool(np.any(uses % 2))
 
 
-def _peel_all(
-    loaded: Any, numbers: list[int], open_shapes: set[int], layers: int, paths: _Paths
-) -> list[tuple[NDArray[Any], ...]]:
-    dr = drjit()
-    mi = mitsuba()
-
-    registry = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]) for shape in loaded.shapes()]
-    order = np.full(max(registry, default=0) + 1, NOTHING)
-    order[registry] = numbers
+def _peel_all(loaded: Any, open_shapes: set[int], layers: int, paths: _Paths) -> list[tuple[NDArray[Any], ...]]:
+    dr, mi = drjit(), mitsuba()
+    order = order_by_registry(loaded)
     opened = mi.Bool(np.isin(order, list(open_shapes)))
     ray = mi.Ray3f(centre_rays(loaded))
     hit = loaded.ray_intersect(ray)
@@ -145,9 +137,7 @@ def _shade_all(loaded: Any, direction: Any, start: Any, found: Any, paths: _Path
 
     The others take part as idle lanes: every number of rays would be compiled as a kernel of its own.
     """
-    dr = drjit()
-    mi = mitsuba()
-
+    dr, mi = drjit(), mitsuba()
     count, samples = dr.width(direction), paths.samples
     # Opaque, for every seed would be a constant of another kernel.
     paths.sampler.seed(dr.opaque(mi.UInt32, (paths.seed + layer) % 2**32), count * samples)
@@ -181,12 +171,9 @@ def _moved(point: Any, direction: Any, distance: float) -> Any:
     return mitsuba().Point3f(np.array(point) + np.array(direction) * distance)
 
 
-def _peel_one_by_one(
-    loaded: Any, numbers: list[int], open_shapes: set[int], layers: int, paths: _Paths
-) -> list[tuple[NDArray[Any], ...]]:
+def _peel_one_by_one(loaded: Any, open_shapes: set[int], layers: int, paths: _Paths) -> list[tuple[NDArray[Any], ...]]:
     mi = mitsuba()
-
-    order = dict(zip((shape.id() for shape in loaded.shapes()), numbers, strict=True))
+    order = order_by_id(loaded)
     rows, columns = film_shape(loaded)
     count = rows * columns
     rgb, z = np.zeros((layers, count, 3), np.float32), np.full((layers, count), np.inf)

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.render.backend import home_for_kernels
+from simulator.render.backend import home_for_kernels, mitsuba
 from simulator.render.gbuffer import GBuffer, centre_gbuffer
-from simulator.render.library import mitsuba
 from simulator.render.mitsuba_scene import UNITS_PER_M, path_tracer, pinhole, shape_name
 from simulator.types import View
 
@@ -96,7 +95,6 @@ def load_own_scene(path: Path, view: View, max_depth: int) -> OwnScene:
             depth (participating media).
     """
     mi = mitsuba()
-
     state, _ = _parsed(path)
     root = state.root
     sensor_to_world, clipping = None, _CLIPPING
@@ -118,7 +116,9 @@ def load_own_scene(path: Path, view: View, max_depth: int) -> OwnScene:
         root.props["integrator"] = mi.load_dict(path_tracer(max_depth))
         loaded = mi.parser.instantiate(_config(mi.variant()), state)
     if not loaded.emitters():
-        msg = f"{path}: nothing in it shines, its picture would be black; add an emitter such as <emitter type='constant'/>"
+        msg = (
+            f"{path}: nothing in it shines, its image would be black; add an emitter such as <emitter type='constant'/>"
+        )
         raise InputError(msg)
     # Mitsuba's cameras have x to the left and y up.
     return OwnScene(path, loaded, sensor_to_world @ np.diag([-1.0, -1.0, 1.0, 1.0]), tuple(names))
@@ -139,7 +139,7 @@ def check_depths(name: str, depth_m: NDArray[np.floating], pixels: int, view: Vi
     Args:
         name: of the file, for the message.
         depth_m: depths that are seen, metres.
-        pixels: of the whole picture.
+        pixels: of the whole image.
         view: near and far.
 
     Raises:
@@ -195,7 +195,7 @@ def _parsed(path: Path) -> tuple[Any, list[Path]]:
             files.append(_beside(resolver, folder, str(name)))
             _check_part(path, "an <include>", str(name), files[-1])
         for node in state.nodes:
-            for key in node.props.keys():  # noqa: SIM118 (no dictionary)
+            for key in node.props.keys():  # noqa: SIM118 (not a dictionary)
                 # Only these are looked at: Mitsuba takes what was looked at for known, and would keep misspelt names quiet.
                 if key.endswith("filename") and node.props.type(key) == mi.Properties.Type.String:
                     value = str(node.props[key])
@@ -227,7 +227,6 @@ def _check_part(path: Path, user: str, value: str, file: Path) -> None:
 
 def _refuse_what_has_no_depth(path: Path, state: Any) -> None:
     mi = mitsuba()
-
     if state.root.type != mi.ObjectType.Scene:
         msg = f"{path}: its outermost element is a {state.root.props.plugin_name()!r}, expected <scene>"
         raise InputError(msg)
@@ -241,7 +240,6 @@ def _refuse_what_has_no_depth(path: Path, state: Any) -> None:
 def _children(state: Any) -> list[tuple[str, Any]]:
     """Return the scene's own parts and the names of their properties, in the file's order."""
     mi = mitsuba()
-
     references = [(key, value) for key, value in state.root.props.items()]
     return [
         (key, state.nodes[value.index()])
@@ -253,7 +251,6 @@ def _children(state: Any) -> list[tuple[str, Any]]:
 def _config(variant: str) -> Any:
     """Return how to parse: shapes stay apart, so that each keeps its number."""
     mi = mitsuba()
-
     config = mi.parser.ParserConfig(variant)
     config.merge_meshes = False
     config.merge_equivalent = False

@@ -10,19 +10,15 @@ from typing import Any
 import numpy as np
 
 from simulator.errors import InputError
-from simulator.render.backend import activate
+from simulator.render.backend import activate, mitsuba
 from simulator.render.bands import check_edges, split_film
 from simulator.render.denoise import check_denoiser, denoise, denoiser_name, guides
-from simulator.render.frames import Frame, dim_fireflies_in, join_frames
-from simulator.render.gbuffer import GBuffer, centre_depth, centre_gbuffer
+from simulator.render.frames import Frame, check_outputs, dim_fireflies_in, join_frames, repair
+from simulator.render.gbuffer import GBuffer, centre_depth, centre_gbuffer, motion_vectors, moved_points, seen_points
 from simulator.render.hidden import hidden_layers
-from simulator.render.library import mitsuba
-from simulator.render.motion import motion_vectors, moved_points, seen_points
-from simulator.render.outputs import check_outputs
+from simulator.render.mitsuba_scene import Stage
 from simulator.render.own_scene import OwnScene, load_own_scene
-from simulator.render.repair import repair
 from simulator.render.scene import Scene
-from simulator.render.stage import Stage
 from simulator.types import Clip, View
 
 # Light paths of camera - surface - ... - light: enough for light to fill the shadows of a crowded scene.
@@ -35,10 +31,10 @@ class Renderer:
 
     Attributes:
         backend: the Mitsuba variant, see `simulator.render.choose_backend`.
-        outputs: what clips hold in ``extras`` beside colour and depth, see `simulator.render.outputs.OUTPUTS`.
-        hidden: how many layers behind the picture the output ``hidden`` holds.
+        outputs: what clips hold in ``extras`` beside colour and depth, see `simulator.render.frames.OUTPUTS`.
+        hidden: how many layers behind the image the output ``hidden`` holds.
         max_depth: longest light path, in segments.
-        denoise: whether the picture passes a trained denoiser: less noise, but biased (see `simulator.render.denoise`). The
+        denoise: whether the image passes a trained denoiser: less noise, but biased (see `simulator.render.denoise`). The
             clip's ``source`` says so; hidden layers are left as they are.
 
         bands_nm: edges of wavelength bands in nanometres, none or at least two: clips then hold ``bands`` in ``extras``,
@@ -86,7 +82,7 @@ class Renderer:
         source: dict[str, Any],
         label: str | None = None,
     ) -> Clip:
-        """Render one picture: a clip of a single frame that lasts from 0 to 1 s.
+        """Render one image: a clip of a single frame that lasts from 0 to 1 s.
 
         The arguments and errors are those of `clip`.
         """
@@ -128,7 +124,7 @@ class Renderer:
                 are added to it.
             label: class name of an action, or None.
             dim_fireflies: for wet scenes with small lamps, whose lone glaring pixels are noise that more paths hardly mend:
-                see `simulator.render.repair.firefly_dimming`. Their share and that of the light they lose is added to
+                see `simulator.render.frames.firefly_dimming`. Their share and that of the light they lose is added to
                 ``source``.
 
         Returns:
@@ -225,7 +221,6 @@ class Renderer:
 
     def _frame(self, stage: Stage | OwnScene, samples_per_pixel: int, seed: int) -> Frame:
         mi = mitsuba()
-
         loaded = stage.loaded
         image = mi.render(loaded, spp=samples_per_pixel, seed=seed)
         picture = np.array(image, dtype=np.float32)

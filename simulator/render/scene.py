@@ -136,7 +136,7 @@ class Environment:
 
 @dataclass(frozen=True)
 class EnvironmentMap:
-    """Light from everywhere with a picture of it: ``radiance`` ``(h, 2 h, 3)`` float32 linear RGB, latitude by longitude.
+    """Light from everywhere with an image of it: ``radiance`` ``(h, 2 h, 3)`` float32 linear RGB, latitude by longitude.
 
     Row 0 shines from above (-y); columns go once around the horizon, with the middle one straight ahead (+z).
     """
@@ -178,7 +178,7 @@ class Scene:
     Attributes:
         shapes: what is seen; a shape's number is its id in G-buffers.
         lights: what shines; lamps are seen too, with ids after those of the shapes.
-        hide_lights: lamps and surroundings shine but are not seen: where no surface is, the picture is black.
+        hide_lights: lamps and surroundings shine but are not seen: where no surface is, the image is black.
 
     Raises:
         InputError: no light, none that shines, or two surroundings.
@@ -190,10 +190,10 @@ class Scene:
 
     def __post_init__(self) -> None:
         if not self.lights:
-            msg = "Scene.lights must hold at least one light, got none: the picture would be black; add an Environment"
+            msg = "Scene.lights must hold at least one light, got none: the image would be black; add an Environment"
             raise InputError(msg)
         if not any(np.any(light.radiance) for light in self.lights):
-            msg = f"Scene.lights: all {len(self.lights)} have radiance 0, so the picture would be black; let one shine"
+            msg = f"Scene.lights: all {len(self.lights)} have radiance 0, so the image would be black; let one shine"
             raise InputError(msg)
         surroundings = sum(not isinstance(light, SphereLight) for light in self.lights)
         if surroundings > 1:

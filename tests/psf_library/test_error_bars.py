@@ -13,6 +13,7 @@ from simulator.types import CameraGeometry, SpectralResponse
 
 GREEN = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")
 DISTANCE_M = {"diffusercam": 10e-3}  # the others are made for 1.9 mm, the default
+COSTLY = ("diffusercam", "height_map", "phlatcam", "spiral", "vortex")
 SMALL = {"phlatcam": {"width_mm": 0.3, "iterations": 5}, "diffusercam": {"width_mm": 1.0}}  # cropped anyway
 
 
@@ -40,7 +41,9 @@ def _bar_and_truth(mask, name, depth_m):
     return report["error_bar"], np.linalg.norm(coarse - fine) / np.linalg.norm(fine)
 
 
-@pytest.mark.parametrize("name", available("mask"))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in COSTLY else ()) for name in available("mask")]
+)
 def test_the_error_bar_contains_the_true_error(name, tmp_path, monkeypatch):
     """The bar is twice |s - 2 s|: an error that falls like 1 / s would leave it 1.5 times |s - 2 s|.
 

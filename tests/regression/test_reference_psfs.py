@@ -19,7 +19,7 @@ from PIL import Image
 
 from psf_library import reference
 from psf_library.reference import CASES, build_mask, compare_stacks, compute, draw_difference, load, load_pinned_mask
-from psf_library.reference.files import PINNED, write
+from psf_library.reference.cases import PINNED, write
 from psf_library.reference.make import CHANGED_SAMPLES, PSF_TOLERANCE, changed_samples, remake
 from simulator.errors import InputError
 from simulator.plugins import available
@@ -109,6 +109,7 @@ class TestTheTestItself:
             assert picture.width > 1000
         test_the_design_makes_the_pinned_mask(SUBJECT, bent)  # the mask is as it was
 
+    @pytest.mark.slow
     def test_a_change_is_accepted_on_request(self, bent: Path) -> None:
         """In a process of its own, because the option belongs to a whole run."""
         root = Path(__file__).parents[2]

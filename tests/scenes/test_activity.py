@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from scenes.acting.actions import ACTIONS
-from scenes.acting.looks import BACKGROUNDS, SKINS, skin_tones
-from scenes.acting.props import KINDS
-from scenes.acting.tabletop import LIGHTS, draw_viewpoint
 from scenes.activity import Action, Parameters, activity, clip_scenes, draw_parameters
+from scenes.activity.actions import ACTIONS
+from scenes.activity.tabletop import LIGHTS, draw_viewpoint
+from scenes.activity.things import BACKGROUNDS, KINDS, SKINS, skin_tones
 from simulator.errors import InputError
 from simulator.render import Renderer, Scene, SphereLight, TriangleMesh
 from simulator.types import SceneSource, View

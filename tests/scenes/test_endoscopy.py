@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenes.anatomy.endoscope import CLEARANCE_M, direct_light, draw_lamps, draw_poses, pressed
-from scenes.anatomy.organs import ORGANS
-from scenes.anatomy.segmented import course_of, find_shot, read_segment
 from scenes.endoscopy import Endoscopy, check_view, draw_scenes, draw_shot, endoscopy
+from scenes.endoscopy.endoscope import CLEARANCE_M, direct_light, draw_lamps, draw_poses, pressed
+from scenes.endoscopy.organs import ORGANS
+from scenes.endoscopy.segmented import course_of, find_shot, read_segment
 from simulator.errors import InputError
 from simulator.render import Renderer, TriangleMesh
 from simulator.types import SceneSource, View

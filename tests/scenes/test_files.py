@@ -13,7 +13,7 @@ import tifffile
 from PIL import Image
 
 from scenes.files import OwnFiles, files
-from scenes.models.resampling import area_mean
+from scenes.files.pictures import area_mean
 from simulator.errors import InputError
 from simulator.io.exr import write_exr
 from simulator.plugin_listing import parameter_lines

@@ -10,9 +10,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from scenes.fast.courses import straight
-from scenes.fast.events import EVENTS, MOST_ACTORS, Event
 from scenes.high_speed import Play, draw_play, event_of, high_speed, is_black
+from scenes.high_speed.actors import straight
+from scenes.high_speed.events import EVENTS, MOST_ACTORS, Event
 from scenes.layout import far_end
 from simulator.errors import InputError
 from simulator.render import Renderer, Scene, TriangleMesh

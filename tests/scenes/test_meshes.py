@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenes.meshes import UnitMesh, mesh_library
+from scenes.high_speed.bodies import body_library
+from scenes.layout import random_rotation
+from scenes.meshes import UnitMesh, face_cross, mesh_library, placed
+from simulator.render import Material
 
 
 @pytest.mark.parametrize("mesh", mesh_library(), ids=[str(number) for number in range(len(mesh_library()))])
@@ -44,3 +47,19 @@ def test_the_library_is_varied_and_cheap() -> None:
     assert max(len(mesh.faces) for mesh in library) < 1100, "loading a scene takes time by the triangle"
     assert np.mean([len(mesh.faces) for mesh in library]) < 600
     assert mesh_library() is library
+
+
+def test_a_stretched_mesh_has_the_normals_of_its_surface() -> None:
+    ball = body_library()[0]
+    turn = random_rotation(np.random.default_rng(2))
+    size = np.array([0.01, 0.03, 0.02])
+    thing = placed(ball, Material(np.ones((2, 2, 3), np.float32)), (0.1, 0.2, 0.3), size, turn)
+    own = (thing.vertices_m - (0.1, 0.2, 0.3)) @ turn / size
+    np.testing.assert_allclose(own, ball.vertices, atol=1e-12)
+    # The gradient of (x / a)^2 + (y / b)^2 + (z / c)^2.
+    gradient = own / size @ turn.T
+    gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
+    # Normals of the coarse ball itself lean by up to 4 degrees where its triangles are uneven, near the poles.
+    assert np.einsum("vi,vi->v", gradient, thing.normals).min() > np.cos(np.radians(12))
+    flat = face_cross(thing.vertices_m, thing.faces)
+    assert np.einsum("fi,fi->f", flat, thing.normals[thing.faces].mean(axis=1)).min() > 0

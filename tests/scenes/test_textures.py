@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scenes.palettes import draw_ramp, draw_theme
-from scenes.patterns import PATTERNS
-from scenes.textures import draw_reflectance, pattern_pool, tiled
+from scenes.textures import PATTERNS, draw_ramp, draw_reflectance, draw_theme, pattern_pool, tiled
 
 
 @pytest.mark.parametrize("pattern", PATTERNS, ids=lambda pattern: pattern.__name__)

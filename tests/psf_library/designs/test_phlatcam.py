@@ -67,6 +67,7 @@ def _pixels_of(target):
     return padded.reshape(len(padded) // 2, 2, len(padded) // 2, 2).mean((1, 3))
 
 
+@pytest.mark.slow
 def test_phlatcam_casts_its_contours_at_its_distance(small, psf_at_infinity):
     """Through the whole chain, quantised heights and frames included; turned or elsewhere the likeness is gone."""
     target = _pixels_of(contours(400, 120, 6, 1))
@@ -179,6 +180,7 @@ def test_tolerances_reach_the_mask(small):
     assert round_.height_m.std() < 0.95 * small.height_m.std()
 
 
+@pytest.mark.slow
 def test_rounded_edges_blur_the_contours(small, psf_at_infinity):
     """The price of rounding: less light in the lines, more in the zeroth order and around."""
     target = _pixels_of(contours(400, 120, 6, 1))

@@ -45,6 +45,7 @@ def test_the_doughnut_is_a_hankel_transform():
     np.testing.assert_allclose(light / light.max(), expected / expected.max(), atol=0.03)
 
 
+@pytest.mark.slow
 def test_the_default_ring_is_where_its_hankel_transform_is_brightest(psf_at_infinity):
     """To one pixel of 2.4 um; it lies outside the caustic charge lambda f / (pi width) by about a quarter."""
     psf = psf_at_infinity(vortex(), F, 2.4e-6)

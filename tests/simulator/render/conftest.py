@@ -25,16 +25,16 @@ Pictures = Mapping[str, NDArray[Any]]
 
 
 @pytest.fixture(scope="session")
-def render_cases(
+def rendered(
     tmp_path_factory: pytest.TempPathFactory, python: Callable[..., subprocess.CompletedProcess[str]]
-) -> Callable[[str, int], Pictures]:
-    """The arrays of worker.py for a variant and a number of threads, rendered once per session."""
-    folder = tmp_path_factory.mktemp("render")
+) -> Callable[..., Pictures]:
+    """The function from a script beside the tests and its arguments to the arrays that it stores, once per session."""
+    folder = tmp_path_factory.mktemp("rendered")
 
     @functools.cache
-    def render(variant: str, threads: int) -> Pictures:
-        out = folder / f"{variant}_{threads}.npz"
-        done = python(str(Path(__file__).with_name("worker.py")), variant, str(threads), str(out))
+    def render(script: str, *arguments: str) -> Pictures:
+        out = folder / f"{'_'.join((script, *arguments))}.npz"
+        done = python(str(Path(__file__).with_name(script)), *arguments, str(out))
         assert done.returncode == 0, done.stderr
         with np.load(out, allow_pickle=False) as arrays:
             return dict(arrays)
@@ -43,11 +43,11 @@ def render_cases(
 
 
 @pytest.fixture(params=VARIANTS)
-def pictures(request: pytest.FixtureRequest, render_cases: Callable[[str, int], Pictures]) -> Pictures:
-    """The rendered cases, once for each variant."""
+def pictures(request: pytest.FixtureRequest, rendered: Callable[..., Pictures]) -> Pictures:
+    """The arrays of worker.py, once for each variant."""
     if request.param == "llvm_ad_rgb":
         request.getfixturevalue("needs_llvm")
-    return render_cases(request.param, 1)
+    return rendered("worker.py", request.param, "1")
 
 
 def _load(name: str) -> Any:

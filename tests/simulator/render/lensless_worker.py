@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from geometry_cases import sheet
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -53,14 +54,7 @@ def patch(edges: tuple[float, float, float, float], corner_depths_m: Any, materi
     left, top, right, bottom = edges
     tangents = np.array([(left, top), (right, top), (right, bottom), (left, bottom)]) * 19.2e-6 / 1.9e-3
     corners = np.column_stack([tangents, np.ones(4)]) * np.broadcast_to(corner_depths_m, 4)[:, np.newaxis]
-    normal = np.cross(corners[3] - corners[0], corners[1] - corners[0])
-    return TriangleMesh(
-        corners,
-        np.tile(normal / np.linalg.norm(normal), (4, 1)),
-        np.array([(0.0, 0), (1, 0), (1, 1), (0, 1)]),
-        np.array([(0, 2, 1), (0, 3, 2)]),
-        material,
-    )
+    return sheet(corners, material)
 
 
 def lit(*shapes: TriangleMesh) -> Scene:

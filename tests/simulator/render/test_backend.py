@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import platform
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,7 +12,6 @@ import pytest
 from simulator.errors import InputError
 from simulator.render import choose_backend
 from simulator.render.backend import _judge  # pyright: ignore[reportPrivateUsage]
-from simulator.render.llvm_advice import how_to_get_llvm
 
 Python = Callable[..., subprocess.CompletedProcess[str]]
 NO_LLVM = {"DRJIT_LIBLLVM_PATH": "/nonexistent/libLLVM.so"}
@@ -52,31 +49,6 @@ def test_without_llvm_auto_falls_back_and_says_what_to_do(monkeypatch: pytest.Mo
         InputError, match=r"render\.backend: llvm was asked for but no usable libLLVM was found\. .*auto"
     ):
         choose_backend("llvm")
-
-
-@pytest.mark.parametrize(
-    ("release", "command"),
-    [
-        ({"ID": "debian", "VERSION_ID": "12"}, "sudo apt install libllvm15"),
-        ({"ID": "debian", "VERSION_ID": "13"}, "sudo apt install libllvm19"),
-        ({"ID": "ubuntu", "ID_LIKE": "debian", "VERSION_ID": "22.04"}, "sudo apt install libllvm15"),
-        ({"ID": "rocky", "ID_LIKE": "rhel centos fedora"}, "sudo dnf install llvm-libs"),
-        ({"ID": "arch"}, "sudo pacman -S llvm-libs"),
-        ({"ID": "opensuse-leap", "ID_LIKE": "suse opensuse"}, "sudo zypper install libLLVM19"),
-    ],
-)
-def test_advice_names_the_package_of_this_system(
-    monkeypatch: pytest.MonkeyPatch, release: dict[str, str], command: str
-) -> None:
-    monkeypatch.setattr(sys, "platform", "linux")
-    monkeypatch.setattr(platform, "freedesktop_os_release", lambda: release)
-    assert f"`{command}`" in how_to_get_llvm(None)
-
-
-@pytest.mark.parametrize(("system", "word"), [("darwin", "brew install llvm"), ("win32", "LLVM-C.dll")])
-def test_advice_elsewhere(monkeypatch: pytest.MonkeyPatch, system: str, word: str) -> None:
-    monkeypatch.setattr(sys, "platform", system)
-    assert word in how_to_get_llvm(None)
 
 
 @pytest.mark.parametrize(

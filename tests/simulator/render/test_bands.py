@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import functools
-import subprocess
 from collections.abc import Callable, Mapping
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import colour
@@ -26,34 +23,17 @@ PAINT = np.array([0.8, 0.3, 0.1])
 NOISE = 0.01
 
 
-@pytest.fixture(scope="module")
-def render_bands(
-    tmp_path_factory: pytest.TempPathFactory, python: Callable[..., subprocess.CompletedProcess[str]]
-) -> Callable[[str], Pictures]:
-    folder = tmp_path_factory.mktemp("bands")
-
-    @functools.cache
-    def render(variant: str) -> Pictures:
-        out = folder / f"{variant}.npz"
-        done = python(str(Path(__file__).with_name("bands_worker.py")), variant, str(out))
-        assert done.returncode == 0, done.stderr
-        with np.load(out, allow_pickle=False) as arrays:
-            return dict(arrays)
-
-    return render
-
-
 # The LLVM one compiles a dozen kernels of its own.
 @pytest.fixture(scope="module", params=["scalar_spectral", pytest.param("llvm_ad_spectral", marks=pytest.mark.slow)])
-def spectral(request: pytest.FixtureRequest, render_bands: Callable[[str], Pictures]) -> Pictures:
+def spectral(request: pytest.FixtureRequest, rendered: Callable[..., Pictures]) -> Pictures:
     if request.param.startswith("llvm"):
         request.getfixturevalue("needs_llvm")
-    return render_bands(request.param)
+    return rendered("bands_worker.py", request.param)
 
 
 @pytest.fixture(scope="module")
-def in_rgb(render_bands: Callable[[str], Pictures]) -> Pictures:
-    return render_bands("scalar_rgb")
+def in_rgb(rendered: Callable[..., Pictures]) -> Pictures:
+    return rendered("bands_worker.py", "scalar_rgb")
 
 
 def d65(wavelengths_nm: NDArray[Any]) -> NDArray[Any]:

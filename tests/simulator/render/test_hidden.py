@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import importlib
-import subprocess
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scenes.surfaces import grid_faces
+from scenes.meshes import grid_faces
 from simulator.render import Environment, Material, Renderer, Scene, TriangleMesh
 from simulator.render.hidden import is_open
-from simulator.render.mesh import cuboid
+from simulator.render.mitsuba_scene import cuboid
 from simulator.types import View
 
 Pictures = Mapping[str, NDArray[Any]]
@@ -118,24 +116,6 @@ def test_which_shapes_are_open(geometry: Any) -> None:
 
 
 @pytest.fixture(scope="session")
-def light_of(
-    tmp_path_factory: pytest.TempPathFactory, python: Callable[..., subprocess.CompletedProcess[str]]
-) -> Callable[[str], Pictures]:
-    """The arrays of hidden_worker.py for a variant, rendered once per session."""
-    folder = tmp_path_factory.mktemp("hidden")
-
-    @functools.cache
-    def render(variant: str) -> Pictures:
-        out = folder / f"{variant}.npz"
-        done = python(str(Path(__file__).with_name("hidden_worker.py")), variant, str(out))
-        assert done.returncode == 0, done.stderr
-        with np.load(out, allow_pickle=False) as arrays:
-            return dict(arrays)
-
-    return render
-
-
-@pytest.fixture(scope="session")
 def hidden_cases() -> Any:
     """The module hidden_worker.py: the scenes that it renders."""
     with pytest.MonkeyPatch.context() as patch:
@@ -144,11 +124,11 @@ def hidden_cases() -> Any:
 
 
 @pytest.fixture(params=["scalar_rgb", "llvm_ad_rgb"])
-def light(request: pytest.FixtureRequest, light_of: Callable[[str], Pictures]) -> Pictures:
-    """The same, once for each variant."""
+def light(request: pytest.FixtureRequest, rendered: Callable[..., Pictures]) -> Pictures:
+    """The arrays of hidden_worker.py, once for each variant."""
     if request.param == "llvm_ad_rgb":
         request.getfixturevalue("needs_llvm")
-    return light_of(request.param)
+    return rendered("hidden_worker.py", request.param)
 
 
 @pytest.mark.parametrize("layer", [1, 2])

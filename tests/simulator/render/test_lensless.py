@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,30 +23,13 @@ AMPLITUDE = np.where(RNG.random((5, 8)) < 0.5, 0.7, 0.0) + 0.3 * (RNG.random((5,
 
 
 @pytest.fixture(scope="module")
-def work(
-    needs_llvm: None, python: Callable[..., subprocess.CompletedProcess[str]], tmp_path_factory: pytest.TempPathFactory
-) -> Callable[[str], Arrays]:
-    """Return the function that gives the cases of lensless_worker.py, ``quick`` or ``slow``."""
-    folder = tmp_path_factory.mktemp("lensless")
-
-    def run(effort: str) -> Arrays:
-        out = folder / f"{effort}.npz"
-        done = python(str(Path(__file__).with_name("lensless_worker.py")), effort, str(out))
-        assert done.returncode == 0, done.stderr
-        with np.load(out, allow_pickle=False) as arrays:
-            return dict(arrays)
-
-    return run
+def quick(needs_llvm: None, rendered: Callable[..., Arrays]) -> Arrays:
+    return rendered("lensless_worker.py", "quick")
 
 
 @pytest.fixture(scope="module")
-def quick(work: Callable[[str], Arrays]) -> Arrays:
-    return work("quick")
-
-
-@pytest.fixture(scope="module")
-def slow(work: Callable[[str], Arrays]) -> Arrays:
-    return work("slow")
+def slow(needs_llvm: None, rendered: Callable[..., Arrays]) -> Arrays:
+    return rendered("lensless_worker.py", "slow")
 
 
 @dataclass(frozen=True)

@@ -10,61 +10,37 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import geometry_cases
 import numpy as np
+from geometry_cases import EYE, UNIFORM, VIEW, plain, sheet
+from geometry_cases import arrays as geometry_arrays
 from numpy.typing import NDArray
 
 from scenes.flying_things import draw_scene, flying_things
-from simulator.render import (
-    Box,
-    Environment,
-    Material,
-    Renderer,
-    Scene,
-    Sphere,
-    SphereLight,
-    TriangleMesh,
-    activate,
-)
+from simulator.render import Box, Material, Renderer, Scene, Sphere, SphereLight, TriangleMesh, activate
 from simulator.types import Clip, View
 
-VIEW = View((48, 64), 19.2e-6, 1.9e-3, 0.036, 0.2)
 SMALL = View((20, 26), 80e-6, 1.9e-3, 0.036, 0.2)
 # x = 3.25 pixels right of the image's centre, y = 5.375 pixels above it: inside pixels 35 (of 64) and 18 (of 48).
 EDGE_X, EDGE_Y = 3.25, -5.375
-EYE = np.eye(3)
-UNIFORM = Environment(np.array([1.0, 1.0, 1.0]))
 SEEDS = 16
 
 
 def grey(value: float) -> Material:
-    return Material(np.full((2, 2, 3), value, dtype=np.float32))
-
-
-def quad(corners_m: NDArray[np.float64], material: Material) -> TriangleMesh:
-    """A plane through four corners, clockwise from the upper left as the camera sees them."""
-    normal = np.cross(corners_m[3] - corners_m[0], corners_m[1] - corners_m[0])
-    return TriangleMesh(
-        corners_m,
-        np.tile(normal / np.linalg.norm(normal), (4, 1)),
-        np.array([(0.0, 0), (1, 0), (1, 1), (0, 1)]),
-        np.array([(0, 2, 1), (0, 3, 2)]),
-        material,
-    )
+    return plain(value, value, value)
 
 
 def wall(left: float, top: float, right: float, bottom: float, z_m: float, material: Material) -> TriangleMesh:
     """A plane at depth z, its edges in pixels from the image's centre."""
     corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
     across = corners * VIEW.pixel_pitch_m / VIEW.distance_m * z_m
-    return quad(np.column_stack([across, np.full(4, z_m)]), material)
+    return sheet(np.column_stack([across, np.full(4, z_m)]), material)
 
 
 def slanted(half_tangent: float, material: Material) -> TriangleMesh:
     """The plane 1/z = 8 + 2 x/z - 3 y/z (metres) seen under tangents up to ``half_tangent``."""
     tangents = half_tangent * np.array([(-1.0, -1), (1, -1), (1, 1), (-1, 1)])
     disparity = 8 + tangents @ (2, -3)
-    return quad(np.column_stack([tangents, np.ones(4)]) / disparity[:, np.newaxis], material)
+    return sheet(np.column_stack([tangents, np.ones(4)]) / disparity[:, np.newaxis], material)
 
 
 def cases() -> dict[str, Scene]:
@@ -99,7 +75,7 @@ def run(variant: str, threads: int) -> dict[str, NDArray[Any]]:
     scene = draw_scene(SMALL, 12, np.random.default_rng(5))
     noisy = [renderer.still(scene, SMALL, samples_per_pixel=16, seed=s, source={}) for s in range(SEEDS)]
     arrays["noisy"] = np.stack([clip.rgb[0] for clip in noisy])
-    return arrays | geometry_cases.arrays(partial(Renderer, variant))
+    return arrays | geometry_arrays(partial(Renderer, variant))
 
 
 if __name__ == "__main__":

@@ -1,1 +1,0 @@
-"""Hands that act over a table: skeleton and skin, props, the ten actions, the table and its light."""

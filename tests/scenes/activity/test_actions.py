@@ -1,0 +1,308 @@
+"""What the ten actions do, measured on the course of the hand and the thing, without rendering."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from scenes.activity import draw_parameters
+from scenes.activity.actions import ACTIONS, GRAINS, Cast, Course, course
+from scenes.activity.hand import PAD_M, HandLook, pose_bones
+from scenes.activity.holds import GRAVITY_M_S2, HandState, Pose, bounce_height, keyed, minimum_jerk
+from scenes.activity.things import KINDS, draw_thing, grains_mesh
+from simulator.render import Material
+from simulator.types import View
+
+VIEW = View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2)
+SEEDS = range(3)
+LOOK = HandLook(Material(np.full((4, 4, 3), 0.5, np.float32)))
+
+
+def acted(action: str, seed: int) -> tuple[Cast, Course, np.ndarray]:
+    cast = draw_parameters(action, VIEW, np.random.default_rng(seed)).cast
+    return cast, course(action, cast), np.linspace(0, cast.duration_s, 61)
+
+
+def feet(at: Course, times: np.ndarray, half: int = 0) -> np.ndarray:
+    return np.array([at(time).halves[half].place_m for time in times])
+
+
+def tilt_deg(pose: Pose) -> float:
+    return math.degrees(math.acos(float(np.clip(pose.turn[1, 1], -1, 1))))
+
+
+def lowest(cast: Cast, at: Course, time_s: float) -> float:
+    """Height above the table of the thing's lowest point, metres."""
+    moment = at(time_s)
+    halves = zip(cast.thing.halves, moment.halves, strict=True)
+    return -max(float((mesh.vertices @ pose.turn.T + pose.place_m)[:, 1].max()) for mesh, pose in halves)
+
+
+def pads_m(cast: Cast, state: HandState) -> tuple[np.ndarray, np.ndarray]:
+    bones = pose_bones(state.angles_rad)
+    fingers = np.mean([bones.pad_m(finger) for finger in (1, 2, 3)], axis=0)
+    thumb, fingers = (state.wrist_m + cast.main.size * state.frame @ pad for pad in (bones.pad_m(0), fingers))
+    return thumb, fingers
+
+
+@pytest.mark.parametrize("action", ACTIONS)
+def test_nothing_goes_into_the_table_or_jumps(action: str) -> None:
+    for seed in SEEDS:
+        cast, at, times = acted(action, seed)
+        assert min(lowest(cast, at, time) for time in times) > -1e-9, "a thing stands on the table, not in it"
+        mesh = at(times[30]).hand.mesh(LOOK)
+        assert mesh.vertices_m[:, 1].max() < 0
+        # 28 ms between moments: falling things reach 2 m/s, hands 2 m/s (a fast reach of 0.3 m in 0.4 s).
+        for half in (0, 1):
+            assert np.linalg.norm(np.diff(feet(at, times, half), axis=0), axis=1).max() < 0.06
+        wrists = np.array([at(time).hand.wrist_m for time in times])
+        assert np.linalg.norm(np.diff(wrists, axis=0), axis=1).max() < 0.06
+
+
+@pytest.mark.parametrize("action", ["picking_up", "putting_down", "poking"])
+def test_the_hand_does_not_jump_when_it_closes_or_touches(action: str) -> None:
+    """In steps of 1 ms the speed changes steadily: a jump of x would show as a second difference of x.
+
+    A reach of 0.3 m in 0.4 s accelerates by at most 5.8 D / T^2 = 11 m/s^2 (minimum jerk) and the wrist by as much again
+    as the fingers open, which is 2.2e-5 m per step squared; the tremor adds 1.8 mm * 0.25 * (2 pi 9.2 Hz)^2 = 1.5 m/s^2.
+    """
+    for seed in SEEDS:
+        cast, at, _ = acted(action, seed)
+        wrists = np.array([at(time).hand.wrist_m for time in np.arange(0, cast.duration_s, 1e-3)])
+        assert np.abs(np.diff(wrists, 2, axis=0)).max() < 2.5e-5
+
+
+def test_grains_are_poured_early_and_on_the_viewers_side_of_the_hand() -> None:
+    for seed in range(6):
+        cast, at, times = acted("pouring", seed)
+        first = next(time for time in times if at(time).grains_m is not None)
+        assert 0.25 < first / cast.duration_s < 0.5
+        moment = at(times[-1])
+        assert moment.grains_m is not None
+        thumb, fingers = pads_m(cast, moment.hand)
+        grains = np.nanmean(moment.grains_m, axis=0)
+        assert (grains - (thumb + fingers) / 2)[2] < 0, "nearer than the grip"
+
+
+@pytest.mark.parametrize(("action", "sign"), [("moving_right_to_left", -1), ("moving_left_to_right", 1)])
+def test_moving_crosses_the_picture_in_its_direction(action: str, sign: int) -> None:
+    for seed in SEEDS:
+        drawn = draw_parameters(action, VIEW, np.random.default_rng(seed))
+        at, times = course(action, drawn.cast), np.linspace(0, drawn.cast.duration_s, 41)
+        seen = drawn.viewpoint.to_world(feet(at, times))
+        across = sign * seen[:, 0] / seen[:, 2] / VIEW.tan_half_width
+        assert across[-1] - across[0] > 0.4, "a fifth of the picture's width at least"
+        assert np.diff(across).min() > -0.01, "in one go"
+        assert -feet(at, times)[:, 1].max() == pytest.approx(0, abs=1e-9)
+
+
+def test_dropped_things_fall_freely_and_come_to_rest() -> None:
+    for seed in range(3):
+        cast, at, _ = acted("dropping", seed)
+        times = np.arange(0, cast.duration_s, 4e-3)
+        heights = -feet(at, times)[:, 1]
+        start = int(np.argmax(heights < heights[0] - 0.02))
+        falling = heights[start : start + 14]
+        acceleration = np.polyfit(times[start : start + 14], falling, 2)[0] * 2
+        assert acceleration == pytest.approx(-GRAVITY_M_S2, rel=1e-6)
+        assert heights[: start - 20].min() > 0.05, "held before"
+        assert np.all(heights[-10:] == 0), "at rest on the table"
+        thumb, fingers = pads_m(cast, at(times[-1]).hand)
+        assert np.linalg.norm(fingers - thumb) > cast.width_m + 0.01, "the hand is open"
+
+
+def test_bounces_lose_height() -> None:
+    times = np.linspace(0, 2, 4001)
+    heights = np.array([bounce_height(0.1, time, 0.4) for time in times])
+    fall = math.sqrt(0.2 / GRAVITY_M_S2)
+    assert heights[0] == 0.1
+    assert heights[times > fall].max() == pytest.approx(0.1 * 0.4**2, rel=1e-3)
+    assert heights.min() >= -1e-12
+    assert heights[-1] == 0
+
+
+def test_picking_up_starts_on_the_table_and_ends_aloft_in_the_hand() -> None:
+    for seed in SEEDS:
+        cast, at, times = acted("picking_up", seed)
+        heights = -feet(at, times)[:, 1]
+        assert np.all(heights[:20] == 0)
+        assert heights[-1] > 0.04
+        assert_gripped(cast, at, times[-1])
+        assert np.linalg.norm(at(times[0]).hand.wrist_m - at(times[-1]).hand.wrist_m) > 0.1
+
+
+def test_putting_down_ends_at_rest_on_the_table() -> None:
+    for seed in SEEDS:
+        cast, at, times = acted("putting_down", seed)
+        heights = -feet(at, times)[:, 1]
+        assert heights[0] > 0.04
+        assert_gripped(cast, at, times[0])
+        assert np.all(heights[-20:] == 0)
+        assert np.ptp(feet(at, times[-20:]), axis=0).max() == 0
+        assert np.linalg.norm(at(times[-1]).hand.wrist_m - at(times[30]).hand.wrist_m) > 0.08, "the hand leaves"
+
+
+def assert_gripped(cast: Cast, at: Course, time_s: float) -> None:
+    """The thing's axis runs between thumb and fingers, which are its width apart."""
+    moment = at(time_s)
+    thumb, fingers = pads_m(cast, moment.hand)
+    pose = moment.halves[0]
+    on_axis = pose.place_m - pose.turn @ (0, cast.grip_height_m, 0)
+    # Grips are tabulated: half a millimetre.
+    np.testing.assert_allclose((thumb + fingers) / 2, on_axis, atol=5e-4)
+    assert np.linalg.norm(fingers - thumb) == pytest.approx(cast.width_m, abs=1e-3)
+
+
+@pytest.mark.parametrize("action", ["holding", "showing", "pouring", "moving_left_to_right"])
+def test_held_things_stay_in_the_grip(action: str) -> None:
+    for seed in SEEDS:
+        cast, at, times = acted(action, seed)
+        for time in times[::10]:
+            assert_gripped(cast, at, time)
+
+
+def test_a_poke_touches_then_pushes_a_little() -> None:
+    for seed in SEEDS:
+        cast, at, times = acted("poking", seed)
+        along = (feet(at, times) - feet(at, times)[0]) @ cast.main.forwards
+        assert 0.007 < along[-1] < 0.026
+        assert np.diff(along).min() >= 0
+        bones = pose_bones(at(times[0]).hand.angles_rad)
+        gaps = []
+        for time in times:
+            moment = at(time)
+            tip = moment.hand.wrist_m + cast.main.size * moment.hand.frame @ bones.tip_m(1)
+            gaps.append(float((moment.halves[0].place_m - tip) @ cast.main.forwards))
+        height = -(at(times[0]).hand.wrist_m[1])
+        assert height > 0
+        # From the fingertip's end to the thing's axis: half its depth and the fingertip's radius, at contact.
+        surface = (
+            cast.thing.depth_m
+            / 2
+            * np.array([cast.thing.share_at(h) for h in (0.5, 0.75) @ np.eye(2) * cast.thing.height_m])
+        )
+        nearest = min(gaps)
+        assert surface.min() - 0.002 < nearest < surface.max() + PAD_M[1] * cast.main.size + 0.002
+        moving = np.flatnonzero(np.diff(along) > 1e-4)
+        assert np.array(gaps)[moving + 1].max() < nearest + 0.002, "pushed only while it is touched"
+        assert gaps[0] > nearest + 0.1
+        assert gaps[-1] > nearest + 0.05
+
+
+def test_holding_is_almost_still() -> None:
+    for seed in SEEDS:
+        _, at, times = acted("holding", seed)
+        places = feet(at, times)
+        assert 1e-4 < np.ptp(places, axis=0).max() < 0.025
+        assert tilt_deg(at(times[30]).halves[0]) < 1e-3
+
+
+def test_showing_brings_the_thing_to_the_viewer_and_turns_it() -> None:
+    for seed in SEEDS:
+        cast, at, times = acted("showing", seed)
+        towards = feet(at, times) @ cast.to_viewer
+        assert towards[30:45].mean() - towards[0] > 0.01
+        poses = [at(time).halves[0] for time in times]
+        yaws = [math.degrees(math.acos(np.clip((np.trace(p.turn @ poses[0].turn.T) - 1) / 2, -1, 1))) for p in poses]
+        assert max(yaws) > 24
+
+
+def test_tearing_parts_the_halves_between_two_hands() -> None:
+    for seed in SEEDS:
+        cast, at, times = acted("tearing", seed)
+        apart = feet(at, times, 1) - feet(at, times, 0)
+        assert np.abs(apart[:16]).max() < 1e-9, "whole at first"
+        ends = [at(times[-1]).halves[half] for half in (0, 1)]
+        middles = [
+            mesh.vertices.mean(axis=0) @ pose.turn.T + pose.place_m
+            for mesh, pose in zip(cast.thing.halves, ends, strict=True)
+        ]
+        assert middles[1][0] - middles[0][0] > 0.09, "the right half goes to the right"
+        last = at(times[-1])
+        assert last.second is not None
+        hands = sorted([last.hand.wrist_m[0], last.second.wrist_m[0]])
+        assert hands[0] < middles[0][0] < middles[1][0] < hands[1]
+
+
+@pytest.mark.parametrize("action", [action for action in ACTIONS if action != "tearing"])
+def test_only_tearing_parts_the_halves(action: str) -> None:
+    _, at, times = acted(action, 0)
+    np.testing.assert_array_equal(feet(at, times, 0), feet(at, times, 1))
+    assert (at(times[-1]).grains_m is not None) == (action == "pouring")
+
+
+def test_pouring_tips_the_thing_over_and_grains_fall_on_the_table() -> None:
+    for seed in range(3):
+        cast, at, times = acted("pouring", seed)
+        assert tilt_deg(at(0.0).halves[0]) < 1e-3
+        assert max(tilt_deg(at(time).halves[0]) for time in times) > 100
+        assert at(0.0).grains_m is None
+        fine = np.arange(0, cast.duration_s, 0.01)
+        tracks = [at(time).grains_m for time in fine]
+        heights = np.array([np.full(GRAINS, np.nan) if track is None else -track[:, 1] for track in tracks])
+        assert np.nanmin(heights) > cast.grain_m - 1e-9, "grains lie on the table"
+        assert np.isfinite(heights[-1]).mean() > 0.9
+        assert np.mean(heights[-1] < cast.grain_m + 1e-9) > 0.5
+        falling = np.diff(heights, 2, axis=0) / 1e-4
+        free = np.isfinite(falling) & (heights[2:] > cast.grain_m + 0.01)
+        np.testing.assert_allclose(falling[free], -GRAVITY_M_S2, rtol=1e-4)
+
+
+def test_courses_rest_at_their_keys() -> None:
+    times = np.linspace(0, 3, 3001)
+    values = np.array([float(keyed(time, [0.5, 1.5, 2.5], [0.0, 1.0, 0.25])) for time in times])
+    assert values[0] == 0
+    assert values[-1] == 0.25
+    assert values[1500] == pytest.approx(1.0)
+    # A minimum-jerk movement's top speed is 15/8 of the mean (Flash and Hogan, 1985).
+    assert np.abs(np.gradient(values, times)).max() == pytest.approx(15 / 8, rel=1e-4)
+
+
+def test_things_are_two_closed_fitting_shells_that_stand_on_the_table() -> None:
+    rng = np.random.default_rng(0)
+    things = [draw_thing(rng) for _ in range(40)]
+    assert {thing.kind for thing in things} == set(KINDS)
+    for thing in things:
+        left, right = (half.vertices for half in thing.halves)
+        together = np.concatenate([left, right])
+        np.testing.assert_allclose(together[:, 1].max(), 0, atol=1e-12)
+        assert together[:, 1].min() == pytest.approx(-thing.height_m)
+        # Dented things differ by their lumps, which are at most 7 % of the width.
+        assert np.ptp(together[:, 0]) == pytest.approx(thing.width_m, rel=0.08)
+        assert left[:, 0].mean() < 0 < right[:, 0].mean()
+        # The first and last columns of a half are the other's last and first: one seam.
+        rows = len(KINDS[thing.kind].profile)
+        a, b = (half.reshape(rows, -1, 3) for half in (left, right))
+        np.testing.assert_allclose(a[:, 0], b[:, -1], atol=1e-9)
+        np.testing.assert_allclose(a[:, -1], b[:, 0], atol=1e-9)
+        assert np.ptp(a[1:-1, 0, 0]) > 0.001, "jagged"
+        for half in thing.halves:
+            assert np.isfinite(half.normals).all()
+            outward = np.einsum("vi,vi->v", half.normals, half.vertices - (0, -thing.height_m / 2, 0))
+            assert np.mean(outward > 0) > (0.55 if thing.kind == "cup" else 0.7)
+
+
+def test_grains_are_as_large_and_where_they_are_asked_to_be() -> None:
+    centres, radii = np.random.default_rng(0).standard_normal((5, 3)), np.arange(1.0, 6)
+    mesh = grains_mesh(centres, radii)
+    pieces = mesh.vertices.reshape(5, 6, 3)
+    np.testing.assert_allclose(pieces.mean(axis=1), centres)
+    np.testing.assert_allclose(
+        np.linalg.norm(pieces - centres[:, np.newaxis], axis=2), radii[:, np.newaxis] * np.ones(6)
+    )
+    a, b, c = (mesh.vertices[mesh.faces[:, side]] for side in range(3))
+    piece = mesh.faces[:, 0] // 6
+    assert np.all(np.einsum("fi,fi->f", np.cross(b - a, c - a), a - centres[piece]) > 0), "seen from outside"
+
+
+def test_a_reach_starts_and_ends_at_rest_with_the_least_jerk() -> None:
+    share = np.linspace(0, 1, 2001)
+    way = minimum_jerk(share)
+    speed = np.gradient(way, share)
+    assert (way[0], way[-1]) == (0, 1)
+    assert speed.max() == pytest.approx(1.875, abs=1e-4), "Flash and Hogan: the peak is 1.875 times the mean speed"
+    np.testing.assert_allclose(speed[[0, -1]], 0, atol=1e-5)
+    np.testing.assert_allclose(way + way[::-1], 1, atol=1e-12)
+    np.testing.assert_array_equal(minimum_jerk([-0.5, 1.5]), [0, 1])
