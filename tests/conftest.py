@@ -1,6 +1,7 @@
 """Fixtures that all tests share."""
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -31,6 +32,17 @@ def run_python(*arguments: str, **environment: str) -> subprocess.CompletedProce
 def python() -> Callable[..., subprocess.CompletedProcess[str]]:
     """Run Python in a process of its own: one process renders with one Mitsuba variant."""
     return run_python
+
+
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """Let Ctrl-C interrupt this process and the children that the test starts.
+
+    A shell starts its background jobs with SIGINT ignored, children inherit that, and Python then installs no handler.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="session")

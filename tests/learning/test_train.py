@@ -25,6 +25,8 @@ from learning.training.stopping import DivergedError
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("ctrl_c")
+
 
 def lines(folder: Path, kind: str) -> list[dict[str, Any]]:
     """Return the log's numbers that do not measure time."""

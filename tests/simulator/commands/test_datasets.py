@@ -177,6 +177,7 @@ def films(view):
         result = flatlight("generate", path, "--set", "camera.mask.design=pinhole")
         one_error(result, "trial.yaml:", "camera.mask.width_mm: unknown key", "camera.mask.iterations", "diameter_um")
 
+    @pytest.mark.usefixtures("ctrl_c")
     def test_ctrl_c_says_what_is_kept(self, trial) -> None:
         path = trial.write(scene=BOXES | {"seconds": 0.2}, dataset={"train": 100})
         process = subprocess.Popen(
