@@ -12,7 +12,7 @@ from simulator.errors import InputError
 from simulator.optics.kernel import ORDERS
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA
-from simulator.optics.psf import PsfConfig, compute_psf_stack
+from simulator.optics.psf import PsfConfig, compute_psf_stack, sampled_intensity
 from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
 from simulator.optics.sampling import sampling_error
 from simulator.types import CameraGeometry, Clip, SpectralResponse, View
@@ -45,20 +45,25 @@ def _compute(mask, camera, config, **kwargs):
         return compute_psf_stack(mask, camera, config, **kwargs)
 
 
-def _direct_pixel_values(mask, wavelength_m, d, depth_m, pitch_m, pixels, oversample, nodes=7):
-    """Integrate |RS sum|^2 under spherical illumination over pixels given by (row, column) in the physical frame."""
+def _direct_intensity(mask, wavelength_m, d, depth_m, points_m, oversample=1):
+    """|RS sum|^2 under spherical illumination at points x, y of the physical sensor."""
     field = mask.transmission(wavelength_m, oversample)
     fine = mask.pitch_m / oversample
     y, x = ((np.arange(n) - (n - 1) / 2) * fine for n in field.shape)
     if np.isfinite(depth_m):
         r = np.sqrt(x[None, :] ** 2 + y[:, None] ** 2 + depth_m**2)
         field = field * depth_m / r * np.exp(2j * np.pi / wavelength_m * (r - depth_m))
+    return np.abs(rayleigh_sommerfeld(field, fine, wavelength_m, d, points_m)) ** 2
+
+
+def _direct_pixel_values(mask, wavelength_m, d, depth_m, pitch_m, pixels, oversample, nodes=7):
+    """Integrate the direct sum over pixels given by (row, column) in the physical frame."""
     nodes, weights = np.polynomial.legendre.leggauss(nodes)
     values = []
     for row, column in pixels:
         px, py = np.meshgrid((column + nodes / 2) * pitch_m, (row + nodes / 2) * pitch_m)
         points = np.stack([px.ravel(), py.ravel()], 1)
-        intensity = np.abs(rayleigh_sommerfeld(field, fine, wavelength_m, d, points)) ** 2
+        intensity = _direct_intensity(mask, wavelength_m, d, depth_m, points, oversample)
         values.append(np.sum(np.outer(weights, weights).ravel() / 4 * intensity))
     return np.array(values)
 
@@ -79,6 +84,16 @@ def test_psf_of_a_smooth_mask_equals_the_direct_sum(depth_m):
     truth = _direct_pixel_values(mask, 532e-9, d, depth_m, pitch, pixels, 1)
     stored = stack.values[0, 0][middle - pixels[:, 0], middle - pixels[:, 1]]  # turned by 180 degrees
     assert np.linalg.norm(stored - truth) / np.linalg.norm(truth) < 3e-3
+
+
+@pytest.mark.parametrize("depth_m", [2e-3, np.inf])
+def test_sampled_points_of_a_smooth_mask_equal_the_direct_sum(depth_m):
+    """In absolute units at a magnification of 1.25; paraxial in the source's angle: (a / z)^2 = 2e-3."""
+    mask, d = _smooth_mask(), 0.5e-3
+    config, rng = PsfConfig((depth_m,), wavelengths_per_channel=1), np.random.default_rng(1)
+    points, found = sampled_intensity(mask, CameraGeometry(d, 6e-6, GREEN), config, 532e-9, depth_m, 12, rng)
+    truth = _direct_intensity(mask, 532e-9, d, depth_m, points)
+    assert np.linalg.norm(found - truth) / np.linalg.norm(truth) < 0.02
 
 
 @pytest.mark.parametrize("depth_m", [0.02, np.inf])

@@ -92,6 +92,13 @@ def test_physical_noise_clips_at_full_well_and_quantises():
     np.testing.assert_array_equal(dim, np.round(dim))
 
 
+def test_a_converter_without_black_level_has_no_numbers_below_zero():
+    sensor = _sensor(noise=PhysicalNoise(), black_level_dn=0, dark_current_e_per_s=0.0, read_noise_e=20.0)
+    numbers = sensor.expose(np.zeros((3, *SHAPE), np.float32), np.random.default_rng(0))
+    assert numbers.min() == 0
+    assert np.mean(numbers == 0) > 0.45  # read noise without light: half the pixels lie below zero
+
+
 def test_fixed_pattern_is_the_same_in_every_picture_and_has_the_asked_strength():
     sensor = _sensor(noise=PhysicalNoise(), prnu=0.02, row_noise_e=0.0)
     flat = np.full((3, *SHAPE), 0.5, np.float32)

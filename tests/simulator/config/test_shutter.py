@@ -91,9 +91,14 @@ def test_every_kind_becomes_its_shutter_in_seconds(write: Callable[..., Path], y
 
 @pytest.mark.parametrize(
     ("head", "unit"),
-    [("", 1), ("open_s,close_s\n", 1), ("# measured\nOpen_ms, close_ms\n", 1e3), ("open_us,close_us\n\n", 1e6)],
+    [
+        ("", (1, 1)),
+        ("open_s,close_s\n", (1, 1)),
+        ("# measured\nOpen_ms, close_ms\n", (1e3, 1e3)),
+        ("open_us,close_ms\n\n", (1e6, 1e3)),
+    ],
 )
-def test_windows_from_a_table(write: Callable[..., Path], tmp_path: Path, head: str, unit: float) -> None:
+def test_windows_from_a_table(write: Callable[..., Path], tmp_path: Path, head: str, unit: tuple[float, float]) -> None:
     (tmp_path / "rows.csv").write_text(_csv(_table() * unit, head), encoding="utf-8")
     shutter = build_shutter(load_config(write(SHUTTER, "shutter: {type: windows, file: rows.csv}")))
     assert isinstance(shutter, RowShutter)

@@ -35,6 +35,18 @@ def test_transmission_is_the_thin_elements(dtype, complex_type, tolerance):
     np.testing.assert_allclose(field, amplitude * np.exp(1j * exact), atol=tolerance)
 
 
+@pytest.mark.parametrize("degrees", [0, 15, 40, 70])
+def test_oblique_light_takes_the_path_that_snell_says(degrees):
+    """Between two parallel fronts: h n / cos(inside) along the bent ray, less the air it spares and the step aside."""
+    index, sine = 1.5103, np.sin(np.radians(degrees))  # the resist's at 532 nm
+    outside, inside = np.radians(degrees), np.arcsin(sine / index)
+    height = np.linspace(0, 2e-6, 12).reshape(3, 4)
+    aside = height * np.tan(inside) * sine
+    path = height * index / np.cos(inside) - aside - height * np.cos(outside)
+    field = _mask(height, material=PHLATCAM_RESIST).transmission(GREEN, sine=sine)
+    np.testing.assert_allclose(field, np.exp(2j * np.pi * path / GREEN), atol=1e-9)
+
+
 def test_a_height_of_a_whole_wave_changes_nothing():
     """The resist has n - 1 = 0.5103: 532 nm / 0.5103 is one turn, half of it flips the sign."""
     wave = GREEN / 0.5103

@@ -17,8 +17,8 @@ DEPTHS = [0.04, 0.2]
 
 
 def load(files, depths=(0.1,), **changes):
-    settings = {"frame": "stored", "background": "none", "throughput_m2": AREA, **changes}
-    return load_measured_psf(files, depths, PITCH, **settings)
+    settings = {"pixel_pitch_m": PITCH, "frame": "stored", "background": "none", "throughput_m2": AREA, **changes}
+    return load_measured_psf(files, depths, **settings)
 
 
 def save(path, image):
@@ -203,7 +203,11 @@ class TestFrame:
 class TestRecord:
     def test_fingerprint_follows_everything_that_decides_the_values(self, tmp_path, grey):
         file = save(tmp_path / "psf.tif", grey)
-        dark = save(tmp_path / "dark.tif", np.zeros_like(grey))
+        (tmp_path / "another").mkdir()
+        darks = [
+            save(folder / "dark.tif", np.full_like(grey, n))
+            for n, folder in enumerate((tmp_path, tmp_path / "another"))
+        ]
         first = load([file]).fingerprint
         assert load([save(tmp_path / "copy.tif", grey)]).fingerprint == first
         changes = [
@@ -211,8 +215,9 @@ class TestRecord:
             {"binning": 2},
             {"background": "border"},
             {"background": 1.0},
-            {"background": dark},
+            *({"background": dark} for dark in darks),
             {"throughput_m2": 2 * AREA},
+            {"pixel_pitch_m": 2 * PITCH},
             {"channels": ("r", "g", "b")},
             {"depths": (0.2,)},
         ]
