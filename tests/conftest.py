@@ -1,5 +1,6 @@
 """Fixtures that all tests share."""
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -10,6 +11,12 @@ from typing import Any
 
 import pytest
 import yaml
+
+# Before the libraries are loaded: several processes test at once, and threads that outnumber the cores only wait.
+os.environ |= {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
+# What the shell that starts the tests may have set, and what would change what commands print.
+for name in ("COLUMNS", "FORCE_COLOR", "NO_COLOR", "FLATLIGHT_TRACEBACK"):
+    os.environ.pop(name, None)
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
@@ -181,10 +188,38 @@ class Trial:
         return result.path
 
 
+@pytest.fixture(scope="session")
+def shared_tmp(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A temporary folder that all processes of this run share."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shared"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def once(shared_tmp: Path) -> Callable[[str, Callable[[Path], object]], Path]:
+    """Return a function that has a folder filled by the first process that asks for it; the others wait and read.
+
+    Its arguments are the folder's name and what makes it; nobody may write into it afterwards.
+    """
+
+    def once(name: str, make: Callable[[Path], object]) -> Path:
+        folder, done = shared_tmp / name, shared_tmp / f"{name}.done"
+        with open(shared_tmp / f"{name}.lock", "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not done.exists():
+                make(folder)
+                done.touch()
+        return folder
+
+    return once
+
+
 @pytest.fixture(scope="session", autouse=True)
-def private_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def private_cache(shared_tmp: Path) -> Iterator[Path]:
     """Keep what the tests design and compute out of the user's cache, and share it among them."""
-    folder = tmp_path_factory.mktemp("cache")
+    folder = shared_tmp / "cache"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FLATLIGHT_CACHE_DIR", str(folder))
         yield folder
