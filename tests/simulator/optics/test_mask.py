@@ -208,10 +208,10 @@ def test_senseless_masks_are_refused(height, amplitude, pitch_m, profile, words)
 
 
 def test_an_oversampling_below_one_is_refused():
-    with pytest.raises(InputError, match="oversample: got 0"):
+    with pytest.raises(InputError, match="oversample"):
         _mask(_flat()).transmission(GREEN, 0)
 
 
 def test_a_wavelength_in_nanometres_is_refused():
-    with pytest.raises(InputError, match="is the unit metres"):
+    with pytest.raises(InputError, match="wavelength_m"):
         _mask(_flat()).transmission(532.0)

@@ -28,7 +28,7 @@ def test_a_sampled_table_gives_back_its_formula(tmp_path, unit, scale):
         assert glass.index(w) == pytest.approx(N_BK7.index(w), abs=1e-14)
     errors = [abs(glass.index(w) - N_BK7.index(w)) for w in np.linspace(400e-9, 760e-9, 73)]
     assert max(errors) < 3e-6
-    with pytest.raises(InputError, match=r"'glass\.csv' is known from 3\.8e-07 to 7\.8e-07 m"):
+    with pytest.raises(InputError, match=r"'glass\.csv' .*3\.8e-07 to 7\.8e-07 m"):
         glass.index(800e-9)
 
 
@@ -79,7 +79,7 @@ def test_bad_tables_are_refused(tmp_path, text, words):
 
 def test_a_binary_file_is_refused(tmp_path):
     (tmp_path / "glass.csv").write_bytes(b"\xff\xfe\x00nm")
-    with pytest.raises(InputError, match=r"glass\.csv: not UTF-8 text \(byte 0xff\)"):
+    with pytest.raises(InputError, match=r"glass\.csv: .*UTF-8"):
         load_material("glass.csv", tmp_path)
 
 
@@ -142,5 +142,5 @@ def test_a_terahertz_page_knows_no_light(shared_data):
     page = shared_data / "refractive_index/database/data/other/resists/Nanoscribe IP-Dip/nk/Mavrona-cured.yml"
     resist = load_material(str(page))
     assert resist.index(300e-6) == pytest.approx(1.6, abs=0.05)
-    with pytest.raises(InputError, match=r"known from 0\.000199861 to 0\.000997678 m"):
+    with pytest.raises(InputError, match=r"0\.000199861 to 0\.000997678 m"):
         resist.index(532e-9)

@@ -136,10 +136,10 @@ def test_senseless_requests_are_refused(target, iterations, words):
 def test_a_grid_that_exceeds_the_memory_is_refused(target, monkeypatch):
     """Light that spreads far doubles both sides of the grid."""
     monkeypatch.setattr(memory, "machine_bytes", lambda: 10**6)
-    with pytest.raises(InputError, match=r"pixel_um: the grid of 400 x 400 samples .* or a nearer sensor"):
+    with pytest.raises(InputError, match=r"pixel_um: .*400 x 400"):
         retrieve_phase(target, PITCH, GREEN, 1.0, 1)
 
 
 def test_a_negative_tolerance_is_refused(target):
-    with pytest.raises(InputError, match=r"tolerance: got -0\.1"):
+    with pytest.raises(InputError, match="tolerance"):
         retrieve_phase(target, PITCH, GREEN, D, 2, tolerance=-0.1)

@@ -106,7 +106,7 @@ def test_no_lines_are_refused(count):
 
 
 def test_a_dark_channel_is_refused():
-    with pytest.raises(InputError, match="channel 'G' of the spectral response 'test' is zero everywhere"):
+    with pytest.raises(InputError, match=r"'G' .*'test'"):
         quantile_lines(_response([500, 510, 520], [1, 2, 1], [0, 0, 0]), 3)
 
 
