@@ -5,10 +5,13 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 import yaml
 
@@ -17,6 +20,9 @@ os.environ |= {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", 
 # What the shell that starts the tests may have set, and what would change what commands print.
 for name in ("COLUMNS", "FORCE_COLOR", "NO_COLOR", "FLATLIGHT_TRACEBACK"):
     os.environ.pop(name, None)
+
+hypothesis.settings.register_profile("flatlight", deadline=None)  # how long an example takes depends on the machine
+hypothesis.settings.load_profile("flatlight")
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
@@ -186,6 +192,34 @@ class Trial:
         result = generate(self.write(**changes), overrides)
         assert result.failed == ()
         return result.path
+
+
+def _children() -> dict[int, str]:
+    """The running children of this process with their commands, without those that Python itself keeps for the next."""
+    pids: list[str] = []
+    for listing in Path("/proc/self/task").glob("*/children"):
+        with suppress(OSError):  # a thread that has just ended
+            pids += listing.read_text().split()
+    found = {}
+    for pid in pids:
+        with suppress(OSError):  # a process that has
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+            command = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            if state != "Z" and not any(name in command for name in ("resource_tracker", "forkserver")):
+                found[int(pid)] = command
+    return found
+
+
+@pytest.fixture(autouse=True)
+def no_process_outlives_a_test() -> Iterator[None]:
+    """Fail a test that leaves a process running: it would slow the next tests down and outlive the run."""
+    before = _children()
+    yield
+    end = time.monotonic() + 10
+    while left := _children().keys() - before.keys():
+        if time.monotonic() > end:
+            pytest.fail(f"still running: {[_children().get(pid) for pid in left]}")
+        time.sleep(0.02)
 
 
 @pytest.fixture(scope="session")

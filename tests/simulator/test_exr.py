@@ -45,7 +45,7 @@ def views(draw: st.DrawFn) -> list[np.ndarray]:
 
 
 @given(views(), st.dictionaries(st.text(), JSON, max_size=4))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_any_memory_layout_and_metadata_come_back_exactly(
     tmp_path_factory: pytest.TempPathFactory, arrays: list[np.ndarray], metadata: dict
 ) -> None:

@@ -162,7 +162,7 @@ def test_a_worker_that_is_killed_costs_nothing(trial, tmp_path: Path) -> None:
 
 def test_a_killed_run_is_finished_by_the_next(trial, tmp_path: Path) -> None:
     scene = SLOW | {"seconds": 0.1}
-    path = trial.write(dataset={"engine": "local", "workers": 2, "train": 8}, scene=scene)
+    path = trial.write(dataset={"engine": "local", "workers": 1, "train": 8}, scene=scene)
     root = tmp_path / "out"
     process = subprocess.Popen(
         [sys.executable, "-c", "from simulator.cli import main; main()", "generate", str(path)],
