@@ -220,8 +220,6 @@ def test_eight_samples_of_the_real_frame_through_phlatcam(trial, shared_data: Pa
         nearness = 1 / 0.2 + scale * (disparity[window][2::4, 2::4].astype(float) - disparity.min())
         assert 1 / sample.depth_m[0] == pytest.approx(nearness, rel=1e-5)
     assert len(corners) == 6  # each sample another crop
-    again = trial.generate(**changes | {"dataset": changes["dataset"] | {"output": "again"}})
-    assert sample_hashes(again) == sample_hashes(root)
 
 
 @pytest.mark.shared
@@ -270,5 +268,3 @@ def test_eight_samples_through_the_measured_diffusercam(trial, shared_data: Path
     origin = (149 - (300 - 96) // 2, 199 - (400 - 128) // 2)
     expected = full[origin[0] : origin[0] + 300, origin[1] : origin[1] + 400] * 5e-3 / full_scale
     assert np.abs(sample.noiseless[1] - expected).max() < 2e-6 * expected.max()
-    again = trial.generate(**changes | {"dataset": changes["dataset"] | {"output": "again"}})
-    assert sample_hashes(again) == sample_hashes(root)

@@ -104,6 +104,7 @@ def test_the_wave_equals_the_direct_sum_on_and_off_axis(make, wavelength_m, dept
         assert error(found, truth) < (1e-9 if dtype == np.float64 else 5e-6), direction
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-9), (np.float32, 5e-6)])
 def test_the_wave_equals_the_oracle_from_one_centimetre_and_infinity(shared_oracle, dtype, tolerance):

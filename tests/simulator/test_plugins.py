@@ -181,7 +181,7 @@ def test_a_module_and_a_name(install: Install) -> None:
 @pytest.mark.parametrize(
     ("source", "words"),
     [
-        ("x = 1\ny = unknown\n", ["my_mask.py:2: NameError: name 'unknown' is not defined"]),
+        ("x = 1\ny = unknown\n", ["my_mask.py:2: NameError"]),
         ("def vortex(:\n", ["my_mask.py:1: SyntaxError"]),
         ("import os\n\nimport trial_missing_package\n", ["my_mask.py:3: ModuleNotFoundError", "trial_missing_package"]),
         ("import json\njson.loads('{')\n", ["my_mask.py:2: JSONDecodeError"]),  # the user's line, not the library's

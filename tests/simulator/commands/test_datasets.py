@@ -161,6 +161,7 @@ def films(view):
         assert "train/s00000001: " in err
         assert "1.webm is truncated" in err
 
+    @pytest.mark.slow
     def test_the_swap_of_the_mask_by_one_line(self, one_error, flatlight, trial) -> None:
         path = trial.write(camera={"mask": {"design": "phlatcam", "width_mm": 0.6, "iterations": 2}})
         swap = ("--set", "camera.mask={design: pinhole, pixel_um: 4}")

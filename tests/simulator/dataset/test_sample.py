@@ -124,7 +124,7 @@ def test_descriptions_with_wrong_fields(samples: ModuleType, tmp_path: Path, cha
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"measurement": np.zeros((24, 36), np.float32)}, r"measurement must be float32 \(C, H, W\)"),
+        ({"measurement": np.zeros((24, 36), np.float32)}, "measurement"),
         ({"measurement": np.zeros((3, 24, 36))}, "got float64"),
         ({"noiseless": np.zeros((3, 24, 35), np.float32)}, "like measurement"),
         ({"rgb": np.zeros((10, 12, 3), np.float32)}, r"\(T, h, w, 3\)"),
@@ -134,7 +134,7 @@ def test_descriptions_with_wrong_fields(samples: ModuleType, tmp_path: Path, cha
         ({"channels": ("R", "R", "G")}, "3 different names"),
         ({"channels": ("noiseless.R", "G", "B")}, "none starting"),
         ({"label": 3}, "text or None"),
-        ({"frame_edges_s": np.arange(3.0)}, r"frame_edges_s must be float64 \(2,\)"),
+        ({"frame_edges_s": np.arange(3.0)}, "frame_edges_s"),
         ({"frame_edges_s": np.arange(2)}, "got int64"),
         ({"frame_edges_s": np.array([1.0, 1.0])}, "finite and increasing"),
         ({"frame_edges_s": np.array([0.0, np.inf])}, "finite and increasing"),

@@ -65,8 +65,8 @@ def test_another_light_of_the_calibration_is_another_data_set(trial) -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"psf": PSF | {"as_captured": {"illuminant": "Bengal"}}}, r"psf\.as_captured\.illuminant: got 'Bengal'"),
-        ({"camera": {"scene_to_camera": [[1, 0, 0]]}}, r"scene_to_camera: the matrix has 1 rows"),
+        ({"psf": PSF | {"as_captured": {"illuminant": "Bengal"}}}, r"psf\.as_captured\.illuminant:"),
+        ({"camera": {"scene_to_camera": [[1, 0, 0]]}}, "scene_to_camera:"),
     ],
 )
 def test_mistakes_come_out_before_the_psfs_are_computed(trial, changes, words) -> None:

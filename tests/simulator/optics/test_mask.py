@@ -197,9 +197,9 @@ def _flat(value=0.0, shape=(3, 3)):
         (_flat(), _flat(-0.1), 2e-6, "smooth", "0..1"),
         (_flat(), np.where(np.eye(3), np.nan, 1), 2e-6, "smooth", "with 3 NaN"),
         (_flat(), _flat(0), 2e-6, "smooth", "no light passes"),
-        (_flat(), _flat(1), 2.0, "smooth", "pitch_m: got 2"),
+        (_flat(), _flat(1), 2.0, "smooth", "pitch_m:"),
         (_flat(), _flat(1), float("nan"), "smooth", "pitch_m"),
-        (_flat(), _flat(1), 2e-6, "rough", "profile: got 'rough'"),
+        (_flat(), _flat(1), 2e-6, "rough", "profile:"),
     ],
 )
 def test_senseless_masks_are_refused(height, amplitude, pitch_m, profile, words):

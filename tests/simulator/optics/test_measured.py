@@ -327,7 +327,7 @@ class TestMistakes:
             ({"frame": "upright"}, "frame is 'upright'"),
             ({"binning": 0}, "binning is 0"),
             ({"binning": 10}, "smaller than one block of binning 10"),
-            ({"throughput_m2": 0.0}, "throughput_m2 is 0.0"),
+            ({"throughput_m2": 0.0}, "throughput_m2"),
             ({"throughput_m2": 10.0}, "10 mm2 is 10e-6"),
         ],
     )

@@ -125,7 +125,7 @@ def test_the_target_is_not_changed(target):
         (np.full((8, 8), -1, np.float32), 3, "not negative"),
         (np.full((8, 8), np.nan, np.float32), 3, "finite"),
         (np.ones(8, np.float32), 3, r"2-D image, got shape \(8,\)"),
-        (np.ones((8, 8), np.float32), 0, "iterations: got 0"),
+        (np.ones((8, 8), np.float32), 0, "iterations:"),
     ],
 )
 def test_senseless_requests_are_refused(target, iterations, words):
