@@ -141,7 +141,7 @@ def test_a_mask_smaller_than_a_sensor_pixel_lights_the_pixels_that_rays_reach(sa
     """
     d, pitch = 0.6e-3, 60e-6
     mask = Mask(np.zeros((samples, samples)), np.ones((samples, samples)), 2e-6)
-    stack = compute_psf_stack(mask, CameraGeometry(d, pitch, GREEN), PsfConfig((np.inf,), wavelengths_per_channel=1))
+    stack = _compute(mask, CameraGeometry(d, pitch, GREEN), PsfConfig((np.inf,), wavelengths_per_channel=1))
     middle = stack.values.shape[-1] // 2
     x = (np.arange(3 * 400) + 0.5) / 400 * pitch - 1.5 * pitch
     width = samples * 2e-6
@@ -247,7 +247,7 @@ def test_pinhole_camera_returns_the_scene(vignetting):
 
     d, pitch = 1.9e-3, 240e-6  # pixels so large that the Airy disc (24 um) and the hole (60 um) stay inside one
     mask = pinhole(diameter_um=60)
-    stack = compute_psf_stack(mask, CameraGeometry(d, pitch, GREEN), PsfConfig((0.05,), wavelengths_per_channel=1))
+    stack = _compute(mask, CameraGeometry(d, pitch, GREEN), PsfConfig((0.05,), wavelengths_per_channel=1))
     stack = replace(stack, values=np.repeat(stack.values, 3, axis=1), channels=("R", "G", "B"))
     rng = np.random.default_rng(0)
     rgb = rng.uniform(size=(1, 10, 12, 3)).astype(np.float32)
