@@ -15,6 +15,13 @@ import hypothesis
 import pytest
 import yaml
 
+ROOT = Path(__file__).resolve().parents[1]
+
+# Where Python may not keep compiled modules (as in many containers), each of some hundred processes would compile all
+# packages again: several seconds of most commands. They are kept out of the packages' folders.
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix = str(ROOT / ".pytest_cache" / "bytecode")
+    sys.dont_write_bytecode = False
 # Before the libraries are loaded: several processes test at once, and threads that outnumber the cores only wait.
 os.environ |= {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
 # What the shell that starts the tests may have set, and what would change what commands print.
@@ -24,7 +31,6 @@ for name in ("COLUMNS", "FORCE_COLOR", "NO_COLOR", "FLATLIGHT_TRACEBACK"):
 hypothesis.settings.register_profile("flatlight", deadline=None)  # how long an example takes depends on the machine
 hypothesis.settings.load_profile("flatlight")
 
-ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 
 

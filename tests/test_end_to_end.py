@@ -200,49 +200,71 @@ def test_eight_samples_of_the_real_frame_through_phlatcam(trial, shared_data: Pa
     assert len(corners) == 6  # each sample another crop
 
 
-@pytest.mark.shared
-def test_eight_samples_through_the_measured_diffusercam(trial, shared_data: Path) -> None:
-    """The real DiffuserCam PSF: the measurement is the scene convolved with the picture turned by 180 degrees."""
-    import tifffile
+def check_measured(root: Path, raw: NDArray[Any], sensor: tuple[int, int], size: tuple[int, int]) -> None:
+    """The first measurement is the scene convolved with the picture of the PSF turned by 180 degrees, worked out anew."""
     from scipy.signal import fftconvolve
 
-    tutorial = shared_data / "diffusercam/tutorial/psf_sample.tif"
-    changes: dict[str, Any] = {
+    stack = load_psf_stack(root)
+    assert stack.energy_m2() == pytest.approx(20e-6)
+    # The border's median off, mean over 4 x 4, turned about the middle.
+    frame, rows, columns = min(raw.shape) // 50, *sensor
+    inner = np.zeros(raw.shape, bool)
+    inner[frame:-frame, frame:-frame] = True
+    light = np.clip(raw - np.median(raw[~inner]), 0, None).reshape(rows, 4, columns, 4).mean(axis=(1, 3))
+    turned = light[::-1, ::-1][:-1, :-1]
+    assert np.corrcoef(turned.ravel(), stack.values[0, 1].ravel())[0, 1] > 0.999
+    described = json.loads((root / "dataset.json").read_text())
+    full_scale, green = described["exposure"]["full_scale"], np.array(described["scene_to_camera"]["matrix"][1])
+    sample = open_dataset(root)[0]
+    y, x = ((np.arange(n) - (n - 1) / 2) * 19.2e-6 / 9e-3 for n in size)
+    irradiance = (19.2e-6 / 9e-3) ** 2 / (1 + y[:, None] ** 2 + x**2) ** 2
+    radiance = np.maximum(sample.rgb[0].astype(float) @ green, 0)
+    full = fftconvolve(radiance * irradiance, stack.values[0, 1].astype(float))
+    top, left = rows // 2 - 1 - (rows - size[0]) // 2, columns // 2 - 1 - (columns - size[1]) // 2
+    expected = full[top : top + rows, left : left + columns] * 5e-3 / full_scale
+    assert np.abs(sample.noiseless[1] - expected).max() < 2e-6 * expected.max()
+
+
+def through_measured(picture: Path, sensor: tuple[int, int]) -> dict[str, Any]:
+    """Changes of the configuration: the camera whose PSF is this picture."""
+    return {
         "camera": {
             "mask": None,
             "mask_to_sensor_mm": 9,
-            "sensor": {"binning": 8, "shape": [300, 400]},
+            "sensor": {"binning": 8, "shape": list(sensor)},
             "exposure": {"full_scale": "auto"},
         },
         "psf": {
-            "measured": [str(tutorial)],
+            "measured": [str(picture)],
             "depths_cm": [float("inf")],
             "frame": "physical",
             "binning": 4,
             "background": "border",
             "throughput_mm2": 20.0,
         },
-        "scene": crops(shared_data, (96, 128), downscale=4),
-        "dataset": {"train": 6, "share_videos": True},
     }
-    root = trial.generate(**changes)
+
+
+def test_a_data_set_through_a_measured_psf(trial) -> None:
+    import tifffile
+
+    raw = np.full((160, 200), 7, np.uint16)
+    for row, column in np.random.default_rng(2).integers(20, 130, (9, 2)):
+        raw[row : row + 8, column : column + 14] += 900
+    tifffile.imwrite(trial.folder / "psf.tif", raw)
+    scene = {"family": "./plugins.py:boxes", "size": [16, 20], "near_cm": 10, "far_cm": 30}
+    dataset = {"train": 1, "validation": 0, "test": 0}
+    root = trial.generate(**through_measured(trial.folder / "psf.tif", (40, 50)), scene=scene, dataset=dataset)
+    assert verify(root).ok
+    check_measured(root, raw.astype(float), (40, 50), (16, 20))
+
+
+@pytest.mark.shared
+def test_eight_samples_through_the_measured_diffusercam(trial, shared_data: Path) -> None:
+    import tifffile
+
+    tutorial = shared_data / "diffusercam/tutorial/psf_sample.tif"
+    scene, dataset = crops(shared_data, (96, 128), downscale=4), {"train": 6, "share_videos": True}
+    root = trial.generate(**through_measured(tutorial, (300, 400)), scene=scene, dataset=dataset)
     check_files(root, (300, 400), (96, 128))
-    stack = load_psf_stack(root)
-    assert stack.energy_m2() == pytest.approx(20e-6)
-    # Independently: the border's median off, mean over 4 x 4, turned about the middle.
-    raw = tifffile.imread(tutorial).astype(float)
-    inner = np.zeros(raw.shape, bool)
-    inner[24:-24, 24:-24] = True
-    light = np.clip(raw - np.median(raw[~inner]), 0, None).reshape(300, 4, 400, 4).mean(axis=(1, 3))
-    turned = light[::-1, ::-1][:-1, :-1]
-    similarity = np.corrcoef(turned.ravel(), stack.values[0, 1].ravel())[0, 1]
-    assert similarity > 0.999
-    described = json.loads((root / "dataset.json").read_text())
-    full_scale, green = described["exposure"]["full_scale"], np.array(described["scene_to_camera"]["matrix"][1])
-    sample = open_dataset(root)[0]
-    y, x = ((np.arange(n) - (n - 1) / 2) * 19.2e-6 / 9e-3 for n in (96, 128))
-    irradiance = (19.2e-6 / 9e-3) ** 2 / (1 + y[:, None] ** 2 + x**2) ** 2
-    full = fftconvolve((sample.rgb[0].astype(float) @ green) * irradiance, stack.values[0, 1].astype(float))
-    origin = (149 - (300 - 96) // 2, 199 - (400 - 128) // 2)
-    expected = full[origin[0] : origin[0] + 300, origin[1] : origin[1] + 400] * 5e-3 / full_scale
-    assert np.abs(sample.noiseless[1] - expected).max() < 2e-6 * expected.max()
+    check_measured(root, tifffile.imread(tutorial).astype(float), (300, 400), (96, 128))
