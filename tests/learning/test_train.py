@@ -296,6 +296,7 @@ def test_output_that_holds_something_else(settings: Callable[..., TrainConfig]) 
         train(config)
 
 
+@pytest.mark.leaves_workers
 def test_damage_is_named_though_a_worker_meets_it(
     settings: Callable[..., TrainConfig], tiny_dataset: Path, tmp_path: Path
 ) -> None:
