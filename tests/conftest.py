@@ -1,16 +1,36 @@
 """Fixtures that all tests share."""
 
+import fcntl
 import os
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
+
+# Where Python may not keep compiled modules (as in many containers), each of some hundred processes would compile all
+# packages again: several seconds of most commands. They are kept out of the packages' folders.
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix = str(ROOT / ".pytest_cache" / "bytecode")
+    sys.dont_write_bytecode = False
+# Before the libraries are loaded: several processes test at once, and threads that outnumber the cores only wait.
+os.environ |= {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
+# What the shell that starts the tests may have set, and what would change what commands print.
+for name in ("COLUMNS", "FORCE_COLOR", "NO_COLOR", "FLATLIGHT_TRACEBACK"):
+    os.environ.pop(name, None)
+
+hypothesis.settings.register_profile("flatlight", deadline=None)  # how long an example takes depends on the machine
+hypothesis.settings.load_profile("flatlight")
+
 SHARED = ROOT.parent / "shared"
 
 
@@ -31,6 +51,17 @@ def run_python(*arguments: str, **environment: str) -> subprocess.CompletedProce
 def python() -> Callable[..., subprocess.CompletedProcess[str]]:
     """Run Python in a process of its own: one process renders with one Mitsuba variant."""
     return run_python
+
+
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """Let Ctrl-C interrupt this process and the children that the test starts.
+
+    A shell starts its background jobs with SIGINT ignored, children inherit that, and Python then installs no handler.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="session")
@@ -169,10 +200,68 @@ class Trial:
         return result.path
 
 
+def _children() -> dict[int, str]:
+    """The running children of this process with their commands, without those that Python itself keeps for the next."""
+    pids: list[str] = []
+    for listing in Path("/proc/self/task").glob("*/children"):
+        with suppress(OSError):  # a thread that has just ended
+            pids += listing.read_text().split()
+    found = {}
+    for pid in pids:
+        with suppress(OSError):  # a process that has
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+            command = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            if state != "Z" and not any(name in command for name in ("resource_tracker", "forkserver")):
+                found[int(pid)] = command
+    return found
+
+
+@pytest.fixture(autouse=True)
+def no_process_outlives_a_test(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Fail a test that leaves a process running: it would slow the next tests down and outlive the run."""
+    before = _children()
+    yield
+    if request.node.get_closest_marker("leaves_workers"):
+        return
+    end = time.monotonic() + 10
+    while left := _children().keys() - before.keys():
+        if time.monotonic() > end:
+            pytest.fail(f"still running: {[_children().get(pid) for pid in left]}")
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="session")
+def shared_tmp(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A temporary folder that all processes of this run share."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shared"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def once(shared_tmp: Path) -> Callable[[str, Callable[[Path], object]], Path]:
+    """Return a function that has a folder filled by the first process that asks for it; the others wait and read.
+
+    Its arguments are the folder's name and what makes it; nobody may write into it afterwards.
+    """
+
+    def once(name: str, make: Callable[[Path], object]) -> Path:
+        folder, done = shared_tmp / name, shared_tmp / f"{name}.done"
+        with open(shared_tmp / f"{name}.lock", "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not done.exists():
+                make(folder)
+                done.touch()
+        return folder
+
+    return once
+
+
 @pytest.fixture(scope="session", autouse=True)
-def private_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def private_cache(shared_tmp: Path) -> Iterator[Path]:
     """Keep what the tests design and compute out of the user's cache, and share it among them."""
-    folder = tmp_path_factory.mktemp("cache")
+    folder = shared_tmp / "cache"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FLATLIGHT_CACHE_DIR", str(folder))
         yield folder

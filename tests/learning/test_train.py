@@ -25,6 +25,8 @@ from learning.training.stopping import DivergedError
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("ctrl_c")
+
 
 def lines(folder: Path, kind: str) -> list[dict[str, Any]]:
     """Return the log's numbers that do not measure time."""
@@ -294,6 +296,7 @@ def test_output_that_holds_something_else(settings: Callable[..., TrainConfig]) 
         train(config)
 
 
+@pytest.mark.leaves_workers
 def test_damage_is_named_though_a_worker_meets_it(
     settings: Callable[..., TrainConfig], tiny_dataset: Path, tmp_path: Path
 ) -> None:

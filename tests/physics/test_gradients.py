@@ -23,6 +23,7 @@ STEP = 1e-5  # relative: central differences are then good to 1e-9, rounding to 
 @pytest.fixture(autouse=True)
 def no_proof(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: {})
+    monkeypatch.setattr("simulator.optics.error_budget.budget.quick_errors", lambda *_: {})
 
 
 def stack(height_um: Any, distance_mm: Any, weights: Any, model: str, profile: str) -> Any:

@@ -113,7 +113,17 @@ class TestTheTestItself:
     def test_a_change_is_accepted_on_request(self, bent: Path) -> None:
         """In a process of its own, because the option belongs to a whole run."""
         root = Path(__file__).parents[2]
-        words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-k", f"casts and {SUBJECT}", __file__]
+        words = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-n0",
+            "-p",
+            "no:cacheprovider",
+            "-k",
+            f"casts and {SUBJECT}",
+            __file__,
+        ]
         options = ["--psf-references", str(bent), "--basetemp", str(bent.parent / "pytest"), "--regen-psf"]
         environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
         done = subprocess.run(

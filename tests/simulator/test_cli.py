@@ -1,9 +1,18 @@
 """The command itself: its start, its help, its exit codes, and commands that other packages add."""
 
-import os
+import sys
 from pathlib import Path
 
 import pytest
+
+from simulator import cli
+
+
+@pytest.fixture
+def own_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let packages in ``tmp_path`` add commands, for this test alone."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(cli.app, "registered_commands", list(cli.app.registered_commands))
 
 
 class TestStart:
@@ -39,21 +48,22 @@ class TestStart:
         assert "Usage: " in out + err
         assert "Traceback" not in out + err
 
-    def test_a_command_of_another_package(self, command, tmp_path: Path) -> None:
+    @pytest.mark.usefixtures("own_commands")
+    def test_a_command_of_another_package(self, flatlight, tmp_path: Path) -> None:
         (tmp_path / "others.py").write_text("def greet(name: str):\n    '''Say hello.'''\n    print('hello', name)\n")
         _install(tmp_path, "others", "greet = others:greet")
-        environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-        assert "Say hello." in command("--help", env=environment).stdout
-        done = command("greet", "Ada", env=environment)
-        assert (done.returncode, done.stdout) == (0, "hello Ada\n")
+        assert "Say hello." in flatlight("--help")[1]
+        assert flatlight("greet", "Ada")[:2] == (0, "hello Ada\n")
 
-    def test_a_command_that_does_not_import_stops_no_other(self, command, tmp_path: Path) -> None:
+    @pytest.mark.usefixtures("own_commands")
+    def test_a_command_that_does_not_import_stops_no_other(self, flatlight, tmp_path: Path) -> None:
         _install(tmp_path, "broken", "greet = broken_module:greet")
-        done = command("masks", env=os.environ | {"PYTHONPATH": str(tmp_path)})
-        assert done.returncode == 0
-        assert "pinhole" in done.stdout
-        assert "warning: the command 'greet' (broken_module:greet) cannot be loaded: ModuleNotFoundError" in done.stderr
-        assert "Traceback" not in done.stderr
+        code, out, err = flatlight("masks", "pinhole")
+        assert code == 0
+        assert "pinhole" in out
+        assert "'greet' (broken_module:greet)" in err
+        assert "ModuleNotFoundError" in err
+        assert "Traceback" not in err
 
     def test_a_fault_of_ours_says_so(self, flatlight, monkeypatch: pytest.MonkeyPatch) -> None:
         def broken() -> str:
@@ -66,11 +76,12 @@ class TestStart:
         assert "FLATLIGHT_TRACEBACK" in err
         assert "Traceback" not in err
 
-    def test_the_traceback_on_request(self, command) -> None:
-        broken = "import simulator.config\nsimulator.config.json_schema = lambda: 1 / 0"
-        done = command("schema", before=broken, env=os.environ | {"FLATLIGHT_TRACEBACK": "1"})
-        assert done.returncode == 1
-        assert "Traceback" in done.stderr
+    def test_the_traceback_on_request(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("simulator.config.json_schema", lambda: 1 / 0)
+        monkeypatch.setenv("FLATLIGHT_TRACEBACK", "1")
+        monkeypatch.setattr(sys, "argv", ["flatlight", "schema"])
+        with pytest.raises(ZeroDivisionError):
+            cli.main()
 
 
 def _install(folder: Path, name: str, entry: str) -> None:

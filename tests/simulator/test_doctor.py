@@ -5,7 +5,6 @@ import importlib.util
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -242,11 +241,9 @@ def test_looking_imports_neither_mitsuba_nor_torch_here():
     subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
 
 
-def test_this_computer_is_examined_in_time():
-    """The real thing, torch and a test render included; 30 s leave room for cold disks."""
-    begin = time.monotonic()
+def test_this_computer_is_examined():
+    """The real thing, torch and a test render included."""
     checks = {check.name: check for check in diagnose()}
-    assert time.monotonic() - begin < 30
     assert not [check for check in checks.values() if "could not be examined" in check.what]
     assert checks["rendering"].what.split()[1].rstrip(",") in ("llvm_ad_rgb", "scalar_rgb")
     assert (checks["torch"].what.startswith("not installed")) == (importlib.util.find_spec("torch") is None)

@@ -181,7 +181,7 @@ def test_a_module_and_a_name(install: Install) -> None:
 @pytest.mark.parametrize(
     ("source", "words"),
     [
-        ("x = 1\ny = unknown\n", ["my_mask.py:2: NameError: name 'unknown' is not defined"]),
+        ("x = 1\ny = unknown\n", ["my_mask.py:2: NameError"]),
         ("def vortex(:\n", ["my_mask.py:1: SyntaxError"]),
         ("import os\n\nimport trial_missing_package\n", ["my_mask.py:3: ModuleNotFoundError", "trial_missing_package"]),
         ("import json\njson.loads('{')\n", ["my_mask.py:2: JSONDecodeError"]),  # the user's line, not the library's
@@ -307,7 +307,7 @@ def test_refused_parameters(
 
 def test_a_default_of_the_wrong_type_is_the_plugins_fault(tmp_path: Path) -> None:
     write(tmp_path, "def vortex(*, charge: int = 1.5): ...\n")
-    with pytest.raises(ParameterError, match=r"charge: got 1\.5; expected a whole number"):
+    with pytest.raises(ParameterError, match=r"charge: got 1\.5"):
         resolve("mask", "./my_mask.py:vortex", tmp_path).bind({})
 
 
@@ -321,7 +321,5 @@ def test_commands_of_other_packages(install: Install) -> None:
     assert "trial_commands.hello" not in sys.modules, "listing imports no command"
     assert found["trial-hello"].load()() == 5
     install("trial_rivals", "[flatlight.commands]\ntrial-hello = trial_rivals.hello:hello\n")
-    with pytest.raises(
-        InputError, match=r"'trial-hello' is defined by both trial_\w+\.hello:hello and trial_\w+\.hello"
-    ):
+    with pytest.raises(InputError, match=r"'trial-hello' .*trial_\w+\.hello:hello .*trial_\w+\.hello"):
         commands()

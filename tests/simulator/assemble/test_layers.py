@@ -68,7 +68,7 @@ def test_a_material_file_lies_beside_the_yaml_file_and_is_an_input(trial):
 def test_a_layer_that_is_unknown_at_a_channels_wavelength_is_named(trial):
     gap = [{"mm": 1.8, "n": "air"}, {"mm": 0.1, "material": "noa61"}]
     config = load_config(trial.write(camera={"mask_to_sensor_mm": None, "gap": gap}, psf={"depths_cm": [5]}))
-    with pytest.raises(InputError, match=r"channel 'B' of Nikon 5100 \(NPL\) under D65, nominal needs 4.* 'noa61'"):
+    with pytest.raises(InputError, match=r"'B' of Nikon 5100 \(NPL\) under D65.* 'noa61'"):
         assemble.build_psf_stack(config)
 
 

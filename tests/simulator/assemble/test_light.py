@@ -40,7 +40,7 @@ def test_curves_lie_beside_the_yaml_file_and_are_inputs(trial):
     names = [path.name for path in assemble.input_files(config, source)]
     assert names.count("sensor.csv") == names.count("lamp.csv") == 1
     (trial.folder / "lamp.csv").unlink()
-    with pytest.raises(InputError, match=r"cannot read .*lamp\.csv: No such file"):
+    with pytest.raises(InputError, match=r"lamp\.csv"):
         assemble.build_geometry(config)
 
 
@@ -71,12 +71,10 @@ class TestSceneColours:
 
     def test_a_row_for_each_channel(self, trial):
         config = _config(trial, scene_to_camera=[[0.2, 0.7, 0.1]])
-        with pytest.raises(
-            InputError, match=r"scene_to_camera: the matrix has 1 rows, .* channels R, G, B; give a list"
-        ):
+        with pytest.raises(InputError, match=r"scene_to_camera: .*1 rows.* R, G, B"):
             assemble.build_camera_colour(config, ("R", "G", "B"))
         config = _config(trial, scene_to_camera="identity")
-        with pytest.raises(InputError, match=r"scene_to_camera: identity has 3 rows, .* channels Y;"):
+        with pytest.raises(InputError, match=r"scene_to_camera: identity .* Y;"):
             assemble.build_camera_colour(config, ("Y",))
 
     def test_a_data_set_records_the_matrix(self, trial):

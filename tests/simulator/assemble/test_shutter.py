@@ -104,13 +104,3 @@ def test_another_table_is_another_data_set(trial, table):
     assert fingerprint() == before
     np.savetxt(trial.folder / "rows.csv", table * 1.001, delimiter=",")
     assert fingerprint() != before
-
-
-@pytest.mark.parametrize("chosen", [{"type": "rolling", "line_time_us": 2}, {"type": "windows", "file": "rows.csv"}])
-def test_a_data_set_is_made_with_it(trial, table, chosen):
-    from simulator.dataset import open_dataset, verify
-
-    folder = trial.generate(camera={"shutter": chosen, "noise": {"type": "physical"}})
-    assert verify(folder).ok
-    sample = open_dataset(folder, "train")[0]
-    assert np.isfinite(sample["measurement"] if isinstance(sample, dict) else sample.measurement).all()

@@ -92,6 +92,13 @@ def test_physical_noise_clips_at_full_well_and_quantises():
     np.testing.assert_array_equal(dim, np.round(dim))
 
 
+def test_a_converter_without_black_level_has_no_numbers_below_zero():
+    sensor = _sensor(noise=PhysicalNoise(), black_level_dn=0, dark_current_e_per_s=0.0, read_noise_e=20.0)
+    numbers = sensor.expose(np.zeros((3, *SHAPE), np.float32), np.random.default_rng(0))
+    assert numbers.min() == 0
+    assert np.mean(numbers == 0) > 0.45  # read noise without light: half the pixels lie below zero
+
+
 def test_fixed_pattern_is_the_same_in_every_picture_and_has_the_asked_strength():
     sensor = _sensor(noise=PhysicalNoise(), prnu=0.02, row_noise_e=0.0)
     flat = np.full((3, *SHAPE), 0.5, np.float32)
@@ -218,17 +225,17 @@ def test_auto_exposure_puts_the_bright_end_at_80_percent():
 
 
 def test_bad_sensors_are_refused_with_the_reason():
-    with pytest.raises(InputError, match=r"at most 456"):
+    with pytest.raises(InputError, match="456"):
         _sensor(binning=8, shape=(457, 684))
     with pytest.raises(InputError, match="full_scale"):
         _sensor(full_scale=0.0)
-    with pytest.raises(InputError, match="irradiance must be"):
+    with pytest.raises(InputError, match="irradiance"):
         _sensor().expose(np.zeros((3, 4, 4), np.float32), None)
-    with pytest.raises(InputError, match=r"exposure_s: expected positive seconds, one or 600"):
+    with pytest.raises(InputError, match=r"exposure_s: .*600"):
         _sensor(exposure_s=(0.1, 0.2))
     with pytest.raises(InputError, match="responsivity"):
         _sensor(responsivity=(1.0, 1.2, 0.5))
-    with pytest.raises(InputError, match="irradiance has 3 channels, responsivity 1"):
+    with pytest.raises(InputError, match=r"irradiance .*responsivity"):
         _sensor(responsivity=(1.0,)).expose(_ramp(), None)
-    with pytest.raises(InputError, match="exactly one"):
+    with pytest.raises(InputError, match="std and psnr_db"):
         GaussianNoise(std=0.1, psnr_db=40)

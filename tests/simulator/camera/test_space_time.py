@@ -267,7 +267,7 @@ def test_a_clip_that_does_not_cover_the_shutter_is_no_still():
     for edges in ([5, 6, 7, 8], [9e-3, 0.02, 0.03, 0.04], [-3e-3, -2e-3, -1e-3, 9e-3]):
         clip = replace(_clip(3), frame_edges_s=np.array(edges, np.float64))
         for expose in (model.forward_clip, lambda c: model.global_measurements(c, 1)):
-            with pytest.raises(InputError, match=r"but the shutter is open from 0 to 0\.01 s"):
+            with pytest.raises(InputError, match=r"0 to 0\.01 s"):
                 expose(clip)
 
 
@@ -312,15 +312,15 @@ def test_memory_does_not_grow_with_frames():
 def test_what_cannot_be_done_is_said():
     stack = _stack(1, np.float32)
     rolling = ForwardModel(stack, SENSOR, SCENE, RollingShutter(OPEN_S, LINE_S))
-    with pytest.raises(InputError, match=r"clip lasts from 0 to 0.001 s, but the shutter is open from 0 to 0.0029 s"):
+    with pytest.raises(InputError, match=r"0 to 0\.001 s.* 0 to 0\.0029 s"):
         rolling.forward_clip(_clip(4))
-    with pytest.raises(InputError, match=r"slivers: got 5 for a capture that sees 12 frames.*take 4"):
+    with pytest.raises(InputError, match=r"slivers: got 5 .*12 frames.* 4"):
         rolling.global_measurements(_clip(12), 5)
-    with pytest.raises(InputError, match="slivers: got 0"):
+    with pytest.raises(InputError, match="slivers"):
         sliver_edges(np.arange(5.0), 0)
-    with pytest.raises(InputError, match="need a shutter"):
+    with pytest.raises(InputError, match="shutter"):
         ForwardModel(stack, SENSOR, SCENE).forward_clip(_clip(4))
-    with pytest.raises(InputError, match="give the model a shutter"):
+    with pytest.raises(InputError, match="shutter"):
         ForwardModel(stack, SENSOR, SCENE).sliver_weights(np.arange(5.0), 2)
-    with pytest.raises(InputError, match="'integral' or 'mean'"):
+    with pytest.raises(InputError, match="'integral'"):
         ForwardModel(stack, SENSOR, SCENE, time="sum")  # pyright: ignore[reportArgumentType]

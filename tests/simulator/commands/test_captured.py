@@ -33,13 +33,6 @@ def test_a_measured_psf_is_refused_before_anything_is_said(one_error, flatlight,
     assert result[1] == ""
 
 
-def test_only_when_asked_for(flatlight, trial, tmp_path: Path) -> None:
-    code, out, _ = flatlight("psf", trial.write(), "--output", tmp_path / "stack")
-    assert code == 0
-    assert "as captured" not in out
-    assert not (tmp_path / "stack_captured").exists()
-
-
 def test_replaces_nothing_else(one_error, flatlight, trial, tmp_path: Path) -> None:
     (tmp_path / "stack_captured").mkdir()
     (tmp_path / "stack_captured/thesis.txt").touch()

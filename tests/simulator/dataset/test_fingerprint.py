@@ -82,7 +82,7 @@ def test_input_files_count_by_content_not_by_place(tmp_path: Path) -> None:
     assert one[a] == one[b] != one[c]
     assert build_fingerprint(CONFIG, "x", [a, c])[0] != build_fingerprint(CONFIG, "x", [c, a])[0]
     assert list(build_fingerprint(CONFIG, "x", [a, c])[1]["inputs"]) == ["psf.tif", "psf.tif#2"]
-    with pytest.raises(InputError, match=r"cannot read .*gone"):
+    with pytest.raises(InputError, match="gone"):
         build_fingerprint(CONFIG, "x", [tmp_path / "gone"])
 
 

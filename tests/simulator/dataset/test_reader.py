@@ -51,7 +51,7 @@ def test_it_is_lazy_and_small_to_send(dataset: Path) -> None:
     assert len(pickle.dumps(train)) < 2000
     shutil.rmtree(dataset / "train/0000/s00000001")
     assert train[0].label == "class 0"
-    with pytest.raises(InputError, match="s00000001 is in the manifest but not on disk"):
+    with pytest.raises(InputError, match="s00000001"):
         train[1]
 
 
@@ -83,19 +83,20 @@ def test_nothing_heavy_or_foreign_is_imported(samples: ModuleType, tmp_path: Pat
     code = (
         "import sys; from simulator.dataset.reader import open_dataset; from simulator.dataset.verification import verify\n"
         "print(len(list(open_dataset(sys.argv[1]))), verify(sys.argv[1]).ok)\n"
-        "print([name for name in ('torch', 'mitsuba', 'colour', 'matplotlib', 'scipy', 'pebble') if name in sys.modules])"
+        "names = 'torch mitsuba colour matplotlib scipy pebble simulator.plugins psf_library scenes'.split()\n"
+        "print([name for name in names if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code, str(dataset)], capture_output=True, text=True, cwd=dataset)
     assert done.stdout.splitlines() == ["3 True", "[]"], done.stderr
 
 
 def test_clear_refusals(dataset: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no such folder: .*gone"):
+    with pytest.raises(InputError, match="gone"):
         open_dataset(tmp_path / "gone")
-    with pytest.raises(InputError, match=r"not a data set: it has no dataset\.json"):
+    with pytest.raises(InputError, match=r"dataset\.json"):
         open_dataset(tmp_path)
     for split in ("training", "pilot", ""):
-        with pytest.raises(InputError, match="split must be one of train, validation, test"):
+        with pytest.raises(InputError, match=r"split .*train, validation, test"):
             open_dataset(dataset, split)
 
 
@@ -114,16 +115,16 @@ def test_info_round_trip(tmp_path: Path, samples: ModuleType) -> None:
     [
         ("format", "other", "format must be"),
         ("format_version", 2, "format version 2, this package reads 1"),
-        ("counts", None, "counts must be a dict"),
-        ("counts", {"train": -1}, "counts must be whole numbers"),
-        ("counts", {"pilot": 1}, "counts must be whole numbers"),
-        ("counts", {"train": True}, "counts must be whole numbers"),
+        ("counts", None, "counts"),
+        ("counts", {"train": -1}, "counts"),
+        ("counts", {"pilot": 1}, "counts"),
+        ("counts", {"train": True}, "counts"),
         ("fingerprint", "abc", "64 hexadecimal digits"),
         ("scene_shape", [1, 2, 3], "two sizes"),
         ("sensor_shape", [0, 2], "two sizes"),
         ("channels", [], "tuple of names"),
         ("channels", "RGB", "tuple of names"),
-        ("name", 3, "name must be text"),
+        ("name", 3, "name"),
         ("exposure", "missing", "lacks exposure"),
     ],
 )
@@ -141,11 +142,11 @@ def test_damaged_info_is_named(dataset: Path, key: str, value: object, words: st
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe", b"[" * 100_000])
 def test_unreadable_info(dataset: Path, content: bytes) -> None:
     (dataset / "dataset.json").write_bytes(content)
-    with pytest.raises(InputError, match="unreadable or damaged"):
+    with pytest.raises(InputError, match=r"\.json"):
         read_info(dataset)
 
 
 def test_info_checks_what_it_is_given(samples: ModuleType) -> None:
     assert isinstance(samples.make_info(), DatasetInfo)
-    with pytest.raises(InputError, match="scene_shape must be a tuple"):
+    with pytest.raises(InputError, match="scene_shape"):
         samples.make_info(scene_shape=[10, 12])

@@ -95,16 +95,16 @@ def test_clips_are_read_in_part(clips: Path) -> None:
     labels = [train.stored(position).label for position in range(3)]
     assert labels == ["class 0", "class 1", "class 2"]
     assert train.stored(-1).measurement()[0].shape == (3, 24, 36)
-    with pytest.raises(InputError, match=r"cannot read .*frames/ground_truth\.0000\.exr"):
+    with pytest.raises(InputError, match=r"frames/ground_truth\.0000\.exr"):
         train[0]
 
 
 def test_clear_refusals(clips: Path, samples: ModuleType, tmp_path: Path) -> None:
     train = open_dataset(clips)
-    with pytest.raises(InputError, match=r"dataset\.json records no shutter"):
+    with pytest.raises(InputError, match=r"dataset\.json .*shutter"):
         train.sliver_weights(train[0])
     short, sample = opened(tmp_path / "short", samples, GlobalShutter(0.02), np.linspace(0, 0.01, 4))
-    with pytest.raises(InputError, match=r"the clip lasts from 0 to 0\.01 s"):
+    with pytest.raises(InputError, match=r"0 to 0\.01 s"):
         short.sliver_weights(sample)
     content = json.loads((clips / "dataset.json").read_text())
     for time, words in (({"shutter": {"type": "curtain"}}, "time.shutter: .*'curtain'"), ([], "time must be a dict")):

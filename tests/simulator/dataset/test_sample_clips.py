@@ -191,7 +191,7 @@ def test_only_what_is_asked_for_is_read(samples: ModuleType, tmp_path: Path) -> 
     assert_same_bits(frame.extras["shape_id"], sample.extras["shape_id"][2])
     assert_same_bits(stored.global_measurement(1), sample.global_measurements[1])
     write_sample(tmp_path, "train", 1, samples.make_sample(0))
-    with pytest.raises(InputError, match="has no global measurements"):
+    with pytest.raises(InputError, match="global"):
         StoredSample(sample_folder(tmp_path, "train", 1)).global_measurement(0)
 
 
@@ -319,7 +319,7 @@ def test_a_full_disk_leaves_nothing(
 def test_a_frame_that_cannot_be_stored_leaves_nothing(samples: ModuleType, tmp_path: Path) -> None:
     sample = samples.make_clip_sample(0)
     sample.depth_m[2, 3, 4] = np.inf
-    with pytest.raises(InputError, match=r"ground_truth\.0002\.exr.*'Z' holds NaN or inf"):
+    with pytest.raises(InputError, match=r"ground_truth\.0002\.exr.*'Z'"):
         write_sample(tmp_path, "train", 0, sample)
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
@@ -336,15 +336,13 @@ def test_names_of_frames_sort_and_end(samples: ModuleType, tmp_path: Path) -> No
         "valid": np.ones(frames, bool),
         "frame_edges_s": np.arange(MOST_FRAMES + 2.0),
     }
-    with pytest.raises(InputError, match=r"s00000000 has 10001 frames, more than the 10000 that can be stored"):
+    with pytest.raises(InputError, match=r"s00000000 .*10001 .*10000"):
         write_sample(tmp_path, "train", 0, samples.make_sample(0, **pixel))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_several_frames_need_times(samples: ModuleType) -> None:
-    with pytest.raises(
-        InputError, match="frame_edges_s must hold the 4 times that 3 frames begin and end at, got None"
-    ):
+    with pytest.raises(InputError, match=r"frame_edges_s .*None"):
         samples.make_clip_sample(0, frame_edges_s=None)
-    with pytest.raises(InputError, match=r"global_measurements must be float32 \(3, 3, 24, 36\)"):
+    with pytest.raises(InputError, match=r"global_measurements .*\(3, 3, 24, 36\)"):
         samples.make_clip_sample(0, global_measurements=np.zeros((2, 3, 24, 36), np.float32))

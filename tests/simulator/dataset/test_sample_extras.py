@@ -61,9 +61,9 @@ def test_samples_without_extras_say_nothing_of_them(samples: ModuleType, tmp_pat
 
 
 def test_wrong_extras_are_refused(samples: ModuleType, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"extras\['a'\] must be"):
+    with pytest.raises(InputError, match=r"extras\['a'\]"):
         samples.make_sample(0, extras={"a": np.zeros((1, 3, 3), np.float32)})
-    with pytest.raises(InputError, match=r"extras\['a'\]: got float64"):
+    with pytest.raises(InputError, match=r"extras\['a'\].*float64"):
         write_sample(tmp_path, "train", 0, samples.make_sample(0, extras={"a": np.zeros((1, *samples.SCENE))}))
     assert not (tmp_path / "train").exists()
     write_sample(tmp_path, "train", 0, samples.make_sample(0, extras={"a": np.zeros((1, *samples.SCENE), bool)}))

@@ -35,6 +35,18 @@ def test_transmission_is_the_thin_elements(dtype, complex_type, tolerance):
     np.testing.assert_allclose(field, amplitude * np.exp(1j * exact), atol=tolerance)
 
 
+@pytest.mark.parametrize("degrees", [0, 15, 40, 70])
+def test_oblique_light_takes_the_path_that_snell_says(degrees):
+    """Between two parallel fronts: h n / cos(inside) along the bent ray, less the air it spares and the step aside."""
+    index, sine = 1.5103, np.sin(np.radians(degrees))  # the resist's at 532 nm
+    outside, inside = np.radians(degrees), np.arcsin(sine / index)
+    height = np.linspace(0, 2e-6, 12).reshape(3, 4)
+    aside = height * np.tan(inside) * sine
+    path = height * index / np.cos(inside) - aside - height * np.cos(outside)
+    field = _mask(height, material=PHLATCAM_RESIST).transmission(GREEN, sine=sine)
+    np.testing.assert_allclose(field, np.exp(2j * np.pi * path / GREEN), atol=1e-9)
+
+
 def test_a_height_of_a_whole_wave_changes_nothing():
     """The resist has n - 1 = 0.5103: 532 nm / 0.5103 is one turn, half of it flips the sign."""
     wave = GREEN / 0.5103
@@ -185,9 +197,9 @@ def _flat(value=0.0, shape=(3, 3)):
         (_flat(), _flat(-0.1), 2e-6, "smooth", "0..1"),
         (_flat(), np.where(np.eye(3), np.nan, 1), 2e-6, "smooth", "with 3 NaN"),
         (_flat(), _flat(0), 2e-6, "smooth", "no light passes"),
-        (_flat(), _flat(1), 2.0, "smooth", "pitch_m: got 2"),
+        (_flat(), _flat(1), 2.0, "smooth", "pitch_m:"),
         (_flat(), _flat(1), float("nan"), "smooth", "pitch_m"),
-        (_flat(), _flat(1), 2e-6, "rough", "profile: got 'rough'"),
+        (_flat(), _flat(1), 2e-6, "rough", "profile:"),
     ],
 )
 def test_senseless_masks_are_refused(height, amplitude, pitch_m, profile, words):
@@ -196,10 +208,10 @@ def test_senseless_masks_are_refused(height, amplitude, pitch_m, profile, words)
 
 
 def test_an_oversampling_below_one_is_refused():
-    with pytest.raises(InputError, match="oversample: got 0"):
+    with pytest.raises(InputError, match="oversample"):
         _mask(_flat()).transmission(GREEN, 0)
 
 
 def test_a_wavelength_in_nanometres_is_refused():
-    with pytest.raises(InputError, match="is the unit metres"):
+    with pytest.raises(InputError, match="wavelength_m"):
         _mask(_flat()).transmission(532.0)

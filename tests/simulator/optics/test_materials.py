@@ -132,20 +132,20 @@ def test_other_groups_measured_nearly_the_same(database):
 
 @pytest.mark.parametrize("wavelength_m", [0.1e-6, 7e-6, 532.0, 0.0, float("nan")])
 def test_wavelengths_outside_the_fit_are_refused(wavelength_m):
-    with pytest.raises(InputError, match=r"is known from 2\.1e-07 to 6\.7e-06 m"):
+    with pytest.raises(InputError, match=r"2\.1e-07 to 6\.7e-06 m"):
         FUSED_SILICA.index(wavelength_m)
 
 
 def test_refractivity_is_what_a_design_divides_by_and_never_nothing():
     assert load_material("n-bk7").refractivity(587.5618e-9) == pytest.approx(0.5168, abs=5e-5)  # Schott's n_d
-    with pytest.raises(InputError, match=r"material: 'air' delays no light .* choose a solid, such as 'fused-silica'"):
+    with pytest.raises(InputError, match=r"material: 'air' .*'fused-silica'"):
         load_material("air").refractivity(550e-9)
 
 
 def test_materials_are_found_by_name():
     assert load_material("fused-silica") is FUSED_SILICA
     assert all(load_material(name).name == name for name in MATERIALS)
-    with pytest.raises(InputError, match=r"got 'glass', expected one of air, fused-silica, n-bk7.*, or a file"):
+    with pytest.raises(InputError, match=r"'glass'.*air, fused-silica, n-bk7"):
         load_material("glass")
 
 
@@ -153,5 +153,5 @@ def test_files_are_told_from_names(tmp_path):
     assert material_file("n-bk7", tmp_path) is None
     assert material_file("glass", tmp_path) is None
     assert material_file("my glass.csv", tmp_path) == tmp_path / "my glass.csv"
-    with pytest.raises(InputError, match=r"cannot read .*lost\.yml: No such file"):
+    with pytest.raises(InputError, match=r"lost\.yml"):
         load_material("lost.yml", tmp_path)

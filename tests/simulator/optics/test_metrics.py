@@ -49,7 +49,7 @@ def test_autocorrelation_of_a_gaussian_is_sqrt_two_wider():
 
 @pytest.mark.parametrize("image", [np.zeros((3, 3)), np.array([[1.0, np.nan]]), np.ones(4), np.ones((0, 3))])
 def test_autocorrelation_refuses_what_has_none(image):
-    with pytest.raises(InputError, match="image must be finite"):
+    with pytest.raises(InputError, match="image"):
         autocorrelation(image)
 
 
@@ -130,7 +130,7 @@ def test_depth_limit_is_where_the_rim_moves_by_one_pixel():
 
 @pytest.mark.parametrize("lengths", [(0, 1e-3, 1e-6), (1e-3, -1e-3, 1e-6), (1e-3, 1e-3, float("nan"))])
 def test_depth_limit_refuses_lengths_that_are_not_positive(lengths):
-    with pytest.raises(InputError, match="expected positive metres"):
+    with pytest.raises(InputError, match="_m: got"):
         depth_limit_m(*lengths)
 
 

@@ -91,7 +91,7 @@ def test_one_depth_is_the_middle_of_the_range():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((0.1, 0.2, 3, "cubic"), "spacing: got 'cubic', expected one of disparity, log, linear"),
+        ((0.1, 0.2, 3, "cubic"), "spacing:"),
         ((0.1, 0.2, 0), "got 0 depths"),
         ((0.2, 0.1, 3), "0 < near < far"),
         ((0.0, 0.1, 3), "0 < near < far"),

@@ -100,12 +100,12 @@ def test_an_stl_file_of_other_programs_readers_is_a_solid():
 
 
 def test_what_has_no_body_is_refused():
-    with pytest.raises(InputError, match="mask 'relief' is flat"):
+    with pytest.raises(InputError, match="'relief'"):
         relief_solid(_mask(np.full((3, 3), 1e-6)), 1e-6)
     for base_m in (0, np.inf):
-        with pytest.raises(InputError, match=f"base_m: got {base_m}, expected a finite thickness above zero"):
+        with pytest.raises(InputError, match=f"base_m: got {base_m}"):
             relief_solid(_mask(_steps()), base_m)
-    with pytest.raises(InputError, match=r"1200 x 1200 pixels needs 11529600 triangles.*crop it to 2.2 mm"):
+    with pytest.raises(InputError, match=r"1200 x 1200 .*11529600 .*2\.2 mm"):
         relief_solid(_mask(_steps((1200, 1200))), 1e-6)
 
 
@@ -193,7 +193,7 @@ def test_bodies_that_are_no_height_maps_are_refused(tmp_path):
         (twice, "cover 4 mm2 of a rectangle of 2 mm2, so some lie above each other"),
     ):
         path = _stl(tmp_path / "body.stl", body)
-        with pytest.raises(InputError, match=f"{re.escape(str(path))} is no height map: .*{words}"):
+        with pytest.raises(InputError, match=f"{re.escape(str(path))} .*{words}"):
             read_stl_height(path, 1e-4, 1e-3)
 
 
@@ -202,13 +202,13 @@ def test_a_hole_hidden_by_an_overlap_is_found(tmp_path):
     sheet = [[x, y, 0.1 * x] for y in (0, 1) for x in range(4)]
     quads = [[0, 1, 5], [0, 5, 4], [2, 3, 7], [2, 7, 6], [0, 1, 5], [0, 5, 4]]
     path = _stl(tmp_path / "body.stl", trimesh.Trimesh(sheet, quads, process=False))
-    with pytest.raises(InputError, match="has a hole over 100 of 300 mask pixels"):
+    with pytest.raises(InputError, match="100 of 300 mask pixels"):
         read_stl_height(path, 1e-4, 1e-3)
 
 
 def test_files_that_are_no_stl_are_refused(tmp_path):
     path = tmp_path / "body.stl"
-    with pytest.raises(InputError, match=r"body.stl cannot be read: No such file"):
+    with pytest.raises(InputError, match=r"body\.stl"):
         read_stl_height(path, 1e-6, 1e-3)
     for content in (
         b"",
@@ -217,10 +217,10 @@ def test_files_that_are_no_stl_are_refused(tmp_path):
         stl_bytes(_mask(_steps()), 1e-6)[:-70],
     ):
         path.write_bytes(content)
-        with pytest.raises(InputError, match=r"body.stl (cannot be read as STL|holds 0 triangles)"):
+        with pytest.raises(InputError, match=r"body\.stl"):
             read_stl_height(path, 1e-6, 1e-3)
     path.write_text("the quick brown fox\n" * 9)
-    with pytest.raises(InputError, match=r"body.stl (cannot be read as|holds 0 triangles.*is it an) STL") as caught:
+    with pytest.raises(InputError, match=r"body\.stl .*STL") as caught:
         read_stl_height(path, 1e-6, 1e-3)
     assert "concatenate" not in str(caught.value)
 
@@ -228,13 +228,13 @@ def test_files_that_are_no_stl_are_refused(tmp_path):
 def test_files_too_large_are_refused_unread(tmp_path, monkeypatch):
     path = _stl(tmp_path / "blocks.stl", _blocks([[1.0, 2.0]]))
     monkeypatch.setattr("simulator.design.height_maps.MAX_TRIANGLES", 3)
-    with pytest.raises(InputError, match=r"blocks.stl is larger than 3 triangles, the most that are read"):
+    with pytest.raises(InputError, match=r"blocks\.stl .*3 triangles"):
         read_stl_height(path, 1e-4, 1e-3)
 
 
 def test_units_that_make_no_sensible_grid_are_refused(tmp_path):
     path = _stl(tmp_path / "blocks.stl", _blocks([[1.0, 2.0]]))
-    with pytest.raises(InputError, match=r"pixel_um: got 2 for .* of 2e\+03 x 1e\+03 mm.*1e\+06 um"):
+    with pytest.raises(InputError, match=r"pixel_um: got 2 .*2e\+03 x 1e\+03 mm.*1e\+06 um"):
         read_stl_height(path, 2e-6, 1.0)
     with pytest.raises(InputError, match="0 x 0 pixels"):
         read_stl_height(path, 3e-6, 1e-6)
