@@ -14,14 +14,13 @@ from pathlib import Path
 
 import torch
 
-from learning.baselines.method import DEFAULTS, build_classical
-from learning.capture import capture_model
-from learning.display import measure_white
-from learning.evaluation.timing import device_in_words, take_times
-from learning.method import Method
+from learning.camera import capture_model
+from learning.classical.method import DEFAULTS, build_classical
+from learning.evaluate.scoring import device_in_words, take_times
+from learning.method import Method, measure_white
 from learning.models import build_network
-from learning.models.method import LearnedMethod
-from learning.tuning import load_tuned
+from learning.models.flatnet import LearnedMethod
+from learning.tune import load_tuned
 from simulator.dataset import open_dataset
 
 REFERENCE = "FlatNet3D"

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset as TorchDataset
+from torch.utils.data import Sampler
 
-from learning.batches import Batches, Draw
-from learning.camera_numbers import recorded_sensor
-from learning.sample_cache import Arrays, SampleCache
+from learning.camera import recorded_sensor
 from simulator.camera.noise import GaussianNoise
 from simulator.camera.sensor import Sensor
 from simulator.config import config_from_dict
 from simulator.config.camera import GaussianNoise as GaussianConfig
 from simulator.config.camera import PhysicalNoise as PhysicalConfig
+from simulator.dataset.manifest import load_manifest
 from simulator.dataset.reader import Dataset
 from simulator.dataset.sample import SPLITS, sample_index
 from simulator.errors import InputError
+from simulator.files import committed_folder, storage_errors
 
 __all__ = ["Batches", "Draw", "Example", "ExampleSet", "check_dataset"]
 
@@ -164,3 +170,192 @@ def _converter(dataset: Dataset) -> tuple[Sensor, bool, bool]:
         return sensor, noise.clip, noise.quantise
     physical = isinstance(noise, PhysicalConfig)  # whose converter always does both
     return sensor, physical, physical
+
+
+_FORMAT = 1
+
+
+class Arrays(NamedTuple):
+    """What is kept of a sample.
+
+    Attributes:
+        measurement: ``(C, H, W)`` float32, as stored or without noise.
+        radiance: ``(3, h, w)`` float32.
+        depth_m: ``(1, h, w)`` float32.
+        valid: ``(1, h, w)`` bool.
+    """
+
+    measurement: NDArray[np.float32]
+    radiance: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    valid: NDArray[np.bool_]
+
+
+class SampleCache:
+    """Samples of one split, an .npy file per kind of array; opened anew in every process.
+
+    The folder's name is a hash of the samples' digests, so samples that were made again are never served from an older
+    cache. It appears in one rename when all of it is on the disk; processes that want the same one wait for its writer.
+    """
+
+    def __init__(self, folder: Path, shapes: dict[str, tuple[int, ...]]) -> None:
+        """Name a cache that was filled; see `filled`."""
+        self._folder, self._shapes = folder, shapes
+        self._maps: list[NDArray[np.generic]] | None = None
+
+    @classmethod
+    def filled(cls, folder: Path, dataset: Dataset, kind: str, read: Callable[[int], Arrays]) -> SampleCache:
+        """Return the cache of a split, which is written first where it is not there or not whole.
+
+        Args:
+            folder: holds the caches of all data sets; made where it is absent.
+            dataset: the split.
+            kind: what ``measurement`` is: caches of different kinds lie apart.
+            read: gives a sample.
+
+        Raises:
+            InputError: a sample cannot be read.
+            StorageError: the cache cannot be written.
+        """
+        own = folder / _key(dataset, kind)
+        cache = cls(own, _shapes(dataset))
+        with storage_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        with _locked(own.with_name(f"{own.name}.lock")):
+            if not cache._is_whole():
+                cache._write(lambda position: _readable(dataset, position, read))
+        return cache
+
+    def read(self, position: int) -> Arrays:
+        """Return a sample's arrays, copied: what the caller changes stays the caller's."""
+        if self._maps is None:
+            self._maps = [self._open(name) for name in Arrays._fields]
+        return Arrays(*(np.array(values[position]) for values in self._maps))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the maps out: pickled, they would be the whole data set."""
+        return self.__dict__ | {"_maps": None}
+
+    def _open(self, name: str) -> NDArray[np.generic]:
+        return np.load(self._folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
+
+    def _write(self, read: Callable[[int], Arrays]) -> None:
+        """Write one sample after another to plain files: a full disk is an error there, to a memory map it is the end."""
+        with committed_folder(self._folder) as temporary, ExitStack() as stack:
+            files = {name: stack.enter_context(open(temporary / f"{name}.npy", "wb")) for name in self._shapes}
+            for name, shape in self._shapes.items():
+                kind = np.dtype(bool if name == "valid" else np.float32)
+                header = {"descr": np.lib.format.dtype_to_descr(kind), "fortran_order": False, "shape": shape}
+                np.lib.format.write_array_header_1_0(files[name], header)
+            for position in range(self._shapes["measurement"][0]):
+                for name, values in read(position)._asdict().items():
+                    files[name].write(values.tobytes())
+            for file in files.values():
+                file.flush()
+                os.fsync(file.fileno())
+
+    def _is_whole(self) -> bool:
+        try:
+            return all(self._open(name).shape == shape for name, shape in self._shapes.items())
+        except (OSError, ValueError):  # absent, or a header or length that is not an array's
+            return False
+
+
+def _readable(dataset: Dataset, position: int, read: Callable[[int], Arrays]) -> Arrays:
+    """Return a sample; the system's refusal to read it is not taken for one to write the cache."""
+    try:
+        return read(position)
+    except OSError as error:
+        msg = f"{dataset.folder(position)} cannot be read ({error.strerror or error}); check the disk, or restore the sample"
+        raise InputError(msg) from error
+
+
+def _key(dataset: Dataset, kind: str) -> str:
+    entries = load_manifest(dataset.root).entries
+    digests = [entries[dataset.split, identifier].digest for identifier in dataset.ids]
+    identity = repr((_FORMAT, kind, dataset.split, dataset.ids, digests))
+    return hashlib.sha256(identity.encode()).hexdigest()[:32]
+
+
+def _shapes(dataset: Dataset) -> dict[str, tuple[int, ...]]:
+    samples, info = len(dataset), dataset.info
+    return {
+        "measurement": (samples, len(info.channels), *info.sensor_shape),
+        "radiance": (samples, 3, *info.scene_shape),
+        "depth_m": (samples, 1, *info.scene_shape),
+        "valid": (samples, 1, *info.scene_shape),
+    }
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold the lock of this name; another process that wants it waits."""
+    with ExitStack() as stack:
+        with storage_errors(path):  # of the lock alone: what goes wrong under it is another matter
+            file = stack.enter_context(open(path, "ab"))
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+class Draw(NamedTuple):
+    """A sample and the noise it is seen with.
+
+    Attributes:
+        position: of the sample in its split.
+        number: of the drawing: another number is another noise.
+    """
+
+    position: int
+    number: int
+
+
+class Batches(Sampler[list[Draw]]):
+    """Endless batches; give it to a ``DataLoader`` as ``batch_sampler``.
+
+    An epoch is a permutation of all samples, and epochs follow each other without a gap: a batch may hold the end of one and
+    the beginning of the next. The epoch's number is the number of the draw. Batch ``n`` depends on ``seed`` and ``n`` alone,
+    so a loader that starts at ``first = n`` goes on where another stopped.
+    """
+
+    def __init__(self, length: int, batch: int, *, seed: int, first: int = 0, rank: int = 0, ranks: int = 1) -> None:
+        """Set the order.
+
+        Args:
+            length: how many samples there are.
+            batch: samples in a batch of all ranks together.
+            seed: of the order.
+            first: number of the first batch.
+            rank: which part of each batch to give, 0 to ``ranks - 1``.
+            ranks: how many processes share a batch; they must divide it.
+
+        Raises:
+            InputError: numbers that make no sense.
+        """
+        if length < 1 or batch < 1 or first < 0 or seed < 0:
+            msg = f"got length {length}, batch {batch}, first {first}, seed {seed}; expected at least 1, 1, 0 and 0"
+            raise InputError(msg)
+        if not 0 <= rank < ranks or batch % ranks:
+            msg = f"batch: got {batch} for rank {rank} of {ranks} processes; they must divide it: choose a multiple"
+            raise InputError(msg)
+        self._length, self._batch, self._seed, self._first = length, batch, seed, first
+        part = batch // ranks
+        self._part = slice(rank * part, (rank + 1) * part)
+        self._order: tuple[int, NDArray[np.intp]] | None = None
+
+    def __iter__(self) -> Iterator[list[Draw]]:
+        """Yield the batches from ``first`` on, without end."""
+        number = self._first
+        while True:
+            yield self.batch(number)
+            number += 1
+
+    def batch(self, number: int) -> list[Draw]:
+        """Return this rank's part of a batch."""
+        places = range(number * self._batch, (number + 1) * self._batch)[self._part]
+        return [self._draw(*divmod(place, self._length)) for place in places]
+
+    def _draw(self, epoch: int, place: int) -> Draw:
+        if self._order is None or self._order[0] != epoch:
+            rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(epoch,)))
+            self._order = epoch, rng.permutation(self._length)
+        return Draw(int(self._order[1][place]), epoch)

@@ -8,8 +8,8 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from learning.estimate import Estimate
-from learning.perceptual.features import PerceptualLoss
+from learning.method import Estimate
+from learning.perceptual import PerceptualLoss
 from simulator.errors import InputError
 
 
@@ -75,7 +75,7 @@ class ReconstructionLoss(nn.Module):
 
         Args:
             estimate: of B scenes, as the network gave it, not clamped.
-            picture: ``(B, 3, h, w)`` true sRGB codes; see `learning.display.encode`.
+            picture: ``(B, 3, h, w)`` true sRGB codes; see `learning.method.encode`.
             disparity: ``(B, 1, h, w)`` true disparity 0..1; see `CaptureModel.disparity`.
             valid: ``(B, 1, h, w)`` bool, where there is a depth.
 

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from skimage.metrics import structural_similarity
 from torch import Tensor
 
-from learning.capture import CaptureModel
+from learning.camera import CaptureModel
 from learning.data import Example
-from learning.display import decode, encode
-from learning.estimate import Estimate
-from learning.perceptual.lpips_distance import LpipsDistance
+from learning.method import Estimate, decode, encode
+from learning.perceptual import LpipsDistance
 from simulator.errors import InputError
 
 # Andersson et al. 2020, section 4: a display 0.7 m wide with 3840 pixels, seen from 0.7 m.

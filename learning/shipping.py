@@ -17,7 +17,7 @@ _PATH = re.compile(r"""(?<![^\s'"=,(:\[])(?:~|[A-Za-z]:)?[/\\](?:[^\s'"=,/\\]+[/
 
 
 def ship_checkpoint(source: Path | str, target: Path | str) -> None:
-    """Write a checkpoint of `flatlight train` as those that Flatlight brings along: see `learning.shipped`.
+    """Write a checkpoint of `flatlight train` as those that Flatlight brings along: see `learning.checkpoint`.
 
     Filters of convolutions and PSFs are rounded to float16; all other weights and numbers stay exact. Of each absolute path
     in the record and in the PSFs' provenance the last part is left. The record tells under ``shipped`` of which file this

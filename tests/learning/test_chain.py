@@ -14,7 +14,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
-from learning.display import encode
+from learning.method import encode
 from simulator.dataset import open_dataset
 from simulator.exr import read_exr
 

@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from learning.estimate import Estimate
 from learning.losses import ReconstructionLoss
+from learning.method import Estimate
 from simulator.errors import InputError
 
 

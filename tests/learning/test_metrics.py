@@ -15,10 +15,9 @@ from skimage.color import rgb2lab
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torch import Tensor
 
-from learning.capture import CaptureModel
+from learning.camera import CaptureModel
 from learning.data import Example
-from learning.display import encode
-from learning.estimate import Estimate
+from learning.method import Estimate, encode
 from learning.metrics import DEFINITIONS, dark_mask, depth_scores, measure, picture_scores, psnr
 from simulator.errors import InputError
 

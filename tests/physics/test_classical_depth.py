@@ -16,8 +16,8 @@ from simulator.types import CameraGeometry, SpectralResponse
 torch = pytest.importorskip("torch")
 pytest.importorskip("ortools")
 
-from learning.baselines.method import DEFAULTS, build_classical  # noqa: E402
-from learning.capture import CaptureModel  # noqa: E402
+from learning.camera import CaptureModel  # noqa: E402
+from learning.classical.method import DEFAULTS, build_classical  # noqa: E402
 
 GREEN = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")
 SCENE, SENSOR, PLANES = (24, 28), (72, 76), 4

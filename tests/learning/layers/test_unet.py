@@ -7,8 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from learning.layers.attention import GridAttention
-from learning.layers.unet import UNet
+from learning.layers.unet import GridAttention, UNet
 from simulator.errors import InputError
 
 
