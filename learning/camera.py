@@ -22,20 +22,22 @@ from simulator.errors import InputError
 from simulator.optics.psf_stack import PsfStack
 from simulator.types import View
 
+_WHITE_PERCENTILE, _WHITE_SAMPLES = 99.0, 64
+
 
 @dataclass(frozen=True, eq=False)
 class CaptureModel:
     """How a still scene became a measurement: ``y = offset + gain sum_k H_k (*) (irradiance M L_k)``.
 
     Attributes:
-        stack: the PSFs H that the reconstruction believes in, K depths and C channels; not always those of the simulation.
+        stack: the assumed PSFs H, K depths and C channels; not always those of the simulation.
         sensor_shape: H, W of the measurement.
-        scene_shape: h, w of the picture; pixels lie on pixels, the centres coincide.
+        scene_shape: h, w of the image; pixels lie on pixels, the centres coincide.
         gain: DN / 2^bits per unit of exposed irradiance x PSF.
         offset: DN / 2^bits without light, ``(C,)``.
         irradiance: ``(h, w)``, irradiance at the mask per unit radiance; see `simulator.camera.planes.mask_irradiance`.
         scene_to_camera: M, ``(C, 3)``, from linear sRGB to the camera's channels.
-        white: the radiance that pictures show as 1: one number for training, tests and every method.
+        white: reference white, the radiance that images show as 1: one number for training, tests and every method.
 
     Raises:
         InputError: shapes that contradict each other, or numbers that make no sense.
@@ -112,7 +114,7 @@ class CaptureModel:
         return ForwardModel(stack, self.sensor_shape, self.scene_shape)
 
     def with_stack(self, stack: PsfStack) -> CaptureModel:
-        """Return the same camera believed to have other PSFs.
+        """Return the same camera assumed to have other PSFs.
 
         Raises:
             InputError: when the stack has other channels or another pixel pitch.
@@ -127,8 +129,8 @@ class CaptureModel:
             raise InputError(msg)
         return replace(self, stack=stack)
 
-    def believed(self, known: CaptureModel) -> CaptureModel:
-        """Return the camera that made this data as a method believes in it that was made for another data set.
+    def with_assumed(self, known: CaptureModel) -> CaptureModel:
+        """Return the camera that made this data with the PSFs that a method assumes which was made for another data set.
 
         The camera's numbers (gain, offset, irradiance, colours) stay this data set's, whose exposure may be its own. PSFs,
         depth range and white are the known ones: with them the method was trained or tuned.
@@ -170,7 +172,7 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
         dataset: any split of it.
         stack: ``nominal``, the PSFs that made the data; ``captured``, as a calibration would have measured them
             (``psf.as_captured``); the folder of any other stack, or the stack itself.
-        white: the radiance that pictures show as 1; see `learning.method.measure_white`.
+        white: the radiance that images show as 1; see `measure_reference_white`.
 
     Raises:
         InputError: a mosaic's measurement, a circular convolution, rows with different exposure times, a damaged record, no
@@ -273,10 +275,10 @@ def plain_capture(
     Args:
         stack: the PSFs; one channel (grey) or three (red, green, blue).
         sensor_shape: H, W of the measurement.
-        scene_shape: h, w of the picture around the centre; None takes the sensor's, the picture that a pinhole in the
+        scene_shape: h, w of the image around the centre; None takes the sensor's, the image that a pinhole in the
             mask's place would give.
         background: what the measurement shows without light, one number or one per channel.
-        white: the radiance that pictures show as 1; see `typical_white`.
+        white: the radiance that images show as 1; see `typical_white`.
 
     Raises:
         InputError: a stack of other than one or three channels, or shapes and numbers that `CaptureModel` refuses.
@@ -299,10 +301,29 @@ def plain_capture(
     )
 
 
+def measure_reference_white(dataset: Dataset) -> float:
+    """Return the radiance that images of a data set show as 1: the 99th percentile of its first 64 samples.
+
+    One number for the whole data set; brighter light is clipped in images, as a camera's is.
+
+    Raises:
+        InputError: an empty split, or one whose scenes are black.
+    """
+    if len(dataset) == 0:
+        msg = f"split {dataset.split!r} of {dataset.root} is empty; generate some of its samples first"
+        raise InputError(msg)
+    values = [dataset.stored(position).frame(0).rgb for position in range(min(len(dataset), _WHITE_SAMPLES))]
+    white = float(np.percentile(np.stack(values), _WHITE_PERCENTILE))
+    if white <= 0:
+        msg = f"split {dataset.split!r} of {dataset.root}: its scenes are black, so images of them have no scale"
+        raise InputError(msg)
+    return white
+
+
 def typical_white(capture: CaptureModel, measurement: Array) -> float:
     """Return a radiance to be shown as 1: twice the mean of a scene that sends as much light as was measured.
 
-    For a capture whose unit is unknown; of data sets it is measured once for all, see `learning.method.measure_white`.
+    For a capture whose unit is unknown; of data sets it is measured once, see `measure_reference_white`.
 
     Args:
         capture: the camera, its ``white`` unused.

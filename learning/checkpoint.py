@@ -21,6 +21,7 @@ from torch import Tensor
 
 from learning.camera import CaptureModel
 from learning.models.flatnet import FlatNet, build_network, full_architecture
+from learning.provenance import renamed
 from simulator.dataset.plain import canonical_json
 from simulator.errors import InputError
 from simulator.files import write_atomic
@@ -29,6 +30,11 @@ from simulator.optics.psf_stack import PsfStack
 FORMAT, VERSION = "flatlight checkpoint", 1
 _KEY = "flatlight"
 _WEIGHTS, _CAMERA = "network.", "camera."
+_PER_PLANE = ("inversion.filters", "inversion.log_lambda")
+_FIRST = "enhancement.down.0.0.weight"
+FOLDER = Path(__file__).parent / "checkpoints"
+"""The trained networks that come with Flatlight: one small file each."""
+_BEST = "flatnet3d"  # where several fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +133,7 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
     path = Path(path)
     content, tensors = _read(path)
     try:
-        architecture, record = dict(content["architecture"]), dict(content["record"])
+        architecture, record = renamed(content["architecture"]), renamed(content["record"])
         name = str(architecture["network"])
         own = _capture(content["camera"], tensors)
     except (KeyError, TypeError, ValueError) as error:
@@ -184,14 +190,14 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         msg = f"cannot read the checkpoint {path}: {error.strerror or error}"
         raise InputError(msg) from error
     except SafetensorError as error:
-        msg = f"{path} is no checkpoint, or a truncated one ({error}); expected a safetensors file of `flatlight train`"
+        msg = f"{path} is not a checkpoint, or a truncated one ({error}); expected a safetensors file of `flatlight train`"
         raise InputError(msg) from error
     try:
         content = json.loads(text) if text is not None else {}
     except (ValueError, RecursionError):
         content = {}
     if not isinstance(content, dict) or content.get("format") != FORMAT or not isinstance(content.get("version"), int):
-        msg = f"{path} is a safetensors file, but no Flatlight checkpoint; expected one that `flatlight train` wrote"
+        msg = f"{path} is a safetensors file, but not a Flatlight checkpoint; expected one that `flatlight train` wrote"
         raise InputError(msg)
     if content["version"] > VERSION:
         msg = f"{path}: got a checkpoint of version {content['version']}, expected at most {VERSION}; update Flatlight"
@@ -259,10 +265,6 @@ def _check_fit(network: FlatNet, weights: Mapping[str, Tensor], where: str) -> N
             raise InputError(msg)
 
 
-FOLDER = Path(__file__).parent / "checkpoints"
-_BEST = "flatnet3d"  # where several fit
-
-
 def shipped_checkpoints() -> dict[str, Path]:
     """Return the files by name, that of the best network first; empty where there are none."""
     files = {path.stem: path for path in sorted(FOLDER.glob("*.safetensors"))}
@@ -290,10 +292,6 @@ def find_checkpoint(text: str) -> Path:
     raise InputError(msg)
 
 
-_PER_PLANE = ("inversion.filters", "inversion.log_lambda")
-_FIRST = "enhancement.down.0.0.weight"
-
-
 def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
     """Put a checkpoint's weights into a network of the same architecture for another camera.
 
@@ -314,8 +312,8 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
     own, found = network.state_dict(), checkpoint.network.state_dict()
     if type(network) is not type(checkpoint.network):
         msg = (
-            f"checkpoint: got a {type(checkpoint.network).__name__}, expected a {type(network).__name__}; start from a "
-            "checkpoint of the same network"
+            f"checkpoint: got a {type(checkpoint.network).__name__}, expected a {type(network).__name__}; take a checkpoint "
+            "of the same network"
         )
         raise InputError(msg)
     mine, other = network.inversion.channels, checkpoint.network.inversion.channels
@@ -329,7 +327,7 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
         got, wanted = _shape(taken, name), _shape(own, name)
         if got != wanted:
             msg = (
-                f"checkpoint: {name} has the shape {got}, expected {wanted}; start from a checkpoint of the same size, or "
+                f"checkpoint: {name} has the shape {got}, expected {wanted}; take a checkpoint of the same size, or "
                 f"build the network with its numbers: {checkpoint.architecture}"
             )
             raise InputError(msg)

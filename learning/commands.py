@@ -69,7 +69,7 @@ def evaluate(
     settings = load_file(EvaluateConfig, config, set_ or [])
     with Bar() as bar:
         findings, files = run(settings, progress=bar.update, say=bar.say)
-    print(terminal_table([*findings.main, *findings.trivial], {one.method: one for one in findings.times}))
+    print(terminal_table([*findings.main, *findings.naive], {one.method: one for one in findings.times}))
     print(f"look at {files[0]}")
 
 
@@ -77,7 +77,7 @@ def reconstruct(
     measurement: Annotated[
         Path,
         typer.Argument(
-            help="a sample's folder, or a linear picture: EXR, TIFF, PNG (8 bit, or 16 bit grey), npy",
+            help="a sample's folder, or a linear image: EXR, TIFF, PNG (8 bit, or 16 bit grey), npy",
             show_default=False,
         ),
     ],
@@ -89,7 +89,7 @@ def reconstruct(
     stack: Annotated[
         str | None,
         typer.Option(
-            help="its PSFs: folder of a stack or data set, picture of one PSF; a sample's own: nominal, captured"
+            help="its PSFs: folder of a stack or data set, image of one PSF; a sample's own: nominal, captured"
         ),
     ] = None,
     tuned: Annotated[Path | None, typer.Option(help="its parameters: what `flatlight tune` wrote")] = None,
@@ -97,7 +97,8 @@ def reconstruct(
         float | None, typer.Option(help="PSNR of the measurement, which chooses among the tuned")
     ] = None,
     set_: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="one of its parameters, e.g. strength=0.01")
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="one of its parameters, e.g. regularisation_lambda=0.01"),
     ] = None,
     output: Annotated[
         Path | None, typer.Option(help="folder for the result; default: SPLIT_NAME_METHOD here", show_default=False)
@@ -107,26 +108,26 @@ def reconstruct(
         int | None, typer.Option(help="the sensor's bit depth, where the file's type is wider, e.g. 12 in 16 bit files")
     ] = None,
     background: Annotated[
-        str | None, typer.Option(help="to subtract: a number in the file's units, or a picture of darkness")
+        str | None, typer.Option(help="to subtract: a number in the file's units, or a image of darkness")
     ] = None,
     psf_background: Annotated[
         str | None,
-        typer.Option(help="the same for the picture of a PSF; or border (its frame's median), none  [border]"),
+        typer.Option(help="the same for the image of a PSF; or border (its frame's median), none  [border]"),
     ] = None,
-    psf_crop: Annotated[str | None, typer.Option(help="the same as --crop for the picture of a PSF")] = None,
+    psf_crop: Annotated[str | None, typer.Option(help="the same as --crop for the image of a PSF")] = None,
     crop: Annotated[
         str | None, typer.Option(help="ROWSxCOLUMNS about the centre, or ROWSxCOLUMNS+TOP+LEFT, of the file's pixels")
     ] = None,
-    binning: Annotated[int, typer.Option(help="pixels per side that become one, of the PSF's picture too")] = 1,
+    binning: Annotated[int, typer.Option(help="pixels per side that become one, of the PSF's image too")] = 1,
     scene: Annotated[
         str | None, typer.Option(help="ROWSxCOLUMNS of the result without data set or network  [the sensor's]")
     ] = None,
     white: Annotated[
-        float | None, typer.Option(help="radiance to show as white  [the camera's, or the picture's]")
+        float | None, typer.Option(help="radiance to show as white  [the camera's, or the image's]")
     ] = None,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda")] = "auto",
 ) -> None:
-    """Reconstruct picture and depth from one measurement, by a network or a classical method."""
+    """Reconstruct image and depth from one measurement, by a network or a classical method."""
     from learning.reconstruct.job import Options, reconstruct_file
 
     options = Options(

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
+from learning.provenance import RENAMED
 from simulator.config.base import Range, Section, refusal
 from simulator.config.load import ConfigError
 from simulator.config.overrides import apply_overrides
@@ -17,7 +18,20 @@ from simulator.errors import InputError
 from simulator.validation import find_problems, show, validate
 
 
-class FileSection(Section):
+class LearningSection(Section):
+    """A section that says what its keys of earlier versions are called now."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_old_keys(cls, data: Any) -> Any:
+        for old, new in RENAMED.items():
+            if isinstance(data, dict) and old in data and new in cls.model_fields:
+                text = f"{old} is called {new} now"
+                raise refusal(text, old, on_key=True)
+        return data
+
+
+class FileSection(LearningSection):
     """The whole of a YAML file; relative paths in it are taken from its folder."""
 
     _base_dir: Path = PrivateAttr(default_factory=Path.cwd)
@@ -30,6 +44,10 @@ class FileSection(Section):
     def resolve_path(self, text: str | Path) -> Path:
         """Return a path of this file as an absolute one."""
         return self._base_dir / Path(text).expanduser()
+
+    def resolve_stack(self, name: str) -> str | Path:
+        """Return PSFs as `learning.camera.capture_model` takes them: nominal, captured, or a stack's folder."""
+        return name if name in ("nominal", "captured") else self.resolve_path(name)
 
     def dump(self) -> dict[str, Any]:
         """Return plain data for JSON with all defaults."""
@@ -101,7 +119,7 @@ class DataConfig(Section):
         return self
 
 
-class NetworkConfig(Section):
+class NetworkConfig(LearningSection):
     """Which network, and how big: a size, and what differs from it."""
 
     name: Literal["flatnet3d", "flatnet2d"] = Field(
@@ -118,11 +136,12 @@ class NetworkConfig(Section):
     stem: Annotated[int, Range(1, 8)] | None = Field(
         default=None, description="pixels per side that the U-Net takes as one: 2 makes it four times cheaper"
     )
-    strength: Annotated[float, Range(1e-9, 1e6)] | None = Field(
-        default=None, description="initial lambda of the inversion, as a multiple of the PSF's mean spectral power"
+    regularisation_lambda: Annotated[float, Range(1e-9, 1e6)] | None = Field(
+        default=None, description="initial, of the inversion, as a multiple of the PSF's mean spectral power"
     )
-    floor: Annotated[float, Range(0, 1e6)] | None = Field(
-        default=None, description="initial response of the inversion's P at frequency zero; 0 is the Laplacian alone"
+    tikhonov: Annotated[float, Range(0, 1e6)] | None = Field(
+        default=None,
+        description="initial Tikhonov term: response of the inversion's P at frequency zero; 0 is the Laplacian alone",
     )
 
     @property
@@ -184,7 +203,7 @@ class TrainConfig(FileSection):
     )
     data: DataConfig
     network: NetworkConfig = Field(default_factory=NetworkConfig)
-    start: str | None = Field(
+    init_from: str | None = Field(
         default=None,
         description="checkpoint (.safetensors) of a network of the same kind to begin with, for fine-tuning",
     )
@@ -224,11 +243,11 @@ class EvaluationData(Section):
     scenes: Count | None = Field(default=None, description="only the first so many; null takes all")
     training: str | None = Field(
         default=None,
-        description="folder of the data set that the methods were trained or tuned on: the classical ones believe its PSFs",
+        description="folder of the data set that the methods were trained or tuned on: the classical ones assume its PSFs",
     )
     stack: str = Field(
         default="own",
-        description="the PSFs that methods believe: own (a checkpoint's; of classical methods nominal), nominal or captured "
+        description="the PSFs that methods assume: own (a checkpoint's; of classical methods nominal), nominal or captured "
         "(of the training data set), or the folder of a stack",
     )
     compare_stacks: list[str] = Field(
@@ -336,7 +355,7 @@ class EvaluateConfig(FileSection):
             text = "expected at least one level, each of them once"
             raise refusal(text, "noise_db")
         if self.data.training is None and any(method.classical for method in self.methods):
-            text = "classical methods need data.training, the data set whose PSFs they believe"
+            text = "classical methods need data.training, the data set whose PSFs they assume"
             raise refusal(text, "data")
         return self
 
@@ -351,9 +370,9 @@ class TuneData(Section):
     split: Literal["validation", "train", "test"] = Field("validation", description="its split that is tuned on")
     scenes: Annotated[int, Range(1, 1_000_000)] = Field(FEWEST_SCENES, description="its first so many samples are used")
     allow_few_scenes: bool = Field(False, description=f"whether fewer than {FEWEST_SCENES} may be used; it is recorded")
-    stack: str = Field("nominal", description="PSFs that the methods know: nominal, captured, or a stack's folder")
+    stack: str = Field("nominal", description="PSFs that the methods assume: nominal, captured, or a stack's folder")
     train: Path | None = Field(
-        None, description="data set whose train split gives pictures their white; null: the one above"
+        None, description="data set whose train split gives images their reference white; null: the one above"
     )
 
     @model_validator(mode="after")
@@ -392,15 +411,23 @@ class TuneConfig(FileSection):
         min_length=1,
         description="PSNR of the measurements, decibels; each level is tuned by itself",
     )
-    objective: Literal["both", "picture", "depth"] = Field(
+    objective: Literal["both", "image", "depth"] = Field(
         "both",
-        description="minimised error, in units of the constant guess's: depth (RMSE), picture (by PSNR), or their sum",
+        description="minimised error, in units of the constant guess's: depth (RMSE), image (by PSNR), or their sum",
     )
     search: dict[str, dict[str, AxisSection]] = Field(
         default_factory=dict, description="changes of the search space: method, parameter, candidates and limits"
     )
     seed: Annotated[int, Range(0, 2**63 - 1)] = Field(0, description="of the noise")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="auto takes a GPU where there is one")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_old_objective(cls, data: Any) -> Any:
+        if isinstance(data, dict) and data.get("objective") == "picture":
+            text = "picture is called image now"
+            raise refusal(text, "objective")
+        return data
 
     @model_validator(mode="after")
     def _check_search(self) -> TuneConfig:

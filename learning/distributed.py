@@ -16,10 +16,10 @@ from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.nn.parallel import DistributedDataParallel
 
-from learning.method import Estimate
+from learning.method import Estimate, choose_device
 from simulator.errors import InputError
 
-_LONGEST = timedelta(hours=2)  # the leader may write or validate for long while the others wait
+_LONGEST = timedelta(hours=2)  # rank 0 may write or validate for long while the others wait
 
 
 @dataclass(frozen=True)
@@ -28,37 +28,42 @@ class Processes:
 
     Attributes:
         device: of this process.
-        rank: its number, 0 for the leader.
-        ranks: how many there are.
+        rank: its number, 0 for the one that writes.
+        world_size: how many there are.
     """
 
     device: torch.device
     rank: int = 0
-    ranks: int = 1
+    world_size: int = 1
 
     @property
-    def leader(self) -> bool:
+    def is_rank_zero(self) -> bool:
         """Whether this process writes files and speaks."""
         return self.rank == 0
 
+    @property
+    def on_cuda(self) -> bool:
+        """Whether the device is a GPU."""
+        return self.device.type == "cuda"
+
     def add(self, values: Tensor) -> Tensor:
         """Return the sum of a tensor over all processes."""
-        if self.ranks > 1:
+        if self.world_size > 1:
             values = values.clone()
             dist.all_reduce(values)
         return values
 
     def gather(self, value: Any) -> list[Any]:
         """Return every process's value, plain data, by rank."""
-        if self.ranks == 1:
+        if self.world_size == 1:
             return [value]
-        values: list[Any] = [None] * self.ranks
+        values: list[Any] = [None] * self.world_size
         dist.all_gather_object(values, value)
         return values
 
     def wrap(self, network: nn.Module) -> nn.Module:
         """Return the network whose gradients are means over all processes; itself where there is one."""
-        if self.ranks == 1:
+        if self.world_size == 1:
             return network
         # All began with the same weights and see the same statistics, so that nothing has to be sent but gradients.
         known = inspect.signature(DistributedDataParallel).parameters  # torch 2.13 gave it another name
@@ -77,13 +82,9 @@ def processes(device: str) -> Iterator[Processes]:
     Raises:
         InputError: CUDA is asked for and absent, or torchrun started more processes than there are GPUs.
     """
-    cuda = torch.cuda.is_available()
-    if device == "cuda" and not cuda:
-        msg = "device: got cuda, but torch finds no CUDA device here; take device: cpu, or auto"
-        raise InputError(msg)
-    kind = ("cuda" if cuda else "cpu") if device == "auto" else device
-    ranks = int(os.environ.get("WORLD_SIZE", "1"))
-    if ranks == 1:
+    kind = choose_device(device).type
+    world_size = int(os.environ.get("WORLD_SIZE", "1"))
+    if world_size == 1:
         yield Processes(torch.device(kind))
         return
     local = int(os.environ["LOCAL_RANK"])
@@ -98,7 +99,7 @@ def processes(device: str) -> Iterator[Processes]:
         torch.cuda.set_device(place)
     dist.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=_LONGEST)
     try:
-        yield Processes(place, dist.get_rank(), ranks)
+        yield Processes(place, dist.get_rank(), world_size)
     finally:
         dist.destroy_process_group()
 
@@ -212,5 +213,5 @@ class Precision:
         float32, and batch statistics with it.
         """
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.kind == "bfloat16"):
-            picture, disparity = network(measurement)
-        return Estimate(picture.float(), disparity.float())
+            image, disparity = network(measurement)
+        return Estimate(image.float(), disparity.float())

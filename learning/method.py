@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import NamedTuple, Protocol
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from learning.camera import CaptureModel
-from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 
-_PERCENTILE = 99.0
-_SAMPLES = 64
 
+def linear_to_srgb(radiance: Tensor, white: float) -> Tensor:
+    """Return sRGB codes of linear radiance, any shape: 0 for nothing, 1 for the reference ``white``; all else is clipped.
 
-def encode(radiance: Tensor, white: float) -> Tensor:
-    """Return sRGB codes of linear radiance, any shape: 0 for nothing, 1 for ``white``; values outside are clipped.
+    In the tensor's precision and with its gradients; `simulator.colour` has the curve in float64.
 
     Source: IEC 61966-2-1:1999 with amendment 1.
     """
@@ -28,46 +28,27 @@ def encode(radiance: Tensor, white: float) -> Tensor:
     return torch.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
 
 
-def decode(picture: Tensor, white: float) -> Tensor:
-    """Return the linear radiance of sRGB codes, the inverse of `encode`; codes are clipped to 0..1."""
-    codes = picture.clamp(0, 1)
+def srgb_to_linear(codes: Tensor, white: float) -> Tensor:
+    """Return the linear radiance of sRGB codes, the inverse of `linear_to_srgb`; codes are clipped to 0..1."""
+    codes = codes.clamp(0, 1)
     linear = torch.where(codes <= 0.04045, codes / 12.92, ((codes.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4)
     return linear * white
 
 
-def measure_white(dataset: Dataset) -> float:
-    """Return the radiance that pictures of a data set show as 1: the 99th percentile of its first 64 samples.
-
-    One number for the whole data set; brighter light is clipped in pictures, as a camera's is.
-
-    Raises:
-        InputError: an empty split, or one whose scenes are black.
-    """
-    if len(dataset) == 0:
-        msg = f"split {dataset.split!r} of {dataset.root} is empty; generate some of its samples first"
-        raise InputError(msg)
-    values = [dataset.stored(position).frame(0).rgb for position in range(min(len(dataset), _SAMPLES))]
-    white = float(np.percentile(np.stack(values), _PERCENTILE))
-    if white <= 0:
-        msg = f"split {dataset.split!r} of {dataset.root}: its scenes are black, so pictures of them have no scale"
-        raise InputError(msg)
-    return white
-
-
 class Estimate(NamedTuple):
-    """Pictures and depths of B scenes.
+    """Images and depths of B scenes.
 
     Attributes:
-        picture: ``(B, 3, h, w)`` sRGB codes, nominally 0..1 (a network's are not clipped); see `learning.method`.
+        image: ``(B, 3, h, w)`` sRGB codes, nominally 0..1 (a network's are not clipped); see `linear_to_srgb`.
         disparity: ``(B, 1, h, w)``, nominally 0 (far) to 1 (near); see `CaptureModel.disparity`.
     """
 
-    picture: Tensor
+    image: Tensor
     disparity: Tensor
 
     def clamped(self) -> Estimate:
         """Return the same within the ranges: what metrics see, of every method alike."""
-        return Estimate(self.picture.clamp(0, 1), self.disparity.clamp(0, 1))
+        return Estimate(self.image.clamp(0, 1), self.disparity.clamp(0, 1))
 
     def depth_m(self, capture: CaptureModel) -> Tensor:
         """Return depths ``(B, 1, h, w)`` in metres, clamped to the stack's range."""
@@ -104,7 +85,7 @@ class Method(Protocol):
 
     Attributes:
         name: in tables and figures.
-        capture: the camera that it believes in.
+        capture: the camera with its assumed PSFs.
     """
 
     name: str
@@ -121,10 +102,7 @@ class Method(Protocol):
 
 
 def choose_device(wanted: str) -> torch.device:
-    """Return the device of a word.
-
-    Args:
-        wanted: ``auto`` (CUDA where there is some), ``cpu`` or ``cuda``.
+    """Return the device of a word: ``auto`` (CUDA where there is some), ``cpu`` or ``cuda``.
 
     Raises:
         InputError: another word, or CUDA where there is none.
@@ -137,3 +115,16 @@ def choose_device(wanted: str) -> torch.device:
         msg = "device: got cuda, but torch finds no CUDA device here; take cpu, or auto"
         raise InputError(msg)
     return torch.device("cuda" if cuda and wanted != "cpu" else "cpu")
+
+
+def describe_device(device: torch.device) -> str:
+    """Return the processor, and for a CPU how many threads torch uses on it."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    except OSError:
+        names = [platform.processor()]
+    processor = (names and names[0]) or platform.machine()
+    return f"{processor}, {torch.get_num_threads()} of {os.cpu_count()} threads"

@@ -25,7 +25,7 @@ from simulator.errors import InputError
 __all__ = ["LpipsDistance", "PerceptualLoss", "available_lpips"]
 
 
-# What torchvision's networks were trained on: sRGB codes 0..1 less the mean, by the spread, of ImageNet's pictures.
+# What torchvision's networks were trained on: sRGB codes 0..1 less the mean, by the spread, of ImageNet's images.
 _MEAN, _SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 LAYERS = {"vgg19": ("relu4_2",), "vgg16": ("relu2_2", "relu4_3")}
@@ -43,11 +43,11 @@ _BLOCKS = {
 
 
 class PerceptualLoss(nn.Module):
-    """Distance between pictures: the mean squared difference of features, summed over layers.
+    """Distance between images: the mean squared difference of features, summed over layers.
 
     Source: Johnson et al., Perceptual Losses for Real-Time Style Transfer and Super-Resolution, ECCV 2016, equation 2.
 
-    The weights are frozen; gradients go to the pictures only. Computed in float32, whatever autocast says.
+    The weights are frozen; gradients go to the images only. Computed in float32, whatever autocast says.
     """
 
     mean: Tensor
@@ -85,27 +85,27 @@ class PerceptualLoss(nn.Module):
             calibrate(self.features, self.indices, generator, self._standardise)
         self.requires_grad_(False).eval()
 
-    def forward(self, picture: Tensor, truth: Tensor) -> Tensor:
+    def forward(self, image: Tensor, truth: Tensor) -> Tensor:
         """Return the distance, a scalar; the mean over the batch.
 
         Args:
-            picture: ``(B, 3, h, w)`` sRGB codes, nominally 0..1; not clipped, so that gradients lead back.
+            image: ``(B, 3, h, w)`` sRGB codes, nominally 0..1; not clipped, so that gradients lead back.
             truth: the same shape.
 
         Raises:
             InputError: shapes that differ, or fewer than 32 x 32 pixels.
         """
-        check_size(picture, truth)
-        with torch.autocast(picture.device.type, enabled=False):
+        check_size(image, truth)
+        with torch.autocast(image.device.type, enabled=False):
             with torch.no_grad():
                 wanted = self.extract(truth.float())
-            found = self.extract(picture.float())
+            found = self.extract(image.float())
             differences = [(one - other).square().mean() for one, other in zip(found, wanted, strict=True)]
         return torch.stack(differences).sum()
 
-    def extract(self, picture: Tensor) -> list[Tensor]:
+    def extract(self, image: Tensor) -> list[Tensor]:
         """Return the features of each layer of `LAYERS`, ``(B, channels, h / stride, w / stride)``."""
-        values, found = self._standardise(picture), []
+        values, found = self._standardise(image), []
         for index, layer in enumerate(self.features):
             values = layer(values)
             if index in self.indices:
@@ -121,10 +121,10 @@ class PerceptualLoss(nn.Module):
         }
         if self.weights == "vgg":
             return record | {"file": FILES[self.network], "sha256": self.sha256}
-        return record | {"seed": self.seed, "features": "each channel divided by its spread over random pictures"}
+        return record | {"seed": self.seed, "features": "each channel divided by its spread over random images"}
 
-    def _standardise(self, picture: Tensor) -> Tensor:
-        return (picture - self.mean) / self.spread
+    def _standardise(self, image: Tensor) -> Tensor:
+        return (image - self.mean) / self.spread
 
     def _load(self, network: str) -> None:
         choices = "choose perceptual: none (no such loss) or perceptual: random_vgg (the same network, random weights)"
@@ -163,7 +163,7 @@ def build_features(network: str, length: int) -> nn.Sequential:
     return nn.Sequential(*layers[:length])
 
 
-_PICTURES, _PIXELS = 16, 64
+_IMAGES, _PIXELS = 16, 64
 
 _LEAST_SPREAD = 0.1  # of the median: channels that hardly ever leave zero must not outweigh the others when they do
 
@@ -188,10 +188,10 @@ def calibrate(
     Args:
         features: convolutions without bias, ReLUs and pools.
         compared: indices of the ReLUs whose output is compared.
-        generator: draws the pictures over which that holds.
-        standardise: what pictures of sRGB codes go through first.
+        generator: draws the images over which that holds.
+        standardise: what images of sRGB codes go through first.
     """
-    values = standardise(natural_pictures(generator, _PICTURES, _PIXELS))
+    values = standardise(natural_images(generator, _IMAGES, _PIXELS))
     for index, layer in enumerate(features):
         values = layer(values)
         if index in compared:
@@ -202,10 +202,10 @@ def calibrate(
             values = values / spread
 
 
-def natural_pictures(generator: torch.Generator, count: int, pixels: int) -> Tensor:
-    """Return random pictures ``(count, 3, pixels, pixels)``, 0..1: noise of all scales with the same contrast in each.
+def natural_images(generator: torch.Generator, count: int, pixels: int) -> Tensor:
+    """Return random images ``(count, 3, pixels, pixels)``, 0..1: noise of all scales with the same contrast in each.
 
-    That every octave has the same variance is the 1 / f^2 power spectrum of natural pictures: Field, Relations between the
+    That every octave has the same variance is the 1 / f^2 power spectrum of natural images: Field, Relations between the
     statistics of natural images and the response properties of cortical cells, JOSA A 4, 1987. Half of it is grey.
     """
     total = torch.zeros(count, 3, pixels, pixels)
@@ -246,18 +246,18 @@ class LpipsDistance:
         return self
 
     @torch.no_grad()
-    def __call__(self, picture: Tensor, truth: Tensor) -> Tensor:
-        """Return the distance of each picture, ``(B,)``.
+    def __call__(self, image: Tensor, truth: Tensor) -> Tensor:
+        """Return the distance of each image, ``(B,)``.
 
         Args:
-            picture: ``(B, 3, h, w)`` sRGB codes 0..1.
+            image: ``(B, 3, h, w)`` sRGB codes 0..1.
             truth: the same shape.
 
         Raises:
             InputError: shapes that differ, or fewer than 32 x 32 pixels.
         """
-        check_size(picture, truth)
-        return self._model(picture.float(), truth.float(), normalize=True).flatten()
+        check_size(image, truth)
+        return self._model(image.float(), truth.float(), normalize=True).flatten()
 
     def record(self) -> dict[str, Any]:
         """Return what a table of results must say of this metric."""
@@ -314,7 +314,7 @@ FILES = {
 }
 """Torchvision's names of the files (weights IMAGENET1K_V1); the digits are the beginning of the file's SHA-256."""
 
-SMALLEST_PICTURE = 32
+SMALLEST_IMAGE = 32
 """Pixels: below this, the networks' pools leave nothing to compare."""
 
 
@@ -357,20 +357,20 @@ def load_features(network: str, cure: str) -> tuple[dict[str, Tensor], str]:
     return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}, digest
 
 
-def check_size(*pictures: Tensor) -> None:
-    """Refuse pictures ``(B, 3, h, w)`` that differ in shape or are too small.
+def check_size(*images: Tensor) -> None:
+    """Refuse images ``(B, 3, h, w)`` that differ in shape or are too small.
 
     Raises:
         InputError: naming the shapes.
     """
-    shapes = [tuple(picture.shape) for picture in pictures]
+    shapes = [tuple(image.shape) for image in images]
     if len(set(shapes)) > 1 or len(shapes[0]) != 4 or shapes[0][1] != 3:
-        msg = f"pictures: got shapes {' and '.join(map(str, shapes))}, expected (B, 3, h, w) twice"
+        msg = f"images: got shapes {' and '.join(map(str, shapes))}, expected (B, 3, h, w) twice"
         raise InputError(msg)
-    if min(shapes[0][2:]) < SMALLEST_PICTURE:
+    if min(shapes[0][2:]) < SMALLEST_IMAGE:
         msg = (
-            f"pictures: got {shapes[0][2]} x {shapes[0][3]} pixels, expected at least {SMALLEST_PICTURE} x "
-            f"{SMALLEST_PICTURE} for features of a deep network; choose perceptual: none, and no LPIPS, or larger scenes"
+            f"images: got {shapes[0][2]} x {shapes[0][3]} pixels, expected at least {SMALLEST_IMAGE} x "
+            f"{SMALLEST_IMAGE} for features of a deep network; choose perceptual: none, and no LPIPS, or larger scenes"
         )
         raise InputError(msg)
 

@@ -1,82 +1,103 @@
-"""Whose a folder is, and which code made a result."""
+"""Whose a folder is, which code made a result, and what files and keys of earlier versions are called now."""
 
 from __future__ import annotations
 
 import ast
 import json
-from collections.abc import Iterable, Iterator
+import platform
+from collections.abc import Container, Iterator
 from functools import cache
+from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import learning
 from simulator import __version__
-from simulator.dataset.plain import canonical_json, readable_json
+from simulator.dataset.manifest import load_manifest
+from simulator.dataset.plain import canonical_json
+from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
-from simulator.files import TEMPORARY_PREFIX, sha256_bytes, storage_errors, write_atomic
+from simulator.files import TEMPORARY_PREFIX, sha256_bytes
 
-DESCRIPTION = "evaluation.json"
-"""Says that the folder is an evaluation's, and its name; written first."""
-RESULTS, TABLE, REPORT = "results.json", "table.csv", "report.md"
-MONTAGE, NOISE, DEPTH, STACKS, TIMES = "montage.png", "noise.png", "depth.png", "stacks.png", "times.png"
-_OWN = (REPORT, TABLE, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES)
-_FORMAT = "flatlight evaluation"
+RENAMED = {"strength": "regularisation_lambda", "floor": "tikhonov", "start": "init_from"}
+"""Keys of earlier versions, in YAML files, tuned results, checkpoints and descriptions of trainings: their names of today."""
 
 
-def claim_folder(folder: Path, name: str) -> None:
-    """See that a folder is new, empty, or of the same evaluation; make it and say whose it is.
+def renamed(value: Any) -> Any:
+    """Return plain data that an earlier version wrote with today's keys; see `RENAMED`.
+
+    Example:
+        >>> renamed({"network": {"strength": 0.1, "size": "tiny"}, "start": None})
+        {'network': {'regularisation_lambda': 0.1, 'size': 'tiny'}, 'init_from': None}
+    """
+    if isinstance(value, dict):
+        return {RENAMED.get(key, key): renamed(part) for key, part in value.items()}
+    return [renamed(part) for part in value] if isinstance(value, list) else value
+
+
+def now_called(key: str, known: Container[str]) -> str:
+    """Return the end of a message about an unknown key: its name of today where it had another one, else nothing."""
+    return f"; {key} is called {RENAMED[key]} now" if RENAMED.get(key) in known else ""
+
+
+def is_own_folder(folder: Path, description: str, kind: str, option: str = "output") -> bool:
+    """Return whether a folder holds a job's description; a new or empty one does not.
 
     Args:
-        folder: the folder.
-        name: of the evaluation.
+        folder: that the job is to write to.
+        description: name of the file that says whose the folder is.
+        kind: of the job, for messages, such as "training".
+        option: that names the folder, for messages.
 
     Raises:
-        InputError: a file, a data set, a training, anything else, or an evaluation of another name.
-        StorageError: the folder cannot be written to.
+        InputError: a file, or a folder of other things.
     """
     if folder.exists() and not folder.is_dir():
-        msg = f"output: {folder} is a file; choose another folder"
+        msg = f"{option}: {folder} is a file; choose another folder"
         raise InputError(msg)
-    description = folder / DESCRIPTION
-    if description.exists():
-        known = _name(description)
-        if known != name:
-            msg = (
-                f"output: {folder} holds the evaluation {known!r}, this one is {name!r}; choose another folder, or keep its "
-                "name"
-            )
-            raise InputError(msg)
-        return
-    foreign = [each.name for each in sorted(folder.iterdir())] if folder.exists() else []
-    foreign = [each for each in foreign if not each.startswith(TEMPORARY_PREFIX)]
+    if (folder / description).exists():
+        return True
+    names = [each.name for each in sorted(folder.iterdir())] if folder.exists() else []
+    foreign = [name for name in names if not name.startswith(TEMPORARY_PREFIX)]
     if foreign:
-        msg = f"output: {folder} is not empty and holds no evaluation ({foreign[0]}, ...); choose another folder, or empty it"
+        msg = f"{option}: {folder} is not empty and holds no {kind} ({foreign[0]}, ...); choose another folder, or empty it"
         raise InputError(msg)
-    with storage_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    write_atomic(description, readable_json({"format": _FORMAT, "name": name}))
+    return False
 
 
-def remove_stale(folder: Path, written: Iterable[str]) -> None:
-    """Delete the files of an earlier run that this one did not write: they show other scenes or settings.
+def read_description(path: Path, kind: str) -> dict[str, Any]:
+    """Return what a job wrote about its folder, with today's keys.
 
     Raises:
-        StorageError: one cannot be deleted.
+        InputError: it cannot be read.
     """
-    for name in set(_OWN) - set(written):
-        with storage_errors(folder / name):
-            (folder / name).unlink(missing_ok=True)
-
-
-def _name(description: Path) -> str:
+    cure = "restore it from a copy, or choose another output folder"
     try:
-        content = json.loads(description.read_bytes())
+        content = json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
-        msg = f"{description} cannot be read ({error}); restore it from a copy, or choose another output folder"
+        msg = f"{path} cannot be read ({error}); {cure}"
         raise InputError(msg) from error
-    if not isinstance(content, dict) or content.get("format") != _FORMAT or not isinstance(content.get("name"), str):
-        msg = f"{description} is no description of an evaluation; choose another output folder"
+    if not isinstance(content, dict):
+        msg = f"{path} is not a description of a {kind}; {cure}"
         raise InputError(msg)
-    return content["name"]
+    return renamed(content)
+
+
+def sample_digests(dataset: Dataset) -> list[str]:
+    """Return the digest of each sample of a split, by which samples that were made again are told apart."""
+    entries = load_manifest(dataset.root).entries
+    return [entries[dataset.split, sample].digest for sample in dataset.ids]
+
+
+def versions(*packages: str) -> dict[str, str]:
+    """Return the versions of Flatlight, Python and packages; "absent" for those that are not installed."""
+    found = {"flatlight": __version__, "python": platform.python_version()}
+    for name in packages:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "absent"
+    return found
 
 
 @cache
@@ -107,7 +128,7 @@ def code_fingerprint(*modules: str) -> str:
 
 
 def _file(name: str) -> Path | None:
-    """Return the source of a module of `learning`; None for what is none, such as a function."""
+    """Return the source of a module of `learning`; None for anything else, such as a function."""
     first, *rest = name.split(".")
     if first != learning.__name__:
         return None

@@ -1,4 +1,4 @@
-"""What an interrupted training goes on from: its folder, its state, its record, and how it ends before its time."""
+"""What an interrupted training goes on from: its folder and its state; how it ends early; what its checkpoints say of it."""
 
 from __future__ import annotations
 
@@ -20,54 +20,56 @@ import torch
 from torch import nn
 
 from learning.config import TrainConfig
+from learning.provenance import is_own_folder, read_description
 from simulator.dataset.fingerprint import difference
 from simulator.dataset.plain import readable_json
 from simulator.errors import InputError
-from simulator.files import TEMPORARY_PREFIX, remove_leftovers, storage_errors, write_atomic
+from simulator.files import remove_leftovers, storage_errors, write_atomic
 
 DESCRIPTION = "training.json"
 """What is trained on what."""
 STATE = "state.pt"
 """All that a training needs to go on."""
-METRICS = "metrics.jsonl"
-"""One line per log entry and per validation."""
 BEST, LAST = "best.safetensors", "last.safetensors"
-TENSORBOARD = "tensorboard"
-PREVIEW = "validation.png"
 
-# What does not decide a number that is learned, or is said otherwise: `start` by its content, `precision` as it was resolved.
+# What does not decide a number that is learned, or is said otherwise: `init_from` by its content, `precision` as resolved.
 _FREE = ("output", "steps", "device", "log_every", "checkpoint_every_s")
-_RESOLVED = ("start", "precision")
+_RESOLVED = ("init_from", "precision")
 _FREE_OF_DATA = ("cache", "workers")
+_PATHS = ("output", "init_from", "data.train", "data.validation", "data.stack", "data.cache")
+_FORMAT = "flatlight training state 1"
+
+
+def described(
+    config: dict[str, Any], data: dict[str, Any], *, precision: str, init_from: dict[str, Any] | None
+) -> dict[str, Any]:
+    """Return what decides the numbers of a training, plain.
+
+    Args:
+        config: its configuration.
+        data: what is known of the data sets and the camera.
+        precision: ``float32`` or ``bfloat16``; ``auto`` means one or the other on another device.
+        init_from: what is known of the checkpoint that it begins with.
+    """
+    kept = {key: value for key, value in config.items() if key not in (*_FREE, *_RESOLVED)}
+    kept["data"] = {key: value for key, value in config["data"].items() if key not in _FREE_OF_DATA}
+    return {"config": kept, "data sets": data, "precision": precision, "init_from": init_from}
 
 
 def check_folder(folder: Path, parts: dict[str, Any]) -> None:
-    """See that a folder is new, or holds the same training.
-
-    Args:
-        folder: the folder.
-        parts: see `described`.
+    """See that a folder is new, or holds the training that `described` tells of.
 
     Raises:
         InputError: the folder holds something else, or another training: what differs is listed.
     """
-    if folder.exists() and not folder.is_dir():
-        msg = f"output: {folder} is a file; choose another folder"
-        raise InputError(msg)
-    path = folder / DESCRIPTION
-    if path.exists():
-        lines = difference(_read(path), json.loads(readable_json(parts)))
-        if lines and (folder / STATE).exists():
-            msg = (
-                f"output: {folder} holds a training of another configuration; choose another folder, or undo the change "
-                f"(only {', '.join(_FREE[1:])}, data.cache and data.workers may change):\n{lines}"
-            )
-            raise InputError(msg)
+    if not is_own_folder(folder, DESCRIPTION, "training"):
         return
-    foreign = [each.name for each in sorted(folder.iterdir())] if folder.exists() else []
-    foreign = [name for name in foreign if not name.startswith(TEMPORARY_PREFIX)]
-    if foreign:
-        msg = f"output: {folder} is not empty and holds no training ({foreign[0]}, ...); choose another folder, or empty it"
+    lines = difference(read_description(folder / DESCRIPTION, "training"), json.loads(readable_json(parts)))
+    if lines and (folder / STATE).exists():
+        msg = (
+            f"output: {folder} holds a training of another configuration; choose another folder, or undo the change "
+            f"(only {', '.join(_FREE[1:])}, data.cache and data.workers may change):\n{lines}"
+        )
         raise InputError(msg)
 
 
@@ -77,10 +79,6 @@ def sole_use(folder: Path, parts: dict[str, Any]) -> Iterator[None]:
 
     What lies in the folder is looked at under the lock, so that no other training can change it in between. The description
     replaces that of a training that never came to save anything.
-
-    Args:
-        folder: the folder; see `check_folder`.
-        parts: see `described`.
 
     Raises:
         InputError: another process trains there, or see `check_folder`.
@@ -105,37 +103,6 @@ def sole_use(folder: Path, parts: dict[str, Any]) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
-
-
-def described(
-    config: dict[str, Any], data: dict[str, Any], *, precision: str, start: dict[str, Any] | None
-) -> dict[str, Any]:
-    """Return what decides the numbers of a training.
-
-    Args:
-        config: its configuration, plain.
-        data: what is known of the data sets and the camera; plain.
-        precision: ``float32`` or ``bfloat16``; ``auto`` means one or the other on another device.
-        start: what is known of the checkpoint that it begins with; plain.
-    """
-    kept = {key: value for key, value in config.items() if key not in (*_FREE, *_RESOLVED)}
-    kept["data"] = {key: value for key, value in config["data"].items() if key not in _FREE_OF_DATA}
-    return {"config": kept, "data sets": data, "precision": precision, "start": start}
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
-        msg = f"{path} cannot be read ({error}); restore it from a copy, or choose another output folder"
-        raise InputError(msg) from error
-    if not isinstance(content, dict):
-        msg = f"{path} is no description of a training; restore it from a copy, or choose another output folder"
-        raise InputError(msg)
-    return content
-
-
-_FORMAT = "flatlight training state 1"
 
 
 @dataclass
@@ -163,7 +130,11 @@ class Progress:
 
 
 def save_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer, progress: Progress) -> None:
-    """Write the state.
+    """Write all that a training needs to go on as if it had never stopped: one file, replaced as a whole.
+
+    Randomness is no part of it: what is random in a step, its examples and their noise, follows from the seed and the step's
+    number. Bit for bit the same weights come out on a CPU with as many threads; on CUDA not in general, where some kernels
+    add in the order in which threads finish (`torch.use_deterministic_algorithms`).
 
     Raises:
         StorageError: the place cannot be written to; the state that was there stays.
@@ -185,7 +156,6 @@ def load_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer)
     Raises:
         InputError: a damaged file, or the state of another network.
     """
-    cure = "restore it from a copy, or delete it to begin the training again"
     try:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         if content["format"] != _FORMAT:
@@ -197,12 +167,9 @@ def load_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer)
     except InputError:
         raise
     except Exception as error:  # torch raises what it likes for a damaged file
-        msg = f"{path} cannot be read ({type(error).__name__}: {str(error).splitlines()[0][:200]}); {cure}"
+        text = f"{type(error).__name__}: {str(error).splitlines()[0][:200]}"
+        msg = f"{path} cannot be read ({text}); restore it from a copy, or delete it to begin the training again"
         raise InputError(msg) from error
-
-
-class DivergedError(InputError):
-    """The loss or its gradient is no number any more; the weights before that step are kept."""
 
 
 class Stop:
@@ -234,67 +201,38 @@ def stop_signals() -> Iterator[Stop]:
             signal.signal(number, handler)
 
 
-def ignore_interrupts(_: int) -> None:
-    """Let a worker of the loader live on after Ctrl-C, which the terminal sends to it too, until the loop has finished."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+class DivergedError(InputError):
+    """A non-finite loss or gradient; the weights before that step are kept."""
+
+    @classmethod
+    def in_step(
+        cls, step: int, terms: Mapping[str, float], gradient_norm: float, ids: Sequence[str], kept: str
+    ) -> DivergedError:
+        """Return the error of a step, which was not taken, for these samples; ``kept`` says what can be gone on from."""
+        msg = (
+            f"step {step}: the loss or its gradient is not finite ({_listed({**terms, 'gradient': gradient_norm})}) for "
+            f"samples {', '.join(ids)}; the step was not taken, {kept}. A smaller optimiser.learning_rate or an "
+            "optimiser.gradient_clip may help, in another output folder (init_from: goes on from a checkpoint); look at "
+            "these samples first"
+        )
+        return cls(msg)
+
+    @classmethod
+    def in_validation(cls, step: int, metrics: Mapping[str, float], kept: str) -> DivergedError:
+        """Return the error of the validation after a step; ``kept`` says what can be gone on from."""
+        cure = "Try precision: float32, or a smaller optimiser.learning_rate, in another output folder"
+        msg = f"validation after step {step} is not finite ({_listed(metrics)}); {kept}. {cure}"
+        return cls(msg)
 
 
-@contextmanager
-def unwrapped() -> Iterator[None]:
-    """Give the message of bad input in a worker of the loader without the traceback that torch wraps it in."""
-    try:
-        yield
-    except InputError as error:
-        _, found, message = str(error).rpartition("Error: ")
-        if not (found and str(error).startswith("Caught ")):
-            raise
-        raise InputError(message.strip()) from error
-
-
-def diverged(
-    step: int, terms: Mapping[str, float], gradient_norm: float, ids: Sequence[str], kept: str
-) -> DivergedError:
-    """Return the error of a step whose loss or gradient is not finite.
-
-    Args:
-        step: number of the step, which was not taken.
-        terms: of the loss.
-        gradient_norm: length of the gradient.
-        ids: of the samples in the batch.
-        kept: what can be gone on from.
-    """
-    numbers = ", ".join(f"{name} {value:.4g}" for name, value in {**terms, "gradient": gradient_norm}.items())
-    msg = (
-        f"step {step}: the loss or its gradient is not finite ({numbers}) for samples {', '.join(ids)}; the step was not "
-        f"taken, {kept}. A smaller optimiser.learning_rate or an optimiser.gradient_clip may help, in another output folder "
-        "(start: goes on from a checkpoint); look at these samples first"
-    )
-    return DivergedError(msg)
-
-
-def diverged_in_validation(step: int, metrics: Mapping[str, float], kept: str) -> DivergedError:
-    """Return the error of a validation whose numbers are none.
-
-    Args:
-        step: after which it was made.
-        metrics: of the validation.
-        kept: what can be gone on from.
-    """
-    numbers = ", ".join(f"{name} {value:.4g}" for name, value in metrics.items())
-    cure = "Try precision: float32, or a smaller optimiser.learning_rate, in another output folder"
-    msg = f"validation after step {step} is not finite ({numbers}); {kept}. {cure}"
-    return DivergedError(msg)
-
-
-_PATHS = ("output", "start", "data.train", "data.validation", "data.stack", "data.cache")
+def _listed(numbers: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in numbers.items())
 
 
 def portable_command(path: Path | str, overrides: Sequence[str]) -> str:
     """Return the command of a training, with the last names of paths; other values with a folder in them become ``...``.
 
-    Args:
-        path: the YAML file.
-        overrides: ``a.b=c`` each.
+    A checkpoint says what one needs to make it again, and nothing of the machine's folders.
 
     Example:
         >>> portable_command("/home/ann/net.yaml", ["seed=1", "output=/home/ann/my run", "data={train: /home/ann/set}"])
@@ -304,7 +242,7 @@ def portable_command(path: Path | str, overrides: Sequence[str]) -> str:
     for override in overrides:
         key, _, value = override.partition("=")
         if key.strip() in _PATHS:
-            value = _name(value)
+            value = _last_name(value)
         elif "/" in value or "\\" in value:
             value = "..."
         words += ["--set", f"{key}={value}"]
@@ -318,10 +256,10 @@ def portable_config(config: TrainConfig) -> dict[str, Any]:
         section, _, name = key.rpartition(".")
         place = plain[section] if section else plain
         if isinstance(place[name], str):
-            place[name] = _name(place[name])
+            place[name] = _last_name(place[name])
     return plain
 
 
-def _name(text: str) -> str:
+def _last_name(text: str) -> str:
     """Return a path's last name, on whichever system it was written."""
     return text.strip().rstrip("/\\").replace("\\", "/").rpartition("/")[2]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,29 +15,28 @@ from torch import Tensor, nn
 from learning.camera import CaptureModel
 from learning.data import Example
 from learning.distributed import Precision, Processes
-from learning.method import Estimate, encode
+from learning.method import Estimate, linear_to_srgb
 from learning.metrics import depth_scores
-from learning.resume import METRICS, PREVIEW, TENSORBOARD
 from simulator.files import storage_errors, write_atomic
 
-if TYPE_CHECKING:
-    from torch.utils.tensorboard.writer import SummaryWriter
+METRICS = "metrics.jsonl"
+"""One line per log entry and per validation."""
+TENSORBOARD = "tensorboard"
+PREVIEW = "validation.png"
+SHOWN = 4  # scenes in the preview
+_GAP = 2  # pixels between tiles
+_SMALLEST_ERROR = 1e-10  # 100 dB: what equals to the last bit has a finite PSNR
 
 
 def true_estimate(example: Example, capture: CaptureModel) -> Estimate:
-    """Return picture and disparity of what was there, of a batch; what was not seen lies at the far depth."""
+    """Return image and disparity of what was there, of a batch; what was not seen lies at the far depth."""
     disparity = torch.where(example.valid, capture.disparity(example.depth_m), 0)
-    return Estimate(encode(example.radiance, capture.white), disparity)
+    return Estimate(linear_to_srgb(example.radiance, capture.white), disparity)
 
 
 def to_device(example: Example, device: torch.device) -> Example:
     """Return the example on a device; copies from pinned memory overlap with work there."""
     return Example(*(values.to(device, non_blocking=True) for values in example))
-
-
-SHOWN = 4  # scenes in the picture
-_GAP = 2  # pixels between tiles
-_SMALLEST_ERROR = 1e-10  # 100 dB: what equals to the last bit has a finite PSNR
 
 
 def validate(
@@ -76,57 +75,48 @@ def validate(
 
 def _errors(estimate: Estimate, truth: Estimate, example: Example, capture: CaptureModel) -> dict[str, Tensor]:
     """Return the errors of a batch's scenes."""
-    squared = (estimate.picture - truth.picture).square().mean(dim=(1, 2, 3)).clamp_min(_SMALLEST_ERROR)
+    squared = (estimate.image - truth.image).square().mean(dim=(1, 2, 3)).clamp_min(_SMALLEST_ERROR)
     depth = depth_scores(estimate, example, capture, example.valid).depth_rmse_cm
     return {"psnr_db": -10 * squared.log10(), "depth_rmse_cm": depth[example.valid.any(dim=(1, 2, 3))]}
 
 
 def draw(network: nn.Module, example: Example, capture: CaptureModel, *, precision: Precision) -> NDArray[np.uint8]:
-    """Return a picture ``(rows, columns, 3)``: a row per scene, with the truth and the estimate of picture and of depth.
+    """Return an image ``(rows, columns, 3)``: a row per scene, with the truth and the estimate of image and of depth.
 
     The network is left in training mode.
     """
+    from simulator.preview.colours import depth_colours
+
     network.eval()
     with torch.inference_mode():
         estimate = precision.estimate(network, example.measurement).clamped()
     network.train()
-    truth = true_estimate(example, capture)
+    both = (true_estimate(example, capture), estimate)
     rows = []
     for scene in range(len(example.measurement)):
-        codes = [_pixels(each.picture[scene]) for each in (truth, estimate)]
-        depths = [_depths(each, scene, capture) for each in (truth, estimate)]
+        codes = [(each.image[scene].float() * 255).round().byte().permute(1, 2, 0).cpu().numpy() for each in both]
+        depths_m = [each.depth_m(capture)[scene, 0].float().cpu().numpy() for each in both]
+        seen = np.ones(depths_m[0].shape, bool)
+        depths = [depth_colours(depth_m, seen, capture.near_m, capture.far_m) for depth_m in depths_m]
         rows.append(_joined([*codes, *depths], axis=1))
     return _joined(rows, axis=0)
-
-
-def _pixels(codes: Tensor) -> NDArray[np.uint8]:
-    return (codes.float() * 255).round().byte().permute(1, 2, 0).cpu().numpy()
-
-
-def _depths(estimate: Estimate, scene: int, capture: CaptureModel) -> NDArray[np.uint8]:
-    from simulator.preview.colours import depth_colours
-
-    depth_m = estimate.depth_m(capture)[scene, 0].float().cpu().numpy()
-    return depth_colours(depth_m, np.ones(depth_m.shape, bool), capture.near_m, capture.far_m)
 
 
 def _joined(tiles: list[NDArray[Any]], axis: int) -> NDArray[np.uint8]:
     shape = list(tiles[0].shape)
     shape[axis] = _GAP
     gap = np.full(shape, 255, np.uint8)
-    parts = [part for tile in tiles for part in (tile, gap)]
-    return np.concatenate(parts[:-1], axis=axis)
+    return np.concatenate([part for tile in tiles for part in (tile, gap)][:-1], axis=axis)
 
 
 class Log:
-    """The log of a training, from some step on: what was written of later steps is taken away."""
+    """metrics.jsonl for programs, TensorBoard for people, from some step on: what was written of later steps is removed.
+
+    Only rank 0 has one.
+    """
 
     def __init__(self, folder: Path, step: int) -> None:
-        """Open the log.
-
-        Args:
-            folder: the training's.
-            step: steps done; the training goes on from there.
+        """Open the log of a training that goes on after ``step`` steps.
 
         Raises:
             StorageError: the folder cannot be written to.
@@ -137,15 +127,10 @@ class Log:
         with storage_errors(self._path):
             kept = [line for line in self._lines() if line["step"] <= step]
             write_atomic(self._path, b"".join(_encoded(line) for line in kept))
-            self._board: SummaryWriter = SummaryWriter(str(folder / TENSORBOARD), purge_step=step + 1)
+            self._board = SummaryWriter(str(folder / TENSORBOARD), purge_step=step + 1)
 
     def write(self, step: int, kind: str, values: dict[str, float]) -> None:
-        """Write numbers of a step.
-
-        Args:
-            step: steps done.
-            kind: ``train`` or ``validation``.
-            values: by name; finite.
+        """Write finite numbers of a step, of the kind ``train`` or ``validation``.
 
         Raises:
             StorageError: the disk is full.
@@ -156,7 +141,7 @@ class Log:
             self._board.add_scalar(f"{kind}/{name}", value, step)
 
     def show(self, step: int, pixels: NDArray[np.uint8]) -> None:
-        """Keep a picture ``(h, w, 3)`` of the validation scenes: in TensorBoard, and the newest as a file."""
+        """Keep an image ``(h, w, 3)`` of the validation scenes: in TensorBoard, and the newest as a file."""
         from PIL import Image
 
         from simulator.preview.drawing import png_bytes
@@ -169,10 +154,8 @@ class Log:
         self._board.close()
 
     def _lines(self) -> list[dict[str, Any]]:
-        if not self._path.exists():
-            return []
         found = []
-        for text in self._path.read_text(encoding="utf-8").splitlines():
+        for text in self._path.read_text(encoding="utf-8").splitlines() if self._path.exists() else []:
             try:
                 found.append(json.loads(text))
             except ValueError:  # the last line of a process that died while it wrote

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from learning.camera import CaptureModel
-from learning.method import Estimate, encode
+from learning.method import Estimate, linear_to_srgb
 from simulator.arrays import like
 from simulator.errors import InputError
 
@@ -54,7 +54,7 @@ def unary_cost(
     one at edges too:
 
     - ``defocus``, the thesis: ``G exp(-contrast s / mean s)``. The thesis writes exp(-|grad I|^2), which depends on the
-      picture's unit; here s is relative to its mean over the scene's stack. Alone, a pixel chooses where it is sharpest.
+      image's unit; here s is relative to its mean over the scene's stack. Alone, a pixel chooses where it is sharpest.
       Labels are the planes, L = K, however many steps: interpolated linearly, its least energy would lie at planes as well.
     - ``spread``: ``sum_k w_k (x - k)^2 / (K - 1)^2``, weights ``w = (G s)^contrast`` that add up to one over the planes.
       Labels x lie between planes too, L = steps (K - 1) + 1. Alone, a pixel chooses the centroid of its light. For volumes
@@ -141,7 +141,7 @@ LIGHT = ("label", "sum")
 
 
 def assemble(volume: Tensor, places: Tensor, capture: CaptureModel, light: str) -> Estimate:
-    """Return the all-in-focus picture and the depth map.
+    """Return the all-in-focus image and the depth map.
 
     Args:
         volume: ``(B, K, C, h, w)`` in the camera's channels, 1 for white, free of the irradiance map.
@@ -178,4 +178,4 @@ def assemble(volume: Tensor, places: Tensor, capture: CaptureModel, light: str) 
     else:
         msg = f"light: got {light!r}, expected one of {', '.join(LIGHT)}"
         raise InputError(msg)
-    return Estimate(encode(capture.to_srgb(combined), 1.0), disparity)
+    return Estimate(linear_to_srgb(capture.to_srgb(combined), 1.0), disparity)

@@ -58,7 +58,7 @@ def cut_labels(unary: NDArray[np.floating], pairwise: float) -> NDArray[np.int64
         pairwise: cost per label of difference between neighbours, not negative, in the same unit.
 
     Raises:
-        InputError: costs that are no numbers, a negative ``pairwise``, fewer than two labels, or OR-tools is missing.
+        InputError: non-finite costs, a negative ``pairwise``, fewer than two labels, or OR-tools is missing.
     """
     costs = _checked(unary, pairwise)
     step = _step(costs, pairwise)
@@ -92,7 +92,7 @@ def build_network(unary: NDArray[np.floating], pairwise: float) -> Network:
     """Return the network for costs ``(K, h, w)``; see `cut_labels`.
 
     Raises:
-        InputError: costs that are no numbers, a negative ``pairwise``, or fewer than two labels.
+        InputError: non-finite costs, a negative ``pairwise``, or fewer than two labels.
     """
     costs = _checked(unary, pairwise)
     step = _step(costs, pairwise)
@@ -100,7 +100,7 @@ def build_network(unary: NDArray[np.floating], pairwise: float) -> Network:
     whole = np.rint((costs - costs.min(axis=0)) / step).astype(np.int64)
     weight = round(pairwise / step)
     # |a - b| of two bits is 2 a (1 - b) + b - a: one arc of twice the weight instead of two, and a linear cost of either
-    # pixel, which cancels everywhere but at the picture's edges. Halves the time.
+    # pixel, which cancels everywhere but at the image's edges. Halves the time.
     linear = weight * np.arange(len(whole), dtype=np.int64)[:, None]
     for first, last in ((np.s_[:, 0], np.s_[:, -1]), (np.s_[:, :, 0], np.s_[:, :, -1])):
         whole[first] -= linear

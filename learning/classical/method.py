@@ -1,4 +1,4 @@
-"""The classical methods: a volume by least squares or ADMM, depth from it by a graph cut, and the all-in-focus picture."""
+"""The classical methods: a volume by least squares or ADMM, depth from it by a graph cut, and the all-in-focus image."""
 
 from __future__ import annotations
 
@@ -14,19 +14,23 @@ from learning.classical.admm import Admm
 from learning.classical.cls import ConstrainedLeastSquares
 from learning.classical.focus import COSTS, LIGHT, MEASURES, assemble, unary_cost
 from learning.classical.graph_cut import cut_labels
-from learning.method import Clock, Estimate, encode
+from learning.method import Clock, Estimate, linear_to_srgb
+from learning.provenance import now_called
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
 
 Value = float | int | str
 
-VOLUME_PARAMETERS: dict[str, tuple[str, ...]] = {"cls": ("strength", "floor"), "admm": ("tv", "sparsity", "iterations")}
+VOLUME_PARAMETERS: dict[str, tuple[str, ...]] = {
+    "cls": ("regularisation_lambda", "tikhonov"),
+    "admm": ("tv", "sparsity", "iterations"),
+}
 """Parameters of `ConstrainedLeastSquares` and `Admm`; all others are of `ClassicalMethod`."""
 
 DEFAULTS: dict[str, dict[str, Value]] = {
     "cls": {
-        "strength": 0.1,
-        "floor": 1.0,
+        "regularisation_lambda": 0.1,
+        "tikhonov": 1.0,
         "cost": "spread",
         "measure": "laplacian",
         "contrast": 8.0,
@@ -50,17 +54,20 @@ DEFAULTS: dict[str, dict[str, Value]] = {
 }
 """All parameters, as found on validation scenes of 64 x 64 pixels with eight planes at 40 dB: where tuning begins."""
 
+_SEARCH_OF_DEPTH: dict[str, tuple[Value, ...]] = {
+    "window_px": (0.5, 1.0, 2.0, 4.0),
+    "pairwise": (0.1, 0.2, 0.5, 2.0, 8.0),
+    "steps_between_planes": (1, 4),
+    "light": LIGHT,
+}
 SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
     "cls": {
-        "strength": (0.003, 0.01, 0.03, 0.1, 0.3, 1.0),
-        "floor": (0.03, 0.1, 0.3, 1.0),
+        "regularisation_lambda": (0.003, 0.01, 0.03, 0.1, 0.3, 1.0),
+        "tikhonov": (0.03, 0.1, 0.3, 1.0),
         "cost": COSTS,
         "measure": MEASURES,
         "contrast": (0.3, 1.0, 2.0, 4.0, 8.0, 16.0),
-        "window_px": (0.5, 1.0, 2.0, 4.0),
-        "pairwise": (0.1, 0.2, 0.5, 2.0, 8.0),
-        "steps_between_planes": (1, 4),
-        "light": LIGHT,
+        **_SEARCH_OF_DEPTH,
     },
     "admm": {
         "tv": (0.005, 0.01, 0.02, 0.05, 0.1),
@@ -69,23 +76,49 @@ SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
         "cost": COSTS,
         "measure": MEASURES,
         "contrast": (0.25, 0.5, 0.75, 1.0, 2.0),
-        "window_px": (0.5, 1.0, 2.0, 4.0),
-        "pairwise": (0.1, 0.2, 0.5, 2.0, 8.0),
-        "steps_between_planes": (1, 4),
-        "light": LIGHT,
+        **_SEARCH_OF_DEPTH,
     },
 }
-"""Candidates for tuning, coarse; numbers increase."""
+"""Candidates for tuning, coarse, in the order of the search; numbers increase."""
+
+PLANAR_DEFAULTS: dict[str, dict[str, Value]] = {
+    "cls": {"regularisation_lambda": 1e-2, "tikhonov": 0.0},
+    "admm": {"tv": 0.1, "sparsity": 0.01, "iterations": 100, "light": "anywhere"},
+}
+"""Of one plane. ADMM lets light from around the image in: a real scene does not end where the image does."""
 
 _VOLUMES: dict[str, tuple[Callable[..., nn.Module], str, str]] = {
     "cls": (ConstrainedLeastSquares, "CLS + graph cut", "inversion"),
     "admm": (Admm, "ADMM + graph cut", "admm"),
 }
-_KINDS: dict[type, tuple[str, tuple[type, ...]]] = {
-    str: ("a word", (str,)),
-    int: ("a whole number", (int,)),
-    float: ("a number", (int, float)),
-}
+
+
+def check_parameters(
+    given: Mapping[str, Any], known: Mapping[str, Value], of: str, argument: str = "parameters"
+) -> None:
+    """Refuse parameters that a method does not have, and values of another kind than its own.
+
+    Args:
+        given: parameters by name.
+        known: the method's, with their defaults.
+        of: the method's name, for messages.
+        argument: what they were given by, for messages.
+
+    Raises:
+        InputError: naming the parameter, what came and what was expected.
+    """
+    for name, value in given.items():
+        if name not in known:
+            hint = now_called(name, known)
+            msg = f"{argument}: got {name!r}, expected a parameter of {of}: {', '.join(known)}{hint}"
+            raise InputError(msg)
+        own = known[name]
+        kinds, words = {str: ((str,), "a word"), int: ((int,), "a whole number"), float: ((int, float), "a number")}[
+            type(own)
+        ]
+        if not isinstance(value, kinds) or isinstance(value, bool):
+            msg = f"{argument}: {name} of {of} is {value!r}, expected {words} such as {own!r}"
+            raise InputError(msg)
 
 
 class ClassicalMethod:
@@ -93,7 +126,7 @@ class ClassicalMethod:
 
     Attributes:
         name: in tables and figures.
-        capture: the camera that it believes in.
+        capture: the camera with its assumed PSFs.
     """
 
     def __init__(
@@ -117,7 +150,7 @@ class ClassicalMethod:
             name: in tables and figures.
             capture: the camera, whose stack has at least two planes.
             volume_method: from measurements ``(B, C, H, W)`` to volumes ``(B, K, C, h, w)`` of all planes.
-            stage: what its time is booked under.
+            stage: of the clock, for the volume.
             cost: the unary cost; this and the next three see `learning.classical.focus.unary_cost`.
             measure: of sharpness.
             contrast: of the planes.
@@ -125,7 +158,7 @@ class ClassicalMethod:
             pairwise: cost of a step between neighbours from the first label to the last, as a multiple of what separates a
                 pixel's best label from its worst, in the scene's mean: one number serves all costs, contrasts and labels.
             steps_between_planes: labels of depth from one plane to the next, for the costs that have some between.
-            light: of the picture; see `learning.classical.focus.assemble`.
+            light: of the image; see `learning.classical.focus.assemble`.
 
         Raises:
             InputError: a single plane, a negative ``pairwise``, or other names for ``cost``, ``measure`` or ``light``.
@@ -161,7 +194,7 @@ class ClassicalMethod:
             clock: times the stages: that of the volume, ``graph cut`` (with its costs) and ``assembly``.
 
         Raises:
-            InputError: measurements that do not fit the camera, or are no numbers.
+            InputError: measurements that do not fit the camera, or are not finite.
         """
         clock = clock or Clock(measurement.device)
         with clock.stage(self._stage):
@@ -175,20 +208,11 @@ class ClassicalMethod:
         Raises:
             InputError: measurements that do not fit the camera.
         """
-        shape = (len(self.capture.stack.channels), *self.capture.sensor_shape)
-        if measurement.ndim != 4 or tuple(measurement.shape[1:]) != shape:
-            wanted = ", ".join(str(n) for n in shape)
-            msg = f"measurement: got shape {tuple(measurement.shape)}, expected (B, {wanted}) for this camera"
-            raise InputError(msg)
         return self._method(measurement)
 
     @torch.no_grad()
     def estimate(self, volume: Tensor, clock: Clock | None = None) -> Estimate:
-        """Return picture and depth of a volume ``(B, K, C, h, w)``.
-
-        Args:
-            volume: in the camera's channels, 1 for white, free of the irradiance map.
-            clock: times the stages.
+        """Return image and depth of a volume ``(B, K, C, h, w)`` in the camera's channels, 1 for white.
 
         Raises:
             InputError: a volume of another shape, or one with NaN or infinite values.
@@ -229,33 +253,16 @@ def build_classical(capture: CaptureModel, name: str, parameters: Mapping[str, V
     if name not in _VOLUMES:
         msg = f"name: got {name!r}, expected one of {', '.join(_VOLUMES)}"
         raise InputError(msg)
-    given = dict(parameters or {})
-    known = DEFAULTS[name]
-    for parameter, value in given.items():
-        if parameter not in known:
-            msg = f"parameters: got {parameter!r}, which {name} does not have; expected some of {', '.join(known)}"
-            raise InputError(msg)
-        kind, kinds = _KINDS[type(known[parameter])]
-        if not isinstance(value, kinds) or isinstance(value, bool):
-            msg = f"parameters: {name}'s {parameter} is {value!r}, expected {kind} such as {known[parameter]!r}"
-            raise InputError(msg)
-    merged = known | given
+    check_parameters(parameters or {}, DEFAULTS[name], name)
+    merged = DEFAULTS[name] | dict(parameters or {})
     build, label, stage = _VOLUMES[name]
-    of_volume: dict[str, Any] = {key: merged[key] for key in VOLUME_PARAMETERS[name]}
-    of_depth: dict[str, Any] = {key: value for key, value in merged.items() if key not in of_volume}
+    of_volume: dict[str, Any] = {key: merged.pop(key) for key in VOLUME_PARAMETERS[name]}
+    of_depth: dict[str, Any] = merged
     return ClassicalMethod(label, capture, build(capture, **of_volume), stage=stage, **of_depth)
 
 
-# Of ADMM, light from around the picture is let in: a real scene does not end where the picture does.
-_PLANAR_DEFAULTS: dict[str, dict[str, Any]] = {
-    "cls": {"strength": 1e-2, "floor": 0.0},
-    "admm": {"tv": 0.1, "sparsity": 0.01, "iterations": 100, "light": "anywhere"},
-}
-_PLANAR_METHODS: dict[str, type[nn.Module]] = {"cls": ConstrainedLeastSquares, "admm": Admm}
-
-
 class PlanarMethod:
-    """CLS or ADMM at one plane; see `learning.method.Method`.
+    """CLS or ADMM with the PSF of one depth: no depth is searched, so the volume is the image; see `learning.method.Method`.
 
     Attributes:
         name: ``cls`` or ``admm``.
@@ -264,49 +271,40 @@ class PlanarMethod:
     """
 
     def __init__(self, capture: CaptureModel, name: str, parameters: Mapping[str, Any]) -> None:
-        """Prepare the method.
-
-        Args:
-            capture: the camera.
-            name: ``cls`` or ``admm``.
-            parameters: in the place of the defaults.
+        """Prepare the method; ``parameters`` take the place of `PLANAR_DEFAULTS`.
 
         Raises:
             InputError: a stack of several planes, an unknown name or parameter, or values that the method refuses.
         """
         if len(capture.stack.depths_m) != 1:
-            msg = f"stack: got {len(capture.stack.depths_m)} planes, expected one: this is for pictures without depth"
+            msg = f"stack: got {len(capture.stack.depths_m)} planes, expected one: this is for images without depth"
             raise InputError(msg)
-        if name not in _PLANAR_METHODS:
-            msg = f"method: got {name!r}, expected one of {', '.join(_PLANAR_METHODS)}"
+        if name not in _VOLUMES:
+            msg = f"method: got {name!r}, expected one of {', '.join(_VOLUMES)}"
             raise InputError(msg)
-        for parameter in parameters:
-            if parameter not in _PLANAR_DEFAULTS[name]:
-                known = ", ".join(_PLANAR_DEFAULTS[name])
-                msg = f"--set: got {parameter!r}, expected a parameter of {name} for one plane: {known}"
-                raise InputError(msg)
+        check_parameters(parameters, PLANAR_DEFAULTS[name], f"{name} for one plane", "--set")
         self.name, self.capture = name, capture
-        self.parameters = _PLANAR_DEFAULTS[name] | dict(parameters)
-        self.stage = "inversion" if name == "cls" else "admm"
-        self._inversion = _PLANAR_METHODS[name](capture, **self.parameters)
+        self.parameters = PLANAR_DEFAULTS[name] | dict(parameters)
+        build, _, self.stage = _VOLUMES[name]
+        self._inversion = build(capture, **self.parameters)
 
-    def to(self, device: torch.device | str) -> PlanarMethod:
-        """Move it to a device, in place."""
+    def to(self, device: torch.device | str) -> Self:
+        """Move it to a device, and return this."""
         self._inversion.to(device)
         return self
 
+    @torch.no_grad()
     def volume(self, measurement: Tensor) -> Tensor:
         """Return ``(B, 1, C, h, w)`` radiance / white in the camera's channels of measurements ``(B, C, H, W)``."""
-        with torch.no_grad():
-            return self._inversion(measurement)
+        return self._inversion(measurement)
 
     def radiance(self, volume: Tensor) -> Tensor:
         """Return linear sRGB ``(B, 3, h, w)``, 1 for white, not clipped."""
         return self.capture.to_srgb(volume[:, 0])
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
-        """Return picture and a disparity of 0 everywhere, which is the one plane's."""
+        """Return image and a disparity of 0 everywhere, which is the one plane's."""
         clock = clock or Clock(measurement.device)
         with clock.stage(self.stage):
-            picture = encode(self.radiance(self.volume(measurement)), 1.0)
-        return Estimate(picture, torch.zeros_like(picture[:, :1]))
+            image = linear_to_srgb(self.radiance(self.volume(measurement)), 1.0)
+        return Estimate(image, torch.zeros_like(image[:, :1]))

@@ -29,8 +29,8 @@ _DPI = 120
 # Told apart by colour-blind eyes too (Okabe and Ito, 2008); grey is for answers that look at nothing.
 _COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _GOLDEN = (5**0.5 - 1) / 2  # steps of it round the circle of hues never meet again
-_MARKS, _TRIVIAL = "osD^vP", "#8a9299"
-PANELS = (("psnr", "PSNR of pictures, dB"), ("depth_rmse_cm", "depth RMSE, cm"))
+_MARKS, _NAIVE = "osD^vP", "#8a9299"
+PANELS = (("psnr", "PSNR of images, dB"), ("depth_rmse_cm", "depth RMSE, cm"))
 
 
 def method_colours(names: Sequence[str]) -> dict[str, str]:
@@ -38,7 +38,7 @@ def method_colours(names: Sequence[str]) -> dict[str, str]:
     return {name: _colour(at) for at, name in enumerate(names)}
 
 
-def noise_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], trivial: Sequence[Outcome]) -> bytes:
+def noise_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], naive: Sequence[Outcome]) -> bytes:
     """Return PSNR and depth RMSE against the measurement's PSNR; bars are the spread over seeds (thesis, figure 5.5).
 
     Points are hollow where parameters are used that were tuned at another level.
@@ -62,7 +62,7 @@ def noise_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], trivial: 
             if any(one.tuned_elsewhere for one in outcomes):
                 hollow = "hollow: parameters tuned at another level"
                 axes.plot([], [], color=FAINT, marker="o", mfc="white", ls="", label=hollow)
-            _trivial_lines(axes, score, trivial)
+            _naive_lines(axes, score, naive)
             style(axes, "PSNR of measurements, dB", label)
             axes.set_xticks(sorted({one.noise_db for one in outcomes if one.noise_db is not None}))
             axes.grid(color=GRID)
@@ -72,17 +72,17 @@ def noise_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], trivial: 
 
 
 def depth_png(
-    outcomes: Sequence[Outcome], colours: Mapping[str, str], trivial: Sequence[Outcome], edges_cm: Sequence[float]
+    outcomes: Sequence[Outcome], colours: Mapping[str, str], naive: Sequence[Outcome], edges_cm: Sequence[float]
 ) -> bytes:
     """Return depth RMSE against true depth, over all pixels of a bin."""
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
-        for one in [*outcomes, *trivial]:
+        for one in [*outcomes, *naive]:
             if one.bins_cm:
                 values = [np.nan if value is None else value for value in one.bins_cm]
-                grey = one.kind == "trivial"
-                colour, line = (_TRIVIAL, "--") if grey else (colours[one.method], "-")
+                grey = one.kind == "naive"
+                colour, line = (_NAIVE, "--") if grey else (colours[one.method], "-")
                 axes.stairs(values, edges_cm, baseline=None, color=colour, ls=line, lw=2.0, label=one.method)
         style(axes, "true depth, cm", "depth RMSE, cm")
         axes.set_ylim(bottom=0)
@@ -97,7 +97,7 @@ def depth_png(
 
 
 def stacks_png(
-    outcomes: Sequence[Outcome], colours: Mapping[str, str], stacks: Sequence[str], trivial: Sequence[Outcome]
+    outcomes: Sequence[Outcome], colours: Mapping[str, str], stacks: Sequence[str], naive: Sequence[Outcome]
 ) -> bytes:
     """Return PSNR and depth RMSE of every method with each of several PSFs; whiskers are the spread over seeds."""
 
@@ -113,12 +113,12 @@ def stacks_png(
                         means.append(of_it[0].scores[score].mean)
                         errors.append(of_it[0].scores[score].over_seeds or np.nan)
                         fills.append(colour)
-                strength = 1 - 0.6 * at / max(1, len(stacks) - 1)
-                bars = axes.bar(places, means, width * 0.94, color=fills, alpha=strength, yerr=errors, capsize=3)
+                alpha = 1 - 0.6 * at / max(1, len(stacks) - 1)
+                bars = axes.bar(places, means, width * 0.94, color=fills, alpha=alpha, yerr=errors, capsize=3)
                 axes.bar_label(bars, [f"{mean:.3g}" for mean in means], fontsize=SMALL, color=INK, padding=2)
-                axes.bar(0, 0, color=INK, alpha=strength, label=stack)
+                axes.bar(0, 0, color=INK, alpha=alpha, label=stack)
             axes.set_xlim(-0.6, len(colours) + 0.9)  # room at the right for the words of the lines
-            _trivial_lines(axes, score, trivial)
+            _naive_lines(axes, score, naive)
             style(axes, "", label)
             axes.set_xticks(range(len(colours)), [_broken(name) for name in colours])
             axes.margins(y=0.12)
@@ -170,10 +170,10 @@ def _colour(at: int) -> str:
     return "#" + "".join(f"{round(255 * channel):02x}" for channel in channels)
 
 
-def _trivial_lines(axes: Axes, score: str, trivial: Sequence[Outcome]) -> None:
-    for one in trivial:
+def _naive_lines(axes: Axes, score: str, naive: Sequence[Outcome]) -> None:
+    for one in naive:
         if score in one.scores:
-            axes.axhline(one.scores[score].mean, color=_TRIVIAL, ls="--", lw=1.2)
+            axes.axhline(one.scores[score].mean, color=_NAIVE, ls="--", lw=1.2)
             _beside(axes, one.scores[score].mean, one.method)
 
 
@@ -224,13 +224,13 @@ class Shown:
     """A scene as one method, or the truth, has it.
 
     Attributes:
-        picture: ``(h, w, 3)`` sRGB codes 0..1.
+        image: ``(h, w, 3)`` sRGB codes 0..1.
         depth_m: ``(h, w)``.
         words: a few, such as its scores.
         valid: ``(h, w)``, False where there was no surface; None where all count.
     """
 
-    picture: NDArray[np.floating]
+    image: NDArray[np.floating]
     depth_m: NDArray[np.floating]
     words: str = ""
     valid: NDArray[np.bool_] | None = None
@@ -256,7 +256,7 @@ def montage_png(
     """
     from PIL import Image, ImageDraw
 
-    rows, wide = scenes[0][0].picture.shape[:2]
+    rows, wide = scenes[0][0].image.shape[:2]
     height = min(max(_TILE // rows, 1) * rows, 256)
     width = max(1, round(wide * height / rows))
     high = 2 * height + 2 + _WORDS + _GAP
@@ -272,7 +272,7 @@ def montage_png(
         for row, scene in enumerate(scenes):
             y = _HEAD + _WORDS + row * high
             shown = scene[column]
-            codes = np.round(np.clip(shown.picture, 0, 1) * 255).astype(np.uint8)
+            codes = np.round(np.clip(shown.image, 0, 1) * 255).astype(np.uint8)
             depth = shown.depth_m.astype(np.float32)
             valid = np.ones_like(depth, dtype=bool) if shown.valid is None else shown.valid
             colours = depth_colours(depth, valid, near_m, far_m)

@@ -1,4 +1,4 @@
-"""Evaluation: all methods on the same scenes and measurements, by the same scores; what is finished is kept."""
+"""`flatlight evaluate`: all methods on the same scenes and measurements, by the same scores; what is finished is kept."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from learning.camera import CaptureModel
 from learning.config import EvaluateConfig
 from learning.data import check_dataset
 from learning.evaluate.figures import Shown
-from learning.evaluate.methods import Entry, LearnedEntry, read_roster
+from learning.evaluate.methods import Entry, LearnedEntry, read_methods
 from learning.evaluate.outcome import Outcome, first_scenes, outcome
-from learning.evaluate.report import Findings, default_edges_cm, write_results
+from learning.evaluate.report import Findings, claim_folder, default_edges_cm, write_results
 from learning.evaluate.runs import Cameras, ResultCache, Run, Runner
-from learning.evaluate.scoring import Constant, Criteria, Times, device_in_words, score, take_times, trivial_methods
-from learning.method import choose_device, encode
+from learning.evaluate.scoring import Criteria, Times, naive_baselines, score, take_times
+from learning.method import choose_device, describe_device, linear_to_srgb
 from learning.perceptual import LpipsDistance, available_lpips
-from learning.provenance import claim_folder
-from simulator.dataset.reader import Dataset, open_dataset
+from simulator.dataset.reader import open_dataset
 from simulator.files import storage_errors
 
 CACHE = "cache"
@@ -44,34 +43,45 @@ def evaluate(
         What was found, and the files, the report first.
 
     Raises:
-        InputError: data without scenes or depth, methods of other cameras, missing files, an estimate that is no number,
-            scenes that a method knows already, or a folder that holds something else.
+        InputError: data without scenes or depth, methods of other cameras, missing files, a non-finite estimate, scenes
+            that a method knows already, or a folder that holds something else.
         StorageError: the folder cannot be written to.
     """
     folder = config.resolve_path(config.output)
     device = choose_device(config.device)
     if config.threads is not None:
         torch.set_num_threads(config.threads)
-    test = _test_scenes(config)
-    roster = read_roster(config, test)
+    test = open_dataset(config.resolve_path(config.data.test), config.data.split)
+    test = test if config.data.scenes is None else test[: config.data.scenes]
+    check_dataset(test)
+    methods = read_methods(config, test)
     claim_folder(folder, config.name)
     with storage_errors(folder):
         cache = ResultCache(folder / CACHE)
     training = None if config.data.training is None else config.resolve_path(config.data.training)
-    cameras = Cameras(test, training, [entry for seeds in roster for entry in seeds], config.resolve_path)
+    cameras = Cameras(test, training, [entry for seeds in methods for entry in seeds], config.resolve_path)
     lpips, perceptual = _perceptual(config.perceptual, device)
     say(perceptual)
-    camera = cameras.believed(roster[0][0], config.data.stack)
+    camera = cameras.assumed(methods[0][0], config.data.stack)
     edges_cm = default_edges_cm(camera, _BINS) if config.depth_bins_cm is None else tuple(config.depth_bins_cm)
     criteria = Criteria(edges_cm, config.dark_share, lpips)
     runner = Runner(test, cameras, criteria, cache, device=device, batch=config.batch, seed=config.seed)
-    planned = _plan(config)
-    _rehearse(runner, roster, planned)
+    # PSFs and noise of all runs of a method, each once, the table's first.
+    usual, compared = config.data.stack, config.data.compare_stacks
+    levels = [(usual, None), *((usual, level) for level in config.noise_db or ())]
+    planned = list(dict.fromkeys([*levels, *((stack, None) for stack in compared)]))
+    # Each is built once for each of its cameras: what does not fit is said now, not after hours of work.
+    for entry in (entry for seeds in methods for entry in seeds):
+        for stack, level in planned:
+            runner.method(Run(entry, stack, level))
     part = config.ablation_scenes
     part = None if part is None or part >= len(test) else part
-    compared = config.data.compare_stacks
-    outcomes = [one for seeds in roster for one in _outcomes(runner, seeds, planned, part, compared, progress)]
-    trivial = _trivial(runner, criteria, camera, config.batch, device)
+    outcomes = [one for seeds in methods for one in _outcomes(runner, seeds, planned, part, compared, progress)]
+    examples = runner.examples(None)
+    naive = [
+        (one, score(one, examples, criteria, device=device, batch=config.batch))
+        for one in naive_baselines(examples, camera, config.batch)
+    ]
     findings = Findings(
         config=config,
         test=test,
@@ -79,26 +89,19 @@ def evaluate(
         stored_db=runner.stored_db,
         edges_cm=edges_cm,
         perceptual=perceptual,
-        device=device_in_words(device),
-        methods=[_about(seeds, cameras.believed(seeds[0], config.data.stack)) for seeds in roster],
+        device=describe_device(device),
+        methods=[_about(seeds, cameras.assumed(seeds[0], usual)) for seeds in methods],
         outcomes=outcomes,
-        trivial=[outcome(one.name, "trivial", [found], only=one.scores, note=one.best_in) for one, found in trivial],
-        trivial_part=[
-            outcome(one.name, "trivial", [first_scenes(found, part or len(test))], only=one.scores)
-            for one, found in trivial
+        naive=[outcome(one.name, "naive", [found], only=one.scores, note=one.best_in) for one, found in naive],
+        naive_part=[
+            outcome(one.name, "naive", [first_scenes(found, part or len(test))], only=one.scores)
+            for one, found in naive
         ],
-        times=_times(config, runner, roster, device, progress),
-        montage=_montage(config, runner, roster),
+        times=_times(config, runner, methods, progress),
+        montage=_montage(config, runner, methods),
         columns=["truth", *(method.name for method in config.methods)],
     )
     return findings, write_results(folder, findings)
-
-
-def _test_scenes(config: EvaluateConfig) -> Dataset:
-    test = open_dataset(config.resolve_path(config.data.test), config.data.split)
-    test = test if config.data.scenes is None else test[: config.data.scenes]
-    check_dataset(test)
-    return test
 
 
 def _perceptual(wanted: str, device: torch.device) -> tuple[LpipsDistance | None, str]:
@@ -108,21 +111,6 @@ def _perceptual(wanted: str, device: torch.device) -> tuple[LpipsDistance | None
         LpipsDistance()  # says what is missing and where
     lpips, words = available_lpips()
     return lpips and lpips.to(device), words
-
-
-def _plan(config: EvaluateConfig) -> list[tuple[str, float | None]]:
-    """Return PSFs and noise of all runs of a method, each once, the table's first."""
-    usual = config.data.stack
-    levels = [(usual, None), *((usual, level) for level in config.noise_db or ())]
-    return list(dict.fromkeys([*levels, *((stack, None) for stack in config.data.compare_stacks)]))
-
-
-def _rehearse(runner: Runner, roster: Sequence[Sequence[Entry]], planned: Sequence[tuple[str, float | None]]) -> None:
-    """Build every method once for each of its cameras: what does not fit is said now, not after hours of work."""
-    for seeds in roster:
-        for entry in seeds:
-            for stack, level in planned:
-                runner.method(Run(entry, stack, level))
 
 
 def _outcomes(
@@ -156,7 +144,7 @@ def _outcomes(
             "tuned_db": seeds[0].tuned_db(at_db),
             "details": {
                 "identities": [entry.identity(at_db) for entry in seeds],
-                "believed": [runner.camera(run).stack.fingerprint for run in runs],
+                "assumed": [runner.camera(run).stack.fingerprint for run in runs],
             },
         }
         found.append(outcome(name, seeds[0].kind, results, **about))
@@ -165,69 +153,52 @@ def _outcomes(
     return found
 
 
-def _trivial(
-    runner: Runner, criteria: Criteria, camera: CaptureModel, batch: int, device: torch.device
-) -> list[tuple[Constant, dict[str, Any]]]:
-    """Return the answers that look at nothing, and what `score` found of them."""
-    examples = runner.examples(None)
-    methods = trivial_methods(examples, camera, batch)
-    return [(one, score(one, examples, criteria, device=device, batch=batch)) for one in methods]
-
-
 def _times(
-    config: EvaluateConfig, runner: Runner, roster: Sequence[Sequence[Entry]], device: torch.device, progress: Progress
+    config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[Entry]], progress: Progress
 ) -> list[Times]:
     if config.time.repeats == 0:
         return []
     level = config.time.noise_db
-    methods = [runner.method(Run(seeds[0], config.data.stack, level)) for seeds in roster]
+    timed = [runner.method(Run(seeds[0], config.data.stack, level)) for seeds in methods]
     examples = runner.examples(level)
     scenes = [examples[position].measurement for position in range(min(len(examples), _TIMED_SCENES))]
-    measurements = torch.stack(scenes).to(device)
-    return take_times(methods, measurements, config.time.repeats, lambda done, total: progress("times", done, total))
+    measurements = torch.stack(scenes).to(runner.device)
+    return take_times(timed, measurements, config.time.repeats, lambda done, total: progress("times", done, total))
 
 
-def _montage(config: EvaluateConfig, runner: Runner, roster: Sequence[Sequence[Entry]]) -> list[list[Shown]]:
+def _montage(config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[Entry]]) -> list[list[Shown]]:
     """Return evenly spread scenes as they were and as the first seed of every method has them."""
     count = min(config.figures.montage, len(runner.test))
     positions = np.unique(np.linspace(0, len(runner.test) - 1, count).round().astype(int)).tolist()
-    runs = [Run(seeds[0], config.data.stack) for seeds in roster]
+    runs = [Run(seeds[0], config.data.stack) for seeds in methods]
     estimates = [runner.estimates(run, positions) for run in runs]
     known = [runner.result(run)["scores"] for run in runs]
     examples, rows = runner.examples(None), []
     for at, position in enumerate(positions):
         example = examples[position]
-        picture = encode(example.radiance, runner.white).numpy()
-        row = [
-            Shown(
-                np.moveaxis(picture, 0, -1),
-                example.depth_m[0].numpy(),
-                runner.test.ids[position],
-                example.valid[0].numpy(),
-            )
-        ]
+        image = np.moveaxis(linear_to_srgb(example.radiance, runner.cameras.test.white).numpy(), 0, -1)
+        row = [Shown(image, example.depth_m[0].numpy(), runner.test.ids[position], example.valid[0].numpy())]
         for shown, scores in zip(estimates, known, strict=True):
             words = f"{scores[position]['psnr']:.1f} dB, {scores[position]['depth_rmse_cm']:.2f} cm"
-            row.append(Shown(np.moveaxis(shown[at]["picture"], 0, -1), shown[at]["depth_m"], words))
+            row.append(Shown(np.moveaxis(shown[at]["image"], 0, -1), shown[at]["depth_m"], words))
         rows.append(row)
     return rows
 
 
 def _about(seeds: Sequence[Entry], camera: CaptureModel) -> dict[str, Any]:
-    about: dict[str, Any] = {
+    return {
         "name": seeds[0].name,
         "kind": seeds[0].kind,
         "planes": len(camera.stack.depths_m),
         "depth_range_m": [camera.near_m, camera.far_m],
+        "checkpoints": [
+            {
+                "file": entry.path.name,
+                "sha256": entry.digest,
+                "architecture": dict(entry.architecture),
+                "record": dict(entry.record),
+            }
+            for entry in seeds
+            if isinstance(entry, LearnedEntry)
+        ],
     }
-    learned = [entry for entry in seeds if isinstance(entry, LearnedEntry)]
-    about["checkpoints"] = [
-        {
-            "file": entry.path.name,
-            "sha256": entry.digest,
-            "architecture": dict(entry.architecture),
-            "record": dict(entry.record),
-        }
-        for entry in learned
-    ]
-    return about

@@ -1,4 +1,4 @@
-"""Scenes that decide must be new to every method: what was learned from, chosen by or tuned on is refused."""
+"""Train-test leakage: scenes that decide must be new to every method; what saw them before is refused."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _USED = {"train": "learned from", "validation": "was chosen among its own steps 
 
 
 def check_learned(name: str, path: Path, record: Mapping[str, Any], test: Dataset) -> None:
-    """Refuse a network that knows the test scenes, be it from the training that it was warm-started with.
+    """Refuse a network that knows the test scenes, be it from the training of the checkpoint that it began with.
 
     Args:
         name: of the method.
@@ -38,12 +38,7 @@ def check_learned(name: str, path: Path, record: Mapping[str, Any], test: Datase
 
 
 def check_tuned(name: str, tuned: Path, test: Dataset) -> None:
-    """Refuse parameters that were tuned on the test scenes.
-
-    Args:
-        name: of the method.
-        tuned: what `flatlight tune` wrote.
-        test: the scenes that decide.
+    """Refuse parameters of a method that `flatlight tune` found on the test scenes.
 
     Raises:
         InputError: the scenes are those that were tuned on, or the file cannot be read.

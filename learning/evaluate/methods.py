@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 
@@ -17,49 +18,48 @@ from learning.evaluate.leakage import check_learned, check_tuned
 from learning.evaluate.outcome import Kind
 from learning.method import Method
 from learning.models.flatnet import LearnedMethod
-from learning.tune import load_tuned
+from learning.tune.study import load_tuned
 from simulator.dataset.reader import Dataset
 from simulator.files import sha256_file
 
 
-class Entry(Protocol):
-    """A method with one seed."""
+class Entry(ABC):
+    """A method with one seed.
 
-    @property
-    def name(self) -> str:
-        """How tables call it."""
-        ...
+    Attributes:
+        name: how tables call it.
+        kind: learned or classical.
+        capture: the camera that it knows by itself; None for methods that are told.
+    """
 
-    @property
-    def kind(self) -> Kind:
-        """Learned or classical."""
-        ...
+    name: str
+    kind: Kind
+    capture: CaptureModel | None
 
-    @property
-    def capture(self) -> CaptureModel | None:
-        """The camera that it knows by itself; None for methods that are told."""
-        ...
-
+    @abstractmethod
     def identity(self, noise_db: float) -> dict[str, Any]:
         """Return what decides it at a level of noise, beside the camera."""
-        ...
 
+    @abstractmethod
     def note(self, noise_db: float) -> str:
         """Return what a reader should know of it at a level of noise."""
-        ...
+
+    @abstractmethod
+    def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
+        """Return it, ready on a device, for a camera and a level of noise.
+
+        Raises:
+            InputError: the camera has other channels or planes than a network was trained for.
+        """
 
     def tuned_db(self, noise_db: float) -> float | None:
         """Return the level at which its parameters for a level were tuned; None where none were."""
-        ...
-
-    def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
-        """Return it, ready on a device, for a camera and a level of noise."""
-        ...
+        return None
 
 
 @dataclass(frozen=True, eq=False)
-class LearnedEntry:
-    """A network's checkpoint; see `Entry`."""
+class LearnedEntry(Entry):
+    """A network's checkpoint."""
 
     name: str
     path: Path
@@ -77,22 +77,15 @@ class LearnedEntry:
         """Return the architecture in words."""
         return ", ".join(str(self.architecture[name]) for name in ("network", "size") if name in self.architecture)
 
-    def tuned_db(self, noise_db: float) -> float | None:
-        """Return None: a network has no such parameters."""
-
     def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
-        """Return the network for a camera.
-
-        Raises:
-            InputError: the camera has other channels or planes than the network was trained for.
-        """
+        """Return the network for a camera."""
         network = load_checkpoint(self.path, capture=capture).network
         return LearnedMethod(self.name, network.to(device), capture)
 
 
 @dataclass(frozen=True, eq=False)
-class ClassicalEntry:
-    """A classical method, with parameters that may depend on the noise; see `Entry`."""
+class ClassicalEntry(Entry):
+    """A classical method, with parameters that may depend on the noise."""
 
     name: str
     algorithm: str
@@ -107,14 +100,14 @@ class ClassicalEntry:
 
     def note(self, noise_db: float) -> str:
         """Return the parameters and where they come from."""
-        parameters, source = self._chosen(noise_db)
+        parameters, level = self._chosen(noise_db)
         shown = {name: f"{value:.4g}" if isinstance(value, float) else value for name, value in parameters.items()}
         words = ", ".join(f"{name} {value}" for name, value in shown.items())
-        return f"{words or 'defaults'} ({source})"
+        return f"{words or 'defaults'} ({'as given' if level is None else f'tuned at {level:g} dB'})"
 
     def tuned_db(self, noise_db: float) -> float | None:
         """Return the level at which the parameters for a level were tuned; None where they were given."""
-        return None if self.tuned is None else load_tuned(self.tuned).parameters(self.algorithm, noise_db)[1]
+        return self._chosen(noise_db)[1]
 
     def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
         """Return the method for a camera."""
@@ -122,19 +115,15 @@ class ClassicalEntry:
         method.name = self.name
         return method
 
-    def _chosen(self, noise_db: float) -> tuple[dict[str, Any], str]:
+    def _chosen(self, noise_db: float) -> tuple[dict[str, Any], float | None]:
         if self.tuned is None:
-            return DEFAULTS[self.algorithm] | dict(self.parameters or {}), "as given"
+            return DEFAULTS[self.algorithm] | dict(self.parameters or {}), None
         parameters, level = load_tuned(self.tuned).parameters(self.algorithm, noise_db)
-        return DEFAULTS[self.algorithm] | parameters, f"tuned at {level:g} dB"
+        return DEFAULTS[self.algorithm] | parameters, level
 
 
-def read_roster(config: EvaluateConfig, test: Dataset) -> list[list[Entry]]:
+def read_methods(config: EvaluateConfig, test: Dataset) -> list[list[Entry]]:
     """Return the methods in their order, each a list of its seeds.
-
-    Args:
-        config: the file.
-        test: the scenes that decide.
 
     Raises:
         InputError: a file that is missing, damaged or of another kind; a network that learned from the test scenes or was
@@ -153,9 +142,7 @@ def _seeds(config: EvaluateConfig, method: MethodConfig, test: Dataset) -> list[
     entries: list[Entry] = []
     for text in method.checkpoints:
         path = config.resolve_path(text)
-        checkpoint = load_checkpoint(path)
-        check_learned(method.name, path, checkpoint.record, test)
-        digest = sha256_file(path)
-        entry = LearnedEntry(method.name, path, digest, checkpoint.capture, checkpoint.architecture, checkpoint.record)
-        entries.append(entry)
+        one = load_checkpoint(path)
+        check_learned(method.name, path, one.record, test)
+        entries.append(LearnedEntry(method.name, path, sha256_file(path), one.capture, one.architecture, one.record))
     return entries

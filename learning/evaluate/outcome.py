@@ -73,7 +73,7 @@ def _spread(values: np.ndarray) -> float | None:
     return float(values.std(ddof=1))
 
 
-Kind = Literal["learned", "classical", "trivial"]
+Kind = Literal["learned", "classical", "naive"]
 OWN = "own"
 
 
@@ -83,8 +83,8 @@ class Outcome:
 
     Attributes:
         method: its name.
-        kind: learned, classical, or trivial: an answer that looks at no measurement.
-        stack: how the PSFs that it believed are named in the file; ``own`` for those that it always has.
+        kind: learned, classical, or naive: an answer that looks at no measurement.
+        stack: how the PSFs that it assumed are named in the file; ``own`` for those that it always has.
         noise_db: level at which noise was drawn anew; None for measurements as stored.
         scores: mean and spreads by score, see `learning.metrics.measure`.
         pooled_depth_rmse_cm: over all pixels of all scenes and seeds.

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -29,14 +27,44 @@ from learning.evaluate.figures import (
 from learning.evaluate.outcome import Outcome, Summary
 from learning.evaluate.scoring import Times
 from learning.metrics import DEFINITIONS, SSIM_DEFINITION
-from learning.provenance import DEPTH, MONTAGE, NOISE, REPORT, RESULTS, STACKS, TABLE, TIMES, remove_stale
-from simulator import __version__
+from learning.provenance import is_own_folder, read_description, versions
 from simulator.dataset.plain import readable_json
 from simulator.dataset.reader import Dataset
-from simulator.files import write_atomic
+from simulator.errors import InputError
+from simulator.files import storage_errors, write_atomic
 from simulator.preview.drawing import depth_range
 
+DESCRIPTION = "evaluation.json"
+"""Says that the folder is an evaluation's, and its name; written first."""
+RESULTS, TABLE, REPORT = "results.json", "table.csv", "report.md"
+MONTAGE, NOISE, DEPTH, STACKS, TIMES = "montage.png", "noise.png", "depth.png", "stacks.png", "times.png"
+_OWN = (REPORT, TABLE, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES)
+_FORMAT = "flatlight evaluation"
 _PACKAGES = ("torch", "numpy", "scikit-image", "flip-evaluator", "lpips", "ortools")
+_WHISKERS = "Whiskers are the standard deviation over seeds."
+
+
+def claim_folder(folder: Path, name: str) -> None:
+    """See that a folder is new, empty, or of the evaluation of this name; make it and say whose it is.
+
+    Raises:
+        InputError: a file, a data set, a training, anything else, or an evaluation of another name.
+        StorageError: the folder cannot be written to.
+    """
+    path = folder / DESCRIPTION
+    if is_own_folder(folder, DESCRIPTION, "evaluation"):
+        content = read_description(path, "evaluation")
+        known = content.get("name")
+        if content.get("format") != _FORMAT or not isinstance(known, str):
+            msg = f"{path} is not a description of an evaluation; choose another output folder"
+            raise InputError(msg)
+        if known != name:
+            msg = f"output: {folder} holds the evaluation {known!r}, not {name!r}; choose another folder, or keep its name"
+            raise InputError(msg)
+        return
+    with storage_errors(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    write_atomic(path, readable_json({"format": _FORMAT, "name": name}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +81,8 @@ class Findings:
         device: in words.
         methods: what is known of each method and seed.
         outcomes: of all methods, PSFs and levels.
-        trivial: of the answers that look at nothing.
-        trivial_part: of the same answers, on the scenes of the noise levels and of the PSFs that are compared.
+        naive: of the answers that look at nothing.
+        naive_part: of the same answers, on the scenes of the noise levels and of the PSFs that are compared.
         times: seconds per scene; empty where none were taken.
         montage: for each scene shown the truth and every method, in the order of ``columns``.
         columns: of the montage.
@@ -69,8 +97,8 @@ class Findings:
     device: str
     methods: Sequence[Mapping[str, Any]]
     outcomes: Sequence[Outcome]
-    trivial: Sequence[Outcome]
-    trivial_part: Sequence[Outcome]
+    naive: Sequence[Outcome]
+    naive_part: Sequence[Outcome]
     times: Sequence[Times]
     montage: Sequence[Sequence[Shown]]
     columns: Sequence[str]
@@ -101,7 +129,7 @@ class Findings:
     @property
     def constant_cm(self) -> float | None:
         """Pooled depth RMSE of the best constant depth."""
-        return next((one.pooled_depth_rmse_cm for one in self.trivial if one.pooled_depth_rmse_cm is not None), None)
+        return next((one.pooled_depth_rmse_cm for one in self.naive if one.pooled_depth_rmse_cm is not None), None)
 
     @property
     def method_names(self) -> list[str]:
@@ -109,7 +137,7 @@ class Findings:
         return [method.name for method in self.config.methods]
 
     def plain(self) -> dict[str, Any]:
-        """Return all of it but the pictures, for JSON."""
+        """Return all of it but the images, for JSON."""
         info = self.test.info
         return {
             "name": self.config.name,
@@ -127,10 +155,10 @@ class Findings:
             "perceptual": self.perceptual,
             "definitions": DEFINITIONS,
             "device": self.device,
-            "versions": versions(),
+            "versions": versions(*_PACKAGES),
             "methods": list(self.methods),
             "outcomes": [one.plain() for one in self.outcomes],
-            "trivial": [one.plain() for one in self.trivial],
+            "naive": [one.plain() for one in self.naive],
             "times": [one.plain() for one in self.times],
         }
 
@@ -139,17 +167,6 @@ def default_edges_cm(camera: CaptureModel, bins: int) -> tuple[float, ...]:
     """Return edges from the nearest to the farthest depth, even in disparity: what a mask resolves."""
     edges_m = camera.depth_m(np.linspace(1, 0, bins + 1))
     return tuple((100 * edges_m).tolist())
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of what took part."""
-    found = {"flatlight": __version__, "python": platform.python_version()}
-    for name in _PACKAGES:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found[name] = "absent"
-    return found
 
 
 # Title, digits and whether more is better; in this order, as far as they were measured.
@@ -305,7 +322,7 @@ def _titles(names: Sequence[str]) -> list[str]:
 
 
 def _name(one: Outcome) -> str:
-    return f"*{one.method}*" if one.kind == "trivial" else one.method
+    return f"*{one.method}*" if one.kind == "naive" else one.method
 
 
 def _best(names: Sequence[str], outcomes: Sequence[Outcome]) -> dict[str, float]:
@@ -360,11 +377,11 @@ def conditions(findings: Findings) -> str:
     count = len(psf["depths_cm"]) if psf.get("depths_cm") else psf.get("depths")
     planes = f", PSFs {psf['model']} at {count} depths" if psf.get("model") and count else ""
     stack = findings.config.data.stack
-    believed = "their own PSFs" if stack == "own" else f"the PSFs {stack}"
+    assumed = "their own PSFs" if stack == "own" else f"the PSFs {stack}"
     return (
         f"{len(findings.test)} scenes, split {findings.test.split} of a data set with fingerprint "
         f"`{findings.test.fingerprint[:12]}`{planes}; measurements as stored have {findings.stored_db:.1f} dB. The methods "
-        f"believe {believed}: {_planes(findings)}."
+        f"assume {assumed}: {_planes(findings)}."
     )
 
 
@@ -411,9 +428,6 @@ def _planes(findings: Findings) -> str:
     return "; ".join(f"{', '.join(names)}: {text}" for text, names in words.items())
 
 
-_WHISKERS = "Whiskers are the standard deviation over seeds."
-
-
 def write_results(folder: Path, findings: Findings) -> list[Path]:
     """Write everything, and delete what an earlier run left; returns the files, the report first.
 
@@ -421,12 +435,12 @@ def write_results(folder: Path, findings: Findings) -> list[Path]:
         StorageError: the folder cannot be written to.
     """
     times = {one.method: one for one in findings.times}
-    pictures = _figures(findings)
+    images = _figures(findings)
     files: dict[str, bytes] = {
-        REPORT: _report(findings, list(pictures)).encode(),
-        TABLE: csv_table([*findings.outcomes, *findings.trivial], times).encode(),
+        REPORT: _report(findings, list(images)).encode(),
+        TABLE: csv_table([*findings.outcomes, *findings.naive], times).encode(),
         RESULTS: readable_json(findings.plain()),
-        **pictures,
+        **images,
     }
     for name, content in files.items():
         write_atomic(folder / name, content)
@@ -434,37 +448,36 @@ def write_results(folder: Path, findings: Findings) -> list[Path]:
     return [folder / name for name in files]
 
 
+def remove_stale(folder: Path, written: Iterable[str]) -> None:
+    """Delete the files of an earlier run that this one did not write: they show other scenes or settings."""
+    for name in set(_OWN) - set(written):
+        with storage_errors(folder / name):
+            (folder / name).unlink(missing_ok=True)
+
+
 def _figures(findings: Findings) -> dict[str, bytes]:
     colours = method_colours(findings.method_names)
     figures: dict[str, bytes] = {}
     if findings.montage:
-        line = (
-            f"white = radiance {findings.camera.white:.3g}; depth z "
-            f"{depth_range(findings.camera.near_m, findings.camera.far_m)}"
-        )
-        figures[MONTAGE] = montage_png(
-            findings.columns,
-            findings.montage,
-            findings.config.name,
-            line,
-            findings.camera.near_m,
-            findings.camera.far_m,
-        )
+        camera = findings.camera
+        line = f"white = radiance {camera.white:.3g}; depth z {depth_range(camera.near_m, camera.far_m)}"
+        depths_m = (camera.near_m, camera.far_m)
+        figures[MONTAGE] = montage_png(findings.columns, findings.montage, findings.config.name, line, *depths_m)
     if findings.ablation:
-        figures[NOISE] = noise_png(findings.ablation, colours, findings.trivial_part)
-    figures[DEPTH] = depth_png(findings.main, colours, findings.trivial, findings.edges_cm)
+        figures[NOISE] = noise_png(findings.ablation, colours, findings.naive_part)
+    figures[DEPTH] = depth_png(findings.main, colours, findings.naive, findings.edges_cm)
     if findings.compared:
         figures[STACKS] = stacks_png(
-            findings.compared, colours, findings.config.data.compare_stacks, findings.trivial_part
+            findings.compared, colours, findings.config.data.compare_stacks, findings.naive_part
         )
     if findings.times:
         figures[TIMES] = times_png(findings.times, colours, findings.device)
     return figures
 
 
-def _report(findings: Findings, pictures: Sequence[str]) -> str:
+def _report(findings: Findings, images: Sequence[str]) -> str:
     times = {one.method: one for one in findings.times}
-    rows = [*findings.main, *findings.trivial]
+    rows = [*findings.main, *findings.naive]
     parts = [
         f"# {findings.config.name}",
         conditions(findings),
@@ -475,7 +488,7 @@ def _report(findings: Findings, pictures: Sequence[str]) -> str:
         "## Further scores",
         markdown_further(rows),
     ]
-    if MONTAGE in pictures:
+    if MONTAGE in images:
         parts.append("## Scenes\n\n![truth and estimates](montage.png)")
     if findings.ablation:
         levels = sorted({one.noise_db for one in findings.ablation if one.noise_db is not None})
@@ -495,7 +508,7 @@ def _report(findings: Findings, pictures: Sequence[str]) -> str:
         stacks = findings.config.data.compare_stacks
         tables = [markdown_matrix(findings.compared, score, stacks, "stack", " PSFs") for score, _ in PANELS]
         parts += [
-            "## Which PSFs are believed",
+            "## Which PSFs are assumed",
             on_part(findings),
             *tables,
             f"{_WHISKERS}\n\n![scores by PSFs](stacks.png)",
@@ -507,5 +520,5 @@ def _report(findings: Findings, pictures: Sequence[str]) -> str:
         )
         parts += ["## Time", words, markdown_times(findings.times), "![seconds per stage](times.png)"]
     parts.append(PUBLISHED)
-    parts.append("## Made with\n\n" + ", ".join(f"{name} {version}" for name, version in versions().items()))
+    parts.append("## Made with\n\n" + ", ".join(f"{name} {version}" for name, version in versions(*_PACKAGES).items()))
     return "\n\n".join(part for part in parts if part) + "\n"

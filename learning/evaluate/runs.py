@@ -14,15 +14,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from learning.camera import CaptureModel, capture_model
+from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.data import Example, ExampleSet
 from learning.evaluate.methods import Entry
 from learning.evaluate.outcome import OWN
 from learning.evaluate.scoring import Criteria, Progress, checked, score
-from learning.method import Method, measure_white
-from learning.provenance import code_fingerprint
+from learning.method import Method
+from learning.provenance import code_fingerprint, sample_digests
 from simulator.arrays import to_numpy
-from simulator.dataset.manifest import load_manifest
 from simulator.dataset.plain import canonical_json, plain
 from simulator.dataset.psf_files import read_psf_stack
 from simulator.dataset.reader import Dataset, open_dataset
@@ -31,80 +30,81 @@ from simulator.files import sha256_bytes, write_atomic
 from simulator.optics.psf_stack import PsfStack
 
 _WHITES_ALIKE = 1e-6
+_PILOTS, _NOISELESS_DB = 16, 120.0
+# By these, and what they import, a measurement becomes a score.
+_DECIDING = (
+    "learning.classical.method",
+    "learning.checkpoint",
+    "learning.data",
+    "learning.evaluate.scoring",
+    "learning.models.flatnet",
+)
 
 
 class Cameras:
-    """The cameras of an evaluation.
+    """Which camera each method is told of: the numbers of the one that saw the test scenes, the PSFs that it assumes.
 
     Attributes:
-        test: the camera of the test data set with its own PSFs, and the evaluation's white.
+        test: the camera of the test data set with its own PSFs, and the evaluation's reference white.
     """
 
     def __init__(
         self, test: Dataset, training: Path | None, entries: Sequence[Entry], folder: Callable[[str], Path] = Path
     ) -> None:
-        """Find the white that all methods share.
+        """Find the reference white that all methods share.
 
         Args:
             test: the split that decides.
-            training: folder of the data set that the methods were trained or tuned on.
+            training: folder of the data set that the methods were trained or tuned on; None only where none needs it.
             entries: all methods.
             folder: makes a path of the name of a stack's folder.
 
         Raises:
-            InputError: methods whose pictures have different whites, or a data set that cannot be read.
+            InputError: methods whose images have different whites, or a data set that cannot be read.
         """
         self._training, self._folder = training, folder
         self._stacks: dict[str, PsfStack] = {}
         self._nominal: CaptureModel | None = None
         self.test = capture_model(test, white=self._white(entries))
 
-    def believed(self, entry: Entry, name: str) -> CaptureModel:
-        """Return the camera that a method is told of.
-
-        Args:
-            entry: the method.
-            name: ``own``, ``nominal``, ``captured``, or the folder of a stack.
+    def assumed(self, entry: Entry, name: str) -> CaptureModel:
+        """Return the camera that a method is told of, with PSFs ``own``, ``nominal``, ``captured``, or of a folder.
 
         Raises:
             InputError: no such stack, or one of another camera.
         """
         try:
-            known = self._known() if entry.capture is None else entry.capture
+            if (known := entry.capture) is None:
+                known = self._nominal = self._nominal or capture_model(self._learned_from(), white=self.test.white)
             if name != OWN:
                 known = known.with_stack(self._stack(name))
-            return self.test.believed(known)
+            return self.test.with_assumed(known)
         except InputError as error:
             msg = f"{entry.name}: {error}"
             raise InputError(msg) from error
 
-    def _known(self) -> CaptureModel:
-        """Return the camera of the training data, by which methods are told that bring none."""
+    def _learned_from(self) -> Dataset:
         assert self._training is not None  # the configuration sees to it
-        if self._nominal is None:
-            self._nominal = capture_model(open_dataset(self._training, "train"), white=self.test.white)
-        return self._nominal
+        return open_dataset(self._training, "train")
 
     def _stack(self, name: str) -> PsfStack:
         if name not in self._stacks:
-            if name in ("nominal", "captured"):
-                assert self._training is not None  # the configuration sees to it
-                self._stacks[name] = capture_model(open_dataset(self._training, "train"), name).stack
-            else:
-                self._stacks[name] = read_psf_stack(self._folder(name))
+            named = name in ("nominal", "captured")
+            self._stacks[name] = (
+                capture_model(self._learned_from(), name).stack if named else read_psf_stack(self._folder(name))
+            )
         return self._stacks[name]
 
     def _white(self, entries: Sequence[Entry]) -> float:
         whites = {entry.name: entry.capture.white for entry in entries if entry.capture is not None}
         if not whites:
-            assert self._training is not None
-            return measure_white(open_dataset(self._training, "train"))
-        first = next(iter(whites.values()))
+            return measure_reference_white(self._learned_from())
+        one, first = next(iter(whites.items()))
         for name, white in whites.items():
             if abs(white - first) > _WHITES_ALIKE * first:
                 msg = (
-                    f"methods: the pictures of {name} show a radiance of {white:g} as white, those of {next(iter(whites))} "
-                    f"{first:g}, so their scores cannot stand in one table; train them with one white"
+                    f"methods: the images of {name} show a radiance of {white:g} as white, those of {one} {first:g}, so "
+                    "their scores cannot stand in one table; train them with one white"
                 )
                 raise InputError(msg)
         return first
@@ -119,14 +119,10 @@ def camera_identity(capture: CaptureModel) -> str:
 
 
 class ResultCache:
-    """Kept results below one folder; a damaged file counts as none."""
+    """Kept results below one folder, a file each, named by a hash of all that decides them; a damaged file counts as none."""
 
     def __init__(self, folder: Path) -> None:
-        """Make the folder.
-
-        Raises:
-            OSError: it cannot be made.
-        """
+        """Make the folder; an OSError says that it cannot be made."""
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
 
@@ -140,15 +136,8 @@ class ResultCache:
         return content["result"] if whole else None
 
     def save(self, key: Mapping[str, Any], result: Mapping[str, Any]) -> None:
-        """Keep a result.
-
-        Raises:
-            StorageError: the place cannot be written to.
-        """
-        text = json.dumps(
-            {"key": plain(key), "result": result}
-        )  # may hold infinities, which JSON's readers of Python know
-        write_atomic(self._path(key, ".json"), text.encode())
+        """Keep a result, which may hold infinities; a StorageError says that it cannot be written."""
+        write_atomic(self._path(key, ".json"), json.dumps({"key": plain(key), "result": result}).encode())
 
     def load_arrays(self, key: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
         """Return the arrays that were kept under a key, or None."""
@@ -159,11 +148,7 @@ class ResultCache:
             return None
 
     def save_arrays(self, key: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Keep arrays.
-
-        Raises:
-            StorageError: the place cannot be written to.
-        """
+        """Keep arrays; a StorageError says that they cannot be written."""
         stream = io.BytesIO()
         np.savez(stream, allow_pickle=False, **arrays)
         write_atomic(self._path(key, ".npz"), stream.getvalue())
@@ -172,24 +157,13 @@ class ResultCache:
         return self.folder / (sha256_bytes(canonical_json(key))[:32] + suffix)
 
 
-_PILOTS, _NOISELESS_DB = 16, 120.0
-# By these, and what they import, a measurement becomes a score.
-_DECIDING = (
-    "learning.classical.method",
-    "learning.checkpoint",
-    "learning.data",
-    "learning.evaluate.scoring",
-    "learning.models.flatnet",
-)
-
-
 @dataclass(frozen=True)
 class Run:
     """A method with one seed, with some PSFs, at one level of noise.
 
     Attributes:
         entry: the method.
-        stack: the name of its PSFs; see `Cameras.believed`.
+        stack: the name of its PSFs; see `Cameras.assumed`.
         noise_db: level at which noise is drawn anew; None for measurements as stored.
         scenes: only the first so many; None for all.
     """
@@ -205,6 +179,10 @@ class Runner:
 
     Attributes:
         test: the split.
+        cameras: of the methods.
+        criteria: by which they are judged.
+        device: where they run.
+        batch: scenes at a time.
         stored_db: the PSNR of its measurements as stored, decibels: by it parameters are chosen that depend on noise.
     """
 
@@ -219,12 +197,11 @@ class Runner:
         batch: int,
         seed: int,
     ) -> None:
-        """Look at the noise of a few samples; see `learning.config` for the settings."""
+        """Look at the noise of a few samples; see `learning.config.EvaluateConfig` for the settings."""
         self.test, self.stored_db = test, measured_psnr_db(test)
-        self._cameras, self._criteria, self._cache = cameras, criteria, cache
-        self._device, self._batch, self._seed = device, batch, seed
-        kept = load_manifest(test.root).entries
-        self._digests = [kept[test.split, sample].digest for sample in test.ids]
+        self.cameras, self.criteria, self._cache = cameras, criteria, cache
+        self.device, self.batch, self._seed = device, batch, seed
+        self._digests = sample_digests(test)
 
     def level_db(self, run: Run) -> float:
         """Return the PSNR of the measurements that a run sees."""
@@ -235,14 +212,9 @@ class Runner:
         test = self.test if scenes is None else self.test[:scenes]
         return ExampleSet(test, noise_db=None if noise_db is None else (noise_db, noise_db), seed=self._seed)
 
-    @property
-    def white(self) -> float:
-        """The radiance that all pictures show as 1."""
-        return self._cameras.test.white
-
     def camera(self, run: Run) -> CaptureModel:
         """Return the camera that a run's method is told of."""
-        return self._cameras.believed(run.entry, run.stack)
+        return self.cameras.assumed(run.entry, run.stack)
 
     def method(self, run: Run) -> Method:
         """Return a run's method, ready on the device.
@@ -250,7 +222,7 @@ class Runner:
         Raises:
             InputError: PSFs or checkpoints of another camera.
         """
-        return run.entry.build(self.camera(run), self.level_db(run), self._device)
+        return run.entry.build(self.camera(run), self.level_db(run), self.device)
 
     def result(self, run: Run, progress: Progress = lambda _: None) -> dict[str, Any]:
         """Return what `score` finds, which is kept.
@@ -260,9 +232,9 @@ class Runner:
             StorageError: the result cannot be kept.
         """
         criteria = {
-            "edges_cm": self._criteria.edges_cm,
-            "dark_share": self._criteria.dark_share,
-            "lpips": self._criteria.lpips and self._criteria.lpips.record(),
+            "edges_cm": self.criteria.edges_cm,
+            "dark_share": self.criteria.dark_share,
+            "lpips": self.criteria.lpips and self.criteria.lpips.record(),
         }
         key = self._key(run) | {"criteria": criteria}
         known = self._cache.load(key)
@@ -271,13 +243,13 @@ class Runner:
             return known
         examples = self.examples(run.noise_db, run.scenes)
         found = score(
-            self.method(run), examples, self._criteria, device=self._device, batch=self._batch, progress=progress
+            self.method(run), examples, self.criteria, device=self.device, batch=self.batch, progress=progress
         )
         self._cache.save(key, found)
         return found
 
     def estimates(self, run: Run, positions: Sequence[int]) -> list[dict[str, NDArray[np.float32]]]:
-        """Return ``picture`` (3, h, w) and ``depth_m`` (h, w) of some scenes, which are kept.
+        """Return ``image`` (3, h, w) and ``depth_m`` (h, w) of some scenes, which are kept.
 
         Raises:
             InputError: see `method` and `score`.
@@ -290,10 +262,10 @@ class Runner:
             arrays = self._cache.load_arrays(key)
             if arrays is None:
                 method = method or self.method(run)
-                example = Example(*(values[None].to(self._device) for values in examples[position]))
+                example = Example(*(values[None].to(self.device) for values in examples[position]))
                 estimate = checked(method, method.reconstruct(example.measurement), examples, position)
                 depth_m = estimate.depth_m(method.capture)
-                arrays = {"picture": estimate.picture[0].cpu().numpy(), "depth_m": depth_m[0, 0].cpu().numpy()}
+                arrays = {"image": estimate.image[0].cpu().numpy(), "depth_m": depth_m[0, 0].cpu().numpy()}
                 self._cache.save_arrays(key, arrays)
             shown.append(arrays)
         return shown
@@ -309,7 +281,7 @@ class Runner:
                 "samples": sha256_bytes(canonical_json(self._digests[: run.scenes])),
             },
             "noise": "stored" if run.noise_db is None else {"db": run.noise_db, "seed": self._seed},
-            "device": self._device.type,
+            "device": self.device.type,
             "torch": torch.__version__,
             "code": code_fingerprint(*_DECIDING),
         }

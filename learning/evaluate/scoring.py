@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import platform
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -16,7 +13,7 @@ from torch.utils.data import default_collate
 
 from learning.camera import CaptureModel
 from learning.data import Example, ExampleSet
-from learning.method import Clock, Estimate, Method, encode
+from learning.method import Clock, Estimate, Method, linear_to_srgb
 from learning.metrics import dark_mask, depth_scores, measure
 from learning.perceptual import LpipsDistance
 from simulator.errors import InputError
@@ -121,7 +118,7 @@ def _binned(error_cm2: Tensor, depth_cm: Tensor, edges_cm: Sequence[float]) -> t
     return sums.tolist(), torch.bincount(place[inside], minlength=bins).tolist()
 
 
-PICTURE_SCORES = ("psnr", "ssim", "lpips", "flip", "linear_psnr")
+IMAGE_SCORES = ("psnr", "ssim", "lpips", "flip", "linear_psnr")
 DEPTH_SCORES = ("depth_rmse_cm", "lit_depth_rmse_cm")
 DISPARITY_SCORES = ("disparity_rmse", "disparity_rmse_per_m")
 
@@ -133,7 +130,7 @@ class Constant:
     Attributes:
         name: in tables.
         capture: for the range of depths.
-        picture: ``(3, h, w)`` sRGB codes.
+        image: ``(3, h, w)`` sRGB codes.
         disparity: ``(1, h, w)``.
         scores: those that it is an answer to.
         best_in: in what no other answer of its kind is better.
@@ -141,7 +138,7 @@ class Constant:
 
     name: str
     capture: CaptureModel
-    picture: Tensor
+    image: Tensor
     disparity: Tensor
     scores: tuple[str, ...]
     best_in: str
@@ -150,25 +147,25 @@ class Constant:
         """Return the answer, as often as there are measurements."""
         many = (len(measurement), 1, 1, 1)
         device = measurement.device
-        return Estimate(self.picture.to(device).repeat(many), self.disparity.to(device).repeat(many))
+        return Estimate(self.image.to(device).repeat(many), self.disparity.to(device).repeat(many))
 
 
-def trivial_methods(examples: ExampleSet, capture: CaptureModel, batch: int) -> list[Constant]:
-    """Return the best constant depth, the best constant disparity, the mean picture, and black, all of these scenes.
+def naive_baselines(examples: ExampleSet, capture: CaptureModel, batch: int) -> list[Constant]:
+    """Return the best constant depth, the best constant disparity, the mean image, and black, all of these scenes.
 
     Over all that was seen, no constant has a smaller root mean square error in cm than the mean depth, and none in disparity
     than the mean disparity, which is another depth.
     """
     depth_m, disparity = (torch.zeros((), dtype=torch.float64) for _ in range(2))
-    picture = torch.zeros(1, dtype=torch.float64)
+    image = torch.zeros(1, dtype=torch.float64)
     seen = 0
     for _, example in batches(examples, batch, torch.device("cpu")):
         seen_m = example.depth_m[example.valid].double()
         depth_m, seen = depth_m + seen_m.sum(), seen + len(seen_m)
         disparity = disparity + capture.disparity(seen_m).sum()
-        picture = picture + encode(example.radiance, capture.white).double().sum(dim=0)
-    mean_picture = (picture / len(examples)).float()
-    black, far = torch.zeros_like(mean_picture), torch.zeros_like(mean_picture[:1])
+        image = image + linear_to_srgb(example.radiance, capture.white).double().sum(dim=0)
+    mean_image = (image / len(examples)).float()
+    black, far = torch.zeros_like(mean_image), torch.zeros_like(mean_image[:1])
     mean_m, mean_disparity = depth_m / max(seen, 1), disparity / max(seen, 1)
     of_depth = torch.as_tensor(capture.disparity(mean_m), dtype=torch.float32).expand_as(far)
     of_disparity = mean_disparity.float().expand_as(far)
@@ -191,16 +188,14 @@ def trivial_methods(examples: ExampleSet, capture: CaptureModel, batch: int) -> 
             "no constant has a smaller RMSE of disparity and of 1/z, pooled over all pixels of these scenes",
         ),
         Constant(
-            "mean picture",
+            "mean image",
             capture,
-            mean_picture,
+            mean_image,
             far,
-            PICTURE_SCORES,
-            "no one picture has a smaller mean square error of sRGB codes over these scenes",
+            IMAGE_SCORES,
+            "no one image has a smaller mean square error of sRGB codes over these scenes",
         ),
-        Constant(
-            "black", capture, black, far, PICTURE_SCORES, "best in nothing: what a method that sees nothing gives"
-        ),
+        Constant("black", capture, black, far, IMAGE_SCORES, "best in nothing: what a method that sees nothing gives"),
     ]
 
 
@@ -255,19 +250,3 @@ def take_times(
         Times(method.name, {stage: median(seconds) for stage, seconds in by.items()}, median(total), min(total))
         for method, by, total in zip(methods, stages, totals, strict=True)
     ]
-
-
-def device_in_words(device: torch.device) -> str:
-    """Return the processor, and for a CPU how many threads torch uses on it."""
-    if device.type == "cuda":
-        return torch.cuda.get_device_name(device)
-    return f"{_processor()}, {torch.get_num_threads()} of {os.cpu_count()} threads"
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()

@@ -1,4 +1,4 @@
-"""FlatNet3D and FlatNet2D: picture and depth from one measurement of a still scene; their sizes; a trained one as a method.
+"""FlatNet3D and FlatNet2D: image and depth from one measurement of a still scene; their sizes; a trained one as a method.
 
 Source: the thesis, sections 4.3 and 5.2.3; FlatNet: Khan et al., FlatNet: Towards Photorealistic Scene Reconstruction from
 Lensless Measurements, TPAMI 2020.
@@ -19,6 +19,7 @@ from learning.camera import CaptureModel
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.unet import UNet
 from learning.method import Clock, Estimate
+from learning.provenance import now_called
 from simulator.errors import InputError
 
 
@@ -33,8 +34,8 @@ class FlatNet(nn.Module):
         levels: int = 5,
         attention: bool = False,
         stem: int = 1,
-        strength: float = 0.1,
-        floor: float = 1.0,
+        regularisation_lambda: float = 0.1,
+        tikhonov: float = 1.0,
     ) -> None:
         """Build the network for a camera; see `UNet` for its size.
 
@@ -44,12 +45,14 @@ class FlatNet(nn.Module):
             levels: of the U-Net.
             attention: gates on its skips.
             stem: its pixel unshuffle.
-            strength: initial lambda of the inversion; see `RegularisedInversion`.
-            floor: what its P begins with beside the thesis's Laplacian; 0 is the Laplacian alone.
+            regularisation_lambda: initial lambda of the inversion; see `RegularisedInversion`.
+            tikhonov: what its P begins with beside the thesis's Laplacian; 0 is the Laplacian alone.
         """
         super().__init__()
         planes = self.planes_of(capture)
-        self.inversion = RegularisedInversion(capture, planes, strength=strength, floor=floor)
+        self.inversion = RegularisedInversion(
+            capture, planes, regularisation_lambda=regularisation_lambda, tikhonov=tikhonov
+        )
         channels = len(capture.stack.channels)
         self.enhancement = UNet(
             len(planes) * channels, 4, filters=filters, levels=levels, attention=attention, stem=stem, start=0.5
@@ -120,7 +123,7 @@ def build_network(capture: CaptureModel, name: str, size: str = "compact", **cha
     numbers = [key for key in inspect.signature(NETWORKS[name]).parameters if key != "capture"]
     for key in changes:
         if key not in numbers:
-            msg = f"{key}: not a number of this network; {name} has {', '.join(numbers)}"
+            msg = f"{key}: not a number of this network; {name} has {', '.join(numbers)}{now_called(key, numbers)}"
             raise InputError(msg)
     return NETWORKS[name](capture, **SIZES[size] | changes)
 

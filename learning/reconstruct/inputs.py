@@ -25,12 +25,12 @@ def crop_window(crop: str, path: Path, shape: tuple[int, int], option: str = "cr
 
     Args:
         crop: ``ROWSxCOLUMNS`` about the centre, or ``ROWSxCOLUMNS+TOP+LEFT``.
-        path: of the picture, for messages.
+        path: of the image, for messages.
         shape: its rows and columns.
         option: the argument's name, for messages.
 
     Raises:
-        InputError: another text, or a window beyond the picture.
+        InputError: another text, or a window beyond the image.
     """
     found = re.fullmatch(r"(\d+)x(\d+)(?:\+(\d+)\+(\d+))?", crop.strip())
     if not found:
@@ -54,11 +54,11 @@ def crop_window(crop: str, path: Path, shape: tuple[int, int], option: str = "cr
 
 
 def check_binning(binning: int, path: Path, shape: tuple[int, int], crop_option: str = "--crop") -> None:
-    """Refuse a binning that leaves pixels over: dropped in silence, they would shift picture against PSF.
+    """Refuse a binning that leaves pixels over: dropped in silence, they would shift image against PSF.
 
     Args:
         binning: pixels per side that become one.
-        path: of the picture, for messages.
+        path: of the image, for messages.
         shape: its rows and columns, cropped.
         crop_option: what cures it.
 
@@ -129,17 +129,17 @@ def load_measurement(
     """Read a measurement; what is done to it follows the order of the arguments.
 
     Args:
-        path: a sample's folder or its ``measurement.exr``; or a TIFF, PNG, OpenEXR or ``.npy`` file of one linear picture,
+        path: a sample's folder or its ``measurement.exr``; or a TIFF, PNG, OpenEXR or ``.npy`` file of one linear image,
             grey or RGB, ``(H, W)`` or ``(C, H, W)`` in ``.npy``.
         bits: the numbers are divided by 2^bits. None takes unsigned integers by their type (8, 16 or 32 bits) and floats as
             shares already.
-        background: what the sensor shows without light, in the file's numbers: one number, or a picture's path.
+        background: what the sensor shows without light, in the file's numbers: one number, or a image's path.
         crop: ``ROWSxCOLUMNS`` about the centre, or ``ROWSxCOLUMNS+TOP+LEFT``, in the file's pixels.
         binning: pixels per side whose mean becomes one.
 
     Raises:
         InputError: a file that cannot be read or holds NaN, a clip, numbers above 2^bits, floats far above 1 without
-            ``bits``, a background of another size, a crop beyond the picture, or a size that the binning does not divide.
+            ``bits``, a background of another size, a crop beyond the image, or a size that the binning does not divide.
     """
     path = Path(path)
     if bits is not None and not 1 <= bits <= 32:
@@ -186,7 +186,7 @@ def _sample_folder(path: Path) -> Path | None:
         what = (
             "a data set: give one of its samples" if (path / FILE).is_file() else f"no sample: it has no {DESCRIPTION}"
         )
-        msg = f"{path} is {what}, e.g. train/0000/s00000000, or a picture's file"
+        msg = f"{path} is {what}, e.g. train/0000/s00000000, or a image's file"
         raise InputError(msg)
     return None
 
@@ -223,20 +223,20 @@ def _dark(background: str | float, values: NDArray[Any], path: Path) -> tuple[ND
     try:
         level = float(background)
     except ValueError:
-        picture = Path(str(background))
+        image = Path(str(background))
     else:
         if not np.isfinite(level):
-            msg = f"background: got {background}, expected a finite number in the file's units, or a picture"
+            msg = f"background: got {background}, expected a finite number in the file's units, or a image"
             raise InputError(msg)
         return level, f"{level:g}"
-    dark, _ = _channels_first(picture)
+    dark, _ = _channels_first(image)
     if dark.shape[1:] != values.shape[1:] or len(dark) not in (1, len(values)):
         msg = (
-            f"background: {picture} is {_size(dark.shape)}, but {path} is {_size(values.shape)}; expected a dark picture of "
+            f"background: {image} is {_size(dark.shape)}, but {path} is {_size(values.shape)}; expected a dark image of "
             "the same camera and size, before crop and binning"
         )
         raise InputError(msg)
-    return dark.astype(np.float64), str(picture)
+    return dark.astype(np.float64), str(image)
 
 
 def _size(shape: tuple[int, ...]) -> str:
@@ -246,15 +246,15 @@ def _size(shape: tuple[int, ...]) -> str:
 _PITCH_M = 1e-5  # nothing here depends on it: values are scaled to a sum of 1
 
 
-def load_psf_picture(
+def load_psf_image(
     path: Path, channels: tuple[str, ...], *, background: str | None = None, crop: str | None = None, binning: int = 1
 ) -> PsfStack:
-    """Return the picture of a PSF as a stack of one plane, infinitely far, with values that add up to 1 on average.
+    """Return the image of a PSF as a stack of one plane, infinitely far, with values that add up to 1 on average.
 
     Args:
-        path: a linear picture; see `simulator.optics.measured_files.read_measurement`.
+        path: a linear image; see `simulator.optics.measured_files.read_measurement`.
         channels: of the measurement.
-        background: ``border`` (also None), the median of the cropped picture's outer frame; ``none``; counts; or a picture
+        background: ``border`` (also None), the median of the cropped image's outer frame; ``none``; counts; or a image
             of darkness, of the same size before the crop.
         crop: see `crop_window`; the PSF's origin is the centre of what is left.
         binning: pixels per side that become one.
@@ -262,12 +262,12 @@ def load_psf_picture(
     Raises:
         InputError: a file that cannot be read, a crop beyond it, a binning that does not divide it, or no light.
     """
-    picture = read_measurement(path, channels)
+    image = read_measurement(path, channels)
     if crop is None:
-        check_binning(binning, path, _shape(picture), "--psf-crop")
+        check_binning(binning, path, _shape(image), "--psf-crop")
         return _load(path, channels, _level(background), binning)
-    window = crop_window(crop, path, _shape(picture), "psf-crop")
-    cut = picture[(slice(None), *window)]
+    window = crop_window(crop, path, _shape(image), "psf-crop")
+    cut = image[(slice(None), *window)]
     check_binning(binning, path, _shape(cut), "--psf-crop")
     level = _level(background)
     with TemporaryDirectory() as folder:
@@ -306,5 +306,5 @@ def _level(background: str | None) -> Background:
         return Path(background)
 
 
-def _shape(picture: Any) -> tuple[int, int]:
-    return picture.shape[-2], picture.shape[-1]
+def _shape(image: Any) -> tuple[int, int]:
+    return image.shape[-2], image.shape[-1]

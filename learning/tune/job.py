@@ -13,15 +13,15 @@ import torch
 from torch import Tensor
 from torch.utils.data import default_collate
 
-from learning.camera import CaptureModel, capture_model
+from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
 from learning.config import FEWEST_SCENES, TuneConfig
 from learning.data import Example, ExampleSet, check_dataset
-from learning.method import Estimate, choose_device, encode, measure_white
+from learning.method import Estimate, choose_device, linear_to_srgb
 from learning.metrics import depth_scores, psnr
 from learning.provenance import code_fingerprint
 from learning.tune.search import Axis, Found, Parameters, coordinate_search
-from learning.tune.study import TuningBook
+from learning.tune.study import Study
 from simulator import __version__
 from simulator.dataset.manifest import load_manifest
 from simulator.dataset.plain import canonical_json
@@ -29,10 +29,10 @@ from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.files import sha256_bytes, storage_errors
 
-Objective = Literal["both", "picture", "depth"]
+Objective = Literal["both", "image", "depth"]
 FORMULAS = {
-    "both": "picture + depth",
-    "picture": "10^((PSNR of the constant colour - PSNR) / 20), mean PSNR over scenes: a ratio of picture RMSEs",
+    "both": "image + depth",
+    "image": "10^((PSNR of the constant colour - PSNR) / 20), mean PSNR over scenes: a ratio of image RMSEs",
     "depth": "depth RMSE / depth RMSE of the constant depth, mean RMSE over scenes, centimetres, where something was seen",
 }
 
@@ -53,11 +53,11 @@ class Errors:
 class Score:
     """One number for a reconstruction of some scenes: 1 (or 2, for both) is what a constant guess would get, 0 is perfect.
 
-    Picture and depth weigh the same when each is counted in units of what can be had without looking at the measurement;
+    Image and depth weigh the same when each is counted in units of what can be had without looking at the measurement;
     no unit of length and no range of depths decides between them.
 
     Attributes:
-        objective: ``both``, ``picture`` or ``depth``.
+        objective: ``both``, ``image`` or ``depth``.
         constant: the errors of the mean colour and of the mean depth of these scenes.
     """
 
@@ -70,9 +70,9 @@ class Score:
             capture: the camera; its white and its range of depths.
         """
         self.objective, self._capture = objective, capture
-        self._truth, self._pictures = truth, encode(truth.radiance, capture.white)
+        self._truth, self._images = truth, linear_to_srgb(truth.radiance, capture.white)
         self._seen = truth.valid.flatten(1).any(dim=1)
-        constant_colour = self._pictures.mean(dim=(0, 2, 3), keepdim=True).expand_as(self._pictures)
+        constant_colour = self._images.mean(dim=(0, 2, 3), keepdim=True).expand_as(self._images)
         mean_m = truth.depth_m[truth.valid].double().mean().float()
         constant_depth = torch.as_tensor(capture.disparity(mean_m.expand_as(truth.depth_m)))
         self.constant = self.errors([Estimate(constant_colour, constant_depth)])
@@ -82,19 +82,19 @@ class Score:
         together = Estimate(*(torch.cat([values.cpu() for values in each]) for each in zip(*estimates, strict=True)))
         estimate = together.clamped()
         depth = depth_scores(estimate, self._truth, self._capture, self._truth.valid).depth_rmse_cm
-        return Errors(float(psnr(estimate.picture, self._pictures).mean()), float(depth[self._seen].mean()))
+        return Errors(float(psnr(estimate.image, self._images).mean()), float(depth[self._seen].mean()))
 
     def __call__(self, errors: Errors) -> float:
         """Return the number to minimise; infinite where something is NaN."""
-        picture = 10 ** ((self.constant.psnr_db - errors.psnr_db) / 20)
+        image = 10 ** ((self.constant.psnr_db - errors.psnr_db) / 20)
         depth = errors.depth_rmse_cm / self.constant.depth_rmse_cm
-        number = {"both": picture + depth, "picture": picture, "depth": depth}[self.objective]
+        number = {"both": image + depth, "image": image, "depth": depth}[self.objective]
         return math.inf if math.isnan(number) else number
 
     def beaten_by_constant(self, errors: Errors) -> tuple[str, ...]:
-        """Return what of picture and depth, as far as the objective counts it, is no better than the constant guess."""
+        """Return what of image and depth, as far as the objective counts it, is no better than the constant guess."""
         worse = {
-            "picture": not errors.psnr_db > self.constant.psnr_db,
+            "image": not errors.psnr_db > self.constant.psnr_db,
             "depth": not errors.depth_rmse_cm < self.constant.depth_rmse_cm,
         }
         return tuple(name for name, is_worse in worse.items() if is_worse and self.objective in ("both", name))
@@ -112,7 +112,7 @@ class VolumeMethod(Protocol):
         ...
 
     def estimate(self, volume: Tensor) -> Estimate:
-        """Return picture and depth of a volume."""
+        """Return image and depth of a volume."""
         ...
 
 
@@ -150,11 +150,11 @@ class _Trials:
         noise_db: float,
         measurements: Tensor,
         score: Score,
-        book: TuningBook,
+        study: Study,
         progress: Callable[[str, int, int], None],
     ) -> None:
         self._tunable, self._noise_db, self._measurements = tunable, noise_db, measurements
-        self._score, self._book, self._progress = score, book, progress
+        self._score, self._book, self._progress = score, study, progress
         self._best = math.inf
         self._volumes: dict[tuple[Any, ...], list[Tensor]] = {}
         self._best_key: tuple[Any, ...] = ()
@@ -217,12 +217,12 @@ def tune(
     tunables: Sequence[Tunable],
     measurements: Mapping[float, Tensor],
     score: Score,
-    book: TuningBook,
+    study: Study,
     *,
     progress: Callable[[str, int, int], None] = lambda *_: None,
     say: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Tune methods at noise levels and write everything to the book.
+    """Tune methods at noise levels and write everything to the study.
 
     Levels go from the least noise to the most. The first begins at the defaults and tries all candidates; each further one
     begins at the better of the defaults and the parameters of the level before, and goes from neighbour to neighbour.
@@ -231,18 +231,18 @@ def tune(
         tunables: the methods.
         measurements: ``(N, C, H, W)`` of the same scenes by noise level, decibels, on the device to compute on.
         score: of these scenes.
-        book: where trials and results go; what it knows is not tried again.
+        study: where trials and results go; what it knows is not tried again.
         progress: called with a stage, trials done and about how many there will be.
         say: called with a line for each result.
 
     Raises:
         InputError: a method whose defaults give no finite score, or a search space without its defaults.
-        StorageError: the book cannot be written.
+        StorageError: the study cannot be written.
     """
     for tunable in tunables:
         before: list[Parameters] = []
         for noise_db in sorted(measurements, reverse=True):
-            trials = _Trials(tunable, noise_db, measurements[noise_db], score, book, progress)
+            trials = _Trials(tunable, noise_db, measurements[noise_db], score, study, progress)
             try:
                 found = coordinate_search(
                     tunable.space, [tunable.defaults, *before], trials, sweep=not before, least_gain=1e-3
@@ -250,19 +250,19 @@ def tune(
             except InputError as error:
                 msg = f"{tunable.name} at {noise_db:g} dB: {error}"
                 raise InputError(msg) from error
-            result = _result(tunable, noise_db, found, book, score)
-            book.add_result(result)
+            result = _result(tunable, noise_db, found, study, score)
+            study.add_result(result)
             say(in_words(result, asdict(score.constant)))
             before = [found.parameters]
 
 
-def _result(tunable: Tunable, noise_db: float, found: Found, book: TuningBook, score: Score) -> dict[str, Any]:
-    best = book.trial(tunable.name, noise_db, found.parameters)
+def _result(tunable: Tunable, noise_db: float, found: Found, study: Study, score: Score) -> dict[str, Any]:
+    best = study.trial(tunable.name, noise_db, found.parameters)
     assert best is not None
     space = {
         name: {"values": list(axis.values), "low": axis.low, "high": axis.high} for name, axis in tunable.space.items()
     }
-    trials = [t for t in book.trials if t["method"] == tunable.name and t["noise_db"] == noise_db]
+    trials = [t for t in study.trials if t["method"] == tunable.name and t["noise_db"] == noise_db]
     return {
         **{name: best[name] for name in ("method", "noise_db", "parameters", "score", "psnr_db", "depth_rmse_cm")},
         "space": space,
@@ -289,7 +289,7 @@ def in_words(result: Mapping[str, Any], constant: Mapping[str, Any]) -> str:
     """Return a line about the result of a method at a level.
 
     Args:
-        result: as in the book.
+        result: as in the study.
         constant: ``psnr_db`` and ``depth_rmse_cm`` of guessing the mean colour and the mean depth.
     """
     line = (
@@ -301,7 +301,7 @@ def in_words(result: Mapping[str, Any], constant: Mapping[str, Any]) -> str:
 
 
 def table(content: Mapping[str, Any]) -> str:
-    """Return all results of a book and the constant guess, one line each."""
+    """Return all results of a study and the constant guess, one line each."""
     constant = content["about"]["constant_guess"]
     rows: list[tuple[str, ...]] = [_HEADINGS]
     for result in content["results"]:
@@ -361,7 +361,7 @@ def tune_file(
 
     Raises:
         InputError: data without enough scenes, without depth, or that are not for stills; a stack that does not fit; an
-            unknown parameter; a book of other data or settings.
+            unknown parameter; a study of other data or settings.
         StorageError: the result cannot be written.
     """
     output = config.resolve_path(config.output)
@@ -373,15 +373,15 @@ def tune_file(
     train = open_dataset(config.resolve_path(config.data.train or config.data.validation), "train")
     stack = config.data.stack
     named = stack if stack in ("nominal", "captured") else config.resolve_path(stack)
-    capture = capture_model(dataset, named, white=measure_white(train))
+    capture = capture_model(dataset, named, white=measure_reference_white(train))
     methods = tunables(capture) if tunables else [classical(capture, name, config, device) for name in config.methods]
     truth = _load(dataset, None, config.seed)
     score = Score(config.objective, truth, capture)
-    book = TuningBook(output, _identity(config, dataset, capture), _about(config, score))
+    study = Study(output, _identity(config, dataset, capture), _about(config, score))
     measurements = {
         level: _load(dataset, level, config.seed).measurement.to(device) for level in dict.fromkeys(config.noise_db)
     }
-    tune(methods, measurements, score, book, progress=progress, say=say)
+    tune(methods, measurements, score, study, progress=progress, say=say)
     return output
 
 
@@ -423,9 +423,9 @@ def limits(parameter: str, capture: CaptureModel) -> tuple[float, float]:
 
 _LIMITS: dict[str, tuple[float, float]] = {
     # Of the PSF's mean spectral power: less is below the rounding of float32, more leaves nothing but the mean brightness.
-    "strength": (1e-7, 100.0),
+    "regularisation_lambda": (1e-7, 100.0),
     # The Laplacian's greatest response is 8: far more is Tikhonov's regularisation, far less the Laplacian alone.
-    "floor": (1e-4, 1000.0),
+    "tikhonov": (1e-4, 1000.0),
     # White is 1: a weight of 10 on every step or value leaves a grey plane, or nothing.
     "tv": (1e-6, 10.0),
     "sparsity": (1e-6, 10.0),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from learning.provenance import renamed
 from learning.tune.search import Parameters
 from simulator.dataset.plain import canonical_json, plain, readable_json
 from simulator.errors import InputError
@@ -21,7 +22,7 @@ class Tuned:
 
     Attributes:
         path: where they were read.
-        content: all of the file; see `TuningBook`.
+        content: all of the file; see `Study`.
     """
 
     path: Path
@@ -63,10 +64,10 @@ def load_tuned(path: Path | str) -> Tuned:
         msg = f"cannot read {path}: {error.strerror or error}; `flatlight tune` writes such a file"
         raise InputError(msg) from error
     except (ValueError, RecursionError) as error:
-        msg = f"{path} is damaged or no result of `flatlight tune` ({error}); restore it, or tune again"
+        msg = f"{path} is damaged or not a result of `flatlight tune` ({error}); restore it, or tune again"
         raise InputError(msg) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        msg = f"{path} is no result of `flatlight tune`: its format is not {FORMAT!r}"
+        msg = f"{path} is not a result of `flatlight tune`: its format is not {FORMAT!r}"
         raise InputError(msg)
     if content.get("version") != VERSION:
         msg = f"{path} has version {content.get('version')!r}, expected {VERSION}; tune again with this Flatlight"
@@ -80,10 +81,10 @@ def load_tuned(path: Path | str) -> Tuned:
         if not isinstance(entry, dict) or not {"method", "noise_db", "parameters", "score"} <= entry.keys():
             msg = f"{path} is damaged: {str(entry)[:80]} lacks method, noise_db, parameters or score; tune again"
             raise InputError(msg)
-    return Tuned(path, content)
+    return Tuned(path, renamed(content))
 
 
-class TuningBook:
+class Study:
     """Trials and results, written to the file after each: a run that dies loses the trial that it was at, no more.
 
     The file has ``identity`` (all that decides the score of some parameters: data, camera, objective, version), ``about``
@@ -95,7 +96,7 @@ class TuningBook:
         """Open the file, or begin one.
 
         Raises:
-            InputError: a file that is no such book, or one of other data or settings: the first difference is named.
+            InputError: a file that is not a study, or one of other data or settings: the first difference is named.
         """
         self.path = path
         self._content: dict[str, Any] = {

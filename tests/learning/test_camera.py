@@ -226,13 +226,13 @@ def test_belief_takes_psfs_and_white_from_elsewhere_and_numbers_from_here(tiny_c
     test = replace(tiny_capture, gain=7.0, offset=np.array([0.4, 0.5, 0.6]), white=0.3)
     values = tiny_capture.stack.values[[0, 2]]
     known = tiny_capture.with_stack(PsfStack(values, np.array([0.01, 0.2]), 20e-6, ("R", "G", "B"), "1" * 64))
-    believed = test.believed(known)
-    assert believed.stack is known.stack
-    assert believed.white == 0.9
-    assert believed.gain == 7.0
-    assert believed.offset.tolist() == [0.4, 0.5, 0.6]
-    assert believed.irradiance is test.irradiance
-    assert believed.scene_to_camera is test.scene_to_camera
+    assumed = test.with_assumed(known)
+    assert assumed.stack is known.stack
+    assert assumed.white == 0.9
+    assert assumed.gain == 7.0
+    assert assumed.offset.tolist() == [0.4, 0.5, 0.6]
+    assert assumed.irradiance is test.irradiance
+    assert assumed.scene_to_camera is test.scene_to_camera
 
 
 def stack_at(capture: CaptureModel, *depths_m: float) -> CaptureModel:
@@ -244,19 +244,19 @@ def test_belief_needs_the_same_camera_and_known_depths(tiny_capture: CaptureMode
     known = tiny_capture
     for name, other in (("sensor_shape", (50, 48)), ("sensor_shape", (48, 46))):
         with pytest.raises(InputError, match=f"{name}: the measurements have {other[0]} x {other[1]} pixels"):
-            replace(known, **{name: other}).believed(known)
+            replace(known, **{name: other}).with_assumed(known)
     small = replace(known, scene_shape=(14, 16), irradiance=known.irradiance[:14])
     with pytest.raises(InputError, match=r"scene_shape: the measurements have 14 x 16 pixels, .* for 16 x 16"):
-        small.believed(known)
+        small.with_assumed(known)
     pitch = replace(known, stack=replace(known.stack, pixel_pitch_m=19e-6))
     with pytest.raises(InputError, match="stack: got channels"):
-        pitch.believed(known)
+        pitch.with_assumed(known)
     for near_m, far_m in ((0.008, 0.2), (0.01, 0.25)):
         with pytest.raises(InputError, match=rf"depths are {near_m:g} to {far_m:g} m, .* knows only 0\.01 to 0\.2 m"):
-            stack_at(known, near_m, far_m).believed(known)
+            stack_at(known, near_m, far_m).with_assumed(known)
     for near_m, far_m in ((0.01, 0.2), (0.02, 0.1), (0.01 - 1e-9, 0.2 + 1e-9)):
-        assert stack_at(known, near_m, far_m).believed(known).near_m == 0.01
-    assert known.believed(stack_at(known, 0.05)).near_m == 0.05  # a single plane says nothing of the range
+        assert stack_at(known, near_m, far_m).with_assumed(known).near_m == 0.01
+    assert known.with_assumed(stack_at(known, 0.05)).near_m == 0.05  # a single plane says nothing of the range
 
 
 @pytest.mark.parametrize(

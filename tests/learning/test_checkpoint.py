@@ -72,7 +72,7 @@ def test_everything_comes_back(path, network, tiny_capture):
     with torch.no_grad():
         wanted = network.eval()(measurement)
     got = LearnedMethod("ours", checkpoint.network, checkpoint.capture).reconstruct(measurement)
-    assert torch.equal(got.picture, wanted.picture)
+    assert torch.equal(got.image, wanted.image)
     assert torch.equal(got.disparity, wanted.disparity)
 
 
@@ -219,7 +219,7 @@ def test_refuses_weights_that_are_not_finite(path, network, tiny_capture):
 @pytest.mark.parametrize("kept", [0, 5, 200, -1])
 def test_refuses_truncated_files(path, kept):
     path.write_bytes(path.read_bytes()[:kept])
-    with pytest.raises(InputError, match=r"flatnet\.safetensors is no checkpoint, or a truncated one"):
+    with pytest.raises(InputError, match=r"flatnet\.safetensors is not a checkpoint, or a truncated one"):
         load_checkpoint(path)
 
 
@@ -293,7 +293,7 @@ def test_same_camera_is_exact(tiny_capture, name):
     assert len(lines) == 1
     assert lines[0].startswith("copied all")
     with torch.no_grad():
-        assert torch.equal(network(measurement).picture, checkpoint.network(measurement).picture)
+        assert torch.equal(network(measurement).image, checkpoint.network(measurement).image)
 
 
 @pytest.mark.parametrize(("old", "new", "stem"), [(8, 12, 1), (8, 5, 1), (3, 25, 2)])
@@ -308,7 +308,7 @@ def test_linear_volumes_have_the_same_response(tiny_capture, old, new, stem):
     with torch.no_grad():
         wanted, got = checkpoint.network.enhance(volumes[0]), network.enhance(volumes[1])
     # The whole network behind the first layer is the same, so its output is; float32 sums in another order.
-    torch.testing.assert_close(got.picture, wanted.picture, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(got.image, wanted.image, atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(got.disparity, wanted.disparity, atol=1e-4, rtol=1e-4)
 
 
@@ -335,7 +335,7 @@ def test_one_plane_serves_another(tiny_capture):
     transfer(network, checkpoint)
     volume = torch.rand(1, 1, 3, 16, 16)
     with torch.no_grad():
-        torch.testing.assert_close(network.enhance(volume).picture, checkpoint.network.enhance(volume).picture)
+        torch.testing.assert_close(network.enhance(volume).image, checkpoint.network.enhance(volume).image)
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def test_command(tiny_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
 
 SEARCH = {
     "cls": {
-        "strength": {"values": [0.03, 0.3], "high": 10},
+        "regularisation_lambda": {"values": [0.03, 0.3], "high": 10},
         "cost": {"values": ["spread"]},
         "measure": {"values": ["gradient"]},
         "light": {"values": ["label"]},
@@ -73,11 +73,15 @@ def test_the_command_tunes_and_goes_on(tiny_dataset: Path, tmp_path: Path, capfd
     assert level == 40
     first = tuned.content["results"][0]
     trials = {
-        (t["parameters"]["strength"], t["parameters"]["pairwise"]): t["score"]
+        (t["parameters"]["regularisation_lambda"], t["parameters"]["pairwise"]): t["score"]
         for t in tuned.content["trials"]
-        if all(t["parameters"][name] == parameters[name] for name in parameters if name not in ("strength", "pairwise"))
+        if all(
+            t["parameters"][name] == parameters[name]
+            for name in parameters
+            if name not in ("regularisation_lambda", "pairwise")
+        )
     }
-    best = parameters["strength"], parameters["pairwise"]
+    best = parameters["regularisation_lambda"], parameters["pairwise"]
     # Within the least gain of the best of all trials, and worse ones above and below it, or a limit.
     assert trials[best] == first["score"] <= min(trials.values()) * (1 + 2e-3)
     for axis, value in enumerate(best):
@@ -93,10 +97,10 @@ def test_an_unknown_parameter_is_refused(tiny_dataset: Path, tmp_path: Path) -> 
     path = tmp_path / "tune.yaml"
     data = {"validation": str(tiny_dataset), "scenes": 4, "allow_few_scenes": True}
     path.write_text(json.dumps({"data": data, "methods": ["cls"]}), encoding="utf-8")
-    with pytest.raises(InputError, match=r"search\.cls: got 'tau', expected one of strength"):
+    with pytest.raises(InputError, match=r"search\.cls: got 'tau', expected one of regularisation_lambda"):
         tune(path, ["search.cls.tau.values=[1.0]"])
-    with pytest.raises(InputError, match=r"search\.cls\.strength: values: got \[1\.0, 0\.1\], expected"):
-        tune(path, ["search.cls.strength.values=[1.0, 0.1]"])
+    with pytest.raises(InputError, match=r"search\.cls\.regularisation_lambda: values: got \[1\.0, 0\.1\], expected"):
+        tune(path, ["search.cls.regularisation_lambda.values=[1.0, 0.1]"])
 
 
 def _write(tmp_path: Path, tiny_dataset: Path, **changes: Any) -> Path:
@@ -156,12 +160,12 @@ def test_a_mistake_in_the_file_is_named(
 def test_a_sample_becomes_a_folder(tiny_dataset: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "out"
     sample = open_dataset(tiny_dataset, "test").folder(0)
-    reconstruct(sample, method="cls", set_=["strength=0.1", "pairwise=1"], output=folder, volume=True)
+    reconstruct(sample, method="cls", set_=["regularisation_lambda=0.1", "pairwise=1"], output=folder, volume=True)
     out = capfd.readouterr().out
-    assert "CLS + graph cut (strength 0.1" in out
+    assert "CLS + graph cut (regularisation_lambda 0.1" in out
     assert f"{folder}: depth.exr, depth.png, picture.exr, picture.png, reconstruction.json, volume.exr" in out
     record = json.loads((folder / "reconstruction.json").read_text())
-    assert record["parameters"]["strength"] == 0.1
+    assert record["parameters"]["regularisation_lambda"] == 0.1
     assert record["method"] == "cls"
     assert record["camera"]["depths_m"] == read_depths_m(tiny_dataset / "psf").tolist()
     assert set(record["seconds"]) == {"inversion", "graph cut", "assembly"}
@@ -186,7 +190,9 @@ def test_no_result_takes_the_place_of_another_by_default(
     assert len(list(tmp_path.iterdir())) == 3
 
 
-@pytest.mark.parametrize(("set_", "message"), [(["strength"], "expected KEY=VALUE"), (["=1"], "expected KEY=VALUE")])
+@pytest.mark.parametrize(
+    ("set_", "message"), [(["regularisation_lambda"], "expected KEY=VALUE"), (["=1"], "expected KEY=VALUE")]
+)
 def test_changes_need_a_key_and_a_value(tiny_dataset: Path, tmp_path: Path, set_: list[str], message: str) -> None:
     sample = open_dataset(tiny_dataset, "test").folder(0)
     with pytest.raises(InputError, match=message):
@@ -208,7 +214,7 @@ def test_the_diffuser_cameras_hand(shared_data: Path, tmp_path: Path, method: st
     assert not (folder / "depth.png").exists()
     grey = np.asarray(Image.open(folder / "picture.png"))[..., 0].astype(float)
     assert grey.shape == (150, 200)
-    # Where the hand is and where it is not, read off the published tutorial's picture: palm, thumb's tip, three corners.
+    # Where the hand is and where it is not, read off the published tutorial's image: palm, thumb's tip, three corners.
     palm = grey[65:90, 100:125].mean()
     assert palm > 120
     assert grey[38:44, 116:120].mean() > 80

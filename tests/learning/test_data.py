@@ -411,13 +411,15 @@ def test_a_batch_follows_from_seed_and_number() -> None:
     assert once.batch(2) == batches[2]  # ends one epoch and begins the next
 
 
-@pytest.mark.parametrize("ranks", [1, 2, 3, 6])
-def test_ranks_share_each_batch(ranks: int) -> None:
+@pytest.mark.parametrize("world_size", [1, 2, 3, 6])
+def test_ranks_share_each_batch(world_size: int) -> None:
     whole = list(islice(Batches(10, 6, seed=5, first=2), 8))
-    parts = [list(islice(Batches(10, 6, seed=5, first=2, rank=rank, ranks=ranks), 8)) for rank in range(ranks)]
+    parts = [
+        list(islice(Batches(10, 6, seed=5, first=2, rank=rank, world_size=world_size), 8)) for rank in range(world_size)
+    ]
     for number, batch in enumerate(whole):
         assert [draw for part in parts for draw in part[number]] == batch
-        assert {len(part[number]) for part in parts} == {6 // ranks}
+        assert {len(part[number]) for part in parts} == {6 // world_size}
 
 
 @pytest.mark.parametrize(
@@ -427,8 +429,8 @@ def test_ranks_share_each_batch(ranks: int) -> None:
         ({"batch": 0}, "batch 0"),
         ({"first": -1}, "first -1"),
         ({"seed": -1}, "seed -1"),
-        ({"ranks": 3}, "got 4 for rank 0 of 3 processes; they must divide it"),
-        ({"rank": 2, "ranks": 2}, "rank 2 of 2"),
+        ({"world_size": 3}, "got 4 for rank 0 of 3 processes; they must divide it"),
+        ({"rank": 2, "world_size": 2}, "rank 2 of 2"),
         ({"rank": -1}, "rank -1 of 1"),
     ],
 )

@@ -17,8 +17,9 @@ from torch import nn
 from learning.camera import CaptureModel
 from learning.distributed import Precision, processes, synchronise_batch_norm
 from learning.models import build_network
-from learning.resume import LAST, METRICS
+from learning.resume import LAST
 from learning.train import train
+from learning.validation import METRICS
 from simulator.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -39,8 +40,8 @@ def test_batch_norm_of_one_is_torchs(affine: bool) -> None:
     own, theirs = (nn.Sequential(nn.BatchNorm2d(3, affine=affine)).double() for _ in range(2))
     synchronise_batch_norm(own, "cpu")
     assert type(own[0]) is not type(theirs[0])
-    pictures = 5 + 3 * torch.randn(4, 3, 6, 5, dtype=torch.float64)
-    inputs = [pictures.clone().requires_grad_() for _ in range(2)]
+    images = 5 + 3 * torch.randn(4, 3, 6, 5, dtype=torch.float64)
+    inputs = [images.clone().requires_grad_() for _ in range(2)]
     weights = torch.randn(4, 3, 6, 5, dtype=torch.float64)
     outputs = [layer(given) for layer, given in zip((own, theirs), inputs, strict=True)]
     for output in outputs:
@@ -54,7 +55,7 @@ def test_batch_norm_of_one_is_torchs(affine: bool) -> None:
         assert torch.allclose(own[0].weight.grad, theirs[0].weight.grad, rtol=1e-12)  # pyright: ignore
     own.eval()
     theirs.eval()
-    assert torch.allclose(own(pictures), theirs(pictures), atol=1e-12)
+    assert torch.allclose(own(images), theirs(images), atol=1e-12)
 
 
 def test_cuda_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,8 +127,8 @@ def test_inversion_stays_exact(tiny_capture: CaptureModel) -> None:
         exact, mixed = (Precision(kind, CPU).estimate(network, measurement) for kind in ("float32", "bfloat16"))
     assert torch.equal(volumes[0], volumes[1])
     assert kinds == [torch.float32, torch.bfloat16]
-    assert mixed.picture.dtype == mixed.disparity.dtype == torch.float32
-    error = (mixed.picture - exact.picture).norm() / exact.picture.norm()
+    assert mixed.image.dtype == mixed.disparity.dtype == torch.float32
+    error = (mixed.image - exact.image).norm() / exact.image.norm()
     assert 1e-4 < error < 5e-2  # bfloat16 rounds each number by up to 2^-9 = 2e-3; ten layers
 
 

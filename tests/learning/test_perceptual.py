@@ -18,7 +18,7 @@ from learning.perceptual import (
     available_lpips,
     build_features,
     layer_indices,
-    natural_pictures,
+    natural_images,
     weight_folder,
 )
 from simulator.errors import InputError
@@ -30,8 +30,8 @@ def random_loss() -> PerceptualLoss:
 
 
 @pytest.fixture(scope="module")
-def pictures() -> Tensor:
-    return natural_pictures(torch.Generator().manual_seed(8), 4, 32)
+def images() -> Tensor:
+    return natural_images(torch.Generator().manual_seed(8), 4, 32)
 
 
 def put_weights(folder: Path, monkeypatch: pytest.MonkeyPatch, content: dict[str, Any]) -> Path:
@@ -88,15 +88,15 @@ def test_features_are_those_of_torchvision(network: str, monkeypatch: pytest.Mon
 
 
 def test_vgg_is_the_formula_with_the_file_s_weights(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pictures: Tensor
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, images: Tensor
 ) -> None:
     """Against the same weights applied layer by layer, in float64."""
     state = random_state()
     path = put_weights(tmp_path, monkeypatch, state)
     loss = PerceptualLoss("vgg")
 
-    def features(picture: Tensor) -> Tensor:
-        values = (picture.double() - torch.tensor([0.485, 0.456, 0.406])[:, None, None].double()) / torch.tensor(
+    def features(image: Tensor) -> Tensor:
+        values = (image.double() - torch.tensor([0.485, 0.456, 0.406])[:, None, None].double()) / torch.tensor(
             [0.229, 0.224, 0.225]
         )[:, None, None].double()
         for number in (0, 2, 5, 7, 10, 12, 14, 16, 19, 21):
@@ -106,7 +106,7 @@ def test_vgg_is_the_formula_with_the_file_s_weights(
             values = nn.functional.conv2d(values, weight, bias, padding=1).relu()
         return values
 
-    one, other = pictures[:2], pictures[2:]
+    one, other = images[:2], images[2:]
     expected = (features(one) - features(other)).square().mean()
     assert float(loss(one, other)) == pytest.approx(float(expected), rel=1e-4)  # float32 through ten layers
     assert loss.record() == {
@@ -159,47 +159,47 @@ def test_nothing_is_unpickled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert not (tmp_path / "unpickled").exists()
 
 
-def test_random_features_depend_on_the_seed_alone(random_loss: PerceptualLoss, pictures: Tensor) -> None:
+def test_random_features_depend_on_the_seed_alone(random_loss: PerceptualLoss, images: Tensor) -> None:
     torch.manual_seed(5)
     before = torch.random.get_rng_state()
     again = PerceptualLoss("random_vgg", seed=3)
     assert torch.equal(torch.random.get_rng_state(), before)
     torch.testing.assert_close(again.state_dict(), random_loss.state_dict(), rtol=0, atol=0)
     other = PerceptualLoss("random_vgg", seed=4)
-    distance = random_loss(pictures[:2], pictures[2:])
+    distance = random_loss(images[:2], images[2:])
     assert not torch.equal(other.state_dict()["features.0.weight"], random_loss.state_dict()["features.0.weight"])
     # Normalised features: another seed is another network, not another scale (unnormalised: factors of 10).
-    assert float(other(pictures[:2], pictures[2:]) / distance) == pytest.approx(1, abs=0.3)
+    assert float(other(images[:2], images[2:]) / distance) == pytest.approx(1, abs=0.3)
     assert random_loss.record()["seed"] == 3
 
 
-def test_random_features_of_unlike_pictures_are_about_one_apart(random_loss: PerceptualLoss) -> None:
-    """Each channel has variance 1 over such pictures: independent ones would be 2 apart, but share their channels' means."""
-    fresh = natural_pictures(torch.Generator().manual_seed(77), 12, 64)
+def test_random_features_of_unlike_images_are_about_one_apart(random_loss: PerceptualLoss) -> None:
+    """Each channel has variance 1 over such images: independent ones would be 2 apart, but share their channels' means."""
+    fresh = natural_images(torch.Generator().manual_seed(77), 12, 64)
     assert torch.stack(random_loss.extract(fresh)).var(dim=(0, 1, 3, 4)).median() == pytest.approx(1, abs=0.25)
     assert 0.4 < float(random_loss(fresh[:6], fresh[6:])) < 2
 
 
 @pytest.mark.parametrize("damage", ["noise", "blur", "contrast"])
-def test_worse_pictures_are_farther(random_loss: PerceptualLoss, pictures: Tensor, damage: str) -> None:
-    noise = torch.randn(pictures.shape, generator=torch.Generator().manual_seed(2))
+def test_worse_images_are_farther(random_loss: PerceptualLoss, images: Tensor, damage: str) -> None:
+    noise = torch.randn(images.shape, generator=torch.Generator().manual_seed(2))
     worse = {
-        "noise": [pictures + level * noise for level in (0, 0.01, 0.03, 0.1)],
-        "blur": [pictures, *(avg_pool2d(pictures, n, 1, n // 2, count_include_pad=False) for n in (3, 5, 9))],
-        "contrast": [pictures, *(0.5 + (pictures - 0.5) * share for share in (0.9, 0.7, 0.3))],
+        "noise": [images + level * noise for level in (0, 0.01, 0.03, 0.1)],
+        "blur": [images, *(avg_pool2d(images, n, 1, n // 2, count_include_pad=False) for n in (3, 5, 9))],
+        "contrast": [images, *(0.5 + (images - 0.5) * share for share in (0.9, 0.7, 0.3))],
     }[damage]
-    distances = [float(random_loss(picture, pictures)) for picture in worse]
+    distances = [float(random_loss(image, images)) for image in worse]
     assert distances[0] == 0
     assert sorted(set(distances)) == distances
 
 
-def test_gradients_go_to_the_picture_only_and_are_those_of_finite_differences(pictures: Tensor) -> None:
+def test_gradients_go_to_the_image_only_and_are_those_of_finite_differences(images: Tensor) -> None:
     """In float64, along a random direction; a step of 1e-9 crosses few kinks of the ReLUs."""
     loss = PerceptualLoss("random_vgg", seed=3).double()
-    one, other = pictures[:1].double().requires_grad_(), pictures[1:2].double()
+    one, other = images[:1].double().requires_grad_(), images[1:2].double()
 
-    def distance(picture: Tensor) -> Tensor:  # without the cast to float32
-        return (loss.extract(picture)[0] - loss.extract(other)[0]).square().mean()
+    def distance(image: Tensor) -> Tensor:  # without the cast to float32
+        return (loss.extract(image)[0] - loss.extract(other)[0]).square().mean()
 
     distance(one).backward()
     assert one.grad is not None
@@ -210,25 +210,25 @@ def test_gradients_go_to_the_picture_only_and_are_those_of_finite_differences(pi
     assert all(parameter.grad is None and not parameter.requires_grad for parameter in loss.parameters())
 
 
-def test_it_stays_in_float32_under_autocast(random_loss: PerceptualLoss, pictures: Tensor) -> None:
-    expected = random_loss(pictures[:2], pictures[2:])
+def test_it_stays_in_float32_under_autocast(random_loss: PerceptualLoss, images: Tensor) -> None:
+    expected = random_loss(images[:2], images[2:])
     with torch.autocast("cpu", torch.bfloat16):
-        assert torch.equal(random_loss(pictures[:2], pictures[2:]), expected)
+        assert torch.equal(random_loss(images[:2], images[2:]), expected)
 
 
-def test_vgg16_adds_both_of_its_layers(pictures: Tensor) -> None:
+def test_vgg16_adds_both_of_its_layers(images: Tensor) -> None:
     loss = PerceptualLoss("random_vgg", "vgg16", seed=1)
-    one, other = (loss.extract(picture) for picture in (pictures[:1], pictures[1:2]))
+    one, other = (loss.extract(image) for image in (images[:1], images[1:2]))
     assert [tuple(values.shape) for values in one] == [(1, 128, 16, 16), (1, 512, 4, 4)]
     expected = sum(float((x - y).square().mean()) for x, y in zip(one, other, strict=True))
-    assert float(loss(pictures[:1], pictures[1:2])) == pytest.approx(expected, rel=1e-6)
+    assert float(loss(images[:1], images[1:2])) == pytest.approx(expected, rel=1e-6)
 
 
-def test_small_or_odd_pictures_and_unknown_names_are_refused(random_loss: PerceptualLoss, pictures: Tensor) -> None:
+def test_small_or_odd_images_and_unknown_names_are_refused(random_loss: PerceptualLoss, images: Tensor) -> None:
     with pytest.raises(InputError, match=r"at least 32 x 32.*perceptual: none"):
-        random_loss(pictures[..., :31], pictures[..., :31])
+        random_loss(images[..., :31], images[..., :31])
     with pytest.raises(InputError, match="shapes"):
-        random_loss(pictures, pictures[:1])
+        random_loss(images, images[:1])
     with pytest.raises(InputError, match="'alexnet', expected one of vgg, random_vgg"):
         PerceptualLoss("alexnet")  # pyright: ignore[reportArgumentType]
 
@@ -279,9 +279,9 @@ def test_it_is_the_published_formula_with_the_file_s_weights(tmp_path: Path, mon
     (place / "new").rename(place / FILES["alex"])
     linear = torch.load(Path(lpips.__file__).parent / "weights/v0.1/alex.pth", map_location="cpu", weights_only=True)
 
-    def features(picture: torch.Tensor) -> list[torch.Tensor]:
+    def features(image: torch.Tensor) -> list[torch.Tensor]:
         shift, scale = torch.tensor([-0.030, -0.088, -0.188]), torch.tensor([0.458, 0.448, 0.450])
-        values, found = ((2 * picture - 1) - shift[:, None, None]) / scale[:, None, None], []
+        values, found = ((2 * image - 1) - shift[:, None, None]) / scale[:, None, None], []
         for name, pad, stride in (("0", 2, 4), ("3", 2, 1), ("6", 1, 1), ("8", 1, 1), ("10", 1, 1)):
             if name in "36":
                 values = max_pool2d(values, 3, 2)

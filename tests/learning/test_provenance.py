@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 import learning
-from learning.provenance import claim_folder, code_fingerprint, remove_stale
+from learning.evaluate.report import claim_folder, remove_stale
+from learning.provenance import code_fingerprint
 from simulator.errors import InputError
 
 
@@ -24,10 +25,10 @@ def test_a_folder_is_gone_on_with_under_its_own_name_only(tmp_path: Path) -> Non
     claim_folder(folder, "trial")
     (folder / "notes.txt").write_text("mine")
     claim_folder(folder, "trial")
-    with pytest.raises(InputError, match=r"holds the evaluation 'trial', this one is 'other'"):
+    with pytest.raises(InputError, match=r"holds the evaluation 'trial', not 'other'"):
         claim_folder(folder, "other")
     (folder / "evaluation.json").write_text("{}")
-    with pytest.raises(InputError, match=r"is no description of an evaluation"):
+    with pytest.raises(InputError, match=r"is not a description of an evaluation"):
         claim_folder(folder, "trial")
     with pytest.raises(InputError, match=r"notes\.txt is a file"):
         claim_folder(folder / "notes.txt", "trial")

@@ -19,15 +19,15 @@ import pytest
 import torch
 
 import learning.train as loop
-from learning.camera import CaptureModel
+from learning.camera import CaptureModel, measure_reference_white
 from learning.checkpoint import load_checkpoint
 from learning.config import OptimiserConfig, TrainConfig
 from learning.data import Batches, Draw, ExampleSet
 from learning.losses import ReconstructionLoss
-from learning.method import measure_white
 from learning.models import build_network
-from learning.resume import BEST, DESCRIPTION, LAST, METRICS, PREVIEW, STATE, DivergedError
+from learning.resume import BEST, DESCRIPTION, LAST, STATE, DivergedError
 from learning.train import build_optimiser, find_material, learning_rate, open_examples, train
+from learning.validation import METRICS, PREVIEW
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
 
@@ -179,7 +179,7 @@ def test_gradient_that_is_no_number(settings: Callable[..., TrainConfig], monkey
 
     def broken(self: ReconstructionLoss, estimate: Any, *arguments: Any) -> dict[str, torch.Tensor]:
         terms = forward(self, estimate, *arguments)
-        return terms | {"total": terms["total"] + (estimate.picture - estimate.picture.detach()).square().sum().sqrt()}
+        return terms | {"total": terms["total"] + (estimate.image - estimate.image.detach()).square().sum().sqrt()}
 
     monkeypatch.setattr(ReconstructionLoss, "forward", broken)
     with pytest.raises(DivergedError, match=r"step 1: .*gradient nan.*nothing is saved yet"):
@@ -195,7 +195,7 @@ def test_a_validation_that_is_no_number(settings: Callable[..., TrainConfig], mo
 def test_fine_tuning_begins_with_a_checkpoint(settings: Callable[..., TrainConfig]) -> None:
     first = train(settings("first"))
     rate = {"learning_rate": 1e-9, "warm_up": 0.0}
-    tuned = train(settings("tuned", start=str(first.folder / LAST), steps=1, optimiser=rate))
+    tuned = train(settings("tuned", init_from=str(first.folder / LAST), steps=1, optimiser=rate))
     before, after = weights(first.folder / LAST), weights(tuned.folder / LAST)
     for name, parameter in load_checkpoint(first.folder / LAST).network.named_parameters():
         assert torch.allclose(before[name], after[name], atol=2e-9), name
@@ -206,14 +206,14 @@ def test_a_start_that_changed_is_another_training(settings: Callable[..., TrainC
     first, second = train(settings("first", steps=1)), train(settings("second", steps=1, seed=4))
     start = tmp_path / "start.safetensors"
     shutil.copy(first.folder / LAST, start)
-    train(settings("tuned", start=str(start), steps=1))
+    train(settings("tuned", init_from=str(start), steps=1))
     moved = tmp_path / "moved" / start.name
     moved.parent.mkdir()
     shutil.copy(start, moved)
-    assert train(settings("tuned", start=str(moved), steps=2)).steps == 1  # the same content elsewhere
+    assert train(settings("tuned", init_from=str(moved), steps=2)).steps == 1  # the same content elsewhere
     shutil.copy(second.folder / LAST, start)
-    with pytest.raises(InputError, match=r"another configuration(.|\n)*start\.sha256: "):
-        train(settings("tuned", start=str(start), steps=3))
+    with pytest.raises(InputError, match=r"another configuration(.|\n)*init_from\.sha256: "):
+        train(settings("tuned", init_from=str(start), steps=3))
 
 
 @pytest.mark.parametrize("moment", ["build_network", "count_workers"])
@@ -270,7 +270,7 @@ def test_speed_is_that_of_this_sitting(settings: Callable[..., TrainConfig], mon
 
 def test_start_from_another_architecture(settings: Callable[..., TrainConfig]) -> None:
     first = train(settings("first", steps=1))
-    config = settings("other", start=str(first.folder / LAST), network={"name": "flatnet2d"})
+    config = settings("other", init_from=str(first.folder / LAST), network={"name": "flatnet2d"})
     with pytest.raises(InputError, match="checkpoint of flatnet3d, expected flatnet2d"):
         train(config)
     assert not Path(config.output).exists()
@@ -281,7 +281,7 @@ def test_start_from_another_architecture(settings: Callable[..., TrainConfig]) -
     [
         ({"data": {"train": "/nowhere/set"}}, "/nowhere/set"),
         ({"data": {"stack": "/nowhere/psf"}}, "/nowhere/psf"),
-        ({"start": "/nowhere/net.safetensors"}, "/nowhere/net.safetensors"),
+        ({"init_from": "/nowhere/net.safetensors"}, "/nowhere/net.safetensors"),
     ],
 )
 def test_absent_files_are_named(settings: Callable[..., TrainConfig], changes: Any, message: str) -> None:
@@ -395,7 +395,7 @@ def test_noise_of_the_file(settings: Settings, monkeypatch: pytest.MonkeyPatch, 
 def test_white_and_network_of_the_file(settings: Settings, tiny_dataset: Path) -> None:
     result = train(settings(steps=1, network={"filters": 6, "levels": 1}))
     checkpoint = load_checkpoint(result.folder / LAST)
-    assert checkpoint.capture.white == measure_white(open_dataset(tiny_dataset, "train")) != 1
+    assert checkpoint.capture.white == measure_reference_white(open_dataset(tiny_dataset, "train")) != 1
     assert checkpoint.architecture["filters"] == 6
     first = next(value for value in checkpoint.network.enhancement.parameters() if value.ndim == 4)
     assert first.shape[0] == 6
@@ -447,7 +447,7 @@ def test_seeds_make_the_same_loss_small(settings: Settings, monkeypatch: pytest.
 
 def test_a_record_names_no_folder_of_this_machine(settings: Settings, tiny_dataset: Path, tmp_path: Path) -> None:
     first = train(settings("first", steps=1))
-    config = settings("made here", steps=2, start=str(first.folder / LAST), data={"cache": str(tmp_path / "cache")})
+    config = settings("made here", steps=2, init_from=str(first.folder / LAST), data={"cache": str(tmp_path / "cache")})
     path = tmp_path / "tiny.yaml"
     path.write_text(json.dumps(config.dump()))
     overrides = ["steps=1", f"output={tmp_path / 'over there'}", f"data.validation={tiny_dataset}"]
@@ -460,12 +460,12 @@ def test_a_record_names_no_folder_of_this_machine(settings: Settings, tiny_datas
     assert record["command"] == (
         f"flatlight train tiny.yaml --set steps=1 --set 'output=over there' --set data.validation={tiny_dataset.name}"
     )
-    assert record["config"]["start"] == LAST
+    assert record["config"]["init_from"] == LAST
     assert record["config"]["data"]["stack"] == "nominal"
     dataset = open_dataset(tiny_dataset, "train")
     assert record["data sets"]["train"]["fingerprint"] == dataset.fingerprint
     assert record["data sets"]["train"]["name"] == dataset.info.name
-    assert record["start"]["architecture"] == load_checkpoint(first.folder / LAST).architecture
+    assert record["init_from"]["architecture"] == load_checkpoint(first.folder / LAST).architecture
 
 
 COUNTS = {"train": 0, "validation": 2, "test": 0}
@@ -500,7 +500,7 @@ def test_finer_psfs_of_the_same_camera_are_welcome(tiny_dataset: Path, learning_
     material = find_material(config(tiny_dataset, validation=str(other)))
     assert material.validation.root == other
     assert len(material.capture.stack.depths_m) == 3
-    assert material.capture.white == measure_white(open_dataset(tiny_dataset, "train")) != 1
+    assert material.capture.white == measure_reference_white(open_dataset(tiny_dataset, "train")) != 1
 
 
 def test_a_relative_cache_lies_beside_the_file(

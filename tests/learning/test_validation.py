@@ -15,9 +15,8 @@ from learning.camera import CaptureModel
 from learning.data import Example
 from learning.distributed import Precision, Processes
 from learning.losses import ReconstructionLoss
-from learning.method import Estimate, decode
-from learning.resume import METRICS, PREVIEW, TENSORBOARD
-from learning.validation import Log, draw, true_estimate, validate
+from learning.method import Estimate, srgb_to_linear
+from learning.validation import METRICS, PREVIEW, TENSORBOARD, Log, draw, true_estimate, validate
 
 CPU = torch.device("cpu")
 HERE = {"precision": Precision("float32", CPU), "group": Processes(CPU)}
@@ -36,7 +35,10 @@ def scenes(capture: CaptureModel, count: int) -> tuple[Example, torch.Tensor]:
     codes = torch.full((count, 3, 16, 16), 0.5)
     disparity = torch.full((count, 1, 16, 16), 0.5)
     truth = Example(
-        torch.cat([codes, disparity], 1), decode(codes, capture.white), capture.depth_m(disparity), disparity > 0
+        torch.cat([codes, disparity], 1),
+        srgb_to_linear(codes, capture.white),
+        capture.depth_m(disparity),
+        disparity > 0,
     )
     return truth, truth.measurement.clone()
 
@@ -69,7 +71,7 @@ def test_depth_is_judged_as_in_the_evaluation(tiny_capture: CaptureModel) -> Non
     truth, estimate = scenes(tiny_capture, 3)
     estimate[:, 3, :, :8] = 0.9  # wrong where nothing was seen
     truth.valid[..., :8] = False
-    truth.valid[2] = False  # a scene without any depth counts in the picture only
+    truth.valid[2] = False  # a scene without any depth counts in the image only
     near_m = tiny_capture.near_m
     truth.depth_m[1] = near_m / 2
     estimate[1, 3] = 1
@@ -87,7 +89,7 @@ def test_what_was_not_seen_is_far(tiny_capture: CaptureModel) -> None:
     assert torch.allclose(disparity[..., 4:], torch.tensor(0.5), atol=1e-6)
 
 
-def test_picture(tiny_capture: CaptureModel) -> None:
+def test_image(tiny_capture: CaptureModel) -> None:
     """Truth and estimate stand side by side, and equal ones look equal."""
     truth, estimate = scenes(tiny_capture, 2)
     estimate[1, 0] = 1.0
@@ -126,7 +128,7 @@ def test_what_is_made_again_replaces_what_was_there(tmp_path: Path) -> None:
     assert [(event.step, event.value) for event in board.Scalars("train/total")] == [(1, 1.0), (2, 2.0), (3, 30.0)]
 
 
-def test_the_newest_picture_is_a_file(tmp_path: Path) -> None:
+def test_the_newest_image_is_a_file(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (6, 9, 3), np.uint8)
     log = Log(tmp_path, 0)
     log.show(1, pixels[::-1].copy())

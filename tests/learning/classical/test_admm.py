@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from learning.camera import CaptureModel, plain_capture
-from learning.classical.admm import Admm, add_adjoint, difference_power, differences, total_variation
+from learning.classical.admm import Admm, add_adjoint, difference_power, differences
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
 from simulator.optics.psf_stack import PsfStack
@@ -81,7 +81,7 @@ class DenseProblem:
         misfit = np.sum((self.forward @ light - self.target) ** 2) / 2
         return float(misfit + TV * np.abs(self.gradient @ light).sum() + SPARSITY * np.abs(light).sum())
 
-    def bound(self, iterations: int = 8000) -> float:
+    def bound(self, iterations: int = 4000) -> float:
         """Return a number that no volume's objective is below, nearly attained.
 
         Chambolle and Pock, 2011, finds multipliers p of A S and t of D S, |t| <= tv; if A^T p + D^T t + sparsity >= 0, then
@@ -101,49 +101,31 @@ class DenseProblem:
 
 @pytest.mark.parametrize("planes", [1, 2])
 def test_reaches_the_least_objective(planes: int) -> None:
+    """With vignetting: the dense problem takes radiance, so an estimate that lacks the irradiance map misses the bound."""
     capture = camera(planes)
     measurement = measure(capture, scene(planes))
     problem = DenseProblem(capture, measurement)
-    method = Admm(capture, tv=TV, sparsity=SPARSITY, iterations=1000, dtype=torch.float64)
-    result = method.solve(torch.from_numpy(measurement)[None], tolerance=1e-5)
-    assert result.iterations < 1000
-    assert float(result.primal[-1].max()) < 1e-5
-    assert float(result.dual[-1].max()) < 1e-5
-    volume = result.volume[0, :, 0].numpy()
-    assert volume.min() >= 0
+    objectives = []
+    for iterations in (1, 10, 400):
+        method = Admm(capture, tv=TV, sparsity=SPARSITY, iterations=iterations, dtype=torch.float64)
+        volume = method(torch.from_numpy(measurement)[None])[0, :, 0].numpy()
+        assert volume.min() >= 0
+        objectives.append(problem.objective(volume))
+    # The bound holds for any volume, so the objective is above it, and falls to it.
     bound = problem.bound()
-    # The bound holds for any volume, so the objective is above it, and by less than a tenth of what was asked for.
-    assert bound * (1 - 1e-9) <= problem.objective(volume) <= bound * 1.0001
-    assert float(result.objective[-1]) == pytest.approx(problem.objective(volume), rel=1e-9)
-    fall = result.objective[:, 0, 0].numpy()
-    assert fall[0] > 1.2 * fall[-1]
-    assert np.diff(fall[::10]).max() < 1e-6 * fall[-1]
+    assert bound * (1 - 1e-9) <= objectives[2] <= bound * 1.001
+    assert objectives[0] > objectives[1] > objectives[2]
+    assert objectives[0] > 1.2 * objectives[2]
 
 
-def test_balanced_weights_lead_to_the_same_volume() -> None:
+def test_weights_decide_how_fast_not_where_to() -> None:
     capture = camera(2)
     measurement = torch.from_numpy(measure(capture, scene(2)))[None]
-    volumes = [
-        Admm(capture, tv=TV, sparsity=SPARSITY, iterations=300, balance=balance, dtype=torch.float64, weights=weights)(
-            measurement
-        )
-        for balance, weights in ((0, None), (40, (3.0, 0.3, 0.5)))
-    ]
-    np.testing.assert_allclose(
-        *(volume.numpy() for volume in volumes), rtol=0, atol=2e-3
-    )  # of white, after 300 iterations
-
-
-def test_bad_weights_need_balance() -> None:
-    capture = camera(1)
-    measurement = torch.from_numpy(measure(capture, scene(1)))[None]
-    left, balanced = (
-        Admm(capture, tv=TV, sparsity=SPARSITY, iterations=60, balance=balance, weights=(100.0, 1e-3, 1e-3)).solve(
-            measurement
-        )
-        for balance in (0, 40)
+    usual, other = (
+        Admm(capture, tv=TV, sparsity=SPARSITY, iterations=300, dtype=torch.float64, weights=weights)(measurement)
+        for weights in (None, (1.0, 1.0, 3.0))
     )
-    assert float(balanced.dual[-1].max()) < 0.1 * float(left.dual[-1].max())
+    np.testing.assert_allclose(usual.numpy(), other.numpy(), rtol=0, atol=5e-3)  # of white, after 300 iterations
 
 
 def test_parameters_mean_the_same_for_every_mask_gain_and_white() -> None:
@@ -162,7 +144,7 @@ def test_parameters_mean_the_same_for_every_mask_gain_and_white() -> None:
 def test_each_measurement_and_channel_is_a_problem_of_its_own() -> None:
     capture = camera(2, 3)
     measurement = torch.from_numpy(np.stack([measure(capture, scene(2, 3) * x) for x in (1.0, 0.2)]))
-    settings = {"tv": TV, "sparsity": SPARSITY, "iterations": 30, "balance": 20, "dtype": torch.float64}
+    settings = {"tv": TV, "sparsity": SPARSITY, "iterations": 30, "dtype": torch.float64}
     both = Admm(capture, **settings)(measurement)
     green = replace(
         capture,
@@ -229,28 +211,18 @@ def test_another_precision_keeps_the_imaginary_part() -> None:
 
 def test_adjoint_is_the_transpose() -> None:
     generator = torch.Generator().manual_seed(0)
-    picture = torch.randn(2, 5, 7, dtype=torch.float64, generator=generator)
-    rows, columns = (torch.randn(part.shape, dtype=torch.float64, generator=generator) for part in differences(picture))
-    back = torch.zeros_like(picture)
+    image = torch.randn(2, 5, 7, dtype=torch.float64, generator=generator)
+    rows, columns = (torch.randn(part.shape, dtype=torch.float64, generator=generator) for part in differences(image))
+    back = torch.zeros_like(image)
     add_adjoint(back, rows, columns)
-    there = sum((a * b).sum() for a, b in zip(differences(picture), (rows, columns), strict=True))
-    np.testing.assert_allclose(float((back * picture).sum()), float(there), rtol=1e-13)
+    there = sum((a * b).sum() for a, b in zip(differences(image), (rows, columns), strict=True))
+    np.testing.assert_allclose(float((back * image).sum()), float(there), rtol=1e-13)
 
 
 def test_power_is_the_spectrum_of_periodic_differences() -> None:
-    picture = np.random.default_rng(0).random((6, 9))
-    energy = sum(np.sum((np.roll(picture, -1, axis) - picture) ** 2) for axis in (0, 1))
+    image = np.random.default_rng(0).random((6, 9))
+    energy = sum(np.sum((np.roll(image, -1, axis) - image) ** 2) for axis in (0, 1))
     weight = np.full(5, 2.0)
     weight[0] = 1  # of an odd length, all columns but the first of the half spectrum stand for two
-    spectrum = np.abs(np.fft.rfft2(picture)) ** 2 * weight * difference_power(6, 9, torch.float64).numpy()
-    np.testing.assert_allclose(spectrum.sum() / picture.size, energy, rtol=1e-12)
-
-
-def test_total_variation_is_the_sum_over_neighbours() -> None:
-    picture = np.random.default_rng(1).random((3, 4, 5))
-    expected = [
-        sum(abs(p[i + 1, j] - p[i, j]) for i in range(3) for j in range(5))
-        + sum(abs(p[i, j + 1] - p[i, j]) for i in range(4) for j in range(4))
-        for p in picture
-    ]
-    np.testing.assert_allclose(total_variation(torch.from_numpy(picture)).numpy(), expected, rtol=1e-13)
+    spectrum = np.abs(np.fft.rfft2(image)) ** 2 * weight * difference_power(6, 9, torch.float64).numpy()
+    np.testing.assert_allclose(spectrum.sum() / image.size, energy, rtol=1e-12)

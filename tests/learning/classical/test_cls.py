@@ -36,20 +36,20 @@ def camera(
     return plain_capture(stack, sensor, scene, background=0.25, white=1.7)
 
 
-@pytest.mark.parametrize("floor", [0.0, 0.5])
-def test_equals_its_closed_form(floor: float) -> None:
+@pytest.mark.parametrize("tikhonov", [0.0, 0.5])
+def test_equals_its_closed_form(tikhonov: float) -> None:
     """Any Y, on the circle that the sensor makes where it holds all of the light: argmin |Y - H S|^2 + lambda |L S|^2."""
-    capture, strength = camera(), 0.03
+    capture, regularisation_lambda = camera(), 0.03
     measurement = np.random.default_rng(1).random(SENSOR)
-    laplacian = circulant(np.array([[0, -1, 0], [-1, 4 + floor, -1], [0, -1, 0.0]]), SENSOR)
-    volume = ConstrainedLeastSquares(capture, strength=strength, floor=floor)(
+    laplacian = circulant(np.array([[0, -1, 0], [-1, 4 + tikhonov, -1], [0, -1, 0.0]]), SENSOR)
+    volume = ConstrainedLeastSquares(capture, regularisation_lambda=regularisation_lambda, tikhonov=tikhonov)(
         torch.from_numpy(measurement)[None, None].float()
     )
     top, left = (SENSOR[0] - SCENE[0]) // 2, (SENSOR[1] - SCENE[1]) // 2
     for plane in range(2):
         kernel = np.asarray(capture.stack.values[plane, 0], np.float64)
         matrix = circulant(kernel, SENSOR)
-        penalty = strength * np.sum(kernel**2)
+        penalty = regularisation_lambda * np.sum(kernel**2)
         normal = matrix.T @ matrix + penalty * laplacian.T @ laplacian
         exact = np.linalg.solve(normal, matrix.T @ (measurement - 0.25).ravel()).reshape(SENSOR)
         expected = exact[top : top + SCENE[0], left : left + SCENE[1]] / 1.7
@@ -63,16 +63,16 @@ def test_two_points_are_sharpest_at_their_planes(peaks: Callable[[np.ndarray], l
     scene[0, 1, 0, 4, 3] = scene[0, 3, 0, 11, 12] = 1
     measurement = ForwardModel(capture.stack, (48, 48), (16, 16)).forward(scene) + 0.25
     measurement += 0.01 * np.random.default_rng(2).standard_normal(measurement.shape)
-    volume = ConstrainedLeastSquares(capture, strength=0.1, floor=0.0)(torch.from_numpy(measurement)[None].float())[
-        0, :, 0
-    ].numpy()
+    volume = ConstrainedLeastSquares(capture, regularisation_lambda=0.1, tikhonov=0.0)(
+        torch.from_numpy(measurement)[None].float()
+    )[0, :, 0].numpy()
     energy = volume**2
     assert peaks(energy[:, 2:7, 1:6]) == [1, 2, 2]
     assert peaks(energy[:, 9:14, 10:15]) == [3, 2, 2]
 
 
 def test_has_nothing_to_learn_and_keeps_no_gradient() -> None:
-    method = ConstrainedLeastSquares(camera(), strength=0.1, floor=0.0)
+    method = ConstrainedLeastSquares(camera(), regularisation_lambda=0.1, tikhonov=0.0)
     assert not any(parameter.requires_grad for parameter in method.parameters())
     assert not method(torch.ones(1, 1, *SENSOR, requires_grad=True)).requires_grad
 
@@ -86,9 +86,9 @@ def peaks() -> Callable[[np.ndarray], list[int]]:
 def test_another_precision_and_memory_format_keep_the_imaginary_part(tiny_capture: CaptureModel) -> None:
     """A complex buffer would lose it on the way to float64, and channels_last would tear pairs apart."""
     measurement = torch.rand(2, 3, 48, 48)
-    wanted = ConstrainedLeastSquares(tiny_capture, strength=0.1, floor=0.0)(measurement)
+    wanted = ConstrainedLeastSquares(tiny_capture, regularisation_lambda=0.1, tikhonov=0.0)(measurement)
     moved = (
-        ConstrainedLeastSquares(tiny_capture, strength=0.1, floor=0.0)
+        ConstrainedLeastSquares(tiny_capture, regularisation_lambda=0.1, tikhonov=0.0)
         .to(torch.float64)
         .to(memory_format=torch.channels_last)
     )

@@ -36,7 +36,7 @@ def hand(shared_data: Path) -> Hand:
 
 
 def published_admm(hand: Hand, iterations: int, mu: tuple[float, float, float], tau: float) -> np.ndarray:
-    """Return the picture of ADMM as published, written here in its own variables, on a period of twice the sensor.
+    """Return the image of ADMM as published, written here in its own variables, on a period of twice the sensor.
 
     Antipa et al., Optica 5 (2018), equations of the supplement in the order of the authors' tutorial: u, x, v, w, multipliers
     xi, eta, rho; first differences around the period.
@@ -104,11 +104,13 @@ def test_admm_equals_the_published_algorithm(hand: Hand) -> None:
 
 
 def test_the_hand_is_there_with_our_own_settings(hand: Hand) -> None:
-    """The thumb is up: bright where the published picture is bright, in the unit that `typical_white` sets."""
+    """The thumb is up: bright where the published image is bright, in the unit that `typical_white` sets."""
     measurement = torch.from_numpy(hand.measurement)[None, None]
     capture = camera(hand, typical_white(camera(hand), hand.measurement[None]))
     published = published_admm(hand, 20, (1e-6, 1e-5, 4e-5), 1e-4)
-    squares = ConstrainedLeastSquares(capture, strength=10.0, floor=0.0)(measurement.float())[0, 0, 0].numpy()
+    squares = ConstrainedLeastSquares(capture, regularisation_lambda=10.0, tikhonov=0.0)(measurement.float())[
+        0, 0, 0
+    ].numpy()
     sparse = Admm(capture, tv=0.1, sparsity=0.01, iterations=60, light="anywhere")(measurement)[0, 0, 0].numpy()
     assert correlation(squares, published) > 0.9
     assert correlation(sparse, published) > 0.95

@@ -8,7 +8,7 @@ import torch
 from scipy.ndimage import gaussian_filter, laplace
 
 from learning.classical.focus import COSTS, MEASURES, assemble, sharpness, unary_cost
-from learning.method import decode
+from learning.method import srgb_to_linear
 from simulator.errors import InputError
 
 THESIS = {"cost": "defocus", "measure": "gradient", "contrast": 0.5, "window_px": 2.0, "steps_between_planes": 1}
@@ -135,7 +135,7 @@ def labels():
 def test_each_pixel_comes_from_its_plane(tiny_capture, scene, labels):
     """One by one, and back through the camera's colours."""
     estimate = assemble(volume_of(scene, tiny_capture), labels, tiny_capture, "label")
-    radiance = decode(estimate.picture, 1.0).numpy()
+    radiance = srgb_to_linear(estimate.image, 1.0).numpy()
     depths_cm = estimate.depth_m(tiny_capture).numpy() * 100
     for b, y, x in ((0, 0, 0), (1, 3, 15), (0, 15, 2), (1, 8, 8)):
         label = int(labels[b, y, x])
@@ -147,7 +147,7 @@ def test_between_planes_light_and_disparity_go_linearly_from_one_to_the_next(tin
     """Pixel by pixel; disparity by depth, whose inverse goes evenly."""
     places = torch.from_numpy(np.random.default_rng(2).uniform(0, 2, (2, 16, 16)))
     estimate = assemble(volume_of(scene, tiny_capture), places, tiny_capture, "label")
-    radiance = decode(estimate.picture, 1.0).numpy()
+    radiance = srgb_to_linear(estimate.image, 1.0).numpy()
     depths_m = estimate.depth_m(tiny_capture).numpy()
     inverse = 1 / np.asarray(tiny_capture.stack.depths_m)
     for b, y, x in ((0, 0, 0), (1, 3, 15), (0, 15, 2), (1, 8, 8)):
@@ -160,7 +160,7 @@ def test_between_planes_light_and_disparity_go_linearly_from_one_to_the_next(tin
 
 def test_sum_adds_up_the_planes(tiny_capture, scene, labels):
     estimate = assemble(volume_of(scene, tiny_capture), labels, tiny_capture, "sum")
-    np.testing.assert_allclose(decode(estimate.picture, 1.0).numpy(), scene.sum(axis=1), rtol=1e-6)
+    np.testing.assert_allclose(srgb_to_linear(estimate.image, 1.0).numpy(), scene.sum(axis=1), rtol=1e-6)
 
 
 def test_refuses_what_does_not_fit(tiny_capture, scene, labels):

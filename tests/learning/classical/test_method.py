@@ -28,8 +28,8 @@ def measurement():
     [
         (
             "cls",
-            {"strength": 0.05, "floor": 0.2},
-            lambda capture: ConstrainedLeastSquares(capture, strength=0.05, floor=0.2),
+            {"regularisation_lambda": 0.05, "tikhonov": 0.2},
+            lambda capture: ConstrainedLeastSquares(capture, regularisation_lambda=0.05, tikhonov=0.2),
             "inversion",
         ),
         (
@@ -79,7 +79,7 @@ def test_scenes_of_a_batch_do_not_touch(tiny_capture, measurement, name):
         one = method.reconstruct(measurement[scene : scene + 1])
         # FFTs of other batch sizes round differently; labels at such a tie would differ by a whole plane.
         torch.testing.assert_close(one.disparity, both.disparity[scene : scene + 1])
-        torch.testing.assert_close(one.picture, both.picture[scene : scene + 1], atol=1e-4, rtol=1e-4)
+        torch.testing.assert_close(one.image, both.image[scene : scene + 1], atol=1e-4, rtol=1e-4)
 
 
 @pytest.mark.parametrize("name", DEFAULTS)
@@ -131,8 +131,16 @@ def test_the_number_of_labels_and_the_unit_do_not_change_what_pairwise_means(tin
     ("name", "parameters", "message"),
     [
         ("wiener", {}, "name: got 'wiener', expected one of cls, admm"),
-        ("cls", {"tv": 0.1}, "parameters: got 'tv', which cls does not have; expected some of strength, floor, cost"),
-        ("cls", {"strength": "much"}, "parameters: cls's strength is 'much', expected a number such as"),
+        (
+            "cls",
+            {"tv": 0.1},
+            "parameters: got 'tv', which cls does not have; expected some of regularisation_lambda, tikhonov, cost",
+        ),
+        (
+            "cls",
+            {"regularisation_lambda": "much"},
+            "parameters: cls's regularisation_lambda is 'much', expected a number such as",
+        ),
         ("admm", {"iterations": 10.5}, "parameters: admm's iterations is 10.5, expected a whole number such as"),
         ("cls", {"measure": 3}, "parameters: cls's measure is 3, expected a word such as"),
         ("cls", {"measure": "edges"}, "measure: got 'edges', expected one of gradient"),
@@ -142,7 +150,7 @@ def test_the_number_of_labels_and_the_unit_do_not_change_what_pairwise_means(tin
         ("cls", {"window_px": -1.0}, "window_px: got -1.0"),
         ("cls", {"steps_between_planes": 0}, "steps_between_planes: got 0, expected 1"),
         ("cls", {"pairwise": -1.0}, "pairwise: got -1.0, expected 0 or more"),
-        ("cls", {"strength": 0.0}, "strength: got 0.0, expected a positive"),
+        ("cls", {"regularisation_lambda": 0.0}, "regularisation_lambda: got 0.0, expected a positive"),
     ],
 )
 def test_refuses_parameters_that_make_no_sense(tiny_capture, name, parameters, message):

@@ -9,15 +9,15 @@ from typing import Any
 import pytest
 import torch
 
-from learning.camera import CaptureModel, capture_model
+from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.checkpoint import save_checkpoint
-from learning.method import Clock, Estimate, encode, measure_white
+from learning.method import Clock, Estimate, linear_to_srgb
 from learning.models import build_network
 from simulator.dataset.reader import open_dataset
 
 
 class Oracle:
-    """A method that was told the answers: of each measurement, known by its values, picture and disparity."""
+    """A method that was told the answers: of each measurement, known by its values, image and disparity."""
 
     name = "oracle"
 
@@ -27,7 +27,7 @@ class Oracle:
         self.capture, self._change = capture, change
         self._answers = {
             example.measurement.numpy().tobytes(): Estimate(
-                encode(example.radiance, capture.white), torch.as_tensor(capture.disparity(example.depth_m))
+                linear_to_srgb(example.radiance, capture.white), torch.as_tensor(capture.disparity(example.depth_m))
             )
             for example in (examples[position] for position in range(len(examples)))
         }
@@ -48,7 +48,7 @@ def oracle() -> type[Oracle]:
 def tiny_camera(tiny_dataset: Path) -> CaptureModel:
     """The camera of the tiny data set, as training knows it."""
     train = open_dataset(tiny_dataset, "train")
-    return capture_model(train, white=measure_white(train))
+    return capture_model(train, white=measure_reference_white(train))
 
 
 @pytest.fixture(scope="session")

@@ -32,7 +32,7 @@ def _outcome(name: str, noise_db: float | None = None, stack: str = "own", psnr:
     return Outcome(name, "learned", stack, noise_db, scores, 2.5, (1.0, None, 2.0))
 
 
-TRIVIAL = Outcome("constant", "trivial", "own", None, {"depth_rmse_cm": summarise([[4.0, 4.4]])}, 4.2, (3.0, None, 5.0))
+TRIVIAL = Outcome("constant", "naive", "own", None, {"depth_rmse_cm": summarise([[4.0, 4.4]])}, 4.2, (3.0, None, 5.0))
 
 
 def _pixels(content: bytes) -> np.ndarray:
@@ -114,7 +114,7 @@ def test_a_montage_shows_codes_and_depths_on_one_scale(near_m: float) -> None:
         for column, shown in enumerate(scene):
             y, x = top + row * (2 * side + 2 + 18 + gap), gap + column * (side + gap)
             tile = pixels[y : y + side, x : x + side][5::10, 5::10]
-            np.testing.assert_array_equal(tile, np.round(np.clip(shown.picture, 0, 1) * 255))
+            np.testing.assert_array_equal(tile, np.round(np.clip(shown.image, 0, 1) * 255))
             depth = pixels[y + side + 2 : y + 2 * side + 2, x : x + side][5::10, 5::10]
             seen = np.ones((16, 16), bool) if shown.valid is None else shown.valid
             expected = depth_colours(shown.depth_m.astype(np.float32), seen, near_m, 0.2)

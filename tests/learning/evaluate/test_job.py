@@ -15,16 +15,16 @@ import yaml
 from PIL import Image
 
 from learning import metrics
-from learning.camera import capture_model
+from learning.camera import capture_model, measure_reference_white
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.classical.method import DEFAULTS
 from learning.config import EvaluateConfig, load_file
 from learning.data import ExampleSet
 from learning.evaluate import report, runs
 from learning.evaluate.job import evaluate
-from learning.method import encode, measure_white
+from learning.method import linear_to_srgb
 from learning.models import build_network
-from learning.tune.study import TuningBook
+from learning.tune.study import Study
 from simulator.dataset.reader import open_dataset
 from simulator.errors import InputError
 
@@ -35,7 +35,7 @@ TEST_SCENES = 3
 def checkpoints(tmp_path_factory: pytest.TempPathFactory, tiny_dataset: Path) -> list[Path]:
     """Two seeds of an untrained FlatNet3D."""
     train = open_dataset(tiny_dataset, "train")
-    capture = capture_model(train, white=measure_white(train))
+    capture = capture_model(train, white=measure_reference_white(train))
     folder = tmp_path_factory.mktemp("checkpoints")
     made = []
     for seed in range(2):
@@ -66,7 +66,7 @@ def load(tmp_path: Path, tiny_dataset: Path, checkpoints: list[Path]) -> Callabl
             "data": {"test": str(tiny_dataset), "training": str(tiny_dataset), "scenes": TEST_SCENES},
             "methods": [
                 {"name": "FlatNet3D", "checkpoints": [str(path) for path in checkpoints]},
-                {"name": "CLS", "classical": "cls", "parameters": {"strength": 0.1}},
+                {"name": "CLS", "classical": "cls", "parameters": {"regularisation_lambda": 0.1}},
             ],
             "perceptual": "none",
             "time": {"repeats": 0},
@@ -104,9 +104,9 @@ def test_the_table_is_what_the_estimates_give(
             stored, frame = test.stored(scene), test.stored(scene).frame(0)
             with torch.no_grad():
                 found = checkpoint.network(torch.from_numpy(stored.measurement()[0][None]))
-            truth = encode(torch.from_numpy(frame.rgb), checkpoint.capture.white).numpy().astype(np.float64)
-            picture = np.moveaxis(found.picture[0].numpy().astype(np.float64).clip(0, 1), 0, -1)
-            psnr[seed, scene] = -10 * np.log10(np.mean((picture - truth) ** 2))
+            truth = linear_to_srgb(torch.from_numpy(frame.rgb), checkpoint.capture.white).numpy().astype(np.float64)
+            image = np.moveaxis(found.image[0].numpy().astype(np.float64).clip(0, 1), 0, -1)
+            psnr[seed, scene] = -10 * np.log10(np.mean((image - truth) ** 2))
             near, far = checkpoint.capture.near_m, checkpoint.capture.far_m
             disparity = found.disparity[0, 0].numpy().astype(np.float64).clip(0, 1)
             error = 1 / (1 / far + disparity * (1 / near - 1 / far)) - frame.depth_m
@@ -123,13 +123,15 @@ def test_the_table_is_what_the_estimates_give(
     assert results["data"]["stored_psnr_db"] == pytest.approx(
         np.mean([_psnr_db(*test.stored(n).measurement()) for n in range(3)])
     )
-    assert results["outcomes"][1]["identities"][0]["parameters"] == DEFAULTS["cls"] | {"strength": 0.1}
+    assert results["outcomes"][1]["identities"][0]["parameters"] == DEFAULTS["cls"] | {"regularisation_lambda": 0.1}
     assert [one["seed"] for one in (c["record"] for c in results["methods"][0]["checkpoints"])] == [0, 1]
 
 
 @pytest.mark.usefixtures("no_figures")
 def test_levels_of_noise_differ_and_are_as_asked(load: Callable[..., EvaluateConfig], tmp_path: Path) -> None:
-    methods = [{"name": "CLS", "classical": "cls", "parameters": {"strength": 1e-4}}]  # which lets noise through
+    methods = [
+        {"name": "CLS", "classical": "cls", "parameters": {"regularisation_lambda": 1e-4}}
+    ]  # which lets noise through
     config = load(methods=methods, noise_db=[20, 60])
     evaluate(config)
     stored, noisy, clean = (one["scores"]["psnr"]["mean"] for one in _results(tmp_path)["outcomes"])
@@ -155,26 +157,26 @@ def test_the_captured_stack_is_used(load: Callable[..., EvaluateConfig], tmp_pat
     test, train = (open_dataset(results["config"]["data"]["test"], split) for split in ("test", "train"))
     from learning.classical.method import build_classical
 
-    method = build_classical(capture_model(test, "captured", white=measure_white(train)), "cls", {"strength": 0.1})
+    method = build_classical(
+        capture_model(test, "captured", white=measure_reference_white(train)), "cls", {"regularisation_lambda": 0.1}
+    )
     psnr = []
     for scene in range(TEST_SCENES):
         found = method.reconstruct(torch.from_numpy(test.stored(scene).measurement()[0][None])).clamped()
-        truth = encode(torch.from_numpy(test.stored(scene).frame(0).rgb), method.capture.white)
-        psnr.append(
-            -10 * np.log10(np.mean((found.picture[0].permute(1, 2, 0) - truth).numpy().astype(np.float64) ** 2))
-        )
+        truth = linear_to_srgb(torch.from_numpy(test.stored(scene).frame(0).rgb), method.capture.white)
+        psnr.append(-10 * np.log10(np.mean((found.image[0].permute(1, 2, 0) - truth).numpy().astype(np.float64) ** 2)))
     assert by_stack["captured"]["scores"]["psnr"]["mean"] == pytest.approx(np.mean(psnr), rel=1e-4)
 
 
 @pytest.mark.usefixtures("no_figures")
 def test_noise_and_stacks_may_have_fewer_scenes(load: Callable[..., EvaluateConfig], tmp_path: Path) -> None:
-    methods = [{"name": "CLS", "classical": "cls", "parameters": {"strength": 0.1}}]
+    methods = [{"name": "CLS", "classical": "cls", "parameters": {"regularisation_lambda": 0.1}}]
     stacks = {"stack": "nominal", "compare_stacks": ["nominal", "captured"]}
     found, files = evaluate(load(methods=methods, noise_db=[30], data=stacks, ablation_scenes=2))
     assert [one.scenes for one in found.main] == [TEST_SCENES]
     assert [(one.noise_db, one.scenes) for one in found.ablation] == [(30, 2)]
     assert [(one.stack, one.scenes) for one in found.compared] == [("nominal", 2), ("captured", 2)]
-    assert {one.scenes for one in found.trivial_part} == {2}
+    assert {one.scenes for one in found.naive_part} == {2}
     assert files[0].read_text(encoding="utf-8").count("Of the first 2 of 3 scenes.") == 2
     # The same two scenes give the same numbers in an evaluation of two.
     alone, _ = evaluate(load(methods=methods, noise_db=[30], data=stacks | {"scenes": 2}, output="two"))
@@ -208,7 +210,7 @@ def test_what_is_finished_is_kept_and_what_changed_is_done_anew(
         evaluate(load(name="another"))
     evaluate(load(noise_db=[30]))  # an extended evaluation does only what is new
     assert scored[3:] == ["FlatNet3D", "FlatNet3D", "CLS"]
-    methods = [{"name": "CLS", "classical": "cls", "parameters": {"strength": 0.2}}]
+    methods = [{"name": "CLS", "classical": "cls", "parameters": {"regularisation_lambda": 0.2}}]
     for changes in ({}, {"dark_share": 0.1}, {"data": {"scenes": 2}}):
         before = len(scored)
         evaluate(load(methods=methods, **changes))
@@ -247,13 +249,13 @@ def test_all_files_are_written_and_the_report_shows_them(load: Callable[..., Eva
 
 @pytest.mark.usefixtures("no_figures")
 def test_parameters_are_those_of_the_nearest_tuned_level(load: Callable[..., EvaluateConfig], tmp_path: Path) -> None:
-    book = TuningBook(tmp_path / "tuned.json", {"data": "another"}, {})
-    for level, strength in ((20.0, 0.5), (40.0, 0.05)):
-        parameters = {**DEFAULTS["cls"], "strength": strength}
-        book.add_result({"method": "cls", "noise_db": level, "parameters": parameters, "score": 1.0})
+    study = Study(tmp_path / "tuned.json", {"data": "another"}, {})
+    for level, regularisation_lambda in ((20.0, 0.5), (40.0, 0.05)):
+        parameters = {**DEFAULTS["cls"], "regularisation_lambda": regularisation_lambda}
+        study.add_result({"method": "cls", "noise_db": level, "parameters": parameters, "score": 1.0})
     evaluate(load(methods=[{"name": "CLS", "classical": "cls", "tuned": "tuned.json"}], noise_db=[25, 50]))
     outcomes = _results(tmp_path)["outcomes"]
-    assert [one["identities"][0]["parameters"]["strength"] for one in outcomes] == [0.05, 0.5, 0.05]
+    assert [one["identities"][0]["parameters"]["regularisation_lambda"] for one in outcomes] == [0.05, 0.5, 0.05]
     assert [one["note"].split("(")[1] for one in outcomes] == ["tuned at 40 dB)", "tuned at 20 dB)", "tuned at 40 dB)"]
     assert [one["tuned_db"] for one in outcomes] == [40, 20, 40]
 
@@ -262,8 +264,8 @@ def test_scenes_that_were_tuned_on_do_not_decide(
     load: Callable[..., EvaluateConfig], tmp_path: Path, tiny_dataset: Path
 ) -> None:
     fingerprint = open_dataset(tiny_dataset, "test").fingerprint
-    book = TuningBook(tmp_path / "tuned.json", {"data": fingerprint, "split": "test"}, {})
-    book.add_result({"method": "cls", "noise_db": 40.0, "parameters": dict(DEFAULTS["cls"]), "score": 1.0})
+    study = Study(tmp_path / "tuned.json", {"data": fingerprint, "split": "test"}, {})
+    study.add_result({"method": "cls", "noise_db": 40.0, "parameters": dict(DEFAULTS["cls"]), "score": 1.0})
     with pytest.raises(InputError, match=r"CLS: .*tuned\.json was tuned on the scenes that decide here"):
         evaluate(load(methods=[{"name": "CLS", "classical": "cls", "tuned": "tuned.json"}]))
 
@@ -306,7 +308,7 @@ def test_a_network_that_gives_no_number_is_named(
         path, checkpoint.network, architecture=checkpoint.architecture, capture=checkpoint.capture, record={}
     )
     sample = open_dataset(tiny_dataset, "test").ids[0]
-    with pytest.raises(InputError, match=rf"Broken: its picture of sample {sample} is NaN or infinite"):
+    with pytest.raises(InputError, match=rf"Broken: its image of sample {sample} is NaN or infinite"):
         evaluate(load(methods=[{"name": "Broken", "checkpoints": [str(path)]}]))
 
 

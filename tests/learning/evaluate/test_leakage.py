@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from learning.evaluate.leakage import check_learned, check_tuned
-from learning.tune.study import TuningBook
+from learning.tune.study import Study
 from simulator.dataset.reader import open_dataset
 from simulator.errors import InputError
 
@@ -25,7 +25,7 @@ def test_a_network_that_knows_the_scenes_is_refused(tiny_dataset: Path, split: s
     of_it = {"train": "0" * 64, "validation": "1" * 64} | {split: test.fingerprint}
     with pytest.raises(InputError, match=rf"Net: net\.safetensors {message}"):
         check_learned("Net", Path("net.safetensors"), _record(**of_it), test)
-    start = {"start": {"record": _record(**of_it)}, **_record("2" * 64, "3" * 64)}
+    start = {"init_from": {"record": _record(**of_it)}, **_record("2" * 64, "3" * 64)}
     with pytest.raises(InputError, match=message):  # what it was warm-started with knew them
         check_learned("Net", Path("net.safetensors"), start, test)
     decides = open_dataset(tiny_dataset, "test")
@@ -37,8 +37,8 @@ def test_only_the_split_that_was_tuned_on_is_refused(tiny_dataset: Path, tmp_pat
     test = open_dataset(tiny_dataset, "test")
     for split in ("test", "validation"):
         path = tmp_path / f"{split}.json"
-        book = TuningBook(path, {"data": test.fingerprint, "split": split}, {})
-        book.add_result({"method": "cls", "noise_db": 40.0, "parameters": {}, "score": 1.0})
+        study = Study(path, {"data": test.fingerprint, "split": split}, {})
+        study.add_result({"method": "cls", "noise_db": 40.0, "parameters": {}, "score": 1.0})
     check_tuned("CLS", tmp_path / "validation.json", test)
     with pytest.raises(InputError, match=r"CLS: .*test\.json was tuned on the scenes that decide here"):
         check_tuned("CLS", tmp_path / "test.json", test)

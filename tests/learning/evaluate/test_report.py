@@ -41,7 +41,7 @@ CLS = Outcome(
     None,
     (),
 )
-CONSTANT = Outcome("constant", "trivial", "own", None, {"depth_rmse_cm": summarise([[3.0, 5.0]])}, 4.0, (2.0, 3.0))
+CONSTANT = Outcome("constant", "naive", "own", None, {"depth_rmse_cm": summarise([[3.0, 5.0]])}, 4.0, (2.0, 3.0))
 TIMES = {"Net": Times("Net", {"inversion": 0.01, "network": 0.02}, 0.03, 0.029)}
 ROWS = [NET, CLS, CONSTANT]
 
@@ -62,7 +62,7 @@ def test_the_table_has_means_spreads_the_best_and_the_share_of_the_constant() ->
 
 
 def test_a_row_without_any_of_the_scores_is_left_to_the_other_table() -> None:
-    other = Outcome("of disparity", "trivial", "own", None, {"disparity_rmse": summarise([[0.2, 0.3]])}, None, ())
+    other = Outcome("of disparity", "naive", "own", None, {"disparity_rmse": summarise([[0.2, 0.3]])}, None, ())
     for table in (markdown_table([*ROWS, other], {}, 4.0), terminal_table([*ROWS, other], {})):
         assert "constant" in table
         assert "of disparity" not in table

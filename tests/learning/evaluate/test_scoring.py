@@ -1,4 +1,4 @@
-"""Scoring: the truth is perfect, bins are a brute-force sum, an estimate that is no number is named."""
+"""Scoring: the truth is perfect, bins are a brute-force sum, an estimate that is not a number is named."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import torch
 from learning.camera import CaptureModel
 from learning.data import ExampleSet
 from learning.evaluate.outcome import outcome
-from learning.evaluate.scoring import Criteria, device_in_words, score, take_times, trivial_methods
-from learning.method import Clock, Estimate
+from learning.evaluate.scoring import Criteria, naive_baselines, score, take_times
+from learning.method import Clock, Estimate, describe_device
 from simulator.colour import linear_to_srgb
 from simulator.dataset.reader import open_dataset
 from simulator.errors import InputError
@@ -35,7 +35,7 @@ def test_the_truth_is_perfect(examples: ExampleSet, tiny_camera: CaptureModel, o
     found = score(method, examples, Criteria(EDGES_CM, 0.05), device=CPU, batch=3)
     assert method.batches == [3, 3, 2]
     one = outcome("oracle", "learned", [found])
-    # Pictures are equal; depth goes through disparity in float32, which costs less than a micrometre.
+    # Images are equal; depth goes through disparity in float32, which costs less than a micrometre.
     assert one.scores["psnr"].mean > 100
     assert one.scores["ssim"].mean == pytest.approx(1, abs=1e-6)
     assert one.scores["flip"].mean == pytest.approx(0, abs=1e-6)
@@ -46,7 +46,7 @@ def test_the_truth_is_perfect(examples: ExampleSet, tiny_camera: CaptureModel, o
 
 
 def test_bins_are_sums_over_valid_pixels(examples: ExampleSet, tiny_camera: CaptureModel, oracle: Any) -> None:
-    half = oracle(tiny_camera, examples, lambda e: Estimate(e.picture, e.disparity * 0.5))
+    half = oracle(tiny_camera, examples, lambda e: Estimate(e.image, e.disparity * 0.5))
     found = score(half, examples, Criteria(EDGES_CM), device=CPU, batch=8)
     squares, counts = np.zeros(3), np.zeros(3)
     near, far = tiny_camera.near_m, tiny_camera.far_m
@@ -68,14 +68,14 @@ def test_bins_are_sums_over_valid_pixels(examples: ExampleSet, tiny_camera: Capt
 
 
 def test_dark_pixels_are_left_out_on_request(examples: ExampleSet, tiny_camera: CaptureModel, oracle: Any) -> None:
-    far = oracle(tiny_camera, examples, lambda e: Estimate(e.picture, e.disparity * 0))
+    far = oracle(tiny_camera, examples, lambda e: Estimate(e.image, e.disparity * 0))
     found = score(far, examples, Criteria(EDGES_CM, 0.3), device=CPU, batch=8)
     plain = score(far, examples, Criteria(EDGES_CM), device=CPU, batch=8)
     assert "lit_depth_rmse_cm" not in plain["scores"][0]
     assert any(one["lit_depth_rmse_cm"] != one["depth_rmse_cm"] for one in found["scores"])
 
 
-@pytest.mark.parametrize(("field", "value"), [("picture", float("nan")), ("disparity", float("inf"))])
+@pytest.mark.parametrize(("field", "value"), [("image", float("nan")), ("disparity", float("inf"))])
 def test_an_estimate_that_is_no_number_is_named(
     examples: ExampleSet, tiny_camera: CaptureModel, oracle: Any, field: str, value: float
 ) -> None:
@@ -94,9 +94,9 @@ def test_trivial_rows_are_what_hand_computation_gives(tiny_dataset: Path, tiny_c
     criteria = Criteria((1.0, 20.0))
     rows = [
         outcome(
-            one.name, "trivial", [score(one, examples, criteria, device=torch.device("cpu"), batch=5)], only=one.scores
+            one.name, "naive", [score(one, examples, criteria, device=torch.device("cpu"), batch=5)], only=one.scores
         )
-        for one in trivial_methods(examples, tiny_camera, 3)
+        for one in naive_baselines(examples, tiny_camera, 3)
     ]
     frames = [test.stored(position).frame(0) for position in range(len(test))]
     depth_cm = np.stack([100 * frame.depth_m.astype(np.float64) for frame in frames])
@@ -124,8 +124,8 @@ def test_trivial_rows_are_what_hand_computation_gives(tiny_dataset: Path, tiny_c
     assert disparity.scores["disparity_rmse_per_m"].mean < np.mean(of_mean_depth)
     assert set(disparity.scores) == {"disparity_rmse", "disparity_rmse_per_m"}
     assert set(constant.scores) == {"depth_rmse_cm"}
-    for row, picture in ((mean, codes.mean(0)), (black, 0 * codes[0])):
-        errors = np.mean((codes - picture) ** 2, axis=(1, 2, 3))
+    for row, image in ((mean, codes.mean(0)), (black, 0 * codes[0])):
+        errors = np.mean((codes - image) ** 2, axis=(1, 2, 3))
         assert row.scores["psnr"].mean == pytest.approx(np.mean(-10 * np.log10(errors)), rel=1e-5)
         assert "depth_rmse_cm" not in row.scores
         assert row.pooled_depth_rmse_cm is None
@@ -174,4 +174,4 @@ def test_the_median_by_stage_of_turns_after_the_first(monkeypatch: pytest.Monkey
 
 
 def test_the_device_names_its_threads() -> None:
-    assert f"{torch.get_num_threads()} of " in device_in_words(torch.device("cpu"))
+    assert f"{torch.get_num_threads()} of " in describe_device(torch.device("cpu"))

@@ -28,11 +28,11 @@ def numbers(kind: Any, channels: int, highest: int) -> NDArray[Any]:
 
 def write(path: Path, values: NDArray[Any]) -> Path:
     """Write ``(C, H, W)`` as the file's suffix says."""
-    picture = values[0] if len(values) == 1 else np.moveaxis(values, 0, -1)
+    image = values[0] if len(values) == 1 else np.moveaxis(values, 0, -1)
     if path.suffix == ".png":
-        Image.fromarray(picture).save(path)
+        Image.fromarray(image).save(path)
     elif path.suffix == ".tif":
-        tifffile.imwrite(path, picture, photometric="rgb" if picture.ndim == 3 else "minisblack")
+        tifffile.imwrite(path, image, photometric="rgb" if image.ndim == 3 else "minisblack")
     elif path.suffix == ".npy":
         np.save(path, values if len(values) > 1 else values[0])
     else:
@@ -159,7 +159,7 @@ def test_a_background_of_another_size_is_refused(tmp_path: Path) -> None:
 def test_folders_without_a_sample_are_refused(tiny_dataset: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is a data set: give one of its samples"):
         load_measurement(tiny_dataset)
-    with pytest.raises(InputError, match=r"is no sample: it has no sample.json"):
+    with pytest.raises(InputError, match=r"is not a sample: it has no sample.json"):
         load_measurement(tmp_path)
     with pytest.raises(InputError, match="gone"):
         load_measurement(tmp_path / "gone.tif")

@@ -14,11 +14,10 @@ import torch
 from PIL import Image
 
 from learning import checkpoint as checkpoint_module
-from learning.camera import CaptureModel, capture_model, plain_capture, typical_white
+from learning.camera import CaptureModel, capture_model, measure_reference_white, plain_capture, typical_white
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.classical.cls import ConstrainedLeastSquares
 from learning.classical.method import DEFAULTS, PlanarMethod, build_classical
-from learning.method import measure_white
 from learning.models import build_network
 from learning.reconstruct.choice import Request, choose_method
 from learning.reconstruct.inputs import load_measurement
@@ -41,7 +40,7 @@ def sample(tiny_dataset: Path) -> Path:
 def checkpoint(tiny_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A network with random weights for the tiny camera, whose white is the training set's."""
     train = open_dataset(tiny_dataset, "train")
-    capture = capture_model(train, white=measure_white(train))
+    capture = capture_model(train, white=measure_reference_white(train))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         network = build_network(capture, "flatnet3d", "tiny")
@@ -52,7 +51,7 @@ def checkpoint(tiny_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 
 def own_camera(tiny_dataset: Path, **changes: Any) -> CaptureModel:
     train = open_dataset(tiny_dataset, "train")
-    return capture_model(train, white=measure_white(train), **changes)
+    return capture_model(train, white=measure_reference_white(train), **changes)
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".tif", ".png", ".npy"])
@@ -72,12 +71,12 @@ def test_files_of_all_four_kinds_give_what_the_arrays_give(
         codes = np.clip(np.round(np.moveaxis(values, 0, -1) * 256), 0, 255).astype(np.uint8)
         Image.fromarray(codes).save(path)
         values, bits = np.moveaxis(codes / np.float32(256), -1, 0), 8
-    # The camera's numbers come from the data set that the stack is of, by which the picture was taken.
+    # The camera's numbers come from the data set that the stack is of, by which the image was taken.
     setup = choose_method(load_measurement(path, bits=bits), Request(method="cls", stack=str(tiny_dataset), white=0.7))
     from_file = reconstruct(load_measurement(path).values, setup.method)
     method = build_classical(capture_model(open_dataset(tiny_dataset, "test"), white=0.7), "cls", DEFAULTS["cls"])
     estimate = method.reconstruct(torch.from_numpy(np.ascontiguousarray(values))[None])
-    assert np.array_equal(from_file.picture, estimate.picture[0].clamp(0, 1).numpy())
+    assert np.array_equal(from_file.image, estimate.image[0].clamp(0, 1).numpy())
     assert from_file.depth_m is not None
     assert np.array_equal(from_file.depth_m, estimate.depth_m(method.capture)[0, 0].numpy())
 
@@ -102,19 +101,24 @@ def test_a_subtracted_background_replaces_the_cameras_offset(tiny_dataset: Path,
 
 def test_parameters_come_from_defaults_then_tuning_then_the_user(sample: Path, tmp_path: Path) -> None:
     results = [
-        {"method": "cls", "noise_db": level, "parameters": {**DEFAULTS["cls"], "strength": strength}, "score": 1.0}
-        for level, strength in ((20.0, 0.5), (40.0, 0.25))
+        {
+            "method": "cls",
+            "noise_db": level,
+            "parameters": {**DEFAULTS["cls"], "regularisation_lambda": regularisation_lambda},
+            "score": 1.0,
+        }
+        for level, regularisation_lambda in ((20.0, 0.5), (40.0, 0.25))
     ]
     content = {"format": "flatlight tuned", "version": 1, "identity": {"white": 0.6}, "trials": [], "results": results}
     tuned = tmp_path / "tuned.json"
     tuned.write_text(json.dumps(content), encoding="utf-8")
     measurement = load_measurement(sample)
     chosen = choose_method(measurement, Request(method="cls", tuned=tuned))  # the data set's noise is 40 dB
-    assert chosen.record["parameters"]["strength"] == 0.25
+    assert chosen.record["parameters"]["regularisation_lambda"] == 0.25
     assert chosen.method.capture.white == 0.6
     assert "tuned at 40 dB for 40 dB" in chosen.record["parameters_from"]
     chosen = choose_method(measurement, Request(method="cls", tuned=tuned, noise_db=25, parameters={"pairwise": 2.0}))
-    assert chosen.record["parameters"] == {**DEFAULTS["cls"], "strength": 0.5, "pairwise": 2.0}
+    assert chosen.record["parameters"] == {**DEFAULTS["cls"], "regularisation_lambda": 0.5, "pairwise": 2.0}
     loose = tmp_path / "m.npy"
     np.save(loose, measurement.values)
     with pytest.raises(InputError, match=r"--noise-db: missing; .* was tuned at 20, 40 dB"):
@@ -142,7 +146,7 @@ def test_a_network_takes_the_exposure_of_the_samples_data_set_and_its_own_psfs(
     with torch.no_grad():
         expected = network(torch.from_numpy(values)[None])
         volume = network.inversion(torch.from_numpy(values)[None])
-    assert np.allclose(result.picture, expected.picture[0].clamp(0, 1).numpy(), rtol=0, atol=1e-6)  # float32
+    assert np.allclose(result.image, expected.image[0].clamp(0, 1).numpy(), rtol=0, atol=1e-6)  # float32
     assert result.volume is not None
     assert np.allclose(result.volume, volume[0].numpy() * np.float32(0.9), rtol=1e-5, atol=1e-6)
     assert np.isfinite(result.radiance).all()
@@ -198,7 +202,7 @@ def planar_scene(tmp_path: Path, channels: int) -> tuple[Path, Path, np.ndarray]
 
 @pytest.mark.parametrize("method", ["cls", "admm"])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_the_picture_of_one_psf_gives_a_picture_and_no_depth(tmp_path: Path, method: str, channels: int) -> None:
+def test_the_image_of_one_psf_gives_a_image_and_no_depth(tmp_path: Path, method: str, channels: int) -> None:
     path, psf, scene = planar_scene(tmp_path, channels)
     background = 1000 if channels == 1 else 0
     measurement = load_measurement(path, background=background)
@@ -206,7 +210,7 @@ def test_the_picture_of_one_psf_gives_a_picture_and_no_depth(tmp_path: Path, met
     result = reconstruct(measurement.values, setup.method, volume=True, white=setup.white)
     assert result.depth_m is None
     assert "percentile" in result.white_from
-    assert np.corrcoef(result.picture[0].ravel(), scene.ravel())[0, 1] > 0.9
+    assert np.corrcoef(result.image[0].ravel(), scene.ravel())[0, 1] > 0.9
     # Shown white is the 99.5th percentile of what is lit, by NumPy.
     assert result.white == pytest.approx(np.percentile(result.radiance[result.radiance > 0], 99.5), rel=1e-6)
     ratio = result.radiance[:, 16:24, 15:17].mean(axis=(1, 2))
@@ -219,13 +223,15 @@ def test_the_picture_of_one_psf_gives_a_picture_and_no_depth(tmp_path: Path, met
 def test_one_plane_is_inverted_by_the_shared_least_squares(tmp_path: Path) -> None:
     path, psf, _ = planar_scene(tmp_path, 1)
     measurement = load_measurement(path, background=1000)
-    setup = choose_method(measurement, Request(method="cls", stack=str(psf), parameters={"strength": 0.05}))
+    setup = choose_method(
+        measurement, Request(method="cls", stack=str(psf), parameters={"regularisation_lambda": 0.05})
+    )
     stack = setup.method.capture.stack
     assert float(stack.values.sum()) == pytest.approx(1, rel=1e-6)  # of a PSF whose exposure is unknown
     capture = plain_capture(stack, (40, 40))
-    expected = ConstrainedLeastSquares(capture, strength=0.05, floor=0.0)(torch.from_numpy(measurement.values)[None])[
-        0, 0, 0
-    ]
+    expected = ConstrainedLeastSquares(capture, regularisation_lambda=0.05, tikhonov=0.0)(
+        torch.from_numpy(measurement.values)[None]
+    )[0, 0, 0]
     found = reconstruct(measurement.values, setup.method).radiance[0]
     assert np.allclose(
         found, expected.numpy(), rtol=1e-4, atol=1e-5 * float(expected.max())
@@ -249,7 +255,7 @@ def test_a_stacks_folder_without_a_data_set_gives_depth_too(tmp_path: Path, tiny
     assert np.array_equal(read_exr(tmp_path / "out" / "depth.exr")[0]["Z"], result.depth_m)
     assert np.array_equal(read_exr(tmp_path / "out" / "picture.exr")[0]["B"], result.radiance[2])
     shown = np.asarray(Image.open(tmp_path / "out" / "picture.png"))
-    assert np.abs(shown - np.moveaxis(result.picture, 0, -1) * 255).max() <= 0.5 + 1e-4
+    assert np.abs(shown - np.moveaxis(result.image, 0, -1) * 255).max() <= 0.5 + 1e-4
     # The nearest depth is yellow, the farthest violet, in whole pixels: 240 rows are 15 for each.
     depth = np.asarray(Image.open(tmp_path / "out" / "depth.png"))
     assert depth.shape[0] == 240
@@ -277,7 +283,7 @@ def test_white_is_a_data_sets_only_where_the_cameras_numbers_are(
     plain = choose_method(loose, Request(method="cls", stack=str(tmp_path / "stack"), tuned=tuned, scene=(16, 16)))
     expected = typical_white(plain_capture(tiny_capture.stack, (48, 48), (16, 16)), values)
     assert plain.method.capture.white == pytest.approx(expected, rel=1e-12)
-    assert 0.1 < reconstruct(values, plain.method).picture.mean() < 0.9  # by a white of 1e4 it was black
+    assert 0.1 < reconstruct(values, plain.method).image.mean() < 0.9  # by a white of 1e4 it was black
     known = choose_method(loose, Request(method="cls", stack=str(tiny_dataset), tuned=tuned))
     assert known.method.capture.white == 1e4
 
@@ -289,9 +295,9 @@ def test_a_sample_and_its_measurement_as_a_file_give_the_same(tiny_dataset: Path
         choose_method(load_measurement(sample), Request(method="cls")),
         choose_method(load_measurement(tmp_path / "m.npy"), Request(method="cls", stack=str(tiny_dataset))),
     ]
-    assert setups[1].method.capture.white == measure_white(open_dataset(tiny_dataset, "train"))
+    assert setups[1].method.capture.white == measure_reference_white(open_dataset(tiny_dataset, "train"))
     one, other = (reconstruct(values, setup.method) for setup in setups)
-    assert np.array_equal(one.picture, other.picture)
+    assert np.array_equal(one.image, other.image)
     assert np.array_equal(one.radiance, other.radiance)
 
 
@@ -305,7 +311,7 @@ def test_a_measurement_without_light_is_refused_for_every_method(
             choose_method(load_measurement(tmp_path / "m.npy"), request)
 
 
-def test_the_picture_of_a_psf_is_cropped_and_binned_by_the_measurements_rule(tmp_path: Path) -> None:
+def test_the_image_of_a_psf_is_cropped_and_binned_by_the_measurements_rule(tmp_path: Path) -> None:
     path, psf, _ = planar_scene(tmp_path, 1)
     values = np.load(psf).astype(np.float64)
     measurement = load_measurement(path, background=1000, binning=2)
@@ -334,11 +340,13 @@ def test_parameters_for_one_plane_are_checked_too(tmp_path: Path) -> None:
     measurement = load_measurement(path, background=1000)
     for value in ("abc", True):
         with pytest.raises(InputError, match=rf"--set: strength of cls for one plane is {value!r}, expected a number"):
-            choose_method(measurement, Request(method="cls", stack=str(psf), parameters={"strength": value}))
+            choose_method(
+                measurement, Request(method="cls", stack=str(psf), parameters={"regularisation_lambda": value})
+            )
     with pytest.raises(InputError, match=r"--set: iterations of admm for one plane is 2.5, expected a whole number"):
         choose_method(measurement, Request(method="admm", stack=str(psf), parameters={"iterations": 2.5}))
-    whole = choose_method(measurement, Request(method="cls", stack=str(psf), parameters={"strength": 1}))
-    assert whole.record["parameters"] == {"strength": 1, "floor": 0.0}
+    whole = choose_method(measurement, Request(method="cls", stack=str(psf), parameters={"regularisation_lambda": 1}))
+    assert whole.record["parameters"] == {"regularisation_lambda": 1, "tikhonov": 0.0}
     tuned = write_tuned(tmp_path / "tuned.json", 0.5)
     with pytest.raises(InputError, match=r"--tuned: .*tuned.json is for depth, but these PSFs are of one"):
         choose_method(measurement, Request(method="cls", stack=str(psf), tuned=tuned))
@@ -364,13 +372,19 @@ def test_an_earlier_reconstruction_is_replaced_and_nothing_else(tmp_path: Path) 
         ({"checkpoint": "x", "method": "cls"}, "--checkpoint: a network brings its own PSFs"),
         ({"stack": "nominal"}, "--method: missing"),
         ({"method": "wiener"}, "--method: got 'wiener', expected cls or admm"),
-        ({"method": "cls", "stack": "nowhere"}, "--stack: nowhere is no picture of a PSF"),
-        ({"method": "cls", "parameters": {"tv": 1.0}}, "--set: got 'tv', expected a parameter of cls: strength"),
+        ({"method": "cls", "stack": "nowhere"}, "--stack: nowhere is not an image of a PSF"),
+        (
+            {"method": "cls", "parameters": {"tv": 1.0}},
+            "--set: got 'tv', expected a parameter of cls: regularisation_lambda",
+        ),
         ({"method": "cls", "noise_db": 30.0}, "--noise-db: chooses among tuned parameters; add --tuned"),
-        ({"method": "cls", "parameters": {"strength": "abc"}}, "--set: strength of cls is 'abc', expected a number"),
+        (
+            {"method": "cls", "parameters": {"regularisation_lambda": "abc"}},
+            "--set: strength of cls is 'abc', expected a number",
+        ),
         ({"method": "admm", "parameters": {"iterations": 2.5}}, "--set: iterations of admm is 2.5, expected a whole"),
-        ({"method": "cls", "psf_crop": "8x8"}, "--psf-crop: is for the picture of a PSF"),
-        ({"method": "cls", "psf_background": "0"}, "--psf-background: is for the picture of a PSF"),
+        ({"method": "cls", "psf_crop": "8x8"}, "--psf-crop: is for the image of a PSF"),
+        ({"method": "cls", "psf_background": "0"}, "--psf-background: is for the image of a PSF"),
         ({"method": "cls", "scene": (8, 8)}, "--scene: got 8 x 8, the data set's scenes have 16 x 16"),
         ({"method": "cls", "tuned": Path("nowhere.json")}, "cannot read nowhere.json"),
     ],
@@ -399,7 +413,7 @@ def test_a_camera_that_does_not_fit_is_refused_with_the_cure(
     ):
         chosen((48, 48), checkpoint=str(checkpoint))
     with pytest.raises(
-        InputError, match=r"--stack: got nothing, but .*m.npy is no sample of a data set; give the PSFs"
+        InputError, match=r"--stack: got nothing, but .*m.npy is not a sample of a data set; give the PSFs"
     ):
         chosen((3, 48, 48), method="cls")
     grey = PsfStack(np.asarray(tiny_capture.stack.values)[:, :1], tiny_capture.stack.depths_m, 2e-5, ("Y",), "0" * 64)
@@ -425,7 +439,9 @@ def test_one_plane_only(tiny_capture: CaptureModel) -> None:
     capture = plain_capture(stack, (8, 8))
     with pytest.raises(InputError, match="method: got 'wiener', expected one of cls, admm"):
         PlanarMethod(capture, "wiener", {})
-    with pytest.raises(InputError, match="--set: got 'tv', expected a parameter of cls for one plane: strength"):
+    with pytest.raises(
+        InputError, match="--set: got 'tv', expected a parameter of cls for one plane: regularisation_lambda"
+    ):
         PlanarMethod(capture, "cls", {"tv": 1})
     estimate = PlanarMethod(capture, "cls", {}).reconstruct(torch.ones(2, 3, 8, 8))
-    assert (tuple(estimate.picture.shape), tuple(estimate.disparity.shape)) == ((2, 3, 8, 8), (2, 1, 8, 8))
+    assert (tuple(estimate.image.shape), tuple(estimate.disparity.shape)) == ((2, 3, 8, 8), (2, 1, 8, 8))

@@ -16,12 +16,12 @@ from torch import Tensor
 from learning.camera import CaptureModel
 from learning.config import TuneConfig, load_file
 from learning.data import Example
-from learning.method import Estimate, encode
+from learning.method import Estimate, linear_to_srgb
 from learning.metrics import depth_scores, psnr
 from learning.tune import Tunable, job, load_tuned, tune
 from learning.tune.job import Errors, Score, classical, table, tune_file
 from learning.tune.search import Axis, Parameters, coordinate_search
-from learning.tune.study import TuningBook
+from learning.tune.study import Study
 from simulator.dataset.manifest import load_manifest
 from simulator.dataset.plain import canonical_json
 from simulator.errors import InputError
@@ -45,11 +45,11 @@ class Truth:
         depth_m = torch.from_numpy(1 / rng.uniform(1 / 0.2, 1 / 0.01, (SCENES, 1, 8, 8)).astype(np.float32))
         valid = torch.ones_like(depth_m, dtype=torch.bool)
         self.example = Example(torch.zeros(SCENES, 3, 8, 8), radiance, depth_m, valid)
-        self.picture, self.disparity = encode(radiance, capture.white), capture.disparity(depth_m)
+        self.image, self.disparity = linear_to_srgb(radiance, capture.white), capture.disparity(depth_m)
         self.volumes = self.estimates = 0
 
     def tunable(self, optimum: Parameters) -> Tunable:
-        """Return a method with the least error at ``optimum``; ``strength`` decides its volume, ``window`` what follows."""
+        """Return a method with the least error at ``optimum``; lambda decides its volume, ``window`` what follows."""
         truth = self
 
         class Fake:
@@ -58,7 +58,9 @@ class Truth:
 
             def volume(self, measurement: Tensor) -> Tensor:
                 truth.volumes += len(measurement)
-                error = 0.05 + 0.1 * steps(self.parameters["strength"], float(optimum["strength"]))
+                error = 0.05 + 0.1 * steps(
+                    self.parameters["regularisation_lambda"], float(optimum["regularisation_lambda"])
+                )
                 return measurement[:, :1, None] + error  # a scene's own number, then the error
 
             def estimate(self, volume: Tensor) -> Estimate:
@@ -67,15 +69,15 @@ class Truth:
                 error = volume.flatten(1)[:, 0] - scenes
                 wrong = 0.1 * steps(self.parameters["window"], float(optimum["window"]))
                 blur = (error + wrong)[:, None, None, None]
-                grey, middle = truth.picture.mean(), truth.disparity.mean()
+                grey, middle = truth.image.mean(), truth.disparity.mean()
                 return Estimate(
-                    truth.picture[scenes] * (1 - blur) + grey * blur,
+                    truth.image[scenes] * (1 - blur) + grey * blur,
                     truth.disparity[scenes] * (1 - blur) + middle * blur,
                 )
 
-        space = {"strength": Axis((1e-3, 1e-2, 1e-1)), "window": Axis((1, 10, 100), low=1)}
-        defaults: Parameters = {"strength": 1e-2, "window": 1, "smoothness": 0.5}
-        return Tunable("fake", Fake, defaults, space, frozenset({"strength"}))
+        space = {"regularisation_lambda": Axis((1e-3, 1e-2, 1e-1)), "window": Axis((1, 10, 100), low=1)}
+        defaults: Parameters = {"regularisation_lambda": 1e-2, "window": 1, "smoothness": 0.5}
+        return Tunable("fake", Fake, defaults, space, frozenset({"regularisation_lambda"}))
 
     def measurements(self) -> dict[float, Tensor]:
         """Return measurements that say which scene they are of."""
@@ -92,34 +94,36 @@ def score(truth: Truth, tiny_capture: CaptureModel) -> Score:
     return Score("both", truth.example, tiny_capture)
 
 
-@pytest.mark.parametrize("optimum", [{"strength": 1e-1, "window": 10}, {"strength": 1e2, "window": 1000}])
+@pytest.mark.parametrize(
+    "optimum", [{"regularisation_lambda": 1e-1, "window": 10}, {"regularisation_lambda": 1e2, "window": 1000}]
+)
 def test_a_known_optimum_is_found_also_beyond_the_lists_and_volumes_are_reused(
     truth: Truth, score: Score, tmp_path: Path, optimum: Parameters
 ) -> None:
-    book = TuningBook(tmp_path / "tuned.json", {"data": "x"}, {})
-    tune([truth.tunable(optimum)], truth.measurements(), score, book)
+    study = Study(tmp_path / "tuned.json", {"data": "x"}, {})
+    tune([truth.tunable(optimum)], truth.measurements(), score, study)
     tuned = load_tuned(tmp_path / "tuned.json")
     for level in LEVELS:
         parameters, used = tuned.parameters("fake", level + 3)
         assert parameters == {**optimum, "smoothness": 0.5}
         assert used == level
-    # One volume for each strength and level: all trials that differ in the window only take them from before.
-    strengths = {(t["noise_db"], t["parameters"]["strength"]) for t in book.trials}
+    # One volume for each regularisation_lambda and level: all trials that differ in the window only take them from before.
+    strengths = {(t["noise_db"], t["parameters"]["regularisation_lambda"]) for t in study.trials}
     assert truth.volumes == SCENES * len(strengths)
-    assert truth.estimates == SCENES * len(book.trials)
-    assert sum(t["volume_reused"] for t in book.trials) == len(book.trials) - len(strengths)
-    for result in book.results:
+    assert truth.estimates == SCENES * len(study.trials)
+    assert sum(t["volume_reused"] for t in study.trials) == len(study.trials) - len(strengths)
+    for result in study.results:
         assert result["converged"]
         assert result["at_limit"] == []
-        assert result["score"] == min(t["score"] for t in book.trials if t["noise_db"] == result["noise_db"])
+        assert result["score"] == min(t["score"] for t in study.trials if t["noise_db"] == result["noise_db"])
     # The second level begins where the first ended.
-    counts = [sum(t["noise_db"] == level for t in book.trials) for level in LEVELS]
+    counts = [sum(t["noise_db"] == level for t in study.trials) for level in LEVELS]
     assert counts[0] < counts[1]
 
 
 def test_a_run_that_dies_goes_on_and_tries_nothing_twice(truth: Truth, score: Score, tmp_path: Path) -> None:
-    optimum: Parameters = {"strength": 1.0, "window": 100}
-    whole = TuningBook(tmp_path / "whole.json", {"data": "x"}, {})
+    optimum: Parameters = {"regularisation_lambda": 1.0, "window": 100}
+    whole = Study(tmp_path / "whole.json", {"data": "x"}, {})
     tune([truth.tunable(optimum)], truth.measurements(), score, whole)
 
     class DiedError(Exception):
@@ -135,36 +139,36 @@ def test_a_run_that_dies_goes_on_and_tries_nothing_twice(truth: Truth, score: Sc
 
     path = tmp_path / "tuned.json"
     with pytest.raises(DiedError):
-        tune([truth.tunable(optimum)], truth.measurements(), score, TuningBook(path, {"data": "x"}, {}), progress=dying)
+        tune([truth.tunable(optimum)], truth.measurements(), score, Study(path, {"data": "x"}, {}), progress=dying)
     done = load_tuned(path).content["trials"]
     assert 0 < len(done) <= 7
     with pytest.raises(InputError, match=r"tuned.json: got the method 'fake', expected one that was tuned \(none\)"):
         load_tuned(path).parameters("fake", 20)
 
     estimates = truth.estimates
-    book = TuningBook(path, {"data": "x"}, {})
-    tune([truth.tunable(optimum)], truth.measurements(), score, book)
+    study = Study(path, {"data": "x"}, {})
+    tune([truth.tunable(optimum)], truth.measurements(), score, study)
     assert truth.estimates - estimates == SCENES * (len(whole.trials) - len(done))
-    assert [t["parameters"] for t in book.trials] == [t["parameters"] for t in whole.trials]
-    assert [r["parameters"] for r in book.results] == [r["parameters"] for r in whole.results]
+    assert [t["parameters"] for t in study.trials] == [t["parameters"] for t in whole.trials]
+    assert [r["parameters"] for r in study.results] == [r["parameters"] for r in whole.results]
 
     estimates, before = truth.estimates, path.read_bytes()
-    tune([truth.tunable(optimum)], truth.measurements(), score, TuningBook(path, {"data": "x"}, {}))
-    assert truth.estimates == estimates  # finished: only the book is read
+    tune([truth.tunable(optimum)], truth.measurements(), score, Study(path, {"data": "x"}, {}))
+    assert truth.estimates == estimates  # finished: only the study is read
     assert path.read_bytes() == before
 
 
 def test_a_book_of_other_data_is_refused_and_kept(tmp_path: Path) -> None:
     path = tmp_path / "tuned.json"
-    book = TuningBook(path, {"data": "x", "seed": 0}, {})
-    book.add_trial({"method": "cls", "noise_db": 20.0, "parameters": {"a": 1.0}, "score": float("inf")})
+    study = Study(path, {"data": "x", "seed": 0}, {})
+    study.add_trial({"method": "cls", "noise_db": 20.0, "parameters": {"a": 1.0}, "score": float("inf")})
     before = path.read_bytes()
     with pytest.raises(
         InputError, match=r"tuned.json holds trials of other data or settings: seed was 0, is now 1; .*delete"
     ):
-        TuningBook(path, {"data": "x", "seed": 1}, {})
+        Study(path, {"data": "x", "seed": 1}, {})
     assert path.read_bytes() == before
-    assert float(TuningBook(path, {"data": "x", "seed": 0}, {}).trials[0]["score"]) == float("inf")
+    assert float(Study(path, {"data": "x", "seed": 0}, {}).trials[0]["score"]) == float("inf")
 
 
 @pytest.mark.parametrize(
@@ -172,7 +176,7 @@ def test_a_book_of_other_data_is_refused_and_kept(tmp_path: Path) -> None:
     [
         (None, "cannot read .*tuned.json: No such file.*flatlight tune"),
         ("{", "is damaged or no result"),
-        ("[]", "is no result of `flatlight tune`"),
+        ("[]", "is not a result of `flatlight tune`"),
         ('{"format": "flatlight tuned", "version": 99}', "has version 99, expected 1"),
         ('{"format": "flatlight tuned", "version": 1, "identity": {}, "trials": []}', "damaged: results is missing"),
         (
@@ -189,7 +193,7 @@ def test_files_that_are_no_book_are_refused(tmp_path: Path, content: str | None,
         load_tuned(path)
 
 
-@pytest.mark.parametrize(("objective", "at_constant"), [("both", 2.0), ("picture", 1.0), ("depth", 1.0)])
+@pytest.mark.parametrize(("objective", "at_constant"), [("both", 2.0), ("image", 1.0), ("depth", 1.0)])
 def test_the_score_is_in_units_of_the_constant_guess(
     truth: Truth, tiny_capture: CaptureModel, objective: Any, at_constant: float
 ) -> None:
@@ -201,9 +205,9 @@ def test_the_score_is_in_units_of_the_constant_guess(
     assert score.constant.depth_rmse_cm == pytest.approx(spread_cm, rel=1e-5)  # float32 on the way
     half = Errors(score.constant.psnr_db + 20 * np.log10(2), score.constant.depth_rmse_cm / 2)
     assert score(half) == pytest.approx(at_constant / 2, rel=1e-12)
-    perfect = score.errors([Estimate(truth.picture * 1.0, truth.disparity + 0.0)])
-    assert score.objective == "picture" or perfect.depth_rmse_cm < 1e-4
-    broken = Estimate(truth.picture * float("nan"), truth.disparity * float("nan"))
+    perfect = score.errors([Estimate(truth.image * 1.0, truth.disparity + 0.0)])
+    assert score.objective == "image" or perfect.depth_rmse_cm < 1e-4
+    broken = Estimate(truth.image * float("nan"), truth.disparity * float("nan"))
     assert score(score.errors([broken])) == float("inf")
 
 
@@ -214,10 +218,10 @@ def test_depth_counts_where_something_was_seen_as_in_evaluations(truth: Truth, t
     example = truth.example._replace(valid=valid)
     score = Score("both", example, tiny_capture)
     wrong = torch.where(valid, truth.disparity, 1.0)
-    assert score.errors([Estimate(truth.picture, wrong)]).depth_rmse_cm < 1e-4  # float32 disparities
-    guess = Estimate(truth.picture * 0.5, (truth.disparity + 0.1).clamp(0, 1))
+    assert score.errors([Estimate(truth.image, wrong)]).depth_rmse_cm < 1e-4  # float32 disparities
+    guess = Estimate(truth.image * 0.5, (truth.disparity + 0.1).clamp(0, 1))
     found = score.errors([Estimate(*(values[:2] for values in guess)), Estimate(*(values[2:] for values in guess))])
-    assert found.psnr_db == pytest.approx(float(psnr(guess.picture, truth.picture).mean()), rel=1e-6)
+    assert found.psnr_db == pytest.approx(float(psnr(guess.image, truth.image).mean()), rel=1e-6)
     by_evaluation = depth_scores(guess, example, tiny_capture, valid).depth_rmse_cm
     assert found.depth_rmse_cm == pytest.approx(float(by_evaluation.nanmean()), rel=1e-6)
     # The constant guess by NumPy: the mean depth of valid pixels, its error over them.
@@ -230,8 +234,8 @@ def test_depth_counts_where_something_was_seen_as_in_evaluations(truth: Truth, t
 def test_lines_and_table_say_when_nothing_was_learned(truth: Truth, score: Score, tmp_path: Path) -> None:
     lines: list[str] = []
     constant = {"psnr_db": score.constant.psnr_db, "depth_rmse_cm": score.constant.depth_rmse_cm}
-    book = TuningBook(tmp_path / "tuned.json", {}, {"constant_guess": constant})
-    good = truth.tunable({"strength": 1e-2, "window": 1})
+    study = Study(tmp_path / "tuned.json", {}, {"constant_guess": constant})
+    good = truth.tunable({"regularisation_lambda": 1e-2, "window": 1})
 
     class Guess:
         def volume(self, measurement: Tensor) -> Tensor:
@@ -241,25 +245,33 @@ def test_lines_and_table_say_when_nothing_was_learned(truth: Truth, score: Score
             scenes = volume.flatten(1)[:, 0].long()
             return Estimate(torch.zeros(len(scenes), 3, 8, 8), truth.disparity[scenes])
 
-    picture_only = Tunable(
-        "guess", lambda _: Guess(), {"strength": 1.0}, {"strength": Axis((1.0,), high=1)}, frozenset()
+    image_only = Tunable(
+        "guess",
+        lambda _: Guess(),
+        {"regularisation_lambda": 1.0},
+        {"regularisation_lambda": Axis((1.0,), high=1)},
+        frozenset(),
     )
-    tune([good, picture_only], {40.0: truth.measurements()[40.0]}, score, book, say=lines.append)
+    tune([good, image_only], {40.0: truth.measurements()[40.0]}, score, study, say=lines.append)
     psnr_db, depth_cm = (f"{constant[name]:.2f}" for name in ("psnr_db", "depth_rmse_cm"))
     assert f"(constant guess {psnr_db}), depth RMSE" in lines[0]
     assert f" cm ({depth_cm}), score 0." in lines[0]
     assert "no better" not in lines[0]
-    assert lines[1].endswith("; picture no better than a constant guess; at its limit: strength")
+    assert lines[1].endswith("; image no better than a constant guess; at its limit: regularisation_lambda")
     rows = table(load_tuned(tmp_path / "tuned.json").content).splitlines()
     assert [row.split()[0] for row in rows] == ["method", "fake", "guess", "constant"]
-    assert rows[2].endswith("strength 1; picture no better than a constant guess; at its limit: strength")
+    assert rows[2].endswith(
+        "regularisation_lambda 1; image no better than a constant guess; at its limit: regularisation_lambda"
+    )
     assert rows[3].split()[-2:] == [psnr_db, depth_cm]
 
 
 def test_the_search_of_a_classical_method_ends_at_limits_that_mean_something(
     tiny_capture: CaptureModel, tmp_path: Path
 ) -> None:
-    path = write_config(tmp_path, tmp_path, search={"cls": {"strength": {"values": [1.0]}, "pairwise": {"high": 5000}}})
+    path = write_config(
+        tmp_path, tmp_path, search={"cls": {"regularisation_lambda": {"values": [1.0]}, "pairwise": {"high": 5000}}}
+    )
     config = load_file(TuneConfig, path)
     for name in ("cls", "admm"):
         axes = classical(tiny_capture, name, config, torch.device("cpu")).space
@@ -267,11 +279,15 @@ def test_the_search_of_a_classical_method_ends_at_limits_that_mean_something(
             assert not axis.is_number or np.isfinite(axis.high), parameter
         assert axes["window_px"].high == 8  # half of 16 pixels
     space = classical(tiny_capture, "cls", config, torch.device("cpu")).space
-    assert (space["strength"].high, space["pairwise"].high) == (100, 5000)
+    assert (space["regularisation_lambda"].high, space["pairwise"].high) == (100, 5000)
     # A score that improves for ever ends at the limit, and says so.
-    found = coordinate_search({"strength": space["strength"]}, [{"strength": 1.0}], lambda p: 1 / float(p["strength"]))
-    assert found.parameters == {"strength": 100}
-    assert found.at_limit == ("strength",)
+    found = coordinate_search(
+        {"regularisation_lambda": space["regularisation_lambda"]},
+        [{"regularisation_lambda": 1.0}],
+        lambda p: 1 / float(p["regularisation_lambda"]),
+    )
+    assert found.parameters == {"regularisation_lambda": 100}
+    assert found.at_limit == ("regularisation_lambda",)
 
 
 def write_config(folder: Path, dataset: Path, **changes: Any) -> Path:
@@ -295,8 +311,8 @@ def test_a_file_is_tuned_on_noise_of_its_level_and_says_what_it_used(tiny_datase
             return measurement[:, None, :, :16, :16]
 
         def estimate(self, volume: Tensor) -> Estimate:
-            picture = torch.full((len(volume), 3, 16, 16), self.level)
-            return Estimate(picture, picture[:, :1])
+            image = torch.full((len(volume), 3, 16, 16), self.level)
+            return Estimate(image, image[:, :1])
 
     def tunables(capture: CaptureModel) -> list[Tunable]:
         captures.append(capture)
@@ -373,6 +389,8 @@ def test_files_that_make_no_sense_are_refused(
 
 
 def test_a_parameter_that_the_method_lacks_is_refused(truth: Truth) -> None:
-    tunable = truth.tunable({"strength": 1.0, "window": 10})
-    with pytest.raises(InputError, match=r"search\.fake: got 'tv', expected one of strength, window, smoothness"):
+    tunable = truth.tunable({"regularisation_lambda": 1.0, "window": 10})
+    with pytest.raises(
+        InputError, match=r"search\.fake: got 'tv', expected one of regularisation_lambda, window, smoothness"
+    ):
         Tunable("fake", tunable.build, tunable.defaults, {"tv": Axis((1.0,))}, frozenset())
