@@ -108,7 +108,7 @@ def reconstruct(
         int | None, typer.Option(help="the sensor's bit depth, where the file's type is wider, e.g. 12 in 16 bit files")
     ] = None,
     background: Annotated[
-        str | None, typer.Option(help="to subtract: a number in the file's units, or a image of darkness")
+        str | None, typer.Option(help="to subtract: a number in the file's units, or an image of darkness")
     ] = None,
     psf_background: Annotated[
         str | None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -15,23 +15,10 @@ from simulator.config.load import ConfigError
 from simulator.config.overrides import apply_overrides
 from simulator.config.yaml_loader import read_yaml
 from simulator.errors import InputError
-from simulator.validation import find_problems, show, validate
+from simulator.validation import Problem, find_problems, show, validate
 
 
-class LearningSection(Section):
-    """A section that says what its keys of earlier versions are called now."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_old_keys(cls, data: Any) -> Any:
-        for old, new in RENAMED.items():
-            if isinstance(data, dict) and old in data and new in cls.model_fields:
-                text = f"{old} is called {new} now"
-                raise refusal(text, old, on_key=True)
-        return data
-
-
-class FileSection(LearningSection):
+class FileSection(Section):
     """The whole of a YAML file; relative paths in it are taken from its folder."""
 
     _base_dir: Path = PrivateAttr(default_factory=Path.cwd)
@@ -74,12 +61,25 @@ def load_file(model: type[Model], path: Path | str, overrides: Sequence[str] = (
         msg = f"{path}:1:1: expected a mapping of keys to values, got {show(document.data)}"
         raise InputError(msg)
     data, origins = apply_overrides(document, overrides, str(path))
+    if old := list(_old_names(data)):
+        raise ConfigError(old, origins)
     try:
         loaded = validate(model, data)
     except ValidationError as error:
         raise ConfigError(find_problems(error, model, data), origins) from error
     loaded._base_dir = path.resolve().parent
     return loaded
+
+
+def _old_names(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[Problem]:
+    """Yield the keys of earlier versions, each with its name of today."""
+    parts = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in parts:
+        if key in RENAMED:
+            yield Problem((*path, key), f"it is called {RENAMED[key]} now", on_key=True)
+        elif (*path, key, value) == ("objective", "picture"):
+            yield Problem((key,), "picture is called image now")
+        yield from _old_names(value, (*path, key))
 
 
 Weight = Annotated[float, Range(0, 1e6, below="a weight is not negative")]
@@ -119,7 +119,7 @@ class DataConfig(Section):
         return self
 
 
-class NetworkConfig(LearningSection):
+class NetworkConfig(Section):
     """Which network, and how big: a size, and what differs from it."""
 
     name: Literal["flatnet3d", "flatnet2d"] = Field(
@@ -420,14 +420,6 @@ class TuneConfig(FileSection):
     )
     seed: Annotated[int, Range(0, 2**63 - 1)] = Field(0, description="of the noise")
     device: Literal["auto", "cpu", "cuda"] = Field("auto", description="auto takes a GPU where there is one")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_old_objective(cls, data: Any) -> Any:
-        if isinstance(data, dict) and data.get("objective") == "picture":
-            text = "picture is called image now"
-            raise refusal(text, "objective")
-        return data
 
     @model_validator(mode="after")
     def _check_search(self) -> TuneConfig:

@@ -99,7 +99,7 @@ def psnr(image: Tensor, truth: Tensor) -> Tensor:
 
 
 def image_scores(image: NDArray[np.float32], truth: NDArray[np.float32]) -> dict[str, float]:
-    """Return ``ssim`` and ``flip`` of a image ``(h, w, 3)``, sRGB codes 0..1, float32."""
+    """Return ``ssim`` and ``flip`` of an image ``(h, w, 3)``, sRGB codes 0..1, float32."""
     similarity = structural_similarity(
         truth.astype(np.float64),
         image.astype(np.float64),

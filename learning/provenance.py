@@ -37,7 +37,7 @@ def renamed(value: Any) -> Any:
 
 def now_called(key: str, known: Container[str]) -> str:
     """Return the end of a message about an unknown key: its name of today where it had another one, else nothing."""
-    return f"; {key} is called {RENAMED[key]} now" if RENAMED.get(key) in known else ""
+    return f"; {key} is called {RENAMED[key]} now" if key in RENAMED and RENAMED[key] in known else ""
 
 
 def is_own_folder(folder: Path, description: str, kind: str, option: str = "output") -> bool:

@@ -133,7 +133,7 @@ def load_measurement(
             grey or RGB, ``(H, W)`` or ``(C, H, W)`` in ``.npy``.
         bits: the numbers are divided by 2^bits. None takes unsigned integers by their type (8, 16 or 32 bits) and floats as
             shares already.
-        background: what the sensor shows without light, in the file's numbers: one number, or a image's path.
+        background: what the sensor shows without light, in the file's numbers: one number, or an image's path.
         crop: ``ROWSxCOLUMNS`` about the centre, or ``ROWSxCOLUMNS+TOP+LEFT``, in the file's pixels.
         binning: pixels per side whose mean becomes one.
 
@@ -184,9 +184,11 @@ def _sample_folder(path: Path) -> Path | None:
         return folder
     if path.is_dir():
         what = (
-            "a data set: give one of its samples" if (path / FILE).is_file() else f"no sample: it has no {DESCRIPTION}"
+            "a data set: give one of its samples"
+            if (path / FILE).is_file()
+            else f"not a sample: it has no {DESCRIPTION}"
         )
-        msg = f"{path} is {what}, e.g. train/0000/s00000000, or a image's file"
+        msg = f"{path} is {what}, e.g. train/0000/s00000000, or an image's file"
         raise InputError(msg)
     return None
 
@@ -226,7 +228,7 @@ def _dark(background: str | float, values: NDArray[Any], path: Path) -> tuple[ND
         image = Path(str(background))
     else:
         if not np.isfinite(level):
-            msg = f"background: got {background}, expected a finite number in the file's units, or a image"
+            msg = f"background: got {background}, expected a finite number in the file's units, or an image"
             raise InputError(msg)
         return level, f"{level:g}"
     dark, _ = _channels_first(image)
@@ -254,7 +256,7 @@ def load_psf_image(
     Args:
         path: a linear image; see `simulator.optics.measured_files.read_measurement`.
         channels: of the measurement.
-        background: ``border`` (also None), the median of the cropped image's outer frame; ``none``; counts; or a image
+        background: ``border`` (also None), the median of the cropped image's outer frame; ``none``; counts; or an image
             of darkness, of the same size before the crop.
         crop: see `crop_window`; the PSF's origin is the centre of what is left.
         binning: pixels per side that become one.

@@ -1,4 +1,4 @@
-"""From nothing to a image by the commands alone: generate, train, evaluate, reconstruct; the numbers agree."""
+"""From nothing to an image by the commands alone: generate, train, evaluate, reconstruct; the numbers agree."""
 
 from __future__ import annotations
 
@@ -43,6 +43,7 @@ def scores(folder: Path, stored: Any, white: float) -> tuple[float, float]:
     return -10 * np.log10(np.mean((found.astype(np.float64) - truth) ** 2)), 100 * np.sqrt(squares.mean())
 
 
+@pytest.mark.slow
 def test_generate_train_evaluate_reconstruct(
     learning_trial: Any, flatlight: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

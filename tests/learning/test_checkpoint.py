@@ -230,10 +230,10 @@ def test_refuses_pickles_without_opening_them(tmp_path):
 
     path = tmp_path / "trap.pt"
     path.write_bytes(pickle.dumps(Trap()))
-    with pytest.raises(InputError, match="no checkpoint"):
+    with pytest.raises(InputError, match="not a checkpoint"):
         load_checkpoint(path)
     torch.save({"network": Trap()}, path)
-    with pytest.raises(InputError, match="no checkpoint"):
+    with pytest.raises(InputError, match="not a checkpoint"):
         load_checkpoint(path)
     assert not (tmp_path / "sprung").exists()
 
@@ -241,7 +241,7 @@ def test_refuses_pickles_without_opening_them(tmp_path):
 def test_refuses_other_safetensors_files(tmp_path):
     path = tmp_path / "other.safetensors"
     safetensors.torch.save_file({"a": torch.ones(2)}, path, {"format": "pt"})
-    with pytest.raises(InputError, match="is a safetensors file, but no Flatlight checkpoint"):
+    with pytest.raises(InputError, match="is a safetensors file, but not a Flatlight checkpoint"):
         load_checkpoint(path)
 
 

@@ -20,7 +20,7 @@ import torch
 from scipy import stats
 from torch.utils.data import DataLoader, default_collate
 
-from learning.data import Arrays, Batches, Draw, Example, ExampleSet, SampleCache, check_dataset
+from learning.data import Arrays, Batches, Draw, Example, ExampleSet, Loader, SampleCache, check_dataset
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.exr import read_exr, write_exr
@@ -437,3 +437,29 @@ def test_ranks_share_each_batch(world_size: int) -> None:
 def test_numbers_that_make_no_sense_are_refused(changes: dict[str, int], words: str) -> None:
     with pytest.raises(InputError, match=words):
         Batches(**{"length": 10, "batch": 4, "seed": 0} | changes)
+
+
+def test_workers_end_with_their_loader_and_hand_over_bad_input_as_it_is(tiny_dataset: Path) -> None:
+    examples = ExampleSet(open_dataset(tiny_dataset, "train"))
+    before = set(multiprocessing.active_children())
+    loader = Loader(examples, [[0, 1], [2, len(examples)]], 2)
+    batches = iter(loader)
+    assert torch.equal(next(batches).measurement[1], examples[1].measurement)
+    workers = set(multiprocessing.active_children()) - before
+    assert len(workers) == 2
+    loader.close()
+    assert not any(worker.is_alive() for worker in workers)
+
+    bad = ExampleSet(open_dataset(tiny_dataset, "train"))
+    bad._read = refused  # pyright: ignore[reportAttributeAccessIssue]
+    loader = Loader(bad, [[0]], 1)
+    with pytest.raises(InputError) as error:  # whose traceback refers to the loader's iterator
+        next(iter(loader))
+    loader.close()
+    assert str(error.value) == "sample 0 is damaged"
+    assert set(multiprocessing.active_children()) <= before
+
+
+def refused(position: int) -> Any:
+    msg = f"sample {position} is damaged"
+    raise InputError(msg)

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 import pytest
+import yaml
 
 import learning
+from learning.checkpoint import load_checkpoint, shipped_checkpoints
+from learning.classical.method import DEFAULTS, check_parameters
+from learning.config import TrainConfig, TuneConfig, load_file
 from learning.evaluate.report import claim_folder, remove_stale
 from learning.provenance import code_fingerprint
+from learning.tune.study import load_tuned
 from simulator.errors import InputError
 
 
@@ -73,3 +80,47 @@ def test_all_that_is_imported_decides(
 def test_a_module_that_is_none_is_refused() -> None:
     with pytest.raises(ModuleNotFoundError, match=r"learning\.gone"):
         code_fingerprint("learning.gone")
+
+
+@pytest.mark.parametrize(
+    ("model", "content", "place"),
+    [
+        (
+            TrainConfig,
+            {"name": "a", "output": "o", "data": {"train": "d"}, "steps": 1, "start": "x"},
+            "start.*init_from",
+        ),
+        (
+            TrainConfig,
+            {"name": "a", "output": "o", "data": {"train": "d"}, "steps": 1, "network": {"strength": 0.1}},
+            "network.strength.*regularisation_lambda",
+        ),
+        (TuneConfig, {"data": {"validation": "d"}, "objective": "picture"}, "objective.*image"),
+    ],
+)
+def test_old_keys_of_files_are_refused_with_the_new_name(
+    tmp_path: Path, model: Any, content: dict[str, Any], place: str
+) -> None:
+    path = tmp_path / "old.yaml"
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(InputError, match=place):
+        load_file(model, path)
+
+
+def test_what_earlier_versions_wrote_is_read_with_the_new_names(tmp_path: Path) -> None:
+    for path in shipped_checkpoints().values():
+        checkpoint = load_checkpoint(path)
+        assert {"regularisation_lambda", "tikhonov", "strength", "floor"} & checkpoint.architecture.keys() <= {
+            "regularisation_lambda",
+            "tikhonov",
+        }
+    result = {"method": "cls", "noise_db": 40.0, "parameters": {"strength": 0.3, "floor": 1.0}, "score": 1.0}
+    content = {"format": "flatlight tuned", "version": 1, "identity": {}, "trials": [], "results": [result]}
+    (tmp_path / "tuned.json").write_text(json.dumps(content))
+    parameters, _ = load_tuned(tmp_path / "tuned.json").parameters("cls", 30.0)
+    assert parameters == {"regularisation_lambda": 0.3, "tikhonov": 1.0}
+
+
+def test_an_old_parameter_is_refused_with_the_new_name() -> None:
+    with pytest.raises(InputError, match=r"'strength'.*regularisation_lambda"):
+        check_parameters({"strength": 0.1}, DEFAULTS["cls"], "cls")

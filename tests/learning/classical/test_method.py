@@ -134,15 +134,15 @@ def test_the_number_of_labels_and_the_unit_do_not_change_what_pairwise_means(tin
         (
             "cls",
             {"tv": 0.1},
-            "parameters: got 'tv', which cls does not have; expected some of regularisation_lambda, tikhonov, cost",
+            "parameters: got 'tv', expected a parameter of cls",
         ),
         (
             "cls",
             {"regularisation_lambda": "much"},
-            "parameters: cls's regularisation_lambda is 'much', expected a number such as",
+            "parameters: regularisation_lambda of cls is 'much', expected a number",
         ),
-        ("admm", {"iterations": 10.5}, "parameters: admm's iterations is 10.5, expected a whole number such as"),
-        ("cls", {"measure": 3}, "parameters: cls's measure is 3, expected a word such as"),
+        ("admm", {"iterations": 10.5}, "parameters: iterations of admm is 10.5, expected a whole number"),
+        ("cls", {"measure": 3}, "parameters: measure of cls is 3, expected a word"),
         ("cls", {"measure": "edges"}, "measure: got 'edges', expected one of gradient"),
         ("cls", {"cost": "best"}, "cost: got 'best', expected one of defocus"),
         ("cls", {"light": "all"}, "light: got 'all', expected one of label"),
@@ -160,7 +160,7 @@ def test_refuses_parameters_that_make_no_sense(tiny_capture, name, parameters, m
 
 def test_refuses_other_measurements_and_nan(tiny_capture, measurement):
     method = build_classical(tiny_capture, "cls")
-    with pytest.raises(InputError, match=r"measurement: got shape \(2, 3, 48, 40\), expected \(B, 3, 48, 48\)"):
+    with pytest.raises(InputError, match=r"measurement: got shape \(2, 3, 48, 40\)"):
         method.reconstruct(measurement[..., :40])
     measurement[1, 0, 0, 0] = torch.nan
     with pytest.raises(InputError, match="NaN or infinite"):

@@ -206,7 +206,7 @@ def test_what_is_finished_is_kept_and_what_changed_is_done_anew(
     (tmp_path / "out" / "noise.png").write_bytes(b"of a run with other settings")
     evaluate(load())
     assert not (tmp_path / "out" / "noise.png").exists()
-    with pytest.raises(InputError, match=r"holds the evaluation 'trial', this one is 'another'"):
+    with pytest.raises(InputError, match=r"holds the evaluation 'trial', not 'another'"):
         evaluate(load(name="another"))
     evaluate(load(noise_db=[30]))  # an extended evaluation does only what is new
     assert scored[3:] == ["FlatNet3D", "FlatNet3D", "CLS"]
@@ -319,7 +319,7 @@ def test_a_network_that_gives_no_number_is_named(
         ({"methods": [{"name": "C", "classical": "cls", "tuned": "none.json"}]}, r"cannot read .*none\.json"),
         (
             {"methods": [{"name": "C", "classical": "cls", "parameters": {"speed": 1}}]},
-            r"got 'speed', which cls does not",
+            r"got 'speed', expected a parameter of cls",
         ),
         ({"data": {"test": "nowhere"}}, "nowhere"),
         ({"data": {"stack": "no_folder"}}, "no_folder"),

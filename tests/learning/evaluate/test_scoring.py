@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from learning.camera import CaptureModel
-from learning.data import ExampleSet
+from learning.data import Example, ExampleSet
 from learning.evaluate.outcome import outcome
 from learning.evaluate.scoring import Criteria, naive_baselines, score, take_times
 from learning.method import Clock, Estimate, describe_device
@@ -67,12 +67,51 @@ def test_bins_are_sums_over_valid_pixels(examples: ExampleSet, tiny_camera: Capt
     assert one.pooled_depth_rmse_cm == pytest.approx(np.sqrt(squares.sum() / counts.sum()), rel=1e-4)
 
 
-def test_dark_pixels_are_left_out_on_request(examples: ExampleSet, tiny_camera: CaptureModel, oracle: Any) -> None:
-    far = oracle(tiny_camera, examples, lambda e: Estimate(e.image, e.disparity * 0))
-    found = score(far, examples, Criteria(EDGES_CM, 0.3), device=CPU, batch=8)
-    plain = score(far, examples, Criteria(EDGES_CM), device=CPU, batch=8)
-    assert "lit_depth_rmse_cm" not in plain["scores"][0]
-    assert any(one["lit_depth_rmse_cm"] != one["depth_rmse_cm"] for one in found["scores"])
+class Changed:
+    """Examples of which each is changed before anybody sees it."""
+
+    def __init__(self, examples: ExampleSet, change: Callable[[Example], Example]) -> None:
+        self.dataset, self._examples, self._change = examples.dataset, examples, change
+
+    def __len__(self) -> int:
+        return len(self._examples)
+
+    def __getitem__(self, position: int) -> Example:
+        return self._change(self._examples[position])
+
+
+def test_a_bin_holds_its_lower_edge_and_the_last_one_its_upper_edge(
+    examples: ExampleSet, tiny_camera: CaptureModel, oracle: Any
+) -> None:
+    def on_edges(example: Example) -> Example:
+        depth_m = torch.full_like(example.depth_m, 0.03)
+        depth_m[0, 1, :6] = torch.tensor([0.01, 0.02, 0.02, 0.05, 0.2, 0.2])
+        return example._replace(depth_m=depth_m, valid=torch.ones_like(example.valid))
+
+    edges: Any = Changed(examples, on_edges)
+    found = score(oracle(tiny_camera, edges), edges, Criteria(EDGES_CM), device=CPU, batch=8)
+    assert found["counts"][0] == [1, 2 + 16 * 16 - 6, 1 + 2]
+
+
+def test_dark_and_invalid_pixels_do_not_count_on_request(
+    examples: ExampleSet, tiny_camera: CaptureModel, oracle: Any
+) -> None:
+    """What nothing was seen of is bright here, and far like the estimate: counted, it would lower the error."""
+
+    def bright(example: Example) -> Example:
+        return example._replace(radiance=torch.where(example.valid, example.radiance, 2 * tiny_camera.white))
+
+    lit: Any = Changed(examples, bright)
+    far = oracle(tiny_camera, lit, lambda e: Estimate(e.image, e.disparity * 0))
+    found = score(far, lit, Criteria(EDGES_CM, 0.3), device=CPU, batch=8)
+    assert "lit_depth_rmse_cm" not in score(far, lit, Criteria(EDGES_CM), device=CPU, batch=8)["scores"][0]
+    for position, one in enumerate(found["scores"]):
+        example = lit[position]
+        luminance = np.tensordot((0.2126, 0.7152, 0.0722), example.radiance.numpy().astype(np.float64), axes=1)
+        counted = example.valid[0].numpy() & (luminance >= 0.3 * tiny_camera.white)
+        error_cm = 100 * (example.depth_m[0].numpy().astype(np.float64) - tiny_camera.far_m)[counted]
+        assert one["lit_depth_rmse_cm"] == pytest.approx(np.sqrt(np.mean(error_cm**2)), rel=1e-5)
+    assert any(one["lit_depth_rmse_cm"] != pytest.approx(one["depth_rmse_cm"], rel=1e-3) for one in found["scores"])
 
 
 @pytest.mark.parametrize(("field", "value"), [("image", float("nan")), ("disparity", float("inf"))])
