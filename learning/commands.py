@@ -128,7 +128,7 @@ def reconstruct(
     device: Annotated[str, typer.Option(help="auto, cpu or cuda")] = "auto",
 ) -> None:
     """Reconstruct image and depth from one measurement, by a network or a classical method."""
-    from learning.reconstruct.job import Options, reconstruct_file
+    from learning.reconstruct.job import Options, parse_changes, parse_size, reconstruct_file
 
     options = Options(
         measurement=measurement,
@@ -137,7 +137,7 @@ def reconstruct(
         stack=stack,
         tuned=tuned,
         noise_db=noise_db,
-        changes=tuple(set_ or ()),
+        parameters=parse_changes(set_ or ()),
         output=output,
         volume=volume,
         bits=bits,
@@ -146,7 +146,7 @@ def reconstruct(
         psf_crop=psf_crop,
         crop=crop,
         binning=binning,
-        scene=scene,
+        scene=parse_size(scene),
         white=white,
         device=device,
     )

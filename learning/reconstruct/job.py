@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -37,27 +38,16 @@ _WHITE_PERCENTILE = 99.5  # of the lit values, as in all images that the simulat
 _LEAST_HEIGHT, _MARGIN = 240, 12
 
 
-@dataclass(frozen=True)
-class Options:
+@dataclass(frozen=True, kw_only=True)
+class Options(Request):
     """What the command was given; see its help."""
 
     measurement: Path
-    checkpoint: str | None = None
-    method: str | None = None
-    stack: str | None = None
-    tuned: Path | None = None
-    noise_db: float | None = None
-    changes: tuple[str, ...] = ()
     output: Path | None = None
     volume: bool = False
     bits: int | None = None
     background: str | None = None
-    psf_background: str | None = None
-    psf_crop: str | None = None
     crop: str | None = None
-    binning: int = 1
-    scene: str | None = None
-    white: float | None = None
     device: str = "auto"
 
 
@@ -72,7 +62,6 @@ def reconstruct_file(options: Options) -> str:
         msg = f"--white: got {options.white}, expected a positive radiance"
         raise InputError(msg)
     device = choose_device(options.device)
-    request = _request(options)
     measurement = load_measurement(
         options.measurement,
         bits=options.bits,
@@ -82,7 +71,7 @@ def reconstruct_file(options: Options) -> str:
     )
     if options.output is not None:
         is_own_folder(options.output, RECORD, "reconstruction", "--output")
-    setup = choose_method(measurement, request)
+    setup = choose_method(measurement, options)
     # The sample's split and name, or the file's, and the method's, e.g. test_s00000002_cls.
     place = measurement.path.absolute()
     split = "" if measurement.dataset is None else f"{place.parents[1].name}_"
@@ -103,34 +92,33 @@ def reconstruct_file(options: Options) -> str:
     return _report(measurement, setup.method.name, record, result, wrote)
 
 
-def _request(options: Options) -> Request:
-    scene = None
-    if options.scene is not None:
-        found = re.fullmatch(r"(\d+)x(\d+)", options.scene)
-        if not found:
-            msg = f"--scene: got {options.scene!r}, expected ROWSxCOLUMNS, e.g. 256x256"
-            raise InputError(msg)
-        scene = (int(found[1]), int(found[2]))
+def parse_size(text: str | None) -> tuple[int, int] | None:
+    """Return the rows and columns of ``--scene ROWSxCOLUMNS``.
+
+    Raises:
+        InputError: another text.
+    """
+    found = re.fullmatch(r"(\d+)x(\d+)", text or "")
+    if text is not None and not found:
+        msg = f"--scene: got {text!r}, expected ROWSxCOLUMNS, e.g. 256x256"
+        raise InputError(msg)
+    return (int(found[1]), int(found[2])) if found else None
+
+
+def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
+    """Return the parameters of ``--set KEY=VALUE``.
+
+    Raises:
+        InputError: another text.
+    """
     parameters = {}
-    for text in options.changes:
+    for text in texts:
         name, _, value = text.partition("=")
         if not name or not value:
             msg = f"--set: got {text!r}, expected KEY=VALUE, e.g. pairwise=0.5"
             raise InputError(msg)
         parameters[name.strip()] = parse_scalar(value.strip())
-    return Request(
-        checkpoint=options.checkpoint,
-        method=options.method,
-        stack=options.stack,
-        psf_background=options.psf_background,
-        psf_crop=options.psf_crop,
-        binning=options.binning,
-        scene=scene,
-        tuned=options.tuned,
-        noise_db=options.noise_db,
-        parameters=parameters,
-        white=options.white,
-    )
+    return parameters
 
 
 def _report(measurement: Measurement, name: str, record: dict[str, Any], result: Reconstruction, wrote: str) -> str:

@@ -54,6 +54,7 @@ SEARCH = {
 }
 
 
+@pytest.mark.slow
 def test_the_command_tunes_and_goes_on(tiny_dataset: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "tune.yaml"
     data = {"validation": str(tiny_dataset), "scenes": 4, "allow_few_scenes": True}
@@ -204,6 +205,7 @@ def test_changes_need_a_key_and_a_value(tiny_dataset: Path, tmp_path: Path, set_
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.parametrize("method", ["cls", "admm"])
 def test_the_diffuser_cameras_hand(shared_data: Path, tmp_path: Path, method: str) -> None:

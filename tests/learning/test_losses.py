@@ -79,6 +79,7 @@ def test_gradients_are_finite_without_valid_pixels_and_for_the_truth(
     assert not estimate.disparity.grad.any()  # pyright: ignore[reportOptionalMemberAccess]
 
 
+@pytest.mark.slow
 def test_the_perceptual_term_is_that_of_its_seed(scenes: tuple[Estimate, Tensor, Tensor, Tensor]) -> None:
     from learning.perceptual import PerceptualLoss
 

@@ -339,7 +339,7 @@ def test_parameters_for_one_plane_are_checked_too(tmp_path: Path) -> None:
     path, psf, _ = planar_scene(tmp_path, 1)
     measurement = load_measurement(path, background=1000)
     for value in ("abc", True):
-        with pytest.raises(InputError, match=rf"--set: regularisation_lambda of cls for one plane is {value!r}, expected a number"):
+        with pytest.raises(InputError, match=rf"--set: regularisation_lambda of cls .* is {value!r}"):
             choose_method(
                 measurement, Request(method="cls", stack=str(psf), parameters={"regularisation_lambda": value})
             )
