@@ -18,7 +18,7 @@ CONFIG: dict[str, Any] = {"output": "a", "steps": 5, "seed": 1, "data": {"train"
 
 
 def described(config: dict[str, Any], data: dict[str, Any], **decided: Any) -> dict[str, Any]:
-    return described_with(config, data, **({"precision": "float32", "start": None} | decided))
+    return described_with(config, data, **({"precision": "float32", "init_from": None} | decided))
 
 
 def test_what_does_not_matter(tmp_path: Path) -> None:
@@ -27,21 +27,21 @@ def test_what_does_not_matter(tmp_path: Path) -> None:
     (tmp_path / "a" / STATE).touch()
     free = {"output": "b", "steps": 9, "data": {"train": "x", "workers": 0, "cache": False}}
     check_folder(tmp_path / "a", described(CONFIG | free, {"white": 1.0}))
-    resolved = {"device": "cuda", "precision": "float32", "start": "elsewhere.safetensors"}
+    resolved = {"device": "cuda", "precision": "float32", "init_from": "elsewhere.safetensors"}
     check_folder(tmp_path / "a", described(CONFIG | resolved, {"white": 1.0}))
     with pytest.raises(InputError, match=r"another configuration(.|\n)*\nseed: 1 -> 2\ndata sets.white: 1.0 -> 2.0$"):
         check_folder(tmp_path / "a", described(CONFIG | {"seed": 2}, {"white": 2.0}))
 
 
 def test_what_was_resolved_matters(tmp_path: Path) -> None:
-    config = CONFIG | {"precision": "auto", "start": "net.safetensors"}
+    config = CONFIG | {"precision": "auto", "init_from": "net.safetensors"}
     start = {"file": "net.safetensors", "sha256": "a" * 64}
-    with sole_use(tmp_path, described(config, {}, start=start)):
+    with sole_use(tmp_path, described(config, {}, init_from=start)):
         (tmp_path / STATE).touch()
     with pytest.raises(InputError, match=r"\nprecision: float32 -> bfloat16$"):
-        check_folder(tmp_path, described(config | {"device": "cuda"}, {}, start=start, precision="bfloat16"))
-    with pytest.raises(InputError, match=r"\nstart.sha256: a+.* -> b+"):
-        check_folder(tmp_path, described(config, {}, start=start | {"sha256": "b" * 64}))
+        check_folder(tmp_path, described(config | {"device": "cuda"}, {}, init_from=start, precision="bfloat16"))
+    with pytest.raises(InputError, match=r"\ninit_from.sha256: a+.* -> b+"):
+        check_folder(tmp_path, described(config, {}, init_from=start | {"sha256": "b" * 64}))
 
 
 def test_what_never_saved_anything_is_no_hindrance(tmp_path: Path) -> None:

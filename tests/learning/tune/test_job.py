@@ -175,7 +175,7 @@ def test_a_book_of_other_data_is_refused_and_kept(tmp_path: Path) -> None:
     ("content", "message"),
     [
         (None, "cannot read .*tuned.json: No such file.*flatlight tune"),
-        ("{", "is damaged or no result"),
+        ("{", "is damaged or not a result"),
         ("[]", "is not a result of `flatlight tune`"),
         ('{"format": "flatlight tuned", "version": 99}', "has version 99, expected 1"),
         ('{"format": "flatlight tuned", "version": 1, "identity": {}, "trials": []}', "damaged: results is missing"),
@@ -358,7 +358,7 @@ def test_a_book_of_other_code_or_samples_is_refused(
         with pytest.raises(InputError, match=r"other data or settings: code was .*, is now ffff"):
             tune_file(config, tunables=tunables)
     entries = {key: replace(entry, digest="0" * 64) for key, entry in load_manifest(tiny_dataset).entries.items()}
-    monkeypatch.setattr(job, "load_manifest", lambda _: SimpleNamespace(entries=entries))
+    monkeypatch.setattr("learning.provenance.load_manifest", lambda _: SimpleNamespace(entries=entries))
     with pytest.raises(InputError, match="other data or settings: digests was"):
         tune_file(config, tunables=tunables)
 
