@@ -14,14 +14,13 @@ from pathlib import Path
 
 import torch
 
-from learning.baselines.method import DEFAULTS, build_classical
-from learning.capture import capture_model
-from learning.display import measure_white
-from learning.evaluation.timing import device_in_words, take_times
-from learning.method import Method
+from learning.camera import capture_model, measure_reference_white
+from learning.classical.method import DEFAULTS, build_classical
+from learning.evaluate.scoring import take_times
+from learning.method import Method, describe_device
 from learning.models import build_network
-from learning.models.method import LearnedMethod
-from learning.tuning import load_tuned
+from learning.models.flatnet import LearnedMethod
+from learning.tune import load_tuned
 from simulator.dataset import open_dataset
 
 REFERENCE = "FlatNet3D"
@@ -39,7 +38,7 @@ def main() -> None:
     torch.set_num_threads(1)
     device = torch.device(chosen.device)
     train = open_dataset(chosen.dataset, "train")
-    capture = capture_model(train, white=measure_white(train))
+    capture = capture_model(train, white=measure_reference_white(train))
     methods: list[Method] = [
         LearnedMethod(name, build_network(capture, name.lower(), chosen.size).to(device), capture)
         for name in (REFERENCE, "FlatNet2D")
@@ -55,7 +54,7 @@ def main() -> None:
     measurements = torch.stack([torch.from_numpy(train.stored(scene).measurement()[0]) for scene in scenes]).to(device)
     times = take_times(methods, measurements, chosen.repeats)
     reference = next(each.total for each in times if each.method == REFERENCE)
-    print(f"{device_in_words(device)}; medians of {chosen.repeats} scenes, ms")
+    print(f"{describe_device(device)}; medians of {chosen.repeats} scenes, ms")
     for each in times:
         stages = ", ".join(f"{stage} {1e3 * seconds:.1f}" for stage, seconds in each.stages.items())
         print(f"{each.method:<18} {1e3 * each.total:8.1f}  {each.total / reference:6.2f} x {REFERENCE}   ({stages})")

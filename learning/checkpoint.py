@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from learning.capture import CaptureModel
-from learning.models.flatnet import FlatNet
-from learning.models.sizes import build_network, full_architecture
+from learning.camera import CaptureModel
+from learning.models.flatnet import FlatNet, build_network, full_architecture
+from learning.provenance import renamed
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
 from simulator.io.json import canonical_json
@@ -29,6 +30,11 @@ from simulator.optics.stack import PsfStack
 FORMAT, VERSION = "flatlight checkpoint", 1
 _KEY = "flatlight"
 _WEIGHTS, _CAMERA = "network.", "camera."
+_PER_PLANE = ("inversion.filters", "inversion.log_lambda")
+_FIRST = "enhancement.down.0.0.weight"
+FOLDER = Path(__file__).parent / "checkpoints"
+"""The trained networks that come with Flatlight: one small file each."""
+_BEST = "flatnet3d"  # where several fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +124,7 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
         capture: build the network for this camera, whose exposure or sizes may differ; None takes the file's own. Its PSFs
             may differ too, as those do that a calibration captured of the same camera; nobody can tell these from another
             mask's, so compare `Checkpoint.fingerprint` where they should be the same. For a camera with other planes, build
-            a network and see `learning.models.transfer`.
+            a network and see `learning.checkpoint`.
         network: the architecture that is wanted; None takes any.
 
     Raises:
@@ -127,7 +133,7 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
     path = Path(path)
     content, tensors = _read(path)
     try:
-        architecture, record = dict(content["architecture"]), dict(content["record"])
+        architecture, record = renamed(content["architecture"]), renamed(content["record"])
         name = str(architecture["network"])
         own = _capture(content["camera"], tensors)
     except (KeyError, TypeError, ValueError) as error:
@@ -184,14 +190,14 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         msg = f"cannot read the checkpoint {path}: {error.strerror or error}"
         raise InputError(msg) from error
     except SafetensorError as error:
-        msg = f"{path} is no checkpoint, or a truncated one ({error}); expected a safetensors file of `flatlight train`"
+        msg = f"{path} is not a checkpoint, or a truncated one ({error}); expected a safetensors file of `flatlight train`"
         raise InputError(msg) from error
     try:
         content = json.loads(text) if text is not None else {}
     except (ValueError, RecursionError):
         content = {}
     if not isinstance(content, dict) or content.get("format") != FORMAT or not isinstance(content.get("version"), int):
-        msg = f"{path} is a safetensors file, but no Flatlight checkpoint; expected one that `flatlight train` wrote"
+        msg = f"{path} is a safetensors file, but not a Flatlight checkpoint; expected one that `flatlight train` wrote"
         raise InputError(msg)
     if content["version"] > VERSION:
         msg = f"{path}: got a checkpoint of version {content['version']}, expected at most {VERSION}; update Flatlight"
@@ -240,7 +246,7 @@ def _check_camera(path: Path, own: CaptureModel, asked: CaptureModel) -> None:
     if not same:
         msg = (
             f"{path}: its network is for {_planes(own)}, the stack has {_planes(asked)}; use the stack that it was trained "
-            "with, or fine-tune it for this one (learning.models.transfer)"
+            "with, or fine-tune it for this one (learning.checkpoint)"
         )
         raise InputError(msg)
 
@@ -257,3 +263,106 @@ def _check_fit(network: FlatNet, weights: Mapping[str, Tensor], where: str) -> N
             got, wanted = found.get(key, "nothing"), expected.get(key, "nothing")
             msg = f"{where}: weights do not fit the architecture: {key} has the shape {got}, expected {wanted}"
             raise InputError(msg)
+
+
+def shipped_checkpoints() -> dict[str, Path]:
+    """Return the files by name, that of the best network first; empty where there are none."""
+    files = {path.stem: path for path in sorted(FOLDER.glob("*.safetensors"))}
+    return dict(sorted(files.items(), key=lambda item: (item[0] != _BEST, item[0])))
+
+
+def find_checkpoint(text: str) -> Path:
+    """Return the file of a checkpoint, named by its path or, where it is shipped, by its name.
+
+    Raises:
+        InputError: neither a file nor a shipped checkpoint's name.
+    """
+    path = Path(text).expanduser()
+    if path.is_file():
+        return path
+    shipped = shipped_checkpoints()
+    if text in shipped:
+        return shipped[text]
+    known = (
+        f"a shipped checkpoint ({', '.join(shipped)})"
+        if shipped
+        else "the name of a shipped one, of which there are none"
+    )
+    msg = f"--checkpoint: got {text!r}, expected an existing file of `flatlight train`, or {known}"
+    raise InputError(msg)
+
+
+def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
+    """Put a checkpoint's weights into a network of the same architecture for another camera.
+
+    P and lambda of a plane are interpolated linearly between the checkpoint's planes, at the same share of the range of
+    disparities (0 for the farthest plane, 1 for the nearest, whatever their depths are). The first convolution then sees the
+    new volume interpolated at the checkpoint's planes, so that a volume that is linear over the planes has the same response.
+
+    Args:
+        network: for the other camera; changed in place.
+        checkpoint: as `load_checkpoint` gives it without another camera.
+
+    Returns:
+        One line for every group of weights: what was copied, what resampled.
+
+    Raises:
+        InputError: another architecture, or other channels; the network stays as it was.
+    """
+    own, found = network.state_dict(), checkpoint.network.state_dict()
+    if type(network) is not type(checkpoint.network):
+        msg = (
+            f"checkpoint: got a {type(checkpoint.network).__name__}, expected a {type(network).__name__}; take a checkpoint "
+            "of the same network"
+        )
+        raise InputError(msg)
+    mine, other = network.inversion.channels, checkpoint.network.inversion.channels
+    if mine != other:
+        msg = f"checkpoint: its camera has the channels {', '.join(other)}, expected {', '.join(mine)}"
+        raise InputError(msg)
+    new, old = network.inversion.disparities, checkpoint.network.inversion.disparities
+    same = len(new) == len(old) and np.allclose(new, old, atol=1e-6)
+    taken = dict(found) if same else found | _resampled(found, old, new)
+    for name in own.keys() | taken.keys():
+        got, wanted = _shape(taken, name), _shape(own, name)
+        if got != wanted:
+            msg = (
+                f"checkpoint: {name} has the shape {got}, expected {wanted}; take a checkpoint of the same size, or "
+                f"build the network with its numbers: {checkpoint.architecture}"
+            )
+            raise InputError(msg)
+    network.load_state_dict(taken)
+    if same:
+        return [f"copied all {len(taken)} tensors: the planes lie alike"]
+    rest = len(taken) - len(_PER_PLANE) - 1
+    planes = f"from {len(old)} to {len(new)} planes"
+    return [*(f"resampled {name} {planes}" for name in (*_PER_PLANE, _FIRST)), f"copied the other {rest} tensors"]
+
+
+def plane_mixing(old: NDArray[np.float64], new: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the weights ``(new, old)`` that interpolate linearly from old disparities to new ones.
+
+    Args:
+        old: disparities of the planes that are known, 0..1, decreasing.
+        new: those that are wanted, decreasing.
+
+    Example:
+        >>> plane_mixing(np.array([1.0, 0.0]), np.array([1.0, 0.75, 0.0])).tolist()
+        [[1.0, 0.0], [0.75, 0.25], [0.0, 1.0]]
+    """
+    unit = np.eye(len(old))
+    return np.stack([np.interp(new, old[::-1], row[::-1]) for row in unit], axis=1)
+
+
+def _resampled(found: dict[str, Tensor], old: NDArray[np.float64], new: NDArray[np.float64]) -> dict[str, Tensor]:
+    """Return the weights that belong to planes, for the new ones."""
+    forth, back = (torch.from_numpy(plane_mixing(*order)).float() for order in ((old, new), (new, old)))
+    changed = {name: torch.einsum("no,o...->n...", forth, found[name]) for name in _PER_PLANE}
+    first = found[_FIRST]
+    planes = first.unflatten(1, (len(old), -1))  # planes are the slowest of the channels, before those of a stem
+    changed[_FIRST] = torch.einsum("fo...,on->fn...", planes, back).flatten(1, 2)
+    return changed
+
+
+def _shape(tensors: dict[str, Tensor], name: str) -> str | tuple[int, ...]:
+    return tuple(tensors[name].shape) if name in tensors else "nothing"

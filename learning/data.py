@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.utils.data import DataLoader, Sampler, default_collate
 from torch.utils.data import Dataset as TorchDataset
 
-from learning.batches import Batches, Draw
-from learning.camera_numbers import recorded_sensor
-from learning.sample_cache import Arrays, SampleCache
+from learning.camera import recorded_sensor
+from learning.provenance import sample_digests
 from simulator.camera.noise import GaussianNoise
 from simulator.camera.sensor import Sensor
 from simulator.config import config_from_dict
@@ -22,11 +28,11 @@ from simulator.config.camera import PhysicalNoise as PhysicalConfig
 from simulator.dataset.reader import Dataset
 from simulator.dataset.sample import SPLITS, sample_index
 from simulator.errors import InputError
-
-__all__ = ["Batches", "Draw", "Example", "ExampleSet", "check_dataset"]
+from simulator.io.files import committed_folder, storage_errors
 
 _STREAM = 6  # apart from the simulator's streams of the same seed, whose keys are shorter
 _CHECKED = 16
+_CACHE_FORMAT = 1
 
 
 class Example(NamedTuple):
@@ -43,6 +49,18 @@ class Example(NamedTuple):
     radiance: Tensor
     depth_m: Tensor
     valid: Tensor
+
+
+class Draw(NamedTuple):
+    """A sample and the noise it is seen with.
+
+    Attributes:
+        position: of the sample in its split.
+        number: of the drawing: another number is another noise.
+    """
+
+    position: int
+    number: int
 
 
 class ExampleSet(TorchDataset[Example]):
@@ -73,7 +91,12 @@ class ExampleSet(TorchDataset[Example]):
         Raises:
             InputError: an empty split, mosaics, or levels that make no sense.
         """
-        _check_not_empty(dataset)
+        if len(dataset) == 0:
+            msg = (
+                f"{dataset.root}: split {dataset.split!r} is empty; set dataset.{dataset.split} in its configuration and "
+                "run `flatlight generate` again, or give another data set"
+            )
+            raise InputError(msg)
         if noise_db is not None and not 0 < noise_db[0] <= noise_db[1] <= 120:
             msg = f"noise_db: got {noise_db}, expected a range of PSNRs such as (20, 50), in 0 to 120 dB"
             raise InputError(msg)
@@ -98,7 +121,10 @@ class ExampleSet(TorchDataset[Example]):
         arrays = self._read(position) if self._cache is None else self._cache.read(position)
         measurement = arrays.measurement
         if self._noise_db is not None:
-            measurement = self._noisy(measurement, position, number)
+            split, index = SPLITS.index(self.dataset.split), sample_index(self.dataset.ids[position])
+            rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_STREAM, split, index, number)))
+            noise = GaussianNoise(psnr_db=rng.uniform(*self._noise_db), clip=self._clip, quantise=self._quantise)
+            measurement = noise.apply(measurement, self._sensor, rng)
         return Example(*(torch.from_numpy(values) for values in (measurement, *arrays[1:])))
 
     def _read(self, position: int) -> Arrays:
@@ -116,12 +142,19 @@ class ExampleSet(TorchDataset[Example]):
             measurement if self._noise_db is None else noiseless, radiance, frame.depth_m[None], frame.valid[None]
         )
 
-    def _noisy(self, noiseless: NDArray[np.float32], position: int, number: int) -> NDArray[np.float32]:
-        assert self._noise_db is not None
-        split, index = SPLITS.index(self.dataset.split), sample_index(self.dataset.ids[position])
-        rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_STREAM, split, index, number)))
-        noise = GaussianNoise(psnr_db=rng.uniform(*self._noise_db), clip=self._clip, quantise=self._quantise)
-        return noise.apply(noiseless, self._sensor, rng)
+
+def _converter(dataset: Dataset) -> tuple[Sensor, bool, bool]:
+    """Return the sensor, and whether measurements are clipped and quantised."""
+    config = config_from_dict(dataset.config, dataset.root, check_plugins=False)
+    if (readout := config.camera.sensor.readout) != "binned_rgb":
+        msg = f"{dataset.root}: camera.sensor.readout is {readout}; reconstruction needs all colours in a pixel (binned_rgb)"
+        raise InputError(msg)
+    sensor = recorded_sensor(dataset.info, config)
+    noise = config.camera.noise
+    if isinstance(noise, GaussianConfig):
+        return sensor, noise.clip, noise.quantise
+    physical = isinstance(noise, PhysicalConfig)  # whose converter always does both
+    return sensor, physical, physical
 
 
 def check_dataset(dataset: Dataset) -> None:
@@ -143,24 +176,223 @@ def check_dataset(dataset: Dataset) -> None:
         raise InputError(msg)
 
 
-def _check_not_empty(dataset: Dataset) -> None:
-    if len(dataset) == 0:
-        msg = (
-            f"{dataset.root}: split {dataset.split!r} is empty; set dataset.{dataset.split} in its configuration and run "
-            "`flatlight generate` again, or give another data set"
+class Batches(Sampler[list[Draw]]):
+    """Endless batches: which samples a training step sees, decided by the seed and the step's number alone.
+
+    An epoch is a permutation of all samples, and epochs follow each other without a gap: a batch may hold the end of one and
+    the beginning of the next. The epoch's number is the number of the draw. Batch ``n`` depends on ``seed`` and ``n`` alone,
+    so a loader that starts at ``first = n`` goes on where another stopped.
+    """
+
+    def __init__(
+        self, length: int, batch: int, *, seed: int, first: int = 0, rank: int = 0, world_size: int = 1
+    ) -> None:
+        """Set the order.
+
+        Args:
+            length: how many samples there are.
+            batch: samples in a batch of all ranks together.
+            seed: of the order.
+            first: number of the first batch.
+            rank: which part of each batch to give, 0 to ``world_size - 1``.
+            world_size: how many processes share a batch; they must divide it.
+
+        Raises:
+            InputError: numbers that make no sense.
+        """
+        if length < 1 or batch < 1 or first < 0 or seed < 0:
+            msg = f"got length {length}, batch {batch}, first {first}, seed {seed}; expected at least 1, 1, 0 and 0"
+            raise InputError(msg)
+        if not 0 <= rank < world_size or batch % world_size:
+            msg = (
+                f"batch: got {batch} for rank {rank} of {world_size} processes; they must divide it: choose a multiple"
+            )
+            raise InputError(msg)
+        self._length, self._batch, self._seed, self._first = length, batch, seed, first
+        part = batch // world_size
+        self._part = slice(rank * part, (rank + 1) * part)
+        self._order: tuple[int, NDArray[np.intp]] | None = None
+
+    def __iter__(self) -> Iterator[list[Draw]]:
+        """Yield the batches from ``first`` on, without end."""
+        number = self._first
+        while True:
+            yield self.batch(number)
+            number += 1
+
+    def batch(self, number: int) -> list[Draw]:
+        """Return this rank's part of a batch."""
+        places = range(number * self._batch, (number + 1) * self._batch)[self._part]
+        return [self._draw(*divmod(place, self._length)) for place in places]
+
+    def _draw(self, epoch: int, place: int) -> Draw:
+        if self._order is None or self._order[0] != epoch:
+            rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(epoch,)))
+            self._order = epoch, rng.permutation(self._length)
+        return Draw(int(self._order[1][place]), epoch)
+
+
+class Loader:
+    """Batches of examples, read by worker processes that end with `close`; bad input comes out of them as it is raised."""
+
+    def __init__(
+        self, examples: ExampleSet, order: Batches | Sequence[Sequence[int]], workers: int, *, pin_memory: bool = False
+    ) -> None:
+        """Set up the workers, which begin to read with the first batch; 0 read in this process."""
+        self._loader = DataLoader(
+            _Guarded(examples),
+            batch_sampler=order,  # pyright: ignore[reportArgumentType]
+            collate_fn=_collate,
+            num_workers=workers,
+            pin_memory=pin_memory,
+            worker_init_fn=_ignore_interrupts,
+            persistent_workers=workers > 0,
+            generator=torch.Generator(),  # its own: the loader draws a number from it that nothing uses
         )
-        raise InputError(msg)
+
+    def __iter__(self) -> Iterator[Example]:
+        """Yield batches in their order.
+
+        Raises:
+            InputError: see `ExampleSet`.
+        """
+        for found in self._loader:
+            if isinstance(found, InputError):
+                raise found
+            yield found
+
+    def close(self) -> None:
+        """End the workers now: left to Python, they live as long as anything, such as a traceback, refers to them."""
+        iterator = self._loader._iterator
+        if iterator is not None:
+            iterator._shutdown_workers()  # pyright: ignore[reportAttributeAccessIssue]
+            self._loader._iterator = None
 
 
-def _converter(dataset: Dataset) -> tuple[Sensor, bool, bool]:
-    """Return the sensor, and whether measurements are clipped and quantised."""
-    config = config_from_dict(dataset.config, dataset.root, check_plugins=False)
-    if (readout := config.camera.sensor.readout) != "binned_rgb":
-        msg = f"{dataset.root}: camera.sensor.readout is {readout}; reconstruction needs all colours in a pixel (binned_rgb)"
-        raise InputError(msg)
-    sensor = recorded_sensor(dataset.info, config)
-    noise = config.camera.noise
-    if isinstance(noise, GaussianConfig):
-        return sensor, noise.clip, noise.quantise
-    physical = isinstance(noise, PhysicalConfig)  # whose converter always does both
-    return sensor, physical, physical
+class _Guarded(TorchDataset[Any]):
+    """Examples by the batch, or the refusal to read one as a value: raised, torch would wrap it in a traceback's text."""
+
+    def __init__(self, examples: ExampleSet) -> None:
+        self._examples = examples
+
+    def __getitems__(self, draws: Iterable[Draw | int]) -> list[Example] | InputError:
+        try:
+            return [self._examples[draw] for draw in draws]
+        except InputError as error:
+            return error
+
+
+def _collate(found: list[Example] | InputError) -> Any:
+    return found if isinstance(found, InputError) else default_collate(found)
+
+
+def _ignore_interrupts(_: int) -> None:
+    """Let a worker live on after Ctrl-C, which the terminal sends to it too, until the loop has finished."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+class Arrays(NamedTuple):
+    """What is kept of a sample: the arrays of an `Example`, the measurement as stored or without noise."""
+
+    measurement: NDArray[np.float32]
+    radiance: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    valid: NDArray[np.bool_]
+
+
+class SampleCache:
+    """Decoded samples of one split, a memory-mapped .npy file per kind of array, opened anew in every process.
+
+    An epoch then costs no decoding, and processes share the memory. The folder's name is a hash of the samples' digests, so
+    samples that were made again are never served from an older cache. It appears in one rename when all of it is on the
+    disk; processes that want the same one wait for its writer.
+    """
+
+    def __init__(self, folder: Path, shapes: dict[str, tuple[int, ...]]) -> None:
+        """Name a cache that was filled; see `filled`."""
+        self._folder, self._shapes = folder, shapes
+        self._maps: list[NDArray[np.generic]] | None = None
+
+    @classmethod
+    def filled(cls, folder: Path, dataset: Dataset, kind: str, read: Callable[[int], Arrays]) -> SampleCache:
+        """Return the cache of a split, which is written first where it is not there or not whole.
+
+        Args:
+            folder: holds the caches of all data sets; made where it is absent.
+            dataset: the split.
+            kind: what ``measurement`` is: caches of different kinds lie apart.
+            read: gives a sample.
+
+        Raises:
+            InputError: a sample cannot be read.
+            StorageError: the cache cannot be written.
+        """
+        identity = repr((_CACHE_FORMAT, kind, dataset.split, dataset.ids, sample_digests(dataset)))
+        own = folder / hashlib.sha256(identity.encode()).hexdigest()[:32]
+        samples, info = len(dataset), dataset.info
+        shapes = {
+            "measurement": (samples, len(info.channels), *info.sensor_shape),
+            "radiance": (samples, 3, *info.scene_shape),
+            "depth_m": (samples, 1, *info.scene_shape),
+            "valid": (samples, 1, *info.scene_shape),
+        }
+        cache = cls(own, shapes)
+        with storage_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        with _locked(own.with_name(f"{own.name}.lock")):
+            if not cache._is_whole():
+                cache._write(lambda position: _readable(dataset, position, read))
+        return cache
+
+    def read(self, position: int) -> Arrays:
+        """Return a sample's arrays, copied: what the caller changes stays the caller's."""
+        if self._maps is None:
+            self._maps = [self._open(name) for name in Arrays._fields]
+        return Arrays(*(np.array(values[position]) for values in self._maps))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the maps out: pickled, they would be the whole data set."""
+        return self.__dict__ | {"_maps": None}
+
+    def _open(self, name: str) -> NDArray[np.generic]:
+        return np.load(self._folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
+
+    def _write(self, read: Callable[[int], Arrays]) -> None:
+        """Write one sample after another to plain files: a full disk is an error there, to a memory map it is the end."""
+        with committed_folder(self._folder) as temporary, ExitStack() as stack:
+            files = {name: stack.enter_context(open(temporary / f"{name}.npy", "wb")) for name in self._shapes}
+            for name, shape in self._shapes.items():
+                kind = np.dtype(bool if name == "valid" else np.float32)
+                header = {"descr": np.lib.format.dtype_to_descr(kind), "fortran_order": False, "shape": shape}
+                np.lib.format.write_array_header_1_0(files[name], header)
+            for position in range(self._shapes["measurement"][0]):
+                for name, values in read(position)._asdict().items():
+                    files[name].write(values.tobytes())
+            for file in files.values():
+                file.flush()
+                os.fsync(file.fileno())
+
+    def _is_whole(self) -> bool:
+        try:
+            return all(self._open(name).shape == shape for name, shape in self._shapes.items())
+        except (OSError, ValueError):  # absent, or a header or length that is not an array's
+            return False
+
+
+def _readable(dataset: Dataset, position: int, read: Callable[[int], Arrays]) -> Arrays:
+    """Return a sample; the system's refusal to read it is not taken for one to write the cache."""
+    try:
+        return read(position)
+    except OSError as error:
+        msg = f"{dataset.folder(position)} cannot be read ({error.strerror or error}); check the disk, or restore the sample"
+        raise InputError(msg) from error
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold the lock of this name; another process that wants it waits."""
+    with ExitStack() as stack:
+        with storage_errors(path):  # of the lock alone: what goes wrong under it is another matter
+            file = stack.enter_context(open(path, "ab"))
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield

@@ -1,4 +1,4 @@
-"""What networks for still scenes are trained to minimise: picture, features of the picture, disparity."""
+"""What networks for still scenes are trained to minimise: image, features of the image, disparity."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from learning.estimate import Estimate
-from learning.perceptual.features import PerceptualLoss
+from learning.method import Estimate
+from learning.perceptual import PerceptualLoss
 from simulator.errors import InputError
 
 
@@ -70,12 +70,12 @@ class ReconstructionLoss(nn.Module):
         self.intensity, self.invalid_depth = intensity, invalid_depth
         self.perceptual = None if perceptual == "none" else PerceptualLoss(perceptual, "vgg19", seed=seed)
 
-    def forward(self, estimate: Estimate, picture: Tensor, disparity: Tensor, valid: Tensor) -> dict[str, Tensor]:
+    def forward(self, estimate: Estimate, image: Tensor, disparity: Tensor, valid: Tensor) -> dict[str, Tensor]:
         """Return scalars: ``total``, each term under its name, and each weighted as ``intensity_weighted`` and so on.
 
         Args:
             estimate: of B scenes, as the network gave it, not clamped.
-            picture: ``(B, 3, h, w)`` true sRGB codes; see `learning.display.encode`.
+            image: ``(B, 3, h, w)`` true sRGB codes; see `learning.method.linear_to_srgb`.
             disparity: ``(B, 1, h, w)`` true disparity 0..1; see `CaptureModel.disparity`.
             valid: ``(B, 1, h, w)`` bool, where there is a depth.
 
@@ -83,17 +83,17 @@ class ReconstructionLoss(nn.Module):
             InputError: shapes that differ.
         """
         for name, found, wanted in (
-            ("picture", estimate.picture, picture),
+            ("image", estimate.image, image),
             ("disparity", estimate.disparity, disparity),
             ("valid", disparity, valid),
         ):
             if found.shape != wanted.shape:
                 msg = f"{name}: got shape {tuple(wanted.shape)}, expected {tuple(found.shape)} as estimated"
                 raise InputError(msg)
-        difference = estimate.picture - picture
+        difference = estimate.image - image
         terms = {"intensity": (difference.square() if self.intensity == "mse" else difference.abs()).mean()}
         if self.perceptual is not None:
-            terms["perceptual"] = self.perceptual(estimate.picture, picture)
+            terms["perceptual"] = self.perceptual(estimate.image, image)
         counted = torch.ones_like(valid) if self.invalid_depth else valid
         terms["depth"] = _mean_over((estimate.disparity - disparity).abs(), counted)
         weighted = {f"{name}_weighted": self.weights[name] * value for name, value in terms.items()}

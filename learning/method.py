@@ -1,17 +1,58 @@
-"""What all reconstructions have in common, learned or classical, and the clock that times their stages alike."""
+"""What every reconstruction gives and takes, learned or classical: estimates in sRGB codes and disparity, clock, device."""
 
 from __future__ import annotations
 
+import os
+import platform
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Protocol
+from pathlib import Path
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
-from learning.capture import CaptureModel
-from learning.estimate import Estimate
+from learning.camera import CaptureModel
+from simulator.errors import InputError
+
+
+def linear_to_srgb(radiance: Tensor, white: float) -> Tensor:
+    """Return sRGB codes of linear radiance, any shape: 0 for nothing, 1 for the reference ``white``; all else is clipped.
+
+    In the tensor's precision and with its gradients; `simulator.colour` has the curve in float64.
+
+    Source: IEC 61966-2-1:1999 with amendment 1.
+    """
+    linear = (radiance / white).clamp(0, 1)
+    return torch.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def srgb_to_linear(codes: Tensor, white: float) -> Tensor:
+    """Return the linear radiance of sRGB codes, the inverse of `linear_to_srgb`; codes are clipped to 0..1."""
+    codes = codes.clamp(0, 1)
+    linear = torch.where(codes <= 0.04045, codes / 12.92, ((codes.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4)
+    return linear * white
+
+
+class Estimate(NamedTuple):
+    """Images and depths of B scenes.
+
+    Attributes:
+        image: ``(B, 3, h, w)`` sRGB codes, nominally 0..1 (a network's are not clipped); see `linear_to_srgb`.
+        disparity: ``(B, 1, h, w)``, nominally 0 (far) to 1 (near); see `CaptureModel.disparity`.
+    """
+
+    image: Tensor
+    disparity: Tensor
+
+    def clamped(self) -> Estimate:
+        """Return the same within the ranges: what metrics see, of every method alike."""
+        return Estimate(self.image.clamp(0, 1), self.disparity.clamp(0, 1))
+
+    def depth_m(self, capture: CaptureModel) -> Tensor:
+        """Return depths ``(B, 1, h, w)`` in metres, clamped to the stack's range."""
+        return capture.depth_m(self.disparity)
 
 
 class Clock:
@@ -44,7 +85,7 @@ class Method(Protocol):
 
     Attributes:
         name: in tables and figures.
-        capture: the camera that it believes in.
+        capture: the camera with its assumed PSFs.
     """
 
     name: str
@@ -58,3 +99,32 @@ class Method(Protocol):
             clock: times the stages; None times nothing.
         """
         ...
+
+
+def choose_device(wanted: str) -> torch.device:
+    """Return the device of a word: ``auto`` (CUDA where there is some), ``cpu`` or ``cuda``.
+
+    Raises:
+        InputError: another word, or CUDA where there is none.
+    """
+    cuda = torch.cuda.is_available()
+    if wanted not in ("auto", "cpu", "cuda"):
+        msg = f"device: got {wanted!r}, expected auto, cpu or cuda"
+        raise InputError(msg)
+    if wanted == "cuda" and not cuda:
+        msg = "device: got cuda, but torch finds no CUDA device here; take cpu, or auto"
+        raise InputError(msg)
+    return torch.device("cuda" if cuda and wanted != "cpu" else "cpu")
+
+
+def describe_device(device: torch.device) -> str:
+    """Return the processor, and for a CPU how many threads torch uses on it."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    except OSError:
+        names = [platform.processor()]
+    processor = (names and names[0]) or platform.machine()
+    return f"{processor}, {torch.get_num_threads()} of {os.cpu_count()} threads"

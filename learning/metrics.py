@@ -1,6 +1,6 @@
-"""How far an estimate is from the truth, scene by scene: picture in sRGB codes and in linear light, depth in cm and in 1 / z.
+"""How far an estimate is from the truth, scene by scene: image in sRGB codes and in linear light, depth in cm and in 1 / z.
 
-Every method's estimate is clamped to its ranges first. Pictures are judged at all pixels; depth at those that are asked for.
+Every method's estimate is clamped to its ranges first. Images are judged at all pixels; depth at those that are asked for.
 """
 
 from __future__ import annotations
@@ -15,18 +15,17 @@ from numpy.typing import NDArray
 from skimage.metrics import structural_similarity
 from torch import Tensor
 
-from learning.capture import CaptureModel
+from learning.camera import CaptureModel
 from learning.data import Example
-from learning.display import decode, encode
-from learning.estimate import Estimate
-from learning.perceptual.lpips_distance import LpipsDistance
+from learning.method import Estimate, linear_to_srgb, srgb_to_linear
+from learning.perceptual import LpipsDistance
 from simulator.errors import InputError
 
 # Andersson et al. 2020, section 4: a display 0.7 m wide with 3840 pixels, seen from 0.7 m.
 PIXELS_PER_DEGREE = 0.7 * 3840 / 0.7 * math.pi / 180
 
 SSIM_PIXELS = 11
-"""Side of SSIM's window: smaller pictures have none."""
+"""Side of SSIM's window: smaller images have none."""
 
 SSIM_DEFINITION = (
     "Wang et al. 2004 on sRGB codes 0..1, channel by channel, then their mean: Gaussian window of 11 x 11 pixels, sigma 1.5, "
@@ -36,7 +35,7 @@ SSIM_DEFINITION = (
 DEFINITIONS = {
     "psnr": "PSNR of sRGB codes 0..1 in dB, peak 1, over all pixels and channels of a scene; inf where they are equal",
     "ssim": SSIM_DEFINITION,
-    "linear_psnr": "PSNR of linear radiance / white in dB, peak 1; the truth is clipped at white, as pictures are",
+    "linear_psnr": "PSNR of linear radiance / white in dB, peak 1; the truth is clipped at white, as images are",
     "flip": f"mean FLIP (LDR) of Andersson et al. 2020 at {PIXELS_PER_DEGREE:.2f} pixels per degree; lower is better",
     "lpips": "LPIPS 0.1 of Zhang et al. 2018; lower is better",
     "depth_rmse_cm": "root mean square error of depth in cm",
@@ -74,19 +73,19 @@ def measure(
         pixels: ``(B, 1, h, w)`` bool, where depth counts, such as ``example.valid``; None is everywhere.
 
     Raises:
-        InputError: shapes that differ, pictures below 11 x 11 pixels, or an estimate with NaN or infinite numbers.
+        InputError: shapes that differ, images below 11 x 11 pixels, or an estimate with NaN or infinite numbers.
     """
     _check(estimate, example)
     estimate = estimate.clamped()
-    truth = encode(example.radiance, capture.white)
+    truth = linear_to_srgb(example.radiance, capture.white)
     scores = [
-        picture_scores(one, other)
-        for one, other in zip(_channels_last(estimate.picture), _channels_last(truth), strict=True)
+        image_scores(one, other)
+        for one, other in zip(_channels_last(estimate.image), _channels_last(truth), strict=True)
     ]
-    linear = psnr(decode(estimate.picture, 1.0), (example.radiance / capture.white).clamp(0, 1))
-    columns = {"psnr": psnr(estimate.picture, truth), "linear_psnr": linear}
+    linear = psnr(srgb_to_linear(estimate.image, 1.0), (example.radiance / capture.white).clamp(0, 1))
+    columns = {"psnr": psnr(estimate.image, truth), "linear_psnr": linear}
     if lpips is not None:
-        columns["lpips"] = lpips(estimate.picture, truth)
+        columns["lpips"] = lpips(estimate.image, truth)
     columns |= depth_scores(estimate, example, capture, pixels)._asdict()
     by_scene = [
         {name: values[scene].item() for name, values in columns.items()} | scores[scene] for scene in range(len(truth))
@@ -94,25 +93,23 @@ def measure(
     return [{name: scene[name] for name in DEFINITIONS if name in scene} for scene in by_scene]
 
 
-def psnr(picture: Tensor, truth: Tensor) -> Tensor:
-    """Return the PSNR of each picture, ``(B,)`` float64, in dB with peak 1; infinite where both are equal."""
-    return -10 * (picture.double() - truth.double()).square().mean(dim=(1, 2, 3)).log10()
+def psnr(image: Tensor, truth: Tensor) -> Tensor:
+    """Return the PSNR of each image, ``(B,)`` float64, in dB with peak 1; infinite where both are equal."""
+    return -10 * (image.double() - truth.double()).square().mean(dim=(1, 2, 3)).log10()
 
 
-def picture_scores(picture: NDArray[np.float32], truth: NDArray[np.float32]) -> dict[str, float]:
-    """Return ``ssim`` and ``flip`` of a picture ``(h, w, 3)``, sRGB codes 0..1, float32."""
+def image_scores(image: NDArray[np.float32], truth: NDArray[np.float32]) -> dict[str, float]:
+    """Return ``ssim`` and ``flip`` of an image ``(h, w, 3)``, sRGB codes 0..1, float32."""
     similarity = structural_similarity(
         truth.astype(np.float64),
-        picture.astype(np.float64),
+        image.astype(np.float64),
         channel_axis=-1,
         data_range=1.0,
         gaussian_weights=True,
         sigma=1.5,
         use_sample_covariance=False,
     )
-    _, error, _ = flip_evaluator.evaluate(
-        truth, picture, "LDR", applyMagma=False, parameters={"ppd": PIXELS_PER_DEGREE}
-    )
+    _, error, _ = flip_evaluator.evaluate(truth, image, "LDR", applyMagma=False, parameters={"ppd": PIXELS_PER_DEGREE})
     return {"ssim": float(cast("float", similarity)), "flip": float(error)}
 
 
@@ -129,7 +126,7 @@ def depth_scores(
     """
     disparity, true_m = estimate.disparity.double().clamp(0, 1), example.depth_m.double()
     found_m = capture.depth_m(disparity)
-    # Of a pixel at infinity that was found there, the difference is no number.
+    # Of a pixel at infinity that was found there, the difference is not a number.
     error_cm = torch.where(found_m == true_m, 0.0, 100 * (found_m - true_m))
     counted = torch.ones_like(example.valid) if pixels is None else pixels
     return DepthScores(
@@ -162,13 +159,13 @@ def _rms(error: Tensor, counted: Tensor) -> Tensor:
     return (squares / counted.sum(dim=(1, 2, 3))).sqrt()
 
 
-def _channels_last(pictures: Tensor) -> NDArray[np.float32]:
-    return np.ascontiguousarray(pictures.detach().float().cpu().permute(0, 2, 3, 1).numpy())
+def _channels_last(images: Tensor) -> NDArray[np.float32]:
+    return np.ascontiguousarray(images.detach().float().cpu().permute(0, 2, 3, 1).numpy())
 
 
 def _check(estimate: Estimate, example: Example) -> None:
     for name, found, wanted in (
-        ("picture", estimate.picture, example.radiance),
+        ("image", estimate.image, example.radiance),
         ("disparity", estimate.disparity, example.depth_m),
     ):
         if found.shape != wanted.shape or found.ndim != 4:
@@ -178,9 +175,7 @@ def _check(estimate: Estimate, example: Example) -> None:
             count = int((~found.isfinite()).sum())
             msg = f"estimate.{name}: {count} of {found.numel()} numbers are NaN or infinite; there is no score for that"
             raise InputError(msg)
-    if min(estimate.picture.shape[2:]) < SSIM_PIXELS:
-        height, width = estimate.picture.shape[2:]
-        msg = (
-            f"estimate.picture: got {height} x {width} pixels, expected at least {SSIM_PIXELS} x {SSIM_PIXELS} for SSIM"
-        )
+    if min(estimate.image.shape[2:]) < SSIM_PIXELS:
+        height, width = estimate.image.shape[2:]
+        msg = f"estimate.image: got {height} x {width} pixels, expected at least {SSIM_PIXELS} x {SSIM_PIXELS} for SSIM"
         raise InputError(msg)

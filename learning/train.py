@@ -1,28 +1,77 @@
-"""Training a network on a data set: from the YAML file to checkpoints; an interrupted training goes on by itself."""
+"""Training a network on a data set: from the YAML file to checkpoints; an interrupted training goes on by itself.
+
+Read downwards: what a training is called with, what is decided before it touches its folder (data, network, loss), the
+optimiser, and the loop with its log, validations, checkpoints and states.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NoReturn
 
+import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
+from torch.utils.data import default_collate
 
-from learning.checkpoint import save_checkpoint
-from learning.config.load import load_file
-from learning.config.train import TrainConfig
-from learning.training.distributed import Processes, processes, synchronise_batch_norm
-from learning.training.folder import BEST, LAST, STATE
-from learning.training.loop import Training
-from learning.training.material import count_workers, open_examples
-from learning.training.optimiser import build_optimiser, learning_rate
-from learning.training.plan import Plan, held_folder, make_plan
-from learning.training.record import portable_command, portable_config
-from learning.training.state import Progress, load_state
-from learning.training.stopping import stop_signals
+from learning.camera import CaptureModel, capture_model, measure_reference_white
+from learning.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, transfer
+from learning.config import OptimiserConfig, TrainConfig, load_file
+from learning.data import Batches, Example, ExampleSet, Loader, check_dataset
+from learning.distributed import Precision, Processes, processes, synchronise_batch_norm
+from learning.losses import ReconstructionLoss
+from learning.models import build_network
+from learning.models.flatnet import FlatNet
+from learning.resume import (
+    BEST,
+    LAST,
+    STATE,
+    DivergedError,
+    Progress,
+    Stop,
+    described,
+    load_state,
+    portable_command,
+    portable_config,
+    save_state,
+    sole_use,
+    stop_signals,
+)
+from learning.validation import SHOWN, Log, draw, to_device, true_estimate, validate
 from simulator import __version__
+from simulator.dataset import open_dataset
+from simulator.dataset.dataset_info import PSF_FOLDER
+from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
+from simulator.io.cache import cache_folder
+from simulator.io.files import sha256_file
+from simulator.optics.stack_files import read_psf_stack
+
+_MOST_WORKERS = 8
+_CONVOLUTION = 4  # dimensions of its weights, at least: norms, biases and the inversion's P and lambda must not decay
+_SHOWN_NUMBERS = 12  # in a message
+_CAMERA_NUMBERS = ("scene_shape", "sensor_shape", "gain", "offset", "irradiance", "scene_to_camera")
+_CURES = {
+    "scene_shape": "scene.size",
+    "sensor_shape": "camera.sensor.shape",
+    "channels": "camera.sensor.readout",
+    "range of depths, 1/m": "psf.near_cm, psf.far_cm",
+    "mask": "camera.mask, camera.mask_to_sensor_mm",
+    "scene_to_camera": "camera.scene_to_camera",
+    "irradiance": "forward.vignetting",
+    "offset": "camera.noise.type, camera.sensor.black_level_dn",
+    "gain": "camera.exposure.full_scale",
+}
+"""What makes a camera, and what of the data set's configuration decides it; from coarse to fine."""
+
+Show = Callable[[str, int, int], None]
+Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -43,11 +92,7 @@ class TrainResult:
 
 
 def train(
-    config: TrainConfig | Path | str,
-    overrides: Sequence[str] = (),
-    *,
-    show: Callable[[str, int, int], None] | None = None,
-    say: Callable[[str], None] | None = None,
+    config: TrainConfig | Path | str, overrides: Sequence[str] = (), *, show: Show | None = None, say: Say | None = None
 ) -> TrainResult:
     """Train a network, or go on with a training that was interrupted; under torchrun with all of its processes.
 
@@ -65,68 +110,449 @@ def train(
     command = None
     if not isinstance(config, TrainConfig):
         command, config = portable_command(config, overrides), load_file(TrainConfig, config, overrides)
-    with processes(config.device) as group, torch.random.fork_rng(_generators(group)):
-        show_all, say_all = (show or _nothing, say or _nothing) if group.leader else (_nothing, _nothing)
+    with processes(config.device) as group, torch.random.fork_rng([group.device] if group.on_cuda else []):
         plan = make_plan(config, group, command)
         with held_folder(plan):
-            training = _prepare(plan, show_all, say_all)
+            heard = group.is_rank_zero
+            training = Training(plan, (heard and show) or (lambda *_: None), (heard and say) or (lambda _: None))
             first = training.progress.step
             if first < config.steps:
-                say_all(_describe(training))
                 with stop_signals() as stop:
                     training.run(stop)
     progress = training.progress
     return TrainResult(training.folder, progress.step - first, progress.seconds, progress.best)
 
 
-def _prepare(plan: Plan, show: Callable[[str, int, int], None], say: Callable[[str], None]) -> Training:
-    """Build everything, and read the state where there is one; the folder must be held, see `held_folder`."""
-    config, group, material, folder = plan.config, plan.group, plan.material, plan.folder
-    placed = _placed(plan.network, group)
-    loss = plan.loss.to(group.device)
-    optimiser = build_optimiser(placed, config.optimiser)
-    begun = (folder / STATE).exists()
-    progress = load_state(folder / STATE, placed, optimiser) if begun else Progress()
-    if begun:
-        say(f"{folder}: going on after step {progress.step} of {config.steps}")
-    else:
-        for line in plan.taken:
-            say(line)
-    if progress.step > config.steps:
-        msg = f"steps: got {config.steps}, but {folder} has done {progress.step}; they can be raised, not lowered"
+@dataclass(frozen=True)
+class Material:
+    """What a training learns from.
+
+    Attributes:
+        train: the split that is learned from.
+        validation: the split that is measured.
+        capture: the camera, with the PSFs that the inversion knows and the reference white of the images.
+    """
+
+    train: Dataset
+    validation: Dataset
+    capture: CaptureModel
+
+    def describe(self) -> dict[str, Any]:
+        """Return what decides a training's numbers, plain."""
+        splits = {
+            split.split: {"name": split.info.name, "fingerprint": split.fingerprint, "samples": len(split)}
+            for split in (self.train, self.validation)
+        }
+        return {**splits, "stack": self.capture.stack.fingerprint, "white": self.capture.white}
+
+
+def find_material(config: TrainConfig) -> Material:
+    """Open the data sets of a training and look at some of their samples.
+
+    The validation split must come from the same camera: mask, sensor, exposure and range of depths. How finely its PSFs were
+    computed may differ (``psf.model``, ``psf.depths``), so that what is learned from a fast model can be measured on an exact
+    one; the data set's fingerprint tells.
+
+    Raises:
+        InputError: no such data set or stack, an empty split, data that nothing can be learned from, or a validation split of
+            another camera: what differs is named.
+    """
+    root = config.resolve_path(config.data.train)
+    other = root if config.data.validation is None else config.resolve_path(config.data.validation)
+    train, validation = open_dataset(root, "train"), open_dataset(other, "validation")
+    for dataset in (train, validation):
+        check_dataset(dataset)
+    capture = capture_model(train, config.resolve_stack(config.data.stack), white=measure_reference_white(train))
+    if other != root:
+        _check_same_camera(train, validation)
+    return Material(train, validation, capture)
+
+
+def _check_same_camera(train: Dataset, validation: Dataset) -> None:
+    """Refuse a validation split that was measured otherwise than what is learned from."""
+    first, second = _camera(train), _camera(validation)
+    for what, cure in _CURES.items():
+        one, two = first[what], second[what]
+        if np.shape(one) == np.shape(two) and (
+            one == two if isinstance(one, str) else np.allclose(one, two, rtol=1e-5)
+        ):
+            continue
+        short = " and ".join(
+            f"{where} {value.tolist() if np.size(value) <= _SHOWN_NUMBERS else 'another'}"
+            for where, value in ((validation.root, np.asarray(two)), (f"data.train {train.root}", np.asarray(one)))
+        )
+        msg = f"data.validation: {what} differs: {short}; validate on data of the same camera ({cure})"
         raise InputError(msg)
-    _note_length(progress, config, say)
-    examples, held_out = (open_examples(split, config, say) for split in (material.train, material.validation))
-    training = Training(
-        config=config,
-        folder=folder,
-        capture=material.capture,
-        network=placed,
-        optimiser=optimiser,
-        loss=loss,
-        examples=examples,
-        held_out=held_out,
-        precision=plan.precision,
-        group=group,
-        workers=count_workers(config, group.ranks),
-        progress=progress,
-        save_network=lambda best: _save_network(training, plan, best),
-        show=show,
-        say=say,
-    )
-    return training
 
 
-def _note_length(progress: Progress, config: TrainConfig, say: Callable[[str], None]) -> None:
-    """Keep a record of the steps that the learning rate's schedule is stretched over, and say when they change."""
-    step, steps = progress.step, config.steps
-    before = progress.lengths[-1][1] if progress.lengths else steps
-    if step == steps or (progress.lengths and before == steps):
-        return
-    progress.lengths.append([step, steps])
-    if before != steps:
-        last, now = (learning_rate(n, of, config.optimiser) for n, of in ((step - 1, before), (step, steps)))
-        say(f"steps: {before} -> {steps} after step {step}; the learning rate goes from {last:.3g} to {now:.3g} there")
+def _camera(dataset: Dataset) -> dict[str, Any]:
+    """Return what makes a data set's camera, by the names of `_CURES`."""
+    capture = capture_model(dataset)
+    stack = read_psf_stack(dataset.root / PSF_FOLDER)
+    mask = stack.provenance.get("mask")
+    at = stack.provenance.get("mask_to_sensor_m")
+    optics = f"{mask['sha256']} at {at} m" if mask else f"PSFs {stack.fingerprint}"
+    values = {name: getattr(capture, name) for name in _CAMERA_NUMBERS}
+    depths = np.array([1 / capture.near_m, 1 / capture.far_m])
+    return {**values, "channels": " ".join(stack.channels), "mask": optics, "range of depths, 1/m": depths}
+
+
+def open_examples(dataset: Dataset, config: TrainConfig, say: Say) -> ExampleSet:
+    """Return the examples of a split, with the noise and the cache of the configuration; ``say`` is told of the cache."""
+    cache, place = None, config.data.cache
+    if place:
+        cache = cache_folder() / "samples" if place is True else config.resolve_path(place)
+        say(f"{dataset.split}: {len(dataset)} samples, kept decoded in {cache}")
+    return ExampleSet(dataset, noise_db=config.data.noise_db, seed=config.seed, cache=cache)
+
+
+def count_workers(config: TrainConfig, processes: int) -> int:
+    """Return how many workers each process has for reading: at most one less than there are cores for it."""
+    if config.data.workers != "auto":
+        return config.data.workers
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(max(cores // processes - 1, 0), _MOST_WORKERS)
+
+
+@dataclass(frozen=True)
+class Pretrained:
+    """The checkpoint that a training begins with, known by its content: a path says nothing of what lay there.
+
+    Attributes:
+        path: its file.
+        sha256: of the file.
+        checkpoint: what it holds.
+    """
+
+    path: Path
+    sha256: str
+    checkpoint: Checkpoint
+
+    def describe(self) -> dict[str, Any]:
+        """Return what decides a training's numbers, plain: its content, wherever it lies and however it is called."""
+        return {"sha256": self.sha256, "architecture": self.checkpoint.architecture}
+
+    def record(self) -> dict[str, Any]:
+        """Return the same with what the network had learned from before, which an evaluation must not test it on."""
+        before = {key: self.checkpoint.record.get(key) for key in ("data sets", "init_from")}
+        return self.describe() | {"file": self.path.name} | before
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What can be known of a training without its folder.
+
+    Attributes:
+        config: the configuration.
+        group: the processes that share the work.
+        command: that started it; None where it was called from Python.
+        material: what is learned from.
+        precision: of the network.
+        pretrained: the checkpoint that it begins with.
+        network: with the weights to begin with, on the CPU.
+        taken: lines that say what it took from ``pretrained``.
+        loss: on the CPU.
+    """
+
+    config: TrainConfig
+    group: Processes
+    command: str | None
+    material: Material
+    precision: Precision
+    pretrained: Pretrained | None
+    network: FlatNet
+    taken: list[str]
+    loss: ReconstructionLoss
+
+
+def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Plan:
+    """Read what a training needs and build its network, which is seeded; a mistake then leaves no folder behind.
+
+    Raises:
+        InputError: a mistake in the configuration, or data that nothing can be learned from.
+    """
+    material = find_material(config)
+    for what, count in (("batch", config.batch), ("validation split", len(material.validation))):
+        if count < group.world_size or (what == "batch" and count % group.world_size):
+            sharing = f"{group.world_size} processes, which share it"
+            msg = f"{what}: got {count} for {sharing}; choose a multiple, or other processes"
+            raise InputError(msg)
+    precision, pretrained = Precision.choose(config.precision, group.device), None
+    if config.init_from is not None:
+        path = config.resolve_path(config.init_from)
+        checkpoint = load_checkpoint(path, network=config.network.name)
+        pretrained = Pretrained(path, sha256_file(path), checkpoint)
+    choices = config.loss.model_dump(exclude={"perceptual_seed"})
+    loss = ReconstructionLoss(**choices, seed=config.loss.perceptual_seed)
+    torch.manual_seed(config.seed)
+    network = build_network(material.capture, config.network.name, config.network.size, **config.network.changes)
+    taken = []
+    if pretrained is not None:
+        taken = [f"{pretrained.path.name}: {line}" for line in transfer(network, pretrained.checkpoint)]
+    return Plan(config, group, command, material, precision, pretrained, network, taken, loss)
+
+
+@contextmanager
+def held_folder(plan: Plan) -> Iterator[None]:
+    """Let rank 0 take the folder; the other processes wait until it has, and give up where it could not.
+
+    Raises:
+        InputError: see `learning.resume.sole_use`.
+        StorageError: the folder cannot be written to.
+    """
+    config = plan.config
+    init_from = plan.pretrained and plan.pretrained.describe()
+    parts = described(config.dump(), plan.material.describe(), precision=plan.precision.kind, init_from=init_from)
+    with ExitStack() as stack:
+        error = None
+        if plan.group.is_rank_zero:
+            try:
+                stack.enter_context(sole_use(config.resolve_path(config.output), parts))
+            except InputError as found:
+                error = found
+        told = plan.group.gather(None if error is None else str(error))[0]
+        if told is not None:
+            raise error or InputError(told)
+        yield
+
+
+def build_optimiser(network: nn.Module, config: OptimiserConfig) -> torch.optim.Optimizer:
+    """Return AdamW over all parameters that learn; without weight decay it is Adam."""
+    learning = [parameter for parameter in network.parameters() if parameter.requires_grad]
+    groups = [
+        {"params": [each for each in learning if each.ndim >= _CONVOLUTION], "weight_decay": config.weight_decay},
+        {"params": [each for each in learning if each.ndim < _CONVOLUTION], "weight_decay": 0.0},
+    ]
+    return torch.optim.AdamW([group for group in groups if group["params"]], lr=config.learning_rate)
+
+
+def learning_rate(step: int, steps: int, config: OptimiserConfig) -> float:
+    """Return the learning rate of a step, 0 to ``steps - 1``: a function of the step, so that nothing has to be saved.
+
+    Example:
+        >>> config = OptimiserConfig(learning_rate=0.1, warm_up=0.2)
+        >>> [round(learning_rate(step, 10, config), 4) for step in (0, 1, 2, 6, 9)]
+        [0.05, 0.1, 0.1, 0.05, 0.0038]
+    """
+    rising = round(config.warm_up * steps)
+    if step < rising:
+        return config.learning_rate * (step + 1) / rising
+    if config.schedule == "constant":
+        return config.learning_rate
+    share = (step - rising) / (steps - rising)
+    return config.learning_rate * (1 + math.cos(math.pi * share)) / 2
+
+
+class Training:
+    """The loop: batches, steps, the log, validations, states to go on from.
+
+    Attributes:
+        folder: where it writes; held, see `held_folder`.
+        progress: how far it is.
+    """
+
+    def __init__(self, plan: Plan, show: Show, say: Say) -> None:
+        """Build everything, and read the state where there is one.
+
+        Raises:
+            InputError: a damaged state, or one of more steps than are asked for.
+            StorageError: the cache of samples cannot be written.
+        """
+        self._plan, self._show, self._say = plan, show, say
+        self._config, self._group, self._capture = config, group, _ = plan.config, plan.group, plan.material.capture
+        self.folder = config.resolve_path(config.output)
+        self._network = _placed(plan.network, group)
+        self._loss = plan.loss.to(group.device)
+        self._optimiser = build_optimiser(self._network, config.optimiser)
+        state = self.folder / STATE
+        begun = state.exists()
+        self.progress = load_state(state, self._network, self._optimiser) if begun else Progress()
+        step = self.progress.step
+        for line in [f"{self.folder}: going on after step {step} of {config.steps}"] if begun else plan.taken:
+            say(line)
+        if step > config.steps:
+            msg = f"steps: got {config.steps}, but {self.folder} has done {step}; they can be raised, not lowered"
+            raise InputError(msg)
+        self._note_length()
+        splits = (plan.material.train, plan.material.validation)
+        self._examples, self._held_out = (open_examples(split, config, say) for split in splits)
+        self._workers = count_workers(config, group.world_size)
+
+    def _note_length(self) -> None:
+        """Keep a record of the steps that the learning rate's schedule is stretched over, and say when they change."""
+        progress, step, steps = self.progress, self.progress.step, self._config.steps
+        before = progress.lengths[-1][1] if progress.lengths else steps
+        if step == steps or (progress.lengths and before == steps):
+            return
+        progress.lengths.append([step, steps])
+        if before != steps:
+            optimiser = self._config.optimiser
+            last, now = (learning_rate(n, of, optimiser) for n, of in ((step - 1, before), (step, steps)))
+            change = f"the learning rate goes from {last:.3g} to {now:.3g} there"
+            self._say(f"steps: {before} -> {steps} after step {step}; {change}")
+
+    def run(self, stop: Stop) -> None:
+        """Train to the end.
+
+        Raises:
+            KeyboardInterrupt: when it was asked to stop; the state is saved.
+            DivergedError: a loss or gradient that is not finite.
+            StorageError: the disk is full or protected; the last state is kept.
+        """
+        parameters = sum(parameter.numel() for parameter in self._network.parameters())
+        several = f" in each of {self._group.world_size} processes" if self._group.world_size > 1 else ""
+        self._say(
+            f"{self._config.network.name}: {parameters / 1e6:.2f} million parameters, {self._plan.precision.kind}, "
+            f"{_device_name(self._group.device)}, {self._workers} workers{several}"
+        )
+        with ExitStack() as stack:
+            log = Log(self.folder, self.progress.step) if self._group.is_rank_zero else None
+            if log is not None:
+                stack.callback(log.close)
+            loaders = self._loaders()
+            for loader in loaders:
+                stack.callback(loader.close)
+            self._run(*loaders, stop, log)
+        self._show("steps", self.progress.step, self._config.steps)
+
+    def _loaders(self) -> tuple[Loader, Loader]:
+        """Return what reads the batches of this process, to learn from and to validate on."""
+        config, group, pin = self._config, self._group, self._group.on_cuda
+        own = list(range(group.rank, len(self._held_out), group.world_size))
+        size = max(config.batch // group.world_size, 1)
+        parts = [own[first : first + size] for first in range(0, len(own), size)]
+        return (
+            Loader(self._examples, self._order(self.progress.step), self._workers, pin_memory=pin),
+            Loader(self._held_out, parts, min(self._workers, 1), pin_memory=pin),
+        )
+
+    def _order(self, first: int) -> Batches:
+        config, group = self._config, self._group
+        ranks = {"rank": group.rank, "world_size": group.world_size}
+        return Batches(len(self._examples), config.batch, seed=config.seed, first=first, **ranks)
+
+    def _run(self, examples: Loader, held_out: Loader, stop: Stop, log: Log | None) -> None:
+        progress, config = self.progress, self._config
+        wrapped = self._group.wrap(self._network)
+        batches = iter(examples)
+        self._network.train()
+        saved = time.monotonic()
+        since, logged = time.monotonic(), progress.step
+        while progress.step < config.steps:
+            begin = time.monotonic()
+            asked = self._step(wrapped, next(batches), stop)
+            progress.seconds += time.monotonic() - begin
+            self._show("steps", progress.step, config.steps)
+            if progress.step % config.log_every == 0 or progress.step == config.steps:
+                # Of this sitting: an earlier one may have counted steps of this line before it was stopped.
+                self._write_log(log, (progress.step - logged) * config.batch / (time.monotonic() - since))
+                since, logged = time.monotonic(), progress.step
+            if progress.step % config.validate_every == 0 or progress.step == config.steps:
+                begin = time.monotonic()
+                self._validate(held_out, log)
+                progress.seconds += time.monotonic() - begin
+                since += time.monotonic() - begin
+            halted = asked if self._group.world_size > 1 else stop.wanted  # several must agree on the step
+            over = halted or progress.step == config.steps
+            if self._group.is_rank_zero and (over or time.monotonic() - saved > config.checkpoint_every_s):
+                if progress.step == config.steps:
+                    self._save_network(LAST)  # before the state that says that all is done
+                save_state(self.folder / STATE, self._network, self._optimiser, progress)
+                saved = time.monotonic()
+            if halted and progress.step < config.steps:
+                self._say(f"stopped after step {progress.step} of {config.steps}; the same command goes on from there")
+                raise KeyboardInterrupt
+
+    def _step(self, wrapped: nn.Module, batch: Example, stop: Stop) -> bool:
+        """Learn from a batch and return whether any process was asked to stop."""
+        progress, config = self.progress, self._config
+        for group in self._optimiser.param_groups:
+            group["lr"] = learning_rate(progress.step, config.steps, config.optimiser)
+        example = to_device(batch, self._group.device)
+        self._optimiser.zero_grad(set_to_none=True)
+        estimate = self._plan.precision.estimate(wrapped, example.measurement)
+        terms: dict[str, Tensor] = self._loss(estimate, *true_estimate(example, self._capture), example.valid)
+        terms["total"].backward()
+        longest = config.optimiser.gradient_clip or float("inf")
+        norm = nn.utils.clip_grad_norm_(self._network.parameters(), longest)
+        own = torch.stack([value.detach().double() for value in terms.values()])
+        sums = self._group.add(torch.cat([own, own.new_tensor([norm, stop.wanted])])).tolist()
+        means = [value / self._group.world_size for value in sums[:-1]]
+        if not all(map(math.isfinite, means)):
+            self._refuse(dict(zip(terms, own.tolist(), strict=True)), float(norm))
+        self._optimiser.step()
+        progress.step += 1
+        for name, value in zip([*terms, "gradient_norm"], means, strict=True):
+            progress.sums[name] = progress.sums.get(name, 0.0) + value
+        progress.counted += 1
+        return sums[-1] > 0
+
+    def _refuse(self, terms: dict[str, float], norm: float) -> NoReturn:
+        """Raise the error of a non-finite step, with the samples of the processes whose loss it is."""
+        ids = [self._examples.dataset.ids[draw.position] for draw in self._order(0).batch(self.progress.step)]
+        reports = self._group.gather((all(map(math.isfinite, terms.values())), ids, terms, norm))
+        guilty = [report for report in reports if not report[0]] or reports
+        every = [identifier for report in guilty for identifier in report[1]]
+        raise DivergedError.in_step(self.progress.step + 1, guilty[0][2], guilty[0][3], every, self._kept())
+
+    def _kept(self) -> str:
+        there = (self.folder / STATE).exists()
+        return f"the state in {self.folder} is that of an earlier step" if there else "nothing is saved yet"
+
+    def _write_log(self, log: Log | None, rate: float) -> None:
+        progress, config = self.progress, self._config
+        means = {name: value / progress.counted for name, value in progress.sums.items()}
+        means["learning_rate"] = learning_rate(progress.step - 1, config.steps, config.optimiser)
+        means["samples_per_second"] = rate
+        progress.sums, progress.counted = {}, 0
+        if log is not None:
+            log.write(progress.step, "train", means)
+
+    def _validate(self, batches: Loader, log: Log | None) -> None:
+        progress, precision = self.progress, self._plan.precision
+        metrics = validate(self._network, batches, self._loss, self._capture, precision=precision, group=self._group)
+        if not all(map(math.isfinite, metrics.values())):
+            raise DivergedError.in_validation(progress.step, metrics, self._kept())
+        progress.last = {"step": progress.step, **metrics}
+        better = metrics["total"] < progress.best.get("total", float("inf"))
+        if better:
+            progress.best = progress.last
+        if log is not None:
+            log.write(progress.step, "validation", metrics)
+            shown = default_collate([self._held_out[n] for n in range(min(SHOWN, len(self._held_out)))])
+            example = to_device(shown, self._group.device)
+            log.show(progress.step, draw(self._network, example, self._capture, precision=precision))
+            if better:
+                self._save_network(BEST)
+        self._say(
+            f"step {progress.step}: validation loss {metrics['total']:.4g}, PSNR {metrics['psnr_db']:.2f} dB, depth RMSE "
+            f"{metrics['depth_rmse_cm']:.2f} cm{' (best)' if better else ''}"
+        )
+
+    def _save_network(self, name: str) -> None:
+        config, plan, progress = self._config, self._plan, self.progress
+        save_checkpoint(
+            self.folder / name,
+            self._network,  # pyright: ignore[reportArgumentType]
+            architecture={"network": config.network.name, "size": config.network.size, **config.network.changes},
+            capture=self._capture,
+            record={
+                "name": config.name,
+                "config": portable_config(config),
+                "command": plan.command or "learning.train.train, called from Python",
+                "data sets": plan.material.describe(),
+                "init_from": plan.pretrained and plan.pretrained.record(),
+                "loss": self._loss.record(),
+                "validation": {"best": progress.best, "last": progress.last},
+                "step": progress.step,
+                "steps": [{"from": first, "of": steps} for first, steps in progress.lengths],
+                "seconds": progress.seconds,
+                "precision": plan.precision.kind,
+                "device": _device_name(self._group.device),
+                "processes": self._group.world_size,
+                "versions": {"flatlight": __version__, "torch": str(torch.__version__)},
+            },
+        )
 
 
 def _placed(network: nn.Module, group: Processes) -> nn.Module:
@@ -134,57 +560,12 @@ def _placed(network: nn.Module, group: Processes) -> nn.Module:
     for module in network.modules():
         if isinstance(module, nn.Conv2d):
             module.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    if group.ranks > 1:
+    if group.world_size > 1:
         network = synchronise_batch_norm(network, group.device.type)
     return network.to(group.device)
 
 
-def _save_network(training: Training, plan: Plan, best: bool) -> None:
-    config, progress = training.config, training.progress
-    save_checkpoint(
-        training.folder / (BEST if best else LAST),
-        training.network,  # pyright: ignore[reportArgumentType]
-        architecture={"network": config.network.name, "size": config.network.size, **config.network.changes},
-        capture=training.capture,
-        record={
-            "name": config.name,
-            "config": portable_config(config),
-            "command": plan.command or "learning.train.train, called from Python",
-            "data sets": plan.material.describe(),
-            "start": plan.start and plan.start.record(),
-            "loss": training.loss.record(),  # pyright: ignore[reportCallIssue]
-            "validation": {"best": progress.best, "last": progress.last},
-            "step": progress.step,
-            "steps": [{"from": first, "of": steps} for first, steps in progress.lengths],
-            "seconds": progress.seconds,
-            "precision": training.precision.kind,
-            "device": _device_name(training.group.device),
-            "processes": training.group.ranks,
-            "versions": {"flatlight": __version__, "torch": str(torch.__version__)},
-        },
-    )
-
-
-def _describe(training: Training) -> str:
-    network, group = training.network, training.group
-    parameters = sum(parameter.numel() for parameter in network.parameters())
-    several = f" in each of {group.ranks} processes" if group.ranks > 1 else ""
-    return (
-        f"{training.config.network.name}: {parameters / 1e6:.2f} million parameters, {training.precision.kind}, "
-        f"{_device_name(group.device)}, {training.workers} workers{several}"
-    )
-
-
 def _device_name(device: torch.device) -> str:
-    return (
-        torch.cuda.get_device_name(device) if device.type == "cuda" else f"CPU with {torch.get_num_threads()} threads"
-    )
-
-
-def _generators(group: Processes) -> list[torch.device]:
-    """Return the devices, beside the CPU, whose generators a training must leave as they were."""
-    return [group.device] if group.device.type == "cuda" else []
-
-
-def _nothing(*_: object) -> None:
-    """Say and show nothing."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    return f"CPU with {torch.get_num_threads()} threads"

@@ -1,6 +1,5 @@
 """Fixtures that all tests share."""
 
-import fcntl
 import os
 import signal
 import subprocess
@@ -217,12 +216,10 @@ def _children() -> dict[int, str]:
 
 
 @pytest.fixture(autouse=True)
-def no_process_outlives_a_test(request: pytest.FixtureRequest) -> Iterator[None]:
+def no_process_outlives_a_test() -> Iterator[None]:
     """Fail a test that leaves a process running: it would slow the next tests down and outlive the run."""
     before = _children()
     yield
-    if request.node.get_closest_marker("leaves_workers"):
-        return
     end = time.monotonic() + 10
     while left := _children().keys() - before.keys():
         if time.monotonic() > end:
@@ -237,25 +234,6 @@ def shared_tmp(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shared"
     folder.mkdir(exist_ok=True)
     return folder
-
-
-@pytest.fixture(scope="session")
-def once(shared_tmp: Path) -> Callable[[str, Callable[[Path], object]], Path]:
-    """Return a function that has a folder filled by the first process that asks for it; the others wait and read.
-
-    Its arguments are the folder's name and what makes it; nobody may write into it afterwards.
-    """
-
-    def once(name: str, make: Callable[[Path], object]) -> Path:
-        folder, done = shared_tmp / name, shared_tmp / f"{name}.done"
-        with open(shared_tmp / f"{name}.lock", "w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            if not done.exists():
-                make(folder)
-                done.touch()
-        return folder
-
-    return once
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from learning.capture import CaptureModel
+from learning.camera import CaptureModel
 from learning.layers.padding import (
     as_pairs,
     axis_plans,
@@ -37,7 +37,7 @@ class RegularisedInversion(nn.Module):
     """From a measurement to one estimate of the whole scene per depth plane: sharp where the depth is right.
 
     Learned are P, a 3 x 3 filter per plane that the channels share, and lambda per plane and channel,
-    ``lambda = exp(log_lambda) mean |FH|^2``, so that the same number means the same strength for every mask and scale.
+    ``lambda = exp(log_lambda) mean |FH|^2``, so that the same number means the same for every mask and scale.
     The arithmetic is float32 under autocast too, and torch's default precision at construction otherwise.
 
     Attributes:
@@ -56,8 +56,8 @@ class RegularisedInversion(nn.Module):
         capture: CaptureModel,
         planes: Sequence[int] | None = None,
         *,
-        strength: float = 1e-2,
-        floor: float = 0.0,
+        regularisation_lambda: float = 1e-2,
+        tikhonov: float = 0.0,
         learned: bool = True,
         boundary: Literal["linear", "circular"] = "linear",
     ) -> None:
@@ -66,19 +66,20 @@ class RegularisedInversion(nn.Module):
         Args:
             capture: the camera.
             planes: indices of the planes to invert at; None takes all.
-            strength: initial lambda as a multiple of the PSF's mean spectral power.
-            floor: what P begins with beside the Laplacian: its response at frequency zero. A mask as wide as the scene and
-                more has zeros of FH so near to frequency zero that the Laplacian hardly holds them.
+            regularisation_lambda: initial, as a multiple of the PSF's mean spectral power.
+            tikhonov: Tikhonov term that P begins with beside the Laplacian, its response at frequency zero. A mask as wide as
+                the scene and more has zeros of FH so near to frequency zero that the Laplacian hardly holds them.
             learned: whether P and lambda are parameters or stay as they are.
             boundary: ``circular`` takes light that misses the sensor to come back on its other side, as the thesis does:
                 nothing is padded, and the inverse is exact for such a camera.
 
         Raises:
-            InputError: a strength that is not positive, or another boundary.
+            InputError: a lambda that is not positive, or another boundary.
         """
         super().__init__()
-        if not (math.isfinite(strength) and strength > 0):
-            msg = f"strength: got {strength!r}, expected a positive multiple of the PSF's mean spectral power"
+        if not (math.isfinite(regularisation_lambda) and regularisation_lambda > 0):
+            given = f"got {regularisation_lambda!r}"
+            msg = f"regularisation_lambda: {given}, expected a positive multiple of the PSF's mean spectral power"
             raise InputError(msg)
         self.planes = tuple(range(len(capture.stack.depths_m))) if planes is None else tuple(planes)
         self.disparities = capture.plane_disparities()[list(self.planes)]
@@ -100,9 +101,11 @@ class RegularisedInversion(nn.Module):
         self.register_buffer("offset", offset.to(dtype), persistent=False)
         kernels, channels = values.shape[:2]
         begin = torch.tensor(LAPLACIAN)
-        begin[1, 1] += floor
+        begin[1, 1] += tikhonov
         self.filters = nn.Parameter(begin.repeat(kernels, 1, 1), requires_grad=learned)
-        self.log_lambda = nn.Parameter(torch.full((kernels, channels), math.log(strength)), requires_grad=learned)
+        self.log_lambda = nn.Parameter(
+            torch.full((kernels, channels), math.log(regularisation_lambda)), requires_grad=learned
+        )
 
     def forward(self, measurement: Tensor, inverse: Tensor | None = None) -> Tensor:
         """Invert measurements.

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from learning.capture import CaptureModel
+from learning.camera import CaptureModel
 from simulator.arrays import next_fast_len
 from simulator.errors import InputError
 

@@ -1,7 +1,7 @@
-"""U-Net for pictures (2D) and for stacks of pictures in time or depth (3D).
+"""U-Net for images (2D) and for stacks of images in time or depth (3D), with attention gates on its skips where wanted.
 
-Source: Ronneberger et al., U-Net, MICCAI 2015; with ELU and batch normalisation as in the thesis, and optionally the gates of
-`learning.layers.attention` on its skips.
+Sources: Ronneberger et al., U-Net, MICCAI 2015, with ELU and batch normalisation as in the thesis; Oktay et al., Attention
+U-Net, MIDL 2018 (additive gates on a grid).
 """
 
 from __future__ import annotations
@@ -13,12 +13,43 @@ import torch
 import torch.nn.functional as nnf
 from torch import Tensor, nn
 
-from learning.layers.attention import GridAttention
 from simulator.errors import InputError
 
 
+class GridAttention(nn.Module):
+    """Weights 0..1 for every position of a skip, from the skip and from the next coarser level."""
+
+    def __init__(self, skip: int, gate: int, dimensions: int = 2) -> None:
+        """Build the gate.
+
+        Args:
+            skip: channels of the skip.
+            gate: channels of the coarser level, half as fine.
+            dimensions: 2 or 3.
+        """
+        super().__init__()
+        conv, norm = (nn.Conv2d, nn.BatchNorm2d) if dimensions == 2 else (nn.Conv3d, nn.BatchNorm3d)
+        inner = max(skip // 2, 1)
+        self.mode = "bilinear" if dimensions == 2 else "trilinear"
+        self.theta = conv(skip, inner, 2, stride=2, bias=False)
+        self.phi = conv(gate, inner, 1)
+        self.psi = conv(inner, 1, 1)
+        self.mix = nn.Sequential(conv(skip, skip, 1), norm(skip))
+
+    def forward(self, skip: Tensor, gate: Tensor) -> Tensor:
+        """Return the gated skip ``(B, skip, ...)``.
+
+        Args:
+            skip: ``(B, skip, ...)``.
+            gate: ``(B, gate, ...)``, half of the skip's size.
+        """
+        weights = torch.sigmoid(self.psi(nnf.elu(self.theta(skip) + self.phi(gate))))
+        weights = nnf.interpolate(weights, size=skip.shape[2:], mode=self.mode, align_corners=False)
+        return self.mix(skip * weights)
+
+
 class UNet(nn.Module):
-    """An encoder that halves the picture at each level, a decoder that doubles it, and skips between them."""
+    """An encoder that halves the image at each level, a decoder that doubles it, and skips between them."""
 
     def __init__(
         self,
@@ -80,34 +111,34 @@ class UNet(nn.Module):
         assert self.head.bias is not None
         nn.init.constant_(self.head.bias, start)
 
-    def forward(self, picture: Tensor) -> Tensor:
+    def forward(self, image: Tensor) -> Tensor:
         """Return ``(B, outputs, ...)`` of ``(B, inputs, ...)``, any size: odd ones are continued at their ends."""
-        size = picture.shape[2:]
+        size = image.shape[2:]
         multiple = self.stem * 2 ** (self.levels - 1)
         missing = [
             -length % (multiple if axis >= self.dimensions - 2 else multiple // self.stem)
             for axis, length in enumerate(size)
         ]
         if any(missing):
-            picture = nnf.pad(picture, [n for extra in reversed(missing) for n in (0, extra)], mode="replicate")
+            image = nnf.pad(image, [n for extra in reversed(missing) for n in (0, extra)], mode="replicate")
         if self.stem > 1:
-            picture = nnf.pixel_unshuffle(picture, self.stem)
+            image = nnf.pixel_unshuffle(image, self.stem)
         skips: list[Tensor] = []
         for level, block in enumerate(self.down):
             if level:
-                picture = nnf.max_pool2d(picture, 2) if self.dimensions == 2 else nnf.max_pool3d(picture, 2)
-            picture = block(picture)
-            skips.append(picture)
+                image = nnf.max_pool2d(image, 2) if self.dimensions == 2 else nnf.max_pool3d(image, 2)
+            image = block(image)
+            skips.append(image)
         for level in reversed(range(self.levels - 1)):
             skip = skips[level]
             if self.gates:
-                skip = self.gates[level](skip, picture)
-            picture = self.up[level](nnf.interpolate(picture, scale_factor=2.0, mode="nearest"))
-            picture = self.merge[level](torch.cat([skip, picture], dim=1))
-        picture = self.head(picture)
+                skip = self.gates[level](skip, image)
+            image = self.up[level](nnf.interpolate(image, scale_factor=2.0, mode="nearest"))
+            image = self.merge[level](torch.cat([skip, image], dim=1))
+        image = self.head(image)
         if self.stem > 1:
-            picture = nnf.pixel_shuffle(picture, self.stem)
-        return picture[(..., *(slice(length) for length in size))]
+            image = nnf.pixel_shuffle(image, self.stem)
+        return image[(..., *(slice(length) for length in size))]
 
 
 def _block(inputs: int, outputs: int, dimensions: int) -> nn.Sequential:

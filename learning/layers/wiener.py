@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from learning.capture import CaptureModel
+from learning.camera import CaptureModel
 from learning.layers.padding import (
     as_pairs,
     axis_plans,

@@ -1,4 +1,4 @@
-"""FlatNet3D and FlatNet2D: picture and depth from one measurement of a still scene.
+"""FlatNet3D and FlatNet2D: image and depth from one measurement of a still scene; their sizes; a trained one as a method.
 
 Source: the thesis, sections 4.3 and 5.2.3; FlatNet: Khan et al., FlatNet: Towards Photorealistic Scene Reconstruction from
 Lensless Measurements, TPAMI 2020.
@@ -6,16 +6,21 @@ Lensless Measurements, TPAMI 2020.
 
 from __future__ import annotations
 
+import inspect
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor, nn
 
-from learning.capture import CaptureModel
-from learning.estimate import Estimate
+from learning.camera import CaptureModel
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.unet import UNet
+from learning.method import Clock, Estimate
+from learning.provenance import now_called
+from simulator.errors import InputError
 
 
 class FlatNet(nn.Module):
@@ -29,8 +34,8 @@ class FlatNet(nn.Module):
         levels: int = 5,
         attention: bool = False,
         stem: int = 1,
-        strength: float = 0.1,
-        floor: float = 1.0,
+        regularisation_lambda: float = 0.1,
+        tikhonov: float = 1.0,
     ) -> None:
         """Build the network for a camera; see `UNet` for its size.
 
@@ -40,12 +45,14 @@ class FlatNet(nn.Module):
             levels: of the U-Net.
             attention: gates on its skips.
             stem: its pixel unshuffle.
-            strength: initial lambda of the inversion; see `RegularisedInversion`.
-            floor: what its P begins with beside the thesis's Laplacian; 0 is the Laplacian alone.
+            regularisation_lambda: initial lambda of the inversion; see `RegularisedInversion`.
+            tikhonov: what its P begins with beside the thesis's Laplacian; 0 is the Laplacian alone.
         """
         super().__init__()
         planes = self.planes_of(capture)
-        self.inversion = RegularisedInversion(capture, planes, strength=strength, floor=floor)
+        self.inversion = RegularisedInversion(
+            capture, planes, regularisation_lambda=regularisation_lambda, tikhonov=tikhonov
+        )
         channels = len(capture.stack.channels)
         self.enhancement = UNet(
             len(planes) * channels, 4, filters=filters, levels=levels, attention=attention, stem=stem, start=0.5
@@ -90,3 +97,111 @@ def hyperfocal_plane(capture: CaptureModel) -> int:
     Of two equally near, the nearer to the camera.
     """
     return int(np.argmin(np.abs(capture.plane_disparities() - 0.5).round(9)))
+
+
+NETWORKS: dict[str, type[FlatNet3D] | type[FlatNet2D]] = {"flatnet3d": FlatNet3D, "flatnet2d": FlatNet2D}
+SIZES: dict[str, dict[str, Any]] = {
+    "thesis": {"filters": 64, "levels": 5, "attention": True, "stem": 1},
+    "compact": {"filters": 16, "levels": 5, "attention": False, "stem": 1},
+    "tiny": {"filters": 4, "levels": 3, "attention": False, "stem": 1},
+}
+
+
+def build_network(capture: CaptureModel, name: str, size: str = "compact", **changes: Any) -> FlatNet:
+    """Return a network for a camera, its weights drawn from torch's generator.
+
+    Args:
+        capture: the camera.
+        name: ``flatnet3d`` or ``flatnet2d``.
+        size: ``thesis``, ``compact`` or ``tiny``.
+        changes: of the size's numbers; see `FlatNet3D`.
+
+    Raises:
+        InputError: an unknown name or size, or numbers that the network refuses.
+    """
+    _check(name, size)
+    numbers = [key for key in inspect.signature(NETWORKS[name]).parameters if key != "capture"]
+    for key in changes:
+        if key not in numbers:
+            msg = f"{key}: not a number of this network; {name} has {', '.join(numbers)}{now_called(key, numbers)}"
+            raise InputError(msg)
+    return NETWORKS[name](capture, **SIZES[size] | changes)
+
+
+def full_architecture(architecture: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``network``, ``size`` and changes with all numbers of the size: it stays the same network when sizes change.
+
+    Raises:
+        InputError: an unknown name or size.
+
+    Example:
+        >>> full_architecture({"network": "flatnet3d", "size": "tiny", "filters": 8})["filters"]
+        8
+    """
+    name, size = architecture.get("network"), architecture.get("size", "compact")
+    _check(name, size)
+    return {"network": name, "size": size, **SIZES[size], **architecture}
+
+
+def _check(name: Any, size: Any) -> None:
+    for what, value, known in (("network", name, NETWORKS), ("size", size, SIZES)):
+        if value not in known:
+            msg = f"{what}: got {value!r}, expected one of {', '.join(known)}"
+            raise InputError(msg)
+
+
+class LearnedMethod:
+    """A network that stands beside the classical methods; see `learning.method.Method`.
+
+    Attributes:
+        name: in tables and figures.
+        network: its weights, mode and device stay as they are, and may change between reconstructions.
+        capture: the camera that it was built for.
+    """
+
+    def __init__(self, name: str, network: FlatNet, capture: CaptureModel) -> None:
+        """Work out the inversion's W(z), as constrained least squares has it ready."""
+        self.name, self.network, self.capture = name, network, capture
+        self._inverse, self._made_from = self._work_out()
+
+    def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
+        """Return the estimate of measurements ``(B, C, H, W)``; stages ``inversion`` and ``network``.
+
+        Raises:
+            InputError: a measurement of another shape than the camera's.
+        """
+        clock = clock or Clock(measurement.device)
+        if not _same(self._made_from, _sources(self.network)):
+            self._inverse, self._made_from = self._work_out()
+        training = self.network.training
+        self.network.eval()  # batch normalisation by what training saw, not by this batch
+        try:
+            with torch.no_grad():
+                with clock.stage("inversion"):
+                    volume = self.network.inversion(measurement, self._inverse)
+                with clock.stage("network"):
+                    return self.network.enhance(volume)
+        finally:
+            self.network.train(training)
+
+    def _work_out(self) -> tuple[Tensor, list[tuple[Tensor, int]]]:
+        with torch.no_grad():
+            return self.network.inversion.inverse(), _sources(self.network)
+
+
+def _sources(network: FlatNet) -> list[tuple[Tensor, int]]:
+    """Return what W follows from, with how often each was written to.
+
+    The tensors share their memory with the network's. As long as they are kept, none else gets their addresses.
+    """
+    inversion = network.inversion
+    return [
+        (value.detach(), value._version) for value in (inversion.log_lambda, inversion.filters, inversion.numerator)
+    ]
+
+
+def _same(before: list[tuple[Tensor, int]], now: list[tuple[Tensor, int]]) -> bool:
+    return all(
+        version == other_version and value.data_ptr() == other.data_ptr() and value.dtype == other.dtype
+        for (value, version), (other, other_version) in zip(before, now, strict=True)
+    )

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from learning.capture import CaptureModel
-from learning.config.train import TrainConfig
+from learning.camera import CaptureModel
+from learning.config import TrainConfig
 from simulator.optics.stack import PsfStack, depth_planes
 
 # Every surface has a texture, without which a depth shows nowhere; and its own depth, so that depth cannot be guessed.

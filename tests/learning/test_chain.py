@@ -1,4 +1,4 @@
-"""From nothing to a picture by the commands alone: generate, train, evaluate, reconstruct; the numbers agree."""
+"""From nothing to an image by the commands alone: generate, train, evaluate, reconstruct; the numbers agree."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
-from learning.display import encode
+from learning.method import linear_to_srgb
 from simulator.dataset import open_dataset
 from simulator.io.exr import read_exr
 
@@ -32,7 +32,9 @@ def scores(folder: Path, stored: Any, white: float) -> tuple[float, float]:
     frame = stored.frame(0)
     planes, _ = read_exr(folder / "picture.exr")
     linear = np.stack([planes[name] for name in "RGB"], axis=-1)
-    found, truth = (encode(torch.from_numpy(np.ascontiguousarray(x)), white).numpy() for x in (linear, frame.rgb))
+    found, truth = (
+        linear_to_srgb(torch.from_numpy(np.ascontiguousarray(x)), white).numpy() for x in (linear, frame.rgb)
+    )
     depth_m: NDArray[np.float32] = read_exr(folder / "depth.exr")[0]["Z"]
     shown = np.asarray(Image.open(folder / "picture.png"))
     assert shown.shape == truth.shape
@@ -41,6 +43,7 @@ def scores(folder: Path, stored: Any, white: float) -> tuple[float, float]:
     return -10 * np.log10(np.mean((found.astype(np.float64) - truth) ** 2)), 100 * np.sqrt(squares.mean())
 
 
+@pytest.mark.slow
 def test_generate_train_evaluate_reconstruct(
     learning_trial: Any, flatlight: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

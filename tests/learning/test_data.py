@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import hashlib
+import json
+import multiprocessing
+import os
 import pickle
 import shutil
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +20,11 @@ import torch
 from scipy import stats
 from torch.utils.data import DataLoader, default_collate
 
-from learning.data import Batches, Draw, Example, ExampleSet, check_dataset
+from learning.data import Arrays, Batches, Draw, Example, ExampleSet, Loader, SampleCache, check_dataset
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.io.exr import read_exr, write_exr
+from simulator.io.files import StorageError
 
 
 @pytest.fixture(scope="module")
@@ -220,3 +227,239 @@ def test_depths_behind_the_mask_are_refused(tiny_dataset: Path, tmp_path: Path) 
     write_exr(path, planes | {"Z": -planes["Z"]}, metadata)
     with pytest.raises(InputError, match=rf"{path.parent.name}: a depth of -0\.\d+ m; expected z .* above 0"):
         ExampleSet(dataset)[0]
+
+
+@pytest.fixture
+def validation(tiny_dataset: Path) -> Dataset:
+    return open_dataset(tiny_dataset, "validation")
+
+
+def caches(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if path.is_dir())
+
+
+def same_arrays(one: Example, other: Example) -> bool:
+    return all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize("noise_db", [None, (20, 50)])
+def test_a_cached_example_is_the_same_and_needs_no_samples(
+    tiny_dataset: Path, tmp_path: Path, noise_db: tuple[float, float] | None
+) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(tiny_dataset, copy)
+    plain = ExampleSet(open_dataset(copy, "validation"), noise_db=noise_db)
+    expected = [plain[Draw(position, 2)] for position in range(8)]
+    dataset = open_dataset(copy, "validation")
+    ExampleSet(dataset, noise_db=noise_db, cache=tmp_path / "cache")
+    shutil.rmtree(copy / "validation")
+    cached = ExampleSet(dataset, noise_db=noise_db, cache=tmp_path / "cache")
+    assert all(same_arrays(cached[Draw(position, 2)], expected[position]) for position in range(8))
+    assert same_arrays(cached[-1], cached[7])
+    with pytest.raises(IndexError):
+        cached[8]
+
+
+def test_what_a_caller_changes_stays_the_callers(validation: Dataset, tmp_path: Path) -> None:
+    examples = ExampleSet(validation, cache=tmp_path)
+    examples[0].measurement.zero_()
+    assert examples[0].measurement.max() > 0.1
+
+
+def test_samples_that_were_made_again_are_read_again(learning_trial: Any, tmp_path: Path) -> None:
+    counts = {"train": 2, "validation": 0, "test": 0}
+    folder = learning_trial.generate(dataset=counts, psf={"as_captured": None})
+    old = ExampleSet(open_dataset(folder), cache=tmp_path / "cache")[1]
+    shutil.rmtree(folder)
+    learning_trial.generate("seed=12", dataset=counts, psf={"as_captured": None})
+    dataset = open_dataset(folder)
+    new = ExampleSet(dataset, cache=tmp_path / "cache")[1]
+    assert same_arrays(new, ExampleSet(dataset)[1])
+    assert not torch.equal(new.measurement, old.measurement)
+    part = ExampleSet(dataset[1:], cache=tmp_path / "cache")
+    assert len(part) == 1
+    assert same_arrays(part[0], new)
+    redrawn = ExampleSet(dataset, noise_db=(20, 20), cache=tmp_path / "cache")
+    assert same_arrays(redrawn[1], ExampleSet(dataset, noise_db=(20, 20))[1])
+    assert len(caches(tmp_path / "cache")) == 4
+
+
+def test_a_sample_that_was_replaced_is_read_again(learning_trial: Any, tmp_path: Path) -> None:
+    """By its digest: the data set's configuration, and so its fingerprint, stay."""
+    folder = learning_trial.generate(dataset={"train": 2, "validation": 0, "test": 0}, psf={"as_captured": None})
+    before = open_dataset(folder)
+    ExampleSet(before, cache=tmp_path / "cache")
+    path = before.folder(1) / "ground_truth.exr"
+    planes, metadata = read_exr(path)
+    write_exr(
+        path, {name: values * np.float32(0.5) if name in "RGB" else values for name, values in planes.items()}, metadata
+    )
+    manifest = folder / "manifest.jsonl"
+    lines = [json.loads(line) for line in manifest.read_text().splitlines()]
+    for line in lines:
+        if line["id"] == before.ids[1]:
+            line["digest"] = hashlib.sha256(path.read_bytes()).hexdigest()
+    manifest.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    dataset = open_dataset(folder)
+    assert dataset.fingerprint == before.fingerprint
+    cached = ExampleSet(dataset, cache=tmp_path / "cache")
+    assert same_arrays(cached[1], ExampleSet(dataset)[1])
+    assert same_arrays(cached[0], ExampleSet(dataset)[0])
+    assert len(caches(tmp_path / "cache")) == 2
+
+
+@pytest.mark.parametrize("damage", ["truncated", "absent", "header", "empty folder"])
+def test_a_half_written_cache_is_redone(validation: Dataset, tmp_path: Path, damage: str) -> None:
+    expected = ExampleSet(validation, cache=tmp_path)[7]
+    (own,) = caches(tmp_path)
+    path = own / "radiance.npy"
+    if damage == "truncated":
+        os.truncate(path, path.stat().st_size - 100)
+    elif damage == "header":
+        path.write_bytes(b"\0" * path.stat().st_size)
+    else:
+        for file in own.iterdir() if damage == "empty folder" else [path]:
+            file.unlink()
+    assert same_arrays(ExampleSet(validation, cache=tmp_path)[7], expected)
+    assert caches(tmp_path) == [own]
+    assert {file.name for file in own.iterdir()} == {f"{name}.npy" for name in Arrays._fields}
+
+
+def test_a_sample_that_cannot_be_read_leaves_no_cache(learning_trial: Any, tmp_path: Path) -> None:
+    counts = {"train": 2, "validation": 0, "test": 0}
+    dataset = open_dataset(learning_trial.generate(dataset=counts, psf={"as_captured": None}))
+    path = dataset.folder(1) / "ground_truth.exr"
+    planes, metadata = read_exr(path)
+    path.write_bytes(path.read_bytes()[:-50])
+    with pytest.raises(InputError, match=r"ground_truth\.exr"):
+        ExampleSet(dataset, cache=tmp_path / "cache")
+    assert caches(tmp_path / "cache") == []
+    write_exr(path, planes, metadata)
+    assert same_arrays(ExampleSet(dataset, cache=tmp_path / "cache")[1], ExampleSet(dataset)[1])
+
+
+def test_a_disk_that_cannot_be_read_is_not_one_that_cannot_be_written(validation: Dataset, tmp_path: Path) -> None:
+    def read(position: int) -> Arrays:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with pytest.raises(InputError) as error:
+        SampleCache.filled(tmp_path, validation, "measurement", read)
+    assert not isinstance(error.value, StorageError)
+    assert str(error.value).startswith(f"{validation.folder(0)} cannot be read (Input/output error)")
+    assert caches(tmp_path) == []
+
+
+class _Counted(ExampleSet):
+    """Notes every sample that it reads."""
+
+    log: Path
+
+    def _read(self, position: int) -> Arrays:
+        with self.log.open("a") as file:
+            file.write(f"{position}\n")
+        return super()._read(position)
+
+
+def _fill(dataset: Dataset, folder: Path, barrier: Any, results: Any) -> None:
+    barrier.wait()
+    examples = _Counted(dataset, cache=folder)
+    results.put([examples[position].measurement.sum().item() for position in range(8)])
+
+
+def test_processes_that_start_together_write_one_cache(validation: Dataset, tmp_path: Path) -> None:
+    _Counted.log = tmp_path / "log"
+    context = multiprocessing.get_context("fork")
+    barrier, results = context.Barrier(4), context.Queue()
+    arguments = (validation, tmp_path / "cache", barrier, results)
+    processes = [context.Process(target=_fill, args=arguments) for _ in range(4)]
+    for process in processes:
+        process.start()
+    sums = [results.get(timeout=60) for _ in processes]
+    for process in processes:
+        process.join(timeout=60)
+        assert process.exitcode == 0
+    assert sums == [[ExampleSet(validation)[position].measurement.sum().item() for position in range(8)]] * 4
+    assert sorted(map(int, _Counted.log.read_text().split())) == list(range(8))
+    assert len(caches(tmp_path / "cache")) == 1
+
+
+def test_a_cache_that_cannot_be_written_is_refused(validation: Dataset, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(StorageError, match=r"cannot write .*file"):
+        ExampleSet(validation, cache=tmp_path / "file")
+
+
+@pytest.mark.parametrize(("length", "batch"), [(32, 8), (10, 4), (7, 3), (3, 8), (1, 2)])
+def test_an_epoch_leaves_no_sample_out(length: int, batch: int) -> None:
+    stream = [draw for draws in islice(Batches(length, batch, seed=5), 4 * length) for draw in draws]
+    epochs = [stream[start : start + length] for start in range(0, len(stream), length)]
+    for number, epoch in enumerate(epochs):
+        if len(epoch) == length:  # batches may end within an epoch
+            assert sorted(epoch) == [Draw(position, number) for position in range(length)]
+    orders = {tuple(draw.position for draw in epoch) for epoch in epochs}
+    assert length < 10 or len(orders) == len(epochs)  # a permutation that repeats would be no accident
+
+
+def test_a_batch_follows_from_seed_and_number() -> None:
+    batches = list(islice(Batches(10, 4, seed=5), 30))
+    assert all(len(batch) == 4 for batch in batches)
+    assert list(islice(Batches(10, 4, seed=5, first=13), 17)) == batches[13:]
+    assert list(islice(Batches(10, 4, seed=6), 30)) != batches
+    once = Batches(10, 4, seed=5)
+    assert next(iter(once)) == next(iter(once)) == once.batch(0) == batches[0]
+    assert once.batch(20) == batches[20]
+    assert once.batch(2) == batches[2]  # ends one epoch and begins the next
+
+
+@pytest.mark.parametrize("world_size", [1, 2, 3, 6])
+def test_ranks_share_each_batch(world_size: int) -> None:
+    whole = list(islice(Batches(10, 6, seed=5, first=2), 8))
+    parts = [
+        list(islice(Batches(10, 6, seed=5, first=2, rank=rank, world_size=world_size), 8)) for rank in range(world_size)
+    ]
+    for number, batch in enumerate(whole):
+        assert [draw for part in parts for draw in part[number]] == batch
+        assert {len(part[number]) for part in parts} == {6 // world_size}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"length": 0}, "got length 0"),
+        ({"batch": 0}, "batch 0"),
+        ({"first": -1}, "first -1"),
+        ({"seed": -1}, "seed -1"),
+        ({"world_size": 3}, "got 4 for rank 0 of 3 processes; they must divide it"),
+        ({"rank": 2, "world_size": 2}, "rank 2 of 2"),
+        ({"rank": -1}, "rank -1 of 1"),
+    ],
+)
+def test_numbers_that_make_no_sense_are_refused(changes: dict[str, int], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        Batches(**{"length": 10, "batch": 4, "seed": 0} | changes)
+
+
+def test_workers_end_with_their_loader_and_hand_over_bad_input_as_it_is(tiny_dataset: Path) -> None:
+    examples = ExampleSet(open_dataset(tiny_dataset, "train"))
+    before = set(multiprocessing.active_children())
+    loader = Loader(examples, [[0, 1], [2, len(examples)]], 2)
+    batches = iter(loader)
+    assert torch.equal(next(batches).measurement[1], examples[1].measurement)
+    workers = set(multiprocessing.active_children()) - before
+    assert len(workers) == 2
+    loader.close()
+    assert not any(worker.is_alive() for worker in workers)
+
+    bad = ExampleSet(open_dataset(tiny_dataset, "train"))
+    bad._read = refused  # pyright: ignore[reportAttributeAccessIssue]
+    loader = Loader(bad, [[0]], 1)
+    with pytest.raises(InputError) as error:  # whose traceback refers to the loader's iterator
+        next(iter(loader))
+    loader.close()
+    assert str(error.value) == "sample 0 is damaged"
+    assert set(multiprocessing.active_children()) <= before
+
+
+def refused(position: int) -> Any:
+    msg = f"sample {position} is damaged"
+    raise InputError(msg)

@@ -10,14 +10,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from learning.estimate import Estimate
 from learning.losses import ReconstructionLoss
+from learning.method import Estimate
 from simulator.errors import InputError
 
 
 @pytest.fixture
 def scenes() -> tuple[Estimate, Tensor, Tensor, Tensor]:
-    """Three scenes in float64: estimate, picture, disparity, valid; the last scene has no valid pixel."""
+    """Three scenes in float64: estimate, image, disparity, valid; the last scene has no valid pixel."""
     generator = torch.Generator().manual_seed(4)
     draw = [torch.rand(3, channels, 32, 36, generator=generator, dtype=torch.float64) for channels in (3, 1, 3, 1)]
     valid = torch.rand(3, 1, 32, 36, generator=generator) < torch.tensor([0.9, 0.1, -1.0])[:, None, None, None]
@@ -27,10 +27,10 @@ def scenes() -> tuple[Estimate, Tensor, Tensor, Tensor]:
 @pytest.mark.parametrize("intensity", ["mse", "l1"])
 def test_terms_are_their_formulas(scenes: tuple[Estimate, Tensor, Tensor, Tensor], intensity: str) -> None:
     """Against NumPy, scene by scene."""
-    estimate, picture, disparity, valid = scenes
+    estimate, image, disparity, valid = scenes
     loss = ReconstructionLoss(intensity, intensity_weight=0.7, depth_weight=0.2)  # pyright: ignore[reportArgumentType]
-    terms = loss(estimate, picture, disparity, valid)
-    difference = estimate.picture.numpy() - picture.numpy()
+    terms = loss(estimate, image, disparity, valid)
+    difference = estimate.image.numpy() - image.numpy()
     expected = np.mean(difference**2) if intensity == "mse" else np.mean(np.abs(difference))
     depth = 0.0
     for scene in range(2):
@@ -45,16 +45,16 @@ def test_terms_are_their_formulas(scenes: tuple[Estimate, Tensor, Tensor, Tensor
 
 
 def test_all_pixels_count_when_asked(scenes: tuple[Estimate, Tensor, Tensor, Tensor]) -> None:
-    estimate, picture, disparity, valid = scenes
-    terms = ReconstructionLoss(invalid_depth=True)(estimate, picture, disparity, valid)
+    estimate, image, disparity, valid = scenes
+    terms = ReconstructionLoss(invalid_depth=True)(estimate, image, disparity, valid)
     assert terms["depth"].item() == pytest.approx(np.abs((estimate.disparity - disparity).numpy()).mean(), rel=1e-12)
 
 
 def test_parts_of_a_batch_average_to_the_whole(scenes: tuple[Estimate, Tensor, Tensor, Tensor]) -> None:
     """So two processes with half a batch each follow one process, although their scenes have unlike numbers of pixels."""
-    estimate, picture, disparity, valid = scenes
+    estimate, image, disparity, valid = scenes
     loss = ReconstructionLoss("l1")
-    whole = loss(estimate, picture, disparity, valid)
+    whole = loss(estimate, image, disparity, valid)
     parts = [loss(Estimate(*(v[n : n + 1] for v in estimate)), *(v[n : n + 1] for v in scenes[1:])) for n in range(3)]
     for name, value in whole.items():
         assert np.mean([part[name].item() for part in parts]) == pytest.approx(value.item(), rel=1e-12)
@@ -65,27 +65,28 @@ def test_parts_of_a_batch_average_to_the_whole(scenes: tuple[Estimate, Tensor, T
 def test_gradients_are_finite_without_valid_pixels_and_for_the_truth(
     scenes: tuple[Estimate, Tensor, Tensor, Tensor], perceptual: str, perfect: bool
 ) -> None:
-    picture, disparity, valid = (value.float() for value in scenes[1:])
-    start = (picture, disparity) if perfect else (picture + 0.1, disparity + 0.1)
+    image, disparity, valid = (value.float() for value in scenes[1:])
+    start = (image, disparity) if perfect else (image + 0.1, disparity + 0.1)
     estimate = Estimate(*(value.clone().requires_grad_() for value in start))
     loss = ReconstructionLoss(perceptual=perceptual)  # pyright: ignore[reportArgumentType]
-    terms = loss(estimate, picture, disparity, torch.zeros_like(valid, dtype=torch.bool))
+    terms = loss(estimate, image, disparity, torch.zeros_like(valid, dtype=torch.bool))
     terms["total"].backward()
     assert terms["depth"].item() == 0
     for value in estimate:
         assert value.grad is not None
         assert value.grad.isfinite().all()
-    assert bool(estimate.picture.grad.any()) != perfect  # pyright: ignore[reportOptionalMemberAccess]
+    assert bool(estimate.image.grad.any()) != perfect  # pyright: ignore[reportOptionalMemberAccess]
     assert not estimate.disparity.grad.any()  # pyright: ignore[reportOptionalMemberAccess]
 
 
+@pytest.mark.slow
 def test_the_perceptual_term_is_that_of_its_seed(scenes: tuple[Estimate, Tensor, Tensor, Tensor]) -> None:
     from learning.perceptual import PerceptualLoss
 
-    estimate, picture, disparity, valid = scenes
+    estimate, image, disparity, valid = scenes
     loss = ReconstructionLoss(perceptual="random_vgg", intensity_weight=0, perceptual_weight=3, depth_weight=0, seed=9)
-    terms = loss(estimate, picture, disparity, valid)
-    expected = PerceptualLoss("random_vgg", seed=9)(estimate.picture, picture)
+    terms = loss(estimate, image, disparity, valid)
+    expected = PerceptualLoss("random_vgg", seed=9)(estimate.image, image)
     assert terms["perceptual"].item() == pytest.approx(expected.item(), rel=1e-5)
     assert terms["total"].item() == pytest.approx(3 * expected.item(), rel=1e-5)
     assert terms["intensity"].item() > 0  # logged although it does not count
@@ -101,7 +102,7 @@ def test_the_perceptual_term_is_that_of_its_seed(scenes: tuple[Estimate, Tensor,
 def test_nonsense_is_refused(
     scenes: tuple[Estimate, Tensor, Tensor, Tensor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    estimate, picture, disparity, valid = scenes
+    estimate, image, disparity, valid = scenes
     with pytest.raises(InputError, match="intensity: got 'l2', expected one of mse, l1"):
         ReconstructionLoss("l2")  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="perceptual: got 'lpips', expected one of none, vgg, random_vgg"):
@@ -112,9 +113,9 @@ def test_nonsense_is_refused(
     with pytest.raises(InputError, match="nothing to learn"):
         ReconstructionLoss(intensity_weight=0, depth_weight=0)
     with pytest.raises(InputError, match="disparity: got shape"):
-        ReconstructionLoss()(estimate, picture, disparity[:, 0], valid)
+        ReconstructionLoss()(estimate, image, disparity[:, 0], valid)
     with pytest.raises(InputError, match="valid: got shape"):
-        ReconstructionLoss()(estimate, picture, disparity, valid[:2])
+        ReconstructionLoss()(estimate, image, disparity, valid[:2])
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     with pytest.raises(InputError, match=r"vgg19-dcbb9e9d\.pth"):
         ReconstructionLoss(perceptual="vgg")

@@ -15,14 +15,13 @@ from skimage.color import rgb2lab
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torch import Tensor
 
-from learning.capture import CaptureModel
+from learning.camera import CaptureModel
 from learning.data import Example
-from learning.display import encode
-from learning.estimate import Estimate
-from learning.metrics import DEFINITIONS, dark_mask, depth_scores, measure, picture_scores, psnr
+from learning.method import Estimate, linear_to_srgb
+from learning.metrics import DEFINITIONS, dark_mask, depth_scores, image_scores, measure, psnr
 from simulator.errors import InputError
 
-Picture = NDArray[np.float32]
+Pixels = NDArray[np.float32]
 
 
 @pytest.fixture
@@ -40,13 +39,13 @@ def batch(wide: CaptureModel) -> tuple[Estimate, Example]:
     radiance = 1.2 * torch.rand(3, 3, 20, 24, generator=generator) ** 2
     example = Example(torch.zeros(3, 3, 48, 48), radiance, torch.where(valid, depth, torch.tensor(0.2)), valid)
     noise = 0.2 * torch.randn(3, 4, 20, 24, generator=generator)
-    picture = encode(radiance, wide.white) + noise[:, :3]
-    return Estimate(picture, wide.disparity(example.depth_m) + noise[:, 3:]), example
+    image = linear_to_srgb(radiance, wide.white) + noise[:, :3]
+    return Estimate(image, wide.disparity(example.depth_m) + noise[:, 3:]), example
 
 
 @pytest.fixture(scope="module")
-def pair() -> tuple[Picture, Picture]:
-    """A smooth picture with edges, and the same blurred and noisy."""
+def pair() -> tuple[Pixels, Pixels]:
+    """A smooth image with edges, and the same blurred and noisy."""
     rng = np.random.default_rng(5)
     y, x = np.mgrid[:40, :52] / 40
     truth = np.stack([(np.sin(9 * x * (c + 1)) > np.cos(7 * y)) * 0.6 + 0.3 * y for c in range(3)], axis=-1)
@@ -62,7 +61,7 @@ def wang_2004(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     values = []
     for row in range(one.shape[0] - 10):
         for column in range(one.shape[1] - 10):
-            x, y = (picture[row : row + 11, column : column + 11] for picture in (one, other))
+            x, y = (image[row : row + 11, column : column + 11] for image in (one, other))
             mean_x, mean_y = (window * x).sum(), (window * y).sum()
             variance_x = (window * (x - mean_x) ** 2).sum()
             variance_y = (window * (y - mean_y) ** 2).sum()
@@ -72,22 +71,22 @@ def wang_2004(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     return float(np.mean(values))
 
 
-def test_ssim_is_that_of_wang_2004(pair: tuple[Picture, Picture]) -> None:
+def test_ssim_is_that_of_wang_2004(pair: tuple[Pixels, Pixels]) -> None:
     worse, truth = pair
     expected = np.mean([wang_2004(truth[..., c].astype(float), worse[..., c].astype(float)) for c in range(3)])
-    assert picture_scores(worse, truth)["ssim"] == pytest.approx(expected, abs=1e-9)
+    assert image_scores(worse, truth)["ssim"] == pytest.approx(expected, abs=1e-9)
 
 
-def similarity(one: Picture, other: Picture, **definition: Any) -> float:
+def similarity(one: Pixels, other: Pixels, **definition: Any) -> float:
     return float(cast("float", structural_similarity(one, other, **definition)))
 
 
-def test_other_definitions_of_ssim_give_other_numbers(pair: tuple[Picture, Picture]) -> None:
+def test_other_definitions_of_ssim_give_other_numbers(pair: tuple[Pixels, Pixels]) -> None:
     """Which is why one is pinned, and said in every table."""
     worse, truth = pair
     grey_worse, grey = worse.mean(axis=-1), truth.mean(axis=-1)
     values = [
-        picture_scores(worse, truth)["ssim"],
+        image_scores(worse, truth)["ssim"],
         similarity(truth, worse, channel_axis=-1, data_range=1.0),  # a box of 7 x 7 instead of the Gaussian
         similarity(truth, worse, channel_axis=-1, data_range=2.0, gaussian_weights=True, use_sample_covariance=False),
         similarity(grey, grey_worse, data_range=1.0, gaussian_weights=True, use_sample_covariance=False),
@@ -114,7 +113,7 @@ def hyab(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
         ((0, 1, 0), (0, 0, 1)),
     ],
 )
-def test_flip_of_uniform_pictures_is_the_paper_s_colour_difference(
+def test_flip_of_uniform_images_is_the_paper_s_colour_difference(
     one: tuple[float, ...], other: tuple[float, ...]
 ) -> None:
     """Andersson et al. 2020, section 4.1.2: HyAB to the power 0.7, remapped at 0.4 of the greatest to 0.95; no edges there.
@@ -128,14 +127,14 @@ def test_flip_of_uniform_pictures_is_the_paper_s_colour_difference(
     expected = 0.95 * difference / knee
     if difference > knee:
         expected = 0.95 + 0.05 * (difference - knee) / (greatest - knee)
-    pictures = [np.broadcast_to(colour, (16, 20, 3)).astype(np.float32).copy() for colour in colours]
-    assert picture_scores(pictures[0], pictures[1])["flip"] == pytest.approx(expected, abs=2e-3)
+    images = [np.broadcast_to(colour, (16, 20, 3)).astype(np.float32).copy() for colour in colours]
+    assert image_scores(images[0], images[1])["flip"] == pytest.approx(expected, abs=2e-3)
 
 
-def test_flip_black_on_white_is_0_967_and_equal_is_0(pair: tuple[Picture, Picture]) -> None:
+def test_flip_black_on_white_is_0_967_and_equal_is_0(pair: tuple[Pixels, Pixels]) -> None:
     black = np.zeros((16, 16, 3), np.float32)
-    assert picture_scores(black, black + 1)["flip"] == pytest.approx(0.967, abs=1e-3)
-    assert picture_scores(pair[1], pair[1]) == {"ssim": pytest.approx(1, abs=1e-12), "flip": 0}
+    assert image_scores(black, black + 1)["flip"] == pytest.approx(0.967, abs=1e-3)
+    assert image_scores(pair[1], pair[1]) == {"ssim": pytest.approx(1, abs=1e-12), "flip": 0}
 
 
 def test_psnr_is_analytic_and_scikit_image_s(batch: tuple[Estimate, Example], wide: CaptureModel) -> None:
@@ -146,7 +145,7 @@ def test_psnr_is_analytic_and_scikit_image_s(batch: tuple[Estimate, Example], wi
     for scene, scores in enumerate(measure(estimate, example, wide)):
         truth = (example.radiance[scene].numpy().astype(np.float64) / 0.9).clip(0, 1)
         codes = np.where(truth <= 0.0031308, 12.92 * truth, 1.055 * truth ** (1 / 2.4) - 0.055)
-        found = estimate.picture[scene].numpy().astype(np.float64).clip(0, 1)
+        found = estimate.image[scene].numpy().astype(np.float64).clip(0, 1)
         linear = np.where(found <= 0.04045, found / 12.92, ((found + 0.055) / 1.055) ** 2.4)
         # 1e-4 dB: codes are float32 there
         assert scores["psnr"] == pytest.approx(peak_signal_noise_ratio(codes, found, data_range=1), abs=1e-4)
@@ -195,7 +194,7 @@ def test_the_best_constant_depth_of_3_6_to_20_cm_is_4_73_cm_off(wide: CaptureMod
 
 def test_a_perfect_estimate_is_perfect(batch: tuple[Estimate, Example], wide: CaptureModel) -> None:
     _, example = batch
-    estimate = Estimate(encode(example.radiance, wide.white), wide.disparity(example.depth_m))
+    estimate = Estimate(linear_to_srgb(example.radiance, wide.white), wide.disparity(example.depth_m))
     for scores in measure(estimate, example, wide):
         assert list(scores) == [name for name in DEFINITIONS if name != "lpips"]
         assert scores["psnr"] == math.inf
@@ -227,7 +226,7 @@ def test_worse_estimates_have_worse_scores(
     batch: tuple[Estimate, Example], wide: CaptureModel, damage: Callable[[Tensor, int], Tensor]
 ) -> None:
     _, example = batch
-    truth = (encode(example.radiance, wide.white), wide.disparity(example.depth_m))
+    truth = (linear_to_srgb(example.radiance, wide.white), wide.disparity(example.depth_m))
     levels = [measure(Estimate(*(damage(v, n) for v in truth)), example, wide)[0] for n in range(4)]
     for name in levels[0]:
         values = [scores[name] for scores in levels]
@@ -255,15 +254,15 @@ def test_without_pixels_there_is_no_depth_score(batch: tuple[Estimate, Example],
 
 
 def test_lpips_is_a_score_of_each_scene(batch: tuple[Estimate, Example], wide: CaptureModel) -> None:
-    """What comes is the clamped picture and the true one; a stand-in, for the weights may be absent."""
+    """What comes is the clamped image and the true one; a stand-in, for the weights may be absent."""
 
-    def distance(picture: Tensor, truth: Tensor) -> Tensor:
-        assert float(picture.min()) == 0
-        assert float(picture.max()) == 1
-        return (picture - truth).abs().mean(dim=(1, 2, 3))
+    def distance(image: Tensor, truth: Tensor) -> Tensor:
+        assert float(image.min()) == 0
+        assert float(image.max()) == 1
+        return (image - truth).abs().mean(dim=(1, 2, 3))
 
     estimate, example = batch
-    expected = (estimate.picture.clamp(0, 1) - encode(example.radiance, 0.9)).abs().mean(dim=(1, 2, 3))
+    expected = (estimate.image.clamp(0, 1) - linear_to_srgb(example.radiance, 0.9)).abs().mean(dim=(1, 2, 3))
     scores = measure(estimate, example, wide, lpips=distance)  # pyright: ignore[reportArgumentType]
     assert [scene["lpips"] for scene in scores] == expected.tolist()
     assert list(scores[0]) == list(DEFINITIONS)
@@ -274,9 +273,9 @@ def test_nonsense_is_refused(batch: tuple[Estimate, Example], wide: CaptureModel
     disparity = estimate.disparity.clone()
     disparity[1, 0, 3, 4] = math.nan
     with pytest.raises(InputError, match=r"estimate\.disparity: 1 of 1440 numbers are NaN"):
-        measure(Estimate(estimate.picture, disparity), example, wide)
-    with pytest.raises(InputError, match=r"estimate\.picture: got shape \(3, 3, 20, 23\), expected \(3, 3, 20, 24\)"):
-        measure(Estimate(estimate.picture[..., 1:], estimate.disparity), example, wide)
+        measure(Estimate(estimate.image, disparity), example, wide)
+    with pytest.raises(InputError, match=r"estimate\.image: got shape \(3, 3, 20, 23\), expected \(3, 3, 20, 24\)"):
+        measure(Estimate(estimate.image[..., 1:], estimate.disparity), example, wide)
     with pytest.raises(InputError, match="20 x 10 pixels, expected at least 11 x 11"):
         measure(Estimate(*(v[..., :10] for v in estimate)), Example(*(v[..., :10] for v in example)), wide)
     with pytest.raises(InputError, match="share: got 2"):

@@ -1,6 +1,9 @@
 """Training as a whole: it learns, goes on as if it had never stopped, and says what is wrong."""
 
+from __future__ import annotations
+
 import json
+import math
 import os
 import shutil
 import signal
@@ -15,13 +18,16 @@ from typing import Any
 import pytest
 import torch
 
+import learning.train as loop
+from learning.camera import CaptureModel, measure_reference_white
 from learning.checkpoint import load_checkpoint
-from learning.config.train import TrainConfig
-from learning.data import Batches
+from learning.config import OptimiserConfig, TrainConfig
+from learning.data import Batches, Draw, ExampleSet
 from learning.losses import ReconstructionLoss
-from learning.train import train
-from learning.training.folder import BEST, DESCRIPTION, LAST, METRICS, PREVIEW, STATE
-from learning.training.stopping import DivergedError
+from learning.models import build_network
+from learning.resume import BEST, DESCRIPTION, LAST, STATE, DivergedError
+from learning.train import build_optimiser, find_material, learning_rate, open_examples, train
+from learning.validation import METRICS, PREVIEW
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
 
@@ -175,7 +181,7 @@ def test_gradient_that_is_no_number(settings: Callable[..., TrainConfig], monkey
 
     def broken(self: ReconstructionLoss, estimate: Any, *arguments: Any) -> dict[str, torch.Tensor]:
         terms = forward(self, estimate, *arguments)
-        return terms | {"total": terms["total"] + (estimate.picture - estimate.picture.detach()).square().sum().sqrt()}
+        return terms | {"total": terms["total"] + (estimate.image - estimate.image.detach()).square().sum().sqrt()}
 
     monkeypatch.setattr(ReconstructionLoss, "forward", broken)
     with pytest.raises(DivergedError, match=r"step 1: .*gradient nan.*nothing is saved yet"):
@@ -183,7 +189,7 @@ def test_gradient_that_is_no_number(settings: Callable[..., TrainConfig], monkey
 
 
 def test_a_validation_that_is_no_number(settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("learning.training.loop.validate", lambda *_, **__: {"total": float("nan"), "psnr_db": 3.0})
+    monkeypatch.setattr("learning.train.validate", lambda *_, **__: {"total": float("nan"), "psnr_db": 3.0})
     with pytest.raises(DivergedError, match=r"validation after step 4 is not finite \(total nan, psnr_db 3\)"):
         train(settings())
 
@@ -191,7 +197,7 @@ def test_a_validation_that_is_no_number(settings: Callable[..., TrainConfig], mo
 def test_fine_tuning_begins_with_a_checkpoint(settings: Callable[..., TrainConfig]) -> None:
     first = train(settings("first"))
     rate = {"learning_rate": 1e-9, "warm_up": 0.0}
-    tuned = train(settings("tuned", start=str(first.folder / LAST), steps=1, optimiser=rate))
+    tuned = train(settings("tuned", init_from=str(first.folder / LAST), steps=1, optimiser=rate))
     before, after = weights(first.folder / LAST), weights(tuned.folder / LAST)
     for name, parameter in load_checkpoint(first.folder / LAST).network.named_parameters():
         assert torch.allclose(before[name], after[name], atol=2e-9), name
@@ -202,14 +208,14 @@ def test_a_start_that_changed_is_another_training(settings: Callable[..., TrainC
     first, second = train(settings("first", steps=1)), train(settings("second", steps=1, seed=4))
     start = tmp_path / "start.safetensors"
     shutil.copy(first.folder / LAST, start)
-    train(settings("tuned", start=str(start), steps=1))
+    train(settings("tuned", init_from=str(start), steps=1))
     moved = tmp_path / "moved" / start.name
     moved.parent.mkdir()
     shutil.copy(start, moved)
-    assert train(settings("tuned", start=str(moved), steps=2)).steps == 1  # the same content elsewhere
+    assert train(settings("tuned", init_from=str(moved), steps=2)).steps == 1  # the same content elsewhere
     shutil.copy(second.folder / LAST, start)
-    with pytest.raises(InputError, match=r"another configuration(.|\n)*start\.sha256: "):
-        train(settings("tuned", start=str(start), steps=3))
+    with pytest.raises(InputError, match=r"another configuration(.|\n)*init_from\.sha256: "):
+        train(settings("tuned", init_from=str(start), steps=3))
 
 
 @pytest.mark.parametrize("moment", ["build_network", "count_workers"])
@@ -218,9 +224,8 @@ def test_another_training_in_between(
 ) -> None:
     """It begins while this one prepares: before the lock this one is refused, after it the other; neither is lost."""
     import learning.train
-    import learning.training.plan
 
-    module = learning.training.plan if moment == "build_network" else learning.train
+    module = learning.train
     original, refused = getattr(module, moment), []
 
     def inject(*arguments: Any, **others: Any) -> Any:
@@ -247,7 +252,7 @@ def test_another_training_in_between(
 
 def test_speed_is_that_of_this_sitting(settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch) -> None:
     """A step takes a second of a clock that only steps move; five samples are in each."""
-    import learning.training.loop as loop
+    import learning.train as loop
 
     now, step = [0.0], loop.Training._step
 
@@ -267,7 +272,7 @@ def test_speed_is_that_of_this_sitting(settings: Callable[..., TrainConfig], mon
 
 def test_start_from_another_architecture(settings: Callable[..., TrainConfig]) -> None:
     first = train(settings("first", steps=1))
-    config = settings("other", start=str(first.folder / LAST), network={"name": "flatnet2d"})
+    config = settings("other", init_from=str(first.folder / LAST), network={"name": "flatnet2d"})
     with pytest.raises(InputError, match="checkpoint of flatnet3d, expected flatnet2d"):
         train(config)
     assert not Path(config.output).exists()
@@ -278,7 +283,7 @@ def test_start_from_another_architecture(settings: Callable[..., TrainConfig]) -
     [
         ({"data": {"train": "/nowhere/set"}}, "/nowhere/set"),
         ({"data": {"stack": "/nowhere/psf"}}, "/nowhere/psf"),
-        ({"start": "/nowhere/net.safetensors"}, "/nowhere/net.safetensors"),
+        ({"init_from": "/nowhere/net.safetensors"}, "/nowhere/net.safetensors"),
     ],
 )
 def test_absent_files_are_named(settings: Callable[..., TrainConfig], changes: Any, message: str) -> None:
@@ -296,7 +301,6 @@ def test_output_that_holds_something_else(settings: Callable[..., TrainConfig]) 
         train(config)
 
 
-@pytest.mark.leaves_workers
 def test_damage_is_named_though_a_worker_meets_it(
     settings: Callable[..., TrainConfig], tiny_dataset: Path, tmp_path: Path
 ) -> None:
@@ -362,3 +366,194 @@ def test_captured_stack_is_another_training(settings: Callable[..., TrainConfig]
 
     assert capture.stack.fingerprint == read_psf_stack(tiny_dataset / "psf_captured").fingerprint
     assert capture.stack.fingerprint != read_psf_stack(tiny_dataset / "psf").fingerprint
+
+
+Settings = Callable[..., TrainConfig]
+
+
+def test_noise_of_the_file(settings: Settings, monkeypatch: pytest.MonkeyPatch, tiny_dataset: Path) -> None:
+    """The first batch is the noiseless measurement with 20 dB of noise, not the stored one of 40 dB."""
+    seen: list[torch.Tensor] = []
+    step = loop.Training._step
+
+    def spy(self: loop.Training, wrapped: Any, batch: Any, stop: Any) -> bool:
+        seen.append(batch.measurement)
+        return step(self, wrapped, batch, stop)
+
+    monkeypatch.setattr(loop.Training, "_step", spy)
+    train(settings(steps=1, batch=32, data={"noise_db": (20.0, 20.0)}))
+    dataset = open_dataset(tiny_dataset, "train")
+    order = [draw.position for draw in loop.Batches(32, 32, seed=3).batch(0)]
+    clean = torch.stack([torch.from_numpy(dataset.stored(position).measurement()[1]) for position in order])
+    peak = clean.amax(dim=(1, 2, 3), keepdim=True)
+    error = ((seen[0] - clean) / peak).clamp(-1, 1)
+    bright = clean > 0.4 * peak  # four times the noise away from the clipping at 0
+    bright &= clean < 1 - 0.4 * peak
+    assert float(error[bright].std()) == pytest.approx(0.1, rel=0.03)  # of thousands of pixels
+    again = ExampleSet(dataset, noise_db=(20.0, 20.0), seed=3)[Draw(order[0], 0)]
+    assert torch.equal(again.measurement, seen[0][0])
+
+
+def test_white_and_network_of_the_file(settings: Settings, tiny_dataset: Path) -> None:
+    result = train(settings(steps=1, network={"filters": 6, "levels": 1}))
+    checkpoint = load_checkpoint(result.folder / LAST)
+    assert checkpoint.capture.white == measure_reference_white(open_dataset(tiny_dataset, "train")) != 1
+    assert checkpoint.architecture["filters"] == 6
+    first = next(value for value in checkpoint.network.enhancement.parameters() if value.ndim == 4)
+    assert first.shape[0] == 6
+
+
+def test_gradient_clip_of_the_file(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Adam hides the length of a gradient, so it is looked at where the optimiser takes it."""
+    norms: list[float] = []
+    step = torch.optim.AdamW.step
+
+    def spy(self: torch.optim.AdamW, *arguments: Any) -> Any:
+        gradients = [value.grad for group in self.param_groups for value in group["params"]]
+        norms.append(float(torch.stack([value.norm() for value in gradients if value is not None]).norm()))
+        return step(self, *arguments)
+
+    monkeypatch.setattr(torch.optim.AdamW, "step", spy)
+    train(settings("clipped", steps=1, optimiser={"gradient_clip": 1e-6}))
+    train(settings("free", steps=1))
+    assert norms[0] == pytest.approx(1e-6, rel=1e-3)
+    assert norms[1] > 1e-3
+
+
+def test_best_is_the_least_loss(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+    totals = iter([3.0, 1.0, 2.0])
+    monkeypatch.setattr(
+        loop, "validate", lambda *_, **__: {"total": next(totals), "psnr_db": 1.0, "depth_rmse_cm": 1.0}
+    )
+    result = train(settings(steps=3, validate_every=1))
+    assert (result.best["step"], result.best["total"]) == (2, 1.0)
+    assert load_checkpoint(result.folder / BEST).record["step"] == 2
+    record = load_checkpoint(result.folder / LAST).record
+    assert (record["validation"]["best"]["step"], record["validation"]["last"]["total"]) == (2, 2.0)
+
+
+def test_seeds_make_the_same_loss_small(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+    build = ReconstructionLoss.__init__
+
+    def spy(self: ReconstructionLoss, *arguments: Any, seed: int, **others: Any) -> None:
+        made.append(seed)
+        build(self, *arguments, seed=seed, **others)
+
+    monkeypatch.setattr(ReconstructionLoss, "__init__", spy)
+    for seed in (1, 2):
+        train(settings(f"seed{seed}", steps=1, seed=seed))
+    train(settings("another", steps=1, loss={"perceptual_seed": 5}))
+    assert made == [0, 0, 5]
+
+
+def test_a_record_names_no_folder_of_this_machine(settings: Settings, tiny_dataset: Path, tmp_path: Path) -> None:
+    first = train(settings("first", steps=1))
+    config = settings("made here", steps=2, init_from=str(first.folder / LAST), data={"cache": str(tmp_path / "cache")})
+    path = tmp_path / "tiny.yaml"
+    path.write_text(json.dumps(config.dump()))
+    overrides = ["steps=1", f"output={tmp_path / 'over there'}", f"data.validation={tiny_dataset}"]
+    result = train(path, overrides)
+    record = load_checkpoint(result.folder / LAST).record
+    text = json.dumps(record)
+    assert "/" not in text.replace("1/m", "")
+    assert "\\\\" not in text
+    assert str(tmp_path.parent).encode() not in (result.folder / LAST).read_bytes()
+    assert record["command"] == (
+        f"flatlight train tiny.yaml --set steps=1 --set 'output=over there' --set data.validation={tiny_dataset.name}"
+    )
+    assert record["config"]["init_from"] == LAST
+    assert record["config"]["data"]["stack"] == "nominal"
+    dataset = open_dataset(tiny_dataset, "train")
+    assert record["data sets"]["train"]["fingerprint"] == dataset.fingerprint
+    assert record["data sets"]["train"]["name"] == dataset.info.name
+    assert record["init_from"]["architecture"] == load_checkpoint(first.folder / LAST).architecture
+
+
+COUNTS = {"train": 0, "validation": 2, "test": 0}
+
+
+def config(train: Path, **data: Any) -> TrainConfig:
+    return TrainConfig.model_validate({"name": "x", "output": "x", "steps": 1, "data": {"train": str(train), **data}})
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("camera.exposure.full_scale=6e-6", r"gain differs: .*/out [\d.]+ and .*camera\.exposure\.full_scale\)"),
+        ("camera.noise={type: physical}", r"offset differs: .*\(camera\.noise\.type, camera\.sensor\.black_level_dn\)"),
+        ("forward.vignetting=false", r"irradiance differs: .*forward\.vignetting\)"),
+        ("camera.mask.seed=5", r"mask differs: .*camera\.mask, camera\.mask_to_sensor_mm\)"),
+        ("psf.far_cm=25", r"range of depths, 1/m differs: .*\[100\.0, 4\.0\].*psf\.far_cm\)"),
+        (
+            "camera.scene_to_camera=[[0.9, 0.1, 0.0], [0.1, 0.8, 0.2], [0.0, 0.1, 0.7]]",
+            r"scene_to_camera differs: .*\[0\.9, 0\.1, 0\.0\].*\(camera\.scene_to_camera\)",
+        ),
+    ],
+)
+def test_another_camera_is_refused(tiny_dataset: Path, learning_trial: Any, override: str, message: str) -> None:
+    other = learning_trial.generate(override, dataset=COUNTS, psf={"as_captured": None})
+    with pytest.raises(InputError, match=r"data\.validation: " + message):
+        find_material(config(tiny_dataset, validation=str(other)))
+
+
+def test_finer_psfs_of_the_same_camera_are_welcome(tiny_dataset: Path, learning_trial: Any) -> None:
+    other = learning_trial.generate("psf.depths=4", dataset=COUNTS, psf={"as_captured": None})
+    material = find_material(config(tiny_dataset, validation=str(other)))
+    assert material.validation.root == other
+    assert len(material.capture.stack.depths_m) == 3
+    assert material.capture.white == measure_reference_white(open_dataset(tiny_dataset, "train")) != 1
+
+
+def test_a_relative_cache_lies_beside_the_file(
+    tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from learning.config import load_file
+
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "work").mkdir()
+    path = tmp_path / "work" / "train.yaml"
+    path.write_text(f"name: x\noutput: x\nsteps: 1\ndata: {{train: '{tiny_dataset}', cache: kept}}\n")
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    said: list[str] = []
+    open_examples(open_dataset(tiny_dataset, "validation"), load_file(TrainConfig, path), said.append)
+    assert any((tmp_path / "work" / "kept").glob("*/measurement.npy"))
+    assert list((tmp_path / "elsewhere").iterdir()) == []
+    assert said == [f"validation: 8 samples, kept decoded in {tmp_path / 'work' / 'kept'}"]
+
+
+def test_cosine_with_warm_up() -> None:
+    config = OptimiserConfig(learning_rate=2.0, warm_up=0.1)
+    rates = [learning_rate(step, 100, config) for step in range(100)]
+    assert rates[:10] == pytest.approx([0.2 * (step + 1) for step in range(10)], rel=1e-12)
+    assert rates[10] == 2.0
+    assert rates[55] == pytest.approx(1.0, rel=1e-12)  # half of the way down
+    assert rates[99] == pytest.approx(1 + math.cos(math.pi * 89 / 90), rel=1e-12)
+
+
+def test_constant() -> None:
+    config = OptimiserConfig(learning_rate=2.0, warm_up=0.0, schedule="constant")
+    assert {learning_rate(step, 7, config) for step in range(7)} == {2.0}
+
+
+def test_only_convolutions_decay(tiny_capture: CaptureModel) -> None:
+    network = build_network(tiny_capture, "flatnet3d", "tiny")
+    optimiser = build_optimiser(network, OptimiserConfig(learning_rate=0.1, weight_decay=0.5))
+    before = {name: value.detach().clone() for name, value in network.named_parameters()}
+    for parameter in network.parameters():
+        parameter.grad = torch.zeros_like(parameter)
+    optimiser.step()
+    decayed = set()
+    for name, value in network.named_parameters():
+        if not torch.equal(value, before[name]):
+            assert torch.allclose(value, before[name] * 0.95, rtol=1e-6)  # 1 - 0.1 x 0.5
+            decayed.add(name)
+    assert decayed == {name for name, value in before.items() if name.startswith("enhancement") and value.ndim == 4}
+
+
+def test_what_does_not_learn_is_left_out(tiny_capture: CaptureModel) -> None:
+    network = build_network(tiny_capture, "flatnet3d", "tiny")
+    network.inversion.requires_grad_(False)
+    optimiser = build_optimiser(network, OptimiserConfig())
+    held = {id(parameter) for group in optimiser.param_groups for parameter in group["params"]}
+    assert held == {id(parameter) for parameter in network.enhancement.parameters()}

@@ -16,15 +16,21 @@ from simulator.types import CameraGeometry, SpectralResponse
 torch = pytest.importorskip("torch")
 pytest.importorskip("ortools")
 
-from learning.baselines.method import DEFAULTS, build_classical  # noqa: E402
-from learning.capture import CaptureModel  # noqa: E402
+from learning.camera import CaptureModel  # noqa: E402
+from learning.classical.method import DEFAULTS, build_classical  # noqa: E402
 
 GREEN = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")
 SCENE, SENSOR, PLANES = (24, 28), (72, 76), 4
-# The thesis's cost and the centroid of light, each with the volumes of both methods; without noise little strength does.
+# The thesis's cost and the centroid of light, each with the volumes of both methods; without noise a small lambda does.
 METHODS = [
-    ("cls", {"strength": 1e-3, "cost": "defocus", "measure": "gradient", "contrast": 0.3, "window_px": 2.0}),
-    ("cls", {"strength": 1e-3, "cost": "spread", "measure": "laplacian", "contrast": 16.0, "window_px": 2.0}),
+    (
+        "cls",
+        {"regularisation_lambda": 1e-3, "cost": "defocus", "measure": "gradient", "contrast": 0.3, "window_px": 2.0},
+    ),
+    (
+        "cls",
+        {"regularisation_lambda": 1e-3, "cost": "spread", "measure": "laplacian", "contrast": 16.0, "window_px": 2.0},
+    ),
     ("admm", {"tv": 1e-3, "sparsity": 1e-3, "iterations": 100, "cost": "defocus", "contrast": 3.0, "window_px": 1.0}),
     ("admm", {"tv": 1e-3, "sparsity": 1e-3, "iterations": 100, "cost": "spread", "contrast": 1.0, "window_px": 1.0}),
 ]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from learning.capture import CaptureModel
+from learning.camera import CaptureModel
 from simulator.optics.stack import PsfStack
 
 

@@ -7,14 +7,13 @@ import pytest
 import torch
 from torch import nn
 
-from learning.layers.attention import GridAttention
-from learning.layers.unet import UNet
+from learning.layers.unet import GridAttention, UNet
 from simulator.errors import InputError
 
 
 @pytest.mark.parametrize("attention", [False, True])
 @pytest.mark.parametrize(("size", "stem"), [((16, 16), 1), ((17, 19), 1), ((1, 30), 1), ((24, 20), 2), ((13, 21), 4)])
-def test_any_size_of_picture(size, stem, attention):
+def test_any_size_of_image(size, stem, attention):
     network = UNet(5, 2, filters=4, levels=3, attention=attention, stem=stem).eval()
     assert network(torch.rand(2, 5, *size)).shape == (2, 2, *size)
 
@@ -28,10 +27,10 @@ def test_any_number_of_frames(size):
 @pytest.mark.parametrize("stem", [1, 2])
 def test_odd_sizes_are_continued_at_their_ends(stem):
     network = UNet(1, 1, filters=4, levels=3, stem=stem).eval()
-    picture = torch.rand(1, 1, 15, 13)
-    continued = nn.functional.pad(picture, (0, 3, 0, 1), mode="replicate")
+    image = torch.rand(1, 1, 15, 13)
+    continued = nn.functional.pad(image, (0, 3, 0, 1), mode="replicate")
     with torch.no_grad():
-        torch.testing.assert_close(network(picture), network(continued)[..., :15, :13])
+        torch.testing.assert_close(network(image), network(continued)[..., :15, :13])
 
 
 def seen(levels: int, at: int, size: int) -> tuple[int, int]:
@@ -51,11 +50,11 @@ def test_receptive_field(levels, size, at):
     torch.manual_seed(0)
     network = UNet(1, 1, filters=3, levels=levels).eval()
     touched = torch.zeros(size, size, dtype=torch.bool)
-    for _ in range(12):  # a maximum passes one sample at a time, so several pictures together touch all
-        picture = torch.rand(1, 1, size, size, requires_grad=True)
-        network(picture)[0, 0, at, at].backward()
-        assert picture.grad is not None
-        touched |= picture.grad[0, 0] != 0
+    for _ in range(12):  # a maximum passes one sample at a time, so several images together touch all
+        image = torch.rand(1, 1, size, size, requires_grad=True)
+        network(image)[0, 0, at, at].backward()
+        assert image.grad is not None
+        touched |= image.grad[0, 0] != 0
     low, high = seen(levels, at, size)
     rows, columns = (np.flatnonzero(touched.any(axis).numpy()) for axis in (1, 0))
     assert (rows[0], rows[-1], columns[0], columns[-1]) == (low, high, low, high)
@@ -67,12 +66,12 @@ def test_output_moves_with_the_input(attention, stem, shift):
     torch.manual_seed(0)
     network = UNet(2, 1, filters=4, levels=3, attention=attention, stem=stem).eval()
     size, border = 96 * stem, 30 * stem
-    picture = torch.rand(1, 2, size, size)
-    moved = torch.roll(picture, (shift, -shift), (-2, -1))
+    image = torch.rand(1, 2, size, size)
+    moved = torch.roll(image, (shift, -shift), (-2, -1))
     inside = np.s_[..., border:-border, border:-border]
     with torch.no_grad():
-        once, then = torch.roll(network(picture), (shift, -shift), (-2, -1)), network(moved)
-        other = network(torch.roll(picture, (shift, -shift + 1), (-2, -1)))
+        once, then = torch.roll(network(image), (shift, -shift), (-2, -1)), network(moved)
+        other = network(torch.roll(image, (shift, -shift + 1), (-2, -1)))
     torch.testing.assert_close(then[inside], once[inside], atol=1e-5, rtol=0)  # float32 sums of 100 terms
     assert float((other - once)[inside].abs().max()) > 1e-3
 
@@ -114,25 +113,25 @@ def test_number_of_parameters_of_the_thesis_size():
 
 def test_channels_last_gives_the_same():
     torch.manual_seed(0)
-    network, picture = UNet(3, 2, filters=8, levels=3, attention=True).eval(), torch.rand(2, 3, 24, 24)
+    network, image = UNet(3, 2, filters=8, levels=3, attention=True).eval(), torch.rand(2, 3, 24, 24)
     with torch.no_grad():
-        plain = network(picture)
-        other = network.to(memory_format=torch.channels_last)(picture.to(memory_format=torch.channels_last))
+        plain = network(image)
+        other = network.to(memory_format=torch.channels_last)(image.to(memory_format=torch.channels_last))
     torch.testing.assert_close(other, plain, atol=1e-5, rtol=1e-4)  # another order of float32 sums
 
 
 def test_bfloat16_autocast_trains():
     torch.manual_seed(0)
-    network, picture = UNet(3, 2, filters=8, levels=3, attention=True), torch.rand(2, 3, 24, 24)
+    network, image = UNet(3, 2, filters=8, levels=3, attention=True), torch.rand(2, 3, 24, 24)
     with torch.no_grad():
-        plain = network.eval()(picture)
+        plain = network.eval()(image)
         with torch.autocast("cpu", torch.bfloat16):
-            mixed = network(picture)
+            mixed = network(image)
     assert mixed.dtype == torch.bfloat16
     assert float((mixed - plain).abs().mean() / plain.abs().mean()) < 0.05  # 8 bits of mantissa through 20 layers
     network.train()
     with torch.autocast("cpu", torch.bfloat16):
-        network(picture).float().square().mean().backward()
+        network(image).float().square().mean().backward()
     gradients = [parameter.grad for parameter in network.parameters()]
     assert all(g is not None and g.dtype == torch.float32 and bool(torch.isfinite(g).all()) for g in gradients)
 

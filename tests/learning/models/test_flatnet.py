@@ -20,9 +20,9 @@ def test_estimate_of_a_measurement(tiny_capture, name, planes):
     network = build_network(tiny_capture, name, "tiny")
     assert network.inversion.planes == planes
     estimate = network(torch.rand(2, 3, 48, 48))
-    assert estimate.picture.shape == (2, 3, 16, 16)
+    assert estimate.image.shape == (2, 3, 16, 16)
     assert estimate.disparity.shape == (2, 1, 16, 16)
-    (estimate.picture.mean() + estimate.disparity.mean()).backward()
+    (estimate.image.mean() + estimate.disparity.mean()).backward()
     gradients = {key: parameter.grad for key, parameter in network.named_parameters()}
     assert all(gradient is not None and bool(gradient.any()) for gradient in gradients.values())
 
@@ -32,7 +32,7 @@ def test_the_network_sees_the_inversion_of_every_plane(tiny_capture):
     network = build_network(tiny_capture, "flatnet3d", "tiny").eval()
     measurement = torch.rand(1, 3, 48, 48)
     with torch.no_grad():
-        volume = RegularisedInversion(tiny_capture, strength=0.1, floor=1.0)(measurement)
+        volume = RegularisedInversion(tiny_capture, regularisation_lambda=0.1, tikhonov=1.0)(measurement)
         output = network.enhancement(volume.reshape(1, 9, 16, 16))
         estimate = network(measurement)
     assert torch.equal(torch.cat(estimate, dim=1), output)
@@ -90,12 +90,12 @@ def test_method_is_the_network_in_evaluation_mode(tiny_capture):
     assert all(torch.equal(value, before[key]) for key, value in network.state_dict().items())
     assert list(clock.seconds) == ["inversion", "network"]
     assert all(seconds > 0 for seconds in clock.seconds.values())
-    assert not estimate.picture.requires_grad
+    assert not estimate.image.requires_grad
     wanted = network.eval()(measurement)
-    torch.testing.assert_close(estimate.picture, wanted.picture.detach())
+    torch.testing.assert_close(estimate.image, wanted.image.detach())
     torch.testing.assert_close(estimate.disparity, wanted.disparity.detach())
     # One at a time is the same as together: nothing is normalised over the batch.
-    torch.testing.assert_close(method.reconstruct(measurement[:1]).picture, estimate.picture[:1], atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(method.reconstruct(measurement[:1]).image, estimate.image[:1], atol=1e-5, rtol=1e-4)
 
 
 def test_method_works_the_inversion_out_once_and_again_when_weights_change(tiny_capture, monkeypatch):
@@ -112,7 +112,7 @@ def test_method_works_the_inversion_out_once_and_again_when_weights_change(tiny_
         with torch.no_grad():
             wanted = network(measurement)
         torch.testing.assert_close(got, wanted, rtol=0, atol=0)
-        return got.picture
+        return got.image
 
     first = check(worked_out=0)
     assert torch.equal(check(worked_out=0), first)
@@ -120,7 +120,7 @@ def test_method_works_the_inversion_out_once_and_again_when_weights_change(tiny_
         network.inversion.log_lambda.add_(2)
     assert not torch.equal(check(worked_out=1), first)
     check(worked_out=0)
-    other = build_network(tiny_capture, "flatnet3d", "tiny", strength=0.03)
+    other = build_network(tiny_capture, "flatnet3d", "tiny", regularisation_lambda=0.03)
     network.load_state_dict(other.state_dict())
     check(worked_out=1)
     network.inversion.filters.data = network.inversion.filters.data * 2
@@ -143,5 +143,5 @@ def test_bfloat16_autocast(tiny_capture):
         mixed = network(measurement)
     with torch.no_grad():
         plain = network(measurement)
-    difference = (mixed.picture - plain.picture).abs().mean() / plain.picture.abs().mean()
+    difference = (mixed.image - plain.image).abs().mean() / plain.image.abs().mean()
     assert 0 < float(difference) < 0.05  # 8 bits of mantissa in the U-Net

@@ -9,7 +9,7 @@ import pytest
 from simulator.optics.mask import Mask
 from simulator.optics.materials import AIR, FUSED_SILICA, N_BK7, Material
 from simulator.optics.psf import PsfConfig, psf_fingerprint
-from simulator.optics.spectrum import Line
+from simulator.optics.spectra import Line
 from simulator.types import CameraGeometry, Layer, SpectralResponse
 
 HEIGHT_M = np.arange(6.0).reshape(2, 3) * 1e-7

@@ -1,0 +1,345 @@
+"""What a reconstruction knows of the camera: its PSFs, and how stored numbers follow from the radiance of a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.arrays import Array, like, namespace, to_numpy
+from simulator.assemble.camera import build_sensor, distance_m
+from simulator.camera.forward import ForwardModel
+from simulator.camera.planes import mask_irradiance
+from simulator.camera.sensor import Sensor
+from simulator.config import Config, config_from_dict
+from simulator.config.camera import ExposureConfig
+from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER, DatasetInfo
+from simulator.dataset.reader import Dataset
+from simulator.errors import InputError
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import read_psf_stack
+from simulator.types import View
+
+_WHITE_PERCENTILE, _WHITE_SAMPLES = 99.0, 64
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureModel:
+    """How a still scene became a measurement: ``y = offset + gain sum_k H_k (*) (irradiance M L_k)``.
+
+    Attributes:
+        stack: the assumed PSFs H, K depths and C channels; not always those of the simulation.
+        sensor_shape: H, W of the measurement.
+        scene_shape: h, w of the image; pixels lie on pixels, the centres coincide.
+        gain: DN / 2^bits per unit of exposed irradiance x PSF.
+        offset: DN / 2^bits without light, ``(C,)``.
+        irradiance: ``(h, w)``, irradiance at the mask per unit radiance; see `simulator.camera.planes.mask_irradiance`.
+        scene_to_camera: M, ``(C, 3)``, from linear sRGB to the camera's channels.
+        white: reference white, the radiance that images show as 1: one number for training, tests and every method.
+
+    Raises:
+        InputError: shapes that contradict each other, or numbers that make no sense.
+    """
+
+    stack: PsfStack
+    sensor_shape: tuple[int, int]
+    scene_shape: tuple[int, int]
+    gain: float
+    offset: NDArray[np.float64]
+    irradiance: NDArray[np.float32]
+    scene_to_camera: NDArray[np.float64]
+    white: float = 1.0
+
+    def __post_init__(self) -> None:
+        channels = len(self.stack.channels)
+        for name, shape, wanted in (
+            ("offset", self.offset.shape, (channels,)),
+            ("irradiance", self.irradiance.shape, self.scene_shape),
+            ("scene_to_camera", self.scene_to_camera.shape, (channels, 3)),
+        ):
+            if tuple(shape) != tuple(wanted):
+                msg = f"{name}: got shape {tuple(shape)}, expected {tuple(wanted)} for this stack and scene"
+                raise InputError(msg)
+        for axis, sensor, scene in zip(("rows", "columns"), self.sensor_shape, self.scene_shape, strict=True):
+            if scene > sensor or (sensor - scene) % 2:
+                msg = f"scene_shape: {scene} {axis} on a sensor of {sensor}; expected at most as many, even or odd like it"
+                raise InputError(msg)
+        for name, value in (("gain", self.gain), ("white", self.white)):
+            if not (np.isfinite(value) and value > 0):
+                msg = f"{name}: got {value!r}, expected a positive number"
+                raise InputError(msg)
+
+    @property
+    def near_m(self) -> float:
+        """Depth of the stack's nearest plane, metres."""
+        return float(self.stack.depths_m[0])
+
+    @property
+    def far_m(self) -> float:
+        """Depth of the stack's farthest plane, metres; may be ``inf``."""
+        return float(self.stack.depths_m[-1])
+
+    def disparity(self, depth_m: Array) -> Array:
+        """Return disparity on the scale 0 (far) to 1 (near), evenly in 1 / z; depths outside the range are clamped."""
+        return namespace(depth_m).clip((1 / depth_m - 1 / self.far_m) / self._range_per_m, 0, 1)
+
+    def depth_m(self, disparity: Array) -> Array:
+        """Return the depth in metres of disparities, which are clamped to 0..1 first."""
+        clamped = namespace(disparity).clip(disparity, 0, 1)
+        return 1 / (1 / self.far_m + clamped * self._range_per_m)
+
+    def plane_disparities(self) -> NDArray[np.float64]:
+        """Return the disparity of each of the stack's planes, ``(K,)``."""
+        return self.disparity(np.asarray(self.stack.depths_m, np.float64))
+
+    def to_srgb(self, light: Array) -> Array:
+        """Return linear sRGB ``(..., 3, h, w)`` of light in the camera's channels ``(..., C, h, w)``, in the same unit.
+
+        The inverse of `scene_to_camera`; for other than three channels in the sense of least squares.
+        """
+        inverse = like(np.linalg.pinv(self.scene_to_camera), light)
+        return namespace(light).einsum("ac,...chw->...ahw", inverse, light)
+
+    def forward_model(self, reference: Array | None = None) -> ForwardModel:
+        """Return the convolution: ``offset + gain forward(V)`` is the measurement of irradiance V, ``(1, K, C, h, w)``.
+
+        V is irradiance at the mask in the camera's channels, ``irradiance M L_k``; the result lacks gain and offset.
+
+        Args:
+            reference: an array of the kind, type and device to work on; None is NumPy in float32.
+        """
+        stack = self.stack if reference is None else replace(self.stack, values=like(self.stack.values, reference))
+        return ForwardModel(stack, self.sensor_shape, self.scene_shape)
+
+    def with_stack(self, stack: PsfStack) -> CaptureModel:
+        """Return the same camera assumed to have other PSFs.
+
+        Raises:
+            InputError: when the stack has other channels or another pixel pitch.
+        """
+        if stack.channels != self.stack.channels or not np.isclose(
+            stack.pixel_pitch_m, self.stack.pixel_pitch_m, rtol=1e-3, atol=0
+        ):
+            msg = (
+                f"stack: got channels {', '.join(stack.channels)} at a pitch of {stack.pixel_pitch_m * 1e6:g} um, expected "
+                f"{', '.join(self.stack.channels)} at {self.stack.pixel_pitch_m * 1e6:g} um: it belongs to another camera"
+            )
+            raise InputError(msg)
+        return replace(self, stack=stack)
+
+    def with_assumed(self, known: CaptureModel) -> CaptureModel:
+        """Return the camera that made this data with the PSFs that a method assumes which was made for another data set.
+
+        The camera's numbers (gain, offset, irradiance, colours) stay this data set's, whose exposure may be its own. PSFs,
+        depth range and white are the known ones: with them the method was trained or tuned.
+
+        Args:
+            known: what the method was made for.
+
+        Raises:
+            InputError: other shapes, channels or pixel pitch, or scenes here beyond the depths that are known.
+        """
+        for name in ("sensor_shape", "scene_shape"):
+            here, there = getattr(self, name), getattr(known, name)
+            if tuple(here) != tuple(there):
+                msg = (
+                    f"{name}: the measurements have {here[0]} x {here[1]} pixels, the method was made for {there[0]} x "
+                    f"{there[1]}; give data of the same camera, or train and tune for this one"
+                )
+                raise InputError(msg)
+        # Of a single plane nothing follows for the range. A share of 1e-3 forgives depths that were written with few digits.
+        excess = max(1 / self.near_m - 1 / known.near_m, 1 / known.far_m - 1 / self.far_m)
+        if len(known.stack.depths_m) > 1 and excess > 1e-3 * known._range_per_m:
+            msg = (
+                f"stack: the data's depths are {self.near_m:g} to {self.far_m:g} m, but the method knows only "
+                f"{known.near_m:g} to {known.far_m:g} m; give data within that range, or train and tune for this one"
+            )
+            raise InputError(msg)
+        return replace(self.with_stack(known.stack), white=known.white)
+
+    @property
+    def _range_per_m(self) -> float:
+        span = 1 / self.near_m - 1 / self.far_m
+        return span if span > 0 else 1.0  # of a single plane: all depths are one
+
+
+def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *, white: float = 1.0) -> CaptureModel:
+    """Return what is known of the camera that made a data set; no code that the data set names is run.
+
+    Args:
+        dataset: any split of it.
+        stack: ``nominal``, the PSFs that made the data; ``captured``, as a calibration would have measured them
+            (``psf.as_captured``); the folder of any other stack, or the stack itself.
+        white: the radiance that images show as 1; see `measure_reference_white`.
+
+    Raises:
+        InputError: a mosaic's measurement, a circular convolution, rows with different exposure times, a damaged record, no
+            such stack, or one that does not fit.
+    """
+    info = dataset.info
+    config = config_from_dict(info.config, dataset.root, check_plugins=False)
+    if config.forward.boundary != "linear":
+        msg = (
+            f"{dataset.root}: forward.boundary is {config.forward.boundary}, but light that misses a real sensor is lost, as "
+            "reconstructions here know; make the data set with boundary: linear"
+        )
+        raise InputError(msg)
+    nominal = read_psf_stack(dataset.root / PSF_FOLDER)
+    if tuple(info.channels) != nominal.channels:
+        msg = (
+            f"{dataset.root}: measurements have the channels {', '.join(info.channels)}, the PSFs "
+            f"{', '.join(nominal.channels)}; reconstruction needs all colours in a pixel (camera.sensor.readout: binned_rgb)"
+        )
+        raise InputError(msg)
+    sensor = recorded_sensor(info, config)
+    gain, offset = gain_and_offset(sensor, len(nominal.channels), mean=config.forward.time == "mean")
+    view = View(info.scene_shape, sensor.binned_pitch_m, distance_m(config), *nominal.depths_m[[0, -1]].tolist())
+    model = CaptureModel(
+        stack=nominal,
+        sensor_shape=info.sensor_shape,
+        scene_shape=info.scene_shape,
+        gain=gain,
+        offset=offset,
+        irradiance=mask_irradiance(view, config.forward.vignetting),
+        scene_to_camera=np.array(info.scene_to_camera["matrix"], np.float64),
+        white=white,
+    )
+    if isinstance(stack, PsfStack):
+        return model.with_stack(stack)
+    if stack == "nominal":
+        return model
+    folder = dataset.root / CAPTURED_FOLDER if stack == "captured" else Path(stack)
+    if stack == "captured" and not folder.is_dir():
+        msg = f"stack: got 'captured', but {dataset.root} has no {CAPTURED_FOLDER}; make it with psf.as_captured in its file"
+        raise InputError(msg)
+    return model.with_stack(read_psf_stack(folder))
+
+
+def recorded_sensor(info: DatasetInfo, config: Config) -> Sensor:
+    """Return the sensor of a data set from what the data set recorded, wherever the files are that its configuration names.
+
+    Raises:
+        InputError: a damaged record.
+    """
+    try:
+        full_scale = float(info.exposure["full_scale"])
+        responsivity = info.exposure.get("responsivity")
+        if responsivity is not None:
+            responsivity = tuple(float(responsivity[channel]) for channel in info.channels)
+    except (KeyError, TypeError, ValueError) as error:
+        msg = f"{FILE}: exposure is damaged ({type(error).__name__}: {error}); restore it from a copy"
+        raise InputError(msg) from error
+    # Without the illuminance: what it decides is recorded, and its files of spectra may be elsewhere.
+    camera = config.camera.model_copy(update={"exposure": ExposureConfig(full_scale=full_scale)})
+    sensor = build_sensor(config.model_copy(update={"camera": camera}), full_scale, info.shutter)
+    return replace(sensor, responsivity=responsivity)
+
+
+def gain_and_offset(sensor: Sensor, channels: int, *, mean: bool) -> tuple[float, NDArray[np.float64]]:
+    """Return DN / 2^bits per unit of exposed irradiance, and what is stored without light, ``(C,)``.
+
+    Args:
+        sensor: from `recorded_sensor`.
+        channels: of the light, C.
+        mean: whether the forward model divided exposures by the exposure time (``forward.time: mean``).
+
+    Raises:
+        InputError: rows with different exposure times, which have no common gain.
+    """
+    exposures = np.unique(np.asarray(sensor.exposure_s, np.float64))
+    if len(exposures) > 1:
+        msg = (
+            "camera.shutter: rows have different exposure times; a still is reconstructed from rows that have the same"
+        )
+        raise InputError(msg)
+    exposure = 1.0 if mean else float(exposures[0])
+    dark = np.zeros((channels, *sensor.shape))
+    offset, bright = sensor.noiseless(dark), sensor.noiseless(dark + sensor.full_scale)
+    return float(np.mean(bright - offset)) / sensor.full_scale * exposure, np.mean(offset, axis=(-2, -1))
+
+
+def plain_capture(
+    stack: PsfStack,
+    sensor_shape: tuple[int, int],
+    scene_shape: tuple[int, int] | None = None,
+    *,
+    background: float | Array = 0.0,
+    white: float = 1.0,
+) -> CaptureModel:
+    """Return a camera of which only the PSFs are known: gain 1, no vignetting, camera colours shown as they are.
+
+    Radiance then has the unit of measurement / PSF, with an unknown factor where the PSF's exposure was another one.
+
+    Args:
+        stack: the PSFs; one channel (grey) or three (red, green, blue).
+        sensor_shape: H, W of the measurement.
+        scene_shape: h, w of the image around the centre; None takes the sensor's, the image that a pinhole in the
+            mask's place would give.
+        background: what the measurement shows without light, one number or one per channel.
+        white: the radiance that images show as 1; see `typical_white`.
+
+    Raises:
+        InputError: a stack of other than one or three channels, or shapes and numbers that `CaptureModel` refuses.
+    """
+    channels = len(stack.channels)
+    if channels not in (1, 3):
+        msg = f"stack: got {channels} channels ({', '.join(stack.channels)}), expected 1 (grey) or 3 (red, green, blue)"
+        raise InputError(msg)
+    scene = sensor_shape if scene_shape is None else scene_shape
+    return CaptureModel(
+        stack=stack,
+        sensor_shape=sensor_shape,
+        scene_shape=scene,
+        gain=1.0,
+        offset=np.broadcast_to(np.asarray(background, np.float64), channels).copy(),
+        irradiance=np.ones(scene, np.float32),
+        # A third of each: its pseudo-inverse gives the grey value to red, green and blue alike.
+        scene_to_camera=np.eye(3) if channels == 3 else np.full((1, 3), 1 / 3),
+        white=white,
+    )
+
+
+def measure_reference_white(dataset: Dataset) -> float:
+    """Return the radiance that images of a data set show as 1: the 99th percentile of its first 64 samples.
+
+    One number for the whole data set; brighter light is clipped in images, as a camera's is.
+
+    Raises:
+        InputError: an empty split, or one whose scenes are black.
+    """
+    if len(dataset) == 0:
+        msg = f"split {dataset.split!r} of {dataset.root} is empty; generate some of its samples first"
+        raise InputError(msg)
+    values = [dataset.stored(position).frame(0).rgb for position in range(min(len(dataset), _WHITE_SAMPLES))]
+    white = float(np.percentile(np.stack(values), _WHITE_PERCENTILE))
+    if white <= 0:
+        msg = f"split {dataset.split!r} of {dataset.root}: its scenes are black, so images of them have no scale"
+        raise InputError(msg)
+    return white
+
+
+def typical_white(capture: CaptureModel, measurement: Array) -> float:
+    """Return a radiance to be shown as 1: twice the mean of a scene that sends as much light as was measured.
+
+    For a capture whose unit is unknown; of data sets it is measured once, see `measure_reference_white`.
+
+    Args:
+        capture: the camera, its ``white`` unused.
+        measurement: ``(..., C, H, W)``.
+
+    Raises:
+        InputError: a measurement without light above the background.
+    """
+    light = to_numpy(measurement).astype(np.float64) - capture.offset[:, None, None]
+    # A pixel of radiance 1 gives gain x irradiance x the PSF's sum, were the sensor large enough to hold it.
+    response = capture.gain * np.mean(np.sum(to_numpy(capture.stack.values), axis=(-2, -1), dtype=np.float64), axis=0)
+    per_scene = np.sum(light, axis=(-2, -1)) / (response * np.sum(capture.irradiance, dtype=np.float64))
+    mean = float(np.mean(per_scene))
+    if not mean > 0:
+        msg = (
+            f"measurement: got a mean radiance of {mean:.3g} above the background, expected light; check the background"
+        )
+        raise InputError(msg)
+    return 2 * mean

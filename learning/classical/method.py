@@ -1,0 +1,310 @@
+"""The classical methods: a volume by least squares or ADMM, depth from it by a graph cut, and the all-in-focus image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Self
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from learning.camera import CaptureModel
+from learning.classical.admm import Admm
+from learning.classical.cls import ConstrainedLeastSquares
+from learning.classical.focus import COSTS, LIGHT, MEASURES, assemble, unary_cost
+from learning.classical.graph_cut import cut_labels
+from learning.method import Clock, Estimate, linear_to_srgb
+from learning.provenance import now_called
+from simulator.arrays import to_numpy
+from simulator.errors import InputError
+
+Value = float | int | str
+
+VOLUME_PARAMETERS: dict[str, tuple[str, ...]] = {
+    "cls": ("regularisation_lambda", "tikhonov"),
+    "admm": ("tv", "sparsity", "iterations"),
+}
+"""Parameters of `ConstrainedLeastSquares` and `Admm`; all others are of `ClassicalMethod`."""
+
+DEFAULTS: dict[str, dict[str, Value]] = {
+    "cls": {
+        "regularisation_lambda": 0.1,
+        "tikhonov": 1.0,
+        "cost": "spread",
+        "measure": "laplacian",
+        "contrast": 8.0,
+        "window_px": 2.0,
+        "pairwise": 0.2,
+        "steps_between_planes": 4,
+        "light": "label",
+    },
+    "admm": {
+        "tv": 0.02,
+        "sparsity": 0.01,
+        "iterations": 60,
+        "cost": "spread",
+        "measure": "light",
+        "contrast": 0.75,
+        "window_px": 1.0,
+        "pairwise": 0.2,
+        "steps_between_planes": 4,
+        "light": "sum",
+    },
+}
+"""All parameters, as found on validation scenes of 64 x 64 pixels with eight planes at 40 dB: where tuning begins."""
+
+_SEARCH_OF_DEPTH: dict[str, tuple[Value, ...]] = {
+    "window_px": (0.5, 1.0, 2.0, 4.0),
+    "pairwise": (0.1, 0.2, 0.5, 2.0, 8.0),
+    "steps_between_planes": (1, 4),
+    "light": LIGHT,
+}
+SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
+    "cls": {
+        "regularisation_lambda": (0.003, 0.01, 0.03, 0.1, 0.3, 1.0),
+        "tikhonov": (0.03, 0.1, 0.3, 1.0),
+        "cost": COSTS,
+        "measure": MEASURES,
+        "contrast": (0.3, 1.0, 2.0, 4.0, 8.0, 16.0),
+        **_SEARCH_OF_DEPTH,
+    },
+    "admm": {
+        "tv": (0.005, 0.01, 0.02, 0.05, 0.1),
+        "sparsity": (1e-3, 3e-3, 0.01, 0.03, 0.1),
+        "iterations": (30, 60, 120),
+        "cost": COSTS,
+        "measure": MEASURES,
+        "contrast": (0.25, 0.5, 0.75, 1.0, 2.0),
+        **_SEARCH_OF_DEPTH,
+    },
+}
+"""Candidates for tuning, coarse, in the order of the search; numbers increase."""
+
+PLANAR_DEFAULTS: dict[str, dict[str, Value]] = {
+    "cls": {"regularisation_lambda": 1e-2, "tikhonov": 0.0},
+    "admm": {"tv": 0.1, "sparsity": 0.01, "iterations": 100, "light": "anywhere"},
+}
+"""Of one plane. ADMM lets light from around the image in: a real scene does not end where the image does."""
+
+_VOLUMES: dict[str, tuple[Callable[..., nn.Module], str, str]] = {
+    "cls": (ConstrainedLeastSquares, "CLS + graph cut", "inversion"),
+    "admm": (Admm, "ADMM + graph cut", "admm"),
+}
+
+
+def check_parameters(
+    given: Mapping[str, Any], known: Mapping[str, Value], of: str, argument: str = "parameters"
+) -> None:
+    """Refuse parameters that a method does not have, and values of another kind than its own.
+
+    Args:
+        given: parameters by name.
+        known: the method's, with their defaults.
+        of: the method's name, for messages.
+        argument: what they were given by, for messages.
+
+    Raises:
+        InputError: naming the parameter, what came and what was expected.
+    """
+    for name, value in given.items():
+        if name not in known:
+            hint = now_called(name, known)
+            msg = f"{argument}: got {name!r}, expected a parameter of {of}: {', '.join(known)}{hint}"
+            raise InputError(msg)
+        own = known[name]
+        kinds, words = {str: ((str,), "a word"), int: ((int,), "a whole number"), float: ((int, float), "a number")}[
+            type(own)
+        ]
+        if not isinstance(value, kinds) or isinstance(value, bool):
+            msg = f"{argument}: {name} of {of} is {value!r}, expected {words} such as {own!r}"
+            raise InputError(msg)
+
+
+class ClassicalMethod:
+    """CLS + graph cut and ADMM + graph cut of the thesis, section 5.2.3: a `learning.method.Method`.
+
+    Attributes:
+        name: in tables and figures.
+        capture: the camera with its assumed PSFs.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        capture: CaptureModel,
+        volume_method: nn.Module,
+        *,
+        stage: str,
+        cost: str,
+        measure: str,
+        contrast: float,
+        window_px: float,
+        pairwise: float,
+        steps_between_planes: int,
+        light: str,
+    ) -> None:
+        """Put the method together.
+
+        Args:
+            name: in tables and figures.
+            capture: the camera, whose stack has at least two planes.
+            volume_method: from measurements ``(B, C, H, W)`` to volumes ``(B, K, C, h, w)`` of all planes.
+            stage: of the clock, for the volume.
+            cost: the unary cost; this and the next three see `learning.classical.focus.unary_cost`.
+            measure: of sharpness.
+            contrast: of the planes.
+            window_px: standard deviation of the window.
+            pairwise: cost of a step between neighbours from the first label to the last, as a multiple of what separates a
+                pixel's best label from its worst, in the scene's mean: one number serves all costs, contrasts and labels.
+            steps_between_planes: labels of depth from one plane to the next, for the costs that have some between.
+            light: of the image; see `learning.classical.focus.assemble`.
+
+        Raises:
+            InputError: a single plane, a negative ``pairwise``, or other names for ``cost``, ``measure`` or ``light``.
+        """
+        planes = len(capture.stack.depths_m)
+        if planes < 2:
+            msg = f"capture: its stack has {planes} plane, expected at least two: depth is found by comparing planes"
+            raise InputError(msg)
+        if not (np.isfinite(pairwise) and pairwise >= 0):
+            msg = f"pairwise: got {pairwise!r}, expected 0 or more"
+            raise InputError(msg)
+        for what, value, known in (("cost", cost, COSTS), ("measure", measure, MEASURES), ("light", light, LIGHT)):
+            if value not in known:
+                msg = f"{what}: got {value!r}, expected one of {', '.join(known)}"
+                raise InputError(msg)
+        self.name, self.capture = name, capture
+        self._method, self._stage, self._light, self._pairwise = volume_method, stage, light, float(pairwise)
+        self._unary: dict[str, Any] = {"cost": cost, "measure": measure, "contrast": contrast, "window_px": window_px}
+        self._unary["steps_between_planes"] = steps_between_planes
+        # A wrong contrast or window is told now, not after minutes of ADMM.
+        unary_cost(torch.zeros(1, 2, 1, 1, 1), **self._unary)
+
+    def to(self, device: torch.device | str) -> Self:
+        """Move what makes volumes to a device, and return this; graph cuts stay on the CPU."""
+        self._method.to(device)
+        return self
+
+    def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
+        """Return the estimate of measurements ``(B, C, H, W)``, DN / 2^bits, on their device; without gradients.
+
+        Args:
+            measurement: what the camera stored.
+            clock: times the stages: that of the volume, ``graph cut`` (with its costs) and ``assembly``.
+
+        Raises:
+            InputError: measurements that do not fit the camera, or are not finite.
+        """
+        clock = clock or Clock(measurement.device)
+        with clock.stage(self._stage):
+            volume = self.volume(measurement)
+        return self.estimate(volume, clock)
+
+    @torch.no_grad()
+    def volume(self, measurement: Tensor) -> Tensor:
+        """Return the volume ``(B, K, C, h, w)`` of measurements ``(B, C, H, W)``.
+
+        Raises:
+            InputError: measurements that do not fit the camera.
+        """
+        return self._method(measurement)
+
+    @torch.no_grad()
+    def estimate(self, volume: Tensor, clock: Clock | None = None) -> Estimate:
+        """Return image and depth of a volume ``(B, K, C, h, w)`` in the camera's channels, 1 for white.
+
+        Raises:
+            InputError: a volume of another shape, or one with NaN or infinite values.
+        """
+        clock = clock or Clock(volume.device)
+        with clock.stage("graph cut"):
+            places = self.places(volume)
+        with clock.stage("assembly"):
+            return assemble(volume, places, self.capture, self._light)
+
+    @torch.no_grad()
+    def places(self, volume: Tensor) -> Tensor:
+        """Return each pixel's place among the planes, ``(B, h, w)``, 0 to K - 1, on the volume's device.
+
+        One graph cut per scene, on the CPU.
+
+        Raises:
+            InputError: a volume with NaN or infinite values.
+        """
+        costs = to_numpy(unary_cost(volume, **self._unary)).astype(np.float64)
+        steps = costs.shape[1] - 1
+        labels = [cut_labels(cost, self._pairwise * float(np.ptp(cost, axis=0).mean()) / steps) for cost in costs]
+        # Divided, not multiplied: a label at a plane then has exactly the plane's number.
+        return torch.from_numpy(np.stack(labels) / (steps // (volume.shape[1] - 1))).to(volume)
+
+
+def build_classical(capture: CaptureModel, name: str, parameters: Mapping[str, Value] | None = None) -> ClassicalMethod:
+    """Return a classical method for a camera.
+
+    Args:
+        capture: the camera.
+        name: ``cls`` or ``admm``.
+        parameters: by name, any of `DEFAULTS`; the others are taken from there.
+
+    Raises:
+        InputError: another name, a parameter that the method does not have, or a value that it refuses.
+    """
+    if name not in _VOLUMES:
+        msg = f"name: got {name!r}, expected one of {', '.join(_VOLUMES)}"
+        raise InputError(msg)
+    check_parameters(parameters or {}, DEFAULTS[name], name)
+    merged = DEFAULTS[name] | dict(parameters or {})
+    build, label, stage = _VOLUMES[name]
+    of_volume: dict[str, Any] = {key: merged.pop(key) for key in VOLUME_PARAMETERS[name]}
+    of_depth: dict[str, Any] = merged
+    return ClassicalMethod(label, capture, build(capture, **of_volume), stage=stage, **of_depth)
+
+
+class PlanarMethod:
+    """CLS or ADMM with the PSF of one depth: no depth is searched, so the volume is the image; see `learning.method.Method`.
+
+    Attributes:
+        name: ``cls`` or ``admm``.
+        capture: the camera; a stack of one plane.
+        parameters: all of them.
+    """
+
+    def __init__(self, capture: CaptureModel, name: str, parameters: Mapping[str, Any]) -> None:
+        """Prepare the method; ``parameters`` take the place of `PLANAR_DEFAULTS`.
+
+        Raises:
+            InputError: a stack of several planes, an unknown name or parameter, or values that the method refuses.
+        """
+        if len(capture.stack.depths_m) != 1:
+            msg = f"stack: got {len(capture.stack.depths_m)} planes, expected one: this is for images without depth"
+            raise InputError(msg)
+        if name not in _VOLUMES:
+            msg = f"method: got {name!r}, expected one of {', '.join(_VOLUMES)}"
+            raise InputError(msg)
+        check_parameters(parameters, PLANAR_DEFAULTS[name], f"{name} for one plane", "--set")
+        self.name, self.capture = name, capture
+        self.parameters = PLANAR_DEFAULTS[name] | dict(parameters)
+        build, _, self.stage = _VOLUMES[name]
+        self._inversion = build(capture, **self.parameters)
+
+    def to(self, device: torch.device | str) -> Self:
+        """Move it to a device, and return this."""
+        self._inversion.to(device)
+        return self
+
+    @torch.no_grad()
+    def volume(self, measurement: Tensor) -> Tensor:
+        """Return ``(B, 1, C, h, w)`` radiance / white in the camera's channels of measurements ``(B, C, H, W)``."""
+        return self._inversion(measurement)
+
+    def radiance(self, volume: Tensor) -> Tensor:
+        """Return linear sRGB ``(B, 3, h, w)``, 1 for white, not clipped."""
+        return self.capture.to_srgb(volume[:, 0])
+
+    def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
+        """Return image and a disparity of 0 everywhere, which is the one plane's."""
+        clock = clock or Clock(measurement.device)
+        with clock.stage(self.stage):
+            image = linear_to_srgb(self.radiance(self.volume(measurement)), 1.0)
+        return Estimate(image, torch.zeros_like(image[:, :1]))

@@ -1,0 +1,153 @@
+"""The commands that learning adds to `flatlight`: train, tune, evaluate, reconstruct."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from simulator.commands.shared import Overrides
+
+
+def train(
+    config: Annotated[
+        Path,
+        typer.Argument(help="training (YAML); `flatlight init --preset flatnet3d_64` writes one", show_default=False),
+    ],
+    set_: Overrides = None,
+) -> None:
+    """Train a network on a data set, or go on with a training that was interrupted."""
+    from learning.train import train as run
+    from simulator.console import Bar
+
+    with Bar() as bar:
+        result = run(config, set_ or [], show=bar.update, say=bar.say)
+    best = result.best
+    what = (
+        f"{result.steps} steps, {result.seconds:.0f} s in all"
+        if result.steps
+        else "was finished before; raise steps to go on"
+    )
+    print(f"{result.folder}: {what}")
+    print(
+        f"best after step {best['step']:.0f}: PSNR {best['psnr_db']:.2f} dB, depth RMSE {best['depth_rmse_cm']:.2f} cm on "
+        f"validation; {result.folder / 'best.safetensors'}"
+    )
+    print(f"look at {result.folder / 'validation.png'}, or at the curves: tensorboard --logdir {result.folder}")
+
+
+def tune(
+    config: Annotated[
+        Path, typer.Argument(help="YAML file: data, methods, noise levels, objective", show_default=False)
+    ],
+    set_: Overrides = None,
+) -> None:
+    """Tune the classical methods on validation scenes, each noise level by itself; a run that stopped goes on."""
+    from learning.config import TuneConfig, load_file
+    from learning.tune import load_tuned
+    from learning.tune.job import table, tune_file
+    from simulator.console import Bar
+
+    loaded = load_file(TuneConfig, config, set_ or [])
+    with Bar() as bar:
+        path = tune_file(loaded, progress=bar.update, say=bar.say)
+    print(table(load_tuned(path).content))
+    print(f"wrote {path}")
+
+
+def evaluate(
+    config: Annotated[Path, typer.Argument(help="what is compared, on which scenes (YAML)", show_default=False)],
+    set_: Overrides = None,
+) -> None:
+    """Compare networks and classical methods on test scenes; a run that stopped goes on from there."""
+    from learning.config import EvaluateConfig, load_file
+    from learning.evaluate.job import evaluate as run
+    from learning.evaluate.report import terminal_table
+    from simulator.console import Bar
+
+    settings = load_file(EvaluateConfig, config, set_ or [])
+    with Bar() as bar:
+        findings, files = run(settings, progress=bar.update, say=bar.say)
+    print(terminal_table([*findings.main, *findings.naive], {one.method: one for one in findings.times}))
+    print(f"look at {files[0]}")
+
+
+def reconstruct(
+    measurement: Annotated[
+        Path,
+        typer.Argument(
+            help="a sample's folder, or a linear image: EXR, TIFF, PNG (8 bit, or 16 bit grey), npy",
+            show_default=False,
+        ),
+    ],
+    checkpoint: Annotated[
+        str | None,
+        typer.Option(help="a trained network: file, or name of a shipped one; default: the shipped one that fits"),
+    ] = None,
+    method: Annotated[str | None, typer.Option(help="a classical method instead: cls or admm")] = None,
+    stack: Annotated[
+        str | None,
+        typer.Option(
+            help="its PSFs: folder of a stack or data set, image of one PSF; a sample's own: nominal, captured"
+        ),
+    ] = None,
+    tuned: Annotated[Path | None, typer.Option(help="its parameters: what `flatlight tune` wrote")] = None,
+    noise_db: Annotated[
+        float | None, typer.Option(help="PSNR of the measurement, which chooses among the tuned")
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="one of its parameters, e.g. regularisation_lambda=0.01"),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="folder for the result; default: SPLIT_NAME_METHOD here", show_default=False)
+    ] = None,
+    volume: Annotated[bool, typer.Option("--volume", help="write the volume too, a plane per depth")] = False,
+    bits: Annotated[
+        int | None, typer.Option(help="the sensor's bit depth, where the file's type is wider, e.g. 12 in 16 bit files")
+    ] = None,
+    background: Annotated[
+        str | None, typer.Option(help="to subtract: a number in the file's units, or an image of darkness")
+    ] = None,
+    psf_background: Annotated[
+        str | None,
+        typer.Option(help="the same for the image of a PSF; or border (its frame's median), none  [border]"),
+    ] = None,
+    psf_crop: Annotated[str | None, typer.Option(help="the same as --crop for the image of a PSF")] = None,
+    crop: Annotated[
+        str | None, typer.Option(help="ROWSxCOLUMNS about the centre, or ROWSxCOLUMNS+TOP+LEFT, of the file's pixels")
+    ] = None,
+    binning: Annotated[int, typer.Option(help="pixels per side that become one, of the PSF's image too")] = 1,
+    scene: Annotated[
+        str | None, typer.Option(help="ROWSxCOLUMNS of the result without data set or network  [the sensor's]")
+    ] = None,
+    white: Annotated[
+        float | None, typer.Option(help="radiance to show as white  [the camera's, or the image's]")
+    ] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda")] = "auto",
+) -> None:
+    """Reconstruct image and depth from one measurement, by a network or a classical method."""
+    from learning.reconstruct.job import Options, parse_changes, parse_size, reconstruct_file
+
+    options = Options(
+        measurement=measurement,
+        checkpoint=checkpoint,
+        method=method,
+        stack=stack,
+        tuned=tuned,
+        noise_db=noise_db,
+        parameters=parse_changes(set_ or ()),
+        output=output,
+        volume=volume,
+        bits=bits,
+        background=background,
+        psf_background=psf_background,
+        psf_crop=psf_crop,
+        crop=crop,
+        binning=binning,
+        scene=parse_size(scene),
+        white=white,
+        device=device,
+    )
+    print(reconstruct_file(options))

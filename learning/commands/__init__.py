@@ -1,1 +1,0 @@
-"""Commands that learning adds to `flatlight`."""

@@ -1,0 +1,430 @@
+"""The YAML files of learning: what is trained, evaluated or tuned, strict like sim_config.yaml."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
+
+from learning.provenance import RENAMED
+from simulator.config.load import ConfigError
+from simulator.config.sections import Range, Section, refusal
+from simulator.config.yaml import apply_overrides, read_yaml
+from simulator.errors import InputError
+from simulator.text import show
+from simulator.validation import Problem, find_problems, validate
+
+
+class FileSection(Section):
+    """The whole of a YAML file; relative paths in it are taken from its folder."""
+
+    _base_dir: Path = PrivateAttr(default_factory=Path.cwd)
+
+    @property
+    def base_dir(self) -> Path:
+        """The YAML file's folder (absolute); no part of the dump."""
+        return self._base_dir
+
+    def resolve_path(self, text: str | Path) -> Path:
+        """Return a path of this file as an absolute one."""
+        return self._base_dir / Path(text).expanduser()
+
+    def resolve_stack(self, name: str) -> str | Path:
+        """Return PSFs as `learning.camera.capture_model` takes them: nominal, captured, or a stack's folder."""
+        return name if name in ("nominal", "captured") else self.resolve_path(name)
+
+    def dump(self) -> dict[str, Any]:
+        """Return plain data for JSON with all defaults."""
+        return self.model_dump(mode="json")
+
+
+Model = TypeVar("Model", bound=FileSection)
+
+
+def load_file(model: type[Model], path: Path | str, overrides: Sequence[str] = ()) -> Model:
+    """Load a YAML file: defaults, then the file, then the overrides.
+
+    Args:
+        model: what the file must be.
+        path: the file.
+        overrides: ``a.b=c`` each, as in `simulator.config.load_config`.
+
+    Raises:
+        InputError: one line ``file:line:column: key: problem`` per fault; for overrides ``--set a.b=c: ...``.
+    """
+    path = Path(path)
+    document = read_yaml(path, str(path))
+    if not isinstance(document.data, dict):
+        msg = f"{path}:1:1: expected a mapping of keys to values, got {show(document.data)}"
+        raise InputError(msg)
+    data, origins = apply_overrides(document, overrides, str(path))
+    if old := list(_old_names(data)):
+        raise ConfigError(old, origins)
+    try:
+        loaded = validate(model, data)
+    except ValidationError as error:
+        raise ConfigError(find_problems(error, model, data), origins) from error
+    loaded._base_dir = path.resolve().parent
+    return loaded
+
+
+def _old_names(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[Problem]:
+    """Yield the keys of earlier versions, each with its name of today."""
+    parts = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in parts:
+        if key in RENAMED:
+            yield Problem((*path, key), f"it is called {RENAMED[key]} now", on_key=True)
+        elif (*path, key, value) == ("objective", "picture"):
+            yield Problem((key,), "picture is called image now")
+        yield from _old_names(value, (*path, key))
+
+
+Weight = Annotated[float, Range(0, 1e6, below="a weight is not negative")]
+PositiveDecibels = Annotated[float, Range(1, 120, "dB")]
+
+
+class DataConfig(Section):
+    """What is learned from."""
+
+    train: str = Field(description="folder of the data set whose train split is learned from", min_length=1)
+    validation: str | None = Field(
+        default=None, description="folder of the data set whose validation split is measured; the same when left out"
+    )
+    stack: str = Field(
+        default="nominal",
+        description="PSFs that the inversion knows: nominal, captured (psf.as_captured), or the folder of a stack",
+        min_length=1,
+    )
+    noise_db: tuple[PositiveDecibels, PositiveDecibels] | None = Field(
+        default=None,
+        description="peak signal-to-noise ratios, least and greatest, between which noise is drawn anew for every example; "
+        "the stored measurement when left out",
+    )
+    cache: bool | str = Field(
+        default=True,
+        description="keep decoded samples, which then cost no time: in Flatlight's cache folder (true), in a folder, or not",
+    )
+    workers: Annotated[int, Range(0, 256)] | Literal["auto"] = Field(
+        default="auto", description="processes that read examples; 0 reads between the steps"
+    )
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.noise_db is not None and self.noise_db[0] > self.noise_db[1]:
+            text = f"got {self.noise_db[0]:g} before {self.noise_db[1]:g}; the least comes first: swap them?"
+            raise refusal(text, "noise_db")
+        return self
+
+
+class NetworkConfig(Section):
+    """Which network, and how big: a size, and what differs from it."""
+
+    name: Literal["flatnet3d", "flatnet2d"] = Field(
+        default="flatnet3d", description="inversion at all depths of the stack, or at the hyperfocal one only"
+    )
+    size: Literal["thesis", "compact", "tiny"] = Field(
+        default="compact", description="the numbers below that are left out"
+    )
+    filters: Annotated[int, Range(1, 1024)] | None = Field(
+        default=None, description="channels of the U-Net's first level; each further one has twice as many"
+    )
+    levels: Annotated[int, Range(1, 8)] | None = Field(default=None, description="levels of the U-Net")
+    attention: bool | None = Field(default=None, description="attention gates on the U-Net's skips")
+    stem: Annotated[int, Range(1, 8)] | None = Field(
+        default=None, description="pixels per side that the U-Net takes as one: 2 makes it four times cheaper"
+    )
+    regularisation_lambda: Annotated[float, Range(1e-9, 1e6)] | None = Field(
+        default=None, description="initial, of the inversion, as a multiple of the PSF's mean spectral power"
+    )
+    tikhonov: Annotated[float, Range(0, 1e6)] | None = Field(
+        default=None,
+        description="initial Tikhonov term: response of the inversion's P at frequency zero; 0 is the Laplacian alone",
+    )
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What differs from the size; see `learning.models.build_network`."""
+        return {
+            key: value for key, value in self.model_dump().items() if key not in ("name", "size") and value is not None
+        }
+
+
+class LossConfig(Section):
+    """What is made small: the sum of the weighted terms."""
+
+    intensity: Literal["mse", "l1"] = Field(default="l1", description="error of the sRGB codes")
+    perceptual: Literal["none", "vgg", "random_vgg"] = Field(
+        default="none",
+        description="error of VGG-19 features: of trained weights (a file that must be there), or random ones",
+    )
+    intensity_weight: Weight = Field(default=1.0, description="of the error of the codes")
+    perceptual_weight: Weight = Field(default=0.1, description="of the error of the features, where there are any")
+    depth_weight: Weight = Field(default=1.0, description="of the mean absolute error of the disparity, 0..1")
+    perceptual_seed: Annotated[int, Range(0, 2**31 - 1)] = Field(
+        default=0, description="of random_vgg: trainings with other seeds are to make the same loss small"
+    )
+    invalid_depth: bool = Field(
+        default=False,
+        description="whether pixels where nothing was seen count in the error of the disparity, as far ones",
+    )
+
+
+class OptimiserConfig(Section):
+    """Adam (AdamW where weights decay), and its learning rate over the steps."""
+
+    learning_rate: Annotated[float, Range(1e-9, 10, below="a learning rate is positive")] = Field(
+        default=1e-3, description="the greatest one"
+    )
+    schedule: Literal["cosine", "constant"] = Field(
+        default="cosine", description="after the warm-up: down to zero along half a cosine, or constant"
+    )
+    warm_up: Annotated[float, Range(0, 0.9)] = Field(
+        default=0.05, description="share of the steps over which the learning rate rises from zero"
+    )
+    weight_decay: Annotated[float, Range(0, 1)] = Field(
+        default=0.0,
+        description="decay of the convolutions' weights per unit of learning rate (Loshchilov and Hutter 2019)",
+    )
+    gradient_clip: Annotated[float, Range(1e-9, 1e9)] | None = Field(
+        default=None, description="greatest norm of the gradient; longer ones are shortened to it"
+    )
+
+
+class TrainConfig(FileSection):
+    """One training."""
+
+    name: str = Field(description="of the method in tables and figures", min_length=1)
+    output: str = Field(description="folder of the checkpoints, the metrics and the state to go on from", min_length=1)
+    seed: Annotated[int, Range(0, 2**31 - 1)] = Field(
+        default=0, description="of the initial weights, the order of the examples and their noise"
+    )
+    data: DataConfig
+    network: NetworkConfig = Field(default_factory=NetworkConfig)
+    init_from: str | None = Field(
+        default=None,
+        description="checkpoint (.safetensors) of a network of the same kind to begin with, for fine-tuning",
+    )
+    loss: LossConfig = Field(default_factory=LossConfig)
+    optimiser: OptimiserConfig = Field(default_factory=OptimiserConfig)
+    steps: Annotated[int, Range(1, 10**9)] = Field(
+        description="batches to learn from; may be raised later, where a cosine's learning rate then starts over higher up: "
+        "every change is recorded"
+    )
+    batch: Annotated[int, Range(1, 65536)] = Field(
+        default=8, description="examples in a step, of all processes together"
+    )
+    precision: Literal["auto", "float32", "bfloat16"] = Field(
+        default="auto",
+        description="of the U-Net: bfloat16 (autocast) is faster where the processor has it; auto takes it on CUDA only. "
+        "The inversion and the loss stay float32",
+    )
+    device: Literal["auto", "cpu", "cuda"] = Field(default="auto", description="auto takes CUDA where there is some")
+    validate_every: Annotated[int, Range(1, 10**9)] = Field(default=500, description="steps between validations")
+    log_every: Annotated[int, Range(1, 10**9)] = Field(
+        default=50, description="steps whose mean is one line of metrics.jsonl and one point in TensorBoard"
+    )
+    checkpoint_every_s: Annotated[float, Range(0, 1e6, "s")] = Field(
+        default=60.0, description="seconds between states that are saved to go on from"
+    )
+
+
+Decibels = Annotated[float, Range(0, 100, "dB")]
+Count = Annotated[int, Range(1, 10_000_000, below="at least one")]
+
+
+class EvaluationData(Section):
+    """The scenes that decide, and what the methods are told of the camera that saw them."""
+
+    test: str = Field(description="folder of the data set; its camera's gain, offset and exposure are known")
+    split: Literal["train", "validation", "test"] = Field(default="test", description="which of its splits")
+    scenes: Count | None = Field(default=None, description="only the first so many; null takes all")
+    training: str | None = Field(
+        default=None,
+        description="folder of the data set that the methods were trained or tuned on: the classical ones assume its PSFs",
+    )
+    stack: str = Field(
+        default="own",
+        description="the PSFs that methods assume: own (a checkpoint's; of classical methods nominal), nominal or captured "
+        "(of the training data set), or the folder of a stack",
+    )
+    compare_stacks: list[str] = Field(
+        default_factory=list, description="further PSFs that every method is given once, e.g. [nominal, captured]"
+    )
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        wanted = [name for name in (self.stack, *self.compare_stacks) if name in ("nominal", "captured")]
+        if wanted and self.training is None:
+            text = f"{wanted[0]} PSFs are those of the training data set; name its folder in data.training"
+            raise refusal(text)
+        return self
+
+
+class MethodConfig(Section):
+    """A method: the checkpoints of a network, one per seed, or a classical method with its parameters."""
+
+    name: str = Field(description="in tables and figures", min_length=1)
+    checkpoints: list[str] | None = Field(default=None, description="files, one per seed")
+    classical: Literal["cls", "admm"] | None = Field(default=None, description="instead of checkpoints")
+    tuned: str | None = Field(
+        default=None, description="what `flatlight tune` wrote; parameters of the nearest noise level"
+    )
+    parameters: dict[str, Any] | None = Field(default=None, description="instead of tuned; {} takes the defaults")
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if (self.checkpoints is None) == (self.classical is None):
+            text = "give either checkpoints (of a network) or classical (cls, admm)"
+            raise refusal(text)
+        if self.checkpoints is not None:
+            if not self.checkpoints or len(set(self.checkpoints)) < len(self.checkpoints):
+                text = "expected at least one file, each of them once"
+                raise refusal(text, "checkpoints")
+            if self.tuned is not None or self.parameters is not None:
+                text = "tuned and parameters belong to classical methods; leave them out"
+                raise refusal(text)
+        elif (self.tuned is None) == (self.parameters is None):
+            text = "a classical method needs either tuned (the file of `flatlight tune`) or parameters"
+            raise refusal(text)
+        return self
+
+
+class Timing(Section):
+    """How seconds per scene are taken: one scene at a time, the methods by turns, the median of the repeats."""
+
+    repeats: Annotated[int, Range(0, 1000)] = Field(
+        default=5, description="after one that is not counted; 0 takes no times"
+    )
+    noise_db: Decibels | None = Field(default=None, description="level whose parameters are timed; null: as stored")
+
+
+class Drawing(Section):
+    """Figures beside the table."""
+
+    montage: Annotated[int, Range(0, 100)] = Field(
+        default=4, description="scenes side by side with all estimates; 0: none"
+    )
+
+
+class EvaluateConfig(FileSection):
+    """The whole file."""
+
+    name: str = Field(description="title of the report", min_length=1)
+    output: str = Field(description="folder of results, tables and figures")
+    data: EvaluationData
+    methods: list[MethodConfig] = Field(min_length=1)
+    noise_db: list[Decibels] | None = Field(
+        default=None,
+        description="further levels at which noise is drawn anew from the noiseless measurements; null: only as stored",
+    )
+    ablation_scenes: Count | None = Field(
+        default=None, description="scenes for noise_db and compare_stacks, the first so many; null: all"
+    )
+    depth_bins_cm: list[Annotated[float, Range(0.01, 1e6, "cm")]] | None = Field(
+        default=None, description="edges of the depths by which errors are parted; null: eight, even in disparity"
+    )
+    dark_share: Annotated[float, Range(0, 1)] | None = Field(
+        default=None, description="also report depth without pixels darker than this share of white; null: not"
+    )
+    perceptual: Literal["none", "auto", "lpips"] = Field(
+        default="auto", description="LPIPS: none, where its weight files are (auto), or always, an error without them"
+    )
+    batch: Count = Field(default=8, description="scenes at a time, except where time is taken")
+    seed: int = Field(default=0, description="of noise that is drawn anew", ge=0)
+    time: Timing = Timing()
+    figures: Drawing = Drawing()
+    device: Literal["auto", "cpu", "cuda"] = Field(default="auto", description="auto takes CUDA where there is some")
+    threads: Count | None = Field(default=None, description="of torch on the CPU; null leaves them as they are")
+
+    @model_validator(mode="after")
+    def _sense(self) -> Self:
+        names = [method.name for method in self.methods]
+        for at, name in enumerate(names):
+            if name in names[:at]:
+                text = f"{name!r} is the name of two methods"
+                raise refusal(text, "methods", at, "name")
+        edges = self.depth_bins_cm
+        if edges is not None and (len(edges) < 2 or any(a >= b for a, b in pairwise(edges))):
+            text = "expected at least two depths, increasing"
+            raise refusal(text, "depth_bins_cm")
+        levels = self.noise_db
+        if levels is not None and (not levels or len(set(levels)) < len(levels)):
+            text = "expected at least one level, each of them once"
+            raise refusal(text, "noise_db")
+        if self.data.training is None and any(method.classical for method in self.methods):
+            text = "classical methods need data.training, the data set whose PSFs they assume"
+            raise refusal(text, "data")
+        return self
+
+
+FEWEST_SCENES = 32
+
+
+class TuneData(Section):
+    """Scenes on which parameters are tuned; never those of the test."""
+
+    validation: Path = Field(description="folder of the data set")
+    split: Literal["validation", "train", "test"] = Field("validation", description="its split that is tuned on")
+    scenes: Annotated[int, Range(1, 1_000_000)] = Field(FEWEST_SCENES, description="its first so many samples are used")
+    allow_few_scenes: bool = Field(False, description=f"whether fewer than {FEWEST_SCENES} may be used; it is recorded")
+    stack: str = Field("nominal", description="PSFs that the methods assume: nominal, captured, or a stack's folder")
+    train: Path | None = Field(
+        None, description="data set whose train split gives images their reference white; null: the one above"
+    )
+
+    @model_validator(mode="after")
+    def _check_scenes(self) -> TuneData:
+        if self.scenes < FEWEST_SCENES and not self.allow_few_scenes:
+            text = (
+                f"got {self.scenes}, expected at least {FEWEST_SCENES}: what is tuned on fewer fits these and no others; "
+                "allow_few_scenes: true lets it be, and says so in the result"
+            )
+            raise refusal(text, "scenes")
+        return self
+
+
+class AxisSection(Section):
+    """Candidates of one parameter instead of the method's own, and how far the search may go beyond them."""
+
+    values: list[float | int | str] | None = Field(None, min_length=1, description="candidates; numbers increase")
+    low: Annotated[float, Range(0, 1e300)] | None = Field(None, description="least value; null: the method's own")
+    high: Annotated[float, Range(0, 1e300, infinite=True)] | None = Field(
+        None, description="greatest; null: the method's own, e.g. 1000 iterations"
+    )
+
+
+class TuneConfig(FileSection):
+    """A whole file for `flatlight tune`."""
+
+    output: Path = Field(
+        Path("tuned.json"), description="result with all trials; a run that stopped goes on from there"
+    )
+    data: TuneData = Field(description="scenes")
+    methods: list[Literal["cls", "admm"]] = Field(
+        default_factory=lambda: ["cls", "admm"], min_length=1, description="classical methods"
+    )
+    noise_db: list[Annotated[float, Range(0.1, 120, "dB")]] = Field(
+        default_factory=lambda: [20.0, 30.0, 40.0, 50.0],
+        min_length=1,
+        description="PSNR of the measurements, decibels; each level is tuned by itself",
+    )
+    objective: Literal["both", "image", "depth"] = Field(
+        "both",
+        description="minimised error, in units of the constant guess's: depth (RMSE), image (by PSNR), or their sum",
+    )
+    search: dict[str, dict[str, AxisSection]] = Field(
+        default_factory=dict, description="changes of the search space: method, parameter, candidates and limits"
+    )
+    seed: Annotated[int, Range(0, 2**63 - 1)] = Field(0, description="of the noise")
+    device: Literal["auto", "cpu", "cuda"] = Field("auto", description="auto takes a GPU where there is one")
+
+    @model_validator(mode="after")
+    def _check_search(self) -> TuneConfig:
+        for name in self.search:
+            if name not in self.methods:
+                text = f"{name!r} is not tuned here; methods: {', '.join(self.methods)}"
+                raise refusal(text, "search", name, on_key=True)
+        return self

@@ -1,0 +1,217 @@
+"""One process or several under torchrun: device and precision, sums over processes, batch statistics over all of a batch."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import Any
+
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+from torch.nn.modules.batchnorm import _BatchNorm
+from torch.nn.parallel import DistributedDataParallel
+
+from learning.method import Estimate, choose_device
+from simulator.errors import InputError
+
+_LONGEST = timedelta(hours=2)  # rank 0 may write or validate for long while the others wait
+
+
+@dataclass(frozen=True)
+class Processes:
+    """This process among those that train one network.
+
+    Attributes:
+        device: of this process.
+        rank: its number, 0 for the one that writes.
+        world_size: how many there are.
+    """
+
+    device: torch.device
+    rank: int = 0
+    world_size: int = 1
+
+    @property
+    def is_rank_zero(self) -> bool:
+        """Whether this process writes files and speaks."""
+        return self.rank == 0
+
+    @property
+    def on_cuda(self) -> bool:
+        """Whether the device is a GPU."""
+        return self.device.type == "cuda"
+
+    def add(self, values: Tensor) -> Tensor:
+        """Return the sum of a tensor over all processes."""
+        if self.world_size > 1:
+            values = values.clone()
+            dist.all_reduce(values)
+        return values
+
+    def gather(self, value: Any) -> list[Any]:
+        """Return every process's value, plain data, by rank."""
+        if self.world_size == 1:
+            return [value]
+        values: list[Any] = [None] * self.world_size
+        dist.all_gather_object(values, value)
+        return values
+
+    def wrap(self, network: nn.Module) -> nn.Module:
+        """Return the network whose gradients are means over all processes; itself where there is one."""
+        if self.world_size == 1:
+            return network
+        # All began with the same weights and see the same statistics, so that nothing has to be sent but gradients.
+        known = inspect.signature(DistributedDataParallel).parameters  # torch 2.13 gave it another name
+        name = "forward_sync_buffers" if "forward_sync_buffers" in known else "broadcast_buffers"
+        options: dict[str, Any] = {name: False}
+        return DistributedDataParallel(network, init_sync=False, **options)
+
+
+@contextmanager
+def processes(device: str) -> Iterator[Processes]:
+    """Join the processes that torchrun started; without it this is the only one.
+
+    Args:
+        device: ``auto`` (CUDA where there is some), ``cpu`` or ``cuda``.
+
+    Raises:
+        InputError: CUDA is asked for and absent, or torchrun started more processes than there are GPUs.
+    """
+    kind = choose_device(device).type
+    world_size = int(os.environ.get("WORLD_SIZE", "1"))
+    if world_size == 1:
+        yield Processes(torch.device(kind))
+        return
+    local = int(os.environ["LOCAL_RANK"])
+    if kind == "cuda" and local >= torch.cuda.device_count():
+        msg = (
+            f"device: torchrun started process {local + 1} on this machine, which has {torch.cuda.device_count()} GPU(s); "
+            "give --nproc-per-node as many"
+        )
+        raise InputError(msg)
+    place = torch.device(kind, local) if kind == "cuda" else torch.device(kind)
+    if kind == "cuda":
+        torch.cuda.set_device(place)
+    dist.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=_LONGEST)
+    try:
+        yield Processes(place, dist.get_rank(), world_size)
+    finally:
+        dist.destroy_process_group()
+
+
+def synchronise_batch_norm(network: nn.Module, kind: str) -> nn.Module:
+    """Let batch normalisation take its statistics over the batches of all processes; names of weights stay.
+
+    Args:
+        network: changed in place.
+        kind: of device; torch's own `torch.nn.SyncBatchNorm` knows CUDA only.
+    """
+    if kind == "cuda":
+        return nn.SyncBatchNorm.convert_sync_batchnorm(network)
+    for module in list(network.modules()):
+        for name, child in module.named_children():
+            if isinstance(child, _BatchNorm):
+                setattr(module, name, _SynchronisedBatchNorm.of(child))
+    return network
+
+
+class _SumOverProcesses(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, values: Tensor) -> Tensor:
+        total = values.clone()
+        dist.all_reduce(total)
+        return total
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        total = gradients[0].clone()
+        dist.all_reduce(total)
+        return total
+
+
+class _SynchronisedBatchNorm(_BatchNorm):
+    """Batch normalisation with mean and variance over all processes' batches, which have the same size."""
+
+    @classmethod
+    def of(cls, layer: _BatchNorm) -> _SynchronisedBatchNorm:
+        """Return the same layer, sharing its weights."""
+        new = cls(layer.num_features, layer.eps, layer.momentum, layer.affine, layer.track_running_stats)
+        new.weight, new.bias = layer.weight, layer.bias
+        new.running_mean, new.running_var = layer.running_mean, layer.running_var
+        new.num_batches_tracked = layer.num_batches_tracked
+        return new
+
+    def _check_input_dim(self, input: Tensor) -> None:
+        """Any number of dimensions is normalised alike."""
+
+    def forward(self, input: Tensor) -> Tensor:
+        """Return the normalised ``(B, C, ...)``."""
+        if not self.training:
+            return super().forward(input)
+        values = input.to(torch.promote_types(input.dtype, torch.float32))  # of bfloat16, as torch's own does
+        axes = [axis for axis in range(values.ndim) if axis != 1]
+        shape = [1, -1] + [1] * (values.ndim - 2)
+        count = values.numel() // values.shape[1] * dist.get_world_size()
+        mean = _sum(values.sum(axes)) / count
+        centred = values - mean.reshape(shape)
+        variance = _sum(centred.square().sum(axes)) / count
+        if self.running_mean is not None and self.running_var is not None and self.momentum is not None:
+            with torch.no_grad():
+                self.running_mean.lerp_(mean, self.momentum)
+                self.running_var.lerp_(variance * (count / max(count - 1, 1)), self.momentum)
+        if self.num_batches_tracked is not None:
+            self.num_batches_tracked.add_(1)
+        normalised = centred * torch.rsqrt(variance + self.eps).reshape(shape)
+        if self.affine:
+            normalised = normalised * self.weight.reshape(shape) + self.bias.reshape(shape)
+        return normalised.to(input.dtype)
+
+
+def _sum(values: Tensor) -> Tensor:
+    return _SumOverProcesses.apply(values)  # pyright: ignore[reportReturnType]
+
+
+@dataclass(frozen=True)
+class Precision:
+    """How a network is evaluated.
+
+    Attributes:
+        kind: ``float32`` or ``bfloat16``.
+        device: where.
+    """
+
+    kind: str
+    device: torch.device
+
+    @classmethod
+    def choose(cls, wanted: str, device: torch.device) -> Precision:
+        """Return the precision of a configuration.
+
+        Args:
+            wanted: ``auto`` (bfloat16 on a CUDA device that has it), ``float32`` or ``bfloat16``.
+            device: where the network is.
+
+        Raises:
+            InputError: bfloat16 on a CUDA device without it.
+        """
+        fits = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
+        if wanted == "bfloat16" and device.type == "cuda" and not fits:
+            msg = f"precision: {torch.cuda.get_device_name(device)} has no bfloat16; take precision: float32, or auto"
+            raise InputError(msg)
+        kind = wanted if wanted != "auto" else "bfloat16" if fits else "float32"
+        return cls(kind, device)
+
+    def estimate(self, network: nn.Module, measurement: Tensor) -> Estimate:
+        """Return a network's estimate, float32.
+
+        Autocast takes convolutions and matrix products only; the inversion, Fourier transforms and complex products, stays
+        float32, and batch statistics with it.
+        """
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.kind == "bfloat16"):
+            image, disparity = network(measurement)
+        return Estimate(image.float(), disparity.float())

@@ -1,0 +1,291 @@
+"""The figures beside the table: noise ablation, error against depth, assumed PSFs, time per stage, and the montage."""
+
+from __future__ import annotations
+
+import colorsys
+import io
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from learning.evaluate.outcome import Outcome
+from learning.evaluate.scoring import Times
+from simulator.plots.psf import FAINT, GRID, INK, NORMAL, SMALL, style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+from dataclasses import dataclass
+
+from numpy.typing import NDArray
+
+from simulator.plots.drawing import INK as SHEET_INK
+from simulator.plots.drawing import (
+    LEGEND_WIDTH,
+    PAPER,
+    depth_colours,
+    draw_depth_legend,
+    fitted,
+    font,
+    png_bytes,
+    resized,
+)
+
+_DPI = 120
+# Told apart by colour-blind eyes too (Okabe and Ito, 2008); grey is for answers that look at nothing.
+_COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+_GOLDEN = (5**0.5 - 1) / 2  # steps of it round the circle of hues never meet again
+_MARKS, _NAIVE = "osD^vP", "#8a9299"
+PANELS = (("psnr", "PSNR of images, dB"), ("depth_rmse_cm", "depth RMSE, cm"))
+
+
+def method_colours(names: Sequence[str]) -> dict[str, str]:
+    """Return a colour for each method, the same in every figure."""
+    return {name: _colour(at) for at, name in enumerate(names)}
+
+
+def noise_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], naive: Sequence[Outcome]) -> bytes:
+    """Return PSNR and depth RMSE against the measurement's PSNR; bars are the spread over seeds (thesis, figure 5.5).
+
+    Points are hollow where parameters are used that were tuned at another level.
+    """
+
+    def draw(figure: Figure) -> None:
+        for axes, (score, label) in zip(figure.subplots(1, 2), PANELS, strict=True):
+            for at, (name, colour) in enumerate(colours.items()):
+                of_it = [one for one in outcomes if one.method == name and one.noise_db is not None]
+                points = sorted((one for one in of_it if score in one.scores), key=lambda one: one.noise_db or 0)
+                if points:
+                    levels = [one.noise_db for one in points]
+                    means = [one.scores[score].mean for one in points]
+                    errors = [one.scores[score].over_seeds or 0.0 for one in points]
+                    axes.errorbar(levels, means, errors, color=colour, capsize=3, lw=1.8)
+                    mark = _MARKS[at % len(_MARKS)]
+                    axes.plot([], [], color=colour, marker=mark, lw=1.8, label=name)
+                    for one, level, mean in zip(points, levels, means, strict=True):
+                        face = "white" if one.tuned_elsewhere else colour
+                        axes.plot(level, mean, color=colour, marker=mark, mfc=face, mew=1.6)
+            if any(one.tuned_elsewhere for one in outcomes):
+                hollow = "hollow: parameters tuned at another level"
+                axes.plot([], [], color=FAINT, marker="o", mfc="white", ls="", label=hollow)
+            _naive_lines(axes, score, naive)
+            style(axes, "PSNR of measurements, dB", label)
+            axes.set_xticks(sorted({one.noise_db for one in outcomes if one.noise_db is not None}))
+            axes.grid(color=GRID)
+        _legend(figure)
+
+    return _png(11, 4.4, draw)
+
+
+def depth_png(
+    outcomes: Sequence[Outcome], colours: Mapping[str, str], naive: Sequence[Outcome], edges_cm: Sequence[float]
+) -> bytes:
+    """Return depth RMSE against true depth, over all pixels of a bin."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        for one in [*outcomes, *naive]:
+            if one.bins_cm:
+                values = [np.nan if value is None else value for value in one.bins_cm]
+                grey = one.kind == "naive"
+                colour, line = (_NAIVE, "--") if grey else (colours[one.method], "-")
+                axes.stairs(values, edges_cm, baseline=None, color=colour, ls=line, lw=2.0, label=one.method)
+        style(axes, "true depth, cm", "depth RMSE, cm")
+        axes.set_ylim(bottom=0)
+        axes.set_xscale("log")  # near bins are narrow, as a mask's depth of field is
+        axes.set_xticks(edges_cm, [f"{edge:.3g}" for edge in edges_cm])
+        axes.set_xticks([], minor=True)
+        axes.grid(color=GRID)
+        axes.set_axisbelow(True)
+        _legend(figure)
+
+    return _png(9, 4.8, draw)
+
+
+def stacks_png(
+    outcomes: Sequence[Outcome], colours: Mapping[str, str], stacks: Sequence[str], naive: Sequence[Outcome]
+) -> bytes:
+    """Return PSNR and depth RMSE of every method with each of several PSFs; whiskers are the spread over seeds."""
+
+    def draw(figure: Figure) -> None:
+        width = 0.8 / len(stacks)
+        for axes, (score, label) in zip(figure.subplots(1, 2), PANELS, strict=True):
+            for at, stack in enumerate(stacks):
+                places, means, errors, fills = [], [], [], []
+                for place, (name, colour) in enumerate(colours.items()):
+                    of_it = [one for one in outcomes if one.method == name and one.stack == stack]
+                    if of_it and score in of_it[0].scores:
+                        places.append(place + (at - (len(stacks) - 1) / 2) * width)
+                        means.append(of_it[0].scores[score].mean)
+                        errors.append(of_it[0].scores[score].over_seeds or np.nan)
+                        fills.append(colour)
+                alpha = 1 - 0.6 * at / max(1, len(stacks) - 1)
+                bars = axes.bar(places, means, width * 0.94, color=fills, alpha=alpha, yerr=errors, capsize=3)
+                axes.bar_label(bars, [f"{mean:.3g}" for mean in means], fontsize=SMALL, color=INK, padding=2)
+                axes.bar(0, 0, color=INK, alpha=alpha, label=stack)
+            axes.set_xlim(-0.6, len(colours) + 0.9)  # room at the right for the words of the lines
+            _naive_lines(axes, score, naive)
+            style(axes, "", label)
+            axes.set_xticks(range(len(colours)), [_broken(name) for name in colours])
+            axes.margins(y=0.12)
+        _legend(figure)
+
+    return _png(2.4 * max(4, len(colours)), 4.4, draw)
+
+
+def times_png(times: Sequence[Times], colours: Mapping[str, str], where: str) -> bytes:
+    """Return seconds per scene and stage of every method, on a logarithmic scale because they differ by orders."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        stages = list(dict.fromkeys(stage for one in times for stage in one.stages))
+        for place, one in enumerate(times):
+            colour = colours[one.method]
+            axes.plot([min(one.stages.values()), one.total], [place, place], color=GRID, lw=1.5, zorder=1)
+            for stage, seconds in one.stages.items():
+                mark = _MARKS[stages.index(stage) % len(_MARKS)]
+                axes.scatter(seconds, place, marker=mark, s=70, color=colour, alpha=0.65, zorder=2)
+            axes.scatter(one.total, place, marker="|", s=700, color=INK, zorder=3)
+            axes.annotate(
+                _seconds(one.total), (one.total, place), (8, 8), textcoords="offset points", fontsize=NORMAL, color=INK
+            )
+        for at, stage in enumerate(stages):
+            axes.scatter([], [], marker=_MARKS[at % len(_MARKS)], s=70, color=FAINT, label=stage)
+        axes.scatter([], [], marker="|", s=300, color=INK, label="all")
+        axes.set_xscale("log")
+        axes.set_yticks(range(len(times)), [one.method for one in times])
+        axes.set_ylim(len(times) - 0.4, -0.6)
+        axes.grid(axis="x", color=GRID)
+        axes.set_axisbelow(True)
+        style(axes, f"seconds per scene, one at a time ({where})", "")
+        axes.margins(x=0.12)
+        _legend(figure)
+
+    return _png(9, 1.8 + 0.6 * len(times), draw)
+
+
+def _seconds(seconds: float) -> str:
+    return f"{seconds:.3g} s" if seconds >= 1 else f"{seconds * 1e3:.3g} ms"
+
+
+def _colour(at: int) -> str:
+    if at < len(_COLOURS):
+        return _COLOURS[at]
+    extra = at - len(_COLOURS)
+    channels = colorsys.hsv_to_rgb((0.78 + extra * _GOLDEN) % 1, 0.75, 0.38 + 0.15 * (extra % 2))
+    return "#" + "".join(f"{round(255 * channel):02x}" for channel in channels)
+
+
+def _naive_lines(axes: Axes, score: str, naive: Sequence[Outcome]) -> None:
+    for one in naive:
+        if score in one.scores:
+            axes.axhline(one.scores[score].mean, color=_NAIVE, ls="--", lw=1.2)
+            _beside(axes, one.scores[score].mean, one.method)
+
+
+def _beside(axes: Axes, height: float, words: str) -> None:
+    axes.annotate(
+        words,
+        (1.0, height),
+        (-2, 3),
+        xycoords=("axes fraction", "data"),
+        textcoords="offset points",
+        ha="right",
+        fontsize=SMALL,
+        color=FAINT,
+    )
+
+
+def _broken(name: str) -> str:
+    """Return a name on two lines where it has words enough."""
+    words = name.split()
+    half = len(words) // 2
+    return name if len(words) < 2 else " ".join(words[:half]) + "\n" + " ".join(words[half:])
+
+
+def _legend(figure: Figure) -> None:
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    # As many side by side as there is room for: a letter takes about a tenth of an inch, a stroke six letters.
+    columns = int(figure.get_figwidth() / (0.1 * (max(map(len, labels)) + 6)))
+    figure.legend(handles, labels, loc="outside upper center", ncols=max(1, columns), frameon=False, fontsize=NORMAL)
+
+
+def _png(width_inch: float, height_inch: float, draw: Callable[[Figure], None]) -> bytes:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_inch, height_inch), dpi=_DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    draw(figure)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", metadata={"Software": "flatlight"})
+    return stream.getvalue()
+
+
+_TILE, _GAP, _WORDS, _HEAD, _LEGEND = 160, 10, 18, 62, 180  # pixels
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A scene as one method, or the truth, has it.
+
+    Attributes:
+        image: ``(h, w, 3)`` sRGB codes 0..1.
+        depth_m: ``(h, w)``.
+        words: a few, such as its scores.
+        valid: ``(h, w)``, False where there was no surface; None where all count.
+    """
+
+    image: NDArray[np.floating]
+    depth_m: NDArray[np.floating]
+    words: str = ""
+    valid: NDArray[np.bool_] | None = None
+
+
+def montage_png(
+    columns: Sequence[str],
+    scenes: Sequence[Sequence[Shown]],
+    title: str,
+    line: str,
+    near_m: float,
+    far_m: float,
+) -> bytes:
+    """Return the montage as PNG.
+
+    Args:
+        columns: what stands above each column, the truth first.
+        scenes: one row each; as many entries as columns.
+        title: first line.
+        line: second line.
+        near_m: depth of the first colour.
+        far_m: depth of the last.
+    """
+    from PIL import Image, ImageDraw
+
+    rows, wide = scenes[0][0].image.shape[:2]
+    height = min(max(_TILE // rows, 1) * rows, 256)
+    width = max(1, round(wide * height / rows))
+    high = 2 * height + 2 + _WORDS + _GAP
+    across = _GAP + len(columns) * (width + _GAP) + LEGEND_WIDTH
+    across = max(across, round(max(font(15).getlength(title), font(12).getlength(line))) + 2 * _GAP)
+    sheet = Image.new("RGB", (across, _HEAD + _WORDS + max(len(scenes) * high, _LEGEND + 40)), PAPER)
+    draw = ImageDraw.Draw(sheet)
+    draw.text((_GAP, 8), title, fill=SHEET_INK, font=font(15))
+    draw.text((_GAP, 32), line, fill=SHEET_INK, font=font(12))
+    for column, name in enumerate(columns):
+        x = _GAP + column * (width + _GAP)
+        draw.text((x, _HEAD), fitted(name, 12, width), fill=SHEET_INK, font=font(12))
+        for row, scene in enumerate(scenes):
+            y = _HEAD + _WORDS + row * high
+            shown = scene[column]
+            codes = np.round(np.clip(shown.image, 0, 1) * 255).astype(np.uint8)
+            depth = shown.depth_m.astype(np.float32)
+            valid = np.ones_like(depth, dtype=bool) if shown.valid is None else shown.valid
+            colours = depth_colours(depth, valid, near_m, far_m)
+            sheet.paste(resized(codes, height), (x, y))
+            sheet.paste(resized(colours, height), (x, y + height + 2))
+            draw.text((x, y + 2 * height + 4), fitted(shown.words, 11, width), fill=SHEET_INK, font=font(11))
+    legend = _GAP + len(columns) * (width + _GAP)
+    draw_depth_legend(draw, legend, _HEAD + _WORDS + 8, _LEGEND - 40, near_m, far_m)
+    return png_bytes(sheet)

@@ -1,0 +1,204 @@
+"""`flatlight evaluate`: all methods on the same scenes and measurements, by the same scores; what is finished is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from learning.camera import CaptureModel
+from learning.config import EvaluateConfig
+from learning.data import check_dataset
+from learning.evaluate.figures import Shown
+from learning.evaluate.methods import Entry, LearnedEntry, read_methods
+from learning.evaluate.outcome import Outcome, first_scenes, outcome
+from learning.evaluate.report import Findings, claim_folder, default_edges_cm, write_results
+from learning.evaluate.runs import Cameras, ResultCache, Run, Runner
+from learning.evaluate.scoring import Criteria, Times, naive_baselines, score, take_times
+from learning.method import choose_device, describe_device, linear_to_srgb
+from learning.perceptual import LpipsDistance, available_lpips
+from simulator.dataset.reader import open_dataset
+from simulator.io.files import storage_errors
+
+CACHE = "cache"
+_BINS, _TIMED_SCENES = 8, 8
+
+Progress = Callable[[str, int, int], None]
+
+
+def evaluate(
+    config: EvaluateConfig, *, progress: Progress = lambda *_: None, say: Callable[[str], None] = lambda _: None
+) -> tuple[Findings, list[Path]]:
+    """Evaluate as a file says, and write results, tables and figures to its folder.
+
+    Args:
+        config: the file.
+        progress: called with a stage, what is done and how much there is in all.
+        say: called with a line on what takes place.
+
+    Returns:
+        What was found, and the files, the report first.
+
+    Raises:
+        InputError: data without scenes or depth, methods of other cameras, missing files, a non-finite estimate, scenes
+            that a method knows already, or a folder that holds something else.
+        StorageError: the folder cannot be written to.
+    """
+    folder = config.resolve_path(config.output)
+    device = choose_device(config.device)
+    if config.threads is not None:
+        torch.set_num_threads(config.threads)
+    test = open_dataset(config.resolve_path(config.data.test), config.data.split)
+    test = test if config.data.scenes is None else test[: config.data.scenes]
+    check_dataset(test)
+    methods = read_methods(config, test)
+    claim_folder(folder, config.name)
+    with storage_errors(folder):
+        cache = ResultCache(folder / CACHE)
+    training = None if config.data.training is None else config.resolve_path(config.data.training)
+    cameras = Cameras(test, training, [entry for seeds in methods for entry in seeds], config.resolve_path)
+    lpips, perceptual = _perceptual(config.perceptual, device)
+    say(perceptual)
+    camera = cameras.assumed(methods[0][0], config.data.stack)
+    edges_cm = default_edges_cm(camera, _BINS) if config.depth_bins_cm is None else tuple(config.depth_bins_cm)
+    criteria = Criteria(edges_cm, config.dark_share, lpips)
+    runner = Runner(test, cameras, criteria, cache, device=device, batch=config.batch, seed=config.seed)
+    # PSFs and noise of all runs of a method, each once, the table's first.
+    usual, compared = config.data.stack, config.data.compare_stacks
+    levels = [(usual, None), *((usual, level) for level in config.noise_db or ())]
+    planned = list(dict.fromkeys([*levels, *((stack, None) for stack in compared)]))
+    # Each is built once for each of its cameras: what does not fit is said now, not after hours of work.
+    for entry in (entry for seeds in methods for entry in seeds):
+        for stack, level in planned:
+            runner.method(Run(entry, stack, level))
+    part = config.ablation_scenes
+    part = None if part is None or part >= len(test) else part
+    outcomes = [one for seeds in methods for one in _outcomes(runner, seeds, planned, part, compared, progress)]
+    examples = runner.examples(None)
+    naive = [
+        (one, score(one, examples, criteria, device=device, batch=config.batch))
+        for one in naive_baselines(examples, camera, config.batch)
+    ]
+    findings = Findings(
+        config=config,
+        test=test,
+        camera=camera,
+        stored_db=runner.stored_db,
+        edges_cm=edges_cm,
+        perceptual=perceptual,
+        device=describe_device(device),
+        methods=[_about(seeds, cameras.assumed(seeds[0], usual)) for seeds in methods],
+        outcomes=outcomes,
+        naive=[outcome(one.name, "naive", [found], only=one.scores, note=one.best_in) for one, found in naive],
+        naive_part=[
+            outcome(one.name, "naive", [first_scenes(found, part or len(test))], only=one.scores)
+            for one, found in naive
+        ],
+        times=_times(config, runner, methods, progress),
+        montage=_montage(config, runner, methods),
+        columns=["truth", *(method.name for method in config.methods)],
+    )
+    return findings, write_results(folder, findings)
+
+
+def _perceptual(wanted: str, device: torch.device) -> tuple[LpipsDistance | None, str]:
+    if wanted == "none":
+        return None, "no LPIPS: it was not asked for"
+    if wanted == "lpips":
+        LpipsDistance()  # says what is missing and where
+    lpips, words = available_lpips()
+    return lpips and lpips.to(device), words
+
+
+def _outcomes(
+    runner: Runner,
+    seeds: Sequence[Entry],
+    planned: Sequence[tuple[str, float | None]],
+    part: int | None,
+    compared: Sequence[str],
+    progress: Progress,
+) -> list[Outcome]:
+    """Return the outcomes of a method, the table's first; all but that one are of ``part`` of the scenes."""
+    name, done = seeds[0].name, 0
+    whole = len(runner.test)
+    total = len(seeds) * (whole + (len(planned) - 1) * (part or whole))
+
+    def count(scenes: int) -> None:
+        nonlocal done
+        done += scenes
+        progress(name, done, total)
+
+    found: list[Outcome] = []
+    for stack, level in planned:
+        first = (stack, level) == planned[0]
+        runs = [Run(entry, stack, level, None if first else part) for entry in seeds]
+        results = [runner.result(run, count) for run in runs]
+        at_db = runner.level_db(runs[0])
+        about = {
+            "stack": stack,
+            "noise_db": level,
+            "note": seeds[0].note(at_db),
+            "tuned_db": seeds[0].tuned_db(at_db),
+            "details": {
+                "identities": [entry.identity(at_db) for entry in seeds],
+                "assumed": [runner.camera(run).stack.fingerprint for run in runs],
+            },
+        }
+        found.append(outcome(name, seeds[0].kind, results, **about))
+        if first and part and stack in compared:  # beside the others, on the same scenes as they
+            found.append(outcome(name, seeds[0].kind, [first_scenes(one, part) for one in results], **about))
+    return found
+
+
+def _times(
+    config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[Entry]], progress: Progress
+) -> list[Times]:
+    if config.time.repeats == 0:
+        return []
+    level = config.time.noise_db
+    timed = [runner.method(Run(seeds[0], config.data.stack, level)) for seeds in methods]
+    examples = runner.examples(level)
+    scenes = [examples[position].measurement for position in range(min(len(examples), _TIMED_SCENES))]
+    measurements = torch.stack(scenes).to(runner.device)
+    return take_times(timed, measurements, config.time.repeats, lambda done, total: progress("times", done, total))
+
+
+def _montage(config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[Entry]]) -> list[list[Shown]]:
+    """Return evenly spread scenes as they were and as the first seed of every method has them."""
+    count = min(config.figures.montage, len(runner.test))
+    positions = np.unique(np.linspace(0, len(runner.test) - 1, count).round().astype(int)).tolist()
+    runs = [Run(seeds[0], config.data.stack) for seeds in methods]
+    estimates = [runner.estimates(run, positions) for run in runs]
+    known = [runner.result(run)["scores"] for run in runs]
+    examples, rows = runner.examples(None), []
+    for at, position in enumerate(positions):
+        example = examples[position]
+        image = np.moveaxis(linear_to_srgb(example.radiance, runner.cameras.test.white).numpy(), 0, -1)
+        row = [Shown(image, example.depth_m[0].numpy(), runner.test.ids[position], example.valid[0].numpy())]
+        for shown, scores in zip(estimates, known, strict=True):
+            words = f"{scores[position]['psnr']:.1f} dB, {scores[position]['depth_rmse_cm']:.2f} cm"
+            row.append(Shown(np.moveaxis(shown[at]["image"], 0, -1), shown[at]["depth_m"], words))
+        rows.append(row)
+    return rows
+
+
+def _about(seeds: Sequence[Entry], camera: CaptureModel) -> dict[str, Any]:
+    return {
+        "name": seeds[0].name,
+        "kind": seeds[0].kind,
+        "planes": len(camera.stack.depths_m),
+        "depth_range_m": [camera.near_m, camera.far_m],
+        "checkpoints": [
+            {
+                "file": entry.path.name,
+                "sha256": entry.digest,
+                "architecture": dict(entry.architecture),
+                "record": dict(entry.record),
+            }
+            for entry in seeds
+            if isinstance(entry, LearnedEntry)
+        ],
+    }

@@ -1,0 +1,175 @@
+"""What came out for one method, with one set of PSFs, at one level of noise: all seeds together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One score of one method.
+
+    Attributes:
+        mean: over all scenes and seeds.
+        over_scenes: standard deviation (n - 1) over scenes of the seeds' mean; None for one scene, or without finite values.
+        over_seeds: standard deviation (n - 1) over seeds of the scenes' mean; None for one seed.
+        seeds: the scenes' mean of each seed.
+        left_out: scenes that have no such score.
+    """
+
+    mean: float
+    over_scenes: float | None
+    over_seeds: float | None
+    seeds: tuple[float, ...]
+    left_out: int = 0
+
+    def plain(self) -> dict[str, Any]:
+        """Return the same for JSON."""
+        return asdict(self)
+
+
+def summarise(values: ArrayLike) -> Summary:
+    """Return mean and spreads of scores ``(seeds, scenes)``; scenes with NaN have no such score and are left out.
+
+    Example:
+        >>> summary = summarise([[1.0, 2.0], [3.0, 4.0]])
+        >>> summary.mean, round(summary.over_scenes, 3), round(summary.over_seeds, 3), summary.seeds
+        (2.5, 0.707, 1.414, (1.5, 3.5))
+    """
+    table = np.asarray(values, np.float64)
+    known = ~np.isnan(table).any(axis=0)
+    table = table[:, known]
+    seeds = table.mean(axis=1)
+    left_out = int((~known).sum())
+    return Summary(float(seeds.mean()), _spread(table.mean(axis=0)), _spread(seeds), tuple(seeds.tolist()), left_out)
+
+
+def pooled_rms(squares: ArrayLike, counts: ArrayLike) -> tuple[float | None, ...]:
+    """Return the root mean square error of each bin over all scenes and seeds; None where a bin has no pixel.
+
+    Args:
+        squares: ``(..., bins)``, sums of squared errors.
+        counts: ``(..., bins)``, pixels.
+
+    Example:
+        >>> pooled_rms([[4.0, 0.0], [14.0, 0.0]], [[1, 0], [1, 0]])
+        (3.0, None)
+    """
+    bins = np.shape(counts)[-1]
+    total = np.asarray(squares, np.float64).reshape(-1, bins).sum(axis=0)
+    pixels = np.asarray(counts, np.float64).reshape(-1, bins).sum(axis=0)
+    return tuple(math.sqrt(s / n) if n else None for s, n in zip(total.tolist(), pixels.tolist(), strict=True))
+
+
+def _spread(values: np.ndarray) -> float | None:
+    if len(values) < 2 or not np.all(np.isfinite(values)):
+        return None
+    return float(values.std(ddof=1))
+
+
+Kind = Literal["learned", "classical", "naive"]
+OWN = "own"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One line of the table.
+
+    Attributes:
+        method: its name.
+        kind: learned, classical, or naive: an answer that looks at no measurement.
+        stack: how the PSFs that it assumed are named in the file; ``own`` for those that it always has.
+        noise_db: level at which noise was drawn anew; None for measurements as stored.
+        scores: mean and spreads by score, see `learning.metrics.measure`.
+        pooled_depth_rmse_cm: over all pixels of all scenes and seeds.
+        bins_cm: depth RMSE by bin of true depth, over all pixels; None where a bin is empty.
+        note: what else decides it, such as tuned parameters.
+        scenes: how many were used.
+        tuned_db: level at which its parameters were tuned; None where none were.
+    """
+
+    method: str
+    kind: Kind
+    stack: str
+    noise_db: float | None
+    scores: Mapping[str, Summary]
+    pooled_depth_rmse_cm: float | None
+    bins_cm: tuple[float | None, ...]
+    note: str = ""
+    scenes: int = 0
+    tuned_db: float | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def tuned_elsewhere(self) -> bool:
+        """Whether its parameters were tuned at another level of noise than its own."""
+        return None not in (self.tuned_db, self.noise_db) and self.tuned_db != self.noise_db
+
+    def plain(self) -> dict[str, Any]:
+        """Return the same for JSON."""
+        return {
+            "method": self.method,
+            "kind": self.kind,
+            "stack": self.stack,
+            "noise_db": self.noise_db,
+            "scores": {name: summary.plain() for name, summary in self.scores.items()},
+            "pooled_depth_rmse_cm": self.pooled_depth_rmse_cm,
+            "depth_rmse_cm_by_bin": list(self.bins_cm),
+            "note": self.note,
+            "scenes": self.scenes,
+            "tuned_db": self.tuned_db,
+            **self.details,
+        }
+
+
+def outcome(
+    method: str,
+    kind: Kind,
+    seeds: Sequence[Mapping[str, Any]],
+    *,
+    stack: str = OWN,
+    noise_db: float | None = None,
+    note: str = "",
+    tuned_db: float | None = None,
+    details: Mapping[str, Any] | None = None,
+    only: Sequence[str] | None = None,
+) -> Outcome:
+    """Return the outcome of what `learning.evaluate.scoring.score` found for each seed.
+
+    Args:
+        method: its name.
+        kind: of method.
+        seeds: one result per seed, of the same scenes.
+        stack: see `Outcome`.
+        noise_db: see `Outcome`.
+        note: see `Outcome`.
+        tuned_db: see `Outcome`.
+        details: for results.json.
+        only: the scores that mean anything; None keeps all.
+    """
+    names = [name for name in seeds[0]["scores"][0] if only is None or name in only]
+    tables = {name: np.array([[scene[name] for scene in seed["scores"]] for seed in seeds]) for name in names}
+    scores = {name: summarise(table) for name, table in tables.items() if not np.isnan(table).any(axis=0).all()}
+    squares, counts = ([seed[name] for seed in seeds] for name in ("squares_cm2", "counts"))
+    with_depth = "depth_rmse_cm" in scores
+    pooled, bins = None, ()
+    if with_depth:
+        bins = pooled_rms(squares, counts)
+        (pooled,) = pooled_rms([[[sum(scene)] for scene in seed] for seed in squares], _totals(counts))
+    scenes = len(seeds[0]["scores"])
+    return Outcome(method, kind, stack, noise_db, scores, pooled, bins, note, scenes, tuned_db, dict(details or {}))
+
+
+def first_scenes(result: Mapping[str, Any], scenes: int) -> dict[str, Any]:
+    """Return what `learning.evaluate.scoring.score` found, of the first so many scenes only."""
+    return {name: values[:scenes] for name, values in result.items()}
+
+
+def _totals(counts: Sequence[Sequence[Sequence[float]]]) -> list[list[list[float]]]:
+    return [[[sum(scene)] for scene in seed] for seed in counts]

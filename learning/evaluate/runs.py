@@ -1,0 +1,300 @@
+"""A method's run over the test scenes: the camera it is told of, and its result, which is kept."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from learning.camera import CaptureModel, capture_model, measure_reference_white
+from learning.data import Example, ExampleSet
+from learning.evaluate.methods import Entry
+from learning.evaluate.outcome import OWN
+from learning.evaluate.scoring import Criteria, Progress, checked, score
+from learning.method import Method
+from learning.provenance import code_fingerprint, sample_digests
+from simulator.arrays import to_numpy
+from simulator.dataset.reader import Dataset, open_dataset
+from simulator.errors import InputError
+from simulator.io.files import sha256_bytes, write_atomic
+from simulator.io.json import canonical_json, plain
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import read_psf_stack
+
+_WHITES_ALIKE = 1e-6
+_PILOTS, _NOISELESS_DB = 16, 120.0
+# By these, and what they import, a measurement becomes a score.
+_DECIDING = (
+    "learning.classical.method",
+    "learning.checkpoint",
+    "learning.data",
+    "learning.evaluate.scoring",
+    "learning.models.flatnet",
+)
+
+
+class Cameras:
+    """Which camera each method is told of: the numbers of the one that saw the test scenes, the PSFs that it assumes.
+
+    Attributes:
+        test: the camera of the test data set with its own PSFs, and the evaluation's reference white.
+    """
+
+    def __init__(
+        self, test: Dataset, training: Path | None, entries: Sequence[Entry], folder: Callable[[str], Path] = Path
+    ) -> None:
+        """Find the reference white that all methods share.
+
+        Args:
+            test: the split that decides.
+            training: folder of the data set that the methods were trained or tuned on; None only where none needs it.
+            entries: all methods.
+            folder: makes a path of the name of a stack's folder.
+
+        Raises:
+            InputError: methods whose images have different whites, or a data set that cannot be read.
+        """
+        self._training, self._folder = training, folder
+        self._stacks: dict[str, PsfStack] = {}
+        self._nominal: CaptureModel | None = None
+        self.test = capture_model(test, white=self._white(entries))
+
+    def assumed(self, entry: Entry, name: str) -> CaptureModel:
+        """Return the camera that a method is told of, with PSFs ``own``, ``nominal``, ``captured``, or of a folder.
+
+        Raises:
+            InputError: no such stack, or one of another camera.
+        """
+        try:
+            if (known := entry.capture) is None:
+                known = self._nominal = self._nominal or capture_model(self._learned_from(), white=self.test.white)
+            if name != OWN:
+                known = known.with_stack(self._stack(name))
+            return self.test.with_assumed(known)
+        except InputError as error:
+            msg = f"{entry.name}: {error}"
+            raise InputError(msg) from error
+
+    def _learned_from(self) -> Dataset:
+        assert self._training is not None  # the configuration sees to it
+        return open_dataset(self._training, "train")
+
+    def _stack(self, name: str) -> PsfStack:
+        if name not in self._stacks:
+            named = name in ("nominal", "captured")
+            self._stacks[name] = (
+                capture_model(self._learned_from(), name).stack if named else read_psf_stack(self._folder(name))
+            )
+        return self._stacks[name]
+
+    def _white(self, entries: Sequence[Entry]) -> float:
+        whites = {entry.name: entry.capture.white for entry in entries if entry.capture is not None}
+        if not whites:
+            return measure_reference_white(self._learned_from())
+        one, first = next(iter(whites.items()))
+        for name, white in whites.items():
+            if abs(white - first) > _WHITES_ALIKE * first:
+                msg = (
+                    f"methods: the images of {name} show a radiance of {white:g} as white, those of {one} {first:g}, so "
+                    "their scores cannot stand in one table; train them with one white"
+                )
+                raise InputError(msg)
+        return first
+
+
+def camera_identity(capture: CaptureModel) -> str:
+    """Return a hash of all that a camera model holds."""
+    arrays = (capture.stack.values, capture.stack.depths_m, capture.irradiance, capture.offset, capture.scene_to_camera)
+    parts = [sha256_bytes(np.ascontiguousarray(to_numpy(array)).tobytes()) for array in arrays]
+    numbers = (capture.stack.pixel_pitch_m, capture.gain, capture.white, *capture.sensor_shape, *capture.scene_shape)
+    return sha256_bytes(canonical_json([parts, numbers, capture.stack.channels]))
+
+
+class ResultCache:
+    """Kept results below one folder, a file each, named by a hash of all that decides them; a damaged file counts as none."""
+
+    def __init__(self, folder: Path) -> None:
+        """Make the folder; an OSError says that it cannot be made."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder
+
+    def load(self, key: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Return what was kept under a key, or None."""
+        try:
+            content = json.loads(self._path(key, ".json").read_bytes())
+        except (OSError, ValueError):
+            return None
+        whole = isinstance(content, dict) and "result" in content and content.get("key") == plain(key)
+        return content["result"] if whole else None
+
+    def save(self, key: Mapping[str, Any], result: Mapping[str, Any]) -> None:
+        """Keep a result, which may hold infinities; a StorageError says that it cannot be written."""
+        write_atomic(self._path(key, ".json"), json.dumps({"key": plain(key), "result": result}).encode())
+
+    def load_arrays(self, key: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
+        """Return the arrays that were kept under a key, or None."""
+        try:
+            with np.load(self._path(key, ".npz"), allow_pickle=False) as kept:
+                return dict(kept)
+        except (OSError, ValueError, EOFError, BadZipFile):
+            return None
+
+    def save_arrays(self, key: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Keep arrays; a StorageError says that they cannot be written."""
+        stream = io.BytesIO()
+        np.savez(stream, allow_pickle=False, **arrays)
+        write_atomic(self._path(key, ".npz"), stream.getvalue())
+
+    def _path(self, key: Mapping[str, Any], suffix: str) -> Path:
+        return self.folder / (sha256_bytes(canonical_json(key))[:32] + suffix)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A method with one seed, with some PSFs, at one level of noise.
+
+    Attributes:
+        entry: the method.
+        stack: the name of its PSFs; see `Cameras.assumed`.
+        noise_db: level at which noise is drawn anew; None for measurements as stored.
+        scenes: only the first so many; None for all.
+    """
+
+    entry: Entry
+    stack: str = OWN
+    noise_db: float | None = None
+    scenes: int | None = None
+
+
+class Runner:
+    """Runs on one split of a data set.
+
+    Attributes:
+        test: the split.
+        cameras: of the methods.
+        criteria: by which they are judged.
+        device: where they run.
+        batch: scenes at a time.
+        stored_db: the PSNR of its measurements as stored, decibels: by it parameters are chosen that depend on noise.
+    """
+
+    def __init__(
+        self,
+        test: Dataset,
+        cameras: Cameras,
+        criteria: Criteria,
+        cache: ResultCache,
+        *,
+        device: torch.device,
+        batch: int,
+        seed: int,
+    ) -> None:
+        """Look at the noise of a few samples; see `learning.config.EvaluateConfig` for the settings."""
+        self.test, self.stored_db = test, measured_psnr_db(test)
+        self.cameras, self.criteria, self._cache = cameras, criteria, cache
+        self.device, self.batch, self._seed = device, batch, seed
+        self._digests = sample_digests(test)
+
+    def level_db(self, run: Run) -> float:
+        """Return the PSNR of the measurements that a run sees."""
+        return self.stored_db if run.noise_db is None else run.noise_db
+
+    def examples(self, noise_db: float | None, scenes: int | None = None) -> ExampleSet:
+        """Return the scenes at a level of noise; all, or the first so many."""
+        test = self.test if scenes is None else self.test[:scenes]
+        return ExampleSet(test, noise_db=None if noise_db is None else (noise_db, noise_db), seed=self._seed)
+
+    def camera(self, run: Run) -> CaptureModel:
+        """Return the camera that a run's method is told of."""
+        return self.cameras.assumed(run.entry, run.stack)
+
+    def method(self, run: Run) -> Method:
+        """Return a run's method, ready on the device.
+
+        Raises:
+            InputError: PSFs or checkpoints of another camera.
+        """
+        return run.entry.build(self.camera(run), self.level_db(run), self.device)
+
+    def result(self, run: Run, progress: Progress = lambda _: None) -> dict[str, Any]:
+        """Return what `score` finds, which is kept.
+
+        Raises:
+            InputError: see `method` and `score`.
+            StorageError: the result cannot be kept.
+        """
+        criteria = {
+            "edges_cm": self.criteria.edges_cm,
+            "dark_share": self.criteria.dark_share,
+            "lpips": self.criteria.lpips and self.criteria.lpips.record(),
+        }
+        key = self._key(run) | {"criteria": criteria}
+        known = self._cache.load(key)
+        if known is not None:
+            progress(len(known["scores"]))
+            return known
+        examples = self.examples(run.noise_db, run.scenes)
+        found = score(
+            self.method(run), examples, self.criteria, device=self.device, batch=self.batch, progress=progress
+        )
+        self._cache.save(key, found)
+        return found
+
+    def estimates(self, run: Run, positions: Sequence[int]) -> list[dict[str, NDArray[np.float32]]]:
+        """Return ``image`` (3, h, w) and ``depth_m`` (h, w) of some scenes, which are kept.
+
+        Raises:
+            InputError: see `method` and `score`.
+            StorageError: the result cannot be kept.
+        """
+        method: Method | None = None
+        examples, shown = self.examples(run.noise_db), []
+        for position in positions:
+            key = self._key(run) | {"scene": position}
+            arrays = self._cache.load_arrays(key)
+            if arrays is None:
+                method = method or self.method(run)
+                example = Example(*(values[None].to(self.device) for values in examples[position]))
+                estimate = checked(method, method.reconstruct(example.measurement), examples, position)
+                depth_m = estimate.depth_m(method.capture)
+                arrays = {"image": estimate.image[0].cpu().numpy(), "depth_m": depth_m[0, 0].cpu().numpy()}
+                self._cache.save_arrays(key, arrays)
+            shown.append(arrays)
+        return shown
+
+    def _key(self, run: Run) -> dict[str, Any]:
+        """Return all that decides an estimate."""
+        return {
+            "method": run.entry.identity(self.level_db(run)),
+            "camera": camera_identity(self.camera(run)),
+            "data": {
+                "fingerprint": self.test.fingerprint,
+                "split": self.test.split,
+                "samples": sha256_bytes(canonical_json(self._digests[: run.scenes])),
+            },
+            "noise": "stored" if run.noise_db is None else {"db": run.noise_db, "seed": self._seed},
+            "device": self.device.type,
+            "torch": torch.__version__,
+            "code": code_fingerprint(*_DECIDING),
+        }
+
+
+def measured_psnr_db(dataset: Dataset) -> float:
+    """Return the PSNR of a data set's measurements: the peak of each noiseless one, the mean over its first 16 samples.
+
+    Of measurements without noise it is 120 dB.
+    """
+    levels = []
+    for position in range(min(len(dataset), _PILOTS)):
+        measurement, noiseless = dataset.stored(position).measurement()
+        error = float(np.sqrt(np.mean((measurement - noiseless).astype(np.float64) ** 2)))
+        levels.append(20 * np.log10(float(noiseless.max()) / error) if error > 0 else _NOISELESS_DB)
+    return float(min(np.mean(levels), _NOISELESS_DB))

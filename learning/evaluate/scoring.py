@@ -1,0 +1,252 @@
+"""One method on all test scenes: scores, squared depth errors by bin of true depth, naive baselines, seconds per stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.utils.data import default_collate
+
+from learning.camera import CaptureModel
+from learning.data import Example, ExampleSet
+from learning.method import Clock, Estimate, Method, linear_to_srgb
+from learning.metrics import dark_mask, depth_scores, measure
+from learning.perceptual import LpipsDistance
+from simulator.errors import InputError
+
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """By what methods are judged.
+
+    Attributes:
+        edges_cm: of the bins of true depth, increasing.
+        dark_share: pixels darker than this share of white's luminance do not count in ``lit_depth_rmse_cm``; None leaves that
+            score out.
+        lpips: None where it is not measured.
+    """
+
+    edges_cm: tuple[float, ...]
+    dark_share: float | None = None
+    lpips: LpipsDistance | None = None
+
+
+def score(
+    method: Method,
+    examples: ExampleSet,
+    criteria: Criteria,
+    *,
+    device: torch.device,
+    batch: int,
+    progress: Progress = lambda _: None,
+) -> dict[str, Any]:
+    """Run a method over all scenes; depth counts where something was seen.
+
+    Args:
+        method: ready on the device.
+        examples: the scenes, at one level of noise.
+        criteria: by what it is judged.
+        device: where it runs.
+        batch: scenes at a time.
+        progress: called with the number of scenes after each batch.
+
+    Returns:
+        ``scores``: for each scene, see `learning.metrics.measure`; ``squares_cm2`` and ``counts``: for each scene and bin,
+        the sum of squared depth errors and the number of pixels.
+
+    Raises:
+        InputError: an estimate with NaN or infinite numbers; method and sample are named.
+    """
+    scores: list[dict[str, float]] = []
+    squares: list[list[float]] = []
+    counts: list[list[int]] = []
+    for first, example in batches(examples, batch, device):
+        estimate = checked(method, method.reconstruct(example.measurement), examples, first)
+        scenes = measure(estimate, example, method.capture, lpips=criteria.lpips, pixels=example.valid)
+        if criteria.dark_share is not None:
+            lit = example.valid & ~dark_mask(example, method.capture, criteria.dark_share)
+            errors = depth_scores(estimate, example, method.capture, lit).depth_rmse_cm.tolist()
+            scenes = [scene | {"lit_depth_rmse_cm": error} for scene, error in zip(scenes, errors, strict=True)]
+        error_cm2 = (100 * (method.capture.depth_m(estimate.disparity.double()) - example.depth_m)).square()
+        by_scene = [
+            _binned(errors[valid], depth_cm[valid], criteria.edges_cm)
+            for errors, depth_cm, valid in zip(error_cm2, example.depth_m * 100, example.valid, strict=True)
+        ]
+        scores += scenes
+        squares += [sums for sums, _ in by_scene]
+        counts += [pixels for _, pixels in by_scene]
+        progress(len(scenes))
+    return {"scores": scores, "squares_cm2": squares, "counts": counts}
+
+
+def batches(examples: ExampleSet, batch: int, device: torch.device) -> Iterator[tuple[int, Example]]:
+    """Yield the position of each batch's first scene, and the batch on the device, in order."""
+    for first in range(0, len(examples), batch):
+        together = [examples[position] for position in range(first, min(first + batch, len(examples)))]
+        yield first, Example(*(values.to(device) for values in default_collate(together)))
+
+
+def checked(method: Method, estimate: Estimate, examples: ExampleSet, first: int) -> Estimate:
+    """Return an estimate within the ranges, as metrics see it.
+
+    Raises:
+        InputError: it holds NaN or infinite numbers; method and sample are named.
+    """
+    for what, values in zip(Estimate._fields, estimate, strict=True):
+        good = values.isfinite().flatten(1).all(dim=1)
+        if not bool(good.all()):
+            scene = examples.dataset.ids[first + int((~good).nonzero()[0])]
+            msg = f"{method.name}: its {what} of sample {scene} is NaN or infinite; check its checkpoint or parameters"
+            raise InputError(msg)
+    return estimate.clamped()
+
+
+def _binned(error_cm2: Tensor, depth_cm: Tensor, edges_cm: Sequence[float]) -> tuple[list[float], list[int]]:
+    """Return sums and counts by bin of one scene; a bin holds its lower edge, the last one its upper edge too."""
+    bins = len(edges_cm) - 1
+    # Depths are stored in float32: the range's own ends must not fall out by their rounding.
+    edges = torch.tensor(edges_cm, dtype=torch.float64) * (1 + 1e-6 * torch.tensor([-1.0] * bins + [1.0]))
+    place = torch.bucketize(depth_cm.double().cpu(), edges, right=True) - 1
+    inside = (place >= 0) & (place < bins)
+    sums = torch.bincount(place[inside], error_cm2.cpu()[inside], minlength=bins)
+    return sums.tolist(), torch.bincount(place[inside], minlength=bins).tolist()
+
+
+IMAGE_SCORES = ("psnr", "ssim", "lpips", "flip", "linear_psnr")
+DEPTH_SCORES = ("depth_rmse_cm", "lit_depth_rmse_cm")
+DISPARITY_SCORES = ("disparity_rmse", "disparity_rmse_per_m")
+
+
+@dataclass(eq=False)
+class Constant:
+    """A method that gives the same answer to everything; see `learning.method.Method`.
+
+    Attributes:
+        name: in tables.
+        capture: for the range of depths.
+        image: ``(3, h, w)`` sRGB codes.
+        disparity: ``(1, h, w)``.
+        scores: those that it is an answer to.
+        best_in: in what no other answer of its kind is better.
+    """
+
+    name: str
+    capture: CaptureModel
+    image: Tensor
+    disparity: Tensor
+    scores: tuple[str, ...]
+    best_in: str
+
+    def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
+        """Return the answer, as often as there are measurements."""
+        many = (len(measurement), 1, 1, 1)
+        device = measurement.device
+        return Estimate(self.image.to(device).repeat(many), self.disparity.to(device).repeat(many))
+
+
+def naive_baselines(examples: ExampleSet, capture: CaptureModel, batch: int) -> list[Constant]:
+    """Return the best constant depth, the best constant disparity, the mean image, and black, all of these scenes.
+
+    Over all that was seen, no constant has a smaller root mean square error in cm than the mean depth, and none in disparity
+    than the mean disparity, which is another depth.
+    """
+    depth_m, disparity = (torch.zeros((), dtype=torch.float64) for _ in range(2))
+    image = torch.zeros(1, dtype=torch.float64)
+    seen = 0
+    for _, example in batches(examples, batch, torch.device("cpu")):
+        seen_m = example.depth_m[example.valid].double()
+        depth_m, seen = depth_m + seen_m.sum(), seen + len(seen_m)
+        disparity = disparity + capture.disparity(seen_m).sum()
+        image = image + linear_to_srgb(example.radiance, capture.white).double().sum(dim=0)
+    mean_image = (image / len(examples)).float()
+    black, far = torch.zeros_like(mean_image), torch.zeros_like(mean_image[:1])
+    mean_m, mean_disparity = depth_m / max(seen, 1), disparity / max(seen, 1)
+    of_depth = torch.as_tensor(capture.disparity(mean_m), dtype=torch.float32).expand_as(far)
+    of_disparity = mean_disparity.float().expand_as(far)
+    nearer_cm = 100 * float(capture.depth_m(mean_disparity))
+    return [
+        Constant(
+            f"constant depth ({100 * mean_m.item():.2f} cm)",
+            capture,
+            black,
+            of_depth,
+            DEPTH_SCORES,
+            "no constant has a smaller depth RMSE in cm, pooled over all pixels of these scenes",
+        ),
+        Constant(
+            f"constant disparity ({nearer_cm:.2f} cm)",
+            capture,
+            black,
+            of_disparity,
+            DISPARITY_SCORES,
+            "no constant has a smaller RMSE of disparity and of 1/z, pooled over all pixels of these scenes",
+        ),
+        Constant(
+            "mean image",
+            capture,
+            mean_image,
+            far,
+            IMAGE_SCORES,
+            "no one image has a smaller mean square error of sRGB codes over these scenes",
+        ),
+        Constant("black", capture, black, far, IMAGE_SCORES, "best in nothing: what a method that sees nothing gives"),
+    ]
+
+
+@dataclass(frozen=True)
+class Times:
+    """Seconds per scene of one method.
+
+    Attributes:
+        method: its name.
+        stages: median over the repeats, by stage.
+        total: median over the repeats of all stages together.
+        fastest: least total, which other work on the machine disturbed least.
+    """
+
+    method: str
+    stages: dict[str, float]
+    total: float
+    fastest: float
+
+    def plain(self) -> dict[str, Any]:
+        """Return the same for JSON."""
+        return {"method": self.method, "stages_s": self.stages, "total_s": self.total, "fastest_s": self.fastest}
+
+
+def take_times(
+    methods: Sequence[Method],
+    measurements: Tensor,
+    repeats: int,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Times]:
+    """Time methods on one device.
+
+    Args:
+        methods: ready on the measurements' device.
+        measurements: ``(N, C, H, W)``; each turn takes the next one.
+        repeats: turns that count, after one that does not.
+        progress: called with turns done and in all.
+    """
+    totals: list[list[float]] = [[] for _ in methods]
+    stages: list[dict[str, list[float]]] = [{} for _ in methods]
+    for turn in range(repeats + 1):
+        scene = measurements[turn % len(measurements)][None]
+        for which, method in enumerate(methods):
+            clock = Clock(scene.device)
+            method.reconstruct(scene, clock)
+            if turn:
+                totals[which].append(sum(clock.seconds.values()))
+                for stage, seconds in clock.seconds.items():
+                    stages[which].setdefault(stage, []).append(seconds)
+        progress(turn + 1, repeats + 1)
+    return [
+        Times(method.name, {stage: median(seconds) for stage, seconds in by.items()}, median(total), min(total))
+        for method, by, total in zip(methods, stages, totals, strict=True)
+    ]

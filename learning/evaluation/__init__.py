@@ -1,1 +1,0 @@
-"""The parts of `flatlight evaluate`: methods, scores, their cache and summary, times, tables and figures."""

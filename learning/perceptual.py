@@ -1,0 +1,382 @@
+"""Distances between features of networks trained on other images: as a loss (VGG), as a metric (LPIPS).
+
+Their weights are files that may be absent. They are looked for where torch keeps them, checked, and never downloaded; nothing
+else takes their place unless it was asked for by name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import re
+import warnings
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import interpolate
+from torch.nn.utils import skip_init
+
+from simulator.errors import InputError
+
+__all__ = ["LpipsDistance", "PerceptualLoss", "available_lpips"]
+
+
+# What torchvision's networks were trained on: sRGB codes 0..1 less the mean, by the spread, of ImageNet's images.
+_MEAN, _SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+LAYERS = {"vgg19": ("relu4_2",), "vgg16": ("relu2_2", "relu4_3")}
+"""Which features are compared. Still scenes: VGG-19 up to and with relu4_2, ``features[:23]``.
+
+The thesis names the "22nd convolution" of VGG-19, which has only 16; index 22 of torchvision's ``features`` is the ReLU after
+the second convolution of the fourth block. Videos: VGG-16, relu2_2 and relu4_3.
+"""
+
+# Simonyan and Zisserman, arXiv 1409.1556, table 1, columns D and E: channels of the convolutions of each block.
+_BLOCKS = {
+    "vgg16": ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512)),
+    "vgg19": ((64, 64), (128, 128), (256, 256, 256, 256), (512, 512, 512, 512), (512, 512, 512, 512)),
+}
+
+
+class PerceptualLoss(nn.Module):
+    """Distance between images: the mean squared difference of features, summed over layers.
+
+    Source: Johnson et al., Perceptual Losses for Real-Time Style Transfer and Super-Resolution, ECCV 2016, equation 2.
+
+    The weights are frozen; gradients go to the images only. Computed in float32, whatever autocast says.
+    """
+
+    mean: Tensor
+    spread: Tensor
+
+    def __init__(self, weights: Literal["vgg", "random_vgg"], network: str = "vgg19", *, seed: int = 0) -> None:
+        """Build the network.
+
+        Args:
+            weights: ``vgg``, trained on ImageNet, from torchvision's file; ``random_vgg``, drawn from ``seed`` and with
+                normalised features (see `learning.perceptual`).
+            network: ``vgg19`` or ``vgg16``; see `LAYERS`.
+            seed: of ``random_vgg``; torch's global generator is neither used nor changed.
+
+        Raises:
+            InputError: an unknown name, or ``vgg`` without the weight file.
+        """
+        super().__init__()
+        for name, value, known in (("perceptual", weights, ("vgg", "random_vgg")), ("network", network, tuple(LAYERS))):
+            if value not in known:
+                msg = f"{name}: got {value!r}, expected one of {', '.join(known)}"
+                raise InputError(msg)
+        self.weights, self.network, self.seed = weights, network, seed
+        self.sha256: str | None = None
+        indices = layer_indices(network)
+        self.indices = tuple(indices[name] for name in LAYERS[network])
+        self.features = build_features(network, max(self.indices) + 1)
+        self.register_buffer("mean", torch.tensor(_MEAN)[:, None, None])
+        self.register_buffer("spread", torch.tensor(_SPREAD)[:, None, None])
+        if weights == "vgg":
+            self._load(network)
+        else:
+            generator = torch.Generator().manual_seed(seed)
+            draw_weights(self.features, generator)
+            calibrate(self.features, self.indices, generator, self._standardise)
+        self.requires_grad_(False).eval()
+
+    def forward(self, image: Tensor, truth: Tensor) -> Tensor:
+        """Return the distance, a scalar; the mean over the batch.
+
+        Args:
+            image: ``(B, 3, h, w)`` sRGB codes, nominally 0..1; not clipped, so that gradients lead back.
+            truth: the same shape.
+
+        Raises:
+            InputError: shapes that differ, or fewer than 32 x 32 pixels.
+        """
+        check_size(image, truth)
+        with torch.autocast(image.device.type, enabled=False):
+            with torch.no_grad():
+                wanted = self.extract(truth.float())
+            found = self.extract(image.float())
+            differences = [(one - other).square().mean() for one, other in zip(found, wanted, strict=True)]
+        return torch.stack(differences).sum()
+
+    def extract(self, image: Tensor) -> list[Tensor]:
+        """Return the features of each layer of `LAYERS`, ``(B, channels, h / stride, w / stride)``."""
+        values, found = self._standardise(image), []
+        for index, layer in enumerate(self.features):
+            values = layer(values)
+            if index in self.indices:
+                found.append(values)
+        return found
+
+    def record(self) -> dict[str, Any]:
+        """Return what a checkpoint and a table of results must say of this loss."""
+        record: dict[str, Any] = {
+            "perceptual": self.weights,
+            "network": self.network,
+            "layers": list(LAYERS[self.network]),
+        }
+        if self.weights == "vgg":
+            return record | {"file": FILES[self.network], "sha256": self.sha256}
+        return record | {"seed": self.seed, "features": "each channel divided by its spread over random images"}
+
+    def _standardise(self, image: Tensor) -> Tensor:
+        return (image - self.mean) / self.spread
+
+    def _load(self, network: str) -> None:
+        choices = "choose perceptual: none (no such loss) or perceptual: random_vgg (the same network, random weights)"
+        state, self.sha256 = load_features(network, choices)
+        wanted = self.features.state_dict()
+        if any(name not in state or state[name].shape != value.shape for name, value in wanted.items()):
+            msg = f"{FILES[network]}: not the weights of torchvision's {network}; get the file again, or {choices}"
+            raise InputError(msg)
+        self.features.load_state_dict({name: state[name] for name in wanted})
+
+
+def layer_indices(network: str) -> dict[str, int]:
+    """Return the index in torchvision's ``features`` of each ReLU, named by block and convolution as in the literature.
+
+    Example:
+        >>> layer_indices("vgg19")["relu4_2"]
+        22
+    """
+    indices, index = {}, 0
+    for block, channels in enumerate(_BLOCKS[network], start=1):
+        for number in range(1, len(channels) + 1):
+            indices[f"relu{block}_{number}"] = index + 1
+            index += 2  # a convolution and its ReLU
+        index += 1  # the pool
+    return indices
+
+
+def build_features(network: str, length: int) -> nn.Sequential:
+    """Return ``features[:length]`` of torchvision's network with weights of no meaning, without torchvision's slow import."""
+    layers, inputs = [], 3
+    for channels in _BLOCKS[network]:
+        for outputs in channels:
+            layers += [skip_init(nn.Conv2d, inputs, outputs, kernel_size=3, padding=1), nn.ReLU()]
+            inputs = outputs
+        layers.append(nn.MaxPool2d(2))
+    return nn.Sequential(*layers[:length])
+
+
+_IMAGES, _PIXELS = 16, 64
+
+_LEAST_SPREAD = 0.1  # of the median: channels that hardly ever leave zero must not outweigh the others when they do
+
+
+def draw_weights(features: nn.Sequential, generator: torch.Generator) -> None:
+    """Draw all weights of the convolutions as He et al. do for ReLUs, from this generator only; biases become zero."""
+    for layer in features:
+        if isinstance(layer, nn.Conv2d):
+            nn.init.kaiming_normal_(layer.weight, nonlinearity="relu", generator=generator)
+            nn.init.zeros_(layer.bias)  # pyright: ignore[reportArgumentType]
+
+
+@torch.no_grad()
+def calibrate(
+    features: nn.Sequential,
+    compared: Sequence[int],
+    generator: torch.Generator,
+    standardise: Callable[[Tensor], Tensor],
+) -> None:
+    """Give each channel of the compared features unit variance, by scaling the weights of the convolution before.
+
+    Args:
+        features: convolutions without bias, ReLUs and pools.
+        compared: indices of the ReLUs whose output is compared.
+        generator: draws the images over which that holds.
+        standardise: what images of sRGB codes go through first.
+    """
+    values = standardise(natural_images(generator, _IMAGES, _PIXELS))
+    for index, layer in enumerate(features):
+        values = layer(values)
+        if index in compared:
+            spread = values.std(dim=(0, 2, 3), correction=0)
+            spread = spread.clamp_min(_LEAST_SPREAD * spread.median())[:, None, None]
+            convolution = features[index - 1]
+            convolution.weight /= spread[..., None]  # ReLU(x) / s = ReLU(x / s)
+            values = values / spread
+
+
+def natural_images(generator: torch.Generator, count: int, pixels: int) -> Tensor:
+    """Return random images ``(count, 3, pixels, pixels)``, 0..1: noise of all scales with the same contrast in each.
+
+    That every octave has the same variance is the 1 / f^2 power spectrum of natural images: Field, Relations between the
+    statistics of natural images and the response properties of cortical cells, JOSA A 4, 1987. Half of it is grey.
+    """
+    total = torch.zeros(count, 3, pixels, pixels)
+    size = 1
+    while size <= pixels:
+        grey = torch.randn(count, 1, size, size, generator=generator)
+        colour = torch.randn(count, 3, size, size, generator=generator)
+        total += interpolate(grey + colour, (pixels, pixels), mode="bilinear")
+        size *= 2
+    return torch.sigmoid(total / total.std())
+
+
+_BACKBONES = {"alex": "alex", "vgg": "vgg16"}  # the lpips package's names: ours, keys of FILES
+
+
+class LpipsDistance:
+    """LPIPS version 0.1 of the ``lpips`` package with its linear weights; lower is more alike, 0 is equal."""
+
+    def __init__(self, network: str = "alex") -> None:
+        """Load the weights; the package is kept from downloading any.
+
+        Args:
+            network: ``alex`` or ``vgg``.
+
+        Raises:
+            InputError: an unknown name, or no such weight file.
+        """
+        if network not in _BACKBONES:
+            msg = f"lpips: got {network!r}, expected one of {', '.join(_BACKBONES)}"
+            raise InputError(msg)
+        self.network = network
+        state, self.sha256 = load_features(_BACKBONES[network], "leave LPIPS out")
+        self._model = _build(network, state)
+
+    def to(self, device: torch.device | str) -> LpipsDistance:
+        """Move the network and return this."""
+        self._model.to(device)
+        return self
+
+    @torch.no_grad()
+    def __call__(self, image: Tensor, truth: Tensor) -> Tensor:
+        """Return the distance of each image, ``(B,)``.
+
+        Args:
+            image: ``(B, 3, h, w)`` sRGB codes 0..1.
+            truth: the same shape.
+
+        Raises:
+            InputError: shapes that differ, or fewer than 32 x 32 pixels.
+        """
+        check_size(image, truth)
+        return self._model(image.float(), truth.float(), normalize=True).flatten()
+
+    def record(self) -> dict[str, Any]:
+        """Return what a table of results must say of this metric."""
+        file = FILES[_BACKBONES[self.network]]
+        return {"lpips": version("lpips"), "network": self.network, "file": file, "sha256": self.sha256}
+
+
+def available_lpips(network: str | None = None) -> tuple[LpipsDistance | None, str]:
+    """Return LPIPS if a weight file for it is there, and what a report must say either way.
+
+    Args:
+        network: ``alex`` or ``vgg``; None takes the first of them that is there.
+
+    Raises:
+        InputError: a weight file is there but damaged, or an unknown name.
+    """
+    wanted = list(_BACKBONES) if network is None else [network]
+    for name in wanted:
+        if name not in _BACKBONES or has_weights(_BACKBONES[name]):
+            distance = LpipsDistance(name)
+            return distance, f"LPIPS {version('lpips')} with {FILES[_BACKBONES[name]]}"
+    files = " or ".join(FILES[_BACKBONES[name]] for name in wanted)
+    return None, f"no LPIPS: {files} not in {weight_folder()}, and nothing is downloaded"
+
+
+def _build(network: str, backbone: dict[str, Tensor]) -> torch.nn.Module:
+    """Return the package's network, built without weights, so that it asks nobody for them, and filled from files."""
+    import lpips
+
+    with torch.random.fork_rng(devices=[]), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", category=UserWarning, module="torchvision")  # lpips calls it as of old
+        model = lpips.LPIPS(pretrained=False, pnet_rand=True, net=network, version="0.1", verbose=False)
+    linear_file = Path(lpips.__file__).parent / "weights" / "v0.1" / f"{network}.pth"
+    state = torch.load(linear_file, map_location="cpu", weights_only=True)
+    # The package cuts the network into slices whose layers keep the numbers that they have in torchvision's features.
+    for name, value in model.net.state_dict().items():
+        layer = name.split(".", 1)[1]
+        if layer not in backbone or backbone[layer].shape != value.shape:
+            msg = f"{FILES[_BACKBONES[network]]}: not the weights of torchvision's network; get the file again"
+            raise InputError(msg)
+        state[f"net.{name}"] = backbone[layer]
+    missing, unexpected = model.load_state_dict(state, strict=False)
+    # The linear layers are listed twice by the package; its scaling is a constant.
+    if unexpected or any(not name.startswith(("lins.", "scaling_layer.")) for name in missing):
+        msg = f"lpips {version('lpips')}: its weights {linear_file} do not fit its network; install lpips 0.1.4"
+        raise InputError(msg)
+    return model.requires_grad_(False).eval()
+
+
+FILES = {
+    "vgg19": "vgg19-dcbb9e9d.pth",
+    "vgg16": "vgg16-397923af.pth",
+    "alex": "alexnet-owt-7be5be79.pth",
+}
+"""Torchvision's names of the files (weights IMAGENET1K_V1); the digits are the beginning of the file's SHA-256."""
+
+SMALLEST_IMAGE = 32
+"""Pixels: below this, the networks' pools leave nothing to compare."""
+
+
+def weight_folder() -> Path:
+    """Return where torch's hub keeps weight files: ``$TORCH_HOME/hub/checkpoints``, by default below ``~/.cache/torch``."""
+    return Path(torch.hub.get_dir()) / "checkpoints"
+
+
+def has_weights(network: str) -> bool:
+    """Whether the weight file of a network is there; see `FILES`."""
+    return (weight_folder() / FILES[network]).is_file()
+
+
+def load_features(network: str, cure: str) -> tuple[dict[str, Tensor], str]:
+    """Return the weights of a network's convolutions, keyed as in its ``features``, and the file's SHA-256.
+
+    Args:
+        network: a key of `FILES`.
+        cure: what to do instead of using this file, for the message.
+
+    Raises:
+        InputError: the file is absent, damaged or not what its name says.
+    """
+    path = weight_folder() / FILES[network]
+    if not path.is_file():
+        msg = (
+            f"weights of {network}: {path.name} is not in {path.parent} and is not downloaded; put it there (torchvision's "
+            f"IMAGENET1K_V1), or set TORCH_HOME to the folder above its hub/checkpoints, or {cure}"
+        )
+        raise InputError(msg)
+    try:
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        _check_digest(path, digest)
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
+        msg = f"cannot read {path}: {error}; get the file again, or {cure}"
+        raise InputError(msg) from error
+    prefix = "features."
+    return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}, digest
+
+
+def check_size(*images: Tensor) -> None:
+    """Refuse images ``(B, 3, h, w)`` that differ in shape or are too small.
+
+    Raises:
+        InputError: naming the shapes.
+    """
+    shapes = [tuple(image.shape) for image in images]
+    if len(set(shapes)) > 1 or len(shapes[0]) != 4 or shapes[0][1] != 3:
+        msg = f"images: got shapes {' and '.join(map(str, shapes))}, expected (B, 3, h, w) twice"
+        raise InputError(msg)
+    if min(shapes[0][2:]) < SMALLEST_IMAGE:
+        msg = (
+            f"images: got {shapes[0][2]} x {shapes[0][3]} pixels, expected at least {SMALLEST_IMAGE} x "
+            f"{SMALLEST_IMAGE} for features of a deep network; choose perceptual: none, and no LPIPS, or larger scenes"
+        )
+        raise InputError(msg)
+
+
+def _check_digest(path: Path, digest: str) -> None:
+    match = re.search(r"-([0-9a-f]{8,64})\.", path.name)
+    if match and not digest.startswith(match[1]):
+        msg = f"{path}: its SHA-256 begins with {digest[:8]}, its name says {match[1]}: damaged or another file; get it again"
+        raise InputError(msg)

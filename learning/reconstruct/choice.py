@@ -1,0 +1,335 @@
+"""Which camera took a measurement and which method reconstructs it, from what the user and the measurement say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from learning.camera import CaptureModel, capture_model, measure_reference_white, plain_capture, typical_white
+from learning.checkpoint import find_checkpoint, load_checkpoint, shipped_checkpoints
+from learning.classical.method import DEFAULTS, PLANAR_DEFAULTS, PlanarMethod, build_classical, check_parameters
+from learning.method import Method
+from learning.models.flatnet import LearnedMethod
+from learning.reconstruct.inputs import RGB, Measurement, load_psf_image
+from learning.tune.study import load_tuned
+from simulator.dataset.dataset_info import FILE
+from simulator.dataset.reader import Dataset, open_dataset
+from simulator.errors import InputError
+from simulator.io.files import sha256_file
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import DESCRIPTION, read_psf_stack, stack_folder
+
+_TYPICAL = "twice the mean radiance of a scene that sends this much light"
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the user says; see the options of `flatlight reconstruct`."""
+
+    checkpoint: str | None = None
+    method: str | None = None
+    stack: str | None = None
+    psf_background: str | None = None
+    psf_crop: str | None = None
+    binning: int = 1
+    scene: tuple[int, int] | None = None
+    tuned: Path | None = None
+    noise_db: float | None = None
+    parameters: Mapping[str, Any] | None = None
+    white: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """A method for a measurement, and how it was chosen.
+
+    Attributes:
+        method: on the CPU.
+        name: of the method, in names of files.
+        white: the radiance that an image of one plane shows as 1; None leaves it to the image.
+        record: words and numbers, JSON-serialisable.
+    """
+
+    method: Method
+    name: str
+    white: float | None
+    record: dict[str, Any]
+
+
+def choose_method(measurement: Measurement, request: Request) -> Setup:
+    """Return the method for a measurement.
+
+    Raises:
+        InputError: options that exclude each other, a checkpoint, stack or tuning that cannot be read, or a camera that does
+            not fit the measurement.
+    """
+    if request.checkpoint is not None and (request.method or request.stack or request.tuned or request.parameters):
+        msg = (
+            "--checkpoint: a network brings its own PSFs and parameters; leave out --method, --stack, --tuned and --set"
+        )
+        raise InputError(msg)
+    if request.noise_db is not None and request.tuned is None:
+        msg = "--noise-db: chooses among tuned parameters; add --tuned, what `flatlight tune` wrote, or leave it out"
+        raise InputError(msg)
+    image = request.method is not None and request.stack is not None and Path(request.stack).expanduser().is_file()
+    for option, value in (("--psf-background", request.psf_background), ("--psf-crop", request.psf_crop)):
+        if value is not None and not image:
+            msg = f"{option}: is for the image of a PSF; name one by --stack, or leave it out"
+            raise InputError(msg)
+    if request.method is not None:
+        return _classical(measurement, request, request.method)
+    if request.checkpoint is not None:
+        return _learned(measurement, find_checkpoint(request.checkpoint), request)
+    if request.stack or request.tuned or request.parameters:
+        msg = "--method: missing; --stack, --tuned and --set are for a classical method: add --method cls or --method admm"
+        raise InputError(msg)
+    refused: list[str] = []
+    for name, path in shipped_checkpoints().items():
+        try:
+            return _learned(measurement, path, request)
+        except InputError as error:
+            refused.append(f"{name}: {error}")
+    reasons = "; ".join(refused) or "none is shipped"
+    msg = (
+        f"{measurement.path}: no shipped checkpoint fits ({reasons}). Give --checkpoint FILE of a network for this camera, "
+        "or --method cls or admm with --stack, its PSFs"
+    )
+    raise InputError(msg)
+
+
+def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
+    checkpoint = load_checkpoint(path)
+    capture = checkpoint.capture
+    numbers = "the checkpoint's: the measurement is taken to be exposed like its training set"
+    dataset = _own_dataset(measurement)
+    _check_fit(measurement, capture, f"the network of {path.name}")
+    if dataset is not None:
+        try:
+            capture = capture_model(dataset).with_assumed(capture)
+        except InputError as error:
+            msg = f"{path} was trained for another camera than that of {dataset.root}: {error}"
+            raise InputError(msg) from error
+        numbers = _of_own(dataset)
+    capture = _lit(measurement, capture)
+    if request.white is not None:
+        capture = replace(capture, white=request.white)
+    if capture is not checkpoint.capture:
+        checkpoint = load_checkpoint(path, capture=capture)
+    if request.scene not in (None, capture.scene_shape):
+        msg = f"--scene: the network gives scenes of {_size(capture.scene_shape)}; leave it out"
+        raise InputError(msg)
+    name = str(checkpoint.architecture["network"])
+    record = {
+        "checkpoint": str(path),
+        "sha256": sha256_file(path),
+        "architecture": checkpoint.architecture,
+        "camera": _camera_record(capture, numbers, "as told" if request.white else "the checkpoint's"),
+    }
+    return Setup(LearnedMethod(name, checkpoint.network, capture), name, capture.white, record)
+
+
+def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
+    if name not in DEFAULTS:
+        msg = f"--method: got {name!r}, expected cls or admm; a network is named by --checkpoint"
+        raise InputError(msg)
+    camera = camera_of(measurement, request)
+    capture = camera.capture
+    _check_fit(measurement, capture, f"the stack {request.stack or 'of the data set'}")
+    if request.scene is not None and capture.scene_shape != request.scene:
+        scenes = _size(capture.scene_shape)
+        msg = f"--scene: got {_size(request.scene)}, the data set's scenes have {scenes}; leave it out"
+        raise InputError(msg)
+    capture = _lit(measurement, capture)
+    white, white_from = _white(measurement, request, camera, capture)
+    capture = replace(capture, white=white)
+    flat = len(capture.stack.depths_m) == 1
+    if flat and request.tuned is not None:
+        msg = f"--tuned: {request.tuned} is for depth, but these PSFs are of one; leave it out, and give --set"
+        raise InputError(msg)
+    known, of = (PLANAR_DEFAULTS[name], f"{name} for one plane") if flat else (DEFAULTS[name], name)
+    told = dict(request.parameters or {})
+    check_parameters(told, known, of, "--set")
+    parameters, source = _parameters(measurement, request, name, told)
+    record: dict[str, Any] = {
+        "method": name,
+        "parameters": known | parameters,
+        "parameters_from": source,
+        "camera": _camera_record(capture, camera.numbers_from, white_from),
+    }
+    if flat:
+        return Setup(PlanarMethod(capture, name, parameters), name, None if white_from == _TYPICAL else white, record)
+    return Setup(build_classical(capture, name, parameters), name, white, record)
+
+
+def _parameters(
+    measurement: Measurement, request: Request, name: str, told: dict[str, Any]
+) -> tuple[dict[str, Any], str]:
+    """Return the parameters that differ from the defaults, and where they come from."""
+    if request.tuned is None:
+        return told, "defaults and --set" if told else "defaults"
+    tuned = load_tuned(request.tuned)
+    levels = tuned.levels_db(name)
+    dataset = _own_dataset(measurement)
+    of_set = None if dataset is None else dataset.config["camera"]["noise"].get("psnr_db")
+    noise_db = request.noise_db or of_set or (levels[0] if len(levels) == 1 else None)
+    if noise_db is None:
+        known = ", ".join(f"{level:g}" for level in levels)
+        msg = f"--noise-db: missing; {request.tuned} was tuned at {known} dB: say how noisy the measurement is"
+        raise InputError(msg)
+    chosen, level = tuned.parameters(name, noise_db)
+    return chosen | told, f"{request.tuned}, tuned at {level:g} dB for {noise_db:g} dB{', and --set' if told else ''}"
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """The camera of a measurement.
+
+    Attributes:
+        capture: its white still unknown.
+        numbers_from: where gain, offset and irradiance come from, in words.
+        dataset: the data set's train split that they are of; None where nothing but the PSFs is known.
+    """
+
+    capture: CaptureModel
+    numbers_from: str
+    dataset: Dataset | None
+
+
+def camera_of(measurement: Measurement, request: Request) -> Camera:
+    """Return the camera that took a measurement.
+
+    Raises:
+        InputError: PSFs that are missing, cannot be read, or are of other channels.
+    """
+    dataset, stack = _own_dataset(measurement), request.stack
+    if stack is None or stack in ("nominal", "captured"):
+        if dataset is None:
+            msg = (
+                f"--stack: got {stack or 'nothing'}, but {measurement.path} is not a sample of a data set; give the PSFs of "
+                "its camera: a stack's folder, a data set's, or the image of a PSF"
+            )
+            raise InputError(msg)
+        return Camera(capture_model(dataset, stack or "nominal"), _of_own(dataset), dataset)
+    place = Path(stack).expanduser()
+    if place.is_file():
+        if dataset is not None:
+            msg = (
+                f"--stack: {place} is an image, but {measurement.path} is a sample of a data set; give a stack's folder"
+            )
+            raise InputError(msg)
+        channels = RGB if len(measurement.channels) == 3 else measurement.channels
+        image = load_psf_image(
+            place, channels, background=request.psf_background, crop=request.psf_crop, binning=request.binning
+        )
+        return _plain(measurement, image, request)
+    if (place / FILE).is_file() and dataset is None:
+        found = open_dataset(place, "train")
+        return Camera(capture_model(found), f"of {place}, whose camera took the measurement", found)
+    folder = stack_folder(place)
+    if not (folder / DESCRIPTION).is_file():
+        what = "neither the image of a PSF nor the folder of a stack or a data set"
+        msg = f"--stack: {place} is {what}; `flatlight psf` makes stacks"
+        raise InputError(msg)
+    found = read_psf_stack(folder)
+    if dataset is not None:
+        return Camera(capture_model(dataset, found), _of_own(dataset), dataset)
+    return _plain(measurement, found, request)
+
+
+def _own_dataset(measurement: Measurement) -> Dataset | None:
+    """Return the data set that a sample belongs to; the split does not matter."""
+    return None if measurement.dataset is None else open_dataset(measurement.dataset, "train")
+
+
+def _of_own(dataset: Dataset) -> str:
+    return f"of {dataset.root}, the measurement's own data set"
+
+
+def _plain(measurement: Measurement, stack: PsfStack, request: Request) -> Camera:
+    _check_channels(measurement, stack.channels, f"the stack {request.stack}")
+    capture = plain_capture(stack, measurement.sensor_shape, request.scene)
+    return Camera(capture, "none: gain 1, no vignetting, colours as they are; radiance has an unknown factor", None)
+
+
+def _lit(measurement: Measurement, capture: CaptureModel) -> CaptureModel:
+    """Return the camera without its dark level where a background was subtracted, which would otherwise go twice.
+
+    Raises:
+        InputError: a measurement without light, of which a method would make something nevertheless.
+    """
+    if "background" in measurement.record:
+        capture = replace(capture, offset=np.zeros_like(capture.offset))
+    mean = float(np.mean(measurement.values - capture.offset[:, None, None]))
+    if not mean > 0:
+        found = f"a mean of {mean:.3g} above the background"
+        msg = f"{measurement.path} has {found}, expected light; check --background, or the exposure"
+        raise InputError(msg)
+    return capture
+
+
+def _check_fit(measurement: Measurement, capture: CaptureModel, whose: str) -> None:
+    """Refuse a measurement of other channels or another size than a camera's; the cure is named where there is one."""
+    _check_channels(measurement, capture.stack.channels, whose)
+    got, wanted = measurement.sensor_shape, capture.sensor_shape
+    if got == wanted:
+        return
+    factors = {a / b for a, b in zip(got, wanted, strict=True)}
+    cure = "it is of another camera: give another stack or checkpoint"
+    if len(factors) == 1 and (factor := factors.pop()) > 1 and factor.is_integer():
+        cure = f"add --binning {int(factor)}, or give another stack or checkpoint"
+    elif measurement.record.get("binning"):
+        cure = "leave out --binning, or give another stack or checkpoint"
+    elif all(a >= b for a, b in zip(got, wanted, strict=True)):
+        cure = f"add --crop {_size(wanted, 'x')} (about the centre), or give another stack or checkpoint"
+    msg = f"{measurement.path} has {_size(got)} pixels, {whose} is for {_size(wanted)}; {cure}"
+    raise InputError(msg)
+
+
+def _check_channels(measurement: Measurement, channels: tuple[str, ...], whose: str) -> None:
+    if len(measurement.channels) != len(channels):
+        got, wanted = ", ".join(measurement.channels), ", ".join(channels)
+        cure = "give a stack or checkpoint of this camera"
+        msg = f"{measurement.path} has the channels {got}, {whose} is for {wanted}; {cure}"
+        raise InputError(msg)
+
+
+def _white(measurement: Measurement, request: Request, camera: Camera, capture: CaptureModel) -> tuple[float, str]:
+    """Return the radiance to be shown as 1, by which the methods also scale their volumes, and where it comes from.
+
+    A data set's, or a tuning's, has a meaning only where the camera's numbers are a data set's: the radiance of others has
+    an unknown factor.
+    """
+    if request.white is not None:
+        return request.white, "as told"
+    if camera.dataset is not None and request.tuned is not None:
+        return float(load_tuned(request.tuned).content["identity"]["white"]), f"{request.tuned}"
+    if camera.dataset is not None and len(camera.dataset) > 0:
+        white_from = f"99th percentile of the train split of {camera.dataset.root}"
+        return measure_reference_white(camera.dataset), white_from
+    return typical_white(capture, measurement.values), _TYPICAL
+
+
+def _camera_record(capture: CaptureModel, numbers: str, white_from: str) -> dict[str, Any]:
+    """Return what a camera is, and where its numbers and its white come from, JSON-serialisable."""
+    shown = ("kind", "background", "crop", "binning", "images")
+    return {
+        "numbers_from": numbers,
+        "sensor_shape": list(capture.sensor_shape),
+        "scene_shape": list(capture.scene_shape),
+        "channels": list(capture.stack.channels),
+        "depths_m": [float(depth) for depth in capture.stack.depths_m],
+        "psf_fingerprint": capture.stack.fingerprint,
+        "psf": {key: value for key, value in capture.stack.provenance.items() if key in shown},
+        "gain": capture.gain,
+        "offset": capture.offset.tolist(),
+        "white": capture.white,
+        "white_from": white_from,
+    }
+
+
+def _size(shape: tuple[int, int], between: str = " x ") -> str:
+    return between.join(map(str, shape))

@@ -1,0 +1,311 @@
+"""Reading a measurement, and the image of a PSF: cropped, cleaned and binned by one rule, as they share a sensor."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.dataset.dataset_info import FILE
+from simulator.dataset.sample import DESCRIPTION, MEASUREMENT, StoredSample
+from simulator.errors import InputError
+from simulator.io.measurements import read_measurement
+from simulator.optics.measured import Background, load_measured_psf
+from simulator.optics.stack import PsfStack
+
+
+def crop_window(crop: str, path: Path, shape: tuple[int, int], option: str = "crop") -> tuple[slice, slice]:
+    """Return the rows and columns of a crop.
+
+    Args:
+        crop: ``ROWSxCOLUMNS`` about the centre, or ``ROWSxCOLUMNS+TOP+LEFT``.
+        path: of the image, for messages.
+        shape: its rows and columns.
+        option: the argument's name, for messages.
+
+    Raises:
+        InputError: another text, or a window beyond the image.
+    """
+    found = re.fullmatch(r"(\d+)x(\d+)(?:\+(\d+)\+(\d+))?", crop.strip())
+    if not found:
+        msg = (
+            f"{option}: got {crop!r}, expected ROWSxCOLUMNS (about the centre) or ROWSxCOLUMNS+TOP+LEFT, "
+            "e.g. 1080x1440+60+80"
+        )
+        raise InputError(msg)
+    sizes = (int(found[1]), int(found[2]))
+    starts = [(whole - size) // 2 for whole, size in zip(shape, sizes, strict=True)]
+    if found[3]:
+        starts = [int(found[3]), int(found[4])]
+    for start, size, whole in zip(starts, sizes, shape, strict=True):
+        if size < 1 or start < 0 or start + size > whole:
+            msg = (
+                f"{option}: got {crop}, which reaches beyond {path} of {shape[0]} x {shape[1]} pixels; make it smaller"
+            )
+            raise InputError(msg)
+    rows, columns = (slice(start, start + size) for start, size in zip(starts, sizes, strict=True))
+    return rows, columns
+
+
+def check_binning(binning: int, path: Path, shape: tuple[int, int], crop_option: str = "--crop") -> None:
+    """Refuse a binning that leaves pixels over: dropped in silence, they would shift image against PSF.
+
+    Args:
+        binning: pixels per side that become one.
+        path: of the image, for messages.
+        shape: its rows and columns, cropped.
+        crop_option: what cures it.
+
+    Raises:
+        InputError: it does not divide the size, or exceeds it.
+    """
+    rows, columns = shape
+    if not 1 <= binning <= min(rows, columns):
+        msg = f"binning: got {binning}, expected 1 to {min(rows, columns)} pixels per side for {path}"
+        raise InputError(msg)
+    if rows % binning or columns % binning:
+        fitting = f"{rows // binning * binning}x{columns // binning * binning}"
+        msg = (
+            f"binning: got {binning}, which does not divide {path} of {rows} x {columns} pixels; "
+            f"add {crop_option} {fitting}"
+        )
+        raise InputError(msg)
+
+
+def binned(light: NDArray[np.floating[Any]], binning: int, path: Path) -> NDArray[np.float64]:
+    """Return the mean of blocks, ``(C, H, W)`` to ``(C, H / binning, W / binning)``.
+
+    Raises:
+        InputError: see `check_binning`.
+    """
+    rows, columns = light.shape[-2:]
+    check_binning(binning, path, (rows, columns))
+    blocks = light.reshape(-1, rows // binning, binning, columns // binning, binning)
+    return blocks.mean(axis=(2, 4), dtype=np.float64)
+
+
+RGB = ("R", "G", "B")
+_MOST_OF_SHARES = 2.0  # noise that was not clipped goes beyond full scale, but not so far
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What a camera stored.
+
+    Attributes:
+        values: ``(C, H, W)`` float32, DN / 2^bits, background removed, cropped and binned.
+        path: the file, or the sample's folder.
+        channels: one name per channel; ``("grey",)`` for one.
+        dataset: the data set's folder, where it is a sample of one.
+        record: what was done to the file's numbers and what was assumed, JSON-serialisable.
+    """
+
+    values: NDArray[np.float32]
+    path: Path
+    channels: tuple[str, ...]
+    dataset: Path | None
+    record: dict[str, Any]
+
+    @property
+    def sensor_shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.values.shape[1], self.values.shape[2]
+
+
+def load_measurement(
+    path: Path | str,
+    *,
+    bits: int | None = None,
+    background: str | float | None = None,
+    crop: str | None = None,
+    binning: int = 1,
+) -> Measurement:
+    """Read a measurement; what is done to it follows the order of the arguments.
+
+    Args:
+        path: a sample's folder or its ``measurement.exr``; or a TIFF, PNG, OpenEXR or ``.npy`` file of one linear image,
+            grey or RGB, ``(H, W)`` or ``(C, H, W)`` in ``.npy``.
+        bits: the numbers are divided by 2^bits. None takes unsigned integers by their type (8, 16 or 32 bits) and floats as
+            shares already.
+        background: what the sensor shows without light, in the file's numbers: one number, or an image's path.
+        crop: ``ROWSxCOLUMNS`` about the centre, or ``ROWSxCOLUMNS+TOP+LEFT``, in the file's pixels.
+        binning: pixels per side whose mean becomes one.
+
+    Raises:
+        InputError: a file that cannot be read or holds NaN, a clip, numbers above 2^bits, floats far above 1 without
+            ``bits``, a background of another size, a crop beyond the image, or a size that the binning does not divide.
+    """
+    path = Path(path)
+    if bits is not None and not 1 <= bits <= 32:
+        msg = f"bits: got {bits}, expected 1 to 32, the sensor's bit depth"
+        raise InputError(msg)
+    sample = _sample_folder(path)
+    if sample is None:
+        values, channels = _channels_first(path)
+        scale, assumed = _scale(values, bits, path)
+        dataset = None
+    else:
+        stored = StoredSample(sample)
+        if stored.frames != 1:
+            msg = f"{sample} is a clip of {stored.frames} frames; reconstruct takes stills, of one frame"
+            raise InputError(msg)
+        values, channels = stored.measurement()[0], stored.channels
+        scale, assumed = (1.0, "as stored: DN / 2^bits") if bits is None else (2.0**bits, "as told")
+        dataset = sample.parents[2] if (sample.parents[2] / FILE).is_file() else None
+    record: dict[str, Any] = {"file": str(path), "shape": list(values.shape), "divided_by": scale, "scale": assumed}
+    light = values / scale
+    if background is not None:
+        dark, words = _dark(background, values, path)
+        light = light - dark / scale
+        record["background"] = words
+    if crop is not None:
+        light = light[(slice(None), *crop_window(crop, path, (light.shape[-2], light.shape[-1])))]
+        record["crop"] = crop
+    if binning != 1:
+        light = binned(light, binning, path)
+        record["binning"] = binning
+    return Measurement(light.astype(np.float32), sample or path, channels, dataset, record)
+
+
+def _sample_folder(path: Path) -> Path | None:
+    """Return the folder of one of our samples, or None for other files."""
+    folder = path.absolute()
+    if path.name == MEASUREMENT:
+        folder = folder.parent
+    elif not path.is_dir():
+        return None
+    if (folder / DESCRIPTION).is_file():
+        return folder
+    if path.is_dir():
+        what = (
+            "a data set: give one of its samples"
+            if (path / FILE).is_file()
+            else f"not a sample: it has no {DESCRIPTION}"
+        )
+        msg = f"{path} is {what}, e.g. train/0000/s00000000, or an image's file"
+        raise InputError(msg)
+    return None
+
+
+def _channels_first(path: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
+    values = read_measurement(path, RGB)
+    return values, RGB if len(values) == 3 else ("grey",)
+
+
+def _scale(values: NDArray[Any], bits: int | None, path: Path) -> tuple[float, str]:
+    """Return what full scale is in the file's numbers, and why."""
+    kind = values.dtype
+    if bits is None and kind.kind == "f":
+        if (brightest := float(values.max())) > _MOST_OF_SHARES:
+            msg = (
+                f"{path} holds floats up to {brightest:g}; expected shares of the sensor's full scale, 0 to 1: give --bits, "
+                "the sensor's bit depth, by which numbers are divided by 2^bits"
+            )
+            raise InputError(msg)
+        return 1.0, "floats, taken as DN / 2^bits"
+    if bits is None and kind.kind == "i":
+        msg = f"{path} holds signed integers ({kind}), which have no full scale; give --bits, the sensor's bit depth"
+        raise InputError(msg)
+    scale = 2.0 ** (bits or 8 * kind.itemsize)
+    top = float(values.max())
+    if top >= scale:
+        msg = f"{path} holds numbers up to {top:g}, more than --bits {bits} can hold ({scale - 1:g}); give more bits"
+        raise InputError(msg)
+    return scale, "as told" if bits else f"assumed from the file's type, {kind}"
+
+
+def _dark(background: str | float, values: NDArray[Any], path: Path) -> tuple[NDArray[np.float64] | float, str]:
+    """Return what to subtract, and what it is in words."""
+    try:
+        level = float(background)
+    except ValueError:
+        image = Path(str(background))
+    else:
+        if not np.isfinite(level):
+            msg = f"background: got {background}, expected a finite number in the file's units, or an image"
+            raise InputError(msg)
+        return level, f"{level:g}"
+    dark, _ = _channels_first(image)
+    if dark.shape[1:] != values.shape[1:] or len(dark) not in (1, len(values)):
+        msg = (
+            f"background: {image} is {_size(dark.shape)}, but {path} is {_size(values.shape)}; expected a dark image of "
+            "the same camera and size, before crop and binning"
+        )
+        raise InputError(msg)
+    return dark.astype(np.float64), str(image)
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f"{shape[1]} x {shape[2]} with {shape[0]} channel{'s' if shape[0] > 1 else ''}"
+
+
+_PITCH_M = 1e-5  # nothing here depends on it: values are scaled to a sum of 1
+
+
+def load_psf_image(
+    path: Path, channels: tuple[str, ...], *, background: str | None = None, crop: str | None = None, binning: int = 1
+) -> PsfStack:
+    """Return the image of a PSF as a stack of one plane, infinitely far, with values that add up to 1 on average.
+
+    Args:
+        path: a linear image; see `simulator.io.measurements.read_measurement`.
+        channels: of the measurement.
+        background: ``border`` (also None), the median of the cropped image's outer frame; ``none``; counts; or an image
+            of darkness, of the same size before the crop.
+        crop: see `crop_window`; the PSF's origin is the centre of what is left.
+        binning: pixels per side that become one.
+
+    Raises:
+        InputError: a file that cannot be read, a crop beyond it, a binning that does not divide it, or no light.
+    """
+    image = read_measurement(path, channels)
+    if crop is None:
+        check_binning(binning, path, _shape(image), "--psf-crop")
+        return _load(path, channels, _level(background), binning)
+    window = crop_window(crop, path, _shape(image), "psf-crop")
+    cut = image[(slice(None), *window)]
+    check_binning(binning, path, _shape(cut), "--psf-crop")
+    level = _level(background)
+    with TemporaryDirectory() as folder:
+        np.save(place := Path(folder, "psf.npy"), cut)
+        if isinstance(level, Path):
+            dark = read_measurement(level, channels)
+            dark_window = crop_window(crop, level, _shape(dark), "psf-crop")
+            np.save(level := Path(folder, "dark.npy"), dark[(slice(None), *dark_window)])
+        stack = _load(place, channels, level, binning)
+    told = {"background": background} if isinstance(level, Path) else {}
+    images = [record | {"file": path.name} for record in stack.provenance["images"]]
+    return replace(stack, provenance={**stack.provenance, **told, "images": images, "crop": crop})
+
+
+def _load(path: Path, channels: tuple[str, ...], background: Background, binning: int) -> PsfStack:
+    return load_measured_psf(
+        [path],
+        [np.inf],
+        _PITCH_M,
+        frame="stored",
+        binning=binning,
+        background=background,
+        throughput_m2=_PITCH_M**2,
+        channels=channels,
+    )
+
+
+def _level(background: str | None) -> Background:
+    if background is None or background == "border":
+        return "border"
+    if background == "none":
+        return "none"
+    try:
+        return float(background)
+    except ValueError:
+        return Path(background)
+
+
+def _shape(image: Any) -> tuple[int, int]:
+    return image.shape[-2], image.shape[-1]

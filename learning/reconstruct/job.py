@@ -1,0 +1,316 @@
+"""`flatlight reconstruct`: from one measurement to an image, a depth map and a volume, and the files they are written to."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from learning.camera import CaptureModel
+from learning.classical.method import PlanarMethod
+from learning.method import Clock, Method, choose_device, linear_to_srgb, srgb_to_linear
+from learning.models.flatnet import LearnedMethod
+from learning.provenance import is_own_folder
+from learning.reconstruct.choice import Request, choose_method
+from learning.reconstruct.inputs import Measurement, load_measurement
+from simulator import __version__
+from simulator.arrays import to_numpy
+from simulator.config.yaml import parse_scalar
+from simulator.errors import InputError
+from simulator.io.exr import write_exr
+from simulator.io.files import committed_folder, write_atomic
+from simulator.io.json import plain, readable_json
+from simulator.plots.drawing import (
+    LEGEND_WIDTH,
+    PAPER,
+    centimetres,
+    depth_colours,
+    draw_depth_legend,
+    png_bytes,
+    resized,
+)
+from simulator.types import FARTHEST_M
+
+RECORD = "reconstruction.json"
+_WHITE_PERCENTILE = 99.5  # of the lit values, as in all images that the simulator shows
+_LEAST_HEIGHT, _MARGIN = 240, 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Request):
+    """What the command was given; see its help."""
+
+    measurement: Path
+    output: Path | None = None
+    volume: bool = False
+    bits: int | None = None
+    background: str | None = None
+    crop: str | None = None
+    device: str = "auto"
+
+
+def reconstruct_file(options: Options) -> str:
+    """Reconstruct a measurement, write the result, and return some lines about it.
+
+    Raises:
+        InputError: an option, a file, or a camera that does not fit.
+        StorageError: the result cannot be written.
+    """
+    if options.white is not None and not (math.isfinite(options.white) and options.white > 0):
+        msg = f"--white: got {options.white}, expected a positive radiance"
+        raise InputError(msg)
+    device = choose_device(options.device)
+    measurement = load_measurement(
+        options.measurement,
+        bits=options.bits,
+        background=options.background,
+        crop=options.crop,
+        binning=options.binning,
+    )
+    if options.output is not None:
+        is_own_folder(options.output, RECORD, "reconstruction", "--output")
+    setup = choose_method(measurement, options)
+    # The sample's split and name, or the file's, and the method's, e.g. test_s00000002_cls.
+    place = measurement.path.absolute()
+    split = "" if measurement.dataset is None else f"{place.parents[1].name}_"
+    folder = options.output or Path(f"{split}{place.stem}_{setup.name}")
+    replaces = is_own_folder(folder, RECORD, "reconstruction", "--output")
+    method: Any = setup.method
+    (method.network if hasattr(method, "network") else method).to(device)
+    result = reconstruct(measurement.values, method, volume=options.volume, white=setup.white, device=device)
+    record = {
+        "measurement": measurement.record,
+        **setup.record,
+        "white_from": result.white_from or setup.record["camera"]["white_from"],
+        "device": str(device),
+        "version": __version__,
+    }
+    files = write_reconstruction(folder, result, method.capture, record)
+    wrote = f"{folder}: {', '.join(files)}{'; replaced an earlier reconstruction' if replaces else ''}"
+    return _report(measurement, setup.method.name, record, result, wrote)
+
+
+def parse_size(text: str | None) -> tuple[int, int] | None:
+    """Return the rows and columns of ``--scene ROWSxCOLUMNS``.
+
+    Raises:
+        InputError: another text.
+    """
+    found = re.fullmatch(r"(\d+)x(\d+)", text or "")
+    if text is not None and not found:
+        msg = f"--scene: got {text!r}, expected ROWSxCOLUMNS, e.g. 256x256"
+        raise InputError(msg)
+    return (int(found[1]), int(found[2])) if found else None
+
+
+def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
+    """Return the parameters of ``--set KEY=VALUE``.
+
+    Raises:
+        InputError: another text.
+    """
+    parameters = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        if not name or not value:
+            msg = f"--set: got {text!r}, expected KEY=VALUE, e.g. pairwise=0.5"
+            raise InputError(msg)
+        parameters[name.strip()] = parse_scalar(value.strip())
+    return parameters
+
+
+def _report(measurement: Measurement, name: str, record: dict[str, Any], result: Reconstruction, wrote: str) -> str:
+    rows, columns = measurement.sensor_shape
+    how = record.get("checkpoint") or ", ".join(
+        f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}"
+        for key, value in record["parameters"].items()
+    )
+    scale = f"numbers / {measurement.record['divided_by']:g} ({measurement.record['scale']})"
+    depth = "none: the PSFs are of one depth"
+    if result.depth_m is not None:
+        depth = f"{centimetres(result.depth_m.min())} to {centimetres(result.depth_m.max())}"
+    size = " x ".join(map(str, result.image.shape[1:]))
+    lines = {
+        "measurement": f"{rows} x {columns}, {', '.join(measurement.channels)}; {scale}",
+        "method": f"{name} ({how})",
+        "camera": record["camera"]["numbers_from"],
+        "image": f"{size}, white = {result.white:.4g} ({record['white_from']})",
+        "depth": depth,
+        "time": ", ".join(f"{stage} {seconds:.2g} s" for stage, seconds in result.seconds.items()),
+        "wrote": wrote,
+    }
+    width = max(map(len, lines))
+    return "\n".join(f"{name:>{width}}  {text}" for name, text in lines.items())
+
+
+@runtime_checkable
+class HasVolume(Protocol):
+    """A method that can show its volume."""
+
+    def volume(self, measurement: Tensor) -> Tensor:
+        """Return ``(B, K, C, h, w)`` of measurements ``(B, C, H, W)``."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """What was made of a measurement.
+
+    Attributes:
+        radiance: ``(3, h, w)`` float32 linear sRGB. Of one plane without a scale of its own, in the unit measurement / PSF.
+        image: ``(3, h, w)`` float32 sRGB codes 0..1; 1 is ``white``.
+        white: the radiance that the image shows as 1.
+        white_from: why this one; empty where it is the method's own.
+        depth_m: ``(h, w)`` float32 metres, at most `FARTHEST_M`; None where the PSFs are of one depth.
+        volume: ``(K, C, h, w)`` float32 radiance in the camera's channels; None where it was not asked for.
+        seconds: by stage.
+    """
+
+    radiance: NDArray[np.float32]
+    image: NDArray[np.float32]
+    white: float
+    white_from: str
+    depth_m: NDArray[np.float32] | None
+    volume: NDArray[np.float32] | None
+    seconds: dict[str, float]
+
+
+def reconstruct(
+    measurement: NDArray[Any],
+    method: Method,
+    *,
+    volume: bool = False,
+    white: float | None = None,
+    device: torch.device | str = "cpu",
+) -> Reconstruction:
+    """Reconstruct a still.
+
+    Args:
+        measurement: ``(C, H, W)``, DN / 2^bits.
+        method: learned or classical, on the device.
+        volume: whether the volume is wanted too.
+        white: of an image from one plane, the radiance to show as 1; None shows the brightest half per cent as white. All
+            other methods show ``method.capture.white``, by which they work.
+        device: where the method is.
+
+    Raises:
+        InputError: NaN or infinite numbers, a shape that is not the camera's, or a method that has no volume to show.
+    """
+    capture = method.capture
+    expected = (len(capture.stack.channels), *capture.sensor_shape)
+    if tuple(measurement.shape) != expected:
+        msg = f"measurement: got shape {tuple(measurement.shape)}, expected the camera's {expected}: channels, rows, columns"
+        raise InputError(msg)
+    if not np.isfinite(measurement).all():
+        msg = "measurement: got NaN or infinite numbers, expected finite ones; repair these pixels first"
+        raise InputError(msg)
+    if volume and not isinstance(method, HasVolume | LearnedMethod):
+        msg = f"volume: {method.name} has none to show; leave it out"
+        raise InputError(msg)
+    batch = torch.from_numpy(np.array(measurement, np.float32))[None].to(device)
+    clock = Clock(device)
+    if isinstance(method, PlanarMethod):
+        return _planar(batch, method, clock, volume=volume, white=white)
+    estimate = method.reconstruct(batch, clock).clamped()
+    shown = None
+    if isinstance(method, LearnedMethod) and volume:
+        with torch.no_grad():
+            shown = method.network.inversion(batch)
+    elif isinstance(method, HasVolume) and volume:
+        shown = method.volume(batch)
+    depth_m = np.minimum(to_numpy(estimate.depth_m(capture))[0, 0], FARTHEST_M)
+    return Reconstruction(
+        radiance=to_numpy(srgb_to_linear(estimate.image, capture.white))[0],
+        image=to_numpy(estimate.image)[0],
+        white=capture.white,
+        white_from="",
+        depth_m=depth_m if len(capture.stack.depths_m) > 1 else None,
+        volume=None if shown is None else to_numpy(shown)[0] * np.float32(capture.white),
+        seconds=clock.seconds,
+    )
+
+
+def _planar(batch: Tensor, method: PlanarMethod, clock: Clock, *, volume: bool, white: float | None) -> Reconstruction:
+    unit = method.capture.white
+    with clock.stage(method.stage):
+        plane = method.volume(batch)
+    radiance = to_numpy(method.radiance(plane))[0] * np.float32(unit)
+    reason = "as told"
+    if white is None:
+        lit = radiance[radiance > 0]
+        white = float(np.percentile(lit, _WHITE_PERCENTILE)) if lit.size else 1.0
+        reason = f"{_WHITE_PERCENTILE}th percentile of the image's positive values"
+    image = to_numpy(linear_to_srgb(torch.from_numpy(radiance), white))
+    shown = to_numpy(plane)[0] * np.float32(unit) if volume else None
+    return Reconstruction(radiance, image, white, reason, None, shown, clock.seconds)
+
+
+def write_reconstruction(
+    folder: Path, result: Reconstruction, capture: CaptureModel, record: dict[str, Any]
+) -> list[str]:
+    """Write a reconstruction; the folder appears whole or not at all.
+
+    ``picture.png`` (sRGB, 8 bit), ``picture.exr`` (linear R, G, B), ``depth.exr`` (Z, metres), ``depth.png`` (colours and
+    what they mean), ``volume.exr`` (channels ``plane00.R`` and so on, nearest first) and ``reconstruction.json``, as far as
+    there is something to write.
+
+    Args:
+        folder: is made; an earlier reconstruction in it is replaced.
+        result: what to write.
+        capture: the camera, for the depths.
+        record: how it came about.
+
+    Returns:
+        The files' names.
+
+    Raises:
+        InputError: the folder holds other things.
+        StorageError: it cannot be written.
+    """
+    from PIL import Image
+
+    is_own_folder(folder, RECORD, "reconstruction", "--output")
+    with committed_folder(folder) as place:
+        codes = np.round(np.moveaxis(result.image, 0, -1) * 255).astype(np.uint8)
+        write_atomic(place / "picture.png", png_bytes(Image.fromarray(codes)))
+        channels = {name: np.ascontiguousarray(values) for name, values in zip("RGB", result.radiance, strict=True)}
+        write_exr(place / "picture.exr", channels, {"white": result.white})
+        if result.depth_m is not None:
+            write_exr(place / "depth.exr", {"Z": result.depth_m}, {"unit": "m", "z": "from the mask plane"})
+            near_m, far_m = capture.near_m, min(capture.far_m, FARTHEST_M)
+            write_atomic(place / "depth.png", _depth_image(result.depth_m, near_m, far_m))
+        if result.volume is not None:
+            planes = {
+                f"plane{k:02d}.{name}": np.ascontiguousarray(values)
+                for k, plane in enumerate(result.volume)
+                for name, values in zip(capture.stack.channels, plane, strict=True)
+            }
+            depths_m = plain([float(depth) for depth in capture.stack.depths_m])
+            write_exr(place / "volume.exr", planes, {"depths_m": depths_m})
+        files = sorted([*(path.name for path in place.iterdir()), RECORD])
+        content = record | {"files": files, "white": result.white}
+        write_atomic(place / RECORD, readable_json(content | {"seconds": result.seconds}))
+    return files
+
+
+def _depth_image(depth_m: NDArray[np.float32], near_m: float, far_m: float) -> bytes:
+    """Return the depth in colours beside their legend, small ones enlarged by a whole number."""
+    from PIL import Image, ImageDraw
+
+    rows = len(depth_m)
+    pixels = depth_colours(depth_m, np.ones_like(depth_m, dtype=bool), near_m, far_m)
+    shown = resized(pixels, rows * max(1, -(-_LEAST_HEIGHT // rows)))
+    # As high as the image: the legend's grey, for where nothing was seen, has no meaning here and falls off the paper.
+    paper = Image.new("RGB", (shown.width + LEGEND_WIDTH + _MARGIN, shown.height), PAPER)
+    paper.paste(shown, (0, 0))
+    top = 8
+    draw_depth_legend(ImageDraw.Draw(paper), shown.width + _MARGIN, top, shown.height - 2 * top, near_m, far_m)
+    return png_bytes(paper)

@@ -1,1 +1,0 @@
-"""Reconstruction of one measurement: reading it, choosing its camera and method, writing the result."""

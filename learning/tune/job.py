@@ -1,0 +1,437 @@
+"""`flatlight tune`: the parameters with the best score on validation scenes, for each noise level by itself."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import torch
+from torch import Tensor
+from torch.utils.data import default_collate
+
+from learning.camera import CaptureModel, capture_model, measure_reference_white
+from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
+from learning.config import FEWEST_SCENES, TuneConfig
+from learning.data import Example, ExampleSet, check_dataset
+from learning.method import Estimate, choose_device, linear_to_srgb
+from learning.metrics import depth_scores, psnr
+from learning.provenance import code_fingerprint, now_called, sample_digests
+from learning.tune.search import Axis, Parameters, coordinate_search
+from learning.tune.study import Study
+from simulator import __version__
+from simulator.dataset.reader import Dataset, open_dataset
+from simulator.errors import InputError
+from simulator.io.files import sha256_bytes, storage_errors
+from simulator.io.json import canonical_json
+
+Objective = Literal["both", "image", "depth"]
+Progress = Callable[[str, int, int], None]
+
+FORMULAS = {
+    "both": "image + depth",
+    "image": "10^((PSNR of the constant colour - PSNR) / 20), mean PSNR over scenes: a ratio of image RMSEs",
+    "depth": "depth RMSE / depth RMSE of the constant depth, mean RMSE over scenes, centimetres, where something was seen",
+}
+_BATCH = 4  # scenes that are inverted at once
+_MOST_BYTES = 2 << 30  # of volumes that are kept
+# With all that they import, what makes a score of parameters and scenes.
+_DECIDING = ("learning.classical.method", "learning.data", "learning.metrics", "learning.tune.job")
+
+_LIMITS: dict[str, tuple[float, float]] = {
+    # Of the PSF's mean spectral power: less is below the rounding of float32, more leaves nothing but the mean brightness.
+    "regularisation_lambda": (1e-7, 100.0),
+    # The Laplacian's greatest response is 8: far more is Tikhonov's regularisation, far less the Laplacian alone.
+    "tikhonov": (1e-4, 1000.0),
+    # White is 1: a weight of 10 on every step or value leaves a grey plane, or nothing.
+    "tv": (1e-6, 10.0),
+    "sparsity": (1e-6, 10.0),
+    # More is for the file to ask.
+    "iterations": (1, 1000),
+    # Costs are alike for all planes below, and those of a single plane above.
+    "contrast": (0.01, 1000.0),
+    # A window of a quarter of a pixel is that pixel.
+    "window_px": (0.25, math.inf),
+    # Of the cost between a pixel's best and worst label: a map of noise below, of one depth above.
+    "pairwise": (1e-3, 1000.0),
+    # 32 labels between two planes are finer than any capture tells.
+    "steps_between_planes": (1, 32),
+}
+_HEADINGS = ("method", "noise dB", "PSNR dB", "depth RMSE cm", "score", "parameters")
+
+
+def tune_file(
+    config: TuneConfig,
+    *,
+    tunables: Callable[[CaptureModel], list[Tunable]] | None = None,
+    progress: Progress = lambda *_: None,
+    say: Callable[[str], None] = lambda _: None,
+) -> Path:
+    """Tune as a file says, or go on where an earlier run stopped, and return the file of the result.
+
+    Args:
+        config: the file.
+        tunables: the methods for a camera; None takes ``config.methods``.
+        progress: called with a stage, trials done and about how many there will be.
+        say: called with a line for each result.
+
+    Raises:
+        InputError: data without enough scenes, without depth, or that are not for stills; a stack that does not fit; an
+            unknown parameter; a study of other data or settings.
+        StorageError: the result cannot be written.
+    """
+    output = config.resolve_path(config.output)
+    with storage_errors(output):
+        output.parent.mkdir(parents=True, exist_ok=True)
+    device = choose_device(config.device)
+    dataset = _scenes(config)
+    check_dataset(dataset)
+    train = open_dataset(config.resolve_path(config.data.train or config.data.validation), "train")
+    white = measure_reference_white(train)
+    capture = capture_model(dataset, config.resolve_stack(config.data.stack), white=white)
+    methods = tunables(capture) if tunables else [classical(capture, name, config, device) for name in config.methods]
+    score = Score(config.objective, _load(dataset, None, config.seed), capture)
+    identity = {  # all that decides the score of given parameters
+        "data": dataset.fingerprint,
+        "split": dataset.split,
+        "samples": list(dataset.ids),
+        "digests": sha256_bytes(canonical_json(sample_digests(dataset))),
+        "stack": capture.stack.fingerprint,
+        "white": capture.white,
+        "objective": config.objective,
+        "seed": config.seed,
+        "version": __version__,
+        "code": code_fingerprint(*_DECIDING),
+    }
+    about = {
+        "config": config.dump(),
+        "scenes": config.data.scenes,
+        "fewer_scenes_than_advised": config.data.scenes < FEWEST_SCENES,
+        "objective": FORMULAS[config.objective],
+        "constant_guess": {"psnr_db": score.constant.psnr_db, "depth_rmse_cm": score.constant.depth_rmse_cm},
+        "device": config.device,
+        "torch": torch.__version__,
+    }
+    study = Study(output, identity, about)
+    levels = dict.fromkeys(config.noise_db)
+    measurements = {level: _load(dataset, level, config.seed).measurement.to(device) for level in levels}
+    tune(methods, measurements, score, study, progress=progress, say=say)
+    return output
+
+
+def _scenes(config: TuneConfig) -> Dataset:
+    data = config.data
+    dataset = open_dataset(config.resolve_path(data.validation), data.split)
+    if len(dataset) < data.scenes:
+        cure = "generate more of them"
+        if len(dataset) < FEWEST_SCENES or data.allow_few_scenes:
+            cure += ", or set data.scenes (and allow_few_scenes: true below 32)"
+        msg = f"data.scenes: got {data.scenes}, but split {data.split!r} of {dataset.root} has {len(dataset)} samples; {cure}"
+        raise InputError(msg)
+    return dataset[: data.scenes]
+
+
+def _load(dataset: Dataset, noise_db: float | None, seed: int) -> Example:
+    examples = ExampleSet(dataset, noise_db=None if noise_db is None else (noise_db, noise_db), seed=seed)
+    return Example(*default_collate([tuple(examples[position]) for position in range(len(dataset))]))
+
+
+class VolumeMethod(Protocol):
+    """A method in two steps, so that the first, which is the costly one, is done once where only the second changes."""
+
+    def volume(self, measurement: Tensor) -> Tensor:
+        """Return the volume ``(B, K, C, h, w)`` of measurements ``(B, C, H, W)``."""
+        ...
+
+    def estimate(self, volume: Tensor) -> Estimate:
+        """Return image and depth of a volume."""
+        ...
+
+
+@dataclass(frozen=True)
+class Tunable:
+    """A method and its search space.
+
+    Attributes:
+        name: of the method.
+        build: makes it of its parameters.
+        defaults: all parameters; where the search begins.
+        space: those that are searched, in this order.
+        volume_parameters: those on which the volume depends.
+    """
+
+    name: str
+    build: Callable[[Parameters], VolumeMethod]
+    defaults: Parameters
+    space: Mapping[str, Axis]
+    volume_parameters: frozenset[str]
+
+    def __post_init__(self) -> None:
+        for name in self.space:
+            if name not in self.defaults:
+                hint = now_called(name, self.defaults)
+                msg = f"search.{self.name}: got {name!r}, expected one of {', '.join(self.defaults)}{hint}"
+                raise InputError(msg)
+
+
+def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torch.device) -> Tunable:
+    """Return a classical method with its own search space, changed as the file says."""
+    changes = config.search.get(name, {})
+    axes: dict[str, Axis] = {}
+    for parameter in [*SEARCH[name], *(extra for extra in changes if extra not in SEARCH[name])]:
+        change = changes.get(parameter)
+        values = SEARCH[name].get(parameter) if change is None or change.values is None else change.values
+        if values is None:
+            known = f"{', '.join(SEARCH[name])}{now_called(parameter, SEARCH[name])}"
+            msg = f"search.{name}.{parameter}: no values; expected candidates for it, or one of {known}"
+            raise InputError(msg)
+        low, high = limits(parameter, capture)
+        if change is not None:
+            low, high = low if change.low is None else change.low, high if change.high is None else change.high
+        try:
+            axes[parameter] = Axis(tuple(values), low, high)
+        except InputError as error:
+            msg = f"search.{name}.{parameter}: {error}"
+            raise InputError(msg) from error
+
+    def build(parameters: Parameters) -> VolumeMethod:
+        return build_classical(capture, name, parameters).to(device)
+
+    return Tunable(name, build, dict(DEFAULTS[name]), axes, frozenset(VOLUME_PARAMETERS[name]))
+
+
+def limits(parameter: str, capture: CaptureModel) -> tuple[float, float]:
+    """Return the least and the greatest value of a parameter that still mean something; a file may ask for others."""
+    # Half the scene: a wider window averages everything.
+    widest_px = max(capture.scene_shape) / 2 if parameter == "window_px" else math.inf
+    low, high = _LIMITS.get(parameter, (0.0, math.inf))
+    return low, min(high, widest_px)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Means over scenes, of the estimate within its ranges.
+
+    Attributes:
+        psnr_db: of sRGB codes, peak 1, of all pixels.
+        depth_rmse_cm: of valid pixels, as in evaluations; a scene without any does not count.
+    """
+
+    psnr_db: float
+    depth_rmse_cm: float
+
+
+class Score:
+    """One number for a reconstruction of some scenes: 1 (or 2, for both) is what a constant guess would get, 0 is perfect.
+
+    Image and depth weigh the same when each is counted in units of what can be had without looking at the measurement;
+    no unit of length and no range of depths decides between them.
+
+    Attributes:
+        objective: ``both``, ``image`` or ``depth``.
+        constant: the errors of the mean colour and of the mean depth of these scenes.
+    """
+
+    def __init__(self, objective: Objective, truth: Example, capture: CaptureModel) -> None:
+        """Look at the truth of all scenes, stacked."""
+        self.objective, self._capture = objective, capture
+        self._truth, self._images = truth, linear_to_srgb(truth.radiance, capture.white)
+        self._seen = truth.valid.flatten(1).any(dim=1)
+        constant_colour = self._images.mean(dim=(0, 2, 3), keepdim=True).expand_as(self._images)
+        mean_m = truth.depth_m[truth.valid].double().mean().float()
+        constant_depth = torch.as_tensor(capture.disparity(mean_m.expand_as(truth.depth_m)))
+        self.constant = self.errors([Estimate(constant_colour, constant_depth)])
+
+    def errors(self, estimates: list[Estimate]) -> Errors:
+        """Return the errors of estimates that follow each other as the scenes do; NaN where one holds NaN."""
+        together = Estimate(*(torch.cat([values.cpu() for values in each]) for each in zip(*estimates, strict=True)))
+        estimate = together.clamped()
+        depth = depth_scores(estimate, self._truth, self._capture, self._truth.valid).depth_rmse_cm
+        return Errors(float(psnr(estimate.image, self._images).mean()), float(depth[self._seen].mean()))
+
+    def __call__(self, errors: Errors) -> float:
+        """Return the number to minimise; infinite where something is NaN."""
+        image = 10 ** ((self.constant.psnr_db - errors.psnr_db) / 20)
+        depth = errors.depth_rmse_cm / self.constant.depth_rmse_cm
+        number = {"both": image + depth, "image": image, "depth": depth}[self.objective]
+        return math.inf if math.isnan(number) else number
+
+    def beaten_by_constant(self, errors: Errors) -> tuple[str, ...]:
+        """Return what of image and depth, as far as the objective counts it, is not better than the constant guess."""
+        worse = {
+            "image": not errors.psnr_db > self.constant.psnr_db,
+            "depth": not errors.depth_rmse_cm < self.constant.depth_rmse_cm,
+        }
+        return tuple(name for name, is_worse in worse.items() if is_worse and self.objective in ("both", name))
+
+
+def tune(
+    tunables: Sequence[Tunable],
+    measurements: Mapping[float, Tensor],
+    score: Score,
+    study: Study,
+    *,
+    progress: Progress = lambda *_: None,
+    say: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Tune methods at noise levels and write everything to the study.
+
+    Levels go from the least noise to the most. The first begins at the defaults and tries all candidates; each further one
+    begins at the better of the defaults and the parameters of the level before, and goes from neighbour to neighbour.
+
+    Args:
+        tunables: the methods.
+        measurements: ``(N, C, H, W)`` of the same scenes by noise level, decibels, on the device to compute on.
+        score: of these scenes.
+        study: where trials and results go; what it knows is not tried again.
+        progress: called with a stage, trials done and about how many there will be.
+        say: called with a line for each result.
+
+    Raises:
+        InputError: a method whose defaults give no finite score, or a search space without its defaults.
+        StorageError: the study cannot be written.
+    """
+    for tunable in tunables:
+        before: list[Parameters] = []
+        for noise_db in sorted(measurements, reverse=True):
+            trials = _Trials(tunable, noise_db, measurements[noise_db], score, study, progress)
+            starts = [tunable.defaults, *before]
+            try:
+                found = coordinate_search(tunable.space, starts, trials, sweep=not before, least_gain=1e-3)
+            except InputError as error:
+                msg = f"{tunable.name} at {noise_db:g} dB: {error}"
+                raise InputError(msg) from error
+            best = study.trial(tunable.name, noise_db, found.parameters)
+            assert best is not None
+            kept = ("method", "noise_db", "parameters", "score", "psnr_db", "depth_rmse_cm")
+            errors = {name: math.nan if best[name] is None else float(best[name]) for name in kept[-2:]}
+            made = [t for t in study.trials if t["method"] == tunable.name and t["noise_db"] == noise_db]
+            result = {
+                **{name: best[name] for name in kept},
+                "space": {
+                    name: {"values": list(axis.values), "low": axis.low, "high": axis.high}
+                    for name, axis in tunable.space.items()
+                },
+                "rounds": found.rounds,
+                "converged": found.converged,
+                "at_limit": list(found.at_limit),
+                "no_better_than_constant": list(score.beaten_by_constant(Errors(**errors))),
+                "trials": len(made),
+                "trials_with_reused_volumes": sum(t["volume_reused"] for t in made),
+                "seconds": round(sum(t["volume_s"] + t["estimate_s"] for t in made), 3),
+            }
+            study.add_result(result)
+            say(in_words(result, asdict(score.constant)))
+            before = [found.parameters]
+
+
+class _Trials:
+    """Tries parameters of one method at one level; volumes are kept for later trials, the best one's longest."""
+
+    def __init__(
+        self,
+        tunable: Tunable,
+        noise_db: float,
+        measurements: Tensor,
+        score: Score,
+        study: Study,
+        progress: Progress,
+    ) -> None:
+        self._tunable, self._noise_db, self._measurements = tunable, noise_db, measurements
+        self._score, self._study, self._progress = score, study, progress
+        self._best = math.inf
+        self._volumes: dict[tuple[Any, ...], list[Tensor]] = {}
+        self._best_key: tuple[Any, ...] = ()
+        self._asked: set[tuple[Any, ...]] = set()
+        self._expected = 1 + sum(len(axis.values) + 1 for axis in tunable.space.values())
+
+    def __call__(self, parameters: Parameters) -> float:
+        """Return the score of parameters, tried now or by an earlier run."""
+        trial = self._study.trial(self._tunable.name, self._noise_db, parameters)
+        if trial is None:
+            trial = self._try(parameters)
+            self._study.add_trial(trial)
+        score = float(trial["score"])
+        self._asked.add(tuple(parameters.values()))
+        key = self._key(parameters)
+        if score < self._best:
+            self._best, self._best_key = score, key
+        # The oldest volumes go where all of them are too many, but not those of now and of the best trial.
+        for old in [k for k in self._volumes if k not in (key, self._best_key)]:
+            if sum(part.nbytes for volumes in self._volumes.values() for part in volumes) <= _MOST_BYTES:
+                break
+            del self._volumes[old]
+        self._expected = max(self._expected, len(self._asked) + 1)
+        self._progress(f"{self._tunable.name} {self._noise_db:g} dB", len(self._asked), self._expected)
+        return score
+
+    def _key(self, parameters: Parameters) -> tuple[Any, ...]:
+        return tuple(v for name, v in parameters.items() if name in self._tunable.volume_parameters)
+
+    def _try(self, parameters: Parameters) -> dict[str, Any]:
+        method = self._tunable.build(parameters)
+        key = self._key(parameters)
+        reused = key in self._volumes
+        start = time.perf_counter()
+        with torch.no_grad():
+            if not reused:
+                self._volumes[key] = [method.volume(part) for part in self._measurements.split(_BATCH)]
+            half = time.perf_counter()
+            errors = Errors(math.nan, math.nan)  # of parameters with which the iteration diverges
+            if all(bool(torch.isfinite(volume).all()) for volume in self._volumes[key]):
+                errors = self._score.errors([method.estimate(volume) for volume in self._volumes[key]])
+        known = {name: value if math.isfinite(value) else None for name, value in asdict(errors).items()}
+        return {
+            "method": self._tunable.name,
+            "noise_db": self._noise_db,
+            "parameters": dict(parameters),
+            "score": self._score(errors),
+            **known,
+            "volume_reused": reused,
+            "volume_s": round(half - start, 4),
+            "estimate_s": round(time.perf_counter() - half, 4),
+        }
+
+
+def in_words(result: Mapping[str, Any], constant: Mapping[str, Any]) -> str:
+    """Return a line about the result of a method at a level, beside the errors of the constant guess."""
+    return (
+        f"{result['method']} at {result['noise_db']:g} dB: PSNR {_number(result['psnr_db'])} dB (constant guess "
+        f"{_number(constant['psnr_db'])}), depth RMSE {_number(result['depth_rmse_cm'])} cm "
+        f"({_number(constant['depth_rmse_cm'])}), score {result['score']:.4g} with {_parameters_and_remarks(result)}"
+    )
+
+
+def table(content: Mapping[str, Any]) -> str:
+    """Return all results of a study and the constant guess, one line each."""
+    constant = content["about"]["constant_guess"]
+    rows: list[tuple[str, ...]] = [_HEADINGS]
+    for result in content["results"]:
+        numbers = (_number(result["psnr_db"]), _number(result["depth_rmse_cm"]), f"{result['score']:.4g}")
+        rows.append((result["method"], f"{result['noise_db']:g}", *numbers, _parameters_and_remarks(result)))
+    rows.append(("constant guess", "", _number(constant["psnr_db"]), _number(constant["depth_rmse_cm"]), "", ""))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)][:-1]
+    lines = []
+    for first, *numbers, words in rows:
+        cells = [first.ljust(widths[0]), *(text.rjust(n) for text, n in zip(numbers, widths[1:], strict=True)), words]
+        lines.append("  ".join(cells).rstrip())
+    return "\n".join(lines)
+
+
+def _parameters_and_remarks(result: Mapping[str, Any]) -> str:
+    parameters = (f"{k} {v}" if isinstance(v, str) else f"{k} {v:g}" for k, v in result["parameters"].items())
+    words = [", ".join(parameters)]
+    if worse := result["no_better_than_constant"]:
+        words.append(f"{' and '.join(worse)} no better than a constant guess")
+    if result["at_limit"]:
+        words.append(f"at its limit: {', '.join(result['at_limit'])}")
+    if not result["converged"]:
+        words.append(f"still changing after {result['rounds']} rounds")
+    return "; ".join(words)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"

@@ -1,0 +1,218 @@
+"""ADMM against a bound on its objective that another method proves, and where it must find what is there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from learning.camera import CaptureModel, plain_capture
+from learning.classical.admm import Admm, add_adjoint, difference_power, differences
+from simulator.camera.forward import ForwardModel
+from simulator.errors import InputError
+from simulator.optics.stack import PsfStack
+
+SENSOR, SCENE, PSF = (13, 12), (7, 6), 9
+TV, SPARSITY = 0.05, 0.02
+
+
+def camera(planes: int, channels: int = 1, scale: float = 1.0) -> CaptureModel:
+    """Return a camera whose PSFs reach beyond the sensor, with vignetting, gain, offset and white of its own."""
+    values = np.random.default_rng(0).random((planes, channels, PSF, PSF)) ** 6 * scale
+    names = ("R", "G", "B")[:channels]
+    return CaptureModel(
+        stack=PsfStack(values, np.linspace(0.1, 0.2, planes), 1e-5, names, "random"),
+        sensor_shape=SENSOR,
+        scene_shape=SCENE,
+        gain=2.0,
+        offset=np.full(channels, 0.1),
+        irradiance=np.random.default_rng(1).uniform(0.5, 0.8, SCENE).astype(np.float32),
+        scene_to_camera=np.eye(channels, 3),
+        white=1.5,
+    )
+
+
+def scene(planes: int, channels: int = 1) -> np.ndarray:
+    """Return a volume ``(K, C, h, w)`` of radiance / white: boxes, one in each plane."""
+    volume = np.zeros((planes, channels, *SCENE))
+    for plane in range(planes):
+        volume[plane, :, 1 + plane : 4 + plane, 1 + plane : 3 + plane] = 1 - 0.3 * plane
+    return volume
+
+
+def measure(capture: CaptureModel, volume: np.ndarray, noise: float = 0.02) -> np.ndarray:
+    """Return the measurement ``(C, H, W)`` by the simulator's forward model."""
+    model = ForwardModel(capture.stack, capture.sensor_shape, capture.scene_shape)
+    clean = capture.gain * model.forward((volume * capture.white * capture.irradiance)[None])
+    error = noise * clean.max() * np.random.default_rng(2).standard_normal(clean.shape)
+    return clean + error + capture.offset[:, None, None]
+
+
+class DenseProblem:
+    """The problem of one channel with matrices that loops fill: A, D, target; and a bound on its objective."""
+
+    def __init__(self, capture: CaptureModel, measurement: np.ndarray, channel: int = 0) -> None:
+        values = capture.stack.values[:, channel]
+        norm = np.sqrt(np.mean(np.sum(values**2, axis=(-2, -1))))
+        matrix = np.zeros((*SENSOR, len(values), *SCENE))
+        top, left = ((a - b) // 2 for a, b in zip(SENSOR, SCENE, strict=True))
+        for (k, a, b), value in np.ndenumerate(values / norm):
+            for i in range(SCENE[0]):
+                for j in range(SCENE[1]):
+                    row, column = top + i + a - PSF // 2, left + j + b - PSF // 2
+                    if 0 <= row < SENSOR[0] and 0 <= column < SENSOR[1]:
+                        matrix[row, column, k, i, j] += value
+        self.forward = matrix.reshape(np.prod(SENSOR), -1)
+        unit = np.eye(len(values) * SCENE[0] * SCENE[1]).reshape(-1, len(values), *SCENE)
+        steps = [np.diff(unit, axis=axis).reshape(len(unit), -1) for axis in (-2, -1)]
+        self.gradient = np.concatenate(steps, axis=1).T
+        irradiance = capture.irradiance.astype(np.float64)
+        brightest = irradiance.max()
+        self.brightness = np.broadcast_to(irradiance / brightest, (len(values), *SCENE))
+        signal = measurement[channel] - capture.offset[channel]
+        self.target = (signal / (capture.gain * capture.white * brightest * norm)).ravel()
+
+    def objective(self, volume: np.ndarray) -> float:
+        """Return the objective of radiance / white ``(K, h, w)``."""
+        light = (volume * self.brightness).ravel()
+        misfit = np.sum((self.forward @ light - self.target) ** 2) / 2
+        return float(misfit + TV * np.abs(self.gradient @ light).sum() + SPARSITY * np.abs(light).sum())
+
+    def bound(self, iterations: int = 4000) -> float:
+        """Return a number that no volume's objective is below, nearly attained.
+
+        Chambolle and Pock, 2011, finds multipliers p of A S and t of D S, |t| <= tv; if A^T p + D^T t + sparsity >= 0, then
+        -|p|^2 / 2 - p . target bounds the objective from below (weak duality), which a last scaling makes exactly true.
+        """
+        step = 0.99 / np.linalg.norm(np.concatenate([self.forward, self.gradient]), 2)
+        light = np.zeros(self.forward.shape[1])
+        ahead, p, t = light, np.zeros(len(self.forward)), np.zeros(len(self.gradient))
+        for _ in range(iterations):
+            p = (p + step * (self.forward @ ahead - self.target)) / (1 + step)
+            t = np.clip(t + step * (self.gradient @ ahead), -TV, TV)
+            new = np.maximum(light - step * (self.forward.T @ p + self.gradient.T @ t + SPARSITY), 0)
+            ahead, light = 2 * new - light, new
+        p *= min(1.0, SPARSITY / np.max(-(self.forward.T @ p + self.gradient.T @ t)))
+        return float(-np.sum(p**2) / 2 - p @ self.target)
+
+
+@pytest.mark.parametrize("planes", [1, 2])
+def test_reaches_the_least_objective(planes: int) -> None:
+    """With vignetting: the dense problem takes radiance, so an estimate that lacks the irradiance map misses the bound."""
+    capture = camera(planes)
+    measurement = measure(capture, scene(planes))
+    problem = DenseProblem(capture, measurement)
+    objectives = []
+    for iterations in (1, 10, 400):
+        method = Admm(capture, tv=TV, sparsity=SPARSITY, iterations=iterations, dtype=torch.float64)
+        volume = method(torch.from_numpy(measurement)[None])[0, :, 0].numpy()
+        assert volume.min() >= 0
+        objectives.append(problem.objective(volume))
+    # The bound holds for any volume, so the objective is above it, and falls to it.
+    bound = problem.bound()
+    assert bound * (1 - 1e-9) <= objectives[2] <= bound * 1.001
+    assert objectives[0] > objectives[1] > objectives[2]
+    assert objectives[0] > 1.2 * objectives[2]
+
+
+def test_parameters_mean_the_same_for_every_mask_gain_and_white() -> None:
+    volumes = []
+    for scale in (1.0, 1e-3):  # a mask that passes a thousandth
+        capture = camera(2, scale=scale)
+        measurement = torch.from_numpy(measure(capture, scene(2)))[None]
+        volumes.append(Admm(capture, tv=TV, sparsity=SPARSITY, iterations=40, dtype=torch.float64)(measurement))
+    brighter = replace(capture, gain=capture.gain * 5, white=capture.white * 7, offset=capture.offset * 0)
+    method = Admm(brighter, tv=TV, sparsity=SPARSITY, iterations=40, dtype=torch.float64)
+    volumes.append(method((measurement - 0.1) * 35))
+    for other in volumes[1:]:
+        np.testing.assert_allclose(other.numpy(), volumes[0].numpy(), rtol=1e-9, atol=1e-12)
+
+
+def test_each_measurement_and_channel_is_a_problem_of_its_own() -> None:
+    capture = camera(2, 3)
+    measurement = torch.from_numpy(np.stack([measure(capture, scene(2, 3) * x) for x in (1.0, 0.2)]))
+    settings = {"tv": TV, "sparsity": SPARSITY, "iterations": 30, "dtype": torch.float64}
+    both = Admm(capture, **settings)(measurement)
+    green = replace(
+        capture,
+        stack=PsfStack(capture.stack.values[:, 1:2], capture.stack.depths_m, 1e-5, ("G",), "green"),
+        offset=capture.offset[1:2],
+        scene_to_camera=capture.scene_to_camera[1:2],
+    )
+    alone = Admm(green, **settings)(measurement[1:, 1:2])
+    np.testing.assert_allclose(alone[0, :, 0].numpy(), both[1, :, 1].numpy(), rtol=1e-9, atol=1e-12)
+
+
+def test_single_precision_is_enough() -> None:
+    capture = camera(2)
+    measurement = torch.from_numpy(measure(capture, scene(2)))[None]
+    single, double = (
+        Admm(capture, tv=TV, sparsity=SPARSITY, iterations=100, dtype=dtype)(measurement)
+        for dtype in (torch.float32, torch.float64)
+    )
+    assert single.dtype == torch.float32
+    np.testing.assert_allclose(single.numpy(), double.numpy(), rtol=0, atol=2e-5)  # of white, after 100 iterations
+
+
+def test_light_of_two_points_lies_in_their_planes() -> None:
+    values = np.random.default_rng(3).random((4, 1, 21, 21)) ** 4
+    stack = PsfStack(values, np.linspace(0.1, 0.2, 4), 1e-5, ("Y",), "random")
+    capture = plain_capture(stack, (32, 32), (16, 16))  # much of the light misses the sensor
+    points = np.zeros((4, 1, 16, 16))
+    points[1, 0, 4, 3] = points[3, 0, 11, 12] = 1
+    measurement = torch.from_numpy(measure(capture, points, noise=0.01))[None]
+    volume = Admm(capture, tv=1e-3, sparsity=0.02, iterations=200)(measurement)[0, :, 0].numpy()
+    assert volume[1, 4, 3] == pytest.approx(1, abs=0.1)
+    assert volume[3, 11, 12] == pytest.approx(1, abs=0.1)
+    assert volume[1, 4, 3] + volume[3, 11, 12] > 0.9 * volume.sum()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"tv": -0.1}, "tv: got -0.1, expected a finite number"),
+        ({"sparsity": np.inf}, "sparsity: got inf"),
+        ({"weights": (1.0, 0.0, 1.0)}, "expected three positive numbers"),
+        ({"iterations": 0}, "iterations: got 0, expected at least 1"),
+        ({"light": "dark"}, "light: got 'dark', expected 'scene' or 'anywhere'"),
+    ],
+)
+def test_bad_settings_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Admm(camera(1), **{"tv": TV, "sparsity": SPARSITY, "iterations": 3} | settings)
+
+
+def test_a_measurement_of_another_shape_is_refused() -> None:
+    with pytest.raises(InputError, match=r"measurement: got \(1, 1, 12, 12\), expected \(B, 1, 13, 12\)"):
+        Admm(camera(1), tv=TV, sparsity=SPARSITY, iterations=3)(torch.zeros(1, 1, 12, 12))
+
+
+def test_another_precision_keeps_the_imaginary_part() -> None:
+    """Spectra made for float32 and moved; ADMM made for float64 is the same but for the rounding of the spectra."""
+    settings: dict[str, Any] = {"tv": TV, "sparsity": SPARSITY, "iterations": 30}
+    measurement = torch.from_numpy(np.random.default_rng(6).uniform(size=(1, 3, *SENSOR)))
+    made = Admm(camera(2, 3), **settings, dtype=torch.float64)(measurement)
+    moved = Admm(camera(2, 3), **settings).to(torch.float64)(measurement)
+    torch.testing.assert_close(moved, made, rtol=0, atol=1e-5 * float(made.abs().max()))
+
+
+def test_adjoint_is_the_transpose() -> None:
+    generator = torch.Generator().manual_seed(0)
+    image = torch.randn(2, 5, 7, dtype=torch.float64, generator=generator)
+    rows, columns = (torch.randn(part.shape, dtype=torch.float64, generator=generator) for part in differences(image))
+    back = torch.zeros_like(image)
+    add_adjoint(back, rows, columns)
+    there = sum((a * b).sum() for a, b in zip(differences(image), (rows, columns), strict=True))
+    np.testing.assert_allclose(float((back * image).sum()), float(there), rtol=1e-13)
+
+
+def test_power_is_the_spectrum_of_periodic_differences() -> None:
+    image = np.random.default_rng(0).random((6, 9))
+    energy = sum(np.sum((np.roll(image, -1, axis) - image) ** 2) for axis in (0, 1))
+    weight = np.full(5, 2.0)
+    weight[0] = 1  # of an odd length, all columns but the first of the half spectrum stand for two
+    spectrum = np.abs(np.fft.rfft2(image)) ** 2 * weight * difference_power(6, 9, torch.float64).numpy()
+    np.testing.assert_allclose(spectrum.sum() / image.size, energy, rtol=1e-12)

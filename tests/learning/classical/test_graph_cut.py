@@ -1,0 +1,183 @@
+"""Graph cuts against all labellings, dynamic programming and another max flow."""
+
+from __future__ import annotations
+
+import builtins
+import sys
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, maximum_flow
+
+from learning.classical.graph_cut import build_network, cut_labels, energy, labels_of_cut, source_side
+from simulator.errors import InputError
+
+ROUNDING = 1e-6  # costs of order one in 2^24 steps, some ten terms: 1e-6 is far below any difference of two labellings
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("pairwise", [0.0, 0.05, 0.3, 2.0])
+def test_is_the_least_of_all_labellings(seed, pairwise):
+    """2 x 3 pixels with 3 labels: 729 labellings, costs without any shape."""
+    unary = np.random.default_rng(seed).normal(size=(3, 2, 3))
+    everything = [energy(unary, np.reshape(labels, (2, 3)), pairwise) for labels in product(range(3), repeat=6)]
+    assert energy(unary, cut_labels(unary, pairwise), pairwise) == pytest.approx(min(everything), abs=ROUNDING)
+
+
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize("seed", range(5))
+def test_chain_equals_dynamic_programming(seed, upright):
+    """Viterbi's algorithm over 40 pixels with 9 labels, along either axis."""
+    rng = np.random.default_rng(seed)
+    costs, pairwise = rng.exponential(size=(9, 40)), rng.uniform(0.02, 0.5)
+    steps = pairwise * np.abs(np.subtract.outer(np.arange(9), np.arange(9)))
+    best = costs[:, 0]
+    for column in costs.T[1:]:
+        best = column + (best[:, None] + steps).min(axis=0)
+    unary = costs[:, :, None] if upright else costs[:, None]
+    assert energy(unary, cut_labels(unary, pairwise), pairwise) == pytest.approx(best.min(), abs=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_equals_another_solver(seed):
+    """SciPy's Dinic on the plain textbook network: two arcs per pair, nothing reparametrised, whole costs."""
+    rng = np.random.default_rng(seed)
+    unary, pairwise = rng.integers(0, 100, (5, 9, 11)).astype(np.float64), 13
+    nodes = np.arange(4 * 99).reshape(4, 9, 11)
+    arcs = {(396, int(node)): int(cost) for node, cost in zip(nodes[0].ravel(), unary[0].ravel(), strict=True)}
+    arcs |= {(int(node), 397): int(cost) for node, cost in zip(nodes[-1].ravel(), unary[-1].ravel(), strict=True)}
+    for level in range(3):
+        for lower, upper, cost in zip(nodes[level].flat, nodes[level + 1].flat, unary[level + 1].flat, strict=True):
+            arcs |= {(int(lower), int(upper)): int(cost), (int(upper), int(lower)): 10**6}
+    for one, other in ((nodes[:, 1:], nodes[:, :-1]), (nodes[:, :, 1:], nodes[:, :, :-1])):
+        for a, b in zip(one.flat, other.flat, strict=True):
+            arcs |= {(int(a), int(b)): pairwise, (int(b), int(a)): pairwise}
+    ends = np.array(list(arcs))
+    graph = coo_array((np.array(list(arcs.values()), np.int32), (ends[:, 0], ends[:, 1])), shape=(398, 398)).tocsr()
+    labels = cut_labels(unary, pairwise)
+    assert energy(unary, labels, pairwise) == maximum_flow(graph, 396, 397).flow_value
+
+
+def test_network_is_one_that_other_solvers_solve():
+    """Its cut by SciPy, read by the same rule, is a labelling of the same energy."""
+    rng = np.random.default_rng(4)
+    unary = rng.integers(0, 2**24, (4, 6, 7)) / 2**24
+    unary[0, 0, 0], unary[1, 0, 0] = 0, 1  # costs up to 1, so that a step of 2^-24 holds each without rounding
+    network = build_network(unary, 0.25)
+    size = network.sink + 1
+    whole = network.capacities // 2**6  # SciPy's flows are 32 bit
+    graph = coo_array((whole.astype(np.int32), (network.tails, network.heads)), shape=(size, size)).tocsr()
+    left = graph - maximum_flow(graph, network.source, network.sink).flow
+    left.data[left.data < 0] = 0
+    left.eliminate_zeros()
+    reached = breadth_first_order(left, network.source, return_predecessors=False)
+    # Capacities lost up to 2^-18 each.
+    expected = energy(unary, cut_labels(unary, 0.25), 0.25)
+    assert energy(unary, labels_of_cut(network, reached), 0.25) == pytest.approx(expected, abs=len(whole) * 2**-18)
+
+
+@pytest.mark.parametrize("pairwise", [0.01, 0.2])
+def test_no_small_change_lowers_the_energy(pairwise):
+    """16 x 20 pixels with 8 labels: neither a pixel's own best label, nor any other label of one pixel or of a square."""
+    rng = np.random.default_rng(7)
+    unary = rng.uniform(size=(8, 16, 20))
+    labels = cut_labels(unary, pairwise)
+    least = energy(unary, labels, pairwise)
+    alone = unary.argmin(axis=0)
+    assert least < energy(unary, alone, pairwise)
+    for row, column, side in product(range(0, 16, 3), range(0, 20, 3), (1, 3)):
+        for label in range(8):
+            changed = labels.copy()
+            changed[row : row + side, column : column + side] = label
+            assert energy(unary, changed, pairwise) >= least - 1e-5
+
+
+def test_without_pairwise_each_pixel_chooses_alone_and_with_much_all_agree():
+    unary = np.random.default_rng(2).uniform(size=(6, 5, 8))
+    np.testing.assert_array_equal(cut_labels(unary, 0), unary.argmin(axis=0))
+    np.testing.assert_array_equal(cut_labels(unary, 50), np.full((5, 8), unary.sum(axis=(1, 2)).argmin()))
+
+
+def convex(rng, labels, shape):
+    """Random costs whose slopes never fall; every fourth does not rise."""
+    slopes = rng.normal(size=(1, *shape)) + np.cumsum(rng.exponential(size=(labels - 1, *shape)) / labels, axis=0)
+    slopes[3::4] = slopes[2::4][: len(slopes[3::4])]
+    return np.concatenate([np.zeros((1, *shape)), np.cumsum(slopes - slopes.mean(), axis=0)])
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("pairwise", [0.0, 0.1, 0.6, 3.0])
+def test_convex_costs_are_the_least_of_all_labellings_too(seed, pairwise):
+    unary = convex(np.random.default_rng(seed), 4, (2, 3))
+    everything = [energy(unary, np.reshape(labels, (2, 3)), pairwise) for labels in product(range(4), repeat=6)]
+    assert energy(unary, cut_labels(unary, pairwise), pairwise) == pytest.approx(min(everything), abs=ROUNDING)
+
+
+@pytest.mark.parametrize(("labels", "pairwise"), [(2, 0.3), (5, 0.1), (8, 0.5), (29, 0.02), (29, 0.3)])
+def test_convex_costs_take_small_cuts_to_what_the_large_one_finds(monkeypatch, labels, pairwise):
+    rng = np.random.default_rng(labels)
+    unary = convex(rng, labels, (17, 14))
+    network = build_network(unary, pairwise)
+    large = labels_of_cut(
+        network, source_side(network.tails, network.heads, network.capacities, network.source, network.sink)
+    )
+    monkeypatch.setattr("learning.classical.graph_cut.build_network", None)  # not called for these
+    found = cut_labels(unary, pairwise)
+    assert len(np.unique(found)) > 1
+    assert energy(unary, found, pairwise) == pytest.approx(
+        energy(unary, large, pairwise), abs=17 * 14 * labels * 2**-20
+    )
+    assert (found == large).mean() > 0.99
+
+
+def test_two_labels_constant_costs_and_single_pixels():
+    np.testing.assert_array_equal(cut_labels(np.array([[[1.0, 0.2]], [[0.0, 0.3]]]), 0.05), [[1, 0]])
+    assert cut_labels(np.full((4, 1, 1), 7.0), 1.0).shape == (1, 1)
+    assert energy(np.zeros((3, 4, 5)), cut_labels(np.zeros((3, 4, 5)), 1.0), 1.0) == 0
+
+
+@pytest.mark.parametrize("label", range(4))
+def test_a_label_that_costs_nothing_anywhere_is_chosen(label):
+    """Its arcs have no capacity: neither source nor sink may get lost for it."""
+    unary = np.ones((4, 3, 5))
+    unary[label] = 0
+    np.testing.assert_array_equal(cut_labels(unary, 0.0), np.full((3, 5), label))
+    np.testing.assert_array_equal(cut_labels(unary, 0.1), np.full((3, 5), label))
+
+
+def test_unit_and_offset_of_the_costs_do_not_matter():
+    unary = np.random.default_rng(3).uniform(size=(5, 7, 6))
+    labels = cut_labels(unary, 0.1)
+    np.testing.assert_array_equal(cut_labels(unary * 1e-9, 1e-10), labels)
+    np.testing.assert_array_equal(cut_labels(unary * 1e12 - 5e12, 1e11), labels)
+
+
+@pytest.mark.parametrize(
+    ("unary", "pairwise", "message"),
+    [
+        (np.zeros((1, 3, 3)), 0.1, r"unary: got shape \(1, 3, 3\), expected .* at least two labels"),
+        (np.zeros((3, 3)), 0.1, r"unary: got shape \(3, 3\)"),
+        (np.full((2, 2, 2), np.nan), 0.1, r"unary: 100.00% of its costs are NaN or infinite"),
+        (np.zeros((2, 2, 2)), -0.1, "pairwise: got -0.1, expected 0 or more"),
+        (np.zeros((2, 2, 2)), np.nan, "pairwise: got nan"),
+    ],
+)
+def test_refuses_what_has_no_minimum(unary, pairwise, message):
+    with pytest.raises(InputError, match=message):
+        cut_labels(unary, pairwise)
+
+
+def test_missing_package_is_named_with_its_cure(monkeypatch):
+    def refuse(name, *args, **kwargs):
+        if name.startswith("ortools"):
+            raise ImportError(name)
+        return load(name, *args, **kwargs)
+
+    load = builtins.__import__
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    for name in [name for name in sys.modules if name.startswith("ortools")]:
+        monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(InputError, match=r"needs the package ortools .* pip install 'flatlight\[learn\]'"):
+        cut_labels(np.zeros((2, 2, 2)), 0.1)

@@ -1,0 +1,174 @@
+"""Classical methods: put together as their parameters say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from learning.classical.admm import Admm
+from learning.classical.cls import ConstrainedLeastSquares
+from learning.classical.focus import assemble, unary_cost
+from learning.classical.graph_cut import energy
+from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
+from learning.method import Clock
+from simulator.errors import InputError
+from simulator.optics.stack import PsfStack
+
+THESIS = {"cost": "defocus", "measure": "gradient", "contrast": 0.5, "window_px": 1.0, "light": "label"}
+
+
+@pytest.fixture
+def measurement():
+    return torch.from_numpy(np.random.default_rng(0).uniform(size=(2, 3, 48, 48)).astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "volume_method", "stage"),
+    [
+        (
+            "cls",
+            {"regularisation_lambda": 0.05, "tikhonov": 0.2},
+            lambda capture: ConstrainedLeastSquares(capture, regularisation_lambda=0.05, tikhonov=0.2),
+            "inversion",
+        ),
+        (
+            "admm",
+            {"tv": 0.02, "sparsity": 0.03, "iterations": 3},
+            lambda capture: Admm(capture, tv=0.02, sparsity=0.03, iterations=3),
+            "admm",
+        ),
+    ],
+)
+def test_is_volume_graph_cut_and_assembly(tiny_capture, measurement, name, given, volume_method, stage):
+    """Each given parameter arrives where it belongs; the labels are those of the energy that the parameters say."""
+    depth = {
+        "cost": "defocus",
+        "measure": "gradient",
+        "contrast": 0.9,
+        "window_px": 1.5,
+        "pairwise": 1.2,
+        "steps_between_planes": 1,
+        "light": "sum",
+    }
+    method = build_classical(tiny_capture, name, given | depth)
+    clock = Clock()
+    estimate = method.reconstruct(measurement, clock)
+    assert list(clock.seconds) == [stage, "graph cut", "assembly"]
+
+    volume = volume_method(tiny_capture)(measurement)
+    torch.testing.assert_close(method.volume(measurement), volume)
+    labels = method.places(volume).long()
+    torch.testing.assert_close(estimate, assemble(volume, labels, tiny_capture, "sum"))
+    unary = {key: value for key, value in depth.items() if key not in ("pairwise", "light")}
+    costs = unary_cost(volume, **unary).double().numpy()
+    for cost, found in zip(costs, labels.numpy(), strict=True):
+        pairwise = 1.2 * np.ptp(cost, axis=0).mean() / 2
+        least = energy(cost, found, pairwise)
+        rng = np.random.default_rng(1)
+        for other in [cost.argmin(axis=0), *(np.where(rng.random((16, 16)) < 0.02, k, found) for k in (0, 1, 2) * 20)]:
+            assert least <= energy(cost, other, pairwise) + 1e-5
+    assert len(np.unique(labels)) > 1
+
+
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_scenes_of_a_batch_do_not_touch(tiny_capture, measurement, name):
+    method = build_classical(tiny_capture, name, {"iterations": 3} if name == "admm" else {})
+    both = method.reconstruct(measurement)
+    for scene in range(2):
+        one = method.reconstruct(measurement[scene : scene + 1])
+        # FFTs of other batch sizes round differently; labels at such a tie would differ by a whole plane.
+        torch.testing.assert_close(one.disparity, both.disparity[scene : scene + 1])
+        torch.testing.assert_close(one.image, both.image[scene : scene + 1], atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_every_candidate_builds(tiny_capture, name):
+    assert set(SEARCH[name]) <= set(DEFAULTS[name])
+    assert set(VOLUME_PARAMETERS[name]) <= set(SEARCH[name])
+    for parameter, values in SEARCH[name].items():
+        numbers = [value for value in values if not isinstance(value, str)]
+        assert numbers == sorted(set(numbers))
+        for value in values:
+            build_classical(tiny_capture, name, {parameter: value})
+
+
+@pytest.mark.parametrize("steps", [1, 4])
+def test_labels_between_planes_are_the_best_of_all(tiny_capture, steps):
+    """2 pixels, all pairs of 9 labels of three planes: the energy of the method's own definition, by brute force."""
+    rng = np.random.default_rng(5)
+    settings = {"cost": "spread", "measure": "light", "contrast": 0.5, "window_px": 0.0, "light": "label"}
+    method = build_classical(tiny_capture, "cls", settings | {"pairwise": 0.3, "steps_between_planes": steps})
+    between = 0
+    for _ in range(20):
+        volume = torch.from_numpy(rng.uniform(size=(1, 3, 1, 1, 2)))
+        weights = volume[0, :, 0, 0].numpy()
+        weights = weights / weights.sum(axis=0)
+        places = np.arange(2 * steps + 1) / steps
+        costs = ((places[:, None] - np.arange(3)) ** 2 / 4) @ weights
+        full = costs[:, None, 0] + costs[None, :, 1]
+        full = full + 0.3 * np.ptp(costs, axis=0).mean() * np.abs(np.subtract.outer(places, places)) / 2
+        best = np.unravel_index(full.argmin(), full.shape)
+        found = method.places(volume)[0, 0].numpy()
+        np.testing.assert_array_equal(found, places[list(best)])
+        between += int((found % 1 > 0).sum())
+    assert (between > 0) == (steps > 1)
+
+
+def test_the_number_of_labels_and_the_unit_do_not_change_what_pairwise_means(tiny_capture):
+    """The volume times 1000 gives the same labels; pairwise from none to much gives fewer and fewer steps."""
+    volume = torch.from_numpy(np.random.default_rng(3).uniform(size=(1, 3, 3, 16, 16)))
+    steps = []
+    for pairwise in (0.0, 0.5, 2.0, 100.0):
+        method = build_classical(tiny_capture, "cls", THESIS | {"pairwise": pairwise})
+        labels = method.places(volume)
+        torch.testing.assert_close(method.places(volume * 1000), labels)
+        steps.append(float(labels.diff(dim=1).abs().sum() + labels.diff(dim=2).abs().sum()))
+    assert steps[0] > steps[1] > steps[2] > steps[3] == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "message"),
+    [
+        ("wiener", {}, "name: got 'wiener', expected one of cls, admm"),
+        (
+            "cls",
+            {"tv": 0.1},
+            "parameters: got 'tv', expected a parameter of cls",
+        ),
+        (
+            "cls",
+            {"regularisation_lambda": "much"},
+            "parameters: regularisation_lambda of cls is 'much', expected a number",
+        ),
+        ("admm", {"iterations": 10.5}, "parameters: iterations of admm is 10.5, expected a whole number"),
+        ("cls", {"measure": 3}, "parameters: measure of cls is 3, expected a word"),
+        ("cls", {"measure": "edges"}, "measure: got 'edges', expected one of gradient"),
+        ("cls", {"cost": "best"}, "cost: got 'best', expected one of defocus"),
+        ("cls", {"light": "all"}, "light: got 'all', expected one of label"),
+        ("cls", {"contrast": -1.0}, "contrast: got -1.0"),
+        ("cls", {"window_px": -1.0}, "window_px: got -1.0"),
+        ("cls", {"steps_between_planes": 0}, "steps_between_planes: got 0, expected 1"),
+        ("cls", {"pairwise": -1.0}, "pairwise: got -1.0, expected 0 or more"),
+        ("cls", {"regularisation_lambda": 0.0}, "regularisation_lambda: got 0.0, expected a positive"),
+    ],
+)
+def test_refuses_parameters_that_make_no_sense(tiny_capture, name, parameters, message):
+    with pytest.raises(InputError, match=message):
+        build_classical(tiny_capture, name, parameters)
+
+
+def test_refuses_other_measurements_and_nan(tiny_capture, measurement):
+    method = build_classical(tiny_capture, "cls")
+    with pytest.raises(InputError, match=r"measurement: got shape \(2, 3, 48, 40\)"):
+        method.reconstruct(measurement[..., :40])
+    measurement[1, 0, 0, 0] = torch.nan
+    with pytest.raises(InputError, match="NaN or infinite"):
+        method.reconstruct(measurement)
+
+
+def test_refuses_a_single_plane(tiny_capture):
+    stack = tiny_capture.stack
+    single = tiny_capture.with_stack(PsfStack(stack.values[:1], stack.depths_m[:1], 20e-6, stack.channels, "1" * 64))
+    with pytest.raises(InputError, match="capture: its stack has 1 plane, expected at least two"):
+        build_classical(single, "cls")

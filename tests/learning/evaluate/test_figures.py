@@ -1,0 +1,121 @@
+"""Figures: readable PNGs; the montage's colours are those of its one scale."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from learning.evaluate.figures import (
+    Shown,
+    depth_png,
+    method_colours,
+    montage_png,
+    noise_png,
+    stacks_png,
+    times_png,
+)
+from learning.evaluate.outcome import Outcome, summarise
+from learning.evaluate.scoring import Times
+from simulator.plots.drawing import UNSEEN, depth_colours
+
+NAMES = ("FlatNet3D", "CLS + graph cut")
+COLOURS = method_colours(NAMES)
+
+
+def _outcome(name: str, noise_db: float | None = None, stack: str = "own", psnr: float = 20.0) -> Outcome:
+    scores = {"psnr": summarise([[psnr, psnr + 1], [psnr, psnr]]), "depth_rmse_cm": summarise([[2.0, 3.0]])}
+    return Outcome(name, "learned", stack, noise_db, scores, 2.5, (1.0, None, 2.0))
+
+
+TRIVIAL = Outcome("constant", "naive", "own", None, {"depth_rmse_cm": summarise([[4.0, 4.4]])}, 4.2, (3.0, None, 5.0))
+
+
+def _pixels(content: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB")).astype(int)
+
+
+def _has(pixels: np.ndarray, colour: str) -> bool:
+    wanted = [int(colour[at : at + 2], 16) for at in (1, 3, 5)]
+    return bool((np.abs(pixels - wanted).max(axis=-1) <= 2).sum() > 20)
+
+
+def test_the_ablation_draws_every_method_and_the_trivial_answers() -> None:
+    outcomes = [_outcome(name, level, psnr=at + level / 4) for at, name in enumerate(NAMES) for level in (20.0, 30.0)]
+    pixels = _pixels(noise_png(outcomes, COLOURS, [TRIVIAL]))
+    assert all(_has(pixels, colour) for colour in COLOURS.values())
+    half = pixels.shape[1] // 2
+    assert _has(pixels[:, half:], "#8a9299")  # the constant depth has no PSNR: only the right panel has its line
+    assert not _has(pixels[:, :half], "#8a9299")
+
+
+def test_bins_stacks_and_times_draw_every_method() -> None:
+    outcomes = [_outcome(name) for name in NAMES]
+    compared = [_outcome(name, stack=stack) for name in NAMES for stack in ("nominal", "captured")]
+    times = [Times(name, {"inversion": 0.01, "network": 0.1 * at + 0.1}, 0.3, 0.2) for at, name in enumerate(NAMES)]
+    for content in (
+        depth_png(outcomes, COLOURS, [TRIVIAL], (3.6, 5.0, 10.0, 20.0)),
+        stacks_png(compared, COLOURS, ("nominal", "captured"), [TRIVIAL]),
+    ):
+        assert all(_has(_pixels(content), colour) for colour in COLOURS.values())
+    assert _pixels(times_png(times, COLOURS, "a CPU, 1 of 2 threads")).std() > 10
+
+
+def test_points_with_parameters_of_another_level_are_hollow() -> None:
+    def blue(tuned_db: float) -> int:
+        outcomes = [
+            replace(_outcome("CLS", level, psnr=level / 4), tuned_db=level if level < 30 else tuned_db)
+            for level in (20.0, 30.0)
+        ]
+        pixels = _pixels(noise_png(outcomes, {"CLS": "#0072b2"}, []))
+        assert not _has(pixels, "#cc79a7")
+        return int((np.abs(pixels - [0x00, 0x72, 0xB2]).max(axis=-1) <= 2).sum())
+
+    assert blue(30.0) > blue(20.0) + 50  # two marks, one in each panel, lose their inside
+
+
+def test_compared_stacks_stand_beside_the_trivial_answers() -> None:
+    compared = [_outcome(name, stack=stack) for name in NAMES for stack in ("nominal", "captured")]
+    pixels = _pixels(stacks_png(compared, COLOURS, ("nominal", "captured"), [TRIVIAL]))
+    half = pixels.shape[1] // 2
+    assert _has(pixels[:, half:], "#8a9299")
+    assert not _has(pixels[:, :half], "#8a9299")
+
+
+def test_any_number_of_methods_have_colours_of_their_own() -> None:
+    colours = [[int(c[at : at + 2], 16) for at in (1, 3, 5)] for c in method_colours([*map(str, range(20))]).values()]
+    apart = [np.abs(np.subtract(a, b)).max() for at, a in enumerate(colours) for b in colours[:at]]
+    assert min(apart) >= 16
+
+
+def test_the_same_figure_has_the_same_bytes() -> None:
+    outcomes = [_outcome(name) for name in NAMES]
+    assert depth_png(outcomes, COLOURS, [], (1.0, 2.0, 3.0, 4.0)) == depth_png(
+        outcomes, COLOURS, [], (1.0, 2.0, 3.0, 4.0)
+    )
+
+
+@pytest.mark.parametrize("near_m", [0.01, 0.036])
+def test_a_montage_shows_codes_and_depths_on_one_scale(near_m: float) -> None:
+    rng = np.random.default_rng(0)
+    rows = []
+    for _ in range(2):
+        valid = np.ones((16, 16), bool)
+        valid[0, 0] = False
+        truth = Shown(rng.random((16, 16, 3)), rng.uniform(near_m, 0.2, (16, 16)), "s0", valid)
+        rows.append([truth, Shown(rng.random((16, 16, 3)) * 1.5, rng.uniform(near_m, 0.2, (16, 16)), "20 dB")])
+    pixels = _pixels(montage_png(["truth", "CLS"], rows, "title", "line", near_m, 0.2))
+    side, gap, top = 160, 10, 62 + 18
+    for row, scene in enumerate(rows):
+        for column, shown in enumerate(scene):
+            y, x = top + row * (2 * side + 2 + 18 + gap), gap + column * (side + gap)
+            tile = pixels[y : y + side, x : x + side][5::10, 5::10]
+            np.testing.assert_array_equal(tile, np.round(np.clip(shown.image, 0, 1) * 255))
+            depth = pixels[y + side + 2 : y + 2 * side + 2, x : x + side][5::10, 5::10]
+            seen = np.ones((16, 16), bool) if shown.valid is None else shown.valid
+            expected = depth_colours(shown.depth_m.astype(np.float32), seen, near_m, 0.2)
+            np.testing.assert_array_equal(depth, expected)
+            assert (tuple(depth[0, 0]) == UNSEEN) == (column == 0)

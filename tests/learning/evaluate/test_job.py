@@ -1,0 +1,344 @@
+"""A whole evaluation on the tiny data set: its numbers against an independent computation, and what it keeps."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from PIL import Image
+
+from learning import metrics
+from learning.camera import capture_model, measure_reference_white
+from learning.checkpoint import load_checkpoint, save_checkpoint
+from learning.classical.method import DEFAULTS
+from learning.config import EvaluateConfig, load_file
+from learning.data import ExampleSet
+from learning.evaluate import report, runs
+from learning.evaluate.job import evaluate
+from learning.method import linear_to_srgb
+from learning.models import build_network
+from learning.tune.study import Study
+from simulator.dataset.reader import open_dataset
+from simulator.errors import InputError
+
+TEST_SCENES = 3
+
+
+@pytest.fixture(scope="module")
+def checkpoints(tmp_path_factory: pytest.TempPathFactory, tiny_dataset: Path) -> list[Path]:
+    """Two seeds of an untrained FlatNet3D."""
+    train = open_dataset(tiny_dataset, "train")
+    capture = capture_model(train, white=measure_reference_white(train))
+    folder = tmp_path_factory.mktemp("checkpoints")
+    made = []
+    for seed in range(2):
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            network = build_network(capture, "flatnet3d", "tiny").eval()
+        made.append(folder / f"seed{seed}.safetensors")
+        architecture = {"network": "flatnet3d", "size": "tiny"}
+        save_checkpoint(made[-1], network, architecture=architecture, capture=capture, record={"seed": seed})
+    return made
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw nothing and measure no FLIP: both take longer than all the rest, and have tests of their own."""
+    monkeypatch.setattr(report, "_figures", lambda findings: {})
+    monkeypatch.setattr(metrics.flip_evaluator, "evaluate", lambda *_, **__: (None, 0.5, None))
+
+
+@pytest.fixture
+def load(tmp_path: Path, tiny_dataset: Path, checkpoints: list[Path]) -> Callable[..., EvaluateConfig]:
+    """Return a function that writes an evaluation's file and loads it."""
+
+    def load(**changes: Any) -> EvaluateConfig:
+        content: dict[str, Any] = {
+            "name": "trial",
+            "output": "out",
+            "data": {"test": str(tiny_dataset), "training": str(tiny_dataset), "scenes": TEST_SCENES},
+            "methods": [
+                {"name": "FlatNet3D", "checkpoints": [str(path) for path in checkpoints]},
+                {"name": "CLS", "classical": "cls", "parameters": {"regularisation_lambda": 0.1}},
+            ],
+            "perceptual": "none",
+            "time": {"repeats": 0},
+            "figures": {"montage": 0},
+            "batch": 2,
+        }
+        data = content["data"] | changes.pop("data", {})
+        path = tmp_path / "evaluate.yaml"
+        path.write_text(yaml.safe_dump(content | {"data": data} | changes), encoding="utf-8")
+        return load_file(EvaluateConfig, path)
+
+    return load
+
+
+def _results(tmp_path: Path) -> dict[str, Any]:
+    return json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))
+
+
+def _psnr_db(measurement: np.ndarray, noiseless: np.ndarray) -> float:
+    return 20 * np.log10(noiseless.max() / np.sqrt(np.mean((measurement - noiseless).astype(np.float64) ** 2)))
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_the_table_is_what_the_estimates_give(
+    load: Callable[..., EvaluateConfig], tmp_path: Path, tiny_dataset: Path, checkpoints: list[Path]
+) -> None:
+    evaluate(load())
+    rows = list(csv.DictReader((tmp_path / "out" / "table.csv").read_text(encoding="utf-8").splitlines()))
+    assert [row["method"] for row in rows][:2] == ["FlatNet3D", "CLS"]
+    test = open_dataset(tiny_dataset, "test")
+    psnr, depth = np.zeros((2, TEST_SCENES)), np.zeros((2, TEST_SCENES))
+    for seed, path in enumerate(checkpoints):
+        checkpoint = load_checkpoint(path)
+        for scene in range(TEST_SCENES):
+            stored, frame = test.stored(scene), test.stored(scene).frame(0)
+            with torch.no_grad():
+                found = checkpoint.network(torch.from_numpy(stored.measurement()[0][None]))
+            truth = linear_to_srgb(torch.from_numpy(frame.rgb), checkpoint.capture.white).numpy().astype(np.float64)
+            image = np.moveaxis(found.image[0].numpy().astype(np.float64).clip(0, 1), 0, -1)
+            psnr[seed, scene] = -10 * np.log10(np.mean((image - truth) ** 2))
+            near, far = checkpoint.capture.near_m, checkpoint.capture.far_m
+            disparity = found.disparity[0, 0].numpy().astype(np.float64).clip(0, 1)
+            error = 1 / (1 / far + disparity * (1 / near - 1 / far)) - frame.depth_m
+            depth[seed, scene] = 100 * np.sqrt(np.mean(error[frame.valid] ** 2))
+    for name, table in (("psnr", psnr), ("depth_rmse_cm", depth)):
+        # float32 networks, in batches of two and one at a time.
+        assert float(rows[0][f"{name}_mean"]) == pytest.approx(table.mean(), rel=1e-4)
+        assert float(rows[0][f"{name}_over_scenes"]) == pytest.approx(table.mean(0).std(ddof=1), rel=1e-3)
+        assert float(rows[0][f"{name}_over_seeds"]) == pytest.approx(table.mean(1).std(ddof=1), rel=1e-3)
+    assert (rows[0]["seeds"], rows[1]["seeds"]) == ("2", "1")
+    assert rows[1]["psnr_over_seeds"] == ""
+    results = _results(tmp_path)
+    assert results["data"]["scenes"] == TEST_SCENES
+    assert results["data"]["stored_psnr_db"] == pytest.approx(
+        np.mean([_psnr_db(*test.stored(n).measurement()) for n in range(3)])
+    )
+    assert results["outcomes"][1]["identities"][0]["parameters"] == DEFAULTS["cls"] | {"regularisation_lambda": 0.1}
+    assert [one["seed"] for one in (c["record"] for c in results["methods"][0]["checkpoints"])] == [0, 1]
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_levels_of_noise_differ_and_are_as_asked(load: Callable[..., EvaluateConfig], tmp_path: Path) -> None:
+    methods = [
+        {"name": "CLS", "classical": "cls", "parameters": {"regularisation_lambda": 1e-4}}
+    ]  # which lets noise through
+    config = load(methods=methods, noise_db=[20, 60])
+    evaluate(config)
+    stored, noisy, clean = (one["scores"]["psnr"]["mean"] for one in _results(tmp_path)["outcomes"])
+    assert noisy < stored < clean
+    assert clean - noisy > 1
+    test = open_dataset(config.data.test, "test")
+    for level in (20.0, 60.0):
+        example = ExampleSet(test, noise_db=(level, level))[0]
+        found = _psnr_db(example.measurement.numpy(), test.stored(0).measurement()[1])
+        assert level - 0.1 < found < level + 3.1  # clipping at 0 takes away at most half of the error's energy
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_the_captured_stack_is_used(load: Callable[..., EvaluateConfig], tmp_path: Path) -> None:
+    evaluate(load(data={"compare_stacks": ["nominal", "captured"]}))
+    results = _results(tmp_path)
+    for method in ("FlatNet3D", "CLS"):
+        by_stack = {one["stack"]: one for one in results["outcomes"] if one["method"] == method}
+        own, nominal, captured = (by_stack[name]["scores"] for name in ("own", "nominal", "captured"))
+        assert own == nominal
+        assert captured["psnr"]["mean"] != nominal["psnr"]["mean"]
+    # As the measurements say when they are inverted with that stack by hand.
+    test, train = (open_dataset(results["config"]["data"]["test"], split) for split in ("test", "train"))
+    from learning.classical.method import build_classical
+
+    method = build_classical(
+        capture_model(test, "captured", white=measure_reference_white(train)), "cls", {"regularisation_lambda": 0.1}
+    )
+    psnr = []
+    for scene in range(TEST_SCENES):
+        found = method.reconstruct(torch.from_numpy(test.stored(scene).measurement()[0][None])).clamped()
+        truth = linear_to_srgb(torch.from_numpy(test.stored(scene).frame(0).rgb), method.capture.white)
+        psnr.append(-10 * np.log10(np.mean((found.image[0].permute(1, 2, 0) - truth).numpy().astype(np.float64) ** 2)))
+    assert by_stack["captured"]["scores"]["psnr"]["mean"] == pytest.approx(np.mean(psnr), rel=1e-4)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_noise_and_stacks_may_have_fewer_scenes(load: Callable[..., EvaluateConfig], tmp_path: Path) -> None:
+    methods = [{"name": "CLS", "classical": "cls", "parameters": {"regularisation_lambda": 0.1}}]
+    stacks = {"stack": "nominal", "compare_stacks": ["nominal", "captured"]}
+    found, files = evaluate(load(methods=methods, noise_db=[30], data=stacks, ablation_scenes=2))
+    assert [one.scenes for one in found.main] == [TEST_SCENES]
+    assert [(one.noise_db, one.scenes) for one in found.ablation] == [(30, 2)]
+    assert [(one.stack, one.scenes) for one in found.compared] == [("nominal", 2), ("captured", 2)]
+    assert {one.scenes for one in found.naive_part} == {2}
+    assert files[0].read_text(encoding="utf-8").count("Of the first 2 of 3 scenes.") == 2
+    # The same two scenes give the same numbers in an evaluation of two.
+    alone, _ = evaluate(load(methods=methods, noise_db=[30], data=stacks | {"scenes": 2}, output="two"))
+    assert alone.ablation[0].scores == found.ablation[0].scores
+    assert alone.compared[0].scores == found.compared[0].scores
+    assert alone.compared[1].scores == found.compared[1].scores
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_what_is_finished_is_kept_and_what_changed_is_done_anew(
+    load: Callable[..., EvaluateConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scored: list[str] = []
+    real = runs.score
+
+    def counting(method: Any, *arguments: Any, **options: Any) -> dict[str, Any]:
+        scored.append(method.name)
+        return real(method, *arguments, **options)
+
+    monkeypatch.setattr(runs, "score", counting)
+    evaluate(load())
+    first = _results(tmp_path)
+    assert scored == ["FlatNet3D", "FlatNet3D", "CLS"]
+    evaluate(load())
+    assert len(scored) == 3
+    assert _results(tmp_path) == first
+    (tmp_path / "out" / "noise.png").write_bytes(b"of a run with other settings")
+    evaluate(load())
+    assert not (tmp_path / "out" / "noise.png").exists()
+    with pytest.raises(InputError, match=r"holds the evaluation 'trial', not 'another'"):
+        evaluate(load(name="another"))
+    evaluate(load(noise_db=[30]))  # an extended evaluation does only what is new
+    assert scored[3:] == ["FlatNet3D", "FlatNet3D", "CLS"]
+    methods = [{"name": "CLS", "classical": "cls", "parameters": {"regularisation_lambda": 0.2}}]
+    for changes in ({}, {"dark_share": 0.1}, {"data": {"scenes": 2}}):
+        before = len(scored)
+        evaluate(load(methods=methods, **changes))
+        assert scored[before:] == ["CLS"], changes
+
+
+def test_all_files_are_written_and_the_report_shows_them(load: Callable[..., EvaluateConfig], tmp_path: Path) -> None:
+    stages: dict[str, tuple[int, int]] = {}
+    said: list[str] = []
+    config = load(
+        data={"compare_stacks": ["captured"], "scenes": 2},
+        noise_db=[30],
+        time={"repeats": 1},
+        figures={"montage": 1},
+        threads=1,
+    )
+    threads = torch.get_num_threads()
+    try:
+        _, files = evaluate(config, progress=lambda stage, *counts: stages.__setitem__(stage, counts), say=said.append)
+    finally:
+        torch.set_num_threads(threads)
+    names = [path.name for path in files]
+    assert names[:3] == ["report.md", "table.csv", "results.json"]
+    report = files[0].read_text(encoding="utf-8")
+    for name in ("montage.png", "noise.png", "depth.png", "stacks.png", "times.png"):
+        assert name in names
+        assert f"({name})" in report
+        Image.open(tmp_path / "out" / name).verify()
+    assert stages == {"FlatNet3D": (12, 12), "CLS": (6, 6), "times": (2, 2)}
+    assert said == ["no LPIPS: it was not asked for"]
+    assert "1 of " in _results(tmp_path)["device"]
+    times = {one["method"]: one["stages_s"] for one in _results(tmp_path)["times"]}
+    assert set(times["FlatNet3D"]) == {"inversion", "network"}
+    assert set(times["CLS"]) == {"inversion", "graph cut", "assembly"}
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_parameters_are_those_of_the_nearest_tuned_level(load: Callable[..., EvaluateConfig], tmp_path: Path) -> None:
+    study = Study(tmp_path / "tuned.json", {"data": "another"}, {})
+    for level, regularisation_lambda in ((20.0, 0.5), (40.0, 0.05)):
+        parameters = {**DEFAULTS["cls"], "regularisation_lambda": regularisation_lambda}
+        study.add_result({"method": "cls", "noise_db": level, "parameters": parameters, "score": 1.0})
+    evaluate(load(methods=[{"name": "CLS", "classical": "cls", "tuned": "tuned.json"}], noise_db=[25, 50]))
+    outcomes = _results(tmp_path)["outcomes"]
+    assert [one["identities"][0]["parameters"]["regularisation_lambda"] for one in outcomes] == [0.05, 0.5, 0.05]
+    assert [one["note"].split("(")[1] for one in outcomes] == ["tuned at 40 dB)", "tuned at 20 dB)", "tuned at 40 dB)"]
+    assert [one["tuned_db"] for one in outcomes] == [40, 20, 40]
+
+
+def test_scenes_that_were_tuned_on_do_not_decide(
+    load: Callable[..., EvaluateConfig], tmp_path: Path, tiny_dataset: Path
+) -> None:
+    fingerprint = open_dataset(tiny_dataset, "test").fingerprint
+    study = Study(tmp_path / "tuned.json", {"data": fingerprint, "split": "test"}, {})
+    study.add_result({"method": "cls", "noise_db": 40.0, "parameters": dict(DEFAULTS["cls"]), "score": 1.0})
+    with pytest.raises(InputError, match=r"CLS: .*tuned\.json was tuned on the scenes that decide here"):
+        evaluate(load(methods=[{"name": "CLS", "classical": "cls", "tuned": "tuned.json"}]))
+
+
+@pytest.mark.parametrize("split", ["train", "validation"])
+def test_scenes_that_a_network_knows_do_not_decide(
+    load: Callable[..., EvaluateConfig], tmp_path: Path, tiny_dataset: Path, checkpoints: list[Path], split: str
+) -> None:
+    checkpoint = load_checkpoint(checkpoints[0])
+    record = {"data sets": {split: {"fingerprint": open_dataset(tiny_dataset, split).fingerprint}}}
+    path = tmp_path / "knows.safetensors"
+    save_checkpoint(
+        path, checkpoint.network, architecture=checkpoint.architecture, capture=checkpoint.capture, record=record
+    )
+    with pytest.raises(InputError, match=rf"Net: .*knows\.safetensors .* the scenes that decide here, split '{split}'"):
+        evaluate(load(methods=[{"name": "Net", "checkpoints": [str(path)]}], data={"split": split}))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_data_set_is_no_place_for_results(
+    load: Callable[..., EvaluateConfig], tmp_path: Path, tiny_dataset: Path
+) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "dataset.json").write_bytes((tiny_dataset / "dataset.json").read_bytes())
+    with pytest.raises(InputError, match=r"output: .* is not empty and holds no evaluation"):
+        evaluate(load())
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["dataset.json"]
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_network_that_gives_no_number_is_named(
+    load: Callable[..., EvaluateConfig], tmp_path: Path, checkpoints: list[Path], tiny_dataset: Path
+) -> None:
+    checkpoint = load_checkpoint(checkpoints[0])
+    with torch.no_grad():
+        checkpoint.network.enhancement.merge[0][4].weight.fill_(1e30)  # pyright: ignore[reportIndexIssue]
+        checkpoint.network.enhancement.head.weight.fill_(1e30)  # pyright: ignore[reportCallIssue]  # the product overflows
+    path = tmp_path / "broken.safetensors"
+    save_checkpoint(
+        path, checkpoint.network, architecture=checkpoint.architecture, capture=checkpoint.capture, record={}
+    )
+    sample = open_dataset(tiny_dataset, "test").ids[0]
+    with pytest.raises(InputError, match=rf"Broken: its image of sample {sample} is NaN or infinite"):
+        evaluate(load(methods=[{"name": "Broken", "checkpoints": [str(path)]}]))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"methods": [{"name": "N", "checkpoints": ["none.safetensors"]}]}, r"none\.safetensors"),
+        ({"methods": [{"name": "C", "classical": "cls", "tuned": "none.json"}]}, r"cannot read .*none\.json"),
+        (
+            {"methods": [{"name": "C", "classical": "cls", "parameters": {"speed": 1}}]},
+            r"got 'speed', expected a parameter of cls",
+        ),
+        ({"data": {"test": "nowhere"}}, "nowhere"),
+        ({"data": {"stack": "no_folder"}}, "no_folder"),
+        ({"perceptual": "lpips"}, r"alexnet.*\.pth"),
+    ],
+)
+def test_what_is_missing_is_named(
+    load: Callable[..., EvaluateConfig],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    changes: dict[str, Any],
+    message: str,
+) -> None:
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "no weights"))
+    with pytest.raises(InputError, match=message):
+        evaluate(load(**changes))
+
+
+def test_an_empty_split_is_refused(learning_trial: Any, load: Callable[..., EvaluateConfig]) -> None:
+    empty = learning_trial.generate(dataset={"train": 2, "validation": 0, "test": 0})
+    with pytest.raises(InputError, match=r"split 'test' is empty"):
+        evaluate(load(data={"test": str(empty)}))

@@ -1,0 +1,47 @@
+"""Means and spreads against NumPy's and against numbers done by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from learning.evaluate.outcome import pooled_rms, summarise
+
+
+def test_spreads_over_scenes_and_seeds_are_told_apart() -> None:
+    # Scenes differ by 2, seeds by 10: neither may leak into the other.
+    summary = summarise([[0.0, 2.0, 4.0], [10.0, 12.0, 14.0]])
+    assert summary.mean == 7.0
+    assert summary.over_scenes == pytest.approx(2.0, rel=1e-12)  # of 5, 7, 9
+    assert summary.over_seeds == pytest.approx(math.sqrt(50), rel=1e-12)  # of 2, 12
+    assert summary.seeds == (2.0, 12.0)
+
+
+def test_random_scores_have_numpys_spreads() -> None:
+    table = np.random.default_rng(0).normal(size=(3, 20))
+    summary = summarise(table)
+    assert summary.over_scenes == pytest.approx(np.std(table.mean(0), ddof=1), rel=1e-12)
+    assert summary.over_seeds == pytest.approx(np.std(table.mean(1), ddof=1), rel=1e-12)
+
+
+def test_one_seed_and_one_scene_have_no_spread() -> None:
+    assert summarise([[1.0, 2.0]]).over_seeds is None
+    assert summarise([[1.0], [2.0]]).over_scenes is None
+
+
+def test_a_perfect_scene_leaves_no_spread_but_a_mean() -> None:
+    summary = summarise([[math.inf, 20.0]])
+    assert (summary.mean, summary.over_scenes) == (math.inf, None)
+
+
+def test_scenes_without_a_score_are_left_out_for_every_seed() -> None:
+    summary = summarise([[1.0, math.nan, 3.0], [2.0, 100.0, 4.0]])
+    assert (summary.mean, summary.seeds, summary.left_out) == (2.5, (2.0, 3.0), 1)
+
+
+def test_pooling_weighs_pixels_not_scenes() -> None:
+    squares = [[[8.0, 1.0], [1.0, 0.0]]]
+    counts = [[[2, 1], [1, 0]]]
+    assert pooled_rms(squares, counts) == (math.sqrt(3), 1.0)

@@ -1,0 +1,316 @@
+"""What a reconstruction knows of the camera, against measurements that were stored and a convolution that is SciPy's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from scipy.signal import fftconvolve
+
+from learning.camera import CaptureModel, capture_model, plain_capture, typical_white
+from simulator.camera.forward import ForwardModel
+from simulator.dataset.reader import Dataset, open_dataset
+from simulator.errors import InputError
+from simulator.optics.stack import PsfStack
+from simulator.optics.stack_files import read_psf_stack, write_psf_stack
+
+ONE = {"train": 2, "validation": 0, "test": 0}
+
+
+@pytest.fixture(scope="module")
+def train(tiny_dataset: Path) -> Dataset:
+    return open_dataset(tiny_dataset, "train")
+
+
+def light(capture: CaptureModel, rgb: NDArray[np.float32], depth_m: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return irradiance M L_k, (K, C, h, w): a pixel's light is shared in disparity by hat functions of the planes."""
+    planes = 1 / capture.stack.depths_m
+    hats = [np.interp(1 / depth_m.astype(float), planes[::-1], hat[::-1]) for hat in np.eye(len(planes))]
+    colours = np.einsum("ca,hwa->chw", capture.scene_to_camera, rgb.astype(float)) * capture.irradiance
+    return np.stack(hats)[:, None] * colours
+
+
+def blurred(capture: CaptureModel, volume: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return sum_k H_k (*) V_k on the sensor, (C, H, W), by SciPy in float64."""
+    rows, columns = capture.sensor_shape
+    top, left = ((full - part) // 2 for full, part in zip(capture.sensor_shape, capture.scene_shape, strict=True))
+    canvas = np.zeros((*volume.shape[:2], rows, columns))
+    canvas[..., top : top + volume.shape[-2], left : left + volume.shape[-1]] = volume
+    psfs = np.asarray(capture.stack.values, float)
+    down, right = psfs.shape[-2] // 2, psfs.shape[-1] // 2
+    full = fftconvolve(canvas, psfs, mode="full", axes=(-2, -1)).sum(axis=0)
+    return full[:, down : down + rows, right : right + columns]
+
+
+ROLLING = "camera.shutter={type: rolling, exposure_ms: 2, line_time_us: 20}"
+PHYSICAL = "camera.noise={type: physical}"
+# Numbers that show: 100 of 4096 DN and a fifth of the full well in 2 ms.
+DARK = ("camera.sensor.black_level_dn=100", "camera.sensor.dark_current_e_per_s=1e6")
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("forward.time=mean", "camera.exposure.full_scale=6e-4", ROLLING),
+        (PHYSICAL, *DARK),
+        (PHYSICAL, *DARK, ROLLING),
+        ("camera.noise={type: none}", "forward.vignetting=false"),
+        pytest.param(
+            # Channels that count different numbers of electrons; counting them takes colour-science seconds to import.
+            (PHYSICAL, *DARK, "camera.exposure={illuminance_lux: 1000}", "camera.sensor.peak_quantum_efficiency=0.5"),
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=lambda overrides: " ".join(overrides),
+)
+def test_a_stored_measurement_is_offset_plus_gain_times_convolution(
+    learning_trial: Any, overrides: tuple[str, ...]
+) -> None:
+    dataset = open_dataset(learning_trial.generate(*overrides, dataset=ONE, psf={"as_captured": None}))
+    expect_measurements(dataset)
+
+
+def test_so_is_one_with_gaussian_noise_and_exposures(train: Dataset) -> None:
+    expect_measurements(train[:4])
+
+
+def expect_measurements(dataset: Dataset) -> None:
+    capture = capture_model(dataset)
+    model = capture.forward_model()
+    for sample in dataset:
+        volume = light(capture, sample.rgb[0], sample.depth_m[0])
+        offset = capture.offset[:, None, None]
+        peak = sample.noiseless.max()
+        assert 0.01 < peak < 2
+        # Float32 light, PSFs' spectra and sums: a few of its 6e-8 steps of the largest value.
+        by_scipy = offset + capture.gain * blurred(capture, volume)
+        assert np.abs(by_scipy - sample.noiseless).max() < 1e-6 * peak
+        ours = offset + capture.gain * model.forward(volume[None].astype(np.float32))
+        assert np.abs(ours - sample.noiseless).max() < 1e-6 * peak
+
+
+def test_gain_and_offset_are_those_of_the_sensor(learning_trial: Any) -> None:
+    folder = learning_trial.generate(PHYSICAL, *DARK, ROLLING, dataset=ONE, psf={"as_captured": None})
+    capture = capture_model(open_dataset(folder))
+    full_well_e, top = 15000, 4095  # of the IMX183; 12 bits
+    assert capture.gain == pytest.approx((top - 100) / 4096 * 2e-3 / 3e-6, rel=1e-6)
+    dark_e = 1e6 * 2e-3
+    assert capture.offset == pytest.approx([(100 + dark_e / full_well_e * (top - 100)) / 4096] * 3, rel=1e-6)
+
+
+def test_a_damaged_record_of_the_exposure_is_refused(train: Dataset) -> None:
+    for exposure in ({}, {"full_scale": "much"}, {"full_scale": 1.0, "responsivity": {"R": 1.0}}):
+        info = replace(train.info, exposure=exposure)
+        with pytest.raises(InputError, match=r"dataset\.json: exposure is damaged"):
+            capture_model(Dataset(train.root, train.split, train.ids, info))
+
+
+def test_irradiance_falls_with_the_fourth_power_of_the_cosine(train: Dataset) -> None:
+    capture = capture_model(train)
+    pitch_m, distance_m = 8 * 2.4e-6, 1.9e-3
+    y = (np.arange(16) - 7.5) * pitch_m
+    cosine = distance_m / np.sqrt(distance_m**2 + y[:, None] ** 2 + y**2)
+    assert capture.irradiance == pytest.approx((pitch_m / distance_m) ** 2 * cosine**4, rel=1e-5)
+
+
+def test_the_forward_model_works_on_tensors(tiny_capture: CaptureModel) -> None:
+    volume = np.random.default_rng(0).random((3, 3, 16, 16))
+    expected = blurred(tiny_capture, volume)
+    tensor = torch.from_numpy(volume)[None].requires_grad_()
+    got = tiny_capture.forward_model(tensor).forward(tensor)
+    assert got.dtype == torch.float64
+    assert got.detach().numpy() == pytest.approx(expected, abs=1e-12 * expected.max())
+    image = torch.randn(3, 48, 48, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    (got * image).sum().backward()
+    assert tensor.grad is not None
+    adjoint = tiny_capture.forward_model(image).adjoint(image)
+    assert adjoint.numpy() == pytest.approx(tensor.grad.numpy(), abs=1e-12 * float(adjoint.abs().max()))
+
+
+def test_stacks_are_chosen_by_name_folder_or_value(train: Dataset, tmp_path: Path) -> None:
+    nominal, captured = capture_model(train), capture_model(train, "captured", white=0.8)
+    assert nominal.white == 1.0
+    assert captured.white == 0.8
+    for model, folder in ((nominal, "psf"), (captured, "psf_captured")):
+        assert (model.stack.values == read_psf_stack(train.root / folder).values).all()
+    assert captured.stack.provenance["kind"] == "captured"
+    assert captured.gain == nominal.gain
+    other = replace(nominal.stack, values=nominal.stack.values[1:], depths_m=nominal.stack.depths_m[1:])
+    write_psf_stack(tmp_path / "other", other)
+    for stack in (other, tmp_path / "other", str(tmp_path / "other")):
+        model = capture_model(train, stack)
+        assert (model.stack.values == other.values).all()
+        assert model.near_m == nominal.stack.depths_m[1]
+
+
+def test_what_is_no_stack_of_this_camera_is_refused(train: Dataset, tmp_path: Path) -> None:
+    stack = capture_model(train).stack
+    with pytest.raises(InputError, match=r"R, G, B at a pitch of 9\.6 um, expected R, G, B at 19\.2 um"):
+        capture_model(train, replace(stack, pixel_pitch_m=9.6e-6))
+    with pytest.raises(InputError, match="stack: got channels Y at"):
+        capture_model(train, replace(stack, values=stack.values[:, :1], channels=("Y",)))
+    with pytest.raises(InputError, match="no PSF stack in"):
+        capture_model(train, tmp_path)
+
+
+def test_a_data_set_without_a_captured_stack_says_how_to_make_it(learning_trial: Any) -> None:
+    dataset = open_dataset(learning_trial.generate(dataset=ONE, psf={"as_captured": None}))
+    with pytest.raises(InputError, match=r"has no psf_captured; make it with psf\.as_captured"):
+        capture_model(dataset, "captured")
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("camera.sensor.readout=bayer", "reconstruction needs all colours in a pixel"),
+        ("forward.boundary=circular", r"forward\.boundary is circular"),
+    ],
+)
+def test_measurements_of_other_kinds_are_refused(learning_trial: Any, override: str, words: str) -> None:
+    dataset = open_dataset(learning_trial.generate(override, dataset=ONE, psf={"as_captured": None}))
+    with pytest.raises(InputError, match=words):
+        capture_model(dataset)
+
+
+def test_rows_of_different_exposure_are_refused(learning_trial: Any) -> None:
+    rows = 48 * 8
+    lines = [f"0,{0.004 + 0.002 * row / rows}" for row in range(rows)]
+    (learning_trial.trial.folder / "rows.csv").write_text("\n".join(["open_s,close_s", *lines]), encoding="utf-8")
+    folder = learning_trial.generate(
+        "camera.shutter={type: windows, file: rows.csv}", dataset=ONE, psf={"as_captured": None}
+    )
+    with pytest.raises(InputError, match="rows have different exposure times"):
+        capture_model(open_dataset(folder))
+
+
+def test_depths_and_disparities(tiny_capture: CaptureModel) -> None:
+    assert (tiny_capture.near_m, tiny_capture.far_m) == (0.01, 0.2)
+    # Half way in 1 / z between 100 and 5 per metre: 52.5 per metre.
+    depths_m = np.array([0.001, 0.01, 1 / 52.5, 0.2, 3.0, np.inf])
+    assert tiny_capture.disparity(depths_m).tolist() == pytest.approx([1, 1, 0.5, 0, 0, 0], abs=1e-12)
+    disparities = np.array([-1, 0, 0.5, 1, 7])
+    assert tiny_capture.depth_m(disparities).tolist() == pytest.approx([0.2, 0.2, 1 / 52.5, 0.01, 0.01])
+    tensor = torch.tensor([0.0125, 0.05, 0.15])
+    assert tiny_capture.depth_m(tiny_capture.disparity(tensor)).tolist() == pytest.approx(tensor.tolist(), rel=1e-6)
+    assert tiny_capture.plane_disparities().tolist() == pytest.approx([1, 0.5, 0])
+
+
+def test_depths_to_infinity_and_a_single_plane(tiny_capture: CaptureModel) -> None:
+    stack = tiny_capture.stack
+    endless = tiny_capture.with_stack(replace(stack, depths_m=np.array([0.01, 0.02, np.inf])))
+    assert endless.disparity(np.array([0.01, 0.02, np.inf])).tolist() == pytest.approx([1, 0.5, 0])
+    assert endless.depth_m(torch.tensor([1.0, 0.5, 0.0])).tolist() == pytest.approx([0.01, 0.02, np.inf])
+    single = tiny_capture.with_stack(replace(stack, values=stack.values[:1], depths_m=np.array([0.05])))
+    assert single.depth_m(np.array([0.0, 1.0]))[0] == pytest.approx(0.05)
+    assert single.plane_disparities().tolist() == [0]
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_to_srgb_undoes_the_cameras_colours(tiny_capture: CaptureModel, channels: int) -> None:
+    rng = np.random.default_rng(0)
+    matrix, rgb = rng.random((channels, 3)), rng.random((2, 3, 16, 16))
+    values = np.repeat(tiny_capture.stack.values[:, :1], channels, axis=1)
+    stack = replace(tiny_capture.stack, values=values, channels=tuple("RGBE"[:channels]))
+    capture = replace(tiny_capture, stack=stack, scene_to_camera=matrix, offset=np.zeros(channels))
+    light = np.einsum("ca,bahw->bchw", matrix, rgb)
+    assert capture.to_srgb(light) == pytest.approx(rgb, abs=1e-6)
+    assert capture.to_srgb(torch.from_numpy(light)).numpy() == pytest.approx(rgb, abs=1e-6)
+
+
+def test_belief_takes_psfs_and_white_from_elsewhere_and_numbers_from_here(tiny_capture: CaptureModel) -> None:
+    test = replace(tiny_capture, gain=7.0, offset=np.array([0.4, 0.5, 0.6]), white=0.3)
+    values = tiny_capture.stack.values[[0, 2]]
+    known = tiny_capture.with_stack(PsfStack(values, np.array([0.01, 0.2]), 20e-6, ("R", "G", "B"), "1" * 64))
+    assumed = test.with_assumed(known)
+    assert assumed.stack is known.stack
+    assert assumed.white == 0.9
+    assert assumed.gain == 7.0
+    assert assumed.offset.tolist() == [0.4, 0.5, 0.6]
+    assert assumed.irradiance is test.irradiance
+    assert assumed.scene_to_camera is test.scene_to_camera
+
+
+def stack_at(capture: CaptureModel, *depths_m: float) -> CaptureModel:
+    values = capture.stack.values[: len(depths_m)]
+    return replace(capture, stack=replace(capture.stack, values=values, depths_m=np.array(depths_m)))
+
+
+def test_belief_needs_the_same_camera_and_known_depths(tiny_capture: CaptureModel) -> None:
+    known = tiny_capture
+    for name, other in (("sensor_shape", (50, 48)), ("sensor_shape", (48, 46))):
+        with pytest.raises(InputError, match=f"{name}: the measurements have {other[0]} x {other[1]} pixels"):
+            replace(known, **{name: other}).with_assumed(known)
+    small = replace(known, scene_shape=(14, 16), irradiance=known.irradiance[:14])
+    with pytest.raises(InputError, match=r"scene_shape: the measurements have 14 x 16 pixels, .* for 16 x 16"):
+        small.with_assumed(known)
+    pitch = replace(known, stack=replace(known.stack, pixel_pitch_m=19e-6))
+    with pytest.raises(InputError, match="stack: got channels"):
+        pitch.with_assumed(known)
+    for near_m, far_m in ((0.008, 0.2), (0.01, 0.25)):
+        with pytest.raises(InputError, match=rf"depths are {near_m:g} to {far_m:g} m, .* knows only 0\.01 to 0\.2 m"):
+            stack_at(known, near_m, far_m).with_assumed(known)
+    for near_m, far_m in ((0.01, 0.2), (0.02, 0.1), (0.01 - 1e-9, 0.2 + 1e-9)):
+        assert stack_at(known, near_m, far_m).with_assumed(known).near_m == 0.01
+    assert known.with_assumed(stack_at(known, 0.05)).near_m == 0.05  # a single plane says nothing of the range
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"offset": np.zeros(4)}, r"offset: got shape \(4,\), expected \(3,\)"),
+        ({"irradiance": np.ones((16, 17))}, r"irradiance: got shape \(16, 17\)"),
+        ({"scene_to_camera": np.eye(4)}, r"scene_to_camera: got shape \(4, 4\), expected \(3, 3\)"),
+        ({"sensor_shape": (47, 48)}, "16 rows on a sensor of 47"),
+        ({"sensor_shape": (48, 14)}, "16 columns on a sensor of 14"),
+        ({"gain": 0.0}, r"gain: got 0\.0"),
+        ({"gain": float("nan")}, "gain: got nan"),
+        ({"white": -1.0}, r"white: got -1\.0"),
+        ({"white": float("inf")}, "white: got inf"),
+    ],
+)
+def test_contradictions_are_refused(tiny_capture: CaptureModel, changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        replace(tiny_capture, **changes)
+
+
+def random_stack(channels: tuple[str, ...], planes: int = 2) -> PsfStack:
+    values = np.random.default_rng(0).random((planes, len(channels), 5, 5), np.float32)
+    return PsfStack(values, np.linspace(0.1, 0.2, planes), 1e-5, channels, "random")
+
+
+@pytest.mark.parametrize("channels", [("R", "G", "B"), ("Y",)])
+def test_srgb_of_a_plain_capture_is_what_the_camera_saw(channels: tuple[str, ...]) -> None:
+    capture = plain_capture(random_stack(channels), (12, 16), (8, 8))
+    seen = np.random.default_rng(1).random((len(channels), 8, 8))
+    # One channel becomes red, green and blue alike.
+    np.testing.assert_allclose(capture.to_srgb(seen), np.broadcast_to(seen, (3, 8, 8)), rtol=1e-12)
+
+
+def test_scene_is_the_sensor_unless_said() -> None:
+    capture = plain_capture(random_stack(("Y",)), (12, 16), background=3.0)
+    assert capture.scene_shape == (12, 16)
+    assert capture.offset.tolist() == [3.0]
+
+
+def test_white_is_twice_the_mean_of_a_uniform_scene() -> None:
+    stack = random_stack(("R", "G", "B"), planes=1)
+    capture = plain_capture(stack, (12, 12), (6, 6), background=0.5)
+    volume = np.full((1, 1, 3, 6, 6), 0.7)
+    measurement = ForwardModel(stack, (12, 12), (6, 6)).forward(volume) + 0.5  # the sensor holds all of the light
+    assert typical_white(capture, measurement) == pytest.approx(1.4, rel=1e-6)
+
+
+def test_darkness_has_no_white() -> None:
+    capture = plain_capture(random_stack(("Y",)), (8, 8), background=2.0)
+    with pytest.raises(InputError, match="expected light; check the background"):
+        typical_white(capture, np.full((1, 8, 8), 2.0))
+
+
+def test_two_channels_are_refused() -> None:
+    with pytest.raises(InputError, match=r"stack: got 2 channels \(a, b\), expected 1 \(grey\) or 3"):
+        plain_capture(random_stack(("a", "b")), (8, 8))

@@ -1,0 +1,396 @@
+"""Tuning by a method whose best parameters are known, on a tiny data set: found, resumed, volumes reused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from learning.camera import CaptureModel
+from learning.config import TuneConfig, load_file
+from learning.data import Example
+from learning.method import Estimate, linear_to_srgb
+from learning.metrics import depth_scores, psnr
+from learning.tune import Tunable, job, load_tuned, tune
+from learning.tune.job import Errors, Score, classical, table, tune_file
+from learning.tune.search import Axis, Parameters, coordinate_search
+from learning.tune.study import Study
+from simulator.dataset.manifest import load_manifest
+from simulator.errors import InputError
+from simulator.io.files import sha256_bytes
+from simulator.io.json import canonical_json
+
+SCENES = 5
+LEVELS = (20.0, 40.0)
+
+
+def steps(value: Any, best: float) -> float:
+    """Return how far a value is from the best, in decades; it costs nothing to be right."""
+    return abs(float(np.log10(float(value) / best)))
+
+
+class Truth:
+    """The truth of some scenes, and what a method makes of it: blurred by wrong parameters, exact with the right ones."""
+
+    def __init__(self, capture: CaptureModel) -> None:
+        rng = np.random.default_rng(3)
+        radiance = torch.from_numpy(rng.uniform(0, 0.8, (SCENES, 3, 8, 8)).astype(np.float32))
+        depth_m = torch.from_numpy(1 / rng.uniform(1 / 0.2, 1 / 0.01, (SCENES, 1, 8, 8)).astype(np.float32))
+        valid = torch.ones_like(depth_m, dtype=torch.bool)
+        self.example = Example(torch.zeros(SCENES, 3, 8, 8), radiance, depth_m, valid)
+        self.image, self.disparity = linear_to_srgb(radiance, capture.white), capture.disparity(depth_m)
+        self.volumes = self.estimates = 0
+
+    def tunable(self, optimum: Parameters) -> Tunable:
+        """Return a method with the least error at ``optimum``; lambda decides its volume, ``window`` what follows."""
+        truth = self
+
+        class Fake:
+            def __init__(self, parameters: Parameters) -> None:
+                self.parameters = parameters
+
+            def volume(self, measurement: Tensor) -> Tensor:
+                truth.volumes += len(measurement)
+                error = 0.05 + 0.1 * steps(
+                    self.parameters["regularisation_lambda"], float(optimum["regularisation_lambda"])
+                )
+                return measurement[:, :1, None] + error  # a scene's own number, then the error
+
+            def estimate(self, volume: Tensor) -> Estimate:
+                truth.estimates += len(volume)
+                scenes = volume.flatten(1)[:, 0].floor().long()
+                error = volume.flatten(1)[:, 0] - scenes
+                wrong = 0.1 * steps(self.parameters["window"], float(optimum["window"]))
+                blur = (error + wrong)[:, None, None, None]
+                grey, middle = truth.image.mean(), truth.disparity.mean()
+                return Estimate(
+                    truth.image[scenes] * (1 - blur) + grey * blur,
+                    truth.disparity[scenes] * (1 - blur) + middle * blur,
+                )
+
+        space = {"regularisation_lambda": Axis((1e-3, 1e-2, 1e-1)), "window": Axis((1, 10, 100), low=1)}
+        defaults: Parameters = {"regularisation_lambda": 1e-2, "window": 1, "smoothness": 0.5}
+        return Tunable("fake", Fake, defaults, space, frozenset({"regularisation_lambda"}))
+
+    def measurements(self) -> dict[float, Tensor]:
+        """Return measurements that say which scene they are of."""
+        return {level: torch.arange(SCENES).float()[:, None, None, None].expand(-1, 3, 8, 8) for level in LEVELS}
+
+
+@pytest.fixture
+def truth(tiny_capture: CaptureModel) -> Truth:
+    return Truth(tiny_capture)
+
+
+@pytest.fixture
+def score(truth: Truth, tiny_capture: CaptureModel) -> Score:
+    return Score("both", truth.example, tiny_capture)
+
+
+@pytest.mark.parametrize(
+    "optimum", [{"regularisation_lambda": 1e-1, "window": 10}, {"regularisation_lambda": 1e2, "window": 1000}]
+)
+def test_a_known_optimum_is_found_also_beyond_the_lists_and_volumes_are_reused(
+    truth: Truth, score: Score, tmp_path: Path, optimum: Parameters
+) -> None:
+    study = Study(tmp_path / "tuned.json", {"data": "x"}, {})
+    tune([truth.tunable(optimum)], truth.measurements(), score, study)
+    tuned = load_tuned(tmp_path / "tuned.json")
+    for level in LEVELS:
+        parameters, used = tuned.parameters("fake", level + 3)
+        assert parameters == {**optimum, "smoothness": 0.5}
+        assert used == level
+    # One volume for each regularisation_lambda and level: all trials that differ in the window only take them from before.
+    strengths = {(t["noise_db"], t["parameters"]["regularisation_lambda"]) for t in study.trials}
+    assert truth.volumes == SCENES * len(strengths)
+    assert truth.estimates == SCENES * len(study.trials)
+    assert sum(t["volume_reused"] for t in study.trials) == len(study.trials) - len(strengths)
+    for result in study.results:
+        assert result["converged"]
+        assert result["at_limit"] == []
+        assert result["score"] == min(t["score"] for t in study.trials if t["noise_db"] == result["noise_db"])
+    # The second level begins where the first ended.
+    counts = [sum(t["noise_db"] == level for t in study.trials) for level in LEVELS]
+    assert counts[0] < counts[1]
+
+
+def test_a_run_that_dies_goes_on_and_tries_nothing_twice(truth: Truth, score: Score, tmp_path: Path) -> None:
+    optimum: Parameters = {"regularisation_lambda": 1.0, "window": 100}
+    whole = Study(tmp_path / "whole.json", {"data": "x"}, {})
+    tune([truth.tunable(optimum)], truth.measurements(), score, whole)
+
+    class DiedError(Exception):
+        pass
+
+    calls = 0
+
+    def dying(*_: object) -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 7:
+            raise DiedError
+
+    path = tmp_path / "tuned.json"
+    with pytest.raises(DiedError):
+        tune([truth.tunable(optimum)], truth.measurements(), score, Study(path, {"data": "x"}, {}), progress=dying)
+    done = load_tuned(path).content["trials"]
+    assert 0 < len(done) <= 7
+    with pytest.raises(InputError, match=r"tuned.json: got the method 'fake', expected one that was tuned \(none\)"):
+        load_tuned(path).parameters("fake", 20)
+
+    estimates = truth.estimates
+    study = Study(path, {"data": "x"}, {})
+    tune([truth.tunable(optimum)], truth.measurements(), score, study)
+    assert truth.estimates - estimates == SCENES * (len(whole.trials) - len(done))
+    assert [t["parameters"] for t in study.trials] == [t["parameters"] for t in whole.trials]
+    assert [r["parameters"] for r in study.results] == [r["parameters"] for r in whole.results]
+
+    estimates, before = truth.estimates, path.read_bytes()
+    tune([truth.tunable(optimum)], truth.measurements(), score, Study(path, {"data": "x"}, {}))
+    assert truth.estimates == estimates  # finished: only the study is read
+    assert path.read_bytes() == before
+
+
+def test_a_book_of_other_data_is_refused_and_kept(tmp_path: Path) -> None:
+    path = tmp_path / "tuned.json"
+    study = Study(path, {"data": "x", "seed": 0}, {})
+    study.add_trial({"method": "cls", "noise_db": 20.0, "parameters": {"a": 1.0}, "score": float("inf")})
+    before = path.read_bytes()
+    with pytest.raises(
+        InputError, match=r"tuned.json holds trials of other data or settings: seed was 0, is now 1; .*delete"
+    ):
+        Study(path, {"data": "x", "seed": 1}, {})
+    assert path.read_bytes() == before
+    assert float(Study(path, {"data": "x", "seed": 0}, {}).trials[0]["score"]) == float("inf")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "cannot read .*tuned.json: No such file.*flatlight tune"),
+        ("{", "is damaged or not a result"),
+        ("[]", "is not a result of `flatlight tune`"),
+        ('{"format": "flatlight tuned", "version": 99}', "has version 99, expected 1"),
+        ('{"format": "flatlight tuned", "version": 1, "identity": {}, "trials": []}', "damaged: results is missing"),
+        (
+            '{"format": "flatlight tuned", "version": 1, "identity": {}, "trials": [], "results": [{"method": "cls"}]}',
+            "lacks method, noise_db",
+        ),
+    ],
+)
+def test_files_that_are_no_book_are_refused(tmp_path: Path, content: str | None, message: str) -> None:
+    path = tmp_path / "tuned.json"
+    if content is not None:
+        path.write_text(content, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        load_tuned(path)
+
+
+@pytest.mark.parametrize(("objective", "at_constant"), [("both", 2.0), ("image", 1.0), ("depth", 1.0)])
+def test_the_score_is_in_units_of_the_constant_guess(
+    truth: Truth, tiny_capture: CaptureModel, objective: Any, at_constant: float
+) -> None:
+    score = Score(objective, truth.example, tiny_capture)
+    assert score(score.constant) == pytest.approx(at_constant, rel=1e-12)
+    # By NumPy: the depth error of guessing the mean everywhere is the spread within the scenes about it.
+    depth_cm = truth.example.depth_m.numpy().astype(np.float64) * 100
+    spread_cm = np.sqrt(((depth_cm - depth_cm.mean()) ** 2).mean(axis=(1, 2, 3))).mean()
+    assert score.constant.depth_rmse_cm == pytest.approx(spread_cm, rel=1e-5)  # float32 on the way
+    half = Errors(score.constant.psnr_db + 20 * np.log10(2), score.constant.depth_rmse_cm / 2)
+    assert score(half) == pytest.approx(at_constant / 2, rel=1e-12)
+    perfect = score.errors([Estimate(truth.image * 1.0, truth.disparity + 0.0)])
+    assert score.objective == "image" or perfect.depth_rmse_cm < 1e-4
+    broken = Estimate(truth.image * float("nan"), truth.disparity * float("nan"))
+    assert score(score.errors([broken])) == float("inf")
+
+
+def test_depth_counts_where_something_was_seen_as_in_evaluations(truth: Truth, tiny_capture: CaptureModel) -> None:
+    valid = truth.example.valid.clone()
+    valid[:, :, 2:5, 1:4] = False  # a patch that no surface covers
+    valid[1] = False  # a scene of which nothing was seen
+    example = truth.example._replace(valid=valid)
+    score = Score("both", example, tiny_capture)
+    wrong = torch.where(valid, truth.disparity, 1.0)
+    assert score.errors([Estimate(truth.image, wrong)]).depth_rmse_cm < 1e-4  # float32 disparities
+    guess = Estimate(truth.image * 0.5, (truth.disparity + 0.1).clamp(0, 1))
+    found = score.errors([Estimate(*(values[:2] for values in guess)), Estimate(*(values[2:] for values in guess))])
+    assert found.psnr_db == pytest.approx(float(psnr(guess.image, truth.image).mean()), rel=1e-6)
+    by_evaluation = depth_scores(guess, example, tiny_capture, valid).depth_rmse_cm
+    assert found.depth_rmse_cm == pytest.approx(float(by_evaluation.nanmean()), rel=1e-6)
+    # The constant guess by NumPy: the mean depth of valid pixels, its error over them.
+    depth_cm = np.where(valid.numpy(), truth.example.depth_m.numpy().astype(np.float64) * 100, np.nan)
+    depth_cm = np.delete(depth_cm, 1, axis=0)
+    spread_cm = np.sqrt(np.nanmean((depth_cm - np.nanmean(depth_cm)) ** 2, axis=(1, 2, 3))).mean()
+    assert score.constant.depth_rmse_cm == pytest.approx(spread_cm, rel=1e-5)  # float32 on the way
+
+
+def test_lines_and_table_say_when_nothing_was_learned(truth: Truth, score: Score, tmp_path: Path) -> None:
+    lines: list[str] = []
+    constant = {"psnr_db": score.constant.psnr_db, "depth_rmse_cm": score.constant.depth_rmse_cm}
+    study = Study(tmp_path / "tuned.json", {}, {"constant_guess": constant})
+    good = truth.tunable({"regularisation_lambda": 1e-2, "window": 1})
+
+    class Guess:
+        def volume(self, measurement: Tensor) -> Tensor:
+            return measurement[:, :1, None]
+
+        def estimate(self, volume: Tensor) -> Estimate:
+            scenes = volume.flatten(1)[:, 0].long()
+            return Estimate(torch.zeros(len(scenes), 3, 8, 8), truth.disparity[scenes])
+
+    image_only = Tunable(
+        "guess",
+        lambda _: Guess(),
+        {"regularisation_lambda": 1.0},
+        {"regularisation_lambda": Axis((1.0,), high=1)},
+        frozenset(),
+    )
+    tune([good, image_only], {40.0: truth.measurements()[40.0]}, score, study, say=lines.append)
+    psnr_db, depth_cm = (f"{constant[name]:.2f}" for name in ("psnr_db", "depth_rmse_cm"))
+    assert f"(constant guess {psnr_db}), depth RMSE" in lines[0]
+    assert f" cm ({depth_cm}), score 0." in lines[0]
+    assert "no better" not in lines[0]
+    assert lines[1].endswith("; image no better than a constant guess; at its limit: regularisation_lambda")
+    rows = table(load_tuned(tmp_path / "tuned.json").content).splitlines()
+    assert [row.split()[0] for row in rows] == ["method", "fake", "guess", "constant"]
+    assert rows[2].endswith(
+        "regularisation_lambda 1; image no better than a constant guess; at its limit: regularisation_lambda"
+    )
+    assert rows[3].split()[-2:] == [psnr_db, depth_cm]
+
+
+def test_the_search_of_a_classical_method_ends_at_limits_that_mean_something(
+    tiny_capture: CaptureModel, tmp_path: Path
+) -> None:
+    path = write_config(
+        tmp_path, tmp_path, search={"cls": {"regularisation_lambda": {"values": [1.0]}, "pairwise": {"high": 5000}}}
+    )
+    config = load_file(TuneConfig, path)
+    for name in ("cls", "admm"):
+        axes = classical(tiny_capture, name, config, torch.device("cpu")).space
+        for parameter, axis in axes.items():
+            assert not axis.is_number or np.isfinite(axis.high), parameter
+        assert axes["window_px"].high == 8  # half of 16 pixels
+    space = classical(tiny_capture, "cls", config, torch.device("cpu")).space
+    assert (space["regularisation_lambda"].high, space["pairwise"].high) == (100, 5000)
+    # A score that improves for ever ends at the limit, and says so.
+    found = coordinate_search(
+        {"regularisation_lambda": space["regularisation_lambda"]},
+        [{"regularisation_lambda": 1.0}],
+        lambda p: 1 / float(p["regularisation_lambda"]),
+    )
+    assert found.parameters == {"regularisation_lambda": 100}
+    assert found.at_limit == ("regularisation_lambda",)
+
+
+def write_config(folder: Path, dataset: Path, **changes: Any) -> Path:
+    """Write a file for the tiny data set."""
+    data = {"validation": str(dataset), "scenes": 6, "allow_few_scenes": True} | changes.pop("data", {})
+    path = folder / "tune.yaml"
+    path.write_text(json.dumps({"data": data, "noise_db": [30], **changes}), encoding="utf-8")  # JSON is YAML
+    return path
+
+
+def test_a_file_is_tuned_on_noise_of_its_level_and_says_what_it_used(tiny_dataset: Path, tmp_path: Path) -> None:
+    seen: list[tuple[int, ...]] = []
+    captures: list[CaptureModel] = []
+
+    class Mean:
+        def __init__(self, parameters: Parameters) -> None:
+            self.level = float(parameters["level"])
+
+        def volume(self, measurement: Tensor) -> Tensor:
+            seen.append(tuple(measurement.shape))
+            return measurement[:, None, :, :16, :16]
+
+        def estimate(self, volume: Tensor) -> Estimate:
+            image = torch.full((len(volume), 3, 16, 16), self.level)
+            return Estimate(image, image[:, :1])
+
+    def tunables(capture: CaptureModel) -> list[Tunable]:
+        captures.append(capture)
+        return [Tunable("mean", Mean, {"level": 0.5}, {"level": Axis((0.2, 0.5), high=1)}, frozenset())]
+
+    config = load_file(
+        TuneConfig, write_config(tmp_path, tiny_dataset, output="a/tuned.json", data={"stack": "captured"})
+    )
+    path = tune_file(config, tunables=tunables)
+    assert path == tmp_path / "a" / "tuned.json"
+    content = load_tuned(path).content
+    assert seen == [(4, 3, 48, 48), (2, 3, 48, 48)]  # one volume, whatever the level of the guess
+    assert content["about"]["scenes"] == 6
+    assert content["about"]["fewer_scenes_than_advised"] is True
+    assert content["identity"]["stack"] == captures[0].stack.fingerprint
+    assert content["identity"]["white"] == captures[0].white != 1
+    assert [result["noise_db"] for result in content["results"]] == [30]
+    kept = load_manifest(tiny_dataset).entries
+    digests = [kept["validation", sample].digest for sample in content["identity"]["samples"]]
+    assert content["identity"]["digests"] == sha256_bytes(canonical_json(digests))
+    assert len(content["identity"]["code"]) == 64
+    with pytest.raises(InputError, match="holds trials of other data or settings: seed was 0, is now 3"):
+        tune_file(load_file(TuneConfig, tmp_path / "tune.yaml", ["seed=3"]), tunables=tunables)
+
+
+def test_a_book_of_other_code_or_samples_is_refused(
+    tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def tunables(_: CaptureModel) -> list[Tunable]:
+        class Black:
+            def volume(self, measurement: Tensor) -> Tensor:
+                return measurement[:, None, :, :16, :16]
+
+            def estimate(self, volume: Tensor) -> Estimate:
+                return Estimate(volume[:, 0] * 0, volume[:, 0, :1] * 0)
+
+        return [Tunable("black", lambda _: Black(), {"level": 1}, {"level": Axis((1,), low=1, high=1)}, frozenset())]
+
+    config = load_file(TuneConfig, write_config(tmp_path, tiny_dataset))
+    tune_file(config, tunables=tunables)
+    with monkeypatch.context() as patch:
+        patch.setattr(job, "code_fingerprint", lambda *_: "f" * 64)
+        with pytest.raises(InputError, match=r"other data or settings: code was .*, is now ffff"):
+            tune_file(config, tunables=tunables)
+    entries = {key: replace(entry, digest="0" * 64) for key, entry in load_manifest(tiny_dataset).entries.items()}
+    monkeypatch.setattr("learning.provenance.load_manifest", lambda _: SimpleNamespace(entries=entries))
+    with pytest.raises(InputError, match="other data or settings: digests was"):
+        tune_file(config, tunables=tunables)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (
+            ["data.scenes=4", "data.allow_few_scenes=false"],
+            r"data.scenes: got 4, expected at least 32: .*allow_few_scenes",
+        ),
+        (["data.scenes=9"], r"data.scenes: got 9, but split 'validation' of .* has 8 samples; generate more"),
+        (["methods=[wiener]"], r"methods\[0\]"),
+        (["search.admm.tv.values=[1.0]", "methods=[cls]"], r"search\.admm: 'admm' is not tuned here; methods: cls"),
+        (["objective=pretty"], "objective"),
+        (["noise_db=[-3]"], "noise_db.*dB"),
+        (["data.stack=nowhere"], "no PSF stack in .*nowhere"),
+        (["data.validation=nowhere"], "no such folder: .*nowhere"),
+    ],
+)
+def test_files_that_make_no_sense_are_refused(
+    tiny_dataset: Path, tmp_path: Path, overrides: list[str], message: str
+) -> None:
+    path = write_config(tmp_path, tiny_dataset)
+    with pytest.raises(InputError, match=message):
+        tune_file(load_file(TuneConfig, path, overrides), tunables=lambda _: [])
+    assert not (tmp_path / "tuned.json").exists()
+
+
+def test_a_parameter_that_the_method_lacks_is_refused(truth: Truth) -> None:
+    tunable = truth.tunable({"regularisation_lambda": 1.0, "window": 10})
+    with pytest.raises(
+        InputError, match=r"search\.fake: got 'tv', expected one of regularisation_lambda, window, smoothness"
+    ):
+        Tunable("fake", tunable.build, tunable.defaults, {"tv": Axis((1.0,))}, frozenset())
