@@ -24,8 +24,7 @@ from simulator.camera.colour import clipped_share
 from simulator.camera.forward import ForwardModel
 from simulator.camera.noise import GaussianNoise, PhysicalNoise
 from simulator.camera.planes import clamped_share, mask_irradiance
-from simulator.camera.sensor import Sensor
-from simulator.camera.sensor_models import MODELS
+from simulator.camera.sensor import MODELS, Sensor
 from simulator.camera.shutter import DualRollingShutter
 from simulator.camera.slivers import exposed_part, sliver_means
 from simulator.dataset.sample import Sample, write_sample

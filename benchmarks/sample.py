@@ -18,8 +18,7 @@ import numpy as np
 from simulator.camera.forward import ForwardModel
 from simulator.camera.noise import GaussianNoise, PhysicalNoise
 from simulator.camera.planes import mask_irradiance
-from simulator.camera.sensor import Sensor
-from simulator.camera.sensor_models import MODELS
+from simulator.camera.sensor import MODELS, Sensor
 from simulator.dataset.sample import Sample, write_sample
 from simulator.optics.stack import PsfStack, depth_planes
 from simulator.types import Clip, View

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from simulator.assemble import build_mask, build_psf_stack, build_view
+from simulator.assembly import Assembly
 from simulator.config import load_config
 from simulator.dataset.engines import available_cpus
 from simulator.dataset.recipe import scene_clip
@@ -140,7 +140,7 @@ def draw_design(design: str, path: Path) -> None:
             "psf": {"depths_cm": [shown.near_cm, "inf"], "oversampling": shown.oversampling},
         }
         loaded = load_config(config, [f"{key}={json.dumps(value)}" for key, value in changes.items()])
-        mask, stack = build_mask(loaded), build_psf_stack(loaded, threads=2)
+        mask, stack = Assembly(loaded).mask, Assembly(loaded, threads=2).psf_stack
     figure = Figure(figsize=SIZE_INCH, dpi=DPI, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, 3)
@@ -162,7 +162,7 @@ def view_of(shown: Family, folder: Path) -> View:
     """Return the preset's view in as many pixels as the gallery shows."""
     path = folder / "camera.yaml"
     path.write_text(preset_text(shown.preset), encoding="utf-8")
-    view = build_view(load_config(path))
+    view = Assembly(load_config(path)).view
     return replace(view, shape=(SIDE, SIDE), pixel_pitch_m=view.pixel_pitch_m * view.shape[1] / SIDE)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.arrays import Array, like, namespace, to_numpy
-from simulator.assemble.camera import build_sensor, distance_m
+from simulator.assembly import Assembly
 from simulator.camera.forward import ForwardModel
 from simulator.camera.planes import mask_irradiance
 from simulator.camera.sensor import Sensor
@@ -195,7 +195,9 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
         raise InputError(msg)
     sensor = recorded_sensor(info, config)
     gain, offset = gain_and_offset(sensor, len(nominal.channels), mean=config.forward.time == "mean")
-    view = View(info.scene_shape, sensor.binned_pitch_m, distance_m(config), *nominal.depths_m[[0, -1]].tolist())
+    view = View(
+        info.scene_shape, sensor.binned_pitch_m, Assembly(config).mask_to_sensor_m, *nominal.depths_m[[0, -1]].tolist()
+    )
     model = CaptureModel(
         stack=nominal,
         sensor_shape=info.sensor_shape,
@@ -233,8 +235,10 @@ def recorded_sensor(info: DatasetInfo, config: Config) -> Sensor:
         raise InputError(msg) from error
     # Without the illuminance: what it decides is recorded, and its files of spectra may be elsewhere.
     camera = config.camera.model_copy(update={"exposure": ExposureConfig(full_scale=full_scale)})
-    sensor = build_sensor(config.model_copy(update={"camera": camera}), full_scale, info.shutter)
-    return replace(sensor, responsivity=responsivity)
+    recorded = Assembly(config.model_copy(update={"camera": camera}))
+    if info.shutter is not None:
+        recorded = recorded.having(shutter=info.shutter)
+    return replace(recorded.sensor, full_scale=full_scale, responsivity=responsivity)
 
 
 def gain_and_offset(sensor: Sensor, channels: int, *, mean: bool) -> tuple[float, NDArray[np.float64]]:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from simulator.assemble import load_mask
+from simulator.design.load import load_mask
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
 from simulator.optics.stack_files import read_psf_stack, stack_folder
@@ -23,12 +23,12 @@ def load_psf_stack(path: Path | str, *, captured: bool = False) -> PsfStack:
     """
     path = Path(path)
     if path.suffix in (".yaml", ".yml"):
-        from simulator.assemble import build_captured_stack, build_psf_stack
+        from simulator.assembly import Assembly
+        from simulator.captured_psf import captured_stack
         from simulator.config import load_config
 
-        config = load_config(path)
-        stack = build_psf_stack(config)
-        return build_captured_stack(config, stack) if captured else stack
+        assembly = Assembly(load_config(path))
+        return captured_stack(assembly) if captured else assembly.psf_stack
     folder = stack_folder(path, captured=captured)
     if captured and not folder.exists():
         msg = (

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import Any, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, PydanticUserError, ValidationError, create_model
 
@@ -26,9 +26,6 @@ from simulator.errors import InputError
 from simulator.io.files import StorageError
 from simulator.text import nearest
 from simulator.validation import Problem, find_problems, validate
-
-if TYPE_CHECKING:
-    pass
 
 
 def modules_defining(package: str, kind: str) -> frozenset[str]:

@@ -49,7 +49,7 @@ def export_mask(
     force: Annotated[bool, typer.Option("--force", help="overwrite earlier exports")] = False,
 ) -> None:
     """Write the mask of a configuration as a body (STL), a height map (TIFF) or layers, for fabrication."""
-    from simulator.assemble import build_mask
+    from simulator.assembly import Assembly
     from simulator.config import load_config
     from simulator.design.export import binary_layers, height_tiff, stl_bytes, write_layers
     from simulator.io.files import write_atomic
@@ -68,7 +68,7 @@ def export_mask(
     _check_folder(layers, force)
     check_distinct({"--stl": stl, "--tiff": tiff, "--layers": layers})
     loaded = load_config(config, set_ or [])
-    mask = build_mask(loaded)
+    mask = Assembly(loaded).mask
     if mask is None or loaded.camera.mask is None:
         msg = f"{config} has a measured PSF and no mask to export; set camera.mask"
         raise InputError(msg)

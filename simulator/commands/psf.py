@@ -1,7 +1,8 @@
-"""``psf --as-captured``: what a calibration of the configured camera would make of its PSFs."""
+"""`flatlight psf`: the PSF stack of a configuration, how good it is, and what a calibration would make of it."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,8 +11,7 @@ import typer
 from simulator.commands.shared import ConfigPath, Overrides, check_output_file, check_output_folder
 
 if TYPE_CHECKING:
-    from simulator.config import Config
-    from simulator.optics.stack import PsfStack
+    from simulator.assembly import Assembly
 
 
 def captured_folder(output: Path) -> Path:
@@ -32,25 +32,22 @@ def captured_picture(plot: Path) -> Path:
     return plot.with_stem(f"{plot.stem}_captured")
 
 
-def show_captured(config: Config, nominal: PsfStack, output: Path | None, plot: Path | None) -> None:
+def show_captured(assembly: Assembly, output: Path | None, plot: Path | None) -> None:
     """Compute the stack as captured, print how it differs from the true one, write and draw both side by side.
 
     Args:
-        config: the configuration.
-        nominal: its true stack.
+        assembly: whose ``psf_stack`` is the true one.
         output: folder of the true stack; the captured one goes into ``<output>_captured``.
         plot: picture of the true stack; the comparison goes into ``<plot>_captured.png``.
     """
-    from simulator.assemble import build_captured_stack
+    from simulator.captured_psf import captured_stack
     from simulator.console import Bar
-    from simulator.dataset.engines import available_cpus
     from simulator.optics.stack_files import write_psf_stack
     from simulator.plots.captured import describe_captured
 
+    nominal = assembly.psf_stack
     with Bar() as bar:
-        captured = build_captured_stack(
-            config, nominal, threads=available_cpus(), progress=lambda a, b: bar.update("captured PSFs", a, b)
-        )
+        captured = captured_stack(replace(assembly, progress=bar.update).having(psf_stack=nominal))
     print(f"\n{describe_captured(nominal, captured)}")
     if output:
         folder = captured_folder(output)
@@ -78,7 +75,8 @@ def psf(
     ] = False,
 ) -> None:
     """Compute the PSF stack of a configuration and say how good it is."""
-    from simulator.assemble import build_mask, build_psf_stack, check_calibration, check_psf_stack, wants_full_check
+    from simulator.assembly import Assembly
+    from simulator.captured_psf import check_calibration
     from simulator.config import load_config
     from simulator.console import Bar, describe_stack
     from simulator.dataset.engines import available_cpus
@@ -94,11 +92,10 @@ def psf(
         if as_captured:
             captured_folder(output)
     if as_captured:
-        check_calibration(loaded)
+        check_calibration(Assembly(loaded))
     with Bar() as bar:
-        stack = build_psf_stack(loaded, threads=available_cpus(), progress=lambda a, b: bar.update("PSFs", a, b))
-        if check or wants_full_check(loaded):
-            stack = check_psf_stack(loaded, stack, threads=available_cpus(), progress=bar.update)
+        assembly = Assembly(loaded, threads=available_cpus(), progress=bar.update)
+        stack = assembly.checked_stack if check or assembly.wants_full_check else assembly.psf_stack
     print(describe_stack(stack, loaded.camera.sensor.shape, loaded.scene.size))
     if stack.provenance.get("errors", {}).get("check") == "full":
         from simulator.plots.psf_facts import budget_tables
@@ -112,11 +109,11 @@ def psf(
 
         plot_psf_stack(
             stack,
-            build_mask(loaded),
+            assembly.mask,
             plot,
             scene_shape=loaded.scene.size,
             sensor_shape=loaded.camera.sensor.shape,
         )
         print(f"look at {plot}")
     if as_captured:
-        show_captured(loaded, stack, output, plot)
+        show_captured(assembly.having(psf_stack=stack), output, plot)

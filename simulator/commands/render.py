@@ -91,14 +91,14 @@ def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) 
         bar: shows progress.
         free: nobody said what to show, so that moving scenes may also show their motion.
     """
-    from simulator.assemble import build_source, scene_plugin
+    from simulator.assembly import Assembly
     from simulator.dataset.engines import available_cpus
     from simulator.dataset.recipe import scene_clip
     from simulator.importers.inspection import first_lines
     from simulator.plugins import plugin_errors
     from simulator.render.backend import activate, choose_backend
 
-    plugin = scene_plugin(config)
+    plugin = Assembly(config).scene_plugin
     variant = "none"
     if plugin.takes_renderer:
         backend = choose_backend(config.render.backend, config.render.bands is not None)
@@ -111,7 +111,7 @@ def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) 
         raise InputError(msg)
     clips: list[Clip] = []
     with plugin_errors(plugin):
-        source = build_source(config, variant)
+        source = Assembly(config, variant).source
         if problems := tuple(getattr(source, "problems", ())):
             listed = "\n  ".join(first_lines(problems, _PROBLEMS))
             bar.say(f"note: {len(problems)} files or videos cannot be used, and are left out:\n  {listed}")
@@ -122,7 +122,7 @@ def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) 
             if free and not clips and plugin.takes_renderer and len(clip.rgb) > 1 and not config.render.outputs:
                 # Only now is it known that something moves.
                 moving = config.render.model_copy(update={"outputs": ("motion",)})
-                source = build_source(config.model_copy(update={"render": moving}), variant)
+                source = Assembly(config.model_copy(update={"render": moving}), variant).source
                 clip = scene_clip(source, config.seed, split, number)
             clips.append(clip)
             bar.update("samples rendered", len(clips), len(numbers))

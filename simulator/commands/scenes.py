@@ -91,12 +91,12 @@ def _view(family: str) -> View:
     """Return the view of the family's preset, or of the default one: families differ in the depths that they need."""
     import yaml
 
-    from simulator.assemble import build_view
+    from simulator.assembly import Assembly
     from simulator.config import config_from_dict
     from simulator.presets import DEFAULT, preset_names, preset_text
 
     chosen = next((name for name in preset_names() if name.startswith(family)), DEFAULT)
-    view = build_view(config_from_dict(yaml.safe_load(preset_text(chosen))))
+    view = Assembly(config_from_dict(yaml.safe_load(preset_text(chosen)))).view
     return replace(view, shape=(_SIDE, _SIDE), pixel_pitch_m=view.pixel_pitch_m * view.shape[1] / _SIDE)
 
 

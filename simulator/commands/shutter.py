@@ -18,7 +18,7 @@ def shutter(
     ] = None,
 ) -> None:
     """Say when the rows are open, how many frames come apart, whether the scenes last; draw what the camera makes of it."""
-    from simulator.assemble import build_shutter
+    from simulator.assembly import Assembly
     from simulator.config import load_config
     from simulator.console import Bar
     from simulator.dataset.engines import available_cpus
@@ -28,7 +28,7 @@ def shutter(
         check_output_folder("--figures", figures)
     loaded = load_config(config, set_ or [])
     rows = loaded.camera.sensor.shape[0]
-    facts = shutter_facts(build_shutter(loaded), rows, loaded.scene.params, loaded.dataset.slivers)
+    facts = shutter_facts(Assembly(loaded).shutter, rows, loaded.scene.params, loaded.dataset.slivers)
     width = max(len(what) for what, _ in facts)
     print("\n".join(f"{what:>{width}}  {value}" for what, value in facts))
     if figures:
@@ -36,6 +36,6 @@ def shutter(
         from simulator.plots.shutter_figures import draw_figures
 
         with Bar() as bar:
-            bench = Bench(loaded, threads=available_cpus(), progress=lambda a, b: bar.update("PSFs", a, b))
+            bench = Bench(Assembly(loaded, threads=available_cpus(), progress=bar.update))
         for path in draw_figures(bench, figures):
             print(f"look at {path}")

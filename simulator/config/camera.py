@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from simulator.config.sections import PluginSection, Range, Section, refusal
 from simulator.text import nearest, show
-
-if TYPE_CHECKING:
-    pass
 
 _THICK = Range(0.0001, 100, "mm", below="a layer has a thickness")
 MaterialName = Annotated[str, Field(min_length=1)]

@@ -63,6 +63,20 @@ class Planes(Section):
         """The nearest plane, centimetres."""
         return self.depths_cm[0] if self.depths_cm is not None else self.near_cm  # pyright: ignore[reportReturnType]
 
+    @property
+    def depths_m(self) -> tuple[float, ...]:
+        """The planes, metres from the mask, nearest first; the last may be ``inf``."""
+        from simulator.optics.stack import depth_planes  # imports NumPy, which checking a configuration does not need
+
+        if self.depths_cm is not None:
+            return tuple(depth * 1e-2 for depth in self.depths_cm)
+        assert self.far_cm is not None
+        assert self.depths is not None
+        if self.depths == 1:
+            return (self.nearest_cm * 1e-2,)
+        planes = depth_planes(self.nearest_cm * 1e-2, self.far_cm * 1e-2, self.depths, self.spacing)
+        return tuple(float(depth) for depth in planes)
+
 
 class InterpolatedPlanes(Planes):
     """Planes that a measured stack is interpolated to, by magnification and disparity."""

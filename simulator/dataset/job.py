@@ -13,23 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from simulator.assemble import (
-    build_camera_colour,
-    build_captured_stack,
-    build_psf_stack,
-    build_response,
-    build_sensor,
-    build_shutter,
-    build_source,
-    check_calibration,
-    check_psf_stack,
-    input_files,
-    scene_plugin,
-    wants_full_check,
-)
-from simulator.assemble.exposure import fixed_exposure
-from simulator.camera.exposure import PERCENTILE, PILOTS, TARGET, full_scale_from_pilots
+from simulator.assembly import Assembly
+from simulator.camera.sensor import PERCENTILE, PILOTS, TARGET, full_scale_from_pilots
 from simulator.camera.shutter import Shutter, shutter_record
+from simulator.captured_psf import captured_stack, check_calibration
 from simulator.config import Config, dump, load_config
 from simulator.config.psf import ComputedPsf
 from simulator.dataset.clips import ClipTimesError, check_clip, check_parameters, clip_order
@@ -161,38 +148,33 @@ def _left_by_a_start(path: Path) -> bool:
     return empty_manifest or path.name in (PSF_FOLDER, CAPTURED_FOLDER) or path.name.startswith(TEMPORARY_PREFIX)
 
 
-def data_set_stack(
-    config: Config, root: Path, progress: Callable[[str, int, int], None], say: Callable[[str], None]
-) -> PsfStack:
+def data_set_stack(assembly: Assembly, root: Path, say: Callable[[str], None]) -> PsfStack:
     """Return the true stack; it and the captured one are written on the first run and kept on later ones.
 
     A stack that was deleted from a data set is made again.
 
     Args:
-        config: the data set's configuration.
+        assembly: of the data set's configuration.
         root: the data set's folder.
-        progress: called with (stage, done, total).
         say: called with lines worth reading.
     """
-    begun = (root / FILE).exists()
+    config, begun = assembly.config, (root / FILE).exists()
     folder, captured_folder = root / PSF_FOLDER, root / CAPTURED_FOLDER
     asked = isinstance(config.psf, ComputedPsf) and config.psf.as_captured is not None
     if begun and folder.exists():
         stack = read_psf_stack(folder)
     else:
         if isinstance(config.psf, ComputedPsf):  # mistakes come out before the work that they would spoil
-            build_camera_colour(config, build_response(config).channels)
+            assembly.camera_colour(assembly.response.channels)
         if asked:
-            check_calibration(config)
+            check_calibration(assembly)
         say("designing the mask and computing its PSFs" if config.camera.mask else "reading the measured PSF")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SamplingWarning)  # the job tells it on every run
-            stack = build_psf_stack(
-                config, threads=available_cpus(), progress=lambda done, total: progress("PSFs", done, total)
-            )
-        if wants_full_check(config):
+            stack = assembly.psf_stack
+        if assembly.wants_full_check:
             say("checking the PSFs against exact ones and direct sums")
-            stack = check_psf_stack(config, stack, threads=available_cpus(), progress=progress)
+            stack = assembly.checked_stack
         lost = light_off_sensor(stack, config.camera.sensor.shape, config.scene.size)
         stack = replace(stack, provenance=stack.provenance | {"light_off_sensor": float(lost.max())})
         write_psf_stack(folder, stack)
@@ -200,13 +182,7 @@ def data_set_stack(
         read_psf_stack(captured_folder)  # a damaged one is refused, like the true one
     elif asked:
         say("measuring the PSFs as a calibration would")
-        captured = build_captured_stack(
-            config,
-            stack,
-            threads=available_cpus(),
-            progress=lambda done, total: progress("captured PSFs", done, total),
-        )
-        write_psf_stack(captured_folder, captured)
+        write_psf_stack(captured_folder, captured_stack(assembly.having(psf_stack=stack)))
     return stack
 
 
@@ -286,7 +262,7 @@ class _Job:
     progress: Report
     say: Say
     root: Path = field(init=False)
-    shutter: Shutter = field(init=False)  # built once: a function of windows may give others when it is called again
+    assembly: Assembly = field(init=False)
     problems: tuple[str, ...] = field(init=False, default=())
 
     def __post_init__(self) -> None:
@@ -294,29 +270,31 @@ class _Job:
 
     def run(self) -> tuple[int, int, list[str]]:
         """Return how many samples were made and kept, and what failed."""
-        self.shutter = build_shutter(self.config)
-        plugin = scene_plugin(self.config)
+        assembly = Assembly(self.config, threads=available_cpus(), progress=self.progress)
+        plugin, shutter = assembly.scene_plugin, assembly.shutter
+        self.assembly = assembly
         timed = self._check_times(plugin)
         renders = plugin.takes_renderer
         backend = choose_backend(self.config.render.backend, self.config.render.bands is not None) if renders else None
         variant = backend.variant if backend else "none"
         if backend:
             self.say(f"rendering with {backend.message}" + (f". {backend.advice}" if backend.advice else ""))
-        source = build_source(self.config, variant)
+        self.assembly = assembly = replace(assembly, backend=variant).having(shutter=shutter)
+        source = assembly.source
         self._check_source(source)
         packages = getattr(source, "packages", ())
-        fingerprint, parts = build_fingerprint(dump(self.config), variant, input_files(self.config, source), packages)
-        existing = existing_info(self.root, self._counts(), fingerprint, parts, self.shutter)
+        fingerprint, parts = build_fingerprint(dump(self.config), variant, assembly.input_files, packages)
+        existing = existing_info(self.root, self._counts(), fingerprint, parts, shutter)
         if existing is None and not timed and not renders:
             self._look_at_a_clip(plugin, source)
         with made_folder(self.root), ManifestWriter(self.root) as manifest, all_or_nothing(self.root):
             remove_leftovers(self.root)
-            stack = data_set_stack(self.config, self.root, self.progress, self.say)
+            stack = data_set_stack(assembly, self.root, self.say)
             portable = plugin.path is None
             folder = (self.root / PSF_FOLDER).resolve()
-            recipe = Recipe(self.config, variant, folder, source if portable else None, shutter=self.shutter)
+            recipe = Recipe(self.config, variant, folder, source if portable else None, shutter)
             if existing is None:
-                colour = build_camera_colour(self.config, stack.channels)
+                colour = assembly.camera_colour(stack.channels)
                 exposure = self._exposure(recipe)
                 existing = DatasetInfo(
                     name=self.config.name,
@@ -329,9 +307,9 @@ class _Job:
                     counts=self._counts(),
                     scene_shape=self.config.scene.size,
                     sensor_shape=self.config.camera.sensor.shape,
-                    channels=build_sensor(self.config, shutter=self.shutter).channels(stack.channels),
+                    channels=assembly.sensor.channels(stack.channels),
                     scene_to_camera=colour.origin | {"matrix": colour.matrix.tolist()},
-                    time={"shutter": shutter_record(self.shutter), **self._slivers()},
+                    time={"shutter": shutter_record(shutter), **self._slivers()},
                 )
             write_info(self.root, replace(existing, counts=self._counts(), config=dump(self.config)))
             self._warn(stack)
@@ -344,7 +322,7 @@ class _Job:
         if ":" in plugin.name:
             return False  # a user's parameters may be called alike and mean something else
         params = plugin.bind(self.config.scene.params)
-        return check_parameters(params, self.shutter, self.config.camera.sensor.shape[0], self.config.dataset)
+        return check_parameters(params, self.assembly.shutter, self.config.camera.sensor.shape[0], self.config.dataset)
 
     def _check_source(self, source: SceneSource) -> None:
         """Refuse a source with problems, unless they are to be skipped, and splits that would share a video."""
@@ -367,7 +345,7 @@ class _Job:
         except Exception:
             return  # what cannot be had at all is reported as its sample's failure
         try:
-            check_clip(clip, self.shutter, self.config.camera.sensor.shape[0], self.config.dataset.slivers)
+            check_clip(clip, self.assembly.shutter, self.config.camera.sensor.shape[0], self.config.dataset.slivers)
         except ClipTimesError:
             if not self.skip_bad:
                 raise
@@ -381,7 +359,7 @@ class _Job:
 
     def _exposure(self, recipe: Recipe) -> dict[str, Any]:
         """Return the one number that maps exposure to full scale, and where it comes from."""
-        if (fixed := fixed_exposure(self.config)) is not None:
+        if (fixed := self.assembly.fixed_exposure) is not None:
             return fixed
         pilots: dict[int, Any] = {}
         bad: dict[int, Exception] = {}

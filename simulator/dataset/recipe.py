@@ -5,14 +5,14 @@ A worker builds its ``SampleMaker`` once and then makes any sample of the data s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.assemble import build_forward_model, build_sensor, build_source, scene_plugin
+from simulator.assembly import Assembly
 from simulator.camera.colour import clipped_share
 from simulator.camera.noise import GaussianNoise
 from simulator.camera.planes import clamped_share
@@ -37,15 +37,15 @@ class Recipe:
         psf_folder: the data set's PSF stack.
         source: the scene source, or None where workers must build it themselves (classes in a user's own file).
         full_scale: exposure at full scale; None while it is being found from pilot samples.
-        shutter: the shutter, built once so that all samples share its windows; None builds it from the configuration.
+        shutter: the shutter, built once so that all samples share its windows.
     """
 
     config: Config
     backend: str
     psf_folder: Path
     source: SceneSource | None
+    shutter: Shutter
     full_scale: float | None = None
-    shutter: Shutter | None = None
 
 
 class SampleMaker:
@@ -55,11 +55,11 @@ class SampleMaker:
         """Read the PSF stack and prepare the forward model: about a second."""
         self._seed, self._chosen = recipe.config.seed, recipe.config.dataset
         self._stack = read_psf_stack(recipe.psf_folder)
-        self._model = build_forward_model(recipe.config, self._stack, recipe.shutter)
-        self._plugin = scene_plugin(recipe.config)
-        self._source = recipe.source or build_source(recipe.config, recipe.backend)
+        assembly = Assembly(recipe.config, recipe.backend).having(psf_stack=self._stack, shutter=recipe.shutter)
+        self._model, self._plugin = assembly.forward_model, assembly.scene_plugin
+        self._source = recipe.source or assembly.source
         self._order = clip_order(self._source)
-        self._sensor = build_sensor(recipe.config, recipe.full_scale or 1.0, recipe.shutter)
+        self._sensor = replace(assembly.sensor, full_scale=recipe.full_scale or 1.0)
         self._channels = self._sensor.channels(self._stack.channels)
 
     def exposure(self, split: str, index: int) -> tuple[Clip, NDArray[np.float32]]:

@@ -3,15 +3,22 @@
 Safe against two writers and against dying ones: an entry is written under a name of its own and renamed into place, so
 readers meet whole entries only; a damaged one is computed again. The folder is ``$FLATLIGHT_CACHE_DIR`` or the user's cache
 folder; deleting it is always safe.
+
+A key holds every value that decides the entry, and :func:`code_digest` of the modules that make it.
 """
 
 from __future__ import annotations
 
+import ast
+import hashlib
 import json
 import os
+import sys
 import warnings
 import zipfile
 from collections.abc import Callable
+from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +26,9 @@ import numpy as np
 
 from simulator.io.files import StorageError, storage_errors, temporary_path
 
+_OWN_PACKAGES = ("simulator", "scenes", "psf_library", "learning")
+_TOP = Path(__file__).resolve().parents[2]  # the folder of these packages
+_DISTRIBUTIONS = {"colour": "colour-science", "skimage": "scikit-image", "PIL": "pillow", "yaml": "PyYAML"}
 Entry = tuple[dict[str, np.ndarray], dict[str, Any]]  # arrays, and JSON-serialisable metadata
 
 
@@ -52,6 +62,75 @@ def cached(kind: str, key: str, compute: Callable[[], Entry]) -> Entry:
     except StorageError as error:
         warnings.warn(f"the result is not cached: {error}", stacklevel=2)
     return arrays, metadata
+
+
+def code_digest(*origins: str | Path) -> str:
+    """Return a hash of all code that results of some modules can depend on, so that no cached one outlives a change.
+
+    It covers the modules, what they import of Flatlight at any depth (also inside functions), and the versions of the other
+    packages that any of these import.
+
+    Args:
+        origins: names of our own modules, or files of a user's.
+
+    Raises:
+        ValueError: for a name that is not one of our modules.
+    """
+    files, foreign = _dependencies(origins)
+    sha = hashlib.sha256()
+    for file in sorted(files):
+        sha.update(files[file])
+    for package in sorted(foreign):
+        sha.update(f"{package} {_version(package)}\n".encode())
+    return sha.hexdigest()
+
+
+def _dependencies(origins: tuple[str | Path, ...]) -> tuple[dict[Path, bytes], set[str]]:
+    """Return our own files behind some modules with their code, and the other packages that these import."""
+    files, foreign, waiting = dict[Path, bytes](), set[str](), list(origins)
+    while waiting:
+        origin = waiting.pop()
+        file = _own_file(origin) if isinstance(origin, str) else origin
+        if file is None:
+            msg = f"origins: got {origin!r}, expected a module of {', '.join(_OWN_PACKAGES)}"
+            raise ValueError(msg)
+        if file in files:
+            continue
+        files[file] = file.read_bytes()
+        for name in _imported(files[file]):
+            if name.partition(".")[0] in _OWN_PACKAGES:
+                waiting += [name] if _own_file(name) is not None else []
+            else:
+                foreign.add(name.partition(".")[0])
+    return files, foreign - sys.stdlib_module_names
+
+
+def _own_file(module: str) -> Path | None:
+    if module.partition(".")[0] not in _OWN_PACKAGES:
+        return None
+    path = _TOP.joinpath(*module.split("."))
+    return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
+
+
+@cache
+def _imported(code: bytes) -> list[str]:
+    """Return the names of the modules that code imports, and of what it takes from them, which may be modules, too."""
+    try:
+        nodes = list(ast.walk(ast.parse(code)))
+    except SyntaxError:  # its import says so
+        return []
+    names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+    for node in nodes:
+        if isinstance(node, ast.ImportFrom) and node.module is not None and node.level == 0:
+            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return names
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(_DISTRIBUTIONS.get(package, package))
+    except metadata.PackageNotFoundError:
+        return "none"
 
 
 def _load(path: Path) -> Entry | None:

@@ -197,21 +197,21 @@ def measure(name: str, config: Config, *, threads: int = 1, progress: Progress |
         threads: depths computed at a time.
         progress: called with (stage, done, total) while PSFs are computed.
     """
-    from simulator.assemble import build_mask, build_psf_stack
-    from simulator.assemble.camera import distance_m
+    from simulator.assembly import Assembly
 
-    def tell(done: int, total: int) -> None:
+    def tell(stage: str, done: int, total: int) -> None:
         if progress is not None:
-            progress(f"PSFs of {name}", done, total)
+            progress(f"{stage} of {name}", done, total)
 
-    stack = build_psf_stack(config, threads=threads, progress=tell)
+    assembly = Assembly(config, threads=threads, progress=tell)
+    stack = assembly.psf_stack
     sensor, scene = config.camera.sensor, config.scene.size
     camera = (
         f"{sensor.shape[0]} x {sensor.shape[1]} pixels of {length(stack.pixel_pitch_m)}, "
-        f"{length(distance_m(config))} from the mask; scene of {scene[0]} x {scene[1]}; "
+        f"{length(assembly.mask_to_sensor_m)} from the mask; scene of {scene[0]} x {scene[1]}; "
         f"{len(stack.depths_m)} depths, {length(stack.depths_m[0])} to {length(stack.depths_m[-1])}"
     )
-    facts = psf_facts(stack, build_mask(config), scene, sensor.shape)
+    facts = psf_facts(stack, assembly.mask, scene, sensor.shape)
     return judge(name, stack, camera, facts, light_off_sensor(stack, sensor.shape, scene))
 
 

@@ -4,26 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.assemble.planes import plane_depths_m
-from simulator.assemble.psfs import build_psf_stack
-from simulator.assemble.scenes import build_view
-from simulator.assemble.shutter import build_shutter
+from simulator.assembly import Assembly
 from simulator.camera.forward import ForwardModel
 from simulator.camera.planes import mask_irradiance
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, Shutter
 from simulator.camera.slivers import frames_seen
 from simulator.config.psf import ComputedPsf
-from simulator.optics.psf import Progress
 from simulator.optics.stack import PsfStack
 from simulator.types import Clip
-
-if TYPE_CHECKING:
-    from simulator.config import Config
 
 _ORDERS = {"outside_in": "from the outside in", "centre_out": "from the centre out"}
 
@@ -168,24 +161,19 @@ class Bench:
     and noise are left out.
     """
 
-    def __init__(self, config: Config, *, threads: int = 1, progress: Progress | None = None) -> None:
-        """Compute the nearest and the farthest PSF of the configuration (cached), or read them.
-
-        Args:
-            config: the configuration.
-            threads: depths computed at a time.
-            progress: called with (done, total) while PSFs are computed.
+    def __init__(self, assembly: Assembly) -> None:
+        """Compute the nearest and the farthest PSF of the assembly (cached), or read them.
 
         Raises:
-            InputError: as ``build_psf_stack`` and ``build_shutter``.
+            InputError: as its ``psf_stack`` and ``shutter``.
         """
-        self.shutter = build_shutter(config)
+        config, self.shutter = assembly.config, assembly.shutter
         self.scene_shape, self.sensor_shape = config.scene.size, config.camera.sensor.shape
         self.rows = self.sensor_shape[0]
         self.duration_s = self.shutter.duration_s(self.rows)
         self._boundary = config.forward.boundary
-        self._irradiance = mask_irradiance(build_view(config), config.forward.vignetting)
-        self.ends = _ends(config, threads, progress)
+        self._irradiance = mask_irradiance(assembly.view, config.forward.vignetting)
+        self.ends = _ends(assembly)
         values = np.asarray(self.ends.values)
         far = replace(self.ends, values=values[-1:], depths_m=self.ends.depths_m[-1:])
         lens = replace(far, values=np.ones_like(values[-1:, :, :1, :1]))
@@ -282,14 +270,15 @@ class Bench:
         return Clip(rgb, depth, np.ones(frames.shape, bool), frame_edges_s)
 
 
-def _ends(config: Config, threads: int, progress: Progress | None) -> PsfStack:
+def _ends(assembly: Assembly) -> PsfStack:
     """Return the stack of the nearest and the farthest depth, or of the only one."""
+    config = assembly.config
     if isinstance(config.psf, ComputedPsf):
-        depths_m = plane_depths_m(config.psf)
+        depths_m = assembly.depths_m
         ends_cm = tuple(dict.fromkeys(depth * 1e2 for depth in (depths_m[0], depths_m[-1])))
         config = config.model_copy(update={"psf": config.psf.model_copy(update={"depths_cm": ends_cm})})
-        return build_psf_stack(config, threads=threads, progress=progress)
-    stack = build_psf_stack(config, threads=threads, progress=progress)
+        return replace(assembly, config=config).psf_stack
+    stack = assembly.psf_stack
     ends = sorted({0, len(stack.depths_m) - 1})
     return replace(stack, values=np.asarray(stack.values)[ends], depths_m=stack.depths_m[ends])
 

@@ -7,8 +7,7 @@ import pytest
 
 from simulator.camera.noise import GaussianNoise, NoNoise, PhysicalNoise
 from simulator.camera.readout import PATTERNS, BayerReadout
-from simulator.camera.sensor import Sensor
-from simulator.camera.sensor_models import MODELS
+from simulator.camera.sensor import MODELS, Sensor
 from simulator.errors import InputError
 
 RGB = ("R", "G", "B")

@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulator.camera.exposure import full_scale_from_pilots
 from simulator.camera.forward import ForwardModel
 from simulator.camera.noise import GaussianNoise, NoNoise, PhysicalNoise
-from simulator.camera.sensor import Sensor
-from simulator.camera.sensor_models import MODELS
+from simulator.camera.sensor import MODELS, Sensor, full_scale_from_pilots
 from simulator.camera.shutter import RowShutter
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack

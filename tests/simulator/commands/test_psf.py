@@ -9,7 +9,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 
 
 def test_writes_and_describes_the_stack(flatlight, trial, tmp_path: Path) -> None:
-    from simulator.assemble import build_psf_stack
+    from simulator.assembly import Assembly
     from simulator.config import load_config
     from simulator.optics.stack_files import read_psf_stack
 
@@ -20,7 +20,7 @@ def test_writes_and_describes_the_stack(flatlight, trial, tmp_path: Path) -> Non
     assert "sampling error" in out
     assert "as captured" not in out
     assert not (tmp_path / "stack_captured").exists()
-    stack = build_psf_stack(load_config(path))
+    stack = Assembly(load_config(path)).psf_stack
     assert np.array_equal(read_psf_stack(tmp_path / "stack").values, stack.values)
     assert flatlight("psf", path, "--output", tmp_path / "stack")[0] == 0  # an older stack is replaced
 

@@ -101,13 +101,13 @@ class TestConfigs:
 
 @pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 def test_a_configuration_is_measured(trial) -> None:
-    from simulator.assemble import build_mask, build_psf_stack
+    from simulator.assembly import Assembly
     from simulator.optics.metrics import light_off_sensor
 
     steps = []
     (config,) = load_configs(["{design: pinhole, diameter_um: 200, pixel_um: 4}"], trial.write()).values()
     candidate = measure("hole", config, progress=lambda *step: steps.append(step))
-    stack, mask = build_psf_stack(config), build_mask(config)
+    stack, mask = Assembly(config).psf_stack, Assembly(config).mask
     assert mask is not None
     assert steps[-1] == ("PSFs of hole", 9, 9)
     assert candidate.camera.startswith(

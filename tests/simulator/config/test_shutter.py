@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulator.assemble import build_shutter
+from simulator.assembly import Assembly
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, RowShutter
 from simulator.config import config_from_dict, dump, json_schema, load_config
 from simulator.errors import InputError
@@ -82,7 +82,7 @@ def _csv(table: np.ndarray, head: str = "") -> str:
 )
 def test_every_kind_becomes_its_shutter_in_seconds(write: Callable[..., Path], yaml: str, expected) -> None:
     config = load_config(write(SHUTTER, yaml))
-    shutter = build_shutter(config)
+    shutter = Assembly(config).shutter
     assert type(shutter) is type(expected)
     for name, value in vars(expected).items():
         assert getattr(shutter, name) == (pytest.approx(value, rel=1e-14) if isinstance(value, float) else value)
@@ -100,7 +100,7 @@ def test_every_kind_becomes_its_shutter_in_seconds(write: Callable[..., Path], y
 )
 def test_windows_from_a_table(write: Callable[..., Path], tmp_path: Path, head: str, unit: tuple[float, float]) -> None:
     (tmp_path / "rows.csv").write_text(_csv(_table() * unit, head), encoding="utf-8")
-    shutter = build_shutter(load_config(write(SHUTTER, "shutter: {type: windows, file: rows.csv}")))
+    shutter = Assembly(load_config(write(SHUTTER, "shutter: {type: windows, file: rows.csv}"))).shutter
     assert isinstance(shutter, RowShutter)
     assert shutter.binning == 4
     np.testing.assert_allclose(shutter.table_s, _table(), rtol=1e-14)
@@ -109,7 +109,7 @@ def test_windows_from_a_table(write: Callable[..., Path], tmp_path: Path, head: 
 def test_windows_from_an_array(write: Callable[..., Path], tmp_path: Path) -> None:
     np.save(tmp_path / "rows.npy", _table())
     config = load_config(write(SHUTTER, "shutter: {type: windows, file: rows.npy}"))
-    shutter = build_shutter(config)
+    shutter = Assembly(config).shutter
     assert isinstance(shutter, RowShutter)
     assert np.array_equal(shutter.table_s, _table())
     assert config_from_dict(dump(config), config.base_dir) == config
@@ -120,7 +120,7 @@ def test_windows_from_a_function_with_parameters_of_its_own(write: Callable[...,
     (tmp_path / "later.txt").write_text("0.5")
     yaml = 'shutter: {type: windows, function: "./shutters.py:staircase", steps: 2, table: later.txt}'
     config = load_config(write(SHUTTER, yaml))
-    shutter = build_shutter(config)
+    shutter = Assembly(config).shutter
     assert isinstance(shutter, RowShutter)
     expected = 0.5 + np.repeat([0.0, 1e-3], ROWS // 2)
     np.testing.assert_allclose(shutter.table_s, np.stack([expected, expected + 1e-3], axis=1), rtol=1e-14)
@@ -222,7 +222,7 @@ def test_an_array_of_another_kind_is_refused(write, tmp_path: Path, array: np.nd
 def test_a_function_that_gives_no_windows_is_named(write, name: str, words: str) -> None:
     config = load_config(write(SHUTTER, f'shutter: {{type: windows, function: "./shutters.py:{name}"}}'))
     with pytest.raises(InputError) as caught:
-        build_shutter(config)
+        _ = Assembly(config).shutter
     assert words in str(caught.value)
 
 

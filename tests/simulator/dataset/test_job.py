@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulator.assemble import build_forward_model
+from simulator.assembly import Assembly
 from simulator.camera.shutter import GlobalShutter
 from simulator.config import load_config
 from simulator.dataset import generate, open_dataset, verify
@@ -249,7 +249,7 @@ def test_a_function_that_draws_windows_gives_all_samples_the_recorded_ones(trial
     recorded = json.loads((root / "dataset.json").read_text())["time"]["shutter"]["table_s"]
     opened_s = np.diff(recorded).reshape(48, 8).mean(axis=1)[::-1]  # the stored picture is turned by 180 degrees
     config = load_config(path)
-    model = build_forward_model(config, read_psf_stack(root / "psf"), GlobalShutter(1.0, 8))
+    model = Assembly(config).having(psf_stack=read_psf_stack(root / "psf"), shutter=GlobalShutter(1.0, 8)).forward_model
     for sample in open_dataset(root):
         clip = Clip(sample.rgb, sample.depth_m, sample.valid, np.array([0.0, 1.0]))
         second_long = model.forward_clip(clip)

@@ -7,7 +7,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from simulator.assemble import build_source
+from simulator.assembly import Assembly
 from simulator.config import load_config
 from simulator.dataset import open_dataset, verify
 from simulator.dataset.sample import read_sample, sample_folder, write_sample
@@ -79,7 +79,7 @@ def test_a_data_set_holds_what_its_renderer_was_asked_for(trial) -> None:
     scene = {"family": "flying_things", "size": [16, 20], "samples_per_pixel": 1, "objects": 4}
     render = {"backend": "scalar", "outputs": ["shape_id", "normal", "albedo", "hidden"], "hidden_layers": 2}
     root = trial.generate(scene=scene, render=render, dataset={"train": 2, "validation": 0, "test": 0})
-    expected = build_source(load_config(trial.path), "scalar_rgb").clip(1, generator(11, "train", 1, "scene")).extras
+    expected = Assembly(load_config(trial.path), "scalar_rgb").source.clip(1, generator(11, "train", 1, "scene")).extras
     layers = {f"hidden{layer}_{what}" for layer in (1, 2) for what in ("rgb", "depth_m", "valid")}
     assert set(expected) == {"shape_id", "normal", "albedo"} | layers
     found = open_dataset(root, "train")[1].extras

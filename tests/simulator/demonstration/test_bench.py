@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulator.assemble import build_psf_stack, build_view
+from simulator.assembly import Assembly
 from simulator.camera.planes import mask_irradiance
 from simulator.config import load_config
 from simulator.plots.shutter_bench import SAMPLES, Bench, Spot
@@ -28,7 +28,7 @@ def config(request, trial):
 
 @pytest.mark.parametrize("sample", [1, 37, SAMPLES])
 def test_what_the_shutter_lets_through_are_the_rows_that_are_open(config, sample):
-    bench = Bench(config)
+    bench = Bench(Assembly(config))
     spot = _spot(sample)
     convolved = bench.convolved(spot)
     # One lit frame gives its own picture, row by row as far as each is open; float32 and its transforms.
@@ -38,7 +38,7 @@ def test_what_the_shutter_lets_through_are_the_rows_that_are_open(config, sample
 
 
 def test_shares_are_those_of_the_stored_rows(trial):
-    bench = Bench(load_config(trial.write(camera={"shutter": SHUTTERS["rolling"]})))
+    bench = Bench(Assembly(load_config(trial.write(camera={"shutter": SHUTTERS["rolling"]}))))
     lasts = 1e-3 + 11e-6 * (48 * 8 - 1)
     assert bench.duration_s == pytest.approx(lasts)
     first, last = 19 / SAMPLES * lasts, 20 / SAMPLES * lasts
@@ -49,8 +49,8 @@ def test_shares_are_those_of_the_stored_rows(trial):
 
 
 def test_a_lens_shows_the_scene_on_the_rows_that_are_open(config):
-    bench = Bench(config)
-    irradiance = mask_irradiance(build_view(config), config.forward.vignetting)
+    bench = Bench(Assembly(config))
+    irradiance = mask_irradiance(Assembly(config).view, config.forward.vignetting)
     seen = set()
     for sample in (10, 50, 90):
         spot = _spot(sample)
@@ -66,7 +66,7 @@ def test_a_lens_shows_the_scene_on_the_rows_that_are_open(config):
 
 def test_points_have_the_psfs_of_the_configuration_s_own_ends(trial):
     config = load_config(trial.write())
-    bench, stack = Bench(config), build_psf_stack(config)
+    bench, stack = Bench(Assembly(config)), Assembly(config).psf_stack
     assert bench.ends.depths_m == pytest.approx([stack.depths_m[0], stack.depths_m[-1]])
     np.testing.assert_allclose(bench.ends.values, np.asarray(stack.values)[[0, -1]], rtol=1e-5, atol=1e-9)
     near, far = (bench.point(0.5, 0.5, depth) for depth in bench.ends.depths_m)
@@ -76,11 +76,11 @@ def test_points_have_the_psfs_of_the_configuration_s_own_ends(trial):
 
 def test_one_depth_is_enough(trial):
     config = load_config(trial.write(psf={"depths_cm": [20], "wavelengths_per_channel": 1, "accept_error": 1}))
-    assert len(Bench(config).ends.depths_m) == 1
+    assert len(Bench(Assembly(config)).ends.depths_m) == 1
 
 
 def test_infinity_is_a_depth(trial):
     psf = {"depths_cm": [5, 10, float("inf")], "wavelengths_per_channel": 1, "accept_error": 1}
-    bench = Bench(load_config(trial.write(psf=psf)))
+    bench = Bench(Assembly(load_config(trial.write(psf=psf))))
     assert bench.ends.depths_m.tolist() == [0.05, np.inf]
     assert bench.convolved(_spot(5)).max() > 0

@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from simulator.assembly import Assembly
 from simulator.config import load_config
 from simulator.plots.shutter_bench import Bench
 from simulator.plots.shutter_figures import across_figure, figures_of, tinted, white_of
@@ -23,7 +24,7 @@ def _bench(trial, shutter) -> Bench:
     rows = np.arange(48 * 8)
     table = np.stack([rows % 3 * 1e-3, rows % 3 * 1e-3 + 1e-3], axis=1)
     np.savetxt(trial.folder / "rows.csv", table, delimiter=",")
-    return Bench(load_config(trial.write(camera={"shutter": shutter})))
+    return Bench(Assembly(load_config(trial.write(camera={"shutter": shutter}))))
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulator.assemble import build_shutter, build_source, build_view, scene_plugin
+from simulator.assembly import Assembly
 from simulator.config import load_config
 from simulator.dataset.clips import check_parameters
 from simulator.errors import InputError
@@ -42,14 +42,14 @@ def test_a_preset_says_what_it_is_and_how_to_use_it(preset: Path) -> None:
     assert any("flatlight " in line for line in lines[1:5])
     assert "# Run it:" in preset.read_text()
     config = load_config(preset)
-    scene_plugin(config).bind(config.scene.params)  # every parameter is one that its scenes take
+    Assembly(config).scene_plugin.bind(config.scene.params)  # every parameter is one that its scenes take
 
 
 @pytest.mark.parametrize("preset", NAMES, indirect=True)
 def test_the_whole_psf_and_scene_fit_the_sensor(preset: Path) -> None:
     """Along its longer side the sensor takes in what a mask casts from the picture's edges at the nearest depth."""
     config = load_config(preset)
-    view = build_view(config)
+    view = Assembly(config).view
     assert config.camera.mask is not None
     cast_m = config.camera.mask.params["width_mm"] * 1e-3 * (1 + view.distance_m / view.near_m)
     needed = cast_m / view.pixel_pitch_m + view.shape[1]
@@ -64,7 +64,7 @@ def test_the_shutter_takes_in_the_whole_clip_and_its_slivers_come_out_even(prese
     """The last row closes within the last frame: none is dropped, none is missing."""
     config = load_config(preset)
     params, rows, chosen = config.scene.params, config.camera.sensor.shape[0], config.dataset
-    shutter = build_shutter(config)
+    shutter = Assembly(config).shutter
     assert check_parameters(params, shutter, rows, chosen)
     frame_s = 1 / params["frames_per_second"]
     assert 0 <= params["frames"] * frame_s - shutter.duration_s(rows) < frame_s
@@ -84,13 +84,13 @@ def test_its_scenes_are_rendered_for_learning(preset: Path) -> None:
     assert load_config(preset).scene.params["samples_per_pixel"] == (16 if preset.stem == "endoscopy_64" else 4)
     frames = config.scene.params.get("frames", 1)
     assert frames == (20 if preset.stem in ("high_speed_64", "activity_64") else 1)
-    view = build_view(config)
+    view = Assembly(config).view
     tiny = replace(view, shape=(8, 8), pixel_pitch_m=view.pixel_pitch_m * 8)
-    source = replace(build_source(config, "scalar_rgb"), view=tiny)  # pyright: ignore[reportArgumentType]
+    source = replace(Assembly(config, "scalar_rgb").source, view=tiny)  # pyright: ignore[reportArgumentType]
     clip = source.clip(0, generator(config.seed, "train", 0, "scene"))
     assert len(clip.rgb) == frames
     seen = clip.depth_m[clip.valid]
     assert seen.size > 0.05 * clip.depth_m.size
     assert view.near_m <= seen.min()
     assert seen.max() <= view.far_m
-    assert scene_plugin(config).takes_renderer
+    assert Assembly(config).scene_plugin.takes_renderer

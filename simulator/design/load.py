@@ -1,4 +1,4 @@
-"""The mask of a configuration, designed once and then cached."""
+"""Masks by the name of their design: designed once and then cached."""
 
 from __future__ import annotations
 
@@ -6,28 +6,16 @@ import hashlib
 import inspect
 from collections.abc import Mapping
 from dataclasses import asdict
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-import simulator.optics
-from simulator import __version__
 from simulator.errors import InputError
-from simulator.io.cache import Entry, cached
+from simulator.io.cache import Entry, cached, code_digest
 from simulator.optics.mask import UNNAMED, Mask
 from simulator.optics.materials import Material, material_file
 from simulator.plugins import Plugin, plugin_errors, resolve
-
-if TYPE_CHECKING:
-    from simulator.config import Config
-
-
-def build_mask(config: Config) -> Mask | None:
-    """Return the mask of a configuration, designed once and then cached; None when the PSF was measured."""
-    chosen = config.camera.mask
-    return None if chosen is None else load_mask(chosen.design, config.base_dir, **chosen.params)
 
 
 def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
@@ -43,10 +31,6 @@ def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
     """
     plugin = resolve("mask", design, base_dir)
     arguments, files = mask_arguments(plugin, params)
-    key = hashlib.sha256(repr((design, sorted(arguments.items()), _code(plugin))).encode())
-    for file in files:
-        if file.is_file():
-            key.update(file.read_bytes())
 
     def compute() -> Entry:
         try:
@@ -68,6 +52,12 @@ def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
         arrays = {"height_m": mask.height_m, "amplitude": mask.amplitude}
         return {name: np.asarray(array, np.float32) for name, array in arrays.items()}, described
 
+    source = Path(inspect.getsourcefile(plugin.function) or "")
+    code = code_digest(__name__, *([source] if source.is_file() else []))
+    key = hashlib.sha256(repr((design, sorted(arguments.items()), code)).encode())
+    for file in files:
+        if file.is_file():
+            key.update(file.read_bytes())
     arrays, described = cached("masks", key.hexdigest(), compute)
     material = described["material"] | {key: tuple(described["material"][key]) for key in ("coefficients", "range_m")}
     return Mask(
@@ -96,19 +86,3 @@ def mask_arguments(plugin: Plugin, params: Mapping[str, Any]) -> tuple[dict[str,
         arguments["material"] = str(file)
         files.append(file)
     return arguments, files
-
-
-def _code(plugin: Plugin) -> str:
-    """Return a hash of a design's code: its own module and everything in the optics room."""
-    source = Path(inspect.getsourcefile(plugin.function) or "")
-    return hashlib.sha256((source.read_bytes() if source.is_file() else b"") + optics_code().encode()).hexdigest()
-
-
-@cache
-def optics_code() -> str:
-    """Return a hash of all code in the optics room: a cached result must not outlive a change there."""
-    folder = Path(simulator.optics.__file__).parent
-    sha = hashlib.sha256(f"{__version__} {np.__version__}".encode())
-    for path in sorted(folder.glob("*.py")):
-        sha.update(path.read_bytes())
-    return sha.hexdigest()

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from simulator.assemble.camera import build_sensor, distance_m
-from simulator.assemble.layers import build_gap
-from simulator.assemble.planes import plane_depths_m
+from simulator.camera.sensor import Sensor
+from simulator.config import Config
 from simulator.config.psf import MeasuredPsf, StoredPsf
 from simulator.errors import InputError
 from simulator.optics.materials import AIR
 from simulator.optics.stack import PsfStack
 from simulator.optics.stack_files import read_depths_m, read_psf_stack, stack_files, stack_folder
-
-if TYPE_CHECKING:
-    from simulator.config import Config
+from simulator.types import Layer
 
 _SAME_LENGTH = 1e-6  # relative: a length written in mm or um and in metres differs by rounding
 
@@ -24,26 +21,41 @@ Layers = list[tuple[float, str]]
 """(thickness in metres, name of the material), from the mask on."""
 
 
-def measured_stack(config: Config, chosen: MeasuredPsf | StoredPsf) -> PsfStack:
+def measured_stack(
+    config: Config,
+    chosen: MeasuredPsf | StoredPsf,
+    sensor: Sensor,
+    mask_to_sensor_m: float,
+    gap: tuple[Layer, ...],
+) -> PsfStack:
     """Read the measured stack and, where other planes are asked for, interpolate it.
+
+    Args:
+        config: the configuration.
+        chosen: its PSF section.
+        sensor: whose pixels the PSF's must become.
+        mask_to_sensor_m: distance in air, metres.
+        gap: the layers from the mask to the sensor.
 
     Raises:
         InputError: for unreadable files, pixels that are not the sensor's, or planes outside the measured range.
     """
     from simulator.optics.interpolation import interpolate_stack
 
-    stack = _from_folder(config, chosen) if isinstance(chosen, StoredPsf) else _from_pictures(config, chosen)
+    if isinstance(chosen, StoredPsf):
+        stack = read_psf_stack(_folder(config, chosen))
+        _refuse_other_geometry(chosen, stack, sensor.binned_pitch_m, mask_to_sensor_m, gap)
+    else:
+        stack = _from_pictures(config, chosen, sensor)
     if chosen.planes is None:
         return stack
-    return interpolate_stack(
-        stack, plane_depths_m(chosen.planes), distance_m(config), extrapolate=chosen.planes.extrapolate
-    )
+    return interpolate_stack(stack, chosen.planes.depths_m, mask_to_sensor_m, extrapolate=chosen.planes.extrapolate)
 
 
 def measured_depths_m(config: Config, chosen: MeasuredPsf | StoredPsf) -> tuple[float, ...]:
     """Return the depths of the stack that ``measured_stack`` gives, without reading its images."""
     if chosen.planes is not None:
-        return plane_depths_m(chosen.planes)
+        return chosen.planes.depths_m
     if isinstance(chosen, StoredPsf):
         return tuple(map(float, read_depths_m(_folder(config, chosen))))
     return tuple(depth * 1e-2 for depth in chosen.depths_cm)
@@ -66,10 +78,9 @@ def _pictures(config: Config, chosen: MeasuredPsf) -> list[Path]:
     return files
 
 
-def _from_pictures(config: Config, chosen: MeasuredPsf) -> PsfStack:
+def _from_pictures(config: Config, chosen: MeasuredPsf, sensor: Sensor) -> PsfStack:
     from simulator.optics.measured import load_measured_psf
 
-    sensor = build_sensor(config)
     stack = load_measured_psf(
         _pictures(config, chosen),
         [depth * 1e-2 for depth in chosen.depths_cm],
@@ -83,46 +94,41 @@ def _from_pictures(config: Config, chosen: MeasuredPsf) -> PsfStack:
         if have * sensor.binning > physical:
             msg = (
                 f"psf.binning: {chosen.binning} leaves pictures of {have} {axis}, but sensor {sensor.name!r} has only "
-                f"{physical // sensor.binning} binned ones of {sensor.binned_pitch_m * 1e6:g} um; the PSF's pixels must "
-                "become the sensor's binned pixels: raise psf.binning"
+                f"{physical // sensor.binning} binned ones of {sensor.binned_pitch_m * 1e6:g} um; the PSF's pixels "
+                "must become the sensor's binned pixels: raise psf.binning"
             )
             raise InputError(msg)
     return stack
 
 
-def _from_folder(config: Config, chosen: StoredPsf) -> PsfStack:
-    stack, pitch_m = read_psf_stack(_folder(config, chosen)), build_sensor(config).binned_pitch_m
+def _refuse_other_geometry(
+    chosen: StoredPsf, stack: PsfStack, pitch_m: float, mask_to_sensor_m: float, gap: tuple[Layer, ...]
+) -> None:
+    """Refuse a stack of other pixels or made behind another gap; a stack of pictures does not say what its gap was.
+
+    Raises:
+        InputError: naming both pitches, distances or gaps.
+    """
     if not math.isclose(stack.pixel_pitch_m, pitch_m, rel_tol=_SAME_LENGTH):
         msg = (
             f"psf.measured: the stack in {chosen.measured} has pixels of {stack.pixel_pitch_m * 1e6:g} um, the sensor's "
             f"binned ones are {pitch_m * 1e6:g} um; set camera.sensor.binning and pixel_pitch_um as when it was made"
         )
         raise InputError(msg)
-    _refuse_other_geometry(config, chosen, stack)
-    return stack
-
-
-def _refuse_other_geometry(config: Config, chosen: StoredPsf, stack: PsfStack) -> None:
-    """Refuse a stack that was made behind another gap; a stack of pictures does not say what its gap was.
-
-    Raises:
-        InputError: naming both distances, or both gaps.
-    """
     recorded_m = stack.provenance.get("mask_to_sensor_m")
     if recorded_m is None:
         return
-    configured_m = distance_m(config)
-    if not math.isclose(recorded_m, configured_m, rel_tol=_SAME_LENGTH):
-        made, asked = (f"{metres * 1e3:.7g} mm" for metres in (recorded_m, configured_m))
+    if not math.isclose(recorded_m, mask_to_sensor_m, rel_tol=_SAME_LENGTH):
+        made, asked = (f"{metres * 1e3:.7g} mm" for metres in (recorded_m, mask_to_sensor_m))
         msg = (
             f"psf.measured: the stack in {chosen.measured} was made with {made} of air, or as much as that, from mask to "
             f"sensor, the camera has {asked}; set camera.mask_to_sensor_mm, or gap and substrate, as when it was made"
         )
         raise InputError(msg)
-    gap = [(layer.thickness_m, layer.material.name) for layer in build_gap(config)]
+    own_gap = [(layer.thickness_m, layer.material.name) for layer in gap]
     made_gap = [(layer["thickness_m"], layer["material"]) for layer in stack.provenance.get("gap", ())]
-    if gap and not _same_layers(gap, made_gap or [(recorded_m, AIR.name)]):
-        made, asked = (_shown(layers) for layers in (made_gap, gap))
+    if own_gap and not _same_layers(own_gap, made_gap or [(recorded_m, AIR.name)]):
+        made, asked = (_shown(layers) for layers in (made_gap, own_gap))
         msg = (
             f"psf.measured: the stack in {chosen.measured} was made behind a gap of {made}, the camera's is {asked}; set "
             "camera.gap and substrate as when it was made"

@@ -3,57 +3,44 @@
 from __future__ import annotations
 
 import hashlib
-import inspect
 from dataclasses import asdict, replace
-from functools import cache
-from types import ModuleType
-from typing import TYPE_CHECKING
+from functools import partial
 
 import numpy as np
 
-from simulator.assemble.camera import build_sensor, distance_m
-from simulator.assemble.masks import build_mask, optics_code
-from simulator.assemble.psfs import build_geometry, build_psf_config
-from simulator.camera import calibration, noise
-from simulator.camera import sensor as sensor_module
+from simulator import seeds
+from simulator.assembly import Assembly
+from simulator.camera import calibration
 from simulator.camera.calibration import CalibrationSource, Recording, SourcePlaces, captured_light
 from simulator.camera.noise import NoNoise, PhysicalNoise
 from simulator.config.psf import AsCaptured, ComputedPsf
 from simulator.errors import InputError
-from simulator.io.cache import Entry, cached
-from simulator.optics.psf import Progress
+from simulator.io.cache import Entry, cached, code_digest
 from simulator.optics.spectra import Line, check_materials, quantile_lines
 from simulator.optics.stack import PsfStack
 from simulator.seeds import generator
 from simulator.types import CameraGeometry
 
-if TYPE_CHECKING:
-    from simulator.config import Config
 
-
-def build_captured_stack(
-    config: Config, nominal: PsfStack, *, threads: int = 1, progress: Progress | None = None
-) -> PsfStack:
+def captured_stack(assembly: Assembly) -> PsfStack:
     """Return the stack as captured (cached): like the nominal one, but measured with a real source, light and sensor.
 
     ``provenance`` has the kind ``captured``, the nominal stack's fingerprint, the settings, where the source truly was, and
     what the recordings lost.
 
     Args:
-        config: a configuration with a computed PSF; without ``psf.as_captured`` a careful laboratory's errors are taken.
-        nominal: the true stack, as ``build_psf_stack`` returns it.
-        threads: depths computed at a time.
-        progress: called with (done, total) while PSFs are computed.
+        assembly: of a configuration with a computed PSF; without ``psf.as_captured`` a careful laboratory's errors are
+            taken. Its ``psf_stack`` is the nominal one.
 
     Raises:
         InputError: when the PSF was measured already, a channel sees nothing of the calibration's light, or an error puts a
             source behind the mask.
     """
-    chosen, psf_config = _chosen(config), build_psf_config(config)
+    config, chosen, nominal = assembly.config, _chosen(assembly), assembly.psf_stack
     source, recording = _source(chosen), _recording(chosen)
-    camera, lines = _lit(config, chosen)
-    places = _places(config, chosen)
-    sensor = replace(build_sensor(config), noise=PhysicalNoise() if chosen.noise == "physical" else NoNoise())
+    camera, lines = _lit(assembly, chosen)
+    places = _places(assembly, chosen)
+    sensor = replace(assembly.sensor, noise=PhysicalNoise() if chosen.noise == "physical" else NoNoise())
     settings = {**asdict(source), **asdict(recording), "noise": chosen.noise, "seed": config.seed}
     response = camera.response
     identity = repr((nominal.fingerprint, settings, response.label, asdict(sensor))).encode()
@@ -61,10 +48,12 @@ def build_captured_stack(
     fingerprint = hashlib.sha256(identity).hexdigest()
 
     def compute() -> Entry:
-        mask = build_mask(config)
-        assert mask is not None
+        assert assembly.mask is not None
         size = nominal.values.shape[-1]  # the calibration's light alone might ask for another
-        light = captured_light(mask, camera, psf_config, places, size, threads=threads, progress=progress)
+        progress = None if assembly.progress is None else partial(assembly.progress, "captured PSFs")
+        light = captured_light(
+            assembly.mask, camera, assembly.psf_config, places, size, threads=assembly.threads, progress=progress
+        )
         photons = response.weights.sum(axis=1)
         values, records = np.empty(light.shape, np.float32), []
         for k, plane in enumerate(light):
@@ -79,7 +68,7 @@ def build_captured_stack(
         }
         return {"values": values}, measured
 
-    key = hashlib.sha256(f"{fingerprint} {optics_code()} {_camera_code()}".encode()).hexdigest()
+    key = hashlib.sha256(f"{fingerprint} {code_digest(calibration.__name__, seeds.__name__)}".encode()).hexdigest()
     arrays, measured = cached("captured", key, compute)
     return replace(
         nominal,
@@ -98,23 +87,24 @@ def build_captured_stack(
     )
 
 
-def check_calibration(config: Config) -> None:
+def check_calibration(assembly: Assembly) -> None:
     """Refuse a calibration that cannot be simulated, before anything is computed.
 
     Raises:
-        InputError: as :func:`build_captured_stack`, naming the key.
+        InputError: as :func:`captured_stack`, naming the key.
     """
-    chosen = _chosen(config)
+    chosen = _chosen(assembly)
     _recording(chosen)
-    _lit(config, chosen)
-    _places(config, chosen)
+    _lit(assembly, chosen)
+    _places(assembly, chosen)
 
 
-def _chosen(config: Config) -> AsCaptured:
-    if not isinstance(config.psf, ComputedPsf):
+def _chosen(assembly: Assembly) -> AsCaptured:
+    psf = assembly.config.psf
+    if not isinstance(psf, ComputedPsf):
         msg = "psf.as_captured: this PSF was measured, and its errors are in it; a calibration is simulated from a mask"
         raise InputError(msg)
-    return config.psf.as_captured or AsCaptured()
+    return psf.as_captured or AsCaptured()
 
 
 def _source(chosen: AsCaptured) -> CalibrationSource:
@@ -142,36 +132,28 @@ def _recording(chosen: AsCaptured) -> Recording:
         raise InputError(msg) from error
 
 
-def _places(config: Config, chosen: AsCaptured) -> SourcePlaces:
+def _places(assembly: Assembly, chosen: AsCaptured) -> SourcePlaces:
     """Return where the sources truly are; the configuration's seed decides."""
-    rng = generator(config.seed, "pilot", 0, "calibration")
+    rng = generator(assembly.config.seed, "pilot", 0, "calibration")
     try:
-        return _source(chosen).place(build_psf_config(config).depths_m, distance_m(config), rng)
+        return _source(chosen).place(assembly.depths_m, assembly.mask_to_sensor_m, rng)
     except InputError as error:
         _, _, reason = str(error).partition(": ")  # behind the names of the source's attributes
         msg = f"psf.as_captured.depth_offset_mm, depth_std_mm: {reason}"
         raise InputError(msg) from error
 
 
-def _lit(config: Config, chosen: AsCaptured) -> tuple[CameraGeometry, list[Line]]:
+def _lit(assembly: Assembly, chosen: AsCaptured) -> tuple[CameraGeometry, list[Line]]:
     """Return the camera with its channels' response to the calibration's light, and the wavelengths that stand for it."""
-    per_channel = build_psf_config(config).wavelengths_per_channel
-    own = build_geometry(config)
+    per_channel = assembly.psf_config.wavelengths_per_channel
     if chosen.illuminant == "camera":
-        return own, quantile_lines(own.response, per_channel)
-    camera = config.camera.model_copy(update={"illuminant": chosen.illuminant})
+        return assembly.geometry, quantile_lines(assembly.response, per_channel)
+    camera = assembly.config.camera.model_copy(update={"illuminant": chosen.illuminant})
     try:
-        lit = build_geometry(config.model_copy(update={"camera": camera}))
+        lit = Assembly(assembly.config.model_copy(update={"camera": camera})).geometry
         lines = quantile_lines(lit.response, per_channel)
         check_materials(lit.response, lines, [layer.material for layer in (*lit.gap, *lit.window)])
     except InputError as error:
         msg = f"psf.as_captured.illuminant: {str(error).removeprefix('illuminant: ')}"
         raise InputError(msg) from error
     return lit, lines
-
-
-@cache
-def _camera_code() -> str:
-    """Return a hash of the code that records: a cached result must not outlive a change there."""
-    modules: tuple[ModuleType, ...] = (calibration, noise, sensor_module)
-    return hashlib.sha256("".join(map(inspect.getsource, modules)).encode()).hexdigest()

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulator.assemble import build_captured_stack, build_psf_stack, build_source, check_calibration, input_files
+from simulator.assembly import Assembly
+from simulator.captured_psf import captured_stack, check_calibration
 from simulator.config import load_config
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
@@ -31,8 +32,8 @@ def capture(trial) -> Callable[..., tuple[PsfStack, PsfStack]]:
     def both(*overrides: str, **settings: Any) -> tuple[PsfStack, PsfStack]:
         path = trial.write(psf=PSF | {"as_captured": settings})
         config = load_config(path, overrides)
-        nominal = build_psf_stack(config)
-        return nominal, build_captured_stack(config, nominal)
+        nominal = Assembly(config).psf_stack
+        return nominal, captured_stack(Assembly(config).having(psf_stack=nominal))
 
     return both
 
@@ -112,7 +113,7 @@ def test_a_measured_psf_is_refused(trial, capture) -> None:
     write_psf_stack(trial.folder / "stack", nominal)
     config = load_config(trial.write(camera={"mask": None}, psf={"measured": "stack"}))
     with pytest.raises(InputError, match="measured"):
-        build_captured_stack(config, nominal)
+        captured_stack(Assembly(config).having(psf_stack=nominal))
 
 
 @pytest.mark.parametrize(
@@ -136,7 +137,7 @@ def test_a_measured_psf_is_refused(trial, capture) -> None:
 def test_a_calibration_that_cannot_be_is_told_beforehand(trial, settings, words) -> None:
     config = load_config(trial.write(psf=PSF | {"as_captured": settings}))
     with pytest.raises(InputError, match=words):
-        check_calibration(config)
+        check_calibration(Assembly(config))
 
 
 def test_only_a_file_of_the_calibrations_light_is_an_input(trial) -> None:
@@ -144,5 +145,5 @@ def test_only_a_file_of_the_calibrations_light_is_an_input(trial) -> None:
     (trial.folder / "camera").write_text("400,1\n700,2\n")
     for light, found in (("lamp.csv", 1), ("camera", 0)):
         config = load_config(trial.write(psf=PSF | {"as_captured": {"illuminant": light}}))
-        names = [path.name for path in input_files(config, build_source(config, "none"))]
+        names = [path.name for path in Assembly(config, "none").input_files]
         assert names.count(light) == found

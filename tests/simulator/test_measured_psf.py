@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from simulator.assemble import build_psf_stack, build_view, input_files
-from simulator.assemble.scenes import build_source
+from simulator.assembly import Assembly
 from simulator.config import load_config
 from simulator.errors import InputError
 from simulator.optics.interpolation import interpolate_stack
@@ -17,26 +16,26 @@ NO_MASK = {"mask": None}
 @pytest.fixture
 def stored(trial):
     """The trial's own stack, written beside its YAML file as ``psf --output`` does."""
-    stack = build_psf_stack(load_config(trial.write()))
+    stack = Assembly(load_config(trial.write())).psf_stack
     write_psf_stack(trial.folder / "stack", stack)
     return stack
 
 
 def build(trial, **psf):
-    return build_psf_stack(load_config(trial.write(camera=NO_MASK, psf=psf)))
+    return Assembly(load_config(trial.write(camera=NO_MASK, psf=psf))).psf_stack
 
 
 def test_a_written_stack_comes_back_as_it_was(trial, stored) -> None:
     back = build(trial, measured="stack")
     np.testing.assert_array_equal(back.values, stored.values)
     assert (back.fingerprint, back.provenance["kind"]) == (stored.fingerprint, "computed")
-    view = build_view(load_config(trial.path))
+    view = Assembly(load_config(trial.path)).view
     assert (view.near_m, view.far_m) == pytest.approx((0.036, 0.2))
 
 
 def test_its_files_decide_a_data_set(trial, stored) -> None:
     config = load_config(trial.write(camera=NO_MASK, psf={"measured": "stack"}))
-    names = [path.name for path in input_files(config, build_source(config, "none"))]
+    names = [path.name for path in Assembly(config, "none").input_files]
     assert {"psf.json", "depth_0000.exr", "depth_0001.exr", "depth_0002.exr"} <= set(names)
 
 
@@ -52,7 +51,7 @@ def test_planes_are_interpolated_and_the_scene_follows_them(trial, stored) -> No
     expected = interpolate_stack(stored, found.depths_m.tolist(), 1.9e-3)
     np.testing.assert_array_equal(found.values, expected.values)
     assert found.depths_m[[0, -1]] == pytest.approx([0.04, 0.1])
-    view = build_view(load_config(trial.path))
+    view = Assembly(load_config(trial.path)).view
     assert (view.near_m, view.far_m) == pytest.approx((0.04, 0.1))
 
 
@@ -85,7 +84,7 @@ def test_mistakes_are_named(trial, stored) -> None:
         build(trial, measured="psf.tif")
     camera = NO_MASK | {"sensor": {"binning": 4, "shape": [48, 60]}}
     with pytest.raises(InputError, match=r"19\.2 um.* 9\.6 um"):
-        build_psf_stack(load_config(trial.write(camera=camera, psf={"measured": "stack"})))
+        _ = Assembly(load_config(trial.write(camera=camera, psf={"measured": "stack"}))).psf_stack
 
 
 @pytest.mark.parametrize(
@@ -111,10 +110,10 @@ def test_mistakes_are_named(trial, stored) -> None:
     ],
 )
 def test_a_stack_of_another_gap_is_refused(trial, made, now, words) -> None:
-    write_psf_stack(trial.folder / "stack", build_psf_stack(load_config(trial.write(camera=made))))
+    write_psf_stack(trial.folder / "stack", Assembly(load_config(trial.write(camera=made))).psf_stack)
     config = load_config(trial.write(camera=NO_MASK | now, psf={"measured": "stack"}))
     if words is None:
-        assert build_psf_stack(config).provenance["kind"] == "computed"
+        assert Assembly(config).psf_stack.provenance["kind"] == "computed"
     else:
         with pytest.raises(InputError, match=words):
-            build_psf_stack(config)
+            _ = Assembly(config).psf_stack

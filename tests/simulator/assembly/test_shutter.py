@@ -3,14 +3,7 @@
 import numpy as np
 import pytest
 
-from simulator.assemble import (
-    build_forward_model,
-    build_psf_stack,
-    build_sensor,
-    build_shutter,
-    build_source,
-    input_files,
-)
+from simulator.assembly import Assembly
 from simulator.camera.shutter import DualRollingShutter, RowShutter
 from simulator.config import load_config
 from simulator.types import Clip
@@ -39,7 +32,7 @@ def table(trial):
 def test_the_forward_model_has_the_configured_shutter(trial):
     chosen = {"type": "dual_rolling", "exposure_ms": 2, "line_time_us": 9}
     config = load_config(trial.write(camera={"shutter": chosen}))
-    model = build_forward_model(config, build_psf_stack(config))
+    model = Assembly(config).forward_model
     assert isinstance(model.shutter, DualRollingShutter)
     assert model.shutter == DualRollingShutter(2e-3, 9 * 1e-6, "outside_in", 8)
 
@@ -56,7 +49,7 @@ def test_the_mean_over_time_is_the_integral_per_exposure_time(trial, table):
             np.ones(shape, bool),
             np.array([0, 1]),
         )
-        images[time] = build_forward_model(config, build_psf_stack(config)).forward_clip(clip)
+        images[time] = Assembly(config).forward_model.forward_clip(clip)
     per_row = table[:, 1].reshape(48, 8).mean(axis=1)[::-1]
     np.testing.assert_allclose(
         images["integral"], images["mean"] * per_row[:, None], atol=1e-6 * images["integral"].max()
@@ -65,16 +58,16 @@ def test_the_mean_over_time_is_the_integral_per_exposure_time(trial, table):
 
 def test_dark_current_runs_for_as_long_as_each_stored_row_is_open(trial, table):
     equal = {"type": "rolling", "exposure_ms": 3, "line_time_us": 20}
-    assert build_sensor(load_config(trial.write(camera={"shutter": equal}))).exposure_s == 3e-3
+    assert Assembly(load_config(trial.write(camera={"shutter": equal}))).sensor.exposure_s == 3e-3
     own = {"type": "windows", "file": "rows.csv"}
-    times = build_sensor(load_config(trial.write(camera={"shutter": own}))).exposure_s
+    times = Assembly(load_config(trial.write(camera={"shutter": own}))).sensor.exposure_s
     # The picture's first row is the sensor's last, which is open longest.
     assert times == pytest.approx(table[:, 1].reshape(48, 8).mean(axis=1)[::-1])
     assert times[0] > times[-1]
 
 
 def _names(config):
-    return [path.name for path in input_files(config, build_source(config, "none"))]
+    return [path.name for path in Assembly(config, "none").input_files]
 
 
 def test_the_shutter_s_files_are_inputs_of_the_data_set(trial, table):
@@ -86,7 +79,7 @@ def test_the_shutter_s_files_are_inputs_of_the_data_set(trial, table):
     config = load_config(trial.write(camera={"shutter": chosen}))
     assert _names(config).count("shutters.py") == 1
     assert _names(config).count("rows.csv") == 1
-    shutter = build_shutter(config)
+    shutter = Assembly(config).shutter
     assert isinstance(shutter, RowShutter)
     np.testing.assert_allclose(shutter.table_s, 2 * table, rtol=1e-12)
 
@@ -98,7 +91,7 @@ def test_another_table_is_another_data_set(trial, table):
     config = load_config(trial.write(camera={"shutter": {"type": "windows", "file": "rows.csv"}}))
 
     def fingerprint():
-        return build_fingerprint(dump(config), "none", input_files(config, build_source(config, "none")))[0]
+        return build_fingerprint(dump(config), "none", Assembly(config, "none").input_files)[0]
 
     before = fingerprint()
     assert fingerprint() == before

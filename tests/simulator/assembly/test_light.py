@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from simulator import assemble
+from simulator.assembly import Assembly
 from simulator.camera.colour import fit_camera_colour
 from simulator.config import load_config
 from simulator.dataset import open_dataset, verify
@@ -18,12 +18,12 @@ def _config(trial, **camera):
 
 
 def test_leds_become_the_response(trial):
-    one = assemble.build_geometry(_config(trial, illuminant={"led_nm": 532, "fwhm_nm": 20})).response
+    one = Assembly(_config(trial, illuminant={"led_nm": 532, "fwhm_nm": 20})).geometry.response
     assert one.label == "Nikon 5100 (NPL) under LED 532 nm (20 nm wide), nominal"
     assert one.wavelengths_m[0] == pytest.approx(482e-9)
     assert one.wavelengths_m[-1] == pytest.approx(582e-9)
     leds = [{"led_nm": 455, "fwhm_nm": 20}, {"led_nm": 620, "fwhm_nm": 20, "power": 2}]
-    two = assemble.build_geometry(_config(trial, illuminant=leds)).response
+    two = Assembly(_config(trial, illuminant=leds)).geometry.response
     peaks = two.wavelengths_m[two.weights.argmax(1)]
     assert peaks[[0, 2]] == pytest.approx([620e-9, 455e-9], abs=3e-9)
 
@@ -33,49 +33,49 @@ def test_curves_lie_beside_the_yaml_file_and_are_inputs(trial):
     (trial.folder / "lamp.csv").write_text("wavelength_um,power\n0.35,1\n0.65,2\n")
     sensor = {"shape": [48, 60], "binning": 8, "spectral_response": "sensor.csv"}
     config = _config(trial, sensor=sensor, illuminant="lamp.csv")
-    response = assemble.build_geometry(config).response
+    response = Assembly(config).geometry.response
     assert response.label == "sensor.csv under lamp.csv"
     assert (response.wavelengths_m[0], response.wavelengths_m[-1]) == (pytest.approx(400e-9), pytest.approx(650e-9))
-    source = assemble.build_source(config, "none")
-    names = [path.name for path in assemble.input_files(config, source)]
+    source = Assembly(config, "none").source
+    names = [path.name for path in Assembly(config).having(source=source).input_files]
     assert names.count("sensor.csv") == names.count("lamp.csv") == 1
     (trial.folder / "lamp.csv").unlink()
     with pytest.raises(InputError, match=r"lamp\.csv"):
-        assemble.build_geometry(config)
+        _ = Assembly(config).geometry
 
 
 class TestSceneColours:
     def test_auto_fits_the_sensor_and_its_light_once(self, trial, monkeypatch):
         config = _config(trial, illuminant="A")
-        first = assemble.build_camera_colour(config, ("R", "G", "B"))
+        first = Assembly(config).camera_colour(("R", "G", "B"))
         expected = fit_camera_colour(spectral_response(illuminant="A"))
         np.testing.assert_array_equal(first.matrix, expected.matrix)
         assert first.origin["response"] == "Nikon 5100 (NPL) under A, nominal"
-        monkeypatch.setattr("simulator.assemble.light.fit_camera_colour", None)  # the second comes from the cache
-        assert assemble.build_camera_colour(config, ("R", "G", "B")).origin == first.origin
+        monkeypatch.setattr("simulator.assembly.fit_camera_colour", None)  # the second comes from the cache
+        assert Assembly(config).camera_colour(("R", "G", "B")).origin == first.origin
 
     def test_another_content_of_a_curve_file_is_another_matrix(self, trial):
         matrices = []
         for green in (1, 3):
             (trial.folder / "lamp.csv").write_text(f"400,1\n550,{green}\n700,2\n")
             config = _config(trial, illuminant="lamp.csv")
-            matrices.append(assemble.build_camera_colour(config, ("R", "G", "B")).matrix)
+            matrices.append(Assembly(config).camera_colour(("R", "G", "B")).matrix)
         assert np.abs(matrices[0] - matrices[1]).max() > 1e-3
 
     def test_given_and_identity(self, trial):
         rows = [[0.5, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.25, 0.75]]
         for chosen, expected in (("identity", np.eye(3)), (rows, rows)):
             config = _config(trial, scene_to_camera=chosen)
-            model = assemble.build_forward_model(config, assemble.build_psf_stack(config))
+            model = Assembly(config).forward_model
             np.testing.assert_array_equal(model.scene_to_camera, expected)
 
     def test_a_row_for_each_channel(self, trial):
         config = _config(trial, scene_to_camera=[[0.2, 0.7, 0.1]])
         with pytest.raises(InputError, match=r"scene_to_camera: .*1 rows.* R, G, B"):
-            assemble.build_camera_colour(config, ("R", "G", "B"))
+            Assembly(config).camera_colour(("R", "G", "B"))
         config = _config(trial, scene_to_camera="identity")
         with pytest.raises(InputError, match=r"scene_to_camera: identity .* Y;"):
-            assemble.build_camera_colour(config, ("Y",))
+            Assembly(config).camera_colour(("Y",))
 
     def test_a_data_set_records_the_matrix(self, trial):
         rows = [[0.5, 0.5, 0.0], [0.0, 1.0, 0.0], [-2.0, 0.0, 3.0]]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from simulator import assemble
+from simulator.assembly import Assembly
 from simulator.config import config_from_dict, dump, load_config
 from simulator.errors import InputError
 from simulator.optics.materials import AIR, N_BK7
@@ -11,7 +11,7 @@ N_BK7_550 = 1.518523  # SCHOTT's formula at 550 nm, worked out by hand
 
 
 def _geometry(trial, **camera):
-    return assemble.build_geometry(load_config(trial.write(camera=camera)))
+    return Assembly(load_config(trial.write(camera=camera))).geometry
 
 
 def test_air_alone_has_no_layers(trial):
@@ -23,13 +23,13 @@ def test_a_cover_glass_shortens_the_distance_in_air(trial):
     """1.2 mm of air and 0.7 mm of glass: paraxial rays arrive as after 1.2 + 0.7 / n mm of air."""
     gap = [{"mm": 1.2, "n": "air"}, {"mm": 0.7, "material": "n-bk7"}, {"mm": 0.1, "n": 1.41}]
     config = load_config(trial.write(camera={"mask_to_sensor_mm": None, "gap": gap}))
-    geometry = assemble.build_geometry(config)
+    geometry = Assembly(config).geometry
     assert [layer.thickness_m for layer in geometry.gap] == pytest.approx([1.2e-3, 0.7e-3, 0.1e-3])
     assert [layer.material.name for layer in geometry.gap] == ["air", "n-bk7", "n = 1.41"]
     assert geometry.gap[2].material.index(450e-9) == geometry.gap[2].material.index(700e-9) == 1.41
     expected = 1.2e-3 + 0.7e-3 / N_BK7_550 + 0.1e-3 / 1.41
     assert geometry.mask_to_sensor_m == pytest.approx(expected, rel=1e-6)
-    assert assemble.build_view(config).distance_m == geometry.mask_to_sensor_m
+    assert Assembly(config).view.distance_m == geometry.mask_to_sensor_m
     assert config.camera.thickness_mm == pytest.approx(2.0)
 
 
@@ -54,10 +54,10 @@ def test_a_material_file_lies_beside_the_yaml_file_and_is_an_input(trial):
     gap = [{"mm": 1.8, "n": "air"}, {"mm": 0.1, "material": "glue.csv"}]
     plate = {"mm": 0.5, "material": "glue.csv", "side": "scene"}
     config = load_config(trial.write(camera={"mask_to_sensor_mm": None, "gap": gap, "substrate": plate}))
-    geometry = assemble.build_geometry(config)
+    geometry = Assembly(config).geometry
     assert geometry.gap[1].material.index(600e-9) == pytest.approx(1.55)
-    source = assemble.build_source(config, "none")
-    assert [path.name for path in assemble.input_files(config, source)].count("glue.csv") == 1
+    source = Assembly(config, "none").source
+    assert [path.name for path in Assembly(config).having(source=source).input_files].count("glue.csv") == 1
     (trial.folder / "glue.csv").write_text("wavelength_nm,n\n300,1.6\n")
     with pytest.raises(InputError, match=r"trial\.yaml:\d+:\d+: camera\.gap\[1\]\.material: .*glue\.csv: 1 rows"):
         load_config(trial.path)
@@ -69,7 +69,7 @@ def test_a_layer_that_is_unknown_at_a_channels_wavelength_is_named(trial):
     gap = [{"mm": 1.8, "n": "air"}, {"mm": 0.1, "material": "noa61"}]
     config = load_config(trial.write(camera={"mask_to_sensor_mm": None, "gap": gap}, psf={"depths_cm": [5]}))
     with pytest.raises(InputError, match=r"'B' of Nikon 5100 \(NPL\) under D65.* 'noa61'"):
-        assemble.build_psf_stack(config)
+        _ = Assembly(config).psf_stack
 
 
 def test_a_designs_material_file_lies_beside_the_yaml_file(trial):
@@ -85,9 +85,9 @@ def test_a_designs_material_file_lies_beside_the_yaml_file(trial):
         (trial.folder / "glue.csv").write_text(f"wavelength_um,n\n0.3,{n}\n0.9,{n}\n")
         config = load_config(trial.write(camera={"mask": {"design": "./plugins.py:slab", "material": "glue.csv"}}))
         for _ in range(2):  # designed, then from the cache
-            mask = assemble.build_mask(config)
+            mask = Assembly(config).mask
             assert mask is not None
             seen.append((mask.material.name, mask.material.index(532e-9)))
     assert seen == [("glue.csv", 1.5)] * 2 + [("glue.csv", 1.7)] * 2
-    source = assemble.build_source(config, "none")
-    assert "glue.csv" in [path.name for path in assemble.input_files(config, source)]
+    source = Assembly(config, "none").source
+    assert "glue.csv" in [path.name for path in Assembly(config).having(source=source).input_files]

@@ -1,10 +1,11 @@
 """An absolute scale: electrons counted by hand from lux, and what a fast shutter costs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from simulator import assemble
-from simulator.assemble.exposure import fixed_exposure
+from simulator.assembly import Assembly
 from simulator.config import load_config
 from simulator.errors import InputError
 from simulator.optics.spectra import camera_curves
@@ -28,17 +29,17 @@ def test_electrons_of_a_white_pixel_are_those_counted_by_hand(trial):
     """Lux to watts to photons through the mask's openings, for a light of one colour: nothing is taken from our own code."""
     light = {"illuminant": {"led_nm": 540, "fwhm_nm": 1}}
     config = _config(trial, camera=light)
-    record = fixed_exposure(config)
+    record = Assembly(config).fixed_exposure
     assert record is not None
-    sensor = assemble.build_sensor(config, record["full_scale"])
-    model = assemble.build_forward_model(config, assemble.build_psf_stack(config))
+    sensor = replace(Assembly(config).sensor, full_scale=record["full_scale"])
+    model = Assembly(config).forward_model
     clip = _white(0.0)
     clip.rgb[0, 8, 10] = 1
     signal = model.forward_clip(clip) / sensor.full_scale
     collected = signal.sum((1, 2)) * sensor.full_well_e * np.array(sensor.responsivity) * sensor.binning**2
 
     radiance = 800 / 683 / 0.954 / np.pi  # W / (m2 sr); V(540 nm) = 0.954 (CIE 018:2019)
-    mask = assemble.build_mask(config)
+    mask = Assembly(config).mask
     assert mask is not None
     opening_m2 = mask.amplitude.sum() * 4e-6**2
     tan2 = 2 * (0.5 * 19.2e-6 / 1.9e-3) ** 2  # the pixel beside the middle
@@ -65,10 +66,10 @@ def test_half_the_time_is_half_the_electrons_and_noisier_by_the_root_of_two(tria
         # A thousand electrons at most: this mask is small.
         bright = {"exposure": {"illuminance_lux": 80000}}
         config = _config(trial, ms=ms, camera={"sensor": sensor_config} | bright)
-        record = fixed_exposure(config)
+        record = Assembly(config).fixed_exposure
         assert record is not None
-        sensor = assemble.build_sensor(config, record["full_scale"])
-        exposure = assemble.build_forward_model(config, assemble.build_psf_stack(config)).forward_clip(_white())
+        sensor = replace(Assembly(config).sensor, full_scale=record["full_scale"])
+        exposure = Assembly(config).forward_model.forward_clip(_white())
         # 120 pictures of 3 x 48 x 60: 1.04e6 values.
         rng, black = np.random.default_rng(1), sensor.black_level_dn / 2**24
         pictures = np.array([sensor.expose(exposure, rng) for _ in range(120)], np.float64) - black
@@ -89,7 +90,9 @@ def test_half_the_time_is_half_the_electrons_and_noisier_by_the_root_of_two(tria
 def test_the_scale_does_not_depend_on_the_time_and_follows_what_it_should(trial):
     def scale(**numbers):
         sensor = {"shape": [48, 60], "binning": 8} | numbers.pop("sensor", {})
-        record = fixed_exposure(_config(trial, camera={"sensor": sensor} | numbers.pop("camera", {}), **numbers))
+        record = Assembly(
+            _config(trial, camera={"sensor": sensor} | numbers.pop("camera", {}), **numbers)
+        ).fixed_exposure
         assert record is not None
         return record["full_scale"]
 
@@ -103,24 +106,24 @@ def test_the_scale_does_not_depend_on_the_time_and_follows_what_it_should(trial)
 
 def test_without_lux_the_channels_are_alike(trial):
     config = load_config(trial.write())
-    assert fixed_exposure(config) == {"full_scale": 3e-6, "from": "configuration"}
-    assert assemble.build_sensor(config).responsivity is None
-    assert fixed_exposure(load_config(trial.write(camera={"exposure": {"full_scale": "auto"}}))) is None
+    assert Assembly(config).fixed_exposure == {"full_scale": 3e-6, "from": "configuration"}
+    assert Assembly(config).sensor.responsivity is None
+    assert Assembly(load_config(trial.write(camera={"exposure": {"full_scale": "auto"}}))).fixed_exposure is None
 
 
 def test_the_readout_and_the_patterns_reach_the_sensor(trial):
     chosen = {"shape": [48, 60], "binning": 8, "readout": "bayer", "cfa": "GBRG", "pattern_seed": 4, "dsnu_e": 2.5}
-    sensor = assemble.build_sensor(_config(trial, camera={"sensor": chosen | {"row_noise_e": 1.5}}))
+    sensor = Assembly(_config(trial, camera={"sensor": chosen | {"row_noise_e": 1.5}})).sensor
     assert (sensor.readout, sensor.cfa, sensor.stored_cfa) == ("bayer", "GBRG", "GRBG")
     assert (sensor.pattern_seed, sensor.dsnu_e, sensor.row_noise_e) == (4, 2.5, 1.5)
     assert sensor.channels(("R", "G", "B")) == ("mosaic",)
-    assert assemble.build_sensor(load_config(trial.write())).cfa == "RGGB"
+    assert Assembly(load_config(trial.write())).sensor.cfa == "RGGB"
 
 
 def test_a_response_of_other_channels_is_refused(trial):
     (trial.folder / "grey.csv").write_text("400,1\n700,1\n")
     sensor = {"shape": [48, 60], "binning": 8, "spectral_response": "grey.csv"}
-    mono = assemble.build_sensor(_config(trial, camera={"sensor": sensor}))
+    mono = Assembly(_config(trial, camera={"sensor": sensor})).sensor
     assert mono.channels(("Y",)) == ("Y",)
     with pytest.raises(InputError, match=r"1 channels?.* R, G, B"):
         mono.channels(("R", "G", "B"))

@@ -1,13 +1,15 @@
 """From the configuration to masks, cameras, stacks and scenes: units, caches, and whose mistake it was."""
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from simulator import assemble
+from simulator.assembly import Assembly
 from simulator.config import load_config
+from simulator.design.load import load_mask
 from simulator.errors import InputError
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
@@ -15,18 +17,18 @@ pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 
 def test_numbers_become_si_units(trial) -> None:
     config = load_config(trial.write(psf={"near_cm": 4, "far_cm": 20, "depths": 3, "accept_error": 0.5}))
-    view, geometry = assemble.build_view(config), assemble.build_geometry(config)
+    view, geometry = Assembly(config).view, Assembly(config).geometry
     assert view.shape == (16, 20)
     assert view.pixel_pitch_m == geometry.pixel_pitch_m == pytest.approx(19.2e-6)
     assert view.distance_m == geometry.mask_to_sensor_m == pytest.approx(1.9e-3)
     assert (view.near_m, view.far_m) == pytest.approx((0.04, 0.2))
-    psf = assemble.build_psf_config(config)
+    psf = Assembly(config).psf_config
     assert psf.depths_m == pytest.approx((0.04, 1 / 15, 0.2))  # even steps of 1/z: 25, 15, 5 per metre
     assert (psf.model, psf.wavelengths_per_channel, psf.oversampling) == ("scaled_distance", 3, 1)
     assert psf.accept_error == 0.5
-    sensor = assemble.build_sensor(config, full_scale=2.5)
+    sensor = replace(Assembly(config).sensor, full_scale=2.5)
     assert (sensor.exposure_s, sensor.full_scale, sensor.binning, sensor.shape) == (5e-3, 2.5, 8, (48, 60))
-    model = assemble.build_forward_model(config, assemble.build_psf_stack(config))
+    model = Assembly(config).forward_model
     assert model.shutter is not None
     assert model.shutter.exposure_s == 5e-3
 
@@ -43,25 +45,25 @@ def test_numbers_become_si_units(trial) -> None:
 )
 def test_depths_in_all_their_forms(trial, psf: dict, depths_m: tuple[float, ...]) -> None:
     config = load_config(trial.write(psf=psf))
-    assert assemble.build_psf_config(config).depths_m == pytest.approx(depths_m)
-    view = assemble.build_view(config)
+    assert Assembly(config).psf_config.depths_m == pytest.approx(depths_m)
+    view = Assembly(config).view
     assert (view.near_m, view.far_m) == pytest.approx((depths_m[0], depths_m[-1]))
 
 
 def test_a_sensor_takes_the_numbers_that_are_given(trial) -> None:
     numbers = {"pixel_pitch_um": 3, "full_well_e": 9000, "read_noise_e": 5, "dark_current_e_per_s": 2}
     numbers |= {"prnu_percent": 2, "black_level_dn": 16, "bit_depth": 10}
-    sensor = assemble.build_sensor(load_config(trial.write(camera={"sensor": {"shape": [48, 60], **numbers}})))
+    sensor = Assembly(load_config(trial.write(camera={"sensor": {"shape": [48, 60], **numbers}}))).sensor
     assert sensor.pixel_pitch_m == pytest.approx(3e-6)
     assert (sensor.full_well_e, sensor.read_noise_e, sensor.dark_current_e_per_s) == (9000, 5, 2)
     assert (sensor.prnu, sensor.black_level_dn, sensor.bit_depth) == (0.02, 16, 10)
-    assert sensor.row_noise_e == assemble.build_sensor(load_config(trial.write())).row_noise_e
+    assert sensor.row_noise_e == Assembly(load_config(trial.write())).sensor.row_noise_e
 
 
 @pytest.mark.parametrize("kind", ["none", "gaussian", "physical"])
 def test_noise_by_its_name(trial, kind: str) -> None:
     noise = {"type": kind} | ({"std": 0.25} if kind == "gaussian" else {})
-    sensor = assemble.build_sensor(load_config(trial.write(camera={"noise": noise})))
+    sensor = Assembly(load_config(trial.write(camera={"noise": noise}))).sensor
     signal = np.full((3, 48, 60), 0.5, np.float32)
     error = sensor.expose(signal, np.random.default_rng(0)) - sensor.noiseless(signal)
     # Physical at half scale: shot noise of 7500 electrons and 0.6 % PRNU per pixel, 16, 32 or 16 pixels in a value.
@@ -75,9 +77,9 @@ def test_noise_by_its_name(trial, kind: str) -> None:
 class TestMasks:
     def test_default_and_given_parameters_are_one_design(self, trial, capfd) -> None:
         _speaking(trial)
-        first = assemble.load_mask("./plugins.py:corners", trial.folder)
-        again = assemble.load_mask("./plugins.py:corners", trial.folder, arm=30)
-        other = assemble.load_mask("./plugins.py:corners", trial.folder, arm=31)
+        first = load_mask("./plugins.py:corners", trial.folder)
+        again = load_mask("./plugins.py:corners", trial.folder, arm=30)
+        other = load_mask("./plugins.py:corners", trial.folder, arm=31)
         assert capfd.readouterr().out.split() == ["30", "31"]
         assert np.array_equal(first.amplitude, again.amplitude)
         assert first.digest() == again.digest() != other.digest()
@@ -86,9 +88,9 @@ class TestMasks:
 
     def test_an_edited_design_is_made_again(self, trial, capfd) -> None:
         _speaking(trial)
-        first = assemble.load_mask("./plugins.py:corners", trial.folder)
+        first = load_mask("./plugins.py:corners", trial.folder)
         trial.plugins.write_text(trial.plugins.read_text().replace("column + 6] = 1", "column + 6] = 0.5"))
-        assert assemble.load_mask("./plugins.py:corners", trial.folder).amplitude.sum() < first.amplitude.sum()
+        assert load_mask("./plugins.py:corners", trial.folder).amplitude.sum() < first.amplitude.sum()
         assert capfd.readouterr().out.split() == ["30", "30"]
 
     def test_a_file_that_a_parameter_names_counts(self, trial) -> None:
@@ -99,7 +101,7 @@ class TestMasks:
             "    return Mask(np.zeros_like(open_), open_, 1e-5)\n"
         )
         (trial.folder / "drawing.txt").write_text("0 1\n1 1")
-        load = lambda: assemble.load_mask("./plugins.py:drawn", trial.folder, file="drawing.txt")  # noqa: E731
+        load = lambda: load_mask("./plugins.py:drawn", trial.folder, file="drawing.txt")  # noqa: E731
         assert load().amplitude.tolist() == [[0, 1], [1, 1]]
         (trial.folder / "drawing.txt").write_text("1 0\n1 1")
         assert load().amplitude.tolist() == [[1, 0], [1, 1]]
@@ -109,7 +111,7 @@ class TestMasks:
                 scene={"source": "flyingthings3d", "path": str(_frames(trial.folder)), "size": [4, 4]},
             )
         )
-        names = [path.name for path in assemble.input_files(config, assemble.build_source(config, "none"))]
+        names = [path.name for path in Assembly(config, "none").input_files]
         assert names == ["plugins.py", "drawing.txt", "f.png", "f.pfm"]
 
     @pytest.mark.parametrize(
@@ -126,7 +128,7 @@ class TestMasks:
             f"import numpy as np\nfrom simulator.optics.mask import Mask\ndef corners():\n    {body}\n"
         )
         with pytest.raises(InputError) as caught:
-            assemble.load_mask("./plugins.py:corners", trial.folder)
+            load_mask("./plugins.py:corners", trial.folder)
         assert words in str(caught.value)
         assert "./plugins.py:corners" in str(caught.value)
 
@@ -134,10 +136,10 @@ class TestMasks:
 class TestStacks:
     def test_a_stack_is_computed_once(self, trial) -> None:
         config = load_config(trial.write(psf={"depths_cm": [4, 6], "accept_error": 1.01}))
-        calls: list[tuple[int, int]] = []
-        first = assemble.build_psf_stack(config, progress=lambda *at: calls.append(at))
-        assert sorted(calls) == [(i, 18) for i in range(1, 19)]
-        again = assemble.build_psf_stack(config, progress=lambda *at: calls.append(at))
+        calls: list[tuple[str, int, int]] = []
+        first = Assembly(config, progress=lambda *at: calls.append(at)).psf_stack
+        assert sorted(calls) == [("PSFs", i, 18) for i in range(1, 19)]
+        again = Assembly(config, progress=lambda *at: calls.append(at)).psf_stack
         assert len(calls) == 18
         assert np.array_equal(first.values, again.values)
         assert first.fingerprint == again.fingerprint
@@ -147,7 +149,7 @@ class TestStacks:
         values = []
         for threads, error in ((1, 1.02), (2, 1.03)):  # another limit: not from the cache
             config = load_config(trial.write(psf={"depths_cm": [4], "accept_error": error}))
-            values.append(assemble.build_psf_stack(config, threads=threads).values)
+            values.append(Assembly(config, threads=threads).psf_stack.values)
         assert np.array_equal(values[0], values[1])
 
     def test_a_stack_accepted_under_a_loose_limit_does_not_pass_a_tight_one(self, trial) -> None:
@@ -156,10 +158,10 @@ class TestStacks:
                 trial.write(psf={"depths_cm": [4], "wavelengths_per_channel": 1, "accept_error": limit})
             )
             if limit == 1:
-                assemble.build_psf_stack(config)
+                _ = Assembly(config).psf_stack
             else:
                 with pytest.raises(InputError, match="accept_error"):
-                    assemble.build_psf_stack(config)
+                    _ = Assembly(config).psf_stack
 
     def test_a_measured_stack(self, trial) -> None:
         picture = np.zeros((12, 16))
@@ -167,15 +169,15 @@ class TestStacks:
         np.save(trial.folder / "psf.npy", picture)
         psf = {"measured": ["psf.npy"], "depths_cm": [float("inf")], "frame": "physical", "background": "none"}
         config = load_config(trial.write(camera={"mask": None}, psf=psf | {"throughput_mm2": 0.5}))
-        assert assemble.build_mask(config) is None
-        stack = assemble.build_psf_stack(config)
+        assert Assembly(config).mask is None
+        stack = Assembly(config).psf_stack
         # Turned by 180 degrees about the origin (6, 8): (-3, 4) from it becomes (3, -4). Row and column 0 have no partner.
         assert stack.values.shape == (1, 3, 11, 15)
         assert np.argwhere(stack.values[0, 0]).tolist() == [[5 + 3, 7 - 4]]
         assert stack.energy_m2() == pytest.approx(0.5e-6)
-        assert assemble.build_view(config).far_m == np.inf
-        source = assemble.build_source(config, "none")
-        assert [path.name for path in assemble.input_files(config, source)] == ["plugins.py", "psf.npy"]
+        assert Assembly(config).view.far_m == np.inf
+        source = Assembly(config, "none").source
+        assert [path.name for path in Assembly(config).having(source=source).input_files] == ["plugins.py", "psf.npy"]
 
 
 class TestSources:
@@ -190,15 +192,15 @@ class TestSources:
         path = trial.write(camera={"mask": {"design": "pinhole"}})
         trial.plugins.write_text(f"def boxes(view):\n    {body}\n")
         with pytest.raises(InputError) as caught:
-            assemble.build_source(load_config(path), "none")
+            _ = Assembly(load_config(path), "none").source
         assert words in str(caught.value)
         assert "./plugins.py:boxes" in str(caught.value)
 
     def test_a_renderer_goes_to_those_who_want_it(self, trial) -> None:
         path = trial.write(scene={"family": "flying_things", "size": [16, 20]})
-        source = assemble.build_source(load_config(path), "scalar_rgb")
+        source = Assembly(load_config(path), "scalar_rgb").source
         assert getattr(source, "renderer").backend == "scalar_rgb"  # noqa: B009
-        assert not assemble.scene_plugin(load_config(trial.write())).takes_renderer
+        assert not Assembly(load_config(trial.write())).scene_plugin.takes_renderer
 
     @pytest.mark.parametrize(
         ("render", "fields"),
@@ -217,7 +219,7 @@ class TestSources:
         scene = {"family": "flying_things", "size": [16, 20]}
         config = load_config(trial.write(scene=scene, render={"backend": "scalar"} | render))
         variant = "scalar_spectral" if "bands" in render else "scalar_rgb"
-        renderer = getattr(assemble.build_source(config, variant), "renderer")  # noqa: B009
+        renderer = getattr(Assembly(config, variant).source, "renderer")  # noqa: B009
         assert {name: getattr(renderer, name) for name in fields} == fields
         assert renderer.backend == variant
 
@@ -234,7 +236,7 @@ class TestSources:
 def test_unknown_names_list_the_known_ones(trial, camera: dict, words: str) -> None:
     config = load_config(trial.write(camera=camera))
     with pytest.raises(InputError) as caught:
-        assemble.build_geometry(config)
+        _ = Assembly(config).geometry
     assert words in str(caught.value)
 
 
@@ -266,7 +268,7 @@ def test_a_material_of_the_users_own_survives_the_cache(trial) -> None:
         f"def slab() -> Mask:\n    return Mask(np.zeros((9, 9)), np.ones((9, 9)), 2e-6, {glass})\n"
     )
     for _ in range(2):  # designed, then from the cache
-        mask = assemble.load_mask("./plugins.py:slab", trial.folder)
+        mask = load_mask("./plugins.py:slab", trial.folder)
         assert mask.material.index(532e-9) == 1.9
         assert mask.name == "slab"
 
@@ -275,12 +277,12 @@ def test_a_scene_may_have_depths_of_its_own(trial) -> None:
     """A flat PSF (one plane) says nothing of the depths that scenes fill."""
     scene = {"family": "flying_things", "size": [16, 20], "near_cm": 5, "far_cm": 30, "samples_per_pixel": 1}
     config = load_config(trial.write(psf={"depths_cm": [float("inf")]}, scene=scene))
-    clip = assemble.build_source(config, "scalar_rgb").clip(0, np.random.default_rng(0))
+    clip = Assembly(config, "scalar_rgb").source.clip(0, np.random.default_rng(0))
     assert 0.05 < clip.depth_m.min() < clip.depth_m.max() <= 0.3
     for nowhere in ({"near_cm": None, "far_cm": None}, {"near_cm": 5, "far_cm": 5.1}):
         config = load_config(trial.write(psf={"depths_cm": [float("inf")]}, scene=_without_none(scene | nowhere)))
         with pytest.raises(InputError, match=r"scene\.near_cm .*scene\.far_cm"):
-            assemble.build_source(config, "scalar_rgb").clip(0, np.random.default_rng(0))
+            Assembly(config, "scalar_rgb").source.clip(0, np.random.default_rng(0))
     with pytest.raises(InputError, match=r"scene\.near_cm: .*far_cm"):
         load_config(trial.write(scene=scene | {"near_cm": 40}))
 
@@ -293,9 +295,9 @@ def test_a_measurement_that_was_not_binned_is_refused(trial) -> None:
     psf = {"measured": ["psf.npy"], "depths_cm": [10], "frame": "physical", "throughput_mm2": 1.0}
     camera = {"mask": None, "sensor": {"binning": 8, "shape": [48, 60]}}
     with pytest.raises(InputError, match=r"psf\.binning: .*899 rows.* 456"):
-        assemble.build_psf_stack(load_config(trial.write(psf=psf, camera=camera)))
+        _ = Assembly(load_config(trial.write(psf=psf, camera=camera))).psf_stack
     fine = load_config(trial.write(psf=psf | {"binning": 2}, camera=camera))
-    assert assemble.build_psf_stack(fine).values.shape[-2:] == (449, 349)
+    assert Assembly(fine).psf_stack.values.shape[-2:] == (449, 349)
 
 
 def _without_none(section: dict) -> dict:

@@ -1,0 +1,522 @@
+"""From a configuration to the parts of the light path, each built once: the only place that knows both."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from simulator.camera.colour import CameraColour, fit_camera_colour
+from simulator.camera.forward import DepthRule, ForwardModel
+from simulator.camera.noise import GaussianNoise, Noise, NoNoise, PhysicalNoise
+from simulator.camera.planes import mask_irradiance
+from simulator.camera.sensor import MODELS, Sensor
+from simulator.camera.shutter import (
+    DualRollingShutter,
+    GlobalShutter,
+    RollingShutter,
+    Shutter,
+    read_row_shutter,
+    row_shutter,
+)
+from simulator.config import Config
+from simulator.config import camera as sections
+from simulator.config.psf import ComputedPsf
+from simulator.design.load import load_mask, mask_arguments
+from simulator.errors import InputError
+from simulator.io.cache import Entry, cached, code_digest
+from simulator.io.files import sha256_file
+from simulator.measured_psf import measured_depths_m, measured_files, measured_stack
+from simulator.optics.error_budget import budget
+from simulator.optics.error_budget.drjit_process import llvm_works
+from simulator.optics.mask import Mask
+from simulator.optics.materials import AIR, Material, load_material, material_file
+from simulator.optics.propagation import air_equivalent_m
+from simulator.optics.psf import PsfConfig, compute_psf_stack, psf_fingerprint
+from simulator.optics.spectra import (
+    NOMINAL_CAMERA,
+    Led,
+    check_materials,
+    curve_file,
+    electron_rates,
+    quantile_lines,
+    spectral_response,
+)
+from simulator.optics.stack import PsfStack
+from simulator.plugins import Plugin, plugin_errors, resolve
+from simulator.types import CameraGeometry, Layer, SceneSource, SpectralResponse, View
+
+EQUIVALENT_WAVELENGTH_M = 550e-9
+"""Where a layer's thickness becomes a distance in air: the middle of the visible."""
+
+_CFA = "RGGB"
+_REPLACEABLE = (
+    "full_well_e",
+    "read_noise_e",
+    "row_noise_e",
+    "dark_current_e_per_s",
+    "dsnu_e",
+    "black_level_dn",
+    "bit_depth",
+    "peak_quantum_efficiency",
+)
+_OWN_PACKAGES = ("simulator", "scenes", "psf_library")
+_CHECKS = {"model": "exact PSFs", "direct_sum": "direct sums", "field_angle": "field angles"}
+
+Progress = Callable[[str, int, int], None]  # (what, done, total)
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """A configuration's parts, each built when it is first asked for and then kept.
+
+    A part raises ``InputError`` where the configuration names what does not exist, cannot be read or does not fit.
+
+    Attributes:
+        config: the configuration.
+        backend: Mitsuba variant for scenes that are rendered; ``none`` for imported ones.
+        threads: depths of the PSF stack that are computed at a time.
+        progress: called with (what, done, total) while PSFs are computed.
+
+    Example:
+        >>> from simulator.config import config_from_dict, default_config_text
+        >>> import yaml
+        >>> assembly = Assembly(config_from_dict(yaml.safe_load(default_config_text())))
+        >>> round(assembly.pixel_pitch_m * 1e6, 6), assembly.view.shape
+        (19.2, (128, 128))
+    """
+
+    config: Config
+    backend: str = "none"
+    threads: int = field(default=1, compare=False)
+    progress: Progress | None = field(default=None, compare=False, repr=False)
+
+    def having(self, **parts: Any) -> Self:
+        """Return a copy in which some parts are there already, such as a ``psf_stack`` or ``shutter`` from a data set."""
+        copy = replace(self)
+        copy.__dict__.update(parts)
+        return copy
+
+    # ---- geometry
+
+    @cached_property
+    def pixel_pitch_m(self) -> float:
+        """Pitch of the stored (binned) values, metres."""
+        return self._bare_sensor.binned_pitch_m
+
+    @cached_property
+    def gap(self) -> tuple[Layer, ...]:
+        """The layers from the mask's modulating surface to the sensor; none where air alone lies between them."""
+        camera, plate = self.config.camera, self._plate("sensor")
+        if camera.gap is not None:
+            return (*plate, *(Layer(layer.mm * 1e-3, self._medium(layer)) for layer in camera.gap))
+        assert camera.mask_to_sensor_mm is not None
+        return (*plate, Layer(camera.mask_to_sensor_mm * 1e-3, AIR)) if plate else ()
+
+    @cached_property
+    def mask_to_sensor_m(self) -> float:
+        """Distance in air at which paraxial rays from the mask arrive at the same place: the sum of d / n, metres."""
+        if self.gap:
+            return air_equivalent_m(self.gap, EQUIVALENT_WAVELENGTH_M)
+        assert self.config.camera.mask_to_sensor_mm is not None
+        return self.config.camera.mask_to_sensor_mm * 1e-3
+
+    @cached_property
+    def geometry(self) -> CameraGeometry:
+        """What the optics need to know of the camera."""
+        return CameraGeometry(self.mask_to_sensor_m, self.pixel_pitch_m, self.response, self.gap, self._plate("scene"))
+
+    @cached_property
+    def depths_m(self) -> tuple[float, ...]:
+        """The depths of the stack, metres, without making it."""
+        chosen = self.config.psf
+        return chosen.depths_m if isinstance(chosen, ComputedPsf) else measured_depths_m(self.config, chosen)
+
+    @cached_property
+    def view(self) -> View:
+        """The pinhole view that scenes are drawn for; its depths are the stack's unless the scene has its own."""
+        near_cm, far_cm = self.config.scene.near_cm, self.config.scene.far_cm
+        return View(
+            self.config.scene.size,
+            self.pixel_pitch_m,
+            self.mask_to_sensor_m,
+            self.depths_m[0] if near_cm is None else near_cm * 1e-2,
+            self.depths_m[-1] if far_cm is None else far_cm * 1e-2,
+        )
+
+    # ---- light
+
+    @cached_property
+    def response(self) -> SpectralResponse:
+        """The relative photon weights of the camera's channels under the configuration's light."""
+        return spectral_response(self._camera, self._illuminant, self.config.base_dir)
+
+    @cached_property
+    def electron_rates(self) -> dict[str, float]:
+        """The electrons that white gives in each channel (cached); see `simulator.optics.spectra.electron_rates`."""
+        folder = self.config.base_dir
+
+        def compute() -> Entry:
+            rates = electron_rates(self._camera, self._illuminant, folder)
+            return {"rates": np.array(list(rates.values()))}, {"channels": list(rates)}
+
+        arrays, described = cached("photometry", self._light_key("simulator.optics.spectra"), compute)
+        return dict(zip(described["channels"], arrays["rates"].tolist(), strict=True))
+
+    def camera_colour(self, channels: tuple[str, ...]) -> CameraColour:
+        """Return how the scene's linear sRGB becomes the camera's channels; a fitted matrix is cached.
+
+        Args:
+            channels: names of the PSF stack's channels.
+
+        Raises:
+            InputError: when the matrix does not have a row per channel.
+        """
+        chosen = self.config.camera.scene_to_camera
+        if chosen == "identity":
+            colour = CameraColour(np.eye(3), {"from": "identity"})
+        elif chosen == "auto":
+            folder = self.config.base_dir
+
+            def compute() -> Entry:
+                fitted = fit_camera_colour(spectral_response(self._camera, self._illuminant, folder))
+                return {"matrix": fitted.matrix}, {"origin": fitted.origin}
+
+            arrays, described = cached(
+                "colour", self._light_key("simulator.camera.colour", "simulator.optics.spectra"), compute
+            )
+            colour = CameraColour(arrays["matrix"], described["origin"])
+        else:
+            colour = CameraColour(np.array(chosen, np.float64), {"from": "configuration"})
+        if len(colour.matrix) != len(channels):
+            msg = (
+                f"camera.scene_to_camera: {chosen if isinstance(chosen, str) else 'the matrix'} has {len(colour.matrix)} "
+                f"rows, but the PSF stack has the channels {', '.join(channels)}; give a list with a row of three numbers "
+                "for each"
+            )
+            raise InputError(msg)
+        return colour
+
+    # ---- mask and PSFs
+
+    @cached_property
+    def mask(self) -> Mask | None:
+        """The mask, designed once and then cached on disk; None when the PSF was measured."""
+        chosen = self.config.camera.mask
+        return None if chosen is None else load_mask(chosen.design, self.config.base_dir, **chosen.params)
+
+    @cached_property
+    def psf_config(self) -> PsfConfig:
+        """How to compute the stack of a configuration with a computed PSF."""
+        chosen = self.config.psf
+        assert isinstance(chosen, ComputedPsf)
+        return PsfConfig(
+            chosen.depths_m,
+            chosen.model,
+            chosen.wavelengths_per_channel,
+            chosen.oversampling,
+            chosen.accept_error,
+        )
+
+    @cached_property
+    def psf_stack(self) -> PsfStack:
+        """The PSF stack: computed (and cached on disk), or measured."""
+        if not isinstance(self.config.psf, ComputedPsf):
+            return measured_stack(self.config, self.config.psf, self._bare_sensor, self.mask_to_sensor_m, self.gap)
+        mask, geometry, psf_config = self.mask, self.geometry, self.psf_config
+        assert mask is not None
+        lines = quantile_lines(geometry.response, psf_config.wavelengths_per_channel)
+        layers = [layer.material for layer in (*geometry.gap, *geometry.window)]
+        check_materials(geometry.response, lines, [mask.material, *layers])
+        fingerprint = psf_fingerprint(mask, geometry, psf_config)
+
+        def compute() -> Entry:
+            progress = None if self.progress is None else partial(self.progress, "PSFs")
+            stack = compute_psf_stack(mask, geometry, psf_config, threads=self.threads, progress=progress)
+            described = {"channels": stack.channels, "provenance": stack.provenance}
+            return {"values": stack.values, "depths_m": stack.depths_m}, described
+
+        # The limit is not part of the values, but a stack cached under a loose one must not pass a tight one.
+        key = repr((fingerprint, psf_config.accept_error, code_digest("simulator.optics.psf")))
+        arrays, described = cached("psf", hashlib.sha256(key.encode()).hexdigest(), compute)
+        return PsfStack(
+            arrays["values"],
+            arrays["depths_m"],
+            geometry.pixel_pitch_m,
+            tuple(described["channels"]),
+            fingerprint,
+            described["provenance"],
+        )
+
+    @property
+    def wants_full_check(self) -> bool:
+        """Whether the configuration asks for the full error budget (``psf.check: full``)."""
+        return isinstance(self.config.psf, ComputedPsf) and self.config.psf.check == "full"
+
+    @cached_property
+    def checked_stack(self) -> PsfStack:
+        """The PSF stack with the full error budget in its provenance: minutes of work, cached on disk.
+
+        Raises:
+            InputError: for a measured stack, which has no model to be checked.
+        """
+        mask, stack = self.mask, self.psf_stack
+        if mask is None:
+            msg = (
+                "--check: the PSF of this configuration was measured, so there is no model to check; leave --check out"
+            )
+            raise InputError(msg)
+        rows, columns = self.config.scene.size
+        per_pixel = self.pixel_pitch_m / self.mask_to_sensor_m
+        corner = (columns / 2 * per_pixel, rows / 2 * per_pixel)
+        told = {} if self.progress is None else {part: partial(self.progress, name) for part, name in _CHECKS.items()}
+
+        def compute() -> Entry:
+            return {}, budget.full_errors(
+                mask, self.geometry, self.psf_config, corner, threads=self.threads, progress=told
+            )
+
+        key = repr((stack.fingerprint, corner, llvm_works(), code_digest(budget.__name__)))
+        _, errors = cached("check", hashlib.sha256(key.encode()).hexdigest(), compute)
+        return replace(stack, provenance=stack.provenance | {"errors": errors})
+
+    # ---- sensor
+
+    @cached_property
+    def shutter(self) -> Shutter:
+        """The shutter; a user's function is called for its windows once."""
+        chosen, binning = self.config.camera.shutter, self.config.camera.sensor.binning
+        if not isinstance(chosen, sections.RowWindows):
+            exposure_s = chosen.exposure_ms * 1e-3
+            if isinstance(chosen, sections.RollingShutter):
+                return RollingShutter(exposure_s, chosen.line_time_us * 1e-6, chosen.direction, binning)
+            if isinstance(chosen, sections.DualRollingShutter):
+                return DualRollingShutter(exposure_s, chosen.line_time_us * 1e-6, chosen.order, binning)
+            return GlobalShutter(exposure_s, binning)
+        rows, plugin = self.config.camera.sensor.shape[0], self._shutter_plugin
+        if plugin is None:
+            assert chosen.file is not None
+            path = self.config.resolve_path(chosen.file)
+            try:
+                return read_row_shutter(path, rows, binning)
+            except InputError as error:
+                msg = f"camera.shutter.file: {error}"
+                raise InputError(msg) from error
+        with plugin_errors(plugin):
+            windows = plugin.function(rows * binning, **plugin.bind(chosen.params))
+        return row_shutter(windows, rows, binning, f"camera.shutter.function: {plugin.name} returned: ")
+
+    @cached_property
+    def sensor(self) -> Sensor:
+        """The sensor at ``full_scale`` 1: the model's numbers, with those that the configuration replaces.
+
+        Where the configuration gives the scene's illuminance, channels count as many electrons as their spectral responses
+        say. ``replace(sensor, full_scale=...)`` sets the exposure that fills a pixel.
+        """
+        camera, responsivity = self.config.camera, None
+        if camera.exposure.illuminance_lux is not None:
+            responsivity = tuple(rate / max(self.electron_rates.values()) for rate in self.electron_rates.values())
+        exposure_s: float | tuple[float, ...]
+        if isinstance(camera.shutter, sections.RowWindows):
+            # The stored picture is the physical one rotated by 180 degrees.
+            exposure_s = tuple(self.shutter.exposures_s(camera.sensor.shape[0])[::-1].tolist())
+        else:
+            exposure_s = camera.shutter.exposure_ms * 1e-3
+        return replace(self._bare_sensor, exposure_s=exposure_s, responsivity=responsivity)
+
+    @cached_property
+    def fixed_exposure(self) -> dict[str, Any] | None:
+        """The exposure as a data set records it, or None where pilot samples must find it.
+
+        ``full_scale`` is the radiant exposure (scene radiance x steradian x seconds, per unit irradiance at the mask) that
+        fills a pixel. With ``illuminance_lux``, a scene radiance of 1 is a white surface lit so brightly, and the pixel is
+        one of the channel that counts the most electrons for white.
+        """
+        chosen = self.config.camera.exposure
+        if chosen.illuminance_lux is None:
+            found = chosen.full_scale == "auto"
+            return None if found else {"full_scale": float(chosen.full_scale), "from": "configuration"}
+        sensor, rates = self.sensor, self.electron_rates
+        per_lux = max(rates.values()) * sensor.peak_quantum_efficiency * sensor.pixel_pitch_m**2
+        electrons = chosen.illuminance_lux * per_lux
+        own_efficiency = self.config.camera.sensor.peak_quantum_efficiency is not None
+        assert sensor.responsivity is not None
+        return {
+            "full_scale": sensor.full_well_e / electrons,
+            "from": "illuminance",
+            "illuminance_lux": chosen.illuminance_lux,
+            "peak_quantum_efficiency": sensor.peak_quantum_efficiency,
+            "peak_quantum_efficiency_from": "configuration" if own_efficiency else sensor.source,
+            "full_well_e": sensor.full_well_e,
+            "electrons_per_exposure": electrons,
+            "responsivity": dict(zip(rates, sensor.responsivity, strict=True)),
+        }
+
+    @cached_property
+    def forward_model(self) -> ForwardModel:
+        """The forward model: scene light over time to the exposure of the sensor."""
+        chosen = self.config.forward
+        return ForwardModel(
+            self.psf_stack,
+            self.config.camera.sensor.shape,
+            self.config.scene.size,
+            self.shutter,
+            chosen.boundary,
+            time=chosen.time,
+            irradiance=mask_irradiance(self.view, chosen.vignetting),
+            scene_to_camera=self.camera_colour(self.psf_stack.channels).matrix,
+            depth_rule=DepthRule(chosen.depth_assignment, chosen.max_clamped),
+        )
+
+    # ---- scenes and files
+
+    @cached_property
+    def scene_plugin(self) -> Plugin:
+        """The plugin that makes the scenes."""
+        scene = self.config.scene
+        kind, name = ("scene", scene.family) if scene.family is not None else ("source", scene.source)
+        assert name is not None
+        return resolve(kind, name, self.config.base_dir)
+
+    @cached_property
+    def source(self) -> SceneSource:
+        """The scene source."""
+        plugin = self.scene_plugin
+        arguments = plugin.bind(self.config.scene.params)
+        if plugin.takes_renderer:
+            from simulator.render import Renderer  # imported data sets need no renderer
+
+            chosen = self.config.render
+            bands_nm = chosen.bands.edges if chosen.bands else ()
+            arguments["renderer"] = Renderer(
+                self.backend, tuple(chosen.outputs), chosen.hidden_layers, denoise=chosen.denoise, bands_nm=bands_nm
+            )
+        with plugin_errors(plugin):
+            source = plugin.function(self.view, **arguments)
+        if not isinstance(source, SceneSource):
+            msg = (
+                f"scene {plugin.name!r} returned {type(source).__name__}, expected an object with inputs and "
+                "clip(index, rng)"
+            )
+            raise InputError(msg)
+        return source
+
+    @cached_property
+    def input_files(self) -> list[Path]:
+        """All files whose contents decide the samples: plugins' code, materials, spectra, shutters, PSFs, frames."""
+        config, camera = self.config, self.config.camera
+        materials = [layer.material for layer in camera.gap or () if layer.material is not None]
+        if camera.substrate is not None:
+            materials.append(camera.substrate.material)
+        files = _own_code(self.scene_plugin)
+        files += [
+            file for name in dict.fromkeys(materials) if (file := material_file(name, config.base_dir)) is not None
+        ]
+        files += self._light_files
+        if (shutter := self._shutter_plugin) is not None and isinstance(camera.shutter, sections.RowWindows):
+            files += [value for value in shutter.bind(camera.shutter.params).values() if isinstance(value, Path)]
+            files += _own_code(shutter)
+        elif isinstance(camera.shutter, sections.RowWindows) and camera.shutter.file is not None:
+            files.append(config.resolve_path(camera.shutter.file))
+        if camera.mask is not None:
+            plugin = resolve("mask", camera.mask.design, config.base_dir)
+            files += [*_own_code(plugin), *mask_arguments(plugin, camera.mask.params)[1]]
+        if not isinstance(config.psf, ComputedPsf):
+            files += measured_files(config, config.psf)
+        return [*files, *self.source.inputs]
+
+    # ---- what the parts share
+
+    @cached_property
+    def _bare_sensor(self) -> Sensor:
+        """The sensor without what the shutter and the light decide: the model's numbers, some replaced."""
+        chosen = self.config.camera.sensor
+        if chosen.model not in MODELS:
+            msg = f"camera.sensor.model: got {chosen.model!r}, expected one of {', '.join(MODELS)}"
+            raise InputError(msg)
+        own = {name: value for name in _REPLACEABLE if (value := getattr(chosen, name)) is not None}
+        if chosen.pixel_pitch_um is not None:
+            own["pixel_pitch_m"] = chosen.pixel_pitch_um * 1e-6
+        if chosen.prnu_percent is not None:
+            own["prnu"] = chosen.prnu_percent * 1e-2
+        return Sensor(
+            name=chosen.model,
+            binning=chosen.binning,
+            shape=chosen.shape,
+            readout=chosen.readout,
+            cfa=chosen.cfa or _CFA,
+            pattern_seed=chosen.pattern_seed,
+            noise=self._noise,
+            **MODELS[chosen.model] | own,
+        )
+
+    @property
+    def _noise(self) -> Noise:
+        chosen = self.config.camera.noise
+        if isinstance(chosen, sections.GaussianNoise):
+            return GaussianNoise(chosen.std, chosen.psnr_db, chosen.peak, chosen.clip, chosen.quantise)
+        return PhysicalNoise() if isinstance(chosen, sections.PhysicalNoise) else NoNoise()
+
+    @cached_property
+    def _shutter_plugin(self) -> Plugin | None:
+        chosen = self.config.camera.shutter
+        if not isinstance(chosen, sections.RowWindows) or chosen.function is None:
+            return None
+        return resolve("shutter", chosen.function, self.config.base_dir)
+
+    def _plate(self, side: str) -> tuple[Layer, ...]:
+        """Return the mask's substrate, if it lies on that side of the modulating surface."""
+        plate = self.config.camera.substrate
+        if plate is None or plate.side != side:
+            return ()
+        return (Layer(plate.mm * 1e-3, load_material(plate.material, self.config.base_dir)),)
+
+    def _medium(self, layer: sections.GapLayer) -> Material:
+        if layer.material is not None:
+            return load_material(layer.material, self.config.base_dir)
+        assert layer.n is not None
+        if layer.n == "air":
+            return AIR
+        return Material(f"n = {layer.n:g}", "cauchy", (layer.n,), AIR.range_m, "constant index of the configuration")
+
+    @property
+    def _camera(self) -> str:
+        return self.config.camera.sensor.spectral_response or NOMINAL_CAMERA
+
+    @property
+    def _illuminant(self) -> str | tuple[Led, ...]:
+        chosen = self.config.camera.illuminant
+        if isinstance(chosen, str):
+            return chosen
+        leds = chosen if isinstance(chosen, tuple) else (chosen,)
+        return tuple(Led(led.led_nm * 1e-9, led.fwhm_nm * 1e-9, led.power) for led in leds)
+
+    @property
+    def _light_files(self) -> list[Path]:
+        """The files of the camera's curves and of the light's spectrum."""
+        captured = getattr(self.config.psf, "as_captured", None)
+        lights = (self.config.camera.illuminant, None if captured is None else captured.illuminant)
+        names = [name for name in (self._camera, *lights) if isinstance(name, str)]
+        return [file for name in names if (file := curve_file(name, self.config.base_dir)) is not None]
+
+    def _light_key(self, *modules: str) -> str:
+        """Return a hash of the camera and its light, without colour-science, which every worker would import for a second."""
+        hashes = [sha256_file(path) for path in self._light_files]
+        return hashlib.sha256(
+            repr((self._camera, self._illuminant, hashes, code_digest(*modules))).encode()
+        ).hexdigest()
+
+
+def _own_code(plugin: Plugin) -> list[Path]:
+    """Return the file of a plugin's code unless it came with flatlight, whose version stands for it."""
+    module = inspect.getmodule(plugin.function)
+    if plugin.path is None and module is not None and module.__name__.partition(".")[0] in _OWN_PACKAGES:
+        return []
+    path = plugin.path or inspect.getsourcefile(plugin.function)
+    return [Path(path)] if path else []
