@@ -20,7 +20,7 @@ from torch.utils.data import Dataset as TorchDataset
 
 from learning.camera import recorded_sensor
 from learning.provenance import sample_digests
-from simulator.camera.noise import GaussianNoise
+from simulator.camera.noise import GaussianNoise, add_gaussian
 from simulator.camera.sensor import Sensor
 from simulator.config import config_from_dict
 from simulator.config.camera import GaussianNoise as GaussianConfig
@@ -124,7 +124,7 @@ class ExampleSet(TorchDataset[Example]):
             split, index = SPLITS.index(self.dataset.split), sample_index(self.dataset.ids[position])
             rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_STREAM, split, index, number)))
             noise = GaussianNoise(psnr_db=rng.uniform(*self._noise_db), clip=self._clip, quantise=self._quantise)
-            measurement = noise.apply(measurement, self._sensor, rng)
+            measurement = add_gaussian(measurement, noise, self._sensor.bit_depth, rng)
         return Example(*(torch.from_numpy(values) for values in (measurement, *arrays[1:])))
 
     def _read(self, position: int) -> Arrays:

@@ -1,54 +1,20 @@
-"""Sensor noise: Gaussian by standard deviation or measurement PSNR, and the physical chain of a CMOS pixel."""
+"""Sensor noise: which kinds there are, and the plain steps that `Sensor.expose` puts in the order of the physics."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import Any, Literal
 
-from simulator.arrays import Array, like, namespace, normal, number, poisson
+from simulator.arrays import Array, namespace, normal, number, poisson
 from simulator.errors import InputError
 
-if TYPE_CHECKING:
-    from simulator.camera.sensor import Sensor
-
 _SURELY_FULL = 1e6
-"""Share of full scale beyond which nothing changes, where Poisson numbers still fit 64 bits."""
-
-
-class Noise(Protocol):
-    """What happens between a perfect signal and the stored number.
-
-    Signals are shares of full scale, in the shape of the stored picture.
-    """
-
-    def fill(self, signal: Array, sensor: Sensor) -> Array:
-        """Return the expected share of full scale that the pixels reach: from 1 on they are saturated."""
-        ...
-
-    def noiseless(self, signal: Array, sensor: Sensor) -> Array:
-        """Return DN / 2^bits without noise."""
-        ...
-
-    def apply(self, signal: Array, sensor: Sensor, rng: Any) -> Array:
-        """Return DN / 2^bits with noise."""
-        ...
+"""Times the full well beyond which nothing changes, where Poisson numbers still fit 64 bits."""
 
 
 @dataclass(frozen=True)
 class NoNoise:
     """The perfect sensor: the signal itself, neither clipped nor quantised."""
-
-    def fill(self, signal: Array, sensor: Sensor) -> Array:
-        """Return the signal."""
-        return signal
-
-    def noiseless(self, signal: Array, sensor: Sensor) -> Array:
-        """Return the signal."""
-        return signal
-
-    def apply(self, signal: Array, sensor: Sensor, rng: Any) -> Array:
-        """Return the signal."""
-        return signal
 
 
 @dataclass(frozen=True)
@@ -82,61 +48,53 @@ class GaussianNoise:
         peak = number(namespace(signal).max(signal)) if self.peak == "sample" else 1.0
         return peak * 10 ** (-self.psnr_db / 20)
 
-    def fill(self, signal: Array, sensor: Sensor) -> Array:
-        """Return the signal."""
-        return signal
-
-    def noiseless(self, signal: Array, sensor: Sensor) -> Array:
-        """Return the signal."""
-        return signal
-
-    def apply(self, signal: Array, sensor: Sensor, rng: Any) -> Array:
-        """Add the noise; see the class."""
-        xp = namespace(signal)
-        noisy = signal + self.standard_deviation(signal) * normal(rng, signal)
-        if self.clip:
-            noisy = xp.clip(noisy, 0, 1 - 2**-sensor.bit_depth)
-        if self.quantise:
-            noisy = xp.round(noisy * 2**sensor.bit_depth) / 2**sensor.bit_depth
-        return noisy
-
 
 @dataclass(frozen=True)
 class PhysicalNoise:
-    """Photons, dark current, pixel and row errors, read noise, black level, clipping, quantisation, white balance, in order.
+    """Photons, dark current, pixel and row errors, read noise and quantisation of the sensor: see `Sensor.expose`."""
 
-    Every physical pixel is read and digitised by itself; a stored value is the digital mean of the ``n`` pixels of
-    its colour in the bin. The n pixels see one irradiance, so their electrons are drawn as one Poisson number, and the
-    rounding errors of all but the sum's own enter as their variance, 1/12 DN^2 each. The converter's range ends at the full
-    well, so one clip is both; charge does not spill over. At last a channel of responsivity r is divided by r, above the
-    black level. Source: EMVA standard 1288, release 4.0, section 2.
+
+Noise = NoNoise | GaussianNoise | PhysicalNoise
+
+
+def add_gaussian(signal: Array, noise: GaussianNoise, bit_depth: int, rng: Any) -> Array:
+    """Return the signal (share of full scale) with Gaussian noise, clipped and rounded to DN as the noise asks."""
+    xp = namespace(signal)
+    noisy = signal + noise.standard_deviation(signal) * normal(rng, signal)
+    if noise.clip:
+        noisy = xp.clip(noisy, 0, 1 - 2**-bit_depth)
+    if noise.quantise:
+        noisy = xp.round(noisy * 2**bit_depth) / 2**bit_depth
+    return noisy
+
+
+def photo_electrons(mean: Array, full_well_e: float, rng: Any) -> Array:
+    """Draw the electrons that light frees, Poisson numbers with a mean that may be far beyond the full well."""
+    return poisson(rng, namespace(mean).clip(mean, 0, _SURELY_FULL * full_well_e))
+
+
+def dark_electrons(mean: Array, rng: Any) -> Array:
+    """Draw the electrons of the dark current, Poisson numbers."""
+    return poisson(rng, mean)
+
+
+def read_errors(shape_of: Array, pixels: Array, read_noise_e: float, dn_per_electron: float, rng: Any) -> Array:
+    """Draw the summed read noise of the pixels behind each value, electrons.
+
+    Each pixel is rounded to a DN by itself. The error of the last rounding is the caller's; those of the other pixels enter
+    here, as their variance of 1/12 DN^2 each.
     """
+    rounding_e2 = (pixels - 1) / 12 / dn_per_electron**2
+    return normal(rng, shape_of) * namespace(shape_of).sqrt(pixels * read_noise_e**2 + rounding_e2)
 
-    def fill(self, signal: Array, sensor: Sensor) -> Array:
-        """Return the expected electrons, dark ones included, as a share of the full well."""
-        return signal * sensor.balance(signal) + sensor.dark_electrons(signal) * (1 / sensor.full_well_e)
 
-    def noiseless(self, signal: Array, sensor: Sensor) -> Array:
-        """Return the expected DN / 2^bits below saturation, dark current included, averaged over the fixed patterns."""
-        share = self.fill(signal, sensor) / sensor.balance(signal)
-        return (sensor.black_level_dn + share * sensor.dn_range) / 2**sensor.bit_depth
+def convert(electrons: Array, pixels: Array, dn_per_electron: float, black_level_dn: float, bit_depth: int) -> Array:
+    """Return the mean DN of the pixels behind each value: gain, black level, the converter's range, rounding.
 
-    def apply(self, signal: Array, sensor: Sensor, rng: Any) -> Array:
-        """Draw one measurement; see the class."""
-        xp = namespace(signal)
-        shape = tuple(signal.shape)
-        pixels, balance = sensor.pixels(signal), sensor.balance(signal)
-        light = xp.clip(signal, 0, _SURELY_FULL) * balance
-        electrons = poisson(rng, light * (sensor.full_well_e * pixels))
-        electrons = electrons + poisson(rng, xp.zeros_like(signal) + sensor.dark_electrons(signal) * pixels)
-        electrons = electrons * like(sensor.response_map(shape), signal) + like(sensor.dark_map(shape), signal) * pixels
-        rounding_e2 = (pixels - 1) / 12 / sensor.dn_per_electron**2
-        read = normal(rng, signal) * xp.sqrt(pixels * sensor.read_noise_e**2 + rounding_e2)
-        row = sensor.row_errors(signal, rng)
-        numbers = (electrons + read + row * pixels) * sensor.dn_per_electron + pixels * sensor.black_level_dn
-        top = pixels * (2**sensor.bit_depth - 1)
-        numbers = xp.round(xp.where(numbers < 0, 0 * numbers, xp.where(numbers > top, top + 0 * numbers, numbers)))
-        numbers = numbers / pixels
-        if sensor.responsivity is not None:
-            numbers = (numbers - sensor.black_level_dn) / balance + sensor.black_level_dn
-        return numbers / 2**sensor.bit_depth
+    The range ends at the full well, so one clip is both; charge does not spill over.
+    """
+    xp = namespace(electrons)
+    numbers = electrons * dn_per_electron + pixels * black_level_dn
+    top = pixels * (2**bit_depth - 1)
+    numbers = xp.where(numbers < 0, 0 * numbers, xp.where(numbers > top, top + 0 * numbers, numbers))
+    return xp.round(numbers) / pixels

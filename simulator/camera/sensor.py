@@ -9,8 +9,18 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.arrays import Array, like, to_numpy
-from simulator.camera.noise import Noise, NoNoise
+from simulator.arrays import Array, like, namespace, to_numpy
+from simulator.camera.noise import (
+    GaussianNoise,
+    Noise,
+    NoNoise,
+    PhysicalNoise,
+    add_gaussian,
+    convert,
+    dark_electrons,
+    photo_electrons,
+    read_errors,
+)
 from simulator.camera.readout import BayerReadout, BinnedReadout
 from simulator.errors import InputError
 
@@ -210,7 +220,14 @@ class Sensor:
         return self._readout.row_errors(signal, self.row_noise_e, rng)
 
     def expose(self, irradiance: Array, rng: Any) -> Array:
-        """Return DN / 2^bits of one picture.
+        """Return DN / 2^bits of one image.
+
+        With physical noise, in this order: photo-response non-uniformity (a fixed pattern of the light's mean), photons,
+        dark current, dark-signal non-uniformity, read noise, row errors, gain and black level, the converter's range,
+        rounding, white balance. Every physical pixel is read and digitised by itself; a stored value is the digital mean of
+        the ``n`` pixels of its colour in the bin. These see one irradiance, so their electrons are drawn as one Poisson
+        number. At last a channel of responsivity r is divided by r, above the black level. Source: EMVA standard 1288,
+        release 4.0, section 2.
 
         Args:
             irradiance: radiant exposure ``(C, H, W)`` from a forward model; ``full_scale`` of it fills a pixel.
@@ -222,15 +239,43 @@ class Sensor:
         Raises:
             InputError: for a wrong shape, or channels that this sensor cannot read.
         """
-        return self.noise.apply(self._signal(irradiance), self, rng)
+        signal = self._signal(irradiance)
+        if isinstance(self.noise, NoNoise):
+            return signal
+        if isinstance(self.noise, GaussianNoise):
+            return add_gaussian(signal, self.noise, self.bit_depth, rng)
+        pixels, balance, shape = self.pixels(signal), self.balance(signal), tuple(signal.shape)
+        light = signal * balance * like(self.response_map(shape), signal)  # PRNU, of the light alone
+        electrons = photo_electrons(light * (self.full_well_e * pixels), self.full_well_e, rng)
+        dark = namespace(signal).zeros_like(signal) + self.dark_electrons(signal) * pixels
+        electrons = electrons + dark_electrons(dark, rng) + like(self.dark_map(shape), signal) * pixels  # DSNU
+        electrons = electrons + read_errors(signal, pixels, self.read_noise_e, self.dn_per_electron, rng)
+        electrons = electrons + self.row_errors(signal, rng) * pixels
+        numbers = convert(electrons, pixels, self.dn_per_electron, self.black_level_dn, self.bit_depth)
+        if self.responsivity is not None:
+            numbers = (numbers - self.black_level_dn) / balance + self.black_level_dn
+        return numbers / 2**self.bit_depth
 
     def noiseless(self, irradiance: Array) -> Array:
-        """Return the expected DN / 2^bits, dark current included, neither clipped nor quantised; see ``expose``."""
-        return self.noise.noiseless(self._signal(irradiance), self)
+        """Return the expected DN / 2^bits, neither clipped nor quantised, averaged over the fixed patterns; see ``expose``.
+
+        With physical noise it includes the dark current and the black level.
+        """
+        signal = self._signal(irradiance)
+        if not isinstance(self.noise, PhysicalNoise):
+            return signal
+        share = self._fill(signal) / self.balance(signal)
+        return (self.black_level_dn + share * self.dn_range) / 2**self.bit_depth
 
     def saturated_share(self, irradiance: Array) -> float:
         """Return the share of stored values that are expected to reach full scale; see ``expose``."""
-        return float(np.mean(to_numpy(self.noise.fill(self._signal(irradiance), self)) >= 1))
+        return float(np.mean(to_numpy(self._fill(self._signal(irradiance))) >= 1))
+
+    def _fill(self, signal: Array) -> Array:
+        """Return the expected share of full scale that the pixels reach; electrons of the dark current included."""
+        if not isinstance(self.noise, PhysicalNoise):
+            return signal
+        return signal * self.balance(signal) + self.dark_electrons(signal) * (1 / self.full_well_e)
 
     @property
     def _readout(self) -> BinnedReadout | BayerReadout:

@@ -106,6 +106,23 @@ def test_fixed_pattern_is_the_same_in_every_picture_and_has_the_asked_strength()
     assert covariance == pytest.approx(expected, rel=0.03)
 
 
+def test_a_pixels_responsivity_scales_its_photons_before_they_are_drawn():
+    """EMVA 1288: photo-electrons of any pixel have Poisson's variance, and the dark current knows no PRNU."""
+    quiet = {"dsnu_e": 0.0, "read_noise_e": 0.0, "row_noise_e": 0.0, "bit_depth": 20, "black_level_dn": 0.0}
+    sensor = _sensor(noise=PhysicalNoise(), prnu=0.3, exposure_s=1.0, dark_current_e_per_s=2000.0, **quiet)
+    response = sensor.response_map((3, *SHAPE))
+    electrons = 2**20 / sensor.dn_per_electron
+    for level in (0.2, 0.0):
+        flat = np.full((3, *SHAPE), level, np.float32)
+        first, second = (sensor.expose(flat, np.random.default_rng(seed)) * electrons for seed in (0, 1))
+        for low, high in ((0.4, 0.6), (1.4, 1.6)):
+            chosen = (response > low) & (response < high)
+            expected = (level * sensor.full_well_e * response[chosen] + 2000).mean()
+            assert first[chosen].mean() == pytest.approx(expected, rel=1e-3)
+            # 9e4 pixels or more: 0.5 %.
+            assert np.var(first[chosen] - second[chosen]) / 2 == pytest.approx(expected, rel=0.02)
+
+
 def test_the_dark_pattern_is_the_sensors_own():
     """The same in every picture, of the asked strength after binning, and another sensor's is another."""
     sensor = _sensor(noise=PhysicalNoise(), prnu=0.0, dsnu_e=30.0, row_noise_e=0.0, binning=6)
