@@ -54,13 +54,14 @@ def generate(
     from simulator.console import Bar
     from simulator.dataset.job import generate as run
     from simulator.dataset.manifest import PROBLEMS, SKIPPED, shortened
+    from simulator.plots.contact_sheet import contact_sheet
 
     with Bar() as bar:
         result = run(config, set_ or [], skip_bad=skip_bad, progress=bar.update, say=bar.say)
     kept = f", {result.kept} were there before" if result.kept else ""
     print(f"{result.made} samples made in {result.seconds:.0f} s{kept}: {result.path}")
-    if result.contact_sheet:
-        print(f"look at {result.contact_sheet}")
+    if result.made + result.kept:
+        print(f"look at {contact_sheet(result.path, result.path / 'contact_sheet.png')}")
     if result.problems:
         print(f"of the source was left out what {result.path / PROBLEMS} lists: {len(result.problems)} in all")
     if result.skipped:

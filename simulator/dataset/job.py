@@ -41,7 +41,6 @@ from simulator.optics.error_budget.sampling import SamplingWarning
 from simulator.optics.metrics import light_off_sensor
 from simulator.optics.stack import PsfStack
 from simulator.optics.stack_files import read_psf_stack, write_psf_stack
-from simulator.plots.contact_sheet import contact_sheet
 from simulator.plugins import Plugin, plugin_errors
 from simulator.render.backend import choose_backend
 from simulator.types import SceneSource
@@ -186,7 +185,6 @@ def data_set_stack(assembly: Assembly, root: Path, say: Callable[[str], None]) -
     return stack
 
 
-SHEET = "contact_sheet.png"
 OFF_SENSOR_WARNING = 0.01
 
 Report = Callable[[str, int, int], None]  # (stage, done, total)
@@ -202,7 +200,6 @@ class GenerateResult:
         made: samples made by this run.
         kept: samples that were there before.
         failed: one line per sample that could not be made: id and reason.
-        contact_sheet: picture of some samples; None when there is no sample.
         seconds: wall time.
         skipped: one line per sample that this run or one before left out for good: id and reason.
         problems: lines about what the source cannot use.
@@ -212,7 +209,6 @@ class GenerateResult:
     made: int
     kept: int
     failed: tuple[str, ...]
-    contact_sheet: Path | None
     seconds: float
     skipped: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
@@ -247,12 +243,9 @@ def generate(
         config = load_config(config, overrides)
     job = _Job(config, skip_bad, progress or (lambda stage, done, total: None), say or (lambda line: None))
     made, kept, failed = job.run()
-    sheet = None
-    if made + kept:
-        sheet = contact_sheet(job.root, job.root / SHEET)
     skipped = tuple(f"{split}/{name}: {reason}" for (split, name), reason in load_skipped(job.root).items())
     seconds = time.perf_counter() - begin
-    return GenerateResult(job.root, made, kept, tuple(failed), sheet, seconds, skipped, job.problems)
+    return GenerateResult(job.root, made, kept, tuple(failed), seconds, skipped, job.problems)
 
 
 @dataclass

@@ -56,7 +56,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable) -> 
 
 def test_layout_is_the_documented_one(finished: Path) -> None:
     samples = [f"{split}/0000/{name}" for split, name in sorted(ALL)]
-    expected = {"dataset.json", "manifest.jsonl", "contact_sheet.png", "psf/psf.json"}
+    expected = {"dataset.json", "manifest.jsonl", "psf/psf.json"}
     expected |= {f"psf/depth_{k:04d}.exr" for k in range(3)}
     expected |= {f"{sample}/{name}" for sample in samples for name in ("measurement.exr", "ground_truth.exr")}
     expected |= {f"{sample}/sample.json" for sample in samples}
@@ -121,7 +121,7 @@ def test_raising_counts_keeps_what_was_there(trial) -> None:
     assert (result.made, result.kept, result.failed) == (2, 5, ())
     after = contents(first)
     changed = {key for key in before if before[key] != after[key]}
-    assert changed == {"info", "contact_sheet.png"}
+    assert changed == {"info"}
     assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())  # not even written again
     assert json.loads((first / "dataset.json").read_text())["counts"] == {"train": 5, "validation": 1, "test": 1}
     assert verify(first).ok
@@ -133,7 +133,7 @@ def test_a_finished_set_is_left_alone(trial) -> None:
     root = trial.generate()
     before = contents(root)
     result = generate(trial.path)
-    assert (result.made, result.kept, result.contact_sheet) == (0, 5, root / "contact_sheet.png")
+    assert (result.made, result.kept) == (0, 5)
     assert contents(root) == before
 
 
@@ -326,7 +326,6 @@ class TestRefusals:
         assert "is not empty" in self.refused(trial)
         for split in ("train", "validation", "test"):  # nor does a manifest alone pass for finished samples
             shutil.rmtree(root / split)
-        (root / "contact_sheet.png").unlink()
         assert "manifest.jsonl" in self.refused(trial)
 
     def test_a_file_in_place_of_the_folder(self, trial) -> None:
