@@ -15,11 +15,11 @@ from simulator.camera.planes import mask_irradiance
 from simulator.camera.sensor import Sensor
 from simulator.config import Config, config_from_dict
 from simulator.config.camera import ExposureConfig
-from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER, DatasetInfo
+from simulator.dataset.dataset_info import FILE, DatasetInfo
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
-from simulator.optics.stack_files import read_psf_stack
+from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack
 from simulator.types import View
 
 _WHITE_PERCENTILE, _WHITE_SAMPLES = 99.0, 64

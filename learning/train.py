@@ -46,12 +46,11 @@ from learning.resume import (
 from learning.validation import SHOWN, Log, draw, to_device, true_estimate, validate
 from simulator import __version__
 from simulator.dataset import open_dataset
-from simulator.dataset.dataset_info import PSF_FOLDER
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 from simulator.io.cache import cache_folder
 from simulator.io.files import sha256_file
-from simulator.optics.stack_files import read_psf_stack
+from simulator.optics.stack_files import PSF_FOLDER, read_psf_stack
 
 _MOST_WORKERS = 8
 _CONVOLUTION = 4  # dimensions of its weights, at least: norms, biases and the inversion's P and lambda must not decay

@@ -16,8 +16,6 @@ from simulator.io.files import write_atomic
 from simulator.io.json import plain, readable_json
 
 FILE = "dataset.json"
-PSF_FOLDER = "psf"  # beside it: the stack that was used
-CAPTURED_FOLDER = "psf_captured"  # the same as a calibration would measure it, where the configuration asks for it
 FORMAT = "flatlight-dataset"
 FORMAT_VERSION = 1
 

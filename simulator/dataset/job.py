@@ -20,7 +20,7 @@ from simulator.captured_psf import captured_stack, check_calibration
 from simulator.config import Config, dump, load_config
 from simulator.config.psf import ComputedPsf
 from simulator.dataset.clips import ClipTimesError, check_clip, check_parameters, clip_order
-from simulator.dataset.dataset_info import CAPTURED_FOLDER, FILE, PSF_FOLDER, DatasetInfo, read_info, write_info
+from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info, write_info
 from simulator.dataset.engines import Outcome, WorkerError, available_cpus, run
 from simulator.dataset.fingerprint import build_fingerprint, difference
 from simulator.dataset.manifest import (
@@ -40,7 +40,7 @@ from simulator.io.json import canonical_json
 from simulator.optics.error_budget.sampling import SamplingWarning
 from simulator.optics.metrics import light_off_sensor
 from simulator.optics.stack import PsfStack
-from simulator.optics.stack_files import read_psf_stack, write_psf_stack
+from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack, write_psf_stack
 from simulator.plugins import Plugin, plugin_errors
 from simulator.render.backend import choose_backend
 from simulator.types import SceneSource

@@ -13,14 +13,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 
 from simulator.camera.shutter import Shutter
-from simulator.dataset.dataset_info import (
-    CAPTURED_FOLDER,
-    PSF_FOLDER,
-    DatasetInfo,
-    check_fingerprint,
-    check_shutter,
-    read_info,
-)
+from simulator.dataset.dataset_info import DatasetInfo, check_fingerprint, check_shutter, read_info
 from simulator.dataset.engines import run
 from simulator.dataset.manifest import MANIFEST, SKIPPED, Entry, Manifest, load_manifest, load_skipped
 from simulator.dataset.sample import (
@@ -34,7 +27,7 @@ from simulator.dataset.sample import (
 )
 from simulator.errors import InputError
 from simulator.io.files import leftovers, sha256_bytes
-from simulator.optics.stack_files import read_psf_stack
+from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.dataset.dataset_info import PSF_FOLDER
 from simulator.errors import InputError
 from simulator.io.exr import decode_exr, write_exr
 from simulator.io.files import committed_folder, sha256_bytes, write_atomic
@@ -18,6 +17,8 @@ from simulator.io.json import plain, readable_json
 from simulator.optics.stack import PsfStack
 
 DESCRIPTION = "psf.json"
+PSF_FOLDER = "psf"  # of a data set: the stack that was used
+CAPTURED_FOLDER = "psf_captured"  # the same as a calibration would measure it, where the configuration asks for it
 
 
 def write_psf_stack(folder: Path, stack: PsfStack) -> None:
