@@ -19,6 +19,8 @@ PACKAGES = (
     "flatlight",
     "numpy",
     "scipy",
+    "scikit-image",
+    "array-api-compat",
     "mitsuba",
     "drjit",
     "OpenEXR",

@@ -3,19 +3,23 @@
 import sys
 import threading
 from pathlib import Path
+from pkgutil import iter_modules
 
 import pytest
 
+import scenes
 import simulator
+from psf_library import designs
 from simulator import assembly, captured_psf
 from simulator.assembly import Assembly
 from simulator.captured_psf import captured_stack
 from simulator.config import load_config
+from simulator.dataset.fingerprint import PACKAGES
 from simulator.design import load
 from simulator.io import cache
 
 TOP = Path(simulator.__file__).parents[1]
-PACKAGES = [f"{TOP / name}/" for name in ("simulator", "scenes", "psf_library", "learning")]
+OURS = [f"{TOP / name}/" for name in ("simulator", "scenes", "psf_library", "learning")]
 MASK = {"design": "phlatcam", "width_mm": 0.4, "iterations": 1}
 LIT = {"exposure": {"illuminance_lux": 100}}
 
@@ -46,7 +50,7 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, set[Path]]
             sys.setprofile(before)
             threading.setprofile(None)
         own = Path(compute.__code__.co_filename)  # it lays the arguments out
-        files = {Path(name) for name in names if any(name.startswith(package) for package in PACKAGES)} - {own}
+        files = {Path(name) for name in names if any(name.startswith(package) for package in OURS)} - {own}
         missing[kind] = files - covered[-1]
         assert files & covered[-1], "the notes are empty"
         return entry
@@ -74,6 +78,25 @@ def test_all_code_that_runs_is_behind_the_keys_of_light(ran: dict[str, set[Path]
 def test_all_code_that_runs_is_behind_the_key_of_a_full_check(ran: dict[str, set[Path]], trial) -> None:
     _ = Assembly(load_config(trial.write(psf={"depths_cm": [5], "check": "full"}))).checked_stack
     assert ran["check"] == set()
+
+
+def test_every_package_behind_a_sample_is_in_the_fingerprint() -> None:
+    """What our scenes, designs and recipe import has its version in a data set's fingerprint, or cannot change a value."""
+    names = [
+        f"{package.__name__}.{module.name}"
+        for package in (scenes, designs)
+        for module in iter_modules(package.__path__)
+    ]
+    _, packages = cache._dependencies(("simulator.dataset.recipe", *names))
+    no_value = {
+        "platformdirs",
+        "pydantic",
+        "pydantic_core",
+        "yaml",
+        "torch",
+    }  # folders, checks, and what NumPy replaces
+    known = {name.lower().replace("-", "_") for name in PACKAGES}
+    assert {cache._DISTRIBUTIONS.get(name, name).lower().replace("-", "_") for name in packages - no_value} <= known
 
 
 def test_an_import_inside_a_function_counts() -> None:
