@@ -18,7 +18,7 @@ from simulator.optics.mask import Mask
 from simulator.optics.scaled import scaled_images, scaled_points, scaled_width_m
 from simulator.optics.sources import Source
 from simulator.optics.spectra import Line, quantile_lines
-from simulator.optics.stack import PsfStack, check_depths
+from simulator.optics.stack import UNPROVEN, PsfStack, check_depths
 from simulator.types import CameraGeometry, Layer
 
 Model = Literal["scaled_distance", "scaled_psf", "exact"]
@@ -62,7 +62,7 @@ def compute_psf_stack(
     progress: Progress | None = None,
     lines: Sequence[Line] | None = None,
 ) -> PsfStack:
-    """Compute the PSFs of a mask for every depth and channel, with the sampling proven first.
+    """Compute the PSFs of a mask for every depth and channel; how good they are, ``proven_psf_stack`` measures.
 
     Args:
         mask: the mask; its arrays decide the precision and, if they are torch tensors, the device and gradients.
@@ -71,27 +71,19 @@ def compute_psf_stack(
         xp: ``numpy`` or ``torch``.
         threads: depths computed at a time (NumPy only); each needs one more complex grid, 160 MB at full size.
         progress: called with (done, total) after every PSF.
-        lines: wavelengths and weights in place of the response's quantile lines; weights may be torch scalars. Errors are
-            measured at the response's own lines.
+        lines: wavelengths and weights in place of the response's quantile lines; weights may be torch scalars.
 
     Returns:
         The stack, ``values`` ``(K, C, N, N)`` with N odd and wide enough for all the light that is followed: the sum of each
         PSF times the pixel area equals the mask's transmitted area for a smooth mask, and falls short of it by the
-        diffraction orders beyond ``kernel.ORDERS`` (6-9 % for a PhlatCam) for a staircase. ``provenance["sampling"]``
-        holds the measured sampling error, which sees the orders up to twice as many; ``provenance["errors"]`` the others.
+        diffraction orders beyond ``kernel.ORDERS`` (6-9 % for a PhlatCam) for a staircase. ``provenance["sampling"]`` is
+        ``UNPROVEN``.
 
     Raises:
-        InputError: when the sampling error is above 5 % (or ``accept_error``), or the mask and camera do not fit.
+        InputError: when the mask and camera do not fit.
     """
-    from simulator.optics.error_budget.budget import quick_errors
-    from simulator.optics.error_budget.sampling import prove_sampling
-
-    if not camera.mask_to_sensor_m > 0:
-        msg = f"mask_to_sensor_m: got {camera.mask_to_sensor_m:g}; the mask lies in front of the sensor, so it is positive"
-        raise InputError(msg)
     own_lines = lines is None
     lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel) if lines is None else lines
-    sampling = prove_sampling(mask, camera, psf_config)
     on_device = mask if is_torch(mask.height_m) else _to(mask, xp)
     size = max(_size(mask, camera, psf_config, line.wavelength_m) for line in lines)
     total, done = len(lines) * len(psf_config.depths_m), 0
@@ -123,8 +115,7 @@ def compute_psf_stack(
             ],
             "model": psf_config.model,
             "oversampling": psf_config.oversampling,
-            "sampling": sampling,
-            "errors": quick_errors(mask, camera, psf_config),
+            "sampling": UNPROVEN,
         },
     )
 
@@ -216,6 +207,9 @@ def _size(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, wavelength_
 def _sources(
     camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float, direction: tuple[float, float]
 ) -> list[Source]:
+    if not camera.mask_to_sensor_m > 0:
+        msg = f"mask_to_sensor_m: got {camera.mask_to_sensor_m:g}; the mask lies in front of the sensor, so it is positive"
+        raise InputError(msg)
     window = tuple((layer.thickness_m, layer.material.index(wavelength_m)) for layer in camera.window)
     return [Source(wavelength_m, float(depth), direction, window) for depth in psf_config.depths_m]
 
