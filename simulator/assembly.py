@@ -34,7 +34,7 @@ from simulator.io.cache import Entry, cached, code_digest
 from simulator.io.files import sha256_file
 from simulator.measured_psf import measured_depths_m, measured_files, measured_stack
 from simulator.optics.error_budget import budget
-from simulator.optics.error_budget.drjit_process import llvm_works
+from simulator.optics.error_budget.direct_sum import llvm_works
 from simulator.optics.mask import Mask
 from simulator.optics.materials import AIR, Material, load_material, material_file
 from simulator.optics.propagation import air_equivalent_m

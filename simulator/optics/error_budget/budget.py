@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from simulator.arrays import number
-from simulator.optics.error_budget.drjit_process import llvm_works
+from simulator.optics.error_budget.direct_sum import llvm_works
 from simulator.optics.error_budget.field import field_angle_error
 from simulator.optics.error_budget.model import CROP_M, direct_error, pixel_error, three_depths, three_wavelengths
 from simulator.optics.error_budget.sampling import judged_crop, prove_sampling
