@@ -26,9 +26,10 @@ import scipy.fft
 from common import versions
 
 from psf_library.designs.phlatcam import phlatcam
+from simulator.optics.error_budget.budget import proven_psf_stack
 from simulator.optics.exact import plan
 from simulator.optics.mask import Mask
-from simulator.optics.psf import PsfConfig, compute_psf_stack
+from simulator.optics.psf import PsfConfig
 from simulator.optics.scaled import ScaledModel
 from simulator.optics.sources import Source
 from simulator.optics.spectra import quantile_lines, spectral_response
@@ -98,7 +99,7 @@ def measure(name: str, mask: Mask, config: PsfConfig, threads: int, bandwidth: f
     with warnings.catch_warnings(), clock_of_ffts() as ffts:
         warnings.simplefilter("ignore")  # the sampling error is printed
         wall, cpu = time.perf_counter(), time.process_time()
-        stack = compute_psf_stack(mask, CAMERA, config, threads=threads)
+        stack = proven_psf_stack(mask, CAMERA, config, threads=threads)
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     limit = bytes_moved(mask, config) / bandwidth
     print(

@@ -34,11 +34,11 @@ from simulator.io.cache import Entry, cached, code_digest
 from simulator.io.files import sha256_file
 from simulator.measured_psf import measured_depths_m, measured_files, measured_stack
 from simulator.optics.error_budget import budget
-from simulator.optics.error_budget.drjit_process import llvm_works
+from simulator.optics.error_budget.direct_sum import llvm_works
 from simulator.optics.mask import Mask
 from simulator.optics.materials import AIR, Material, load_material, material_file
 from simulator.optics.propagation import air_equivalent_m
-from simulator.optics.psf import PsfConfig, compute_psf_stack, psf_fingerprint
+from simulator.optics.psf import PsfConfig, psf_fingerprint
 from simulator.optics.spectra import (
     NOMINAL_CAMERA,
     Led,
@@ -238,12 +238,12 @@ class Assembly:
 
         def compute() -> Entry:
             progress = None if self.progress is None else partial(self.progress, "PSFs")
-            stack = compute_psf_stack(mask, geometry, psf_config, threads=self.threads, progress=progress)
+            stack = budget.proven_psf_stack(mask, geometry, psf_config, threads=self.threads, progress=progress)
             described = {"channels": stack.channels, "provenance": stack.provenance}
             return {"values": stack.values, "depths_m": stack.depths_m}, described
 
         # The limit is not part of the values, but a stack cached under a loose one must not pass a tight one.
-        key = repr((fingerprint, psf_config.accept_error, code_digest("simulator.optics.psf")))
+        key = repr((fingerprint, psf_config.accept_error, code_digest(budget.__name__)))
         arrays, described = cached("psf", hashlib.sha256(key.encode()).hexdigest(), compute)
         return PsfStack(
             arrays["values"],

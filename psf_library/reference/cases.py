@@ -18,9 +18,10 @@ import numpy as np
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
 from simulator.io.exr import read_exr, write_exr
+from simulator.optics.error_budget.budget import proven_psf_stack
 from simulator.optics.error_budget.sampling import SamplingWarning
 from simulator.optics.mask import Mask
-from simulator.optics.psf import PsfConfig, compute_psf_stack
+from simulator.optics.psf import PsfConfig
 from simulator.optics.spectra import spectral_response
 from simulator.optics.stack import PsfStack
 from simulator.optics.stack_files import read_psf_stack, write_psf_stack
@@ -101,7 +102,7 @@ def compute(name: str, mask: Mask | None = None) -> PsfStack:
     with warnings.catch_warnings():
         # These grids pin what the code computes, not how well it samples: the error is recorded with the stack.
         warnings.simplefilter("ignore", SamplingWarning)
-        stack = compute_psf_stack(mask, camera, psf_config)
+        stack = proven_psf_stack(mask, camera, psf_config)
     made_from = {"design": name, "parameters": dict(case.parameters), "mask_to_sensor_m": case.mask_to_sensor_m}
     return replace(stack, provenance=stack.provenance | {"reference": made_from})
 

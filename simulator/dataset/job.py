@@ -39,7 +39,7 @@ from simulator.io.files import TEMPORARY_PREFIX, StorageError, remove_leftovers,
 from simulator.io.json import canonical_json
 from simulator.optics.error_budget.sampling import SamplingWarning
 from simulator.optics.metrics import light_off_sensor
-from simulator.optics.stack import PsfStack
+from simulator.optics.stack import UNPROVEN, PsfStack
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack, write_psf_stack
 from simulator.plugins import Plugin, plugin_errors
 from simulator.render.backend import choose_backend
@@ -171,6 +171,12 @@ def data_set_stack(assembly: Assembly, root: Path, say: Callable[[str], None]) -
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SamplingWarning)  # the job tells it on every run
             stack = assembly.psf_stack
+        if stack.provenance.get("sampling") == UNPROVEN:
+            msg = (
+                "psf: the sampling error of this stack was never measured, so no data set is made with it; compute it with "
+                "simulator.optics.error_budget.budget.proven_psf_stack"
+            )
+            raise InputError(msg)
         if assembly.wants_full_check:
             say("checking the PSFs against exact ones and direct sums")
             stack = assembly.checked_stack
@@ -422,7 +428,7 @@ class _Job:
     def _warn(self, stack: PsfStack) -> None:
         """Say what the user should know before relying on the data."""
         sampling = stack.provenance.get("sampling")
-        if sampling:
+        if sampling and sampling != UNPROVEN:
             self.say(f"sampling error of the PSFs on the sensor's pixels: {sampling['error']:.1%} (recorded)")
         lost = stack.provenance.get("light_off_sensor", 0.0)
         if lost > OFF_SENSOR_WARNING and self.config.forward.boundary == "linear":

@@ -38,6 +38,7 @@ from simulator.optics.propagation import (
     gap_strata,
     in_threads,
     reduced_m,
+    whole_even,
 )
 from simulator.optics.resample import box_integral
 from simulator.optics.sources import Source
@@ -264,9 +265,7 @@ class _Light:
         rows, columns = grid.window
         spectrum = fft2(pad2d(field, (grid.samples, grid.samples), (rows.start, columns.start)))
         if isinstance(self._transfer, Transfer):
-            quadrant = self._transfer.quadrant(self._gap, self._reach)
-            half = xp.concat([quadrant, xp.flip(quadrant[1:-1], axis=0)], axis=0)
-            weights = xp.concat([half, xp.flip(half[:, 1:-1], axis=1)], axis=1)
+            weights = whole_even(self._transfer.quadrant(self._gap, self._reach))
         else:
             weights = self._transfer.block(self._gap, self._reach)
         return ifft(spectrum * weights, -2)

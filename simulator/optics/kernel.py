@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from simulator.arrays import Array, complex_dtype, fft2, is_torch, like, namespace, real_dtype, unit_phasor
-from simulator.optics.propagation import Distance, Quadrant, Strata, as_strata, fan
+from simulator.optics.propagation import Distance, Quadrant, Strata, as_strata, fan, whole_even
 
 ORDERS = (
     1.5  # light up to this multiple of lambda / pixel, times the oversampling, is followed: the zeroth and first orders
@@ -98,8 +98,7 @@ def _even_transform(quadrant: Array, shape: tuple[int, int]) -> Quadrant:
         xp = namespace(quadrant)
         padded = xp.zeros(shape, dtype=quadrant.dtype, device=quadrant.device)
         padded[: quadrant.shape[0], : quadrant.shape[1]] = quadrant
-        half = xp.concat([padded, xp.flip(padded[1:-1], axis=0)], axis=0)
-        return fft2(xp.concat([half, xp.flip(half[:, 1:-1], axis=1)], axis=1))[: shape[0], : shape[1]].__getitem__
+        return fft2(whole_even(padded))[: shape[0], : shape[1]].__getitem__
 
     import scipy.fft
 

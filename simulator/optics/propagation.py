@@ -1,4 +1,8 @@
-"""Propagation by the angular spectrum through air and plane-parallel layers, with a phase that stays accurate in float32."""
+"""Propagation by the angular spectrum through air and plane-parallel layers, with a phase that stays accurate in float32.
+
+From top to bottom: a field through free space and back (the adjoint), the transfer functions behind it, how they are
+applied in blocks, and the layers that light may cross.
+"""
 
 from __future__ import annotations
 
@@ -26,98 +30,111 @@ from simulator.arrays import like as as_array
 from simulator.errors import InputError
 from simulator.types import CameraGeometry, Layer
 
-_KNOTS = 4096
-_STEEPEST = 0.98  # of the lowest index: where the table ends
-
+MAX_SINE = 0.9  # steeper waves (64 degrees) do not reach a sensor behind a mask in any useful strength
+_ALL = slice(None)
 Strata = tuple[tuple[Any, float], ...]
 """Layers at one wavelength: (thickness in metres, refractive index); a thickness may be a torch scalar."""
 Distance = Any
 """Metres of air (a torch scalar where gradients are wanted), or Strata."""
+Quadrant = Callable[[slice], Array]
+"""Gives rows of a transfer function from zero to Nyquist: (rows, W // 2 + 1)."""
 
 
-def as_strata(distance_m: Distance) -> Strata:
-    """Return a distance as layers: a plain number means air."""
-    return distance_m if isinstance(distance_m, tuple) else ((distance_m, 1.0),)
+# ---- a field through free space
 
 
-def air_equivalent_m(layers: Sequence[Layer], wavelength_m: float) -> float:
-    """Return the distance in air at which paraxial rays arrive where they do behind the layers: sum of d / n, metres."""
-    return sum(layer.thickness_m / layer.material.index(wavelength_m) for layer in layers)
-
-
-def gap_strata(camera: CameraGeometry, wavelength_m: float) -> Strata:
-    """Return the layers between mask and sensor at one wavelength; air alone where the camera has no layered gap."""
-    if not camera.gap:
-        return ((camera.mask_to_sensor_m, 1.0),)
-    return tuple((layer.thickness_m, layer.material.index(wavelength_m)) for layer in camera.gap)
-
-
-def scaled(strata: Strata, factor: Any) -> Strata:
-    """Return the layers with every thickness times a factor."""
-    return tuple((thickness_m * factor, index) for thickness_m, index in strata)
-
-
-def reduced_m(strata: Strata) -> Any:
-    """Return the sum of thickness over index, metres: the distance in air with the same paraxial rays."""
-    return sum(thickness_m / index for thickness_m, index in strata)
-
-
-@dataclass(frozen=True)
-class Fan:
-    """Rays from one point through layers, at sideways distances rho.
-
-    Attributes:
-        path_m: optical path minus that of the straight ray at rho = 0, metres.
-        inverse_m: s / rho, 1 / metres; 1 / r in air.
-        spreading: sqrt(s ds / (rho d rho)), 1 / metres: the amplitude's fall; d / r^2 in air.
-    """
-
-    path_m: Array
-    inverse_m: Array
-    spreading: Array
-
-
-def fan(strata: Strata, rho_squared: Array) -> Fan:
-    """Trace the rays of one point to sideways distances.
+def angular_spectrum(field: Array, pitch_m: float, wavelength_m: float, distance_m: float) -> Array:
+    """Propagate a field through free space; nothing that leaves the window wraps around into it.
 
     Args:
-        strata: layers; one of index 1 is reckoned analytically, several through a table (NumPy only).
-        rho_squared: squared sideways distances, square metres, float64.
+        field: complex ``(..., H, W)`` in the source plane, zero outside the window.
+        pitch_m: sample pitch, metres, in both planes.
+        wavelength_m: wavelength in the medium, metres.
+        distance_m: distance, metres, not negative.
+
+    Returns:
+        The field in the same window at the distance, same shape and dtype, without the constant phase exp(ikd).
 
     Raises:
-        InputError: for torch arrays with several layers, or for rays too steep for them.
+        InputError: when the field is not complex or a length is not plausible.
+
+    Example:
+        >>> import numpy as np
+        >>> field = np.ones((64, 64), np.complex128)
+        >>> angular_spectrum(field, 2e-6, 532e-9, 0.0).shape
+        (64, 64)
     """
-    xp = namespace(rho_squared)
-    if len(strata) == 1 and strata[0][1] == 1:
-        d = strata[0][0]
-        r = xp.sqrt(rho_squared + d**2)
-        inverse = 1 / r
-        return Fan(rho_squared / (r + d), inverse, inverse**2 * d)
-    if is_torch(rho_squared):
-        msg = "gap, window: rays through several layers are traced on NumPy only; use xp='numpy', or a gap of air"
-        raise InputError(msg)
-    from scipy.interpolate import CubicHermiteSpline, CubicSpline
+    return _through_air(field, pitch_m, wavelength_m, distance_m, adjoint=False)
 
-    thickness = np.array([number(t) for t, _ in strata])[:, None]
-    index = np.array([n for _, n in strata])[:, None]
-    # Even steps of the angle in the thinnest medium crowd no knots anywhere.
-    sine = index.min() * np.sin(np.linspace(0, np.arcsin(_STEEPEST), _KNOTS))
-    cosine = np.sqrt(index**2 - sine**2)
-    per_sine = np.sum(thickness / cosine, axis=0)  # rho / s
-    path = np.sum(thickness * index * sine**2 / (cosine * (index + cosine)), axis=0)  # minus the sum of t n
-    slope = np.sum(thickness * index**2 / cosine**3, axis=0)  # d(rho) / ds
-    rho, wanted = sine * per_sine, np.sqrt(rho_squared)
-    if np.max(wanted) > rho[-1]:
-        msg = f"rays to {np.max(wanted):g} m sideways are steeper than the layers' {rho[-1]:g} m; use a narrower mask"
+
+def angular_spectrum_adjoint(field: Array, pitch_m: float, wavelength_m: float, distance_m: float) -> Array:
+    """Return the adjoint of ``angular_spectrum``, <A u, v> = <u, A* v>: it takes a field from the distance back.
+
+    Arguments, padding, result and errors are those of ``angular_spectrum``; the transfer function is the conjugate one.
+    """
+    return _through_air(field, pitch_m, wavelength_m, distance_m, adjoint=True)
+
+
+def _through_air(field: Array, pitch_m: float, wavelength_m: float, distance_m: float, *, adjoint: bool) -> Array:
+    xp = namespace(field)
+    if field.ndim < 2 or not xp.isdtype(field.dtype, "complex floating"):
+        msg = f"field must be complex (..., H, W), got {field.dtype} {tuple(field.shape)}; use field.astype(complex)"
         raise InputError(msg)
-    return Fan(
-        CubicHermiteSpline(rho, path, sine)(wanted),
-        CubicSpline(rho, 1 / per_sine)(wanted),
-        CubicSpline(rho, 1 / np.sqrt(per_sine * slope))(wanted),
+    _check_lengths(pitch_m, wavelength_m, distance_m)
+    window = (field.shape[-2], field.shape[-1])
+    spread = spread_samples(pitch_m, wavelength_m, distance_m)
+    # Only displacements up to the window's own size lead from the window into the window. Where waves travel farther, the
+    # band is limited, and the limit's soft edge comes on top.
+    edge = math.ceil(band_edge_m(wavelength_m, distance_m) / pitch_m)
+    limited = [spread > n or holds_steep_waves(pitch_m, wavelength_m) for n in window]
+    padded = tuple(
+        next_fast_len(n + (min(spread, n) + edge if limit else spread))
+        for n, limit in zip(window, limited, strict=True)
     )
+    reach = tuple((p - n) * pitch_m if limit else math.inf for p, n, limit in zip(padded, window, limited, strict=True))
+    transfer = Transfer(padded, pitch_m, wavelength_m, like=field)
+
+    def quadrant(rows: slice) -> Array:
+        there = transfer.quadrant(distance_m, reach, rows)
+        return xp.conj(there) if adjoint else there
+
+    return even_filter(field, padded, quadrant)
 
 
-_ALL = slice(None)
+def spread_samples(pitch_m: float, wavelength_m: float, distance_m: float) -> int:
+    """Return how many samples the steepest plane wave on the grid travels sideways over a distance.
+
+    The steepest wave sits in the corner of the band, at f = sqrt(2) / (2 pitch). Waves steeper than asin(MAX_SINE) are
+    not counted: where the grid ``holds_steep_waves``, the band must be limited.
+    """
+    sine_axis = wavelength_m / (2 * pitch_m)
+    cosine = math.sqrt(max(1 - 2 * sine_axis**2, 1 - MAX_SINE**2))
+    return math.ceil(distance_m * min(sine_axis, MAX_SINE) / cosine / pitch_m)
+
+
+def holds_steep_waves(pitch_m: float, wavelength_m: float) -> bool:
+    """Whether the grid's band holds waves steeper than asin(MAX_SINE)."""
+    return 2 * (wavelength_m / (2 * pitch_m)) ** 2 > MAX_SINE**2
+
+
+def band_edge_m(wavelength_m: float, distance_m: float) -> float:
+    """Return the width of the band limit's soft edge: a few Fresnel zones, in metres of sideways travel."""
+    return 4 * math.sqrt(wavelength_m * distance_m)
+
+
+def _check_lengths(pitch_m: float, wavelength_m: float, distance_m: float) -> None:
+    limits: list[tuple[str, float, float, float, Any]] = [
+        ("pitch_m", pitch_m, 1e-9, 1e-2, "2 um is 2e-6"),
+        ("wavelength_m", wavelength_m, 1e-9, 1e-3, "532 nm is 532e-9"),
+        ("distance_m", distance_m, 0.0, 1e3, "1.9 mm is 1.9e-3"),
+    ]
+    for name, value, low, high, hint in limits:
+        if not low <= value <= high:
+            msg = f"{name}: got {value:g}, expected metres from {low:g} to {high:g} ({hint})"
+            raise InputError(msg)
+
+
+# ---- transfer functions
 
 
 class Transfer:
@@ -203,11 +220,6 @@ class TiltedTransfer:
         return _transfer(sine_y, sine_x, self._carrier, as_strata(distance_m), self._wavelength_m, self._real, reach_m)
 
 
-def band_edge_m(wavelength_m: float, distance_m: float) -> float:
-    """Return the width of the band limit's soft edge: a few Fresnel zones, in metres of sideways travel."""
-    return 4 * math.sqrt(wavelength_m * distance_m)
-
-
 def _transfer(
     offset_y: Array,
     offset_x: Array,
@@ -223,12 +235,9 @@ def _transfer(
     carrier_squared = carrier_x**2 + carrier_y**2
     offset_squared = offset_y**2 + offset_x**2
     # s^2 - s_c^2, exact near zero where the phase must be
-    excess = (
-        offset_squared if carrier_squared == 0 else offset_squared + 2 * (carrier_y * offset_y + carrier_x * offset_x)
-    )
     along = None if carrier_squared == 0 else carrier_y * offset_y + carrier_x * offset_x
+    excess = offset_squared if along is None else offset_squared + 2 * along
     turns: Any = 0.0
-    lowest = min(index for _, index in strata)
     for thickness_m, index in strata:
         chief = math.sqrt(index**2 - carrier_squared)
         cosine = xp.sqrt(xp.clip(chief**2 - excess, 0, None))
@@ -239,8 +248,9 @@ def _transfer(
         turns = turns + path * (-thickness_m / wavelength_m)
     turns = turns - xp.round(turns)
     transfer = unit_phasor(xp.astype(turns * (2 * np.pi), real))
-    if float(xp.max(excess)) > lowest**2 - carrier_squared:
-        transfer *= xp.astype(excess <= lowest**2 - carrier_squared, real)  # evanescent waves end here
+    steepest = min(index for _, index in strata) ** 2 - carrier_squared
+    if float(xp.max(excess)) > steepest:
+        transfer *= xp.astype(excess <= steepest, real)  # evanescent waves end here
     if reach_m is not None:
         total_m = sum(number(thickness_m) for thickness_m, _ in strata)
         edge_m = max(band_edge_m(wavelength_m, total_m), 1e-12)
@@ -286,7 +296,8 @@ def _limit(
     transfer[index] = transfer[index] * xp.astype(xp.cos(np.pi / 2 * beyond) ** 2, real_dtype(transfer))
 
 
-Quadrant = Callable[[slice], Array]  # rows of a transfer function from zero to Nyquist: (rows, W // 2 + 1)
+# ---- filters, a block of rows at a time
+
 _BLOCK = 2**17  # samples: about a megabyte of complex64
 
 
@@ -311,22 +322,6 @@ def even_filter(field: Array, shape: tuple[int, ...], quadrant: Quadrant, *, ove
 
     each_rows(field, shape, quadrant, filter_rows)
     return ifft(columns, -2, overwrite=True)[..., :height, :]
-
-
-def multiply_even(spectrum: Array, quadrant: Array) -> Array:
-    """Multiply a spectrum by a function that is even in both frequencies.
-
-    Args:
-        spectrum: ``(..., H, W)`` in FFT order.
-        quadrant: the function from zero to Nyquist, ``(H // 2 + 1, W // 2 + 1)``.
-    """
-    product = namespace(spectrum).empty_like(spectrum)
-
-    def multiply(rows: slice, weights: Array) -> None:
-        product[..., rows, :] = spectrum[..., rows, :] * weights
-
-    each_rows(spectrum, spectrum.shape[-2:], quadrant.__getitem__, multiply)
-    return product
 
 
 def each_rows(like: Array, shape: tuple[int, ...], quadrant: Quadrant, work: Callable[[slice, Array], None]) -> None:
@@ -354,6 +349,13 @@ def each_rows(like: Array, shape: tuple[int, ...], quadrant: Quadrant, work: Cal
     in_threads(both_signs, blocks(like, height // 2 + 1, width))
 
 
+def whole_even(quadrant: Array) -> Array:
+    """Return an even function on a grid of even sizes H, W, in FFT order, from its quadrant ``(H // 2 + 1, W // 2 + 1)``."""
+    xp = namespace(quadrant)
+    half = xp.concat([quadrant, xp.flip(quadrant[1:-1], axis=0)], axis=0)
+    return xp.concat([half, xp.flip(half[:, 1:-1], axis=1)], axis=1)
+
+
 def blocks(like: Array, length: int, width: int, least: int = 8) -> list[slice]:
     """Cut a length into slices of which each, ``width`` samples wide, stays in the cache; torch gets one slice."""
     step = length if is_torch(like) else max(least, _BLOCK // width // 8 * 8)  # whole cache lines
@@ -371,73 +373,89 @@ def in_threads(work: Callable[[slice], None], parts: list[slice], threads: int |
         list(pool.map(work, parts))
 
 
-MAX_SINE = 0.9  # steeper waves (64 degrees) do not reach a sensor behind a mask in any useful strength
+# ---- layers
+
+_KNOTS = 4096
+_STEEPEST = 0.98  # of the lowest index: where the table ends
 
 
-def angular_spectrum(field: Array, pitch_m: float, wavelength_m: float, distance_m: float) -> Array:
-    """Propagate a field through free space; nothing that leaves the window wraps around into it.
+def as_strata(distance_m: Distance) -> Strata:
+    """Return a distance as layers: a plain number means air."""
+    return distance_m if isinstance(distance_m, tuple) else ((distance_m, 1.0),)
+
+
+def gap_strata(camera: CameraGeometry, wavelength_m: float) -> Strata:
+    """Return the layers between mask and sensor at one wavelength; air alone where the camera has no layered gap."""
+    if not camera.gap:
+        return ((camera.mask_to_sensor_m, 1.0),)
+    return tuple((layer.thickness_m, layer.material.index(wavelength_m)) for layer in camera.gap)
+
+
+def air_equivalent_m(layers: Sequence[Layer], wavelength_m: float) -> float:
+    """Return the distance in air at which paraxial rays arrive where they do behind the layers: sum of d / n, metres."""
+    return sum(layer.thickness_m / layer.material.index(wavelength_m) for layer in layers)
+
+
+def scaled(strata: Strata, factor: Any) -> Strata:
+    """Return the layers with every thickness times a factor."""
+    return tuple((thickness_m * factor, index) for thickness_m, index in strata)
+
+
+def reduced_m(strata: Strata) -> Any:
+    """Return the sum of thickness over index, metres: the distance in air with the same paraxial rays."""
+    return sum(thickness_m / index for thickness_m, index in strata)
+
+
+@dataclass(frozen=True)
+class Fan:
+    """Rays from one point through layers, at sideways distances rho.
+
+    Attributes:
+        path_m: optical path minus that of the straight ray at rho = 0, metres.
+        inverse_m: s / rho, 1 / metres; 1 / r in air.
+        spreading: sqrt(s ds / (rho d rho)), 1 / metres: the amplitude's fall; d / r^2 in air.
+    """
+
+    path_m: Array
+    inverse_m: Array
+    spreading: Array
+
+
+def fan(strata: Strata, rho_squared: Array) -> Fan:
+    """Trace the rays of one point to sideways distances.
 
     Args:
-        field: complex ``(..., H, W)`` in the source plane, zero outside the window.
-        pitch_m: sample pitch, metres, in both planes.
-        wavelength_m: wavelength in the medium, metres.
-        distance_m: distance, metres, not negative.
-
-    Returns:
-        The field in the same window at the distance, same shape and dtype, without the constant phase exp(ikd).
+        strata: layers; one of index 1 is reckoned analytically, several through a table (NumPy only).
+        rho_squared: squared sideways distances, square metres, float64.
 
     Raises:
-        InputError: when the field is not complex or a length is not plausible.
-
-    Example:
-        >>> import numpy as np
-        >>> field = np.ones((64, 64), np.complex128)
-        >>> angular_spectrum(field, 2e-6, 532e-9, 0.0).shape
-        (64, 64)
+        InputError: for torch arrays with several layers, or for rays too steep for them.
     """
-    xp = namespace(field)
-    if field.ndim < 2 or not xp.isdtype(field.dtype, "complex floating"):
-        msg = f"field must be complex (..., H, W), got {field.dtype} {tuple(field.shape)}; use field.astype(complex)"
+    xp = namespace(rho_squared)
+    if len(strata) == 1 and strata[0][1] == 1:
+        d = strata[0][0]
+        r = xp.sqrt(rho_squared + d**2)
+        inverse = 1 / r
+        return Fan(rho_squared / (r + d), inverse, inverse**2 * d)
+    if is_torch(rho_squared):
+        msg = "gap, window: rays through several layers are traced on NumPy only; use xp='numpy', or a gap of air"
         raise InputError(msg)
-    _check_lengths(pitch_m, wavelength_m, distance_m)
-    window = (field.shape[-2], field.shape[-1])
-    spread = spread_samples(pitch_m, wavelength_m, distance_m)
-    # Only displacements up to the window's own size lead from the window into the window. Where waves travel farther, the
-    # band is limited, and the limit's soft edge comes on top.
-    edge = math.ceil(band_edge_m(wavelength_m, distance_m) / pitch_m)
-    limited = [spread > n or holds_steep_waves(pitch_m, wavelength_m) for n in window]
-    padded = tuple(
-        next_fast_len(n + (min(spread, n) + edge if limit else spread))
-        for n, limit in zip(window, limited, strict=True)
+    from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+    thickness = np.array([number(t) for t, _ in strata])[:, None]
+    index = np.array([n for _, n in strata])[:, None]
+    # Even steps of the angle in the thinnest medium crowd no knots anywhere.
+    sine = index.min() * np.sin(np.linspace(0, np.arcsin(_STEEPEST), _KNOTS))
+    cosine = np.sqrt(index**2 - sine**2)
+    per_sine = np.sum(thickness / cosine, axis=0)  # rho / s
+    path = np.sum(thickness * index * sine**2 / (cosine * (index + cosine)), axis=0)  # minus the sum of t n
+    slope = np.sum(thickness * index**2 / cosine**3, axis=0)  # d(rho) / ds
+    rho, wanted = sine * per_sine, np.sqrt(rho_squared)
+    if np.max(wanted) > rho[-1]:
+        msg = f"rays to {np.max(wanted):g} m sideways are steeper than the layers' {rho[-1]:g} m; use a narrower mask"
+        raise InputError(msg)
+    return Fan(
+        CubicHermiteSpline(rho, path, sine)(wanted),
+        CubicSpline(rho, 1 / per_sine)(wanted),
+        CubicSpline(rho, 1 / np.sqrt(per_sine * slope))(wanted),
     )
-    reach = tuple((p - n) * pitch_m if limit else math.inf for p, n, limit in zip(padded, window, limited, strict=True))
-    transfer = Transfer(padded, pitch_m, wavelength_m, like=field)
-    return even_filter(field, padded, lambda rows: transfer.quadrant(distance_m, reach, rows))
-
-
-def spread_samples(pitch_m: float, wavelength_m: float, distance_m: float) -> int:
-    """Return how many samples the steepest plane wave on the grid travels sideways over a distance.
-
-    The steepest wave sits in the corner of the band, at f = sqrt(2) / (2 pitch). Waves steeper than asin(MAX_SINE) are
-    not counted: where the grid ``holds_steep_waves``, the band must be limited.
-    """
-    sine_axis = wavelength_m / (2 * pitch_m)
-    cosine = math.sqrt(max(1 - 2 * sine_axis**2, 1 - MAX_SINE**2))
-    return math.ceil(distance_m * min(sine_axis, MAX_SINE) / cosine / pitch_m)
-
-
-def holds_steep_waves(pitch_m: float, wavelength_m: float) -> bool:
-    """Whether the grid's band holds waves steeper than asin(MAX_SINE)."""
-    return 2 * (wavelength_m / (2 * pitch_m)) ** 2 > MAX_SINE**2
-
-
-def _check_lengths(pitch_m: float, wavelength_m: float, distance_m: float) -> None:
-    limits: list[tuple[str, float, float, float, Any]] = [
-        ("pitch_m", pitch_m, 1e-9, 1e-2, "2 um is 2e-6"),
-        ("wavelength_m", wavelength_m, 1e-9, 1e-3, "532 nm is 532e-9"),
-        ("distance_m", distance_m, 0.0, 1e3, "1.9 mm is 1.9e-3"),
-    ]
-    for name, value, low, high, hint in limits:
-        if not low <= value <= high:
-            msg = f"{name}: got {value:g}, expected metres from {low:g} to {high:g} ({hint})"
-            raise InputError(msg)

@@ -1,4 +1,4 @@
-"""PSF stacks by wave optics: a mask and a camera to one image per depth and channel, by one of three models."""
+"""PSFs by wave optics: first the plain formula of one wavelength and depth, then whole stacks by one of three models."""
 
 from __future__ import annotations
 
@@ -15,14 +15,70 @@ from simulator.arrays import Array, is_torch, module, namespace, number
 from simulator.errors import InputError
 from simulator.optics.exact import exact_images, exact_points, exact_width_m
 from simulator.optics.mask import Mask
+from simulator.optics.propagation import angular_spectrum
+from simulator.optics.resample import box_integral
 from simulator.optics.scaled import scaled_images, scaled_points, scaled_width_m
 from simulator.optics.sources import Source
 from simulator.optics.spectra import Line, quantile_lines
-from simulator.optics.stack import PsfStack, check_depths
+from simulator.optics.stack import UNPROVEN, PsfStack, check_depths
 from simulator.types import CameraGeometry, Layer
 
 Model = Literal["scaled_distance", "scaled_psf", "exact"]
 Progress = Callable[[int, int], None]
+
+
+def plain_psf(
+    mask: Mask,
+    distance_m: float,
+    wavelength_m: float,
+    depth_m: float,
+    pixel_pitch_m: float,
+    size: int,
+    *,
+    oversampling: int = 1,
+) -> NDArray[np.float64]:
+    """Return the PSF of one wavelength and depth by the plain formula; the rest of this file gives the same, fast.
+
+    A point source at depth z on the axis lights the mask, whose field crosses the distance d to the sensor, where every
+    pixel collects the intensity that falls on it:
+
+        U(x, y) = t(x, y) (z / r) exp(ik (r - z)),  r^2 = x^2 + y^2 + z^2
+        PSF = integral over a pixel of |angular spectrum of U over d|^2 / pixel area
+
+    Source: Goodman, Introduction to Fourier Optics, sections 3.10 (angular spectrum) and 5.1 (thin element).
+
+    Args:
+        mask: the mask, NumPy.
+        distance_m: mask to sensor through air, metres.
+        wavelength_m: metres.
+        depth_m: z of the source from the mask plane, metres, or ``inf``.
+        pixel_pitch_m: of the sensor, metres.
+        size: odd number of pixels; light beyond them is left out.
+        oversampling: grid samples per mask pixel and axis; the grid must hold the source's wave and the mask's light.
+
+    Returns:
+        ``(size, size)`` irradiance per unit irradiance at the mask's centre, in the stored frame (turned by 180 degrees).
+    """
+    pitch_m = mask.pitch_m / oversampling
+    transmission = mask.transmission(wavelength_m, oversampling).astype(np.complex128)
+    margins = [max(0, math.ceil((size * pixel_pitch_m / pitch_m - n) / 2)) for n in transmission.shape]
+    field = np.pad(transmission, [(margin, margin) for margin in margins])
+
+    # The spherical wave of the source on the mask; a source at infinity sends a plane one.
+    y, x = ((np.arange(n) - (n - 1) / 2) * pitch_m for n in field.shape)
+    if math.isfinite(depth_m):
+        r = np.sqrt(x[None, :] ** 2 + y[:, None] ** 2 + depth_m**2)
+        field = field * (depth_m / r) * np.exp(2j * np.pi / wavelength_m * (r - depth_m))
+
+    # From the mask to the sensor.
+    intensity = np.abs(angular_spectrum(field, pitch_m, wavelength_m, distance_m)) ** 2
+
+    # Pixels add up the samples inside them, those on their edges in part.
+    centres_m = (np.arange(size) - size // 2) * pixel_pitch_m
+    for axis, n in ((-2, field.shape[0]), (-1, field.shape[1])):
+        pixels = box_integral((n - 1) / 2, pitch_m, centres_m, pixel_pitch_m)
+        intensity = pixels.prepared(intensity, n)(intensity, axis)
+    return intensity[::-1, ::-1] / pixel_pitch_m**2
 
 
 @dataclass(frozen=True)
@@ -62,7 +118,7 @@ def compute_psf_stack(
     progress: Progress | None = None,
     lines: Sequence[Line] | None = None,
 ) -> PsfStack:
-    """Compute the PSFs of a mask for every depth and channel, with the sampling proven first.
+    """Compute the PSFs of a mask for every depth and channel; how good they are, ``proven_psf_stack`` measures.
 
     Args:
         mask: the mask; its arrays decide the precision and, if they are torch tensors, the device and gradients.
@@ -71,27 +127,19 @@ def compute_psf_stack(
         xp: ``numpy`` or ``torch``.
         threads: depths computed at a time (NumPy only); each needs one more complex grid, 160 MB at full size.
         progress: called with (done, total) after every PSF.
-        lines: wavelengths and weights in place of the response's quantile lines; weights may be torch scalars. Errors are
-            measured at the response's own lines.
+        lines: wavelengths and weights in place of the response's quantile lines; weights may be torch scalars.
 
     Returns:
         The stack, ``values`` ``(K, C, N, N)`` with N odd and wide enough for all the light that is followed: the sum of each
         PSF times the pixel area equals the mask's transmitted area for a smooth mask, and falls short of it by the
-        diffraction orders beyond ``kernel.ORDERS`` (6-9 % for a PhlatCam) for a staircase. ``provenance["sampling"]``
-        holds the measured sampling error, which sees the orders up to twice as many; ``provenance["errors"]`` the others.
+        diffraction orders beyond ``kernel.ORDERS`` (6-9 % for a PhlatCam) for a staircase. ``provenance["sampling"]`` is
+        ``UNPROVEN``.
 
     Raises:
-        InputError: when the sampling error is above 5 % (or ``accept_error``), or the mask and camera do not fit.
+        InputError: when the mask and camera do not fit.
     """
-    from simulator.optics.error_budget.budget import quick_errors
-    from simulator.optics.error_budget.sampling import prove_sampling
-
-    if not camera.mask_to_sensor_m > 0:
-        msg = f"mask_to_sensor_m: got {camera.mask_to_sensor_m:g}; the mask lies in front of the sensor, so it is positive"
-        raise InputError(msg)
     own_lines = lines is None
     lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel) if lines is None else lines
-    sampling = prove_sampling(mask, camera, psf_config)
     on_device = mask if is_torch(mask.height_m) else _to(mask, xp)
     size = max(_size(mask, camera, psf_config, line.wavelength_m) for line in lines)
     total, done = len(lines) * len(psf_config.depths_m), 0
@@ -123,8 +171,7 @@ def compute_psf_stack(
             ],
             "model": psf_config.model,
             "oversampling": psf_config.oversampling,
-            "sampling": sampling,
-            "errors": quick_errors(mask, camera, psf_config),
+            "sampling": UNPROVEN,
         },
     )
 
@@ -216,6 +263,9 @@ def _size(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, wavelength_
 def _sources(
     camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float, direction: tuple[float, float]
 ) -> list[Source]:
+    if not camera.mask_to_sensor_m > 0:
+        msg = f"mask_to_sensor_m: got {camera.mask_to_sensor_m:g}; the mask lies in front of the sensor, so it is positive"
+        raise InputError(msg)
     window = tuple((layer.thickness_m, layer.material.index(wavelength_m)) for layer in camera.window)
     return [Source(wavelength_m, float(depth), direction, window) for depth in psf_config.depths_m]
 

@@ -10,6 +10,9 @@ import numpy as np
 from simulator.arrays import Array, to_numpy
 from simulator.errors import InputError
 
+UNPROVEN = "unproven"
+"""``provenance["sampling"]`` of a computed stack whose sampling error was never measured; data sets refuse it."""
+
 
 @dataclass(frozen=True)
 class PsfStack:

@@ -19,7 +19,7 @@ from simulator.optics.metrics import (
     light_off_sensor,
     mean_mtf,
 )
-from simulator.optics.stack import PsfStack
+from simulator.optics.stack import UNPROVEN, PsfStack
 from simulator.plots.psf import DepthView
 from simulator.plots.psf_facts import psf_facts
 from simulator.text import length, share
@@ -256,10 +256,10 @@ def judge(
 
 def _errors(provenance: dict[str, Any]) -> tuple[float | None, float | None, float | None]:
     """Return the errors that a stack recorded: sampling, model, spectrum."""
-    others = provenance.get("errors", {})
+    sampling, others = provenance.get("sampling", UNPROVEN), provenance.get("errors", {})
     channels = others.get("spectrum", {}).get("channels", {}).values()
     return (
-        provenance.get("sampling", {}).get("error"),
+        None if sampling == UNPROVEN else sampling["error"],
         others.get("model", {}).get("error"),
         max(channels, default=None),
     )

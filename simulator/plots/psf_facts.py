@@ -9,7 +9,7 @@ import numpy as np
 from simulator.arrays import to_numpy
 from simulator.optics.mask import Mask
 from simulator.optics.metrics import depth_limit_m, light_off_sensor
-from simulator.optics.stack import PsfStack
+from simulator.optics.stack import UNPROVEN, PsfStack
 from simulator.text import length, share
 
 
@@ -48,7 +48,9 @@ def psf_facts(
         facts.append(("model", str(provenance["model"])))
     facts += _spectrum_facts(provenance)
     sampling = provenance.get("sampling")
-    if sampling:
+    if sampling == UNPROVEN:
+        facts.append(("sampling", UNPROVEN))
+    elif sampling:
         coarse, fine = sampling["oversampling"]
         facts.append(("sampling error", f"{share(sampling['error'])} (s = {coarse} vs {fine})"))
         facts.append(("error bar", f"{share(sampling['error_bar'])} of sampling"))
@@ -156,12 +158,12 @@ def _spectrum_facts(provenance: dict[str, Any]) -> list[tuple[str, str]]:
 _NM = 1e9
 
 
-def budget_tables(errors: dict[str, Any], sampling: dict[str, Any]) -> str:
+def budget_tables(errors: dict[str, Any], sampling: dict[str, Any] | str) -> str:
     """Return the full check as tables: per depth and wavelength, per channel, per field angle.
 
     Args:
         errors: from ``check.full_errors``.
-        sampling: from ``sampling.sampling_error``.
+        sampling: from ``sampling.sampling_error``, or ``UNPROVEN``.
     """
     parts = [_by_depth(errors, sampling), _by_channel(errors["spectrum"])]
     if "field_angle" in errors:
@@ -169,7 +171,7 @@ def budget_tables(errors: dict[str, Any], sampling: dict[str, Any]) -> str:
     return "\n\n".join(parts)
 
 
-def _by_depth(errors: dict[str, Any], sampling: dict[str, Any]) -> str:
+def _by_depth(errors: dict[str, Any], sampling: dict[str, Any] | str) -> str:
     """Return a row per depth and wavelength; what was not measured there stays empty."""
     columns: dict[str, dict[tuple[float, float], str]] = {}
     model, direct = errors.get("model"), errors.get("direct_sum")
@@ -179,8 +181,9 @@ def _by_depth(errors: dict[str, Any], sampling: dict[str, Any]) -> str:
         columns["points vs direct sum"] = {
             _key(row): f"{share(row['error'])} (its own {share(row['uncertainty'])})" for row in direct["table"]
         }
-    coarse, fine = sampling["oversampling"]
-    columns[f"sampling s = {coarse} vs {fine}"] = {_key(row): share(row["error"]) for row in sampling["table"]}
+    if not isinstance(sampling, str):
+        coarse, fine = sampling["oversampling"]
+        columns[f"sampling s = {coarse} vs {fine}"] = {_key(row): share(row["error"]) for row in sampling["table"]}
     keys = sorted({key for column in columns.values() for key in column})
     rows = [
         [
@@ -190,7 +193,7 @@ def _by_depth(errors: dict[str, Any], sampling: dict[str, Any]) -> str:
         ]
         for depth_m, wavelength_m in keys
     ]
-    judged = {"model": model, "points": direct, "sampling": sampling}
+    judged = {"model": model, "points": direct, "sampling": None if isinstance(sampling, str) else sampling}
     widths = [f"{name}: {length(part['crop_m'])} of the mask" for name, part in judged.items() if part]
     return f"relative L2 errors ({', '.join(widths)})\n{_table(['depth', 'wavelength', *columns], rows)}"
 

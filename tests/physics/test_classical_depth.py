@@ -69,9 +69,7 @@ def psf_stack(depths_m):
     mask = Mask(np.zeros_like(amplitude), amplitude, 4e-6, name="squares")
     camera = CameraGeometry(2e-3, 20e-6, GREEN)
     depths_m = tuple(float(z) for z in depths_m)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: {})
-        return compute_psf_stack(mask, camera, PsfConfig(depths_m, "scaled_distance"), lines=[Line(0, 532e-9, 1.0)])
+    return compute_psf_stack(mask, camera, PsfConfig(depths_m, "scaled_distance"), lines=[Line(0, 532e-9, 1.0)])
 
 
 def measure(capture, light):

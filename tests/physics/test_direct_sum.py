@@ -7,8 +7,7 @@ import pytest
 
 from simulator.errors import InputError
 from simulator.optics.error_budget import direct_sum
-from simulator.optics.error_budget.direct_sum import mask_cells, mask_field, true_intensity
-from simulator.optics.error_budget.drjit_process import llvm_works, run_kernel
+from simulator.optics.error_budget.direct_sum import llvm_works, mask_cells, mask_field, run_kernel, true_intensity
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA
 from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
@@ -171,9 +170,9 @@ def test_a_kernel_that_fails_is_told_though_llvm_works():
     if not llvm_works():
         pytest.skip("no libLLVM that Dr.Jit can use")
     with pytest.raises(RuntimeError, match="the kernel failed in a process of its own"):
-        run_kernel("simulator.optics.error_budget.direct_sum", points_m=np.zeros((1, 2)))
+        run_kernel(points_m=np.zeros((1, 2)))
 
 
 def test_without_llvm_there_is_no_kernel(monkeypatch):
-    monkeypatch.setattr("simulator.optics.error_budget.drjit_process.llvm_works", lambda: False)
-    assert run_kernel("simulator.optics.error_budget.direct_sum") is None
+    monkeypatch.setattr("simulator.optics.error_budget.direct_sum.llvm_works", lambda: False)
+    assert run_kernel(points_m=np.zeros((1, 2))) is None

@@ -274,9 +274,8 @@ def test_many_depths_share_grids_and_equal_each_alone():
         assert error(image, alone) < 5e-3  # 4 um pixels over a grid of 1 um
 
 
-def test_a_stack_of_exact_psfs(monkeypatch):
+def test_a_stack_of_exact_psfs():
     """The stack holds what the model yields; from 2 cm the mask of 60 um loses (r0 / r)^2 of its rim's light: 1e-5."""
-    monkeypatch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: {})
     config, mask = PsfConfig((0.02, np.inf), "exact", wavelengths_per_channel=1), random_phase()
     stack = compute_psf_stack(mask, CAMERA, config)
     images = np.stack(list(depth_images(mask, CAMERA, config, 532e-9, stack.values.shape[-1])))

@@ -20,12 +20,6 @@ MODELS = ["scaled_distance", "scaled_psf", "exact"]
 STEP = 1e-5  # relative: central differences are then good to 1e-9, rounding to 1e-10
 
 
-@pytest.fixture(autouse=True)
-def no_proof(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: {})
-    monkeypatch.setattr("simulator.optics.error_budget.budget.quick_errors", lambda *_: {})
-
-
 def stack(height_um: Any, distance_mm: Any, weights: Any, model: str, profile: str) -> Any:
     """Return the values of a tiny stack as a tensor, from numbers of order one."""
     amplitude = torch.ones((20, 22), dtype=torch.float64)

@@ -183,9 +183,7 @@ def test_a_window_of_air_changes_nothing_and_one_of_glass_moves_the_source():
     assert distance(plain, nearer) > 20 * distance(through, nearer)
 
 
-def test_layers_are_part_of_a_stacks_identity_and_record(monkeypatch):
-    monkeypatch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: {})
-    monkeypatch.setattr("simulator.optics.error_budget.budget.quick_errors", lambda *_: {})
+def test_layers_are_part_of_a_stacks_identity_and_record():
     mask, config = _lens(1e-3, 60), PsfConfig((0.1,), wavelengths_per_channel=1)
     camera = _camera(GAP, 8e-6, (Layer(0.5e-3, FUSED_SILICA),))
     prints = {psf_fingerprint(mask, c, config) for c in (camera, replace(camera, gap=()), replace(camera, window=()))}

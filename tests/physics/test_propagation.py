@@ -6,7 +6,7 @@ from numpy.fft import fft2, ifft2
 
 from simulator.errors import InputError
 from simulator.optics.kernel import PixelKernel, kernel_reach_m
-from simulator.optics.propagation import Transfer, angular_spectrum, multiply_even
+from simulator.optics.propagation import Transfer, angular_spectrum, angular_spectrum_adjoint, even_filter
 from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
 
 WAVELENGTH_M = 532e-9
@@ -106,7 +106,7 @@ def test_a_long_window_loses_no_light_that_stays_inside(shape):
     corner = tuple(slice(1024 - n // 2, 1024 - n // 2 + n) for n in shape)
     large[corner] = beam
     transfer = Transfer(large.shape, pitch, WAVELENGTH_M, like=large)
-    truth = ifft2(multiply_even(fft2(large), transfer.quadrant(distance)))[corner]
+    truth = even_filter(large, large.shape, transfer.quadrant(distance).__getitem__)[corner]
     # The short side really is band-limited (softly: 1e-3); a hard loss of the beam would be of order 1.
     assert np.linalg.norm(image - truth) / np.linalg.norm(truth) < 5e-3
 
@@ -124,14 +124,15 @@ def test_gaussian_beam_follows_its_closed_form():
 
 @pytest.mark.parametrize("shape", [(16, 16), (16, 15), (15, 18), (17, 17)])
 def test_quadrant_is_the_whole_transfer_function(shape):
-    """multiply_even must place the quadrant right for even and odd sizes."""
+    """even_filter must place the quadrant right for even and odd sizes."""
     pitch, distance = 1e-6, 50e-6
-    spectrum = np.random.default_rng(0).normal(size=shape) + 0j
+    field = np.random.default_rng(0).normal(size=shape) + 0j
     fy, fx = (np.fft.fftfreq(n, pitch) for n in shape)
     root = np.sqrt(1 - WAVELENGTH_M**2 * (fy[:, None] ** 2 + fx[None, :] ** 2))
     whole = np.exp(2j * np.pi / WAVELENGTH_M * distance * (root - 1))
-    quadrant = Transfer(shape, pitch, WAVELENGTH_M, like=spectrum).quadrant(distance)
-    np.testing.assert_allclose(multiply_even(spectrum, quadrant), spectrum * whole, atol=1e-9)
+    quadrant = Transfer(shape, pitch, WAVELENGTH_M, like=field).quadrant(distance)
+    filtered = even_filter(field, shape, quadrant.__getitem__)
+    np.testing.assert_allclose(filtered, ifft2(fft2(field) * whole), atol=1e-9)
 
 
 def test_pixel_kernel_equals_the_direct_sum_over_the_subdivided_staircase():
@@ -150,7 +151,7 @@ def test_pixel_kernel_equals_the_direct_sum_over_the_subdivided_staircase():
     padded = np.zeros((size, size), complex)
     padded[:samples, :samples] = mask
     quadrant = PixelKernel((size, size), pitch, WAVELENGTH_M, reach, like=padded).quadrant(distance)(slice(None))
-    field = ifft2(multiply_even(fft2(padded), quadrant))[:samples, :samples]
+    field = even_filter(padded, padded.shape, quadrant.__getitem__)[:samples, :samples]
     fine = np.kron(mask, np.ones((sub, sub)))
     rows, columns = rng.integers(0, samples, (2, 12))
     x = _grid(samples, pitch)
@@ -176,3 +177,41 @@ def test_bad_arguments_name_themselves():
     ):
         with pytest.raises(InputError, match=name):
             angular_spectrum(*arguments)
+
+
+def _dot_product_gap(there, back, shape, dtype, rng):
+    """|<A u, v> - <u, A* v>| of random fields, relative to their norms."""
+    u, v = ((rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(dtype) for _ in range(2))
+    left, right = np.vdot(there(u), v), np.vdot(u, back(v))
+    return abs(left - right) / (np.linalg.norm(u) * np.linalg.norm(v))
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.complex128, 1e-12), (np.complex64, 1e-5)])
+@pytest.mark.parametrize("shape", [(32, 40), (31, 45), (2, 17, 24)])
+@pytest.mark.parametrize(("pitch_m", "distance_m"), [(2e-6, 1e-4), (2e-6, 2e-3), (0.4e-6, 5e-5)])
+def test_angular_spectrum_has_its_adjoint(shape, pitch_m, distance_m, dtype, tolerance):
+    """Whether all light stays inside, or the band is limited by travel or by steep waves."""
+    lengths = pitch_m, WAVELENGTH_M, distance_m
+    gap = _dot_product_gap(
+        lambda field: angular_spectrum(field, *lengths),
+        lambda field: angular_spectrum_adjoint(field, *lengths),
+        shape,
+        dtype,
+        np.random.default_rng(4),
+    )
+    assert gap < tolerance
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.complex128, 1e-12), (np.complex64, 1e-5)])
+def test_the_conjugate_transfer_function_is_the_adjoint_through_layers_too(dtype, tolerance):
+    """Air and glass on an odd padded grid, with a band limit."""
+    shape, padded, layers = (21, 30), (45, 64), ((1e-4, 1.0), (2e-4, 1.46))
+    there = Transfer(padded, 2e-6, WAVELENGTH_M, like=np.empty(0, dtype)).quadrant(layers, (40e-6, 60e-6))
+    gap = _dot_product_gap(
+        lambda field: even_filter(field, padded, there.__getitem__),
+        lambda field: even_filter(field, padded, there.conj().__getitem__),
+        shape,
+        dtype,
+        np.random.default_rng(4),
+    )
+    assert gap < tolerance

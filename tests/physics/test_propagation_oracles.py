@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from numpy.fft import fft2, ifft2
 
-from simulator.optics.propagation import Transfer, angular_spectrum, multiply_even
+from simulator.optics.propagation import Transfer, angular_spectrum, even_filter
 
 pytestmark = pytest.mark.shared
 
@@ -113,8 +112,8 @@ def test_cosine_talbot_self_image(shared_oracle):
     grating = np.tile(oracle["U_cos"][0], (2, 1))
     transfer = Transfer(grating.shape, pitch, wavelength, like=grating)
     for z, truth in zip(oracle["z"], oracle["U_cos"], strict=True):
-        field = ifft2(multiply_even(fft2(grating), transfer.quadrant(float(z))))
+        field = even_filter(grating, grating.shape, transfer.quadrant(float(z)).__getitem__)
         np.testing.assert_allclose(field[0] * np.exp(2j * np.pi / wavelength * z), truth, atol=1e-10)
-    again = ifft2(multiply_even(fft2(grating), transfer.quadrant(float(oracle["z_talbot_exact"]))))
+    again = even_filter(grating, grating.shape, transfer.quadrant(float(oracle["z_talbot_exact"])).__getitem__)
     # Up to a constant phase the grating returns exactly at the non-paraxial Talbot distance.
     np.testing.assert_allclose(np.abs(again[0]), np.abs(grating[0]), atol=1e-10)

@@ -9,11 +9,11 @@ import pytest
 from simulator.camera.forward import ForwardModel
 from simulator.camera.planes import mask_irradiance
 from simulator.errors import InputError
-from simulator.optics.error_budget.sampling import sampling_error
+from simulator.optics.error_budget.sampling import prove_sampling, sampling_error
 from simulator.optics.kernel import ORDERS
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA
-from simulator.optics.psf import PsfConfig, compute_psf_stack, sampled_intensity
+from simulator.optics.psf import PsfConfig, compute_psf_stack, depth_images, plain_psf, sampled_intensity
 from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
 from simulator.types import CameraGeometry, Clip, SpectralResponse, View
 
@@ -35,14 +35,6 @@ def _smooth_mask(samples=160, pitch_m=1e-6, seed=0, dtype=np.float64) -> Mask:
 def _staircase_mask(samples=150, seed=0) -> Mask:
     height = np.random.default_rng(seed).integers(0, 6, (samples, samples)) * 0.2e-6
     return Mask(height, np.ones_like(height), 2e-6, FUSED_SILICA, "staircase")
-
-
-def _compute(mask, camera, config, **kwargs):
-    """The stack without its sampling proof, which has tests of its own and is most of the work on grids this small."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: None)
-        patch.setattr("simulator.optics.error_budget.budget.quick_errors", lambda *_: {})
-        return compute_psf_stack(mask, camera, config, **kwargs)
 
 
 def _direct_intensity(mask, wavelength_m, d, depth_m, points_m, oversample=1):
@@ -76,7 +68,7 @@ def test_psf_of_a_smooth_mask_equals_the_direct_sum(depth_m):
     What is left at infinity is the pixel rule: cells of 1 um share their intensity with 6 um pixels, 0.2 %.
     """
     mask, d, pitch = _smooth_mask(), 0.5e-3, 6e-6
-    stack = _compute(
+    stack = compute_psf_stack(
         mask, CameraGeometry(d, pitch, GREEN), PsfConfig((depth_m,), wavelengths_per_channel=1, oversampling=2)
     )
     middle = stack.values.shape[-1] // 2
@@ -101,7 +93,7 @@ def test_psf_of_a_staircase_equals_the_direct_sum(depth_m):
     """A staircase of random heights: the truth sums 8 x 8 points per mask pixel; the bound is the measured sampling error."""
     mask, d, pitch = _staircase_mask(40), 0.4e-3, 6e-6
     config = PsfConfig((depth_m,), wavelengths_per_channel=1, oversampling=4)
-    stack = _compute(mask, CameraGeometry(d, pitch, GREEN), config)
+    stack = compute_psf_stack(mask, CameraGeometry(d, pitch, GREEN), config)
     middle = stack.values.shape[-1] // 2
     pixels = np.random.default_rng(1).integers(-7, 8, (8, 2))
     truth = _direct_pixel_values(mask, 532e-9, d, depth_m, pitch, pixels, 8)
@@ -121,7 +113,7 @@ def test_psf_of_coarse_mask_pixels_equals_the_direct_sum(pixel_m, d):
     mask = replace(_staircase_mask(4, seed=2), pitch_m=pixel_m)
     camera = CameraGeometry(d, 9.6e-6, GREEN)
     config = PsfConfig((np.inf,), wavelengths_per_channel=1, oversampling=round(pixel_m / 1.2e-6))
-    stack = _compute(mask, camera, config)
+    stack = compute_psf_stack(mask, camera, config)
     middle = stack.values.shape[-1] // 2
     pixels = np.random.default_rng(1).integers(-5, 6, (8, 2))
     truth = _direct_pixel_values(mask, 532e-9, d, np.inf, 9.6e-6, pixels, round(pixel_m / 1e-6), nodes=12)
@@ -130,7 +122,7 @@ def test_psf_of_coarse_mask_pixels_equals_the_direct_sum(pixel_m, d):
     assert 0.95 < stack.energy_m2()[0, 0] / mask.transmitted_area_m2 < 1
     # One sample per mask pixel is far too few here: the proof must say so.
     with pytest.raises(InputError, match="oversampling"):
-        compute_psf_stack(mask, camera, PsfConfig((np.inf,), wavelengths_per_channel=1))
+        prove_sampling(mask, camera, PsfConfig((np.inf,), wavelengths_per_channel=1))
 
 
 @pytest.mark.parametrize("samples", [1, 4])
@@ -141,7 +133,7 @@ def test_a_mask_smaller_than_a_sensor_pixel_lights_the_pixels_that_rays_reach(sa
     """
     d, pitch = 0.6e-3, 60e-6
     mask = Mask(np.zeros((samples, samples)), np.ones((samples, samples)), 2e-6)
-    stack = _compute(mask, CameraGeometry(d, pitch, GREEN), PsfConfig((np.inf,), wavelengths_per_channel=1))
+    stack = compute_psf_stack(mask, CameraGeometry(d, pitch, GREEN), PsfConfig((np.inf,), wavelengths_per_channel=1))
     middle = stack.values.shape[-1] // 2
     x = (np.arange(3 * 400) + 0.5) / 400 * pitch - 1.5 * pitch
     width = samples * 2e-6
@@ -158,7 +150,7 @@ def test_all_light_of_a_smooth_mask_reaches_the_stack(dtype, tolerance):
     """Parseval: the sum of a PSF times the pixel area is transmittance x aperture area, at every depth and any pixel."""
     mask = _smooth_mask(dtype=dtype)
     for pitch in (2.3e-6, 19.2e-6):
-        stack = _compute(mask, CameraGeometry(0.4e-3, pitch, GREEN), PsfConfig((0.01, 0.1, np.inf)))
+        stack = compute_psf_stack(mask, CameraGeometry(0.4e-3, pitch, GREEN), PsfConfig((0.01, 0.1, np.inf)))
         np.testing.assert_allclose(stack.energy_m2(), mask.transmitted_area_m2, rtol=tolerance)
 
 
@@ -176,7 +168,7 @@ def test_a_steep_or_near_smooth_mask_keeps_its_light(distance_m, turns, model):
     mask = replace(soft, height_m=np.broadcast_to(np.arange(200) * slope, (200, 200)).copy())
     for oversampling in (1, 2):
         config = PsfConfig((np.inf,), model, wavelengths_per_channel=1, oversampling=oversampling)
-        stack = _compute(mask, CameraGeometry(distance_m, 19.2e-6, GREEN), config)
+        stack = compute_psf_stack(mask, CameraGeometry(distance_m, 19.2e-6, GREEN), config)
         np.testing.assert_allclose(stack.energy_m2(), mask.transmitted_area_m2, rtol=1e-5 if model == "exact" else 3e-6)
     config = replace(config, oversampling=1)
     assert sampling_error(mask, CameraGeometry(distance_m, 19.2e-6, GREEN), config)["error"] < 3e-3
@@ -188,7 +180,7 @@ def test_light_of_a_staircase_is_that_of_its_diffraction_orders():
     A ray picture relates angle and place, so the two agree up to diffraction at the window's rim: 1 %.
     """
     mask, wavelength, d = _staircase_mask(200), 532e-9, 1.9e-3
-    stack = _compute(mask, CameraGeometry(d, 19.2e-6, GREEN), PsfConfig((np.inf,), wavelengths_per_channel=1))
+    stack = compute_psf_stack(mask, CameraGeometry(d, 19.2e-6, GREEN), PsfConfig((np.inf,), wavelengths_per_channel=1))
     spectrum = np.abs(np.fft.fft2(mask.transmission(wavelength))) ** 2
     order = np.arange(-500, 501)
     frequency = order / (200 * mask.pitch_m)
@@ -211,7 +203,7 @@ def test_an_off_centre_hole_lands_where_rays_say_in_the_stored_frame():
     amplitude[150:160, 120:130] = 1  # 10 x 10 samples of 2 um: y = 110 um, x = 50 um
     mask = Mask(np.zeros_like(amplitude), amplitude, pitch)
     depths = (0.005, 0.02, np.inf)
-    stack = _compute(mask, CameraGeometry(1.9e-3, 4.8e-6, GREEN), PsfConfig(depths, wavelengths_per_channel=1))
+    stack = compute_psf_stack(mask, CameraGeometry(1.9e-3, 4.8e-6, GREEN), PsfConfig(depths, wavelengths_per_channel=1))
     grid = np.arange(stack.values.shape[-1]) - stack.values.shape[-1] // 2
     for image, depth in zip(stack.values[:, 0], depths, strict=True):
         m = 1 + 1.9e-3 / depth
@@ -224,9 +216,12 @@ def test_an_off_centre_hole_lands_where_rays_say_in_the_stored_frame():
 def test_scaled_psf_is_the_magnified_psf_of_infinity_and_scaled_distance_is_not():
     mask, camera = _smooth_mask(), CameraGeometry(0.5e-3, 3e-6, GREEN)
     config = PsfConfig((0.005, np.inf), wavelengths_per_channel=1)
-    distance, scaled = _compute(mask, camera, config), _compute(mask, camera, replace(config, model="scaled_psf"))
+    distance, scaled = (
+        compute_psf_stack(mask, camera, config),
+        compute_psf_stack(mask, camera, replace(config, model="scaled_psf")),
+    )
     np.testing.assert_array_equal(distance.values[1], scaled.values[1])
-    finer = _compute(mask, replace(camera, pixel_pitch_m=3e-6 / 1.1), replace(config, depths_m=(np.inf,)))
+    finer = compute_psf_stack(mask, replace(camera, pixel_pitch_m=3e-6 / 1.1), replace(config, depths_m=(np.inf,)))
     a, b = scaled.values[0, 0], finer.values[0, 0] / 1.1**2
     size = min(a.shape[0], b.shape[0]) // 2
 
@@ -247,7 +242,7 @@ def test_pinhole_camera_returns_the_scene(vignetting):
 
     d, pitch = 1.9e-3, 240e-6  # pixels so large that the Airy disc (24 um) and the hole (60 um) stay inside one
     mask = pinhole(diameter_um=60)
-    stack = _compute(mask, CameraGeometry(d, pitch, GREEN), PsfConfig((0.05,), wavelengths_per_channel=1))
+    stack = compute_psf_stack(mask, CameraGeometry(d, pitch, GREEN), PsfConfig((0.05,), wavelengths_per_channel=1))
     stack = replace(stack, values=np.repeat(stack.values, 3, axis=1), channels=("R", "G", "B"))
     rng = np.random.default_rng(0)
     rgb = rng.uniform(size=(1, 10, 12, 3)).astype(np.float32)
@@ -280,7 +275,7 @@ def test_torch_equals_numpy_and_gradients_are_those_of_finite_differences(profil
     torch.set_num_threads(1)  # on a busy machine torch's threads wait for each other for minutes
     mask = replace(_smooth_mask(dtype=np.float32), profile=profile)
     camera, config = CameraGeometry(0.4e-3, 8e-6, GREEN), PsfConfig((0.01, np.inf), wavelengths_per_channel=1)
-    numpy_stack, torch_stack = (_compute(mask, camera, config, xp=xp) for xp in ("numpy", "torch"))
+    numpy_stack, torch_stack = (compute_psf_stack(mask, camera, config, xp=xp) for xp in ("numpy", "torch"))
     # float32 phases of 1e2 rad are reduced in float64, so only the FFT's rounding is left.
     np.testing.assert_allclose(torch_stack.values.numpy(), numpy_stack.values, atol=2e-6 * numpy_stack.values.max())
 
@@ -290,7 +285,7 @@ def test_torch_equals_numpy_and_gradients_are_those_of_finite_differences(profil
 
     def psf(height_um):
         design = Mask(height_um * 1e-6, amplitude, 1e-6, FUSED_SILICA, profile)
-        return _compute(design, small, PsfConfig((1e-3,), wavelengths_per_channel=1)).values
+        return compute_psf_stack(design, small, PsfConfig((1e-3,), wavelengths_per_channel=1)).values
 
     assert torch.autograd.gradcheck(psf, (height * 1e6).requires_grad_(), eps=1e-6, atol=1e-6)
 
@@ -307,7 +302,7 @@ def test_the_default_sampling_of_a_phlatcam_errs_by_what_its_stack_says():
     mask = phlatcam(width_mm=0.2, iterations=10)
     d, pitch, depth = 1.9e-3, 19.2e-6, 0.036
     config = PsfConfig((depth,), wavelengths_per_channel=1)
-    stack = _compute(mask, CameraGeometry(d, pitch, GREEN), config)
+    stack = compute_psf_stack(mask, CameraGeometry(d, pitch, GREEN), config)
     middle = stack.values.shape[-1] // 2
     pixels = np.random.default_rng(1).integers(-5, 6, (12, 2))
     truth = _direct_pixel_values(mask, 532e-9, d, depth, pitch, pixels, 4, nodes=16)
@@ -317,3 +312,24 @@ def test_the_default_sampling_of_a_phlatcam_errs_by_what_its_stack_says():
     print(f"claimed {claimed:.4f}, true {error:.4f}")
     assert 1e-3 < claimed < 0.06
     assert error < 1.5 * claimed
+
+
+@pytest.mark.parametrize(
+    ("mask", "depth_m", "oversampling", "tolerance"),
+    [
+        # The same samples and the same band; ``exact`` fades the corners of the band (0.2 %).
+        (_smooth_mask(), np.inf, 1, {"scaled_distance": 1e-9, "exact": 4e-3}),
+        # The source's wave, sampled with the mask, widens the band a little, which the plain grid folds back.
+        (_smooth_mask(), 0.02, 1, {"scaled_distance": 4e-3, "exact": 4e-3}),
+        # A staircase's orders beyond half the oversampling fold back: 5, 1.3 and 0.4 % at 2, 4 and 8 against ``exact``.
+        (_staircase_mask(40), np.inf, 8, {"scaled_distance": 0.015, "exact": 8e-3}),
+        (_staircase_mask(40), 0.02, 8, {"scaled_distance": 0.015, "exact": 8e-3}),
+    ],
+    ids=["smooth, infinity", "smooth, 2 cm", "staircase, infinity", "staircase, 2 cm"],
+)
+def test_the_fast_models_give_what_the_plain_formula_gives(mask, depth_m, oversampling, tolerance):
+    plain = plain_psf(mask, 1.9e-3, 532e-9, depth_m, 9.6e-6, 31, oversampling=oversampling)
+    camera = CameraGeometry(1.9e-3, 9.6e-6, GREEN)
+    for model, allowed in tolerance.items():
+        (fast,) = depth_images(mask, camera, PsfConfig((depth_m,), model), 532e-9, 31)
+        assert np.linalg.norm(plain - fast) / np.linalg.norm(fast) < allowed, model

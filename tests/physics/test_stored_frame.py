@@ -36,10 +36,7 @@ def stack():
         amplitude[row : row + side, column : column + side] = 1
     mask = Mask(np.zeros_like(amplitude), amplitude, MASK_PITCH_M)
     green = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")
-    with pytest.MonkeyPatch.context() as patch:  # the sampling's proof has tests of its own
-        patch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: None)
-        patch.setattr("simulator.optics.error_budget.budget.quick_errors", lambda *_: {})
-        return compute_psf_stack(mask, CameraGeometry(D_M, PITCH_M, green), PsfConfig((DEPTH_M,), "exact", 1, 1, None))
+    return compute_psf_stack(mask, CameraGeometry(D_M, PITCH_M, green), PsfConfig((DEPTH_M,), "exact", 1, 1, None))
 
 
 def _overlap(low, high, count):

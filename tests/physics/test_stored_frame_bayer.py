@@ -36,11 +36,8 @@ def stack(mask):
     wavelengths_m = np.arange(450e-9, 621e-9, 1e-9)
     weights = np.array([np.isclose(wavelengths_m, line, atol=1e-10) for line in LINES_M], np.float64)
     response = SpectralResponse(wavelengths_m, weights, ("R", "G", "B"), "three lines")
-    config = PsfConfig((DEPTH_M,), model="exact", wavelengths_per_channel=1, accept_error=1.0)
-    with pytest.MonkeyPatch.context() as patch:  # the sampling proof has tests of its own and is most of the work here
-        patch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: None)
-        patch.setattr("simulator.optics.error_budget.budget.quick_errors", lambda *_: {})
-        return compute_psf_stack(mask, CameraGeometry(DISTANCE_M, PITCH_M, response), config)
+    config = PsfConfig((DEPTH_M,), model="exact", wavelengths_per_channel=1)
+    return compute_psf_stack(mask, CameraGeometry(DISTANCE_M, PITCH_M, response), config)
 
 
 def _fresnel(mask, wavelength_m, centre):

@@ -1,8 +1,19 @@
-"""The reference of PSFs: the Rayleigh-Sommerfeld integral behind a mask, summed directly with its own error bar."""
+"""The reference of PSFs: the Rayleigh-Sommerfeld integral behind a mask, summed directly with its own error bar.
+
+The sum runs on NumPy, or as a Dr.Jit kernel (LLVM) in a process of its own: an unsuitable libLLVM does not raise but aborts
+its process, and Dr.Jit's threads and log level are shared by everything in it, so beside a chosen Mitsuba variant it has no
+place. The price is about half a second per call.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +21,6 @@ from numpy.typing import NDArray
 
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
-from simulator.optics.error_budget.drjit_process import run_kernel
 from simulator.optics.mask import Mask
 from simulator.optics.resample import cubic_interpolation
 
@@ -134,7 +144,7 @@ def mask_field(
         2 * math.pi / wavelength_m, distance_m, index, tan_x * scale, tan_y * scale, scale, mask.pitch_m / factor
     )
     plane = not math.isfinite(depth_m)
-    found = run_kernel(__name__, points_m=points_m, plane=plane, **cells._asdict(), **light._asdict())
+    found = run_kernel(points_m=points_m, plane=plane, **cells._asdict(), **light._asdict())
     return sum_numpy(cells, light, plane, points_m) if found is None else found
 
 
@@ -224,7 +234,38 @@ def _sinc(m: Any, angle: Any) -> Any:
     return m.sin(guarded) / guarded
 
 
+# ---- on Dr.Jit
+
 _LANES = 2**20  # at a time: their state is a few tens of MB
+_JOB, _RESULT = "job.npz", "result.npy"
+
+
+def run_kernel(**inputs: Any) -> np.ndarray | None:
+    """Run ``kernel(dr, **inputs)`` in a fresh process.
+
+    Args:
+        inputs: NumPy arrays and numbers.
+
+    Returns:
+        What the kernel returned; None where Dr.Jit has no working LLVM, and then NumPy must do.
+    """
+    if not llvm_works():
+        return None
+    result, said = _run(inputs)
+    if result is None:
+        msg = f"the kernel failed in a process of its own, though LLVM works here: {said}"
+        raise RuntimeError(msg)
+    return result
+
+
+@functools.cache
+def llvm_works() -> bool:
+    """Whether Dr.Jit can compile and run the sum here, for two open cells and a point; tried once per process, in another."""
+    flat = np.zeros((1, 1))
+    cells = Cells(np.zeros((1, 2)), np.ones((1, 2)), flat, flat, 1)
+    light, point = Light(1e7, 1e-3, 1.5, 1e-5, 2e-5, 0.02, 2e-6), np.array([[3e-6, 1e-6]])
+    answer, _ = _run({"points_m": point, "plane": False, **cells._asdict(), **light._asdict()})
+    return answer is not None and np.allclose(answer, sum_numpy(cells, light, False, point), rtol=1e-9, atol=0)
 
 
 def kernel(
@@ -239,7 +280,7 @@ def kernel(
     repeat: int,
     **light: float,
 ) -> NDArray[np.complex128]:
-    """Return the wave at the points, ``(N,)``; arguments as in ``direct_sum.Cells`` and ``direct_sum.Light``."""
+    """Return the wave at the points, ``(N,)``; arguments as in ``Cells`` and ``Light``."""
     from drjit.llvm import Float32, Float64, UInt32
 
     numbers = Light(**{name: dr.opaque(Float64, value) for name, value in light.items()})
@@ -278,3 +319,43 @@ def kernel(
         parts = [np.array(part).reshape(len(some), rows).sum(1) for part in (real, imaginary)]
         values[start : start + batch] = parts[0] + 1j * parts[1]
     return values
+
+
+def _run(inputs: dict[str, Any]) -> tuple[np.ndarray | None, str]:
+    """Return the kernel's result, None where there is none, and the last line that the process wrote to stderr."""
+    with tempfile.TemporaryDirectory(prefix="flatlight-kernel-") as folder:
+        np.savez(Path(folder) / _JOB, **inputs)
+        home = Path.home()
+        # Dr.Jit aborts where it cannot keep its compiled kernels.
+        lent = {} if (home / ".drjit").is_dir() or os.access(home, os.W_OK | os.X_OK) else {"HOME": folder}
+        try:
+            done = subprocess.run(
+                [sys.executable, "-P", "-m", __name__, folder],
+                env=os.environ | lent,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                check=False,
+            )
+        except OSError as error:
+            return None, str(error)
+        said = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+        result = Path(folder) / _RESULT
+        return (np.load(result, allow_pickle=False) if done.returncode == 0 and result.is_file() else None), said
+
+
+def _main(folder: str) -> None:
+    import drjit as dr
+
+    if not dr.has_backend(dr.JitBackend.LLVM):
+        sys.exit(1)
+    dr.set_log_level(dr.LogLevel.Error)
+    dr.set_thread_count(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+    with np.load(Path(folder) / _JOB, allow_pickle=False) as job:
+        inputs = {name: job[name] if job[name].ndim else job[name].item() for name in job.files}
+    np.save(Path(folder) / _RESULT, kernel(dr, **inputs))
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])

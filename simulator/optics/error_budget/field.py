@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from simulator.optics.error_budget.sampling import judged_crop
 from simulator.optics.mask import Mask
+from simulator.optics.psf import Progress, PsfConfig, depth_images, stack_size
 from simulator.types import CameraGeometry
-
-if TYPE_CHECKING:
-    from simulator.optics.psf import Progress, PsfConfig
 
 ANGLES_DEGREES = (0.0, 5.0, 10.0, 20.0, 33.0)
 CROP_M = 2e-3  # PHYSICS: errors against the field angle are quoted for a crop, since wide masks wash them out
@@ -45,8 +43,6 @@ def field_angle_error(
     Returns:
         ``error`` (the largest) and ``table``, one row per angle with its direction; JSON-serialisable.
     """
-    from simulator.optics.psf import depth_images, stack_size
-
     crop = judged_crop(mask, crop_m)
     config = replace(psf_config, depths_m=psf_config.depths_m[-1:])
     exact = replace(config, model="exact")

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from simulator.optics.error_budget.direct_sum import true_intensity
 from simulator.optics.error_budget.sampling import judged_crop
 from simulator.optics.mask import Mask
+from simulator.optics.psf import Progress, PsfConfig, depth_images, sampled_intensity, stack_size
 from simulator.optics.spectra import quantile_lines
 from simulator.types import CameraGeometry
-
-if TYPE_CHECKING:
-    from simulator.optics.psf import Progress, PsfConfig
 
 POINTS = 20  # per depth and wavelength: the error of an error of 20 points is a quarter of it
 CROP_M = 1.5e-3
@@ -44,8 +42,6 @@ def pixel_error(
     Returns:
         ``error`` (the largest) and ``table``, one row per depth and wavelength; JSON-serialisable.
     """
-    from simulator.optics.psf import depth_images, stack_size
-
     part = judged_crop(mask, max(mask.shape) * mask.pitch_m if crop_m is None else crop_m)
     exact = replace(psf_config, model="exact")
     size = max(stack_size(part, camera, config) for config in (psf_config, exact))
@@ -89,8 +85,6 @@ def direct_error(
         ``error`` (the largest) and ``table``, one row per depth and wavelength with the truth's own ``uncertainty``;
         JSON-serialisable.
     """
-    from simulator.optics.psf import sampled_intensity
-
     rng = np.random.default_rng(seed)
     table, total = [], len(wavelengths_m) * len(psf_config.depths_m)
     for wavelength_m in wavelengths_m:

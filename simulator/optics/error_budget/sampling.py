@@ -8,18 +8,16 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
 from simulator.optics.mask import Mask, steepest_frequency
+from simulator.optics.psf import PsfConfig, depth_images, stack_size
 from simulator.optics.spectra import quantile_lines
 from simulator.types import CameraGeometry
-
-if TYPE_CHECKING:
-    from simulator.optics.psf import PsfConfig
 
 
 class SamplingWarning(UserWarning):
@@ -41,8 +39,6 @@ def sampling_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
         and farthest; the farthest for ``exact``), at the shortest wavelength, where phases are steepest; ``error_bar``, which
         contains the distance from any finer sampling; JSON-serialisable.
     """
-    from simulator.optics.psf import depth_images, stack_size
-
     crop = judged_crop(mask, CROP_M)
     # Between its grid's own samples ``exact`` leaves out light alone, at all depths alike: one of them tells.
     ends = (

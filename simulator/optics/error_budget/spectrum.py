@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.optics.error_budget.sampling import judged_crop
 from simulator.optics.mask import Mask
+from simulator.optics.psf import PsfConfig, depth_images, stack_size
 from simulator.optics.spectra import quantile_lines
 from simulator.types import CameraGeometry, SpectralResponse
-
-if TYPE_CHECKING:
-    from simulator.optics.psf import PsfConfig
 
 CROP_M = 0.75e-3  # wavelengths part by angle, not by place on the mask: a crop of 1.5 mm gives the same within a tenth
 MANY = 40  # wavelengths that all channels share; 80 of them move the answer by less than a tenth
@@ -28,8 +26,6 @@ def spectral_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, ma
     Returns:
         ``error`` (the largest) and ``channels``, the error per channel; ``lines`` of the reference; JSON-serialisable.
     """
-    from simulator.optics.psf import depth_images, stack_size
-
     crop = judged_crop(mask, CROP_M)
     # The quadrature does not know the depth model, so the fast one stands for all.
     nearest = replace(psf_config, depths_m=psf_config.depths_m[:1], model="scaled_distance")

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 
@@ -19,8 +20,10 @@ from simulator.assembly import Assembly
 from simulator.camera.shutter import GlobalShutter
 from simulator.config import load_config
 from simulator.dataset import generate, open_dataset, verify
+from simulator.dataset.job import data_set_stack
 from simulator.dataset.manifest import load_manifest
 from simulator.errors import InputError
+from simulator.optics.stack import UNPROVEN
 from simulator.optics.stack_files import read_psf_stack
 from simulator.types import Clip
 
@@ -218,6 +221,14 @@ def test_progress_counts_to_the_end(trial) -> None:
         assert {of for name, _, of in seen if name == stage} == {total}
     assert result.seconds > 0
     assert any("sampling error" in line for line in said)
+
+
+def test_an_unproven_stack_makes_no_data_set(trial) -> None:
+    assembly = Assembly(load_config(trial.write()))
+    stack = replace(assembly.psf_stack, provenance=assembly.psf_stack.provenance | {"sampling": UNPROVEN})
+    with pytest.raises(InputError, match="psf: the sampling error"):
+        data_set_stack(assembly.having(psf_stack=stack), trial.folder / "out", lambda _: None)
+    assert not (trial.folder / "out").exists()
 
 
 def test_exposure_is_found_once(trial) -> None:

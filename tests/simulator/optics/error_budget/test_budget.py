@@ -194,7 +194,7 @@ def test_the_full_budget_is_a_table_of_everything(few_wavelengths):
 def test_without_llvm_the_direct_sum_judges_a_crop(few_wavelengths, monkeypatch):
     monkeypatch.setattr(check, "llvm_works", lambda: False)
     monkeypatch.setattr(check, "PLAIN_CROP_M", 40e-6)
-    monkeypatch.setattr("simulator.optics.error_budget.drjit_process.llvm_works", lambda: False)
+    monkeypatch.setattr("simulator.optics.error_budget.direct_sum.llvm_works", lambda: False)
     errors = full_errors(_mask(40), CAMERA, _config(np.inf, model="exact"))
     assert errors["direct_sum"]["crop_m"] == pytest.approx(40e-6)
     assert errors["direct_sum"]["error"] < 0.05

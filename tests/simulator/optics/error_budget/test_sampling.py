@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
+from simulator.optics.error_budget.budget import proven_psf_stack, quick_errors
 from simulator.optics.error_budget.sampling import CROP_M, REFUSE, WARN, prove_sampling, sampling_error
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA
 from simulator.optics.psf import PsfConfig, compute_psf_stack
+from simulator.optics.stack import UNPROVEN
 from simulator.types import CameraGeometry, SpectralResponse
 
 D, PITCH = 0.2e-3, 6e-6
@@ -39,10 +41,8 @@ def _smooth(samples=40, turns=0.05, pitch_m=2e-6):
 
 
 def _values(mask, camera, depth_m, oversampling):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        config = PsfConfig((depth_m,), wavelengths_per_channel=1, oversampling=oversampling, accept_error=10.0)
-        return np.asarray(compute_psf_stack(mask, camera, config).values[0, 0])
+    config = PsfConfig((depth_m,), wavelengths_per_channel=1, oversampling=oversampling)
+    return np.asarray(compute_psf_stack(mask, camera, config).values[0, 0])
 
 
 def _difference(mask, camera, depth_m, oversampling):
@@ -100,8 +100,12 @@ def test_the_stack_records_the_report():
     config = PsfConfig((0.05, np.inf), wavelengths_per_channel=1, accept_error=10.0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        stack = compute_psf_stack(_staircase(), _camera(532), config)
+        stack = proven_psf_stack(_staircase(), _camera(532), config)
     assert stack.provenance["sampling"] == sampling_error(_staircase(), _camera(532), config)
+    assert stack.provenance["errors"] == quick_errors(_staircase(), _camera(532), config)
+    pure = compute_psf_stack(_staircase(), _camera(532), config)
+    assert pure.provenance["sampling"] == UNPROVEN
+    np.testing.assert_array_equal(pure.values, stack.values)
 
 
 # --- the limits

@@ -20,13 +20,6 @@ CAMERA = CameraGeometry(D, 20e-6, RESPONSE)
 CONFIG = PsfConfig((0.04, 0.05, np.inf), wavelengths_per_channel=2, accept_error=1.0)
 
 
-@pytest.fixture(autouse=True)
-def no_proof(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both sides of every comparison have the same grid."""
-    monkeypatch.setattr("simulator.optics.error_budget.sampling.prove_sampling", lambda *_: {})
-    monkeypatch.setattr("simulator.optics.error_budget.budget.quick_errors", lambda *_: {})
-
-
 @pytest.fixture(scope="module")
 def mask() -> Mask:
     """Open squares at random places: no flip or turn leaves it as it is; float64."""

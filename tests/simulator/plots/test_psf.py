@@ -14,11 +14,12 @@ from psf_library.designs.diffusercam import diffusercam
 from psf_library.designs.pinhole import pinhole
 from simulator.errors import InputError
 from simulator.io.files import StorageError
+from simulator.optics.error_budget.budget import proven_psf_stack
 from simulator.optics.mask import Mask
 from simulator.optics.materials import PHLATCAM_RESIST
-from simulator.optics.psf import PsfConfig, compute_psf_stack
+from simulator.optics.psf import PsfConfig
 from simulator.optics.spectra import spectral_response
-from simulator.optics.stack import PsfStack
+from simulator.optics.stack import UNPROVEN, PsfStack
 from simulator.plots.psf import plot_psf_stack, psf_figure, shown_depths
 from simulator.plots.psf_facts import psf_depth_limit_m, psf_facts
 from simulator.text import length, share
@@ -31,7 +32,7 @@ def _computed(mask, d, pitch, depths, response=GREEN, lines=1):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # these small masks are coarsely sampled; that is not the subject
         config = PsfConfig(depths, wavelengths_per_channel=lines, accept_error=10.0)
-        return compute_psf_stack(mask, CameraGeometry(d, pitch, response), config), mask
+        return proven_psf_stack(mask, CameraGeometry(d, pitch, response), config), mask
 
 
 def _staircase(samples):
@@ -174,6 +175,8 @@ def test_facts_of_a_computed_stack():
     assert facts["light on PSF grid"].startswith(share(shares.min()))
     assert facts["light off sensor"] != "0 %"
     assert dict(psf_facts(stack))["z_max"] == facts["z_max"]  # the stack's own record serves where there is no mask
+    unproven = replace(stack, provenance=stack.provenance | {"sampling": UNPROVEN})
+    assert dict(psf_facts(unproven))["sampling"] == "unproven"
 
 
 def test_the_depth_limit_follows_the_open_part_of_the_mask():

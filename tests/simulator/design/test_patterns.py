@@ -1,12 +1,25 @@
-"""Random surfaces and places: their statistics against what defines them."""
+"""Patterns: statistics of random surfaces and places, lines along edges, round apertures."""
+
+import time
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from simulator import arrays as memory
-from simulator.design.patterns import gaussian_surface, perlin, poisson_disc
+from simulator.design.patterns import (
+    contours,
+    gaussian_surface,
+    perlin,
+    poisson_disc,
+    radius_squared_m2,
+    round_aperture,
+    sample_positions_m,
+)
 from simulator.errors import InputError
+
+# ---- random surfaces and places
 
 
 def test_perlin_noise_is_smooth_and_of_its_cell():
@@ -59,3 +72,48 @@ def test_a_lattice_that_exceeds_the_memory_is_refused(monkeypatch):
     monkeypatch.setattr(memory, "machine_bytes", lambda: 10**6)
     with pytest.raises(InputError, match=r"spacing_um: .*2400 x 2400"):
         poisson_disc(100, 1)
+
+
+# ---- lines
+
+
+@pytest.mark.parametrize("line", [6.0, 17.9, 18.0, 18.5, 33.0])
+def test_wide_and_narrow_lines_are_discs_along_the_edges(line: float) -> None:
+    """Against the plain definition, bit for bit: the distance from an edge is the root of a whole number."""
+    edges = contours(300, 60, 1, 1) > 0  # a line narrower than two samples is the edge itself
+    y, x = np.ogrid[-20:21, -20:21]
+    expected = binary_dilation(edges, x**2 + y**2 <= (line / 2) ** 2)
+    np.testing.assert_array_equal(contours(300, 60, line, 1), expected)
+
+
+def test_the_widest_line_costs_little() -> None:
+    """Discs of 196000 samples at every edge exhaust the memory; distances take a fraction of a second."""
+    began = time.process_time()
+    pattern = contours(600, 240, 500, 1)
+    assert time.process_time() - began < 10
+    assert pattern.mean() > 0.5
+
+
+# ---- round apertures
+
+
+@pytest.mark.parametrize(("samples", "diameter"), [(40, 40.0), (41, 30.4), (200, 150.7), (31, 31.0)])
+def test_the_area_is_the_circle_s(samples, diameter):
+    """Rim samples are counted in 256 parts: the errors of some hundred of them average to 1e-3 of the area."""
+    assert float(round_aperture(samples, diameter).sum()) == pytest.approx(np.pi / 4 * diameter**2, rel=1e-3)
+
+
+def test_it_is_round_and_centred():
+    coverage = round_aperture(41, 30.4)
+    for other in (coverage[::-1], coverage[:, ::-1], coverage.T):
+        np.testing.assert_array_equal(coverage, other)
+    away = np.sqrt(radius_squared_m2(41, 1.0))
+    assert np.all(coverage[away < 15.2 - 0.71] == 1)
+    assert np.all(coverage[away > 15.2 + 0.71] == 0)
+    rim = (away > 15.2 - 0.2) & (away < 15.2 + 0.2)
+    assert np.all((coverage[rim] > 0.2) & (coverage[rim] < 0.8))
+
+
+def test_positions_are_centred():
+    np.testing.assert_allclose(sample_positions_m(4, 2e-6), [-3e-6, -1e-6, 1e-6, 3e-6])
+    np.testing.assert_allclose(radius_squared_m2(3, 1.0)[0], [2, 1, 2])
