@@ -100,3 +100,14 @@ def test_nothing_to_draw(flatlight, one_error, panes: Path) -> None:
     one_error(result, "nothing can be drawn", "needs picture")
     one_error(flatlight("scenes", "--thumbnails", "t.jpg"), "--thumbnails: got 't.jpg'", ".png")
     assert not list(panes.glob("t.*"))
+
+
+def test_scenes(flatlight) -> None:
+    code, out, _ = flatlight("scenes")
+    assert code == 0
+    family, source = out.split("scene.source:")
+    assert "  flying_things: " in family
+    assert "samples_per_pixel: 16" in family
+    assert "  flyingthings3d: " in source
+    assert "path: required" in source
+    assert "backend" not in out
