@@ -127,14 +127,6 @@ def test_masks(flatlight) -> None:
     assert "number over 0.05 to 20; side of the square mask" in out
 
 
-def test_one_mask(flatlight, one_error) -> None:
-    code, out, _ = flatlight("masks", "pinhole")
-    assert code == 0
-    assert "  pinhole: A pinhole" in out
-    assert "phlatcam" not in out
-    one_error(flatlight("masks", "pinhol"), "unknown mask design, got 'pinhol'", "did you mean 'pinhole'")
-
-
 def test_materials(flatlight) -> None:
     code, out, _ = flatlight("materials")
     assert code == 0

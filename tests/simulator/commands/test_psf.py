@@ -75,20 +75,6 @@ def test_true_and_captured_side_by_side(flatlight, trial, tmp_path: Path) -> Non
         assert min(drawn.size) > 1000
 
 
-def test_a_measured_psf_is_refused_before_anything_is_said(one_error, flatlight, trial, tmp_path: Path) -> None:
-    assert flatlight("psf", trial.write(), "--output", trial.folder / "stack")[0] == 0
-    result = flatlight("psf", trial.write(camera={"mask": None}, psf={"measured": "stack"}), "--as-captured")
-    one_error(result, "this PSF was measured, and its errors are in it")
-    assert result[1] == ""
-
-
-def test_a_captured_stack_replaces_nothing_else(one_error, flatlight, trial, tmp_path: Path) -> None:
-    (tmp_path / "stack_captured").mkdir()
-    (tmp_path / "stack_captured/thesis.txt").touch()
-    run = flatlight("psf", trial.write(), "--as-captured", "--output", tmp_path / "stack")
-    one_error(run, "thesis.txt", "choose another name")
-
-
 def test_an_interpolated_stack_states_its_error(flatlight, trial) -> None:
     assert flatlight("psf", trial.write(), "--output", trial.folder / "stack")[0] == 0
     psf = {"measured": "stack", "planes": {"near_cm": 4, "far_cm": 10, "depths": 4}}

@@ -3,7 +3,6 @@
 import fcntl
 import hashlib
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -162,8 +161,8 @@ def test_a_worker_that_is_killed_costs_nothing(trial, tmp_path: Path) -> None:
 
 
 def test_a_killed_run_is_finished_by_the_next(trial, tmp_path: Path) -> None:
-    scene = SLOW | {"seconds": 0.1}
-    path = trial.write(dataset={"engine": "local", "workers": 1, "train": 8}, scene=scene)
+    scene = SLOW | {"seconds": 0.2}
+    path = trial.write(dataset={"engine": "local", "workers": 1, "train": 4}, scene=scene)
     root = tmp_path / "out"
     process = subprocess.Popen(
         [sys.executable, "-c", "from simulator.cli import main; main()", "generate", str(path)],
@@ -172,19 +171,19 @@ def test_a_killed_run_is_finished_by_the_next(trial, tmp_path: Path) -> None:
     )
     manifest = root / "manifest.jsonl"
     end = time.monotonic() + 60
-    while not manifest.exists() or manifest.read_bytes().count(b"\n") < 2:
+    while not manifest.exists() or manifest.read_bytes().count(b"\n") < 1:
         assert process.poll() is None, "the run ended before it could be killed"
-        assert time.monotonic() < end, "two samples take too long"
+        assert time.monotonic() < end, "a sample takes too long"
         time.sleep(0.02)
     process.kill()
     process.wait()
     kept = len(load_manifest(root).entries)
-    assert 2 <= kept < 10
+    assert 1 <= kept < 6
     assert not verify(root).ok
     result = generate(path, ["dataset.engine=inline"])
-    assert (result.made, result.kept) == (10 - kept, kept)
+    assert (result.made, result.kept) == (6 - kept, kept)
     assert verify(root).ok
-    undisturbed = trial.generate(dataset={"output": "undisturbed", "train": 8}, scene=scene)
+    undisturbed = trial.generate(dataset={"output": "undisturbed", "train": 4}, scene=scene)
     assert contents(undisturbed) == contents(root)
 
 
@@ -335,11 +334,6 @@ class TestRefusals:
         assert "is a file" in self.refused(trial)
         assert "is a file" in self.refused(trial, dataset={"output": "out/deeper"})
 
-    @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-    def test_a_protected_folder(self, trial) -> None:
-        (trial.folder / "locked").mkdir(mode=0o500)
-        assert "no permission" in self.refused(trial, dataset={"output": "locked/out"})
-
     def test_a_place_where_nothing_can_be_written(self, trial) -> None:
         with pytest.raises(InputError, match="/proc/flatlight"):
             generate(trial.write(), ["dataset.output=/proc/flatlight"])
@@ -368,9 +362,10 @@ class TestRefusals:
         assert "0.5" in message
         assert "psf.far_cm" in message
 
-    def test_scenes_that_fail_while_the_exposure_is_sought(self, trial) -> None:
-        scene = SLOW | {"fail_at": 2}
-        message = self.refused(trial, camera={"exposure": {"full_scale": "auto"}}, scene=scene)
+    @pytest.mark.parametrize("engine", ["inline", "local"])
+    def test_scenes_that_fail_while_the_exposure_is_sought(self, trial, engine: str) -> None:
+        changes = {"scene": SLOW | {"fail_at": 2}, "dataset": {"engine": engine, "workers": 1}}
+        message = self.refused(trial, camera={"exposure": {"full_scale": "auto"}}, **changes)
         assert "no clip 2 today" in message
         assert "plugins.py:" in message
 
@@ -426,8 +421,7 @@ def test_a_run_that_goes_on_keeps_both_and_makes_one_that_was_deleted_again(capt
     assert {path.name: path.read_bytes() for path in (root / "psf_captured").iterdir()} == before
 
 
-@pytest.mark.parametrize("folder", ["psf", "psf_captured"])
-@pytest.mark.parametrize("file", ["psf.json", "depth_0000.exr"])
+@pytest.mark.parametrize(("folder", "file"), [("psf", "depth_0000.exr"), ("psf_captured", "psf.json")])
 def test_a_run_does_not_go_on_beside_a_damaged_stack(make_trial, tmp_path, folder, file) -> None:
     psf = {"depths_cm": [20], "wavelengths_per_channel": 1, "accept_error": 1, "as_captured": {}}
     trial = make_trial(tmp_path)

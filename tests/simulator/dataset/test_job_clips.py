@@ -229,22 +229,6 @@ def files(root: Path) -> dict[str, bytes]:
     }
 
 
-def test_a_run_that_dies_is_finished_with_the_same_bytes(trial: Any, made: Path) -> None:
-    """Two workers, one of which is killed; then some lines of the manifest are lost."""
-    changes = {"global_measurements": True, "engine": "local", "workers": 2}
-    root = make(trial, changes, kill_at=2, marker=str(trial.folder / "killed"))
-    assert (trial.folder / "killed").exists()
-    expected = {name: data for name, data in files(made).items() if name.startswith(SPLITS)}
-    assert len(expected) == 6 * 10
-    assert {name: data for name, data in files(root).items() if name.startswith(SPLITS)} == expected
-    manifest = root / "manifest.jsonl"
-    manifest.write_bytes(b"".join(manifest.read_bytes().splitlines(keepends=True)[:2]) + b'{"id": "s00')
-    result = generate(trial.path, ["dataset.engine=inline"])
-    assert (result.made, result.kept) == (4, 2)
-    assert {name: data for name, data in files(root).items() if name.startswith(SPLITS)} == expected
-    assert verify(root).ok
-
-
 class TestSkipping:
     """``--skip-bad``: what cannot be used is left out and listed, and nothing else changes."""
 
@@ -267,11 +251,6 @@ class TestSkipping:
         assert (again.made, again.kept, len(again.skipped)) == (1, 2, 4)
         assert set(marker.with_name("asked.log").read_text().split()) <= {"3"}
         assert verify(again.path).ok
-
-    def test_without_it_they_are_failures(self, trial: Any) -> None:
-        result = generate(write(trial, bad=[0]))
-        assert (result.made, len(result.failed), result.skipped) == (4, 2, ())
-        assert not (result.path / "skipped.jsonl").exists()
 
     def test_pilots_that_cannot_be_made(self, trial: Any) -> None:
         path = write(trial, bad=[1])
@@ -304,14 +283,6 @@ class TestSkipping:
         assert (result.path / "source_problems.txt").read_text().splitlines() == problems
         assert any(problems[0] in line and "and 3 more" in line for line in said)
         assert verify(result.path).ok
-
-    def test_a_list_that_was_torn_or_spoilt(self, tmp_path: Path) -> None:
-        path = tmp_path / "skipped.jsonl"
-        path.write_text('{"id":"s00000003","split":"train","reason":"bad"}\n{"id":"s0000')
-        assert load_skipped(tmp_path) == {("train", "s00000003"): "bad"}
-        path.write_text('{"id":"s00000003","split":"all","reason":"bad"}\n')
-        with pytest.raises(InputError, match=r"skipped\.jsonl:1: "):
-            load_skipped(tmp_path)
 
 
 class TestTimes:
