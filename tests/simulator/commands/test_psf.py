@@ -29,18 +29,18 @@ def test_writes_and_describes_the_stack(flatlight, trial, tmp_path: Path) -> Non
 
 
 def test_replaces_nothing_else(one_error, flatlight, trial, tmp_path: Path) -> None:
-    one_error(flatlight("psf", trial.write(), "--output", tmp_path), "plugins.py", "choose another name")
+    one_error(flatlight("psf", trial.write(), "--output", tmp_path), "plugins.py")
     assert trial.plugins.exists()
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--plot", "p.txt"), "--plot: got 'p.txt', expected a name that ends in .png"),
-        (("--plot", "folder.png"), "folder.png exists already and is a folder"),
-        (("--plot", "no/p.png"), "the folder no does not exist; make it first"),
+        (("--plot", "p.txt"), "--plot: "),
+        (("--plot", "folder.png"), "folder.png"),
+        (("--plot", "no/p.png"), "no "),
         (("--plot", "p.png", "--as-captured"), "p_captured.png"),
-        (("--output", "plugins.py/x"), "plugins.py is a file; choose another folder"),
+        (("--output", "plugins.py/x"), "plugins.py"),
     ],
 )
 def test_places_are_looked_at_before_anything_is_computed(
