@@ -1,5 +1,7 @@
 """Fixtures that all tests share."""
 
+import fcntl
+import functools
 import os
 import signal
 import subprocess
@@ -234,6 +236,29 @@ def shared_tmp(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shared"
     folder.mkdir(exist_ok=True)
     return folder
+
+
+@pytest.fixture(scope="session")
+def rendered(
+    shared_tmp: Path, python: Callable[..., subprocess.CompletedProcess[str]]
+) -> Callable[..., dict[str, Any]]:
+    """The function from a script below tests/ and its arguments to the arrays that it stores, once per run."""
+    import numpy as np
+
+    @functools.cache
+    def render(script: str, *arguments: str) -> dict[str, Any]:
+        out = shared_tmp / f"{'_'.join((Path(script).stem, *arguments))}.npz"
+        with out.with_suffix(".lock").open("w") as lock:  # another process of this run may be rendering the same
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not out.exists():
+                part = out.with_suffix(".part.npz")
+                done = python(str(ROOT / "tests" / script), *arguments, str(part))
+                assert done.returncode == 0, done.stderr
+                part.rename(out)
+        with np.load(out, allow_pickle=False) as arrays:
+            return dict(arrays)
+
+    return render
 
 
 @pytest.fixture(scope="session", autouse=True)

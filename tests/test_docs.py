@@ -1,7 +1,5 @@
 """The galleries are whole and say what the designs and the scene families say of themselves."""
 
-import importlib.util
-import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -10,7 +8,7 @@ import pytest
 from PIL import Image
 
 from psf_library import load_mask
-from simulator.plugins import available, resolve
+from simulator.plugins import available, import_file, resolve
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 # Largest number of bytes, least and greatest width of an image.
@@ -20,15 +18,7 @@ IMAGES = {"designs": (150_000, 720, 720), "scenes": (250_000, 800, 1500)}
 @pytest.fixture(scope="module")
 def galleries() -> ModuleType:
     """The script that makes the galleries."""
-    spec = importlib.util.spec_from_file_location("docs_galleries", DOCS / "galleries.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    # Dataclasses look their own module up by name.
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, spec.name, module)
-        spec.loader.exec_module(module)
-    return module
+    return import_file(DOCS / "galleries.py", "docs_galleries")
 
 
 @pytest.mark.parametrize("name", IMAGES)

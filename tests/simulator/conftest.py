@@ -2,7 +2,9 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -19,3 +21,25 @@ def command() -> Callable[..., subprocess.CompletedProcess[str]]:
         return subprocess.run(words, capture_output=True, text=True, timeout=120, check=False, **options)
 
     return run
+
+
+@pytest.fixture
+def samples(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    """The helpers in samples.py."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+    import samples  # type: ignore[import-not-found]
+
+    yield samples
+    sys.modules.pop("samples")
+
+
+@pytest.fixture
+def dataset(samples: ModuleType, tmp_path: Path) -> Path:
+    """A small whole data set on disk."""
+    return samples.make_dataset(tmp_path / "set")
+
+
+@pytest.fixture
+def clips(samples: ModuleType, tmp_path: Path) -> Path:
+    """The same of clips: samples of three frames with global measurements."""
+    return samples.make_dataset(tmp_path / "clips", samples.make_clip_sample)

@@ -77,10 +77,10 @@ def test_mistakes_are_named(trial, stored) -> None:
     with pytest.raises(InputError, match="nowhere"):
         build(trial, measured="nowhere")
     pictures = {"measured": ["no.tif"], "depths_cm": [5], "frame": "stored", "throughput_mm2": 1}
-    with pytest.raises(InputError, match=r"^psf\.measured\[0\]: .*no\.tif"):
+    with pytest.raises(InputError, match=r"psf\.measured\[0\]: .*no\.tif"):
         build(trial, **pictures)
     (trial.folder / "psf.tif").write_bytes(b"")
-    with pytest.raises(InputError, match=r"measured: \[psf\.tif\]"):
+    with pytest.raises(InputError, match=r"measured: .*psf\.tif"):
         build(trial, measured="psf.tif")
     camera = NO_MASK | {"sensor": {"binning": 4, "shape": [48, 60]}}
     with pytest.raises(InputError, match=r"19\.2 um.* 9\.6 um"):

@@ -307,7 +307,7 @@ def test_refused_parameters(
 
 def test_a_default_of_the_wrong_type_is_the_plugins_fault(tmp_path: Path) -> None:
     write(tmp_path, "def vortex(*, charge: int = 1.5): ...\n")
-    with pytest.raises(ParameterError, match=r"charge: got 1\.5"):
+    with pytest.raises(ParameterError, match="charge:"):
         resolve("mask", "./my_mask.py:vortex", tmp_path).bind({})
 
 

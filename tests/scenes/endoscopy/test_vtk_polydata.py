@@ -97,10 +97,10 @@ def test_broken_files_are_refused_by_name_and_cure(tmp_path: Path, content: str 
 
 
 def test_missing_files_and_files_of_no_kind_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"there is no file .*missing\.vtk"):
+    with pytest.raises(InputError, match=r"missing\.vtk"):
         read_surface(tmp_path / "missing.vtk")
     (tmp_path / "odd.xyzzy").write_text("nothing")
-    with pytest.raises(InputError, match=r"odd\.xyzzy cannot be read as a mesh"):
+    with pytest.raises(InputError, match=r"odd\.xyzzy"):
         read_surface(tmp_path / "odd.xyzzy")
 
 

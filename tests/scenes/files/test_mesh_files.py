@@ -306,7 +306,7 @@ def test_a_material_file_elsewhere_has_its_textures_beside_the_mesh(tmp_path: Pa
     path = quad_obj(tmp_path, UPRIGHT, "Kd 1 1 1\nmap_Kd four.png\n")
     path.write_text(path.read_text().replace("quad.mtl", "paint/quad.mtl"))
     (tmp_path / "quad.mtl").rename(tmp_path / "paint" / "quad.mtl")
-    with pytest.raises(InputError, match=r"needs the file 'four\.png', and there is none at"):
+    with pytest.raises(InputError, match=r"four\.png"):
         show(path)
     (tmp_path / "paint" / "four.png").rename(tmp_path / "four.png")
     np.testing.assert_allclose(show(path, "albedo").extras["albedo"][0][CORNER_PIXELS[0, 0]], light[0, 0], rtol=1e-4)

@@ -26,10 +26,10 @@ def test_a_page_and_a_picture(flatlight, trial, tmp_path: Path) -> None:
 
 def test_mistakes(flatlight, one_error, trial, tmp_path: Path) -> None:
     path, page = trial.write(), tmp_path / "page.html"
-    one_error(flatlight("compare", "pinhole", "--output", "page.pdf"), "--output: got 'page.pdf'", ".html or .png")
-    one_error(flatlight("compare", "pinhole", "--output", tmp_path / "a" / "b.html"), "does not exist", "make it first")
-    one_error(flatlight("compare", "pinhle", "--config", path, "--output", page), "unknown mask design", "'pinhole'")
+    one_error(flatlight("compare", "pinhole", "--output", "page.pdf"), "--output: ")
+    one_error(flatlight("compare", "pinhole", "--output", tmp_path / "a" / "b.html"), f"{tmp_path / 'a'}")
+    one_error(flatlight("compare", "pinhle", "--config", path, "--output", page), "'pinhle'", "'pinhole'")
     one_error(flatlight("compare", "pinhole", "--config", tmp_path / "no.yaml", "--output", page), "no.yaml")
     assert not page.exists()
     page.mkdir()
-    one_error(flatlight("compare", HOLE, "--config", path, "--output", page), "exists already and is a folder")
+    one_error(flatlight("compare", HOLE, "--config", path, "--output", page), "page.html")

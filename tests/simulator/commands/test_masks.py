@@ -63,7 +63,7 @@ def test_layers_and_crop(flatlight, phase, tmp_path) -> None:
 def test_an_amplitude_mask_has_no_body(flatlight, one_error, trial, tmp_path) -> None:
     path = trial.write(camera={"mask": {"design": "pinhole"}})
     refused = flatlight("export-mask", path, "--stl", tmp_path / "m.stl", "--layers", tmp_path / "m")
-    one_error(refused, "mask 'pinhole' is flat", "as layers instead")
+    one_error(refused, "'pinhole'")
     assert not list(tmp_path.glob("m*"))  # the layers that could have been written were not begun
     assert flatlight("export-mask", path, "--layers", tmp_path / "m")[0] == 0
     assert (tmp_path / "m" / "aperture.png").is_file()
@@ -72,36 +72,36 @@ def test_an_amplitude_mask_has_no_body(flatlight, one_error, trial, tmp_path) ->
 def test_nothing_is_overwritten_unasked(flatlight, one_error, phase, tmp_path) -> None:
     arguments = ("export-mask", phase, "--tiff", tmp_path / "m.tif", "--layers", tmp_path / "m")
     assert flatlight(*arguments)[0] == 0
-    one_error(flatlight(*arguments), "--tiff", "m.tif exists already", "--force")
-    one_error(flatlight(*arguments[:2], *arguments[4:]), "--layers", "exists already", "--force to overwrite")
+    one_error(flatlight(*arguments), "--tiff", "m.tif", "--force")
+    one_error(flatlight(*arguments[:2], *arguments[4:]), "--layers", "--force")
     assert flatlight(*arguments, "--force")[0] == 0
     (tmp_path / "m" / "thesis.txt").write_text("years of work")
-    one_error(flatlight(*arguments, "--force"), "exists already and holds other things; choose another name")
+    one_error(flatlight(*arguments, "--force"), f"{tmp_path / 'm'}")
     assert (tmp_path / "m" / "thesis.txt").read_text() == "years of work"
     folder = tmp_path / "m.stl"
     folder.mkdir()
-    one_error(flatlight("export-mask", phase, "--stl", folder, "--force"), "exists already and is a folder")
+    one_error(flatlight("export-mask", phase, "--stl", folder, "--force"), "m.stl")
 
 
 def test_mistakes(flatlight, one_error, phase, trial, tmp_path) -> None:
-    one_error(flatlight("export-mask", phase), "nothing to write", "--stl FILE")
-    one_error(flatlight("export-mask", phase, "--tiff", tmp_path / "a" / "m.tif"), "does not exist; make it first")
+    one_error(flatlight("export-mask", phase), "--stl")
+    one_error(flatlight("export-mask", phase, "--tiff", tmp_path / "a" / "m.tif"), "--tiff")
     smooth = trial.write(camera={"mask": {"design": "diffusercam", "width_mm": 0.06}})
-    one_error(flatlight("export-mask", smooth, "--layers", tmp_path / "m"), "step_um", "at most 255 layers")
+    one_error(flatlight("export-mask", smooth, "--layers", tmp_path / "m"), "step_um")
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--stl", "m.x"), "--stl: got 'm.x', expected a name that ends in .stl"),
-        (("--tiff", "m.stl"), "--tiff: got 'm.stl', expected a name that ends in .tif or .tiff"),
-        (("--stl", "m.stl", "--layers", "m.stl"), "--layers: got m.stl, which --stl writes already"),
-        (("--layers", "phase.yaml/m"), "phase.yaml is a file; choose another folder"),
-        (("--stl", "m.stl", "--base-um", "inf"), "--base-um: got inf, expected a finite number"),
-        (("--tiff", "m.tif", "--crop-mm", "inf"), "--crop-mm: got inf"),
+        (("--stl", "m.x"), "--stl: "),
+        (("--tiff", "m.stl"), "--tiff: "),
+        (("--stl", "m.stl", "--layers", "m.stl"), "--layers: "),
+        (("--layers", "phase.yaml/m"), "phase.yaml"),
+        (("--stl", "m.stl", "--base-um", "inf"), "--base-um: "),
+        (("--tiff", "m.tif", "--crop-mm", "inf"), "--crop-mm: "),
         (
             ("--tiff", "m.tif", "--crop-mm", "9"),
-            "--crop-mm: got 9, but the mask is 0.06 x 0.06 mm of pixels of 0.002 mm",
+            "--crop-mm: ",
         ),
         (("--tiff", "m.tif", "--crop-mm", "0.06001"), None),
     ],
@@ -116,3 +116,22 @@ def test_impossible_outputs(flatlight, one_error, trial, tmp_path, monkeypatch, 
     else:
         one_error(result, words)
         assert sorted(tmp_path.iterdir()) == before
+
+
+def test_masks(flatlight) -> None:
+    code, out, _ = flatlight("masks")
+    assert code == 0
+    assert out.startswith("camera.mask.design:")
+    for words in ("  phlatcam: ", "  pinhole: ", "  diffusercam: ", "      width_mm: 7.01"):
+        assert words in out
+    assert "number over 0.05 to 20; side of the square mask" in out
+
+
+def test_materials(flatlight) -> None:
+    code, out, _ = flatlight("materials")
+    assert code == 0
+    lines = {line.split()[0]: line for line in out.splitlines()}
+    assert "1.51947" in lines["n-bk7"]  # SCHOTT's catalogue at 532 nm
+    assert "300-2500" in lines["n-bk7"]
+    assert "nominal" in lines["phlatcam-resist"]
+    assert ".csv" in out

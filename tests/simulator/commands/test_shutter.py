@@ -37,10 +37,10 @@ def test_one_depth_is_no_figure_of_two(flatlight, trial, tmp_path) -> None:
 
 def test_looks_at_the_folder_first(one_error, flatlight, trial) -> None:
     result = flatlight("shutter", trial.write(), "--figures", trial.plugins / "x")
-    one_error(result, "--figures", "plugins.py is a file")
+    one_error(result, "--figures", "plugins.py")
     assert result[1] == ""
 
 
 def test_a_mistake_is_one_line(one_error, flatlight, trial) -> None:
     path = trial.write(camera={"shutter": {"type": "windows", "file": "none.csv"}})
-    one_error(flatlight("shutter", path), f"{path}:", "camera.shutter.file", "none.csv: No such file")
+    one_error(flatlight("shutter", path), f"{path}:", "camera.shutter.file", "none.csv")

@@ -1,7 +1,5 @@
 """A source of clips for the tests: in each of some videos a square moves to the right and towards the camera."""
 
-import os
-import signal
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +17,6 @@ class Squares:
     videos: int
     clips_per_video: int
     bad: tuple[int, ...]
-    kill_at: int | None
     marker: Path | None
     problems: tuple[str, ...]
     inputs: tuple[Path, ...] = ()
@@ -39,9 +36,6 @@ class Squares:
         video = index // self.clips_per_video
         if video in self.bad:
             raise InputError(f"video_{video}.webm is truncated: fetch it again")
-        if index == self.kill_at and not self.marker.exists():
-            self.marker.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
         rows, columns = self.view.shape
         rgb = np.full((self.frames, rows, columns, 3), 0.05, np.float32)
         depth = np.full(rgb.shape[:3], self.view.far_m, np.float32)
@@ -64,9 +58,8 @@ def squares(
     videos: int = 6,
     clips_per_video: int = 2,
     bad: tuple[int, ...] = (),
-    kill_at: int | None = None,
     marker: Path | None = None,
     problems: tuple[str, ...] = (),
 ):
     """Squares that move."""
-    return Squares(view, frames, rate, videos, clips_per_video, bad, kill_at, marker, problems)
+    return Squares(view, frames, rate, videos, clips_per_video, bad, marker, problems)

@@ -1,371 +1,111 @@
-"""Data sets of clips: what a moving shutter measures, the truth of each sliver, splits by video, what is left out."""
+"""Splits of a finite source: no video in two of them, no clip moved by a larger count, no clip left out."""
 
-import json
-import shutil
-from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import fftconvolve
+from hypothesis import example, given
+from hypothesis import strategies as st
 
-from simulator.dataset import generate, open_dataset, verify
-from simulator.dataset.manifest import load_manifest, load_skipped
+from simulator.dataset.clips import ClipOrder, clip_order
 from simulator.errors import InputError
-from simulator.io.exr import decode_exr
-from simulator.plugins import import_file
-from simulator.types import Clip, View
 
-pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
-
-SOURCE = Path(__file__).with_name("clip_source.py")
-SEED, PITCH_M, DISTANCE_M, FULL_SCALE = 11, 8 * 2.4e-6, 1.9e-3, 3e-6
-EXPOSURE_S, LINE_S, FRAME_S = 2e-3, 25e-6, 1e-3  # 384 physical rows, one after another: 11.575 ms; 12 frames are seen
-CAMERA = {"shutter": {"type": "rolling", "exposure_ms": 2, "line_time_us": 25}, "noise": {"type": "none"}}
-DATASET = {"train": 3, "validation": 2, "test": 1, "slivers": 4}
 SPLITS = ("train", "validation", "test")
+GROUPS = st.lists(st.integers(1, 4), min_size=1, max_size=9).map(
+    lambda sizes: [7 * video + 3 for video, size in enumerate(sizes) for _ in range(size)]
+)
+COUNTS = st.fixed_dictionaries(dict.fromkeys(SPLITS, st.integers(0, 12)))
 
 
-def scene(**params: object) -> dict[str, Any]:
-    return {"source": "./clip_source.py:squares", "size": [16, 20], **params}
+def places(order: ClipOrder, counts: dict[str, int]) -> dict[str, list[int]]:
+    return {split: [order.place(split, index) for index in range(count)] for split, count in counts.items()}
 
 
-def write(trial: Any, dataset: dict[str, Any] | None = None, **params: object) -> Path:
-    shutil.copy(SOURCE, trial.folder)
-    return trial.write(camera=CAMERA, scene=scene(**params), dataset=DATASET | (dataset or {}))
+@given(GROUPS, COUNTS)
+@example([0, 1, 2, 3, 4], {"train": 1, "validation": 0, "test": 3})
+def test_counts_are_accepted_exactly_where_no_two_splits_share_a_video(groups: list[int], counts: dict) -> None:
+    order = ClipOrder(groups)
+    videos = {split: {groups[place] for place in taken} for split, taken in places(order, counts).items()}
+    shared = sum(map(len, videos.values())) > len(set().union(*videos.values()))
+    repeated = sum(count > 0 for count in counts.values()) > 1 and max(counts.values()) > len(groups)
+    if shared or repeated:
+        assert f"but of {len(set(groups))} videos ({len(groups)} clips) " in str(order.shortage(counts))
+    else:
+        assert order.shortage(counts) is None
 
 
-def make(trial: Any, dataset: dict[str, Any] | None = None, **params: object) -> Path:
-    result = generate(write(trial, dataset, **params))
-    assert result.failed == ()
-    return result.path
+@given(GROUPS, st.sampled_from(SPLITS), st.integers(0, 40))
+def test_one_split_alone_shows_every_clip_before_it_shows_one_again(groups: list[int], split: str, more: int) -> None:
+    order = ClipOrder(groups)
+    assert order.shortage({split: len(groups) + more}) is None
+    walk = places(order, {split: 2 * len(groups)})[split]
+    assert sorted(walk[: len(groups)]) == list(range(len(groups)))
+    assert walk[len(groups) :] == walk[: len(groups)]
+    runs = [groups[place] for place in walk[: len(groups)]]
+    assert sum(one != other for one, other in pairwise(runs)) == len(set(groups)) - 1  # none is cut
 
 
-def redrawn(source: ModuleType, place: int, split: str, index: int, frames: int = 12) -> Clip:
-    """A clip of the source, from the documented stream."""
-    rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(SPLITS.index(split), index, 0)))
-    view = View((16, 20), PITCH_M, DISTANCE_M, 0.036, 0.2)
-    return source.squares(view, frames=frames).clip(place, rng)
+@given(st.integers(1, 30), st.integers(0, 30), st.integers(0, 30))
+def test_clips_without_videos_lie_where_they_always_did(clips: int, validation: int, test: int) -> None:
+    """Data sets that exist: training from the front, 1st, 3rd, ... from the back validation, 2nd, 4th, ... test."""
+    order = ClipOrder(clips)
+    assert [order.place("train", i) for i in range(clips)] == list(range(clips))
+    assert [order.place("pilot", i) for i in range(16)] == [i % clips for i in range(16)]
+    backwards = range(clips - 1, -1, -1)
+    assert places(order, {"validation": validation})["validation"][: -(-clips // 2)] == [*backwards[::2]][:validation]
+    assert places(order, {"test": test})["test"][: clips // 2] == [*backwards[1::2]][:test]
 
 
-def irradiance(root: Path, rgb: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
-    """What one frame gives on the sensor ``(C, H, W)``, by one full convolution per plane and channel, in float64."""
-    described = json.loads((root / "psf/psf.json").read_text())
-    depths_m = np.array([float(depth) for depth in described["depths_m"]])
-    matrix = np.array(json.loads((root / "dataset.json").read_text())["scene_to_camera"]["matrix"])
-    (h, w), sensor = depth_m.shape, (48, 60)
-    y, x = ((np.arange(n) - (n - 1) / 2) * PITCH_M for n in (h, w))
-    cosine = DISTANCE_M / np.sqrt(DISTANCE_M**2 + y[:, None] ** 2 + x**2)
-    light = np.maximum(rgb @ matrix.T, 0) * ((PITCH_M / DISTANCE_M) ** 2 * cosine**4)[..., None]
-    total = np.zeros((3, *sensor))
-    for k, name in enumerate(described["files"]):
-        channels, _ = decode_exr((root / "psf" / name).read_bytes(), Path(name))
-        share = np.interp(1 / depth_m, (1 / depths_m)[::-1], np.eye(len(depths_m))[k][::-1])
-        for c, letter in enumerate("RGB"):
-            psf = channels[letter].astype(np.float64)
-            # The middle of the PSF falls on the scene's pixel, the middle of the scene on that of the sensor.
-            canvas = np.pad(light[..., c] * share, [((s - n) // 2,) * 2 for s, n in zip(sensor, (h, w), strict=True)])
-            full = fftconvolve(canvas, psf)
-            top, left = (n // 2 for n in psf.shape)
-            total[c] += full[top : top + sensor[0], left : left + sensor[1]]
-    return total
+def test_all_clips_of_a_video_come_before_the_next_one() -> None:
+    order = ClipOrder([0, 0, 1, 2, 2, 2, 5, 5])
+    counts = {"train": 2, "validation": 2, "test": 3}
+    assert order.shortage(counts) is None
+    assert places(order, counts) == {"train": [0, 1], "validation": [6, 7], "test": [3, 4, 5]}
+    assert places(order, {"validation": 4})["validation"] == [6, 7, 2, 3]
 
 
-def seconds_open(frames: int) -> np.ndarray:
-    """For how long each of the stored rows sees each frame, ``(T, H)``, row by row from the definition."""
-    seen = np.zeros((frames, 48))
-    for physical in range(384):
-        opens = physical * LINE_S  # from the top down; the stored picture is turned by 180 degrees
-        stored = (383 - physical) // 8
-        for frame in range(frames):
-            begin, end = max(opens, frame * FRAME_S), min(opens + EXPOSURE_S, (frame + 1) * FRAME_S)
-            seen[frame, stored] += max(end - begin, 0) / 8
-    return seen
+def test_what_is_missing_is_said() -> None:
+    message = str(ClipOrder([0, 0, 1, 1, 2, 2]).shortage({"train": 3, "validation": 2, "test": 1}))
+    assert "but of 3 videos (6 clips) train" in message
+    assert "train takes 2 for 3 samples, validation takes 1 for 2 samples, test takes 1 for 1 samples" in message
+    assert message.endswith("ask for fewer samples, take more clips of each video, bring more videos")
+    message = str(ClipOrder(3).shortage({"train": 2, "test": 1}))
+    assert message.startswith("no two splits may share a source video, but of 3 clips train takes ")
+    assert message.endswith("ask for fewer samples, bring more clips")
 
 
-@pytest.fixture(scope="module")
-def source() -> ModuleType:
-    return import_file(SOURCE, "the test's source")
+class Source:
+    inputs: tuple[Path, ...] = ()
+
+    def __init__(self, length: int, groups: object = None) -> None:
+        self.length = length
+        if groups is not None:
+            self.groups = groups
+
+    def __len__(self) -> int:
+        return self.length
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable) -> Path:
-    """A data set of clips with global measurements; not to be changed."""
-    return make(make_trial(tmp_path_factory.mktemp("clips")), {"global_measurements": True})
+@pytest.mark.parametrize(
+    ("length", "groups", "words"),
+    [
+        (0, None, "has no clip"),
+        (0, [], "has no clip"),
+        (3, [0, 1], "3 clips but 2 groups"),
+        (3, [0, 2, 1], "never fall"),
+        (5, np.array([5, 5, 3, 3, 7], np.uint16), "never fall"),  # differences of unsigned numbers never fall
+        (3, [0.0, 1.0, 2.0], "whole numbers"),
+        (2, [[0], [1]], "one per clip"),
+    ],
+)
+def test_sources_that_contradict_themselves(length: int, groups: object, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        clip_order(Source(length, groups))  # type: ignore[arg-type]
 
 
-# Of 6 videos of 2 clips: training from the front, validation in the last one, test in the one before.
-CASES = [("train", 0, 0), ("train", 2, 2), ("validation", 1, 11), ("test", 0, 8)]
-
-
-@pytest.mark.parametrize(("split", "index", "place"), CASES)
-def test_the_truth_of_a_sliver_is_the_mean_of_its_frames(
-    made: Path, source: ModuleType, split: str, index: int, place: int
-) -> None:
-    sample, clip = open_dataset(made, split)[index], redrawn(source, place, split, index)
-    for sliver in range(4):
-        frames = [clip.rgb[3 * sliver + number].astype(np.float64) for number in range(3)]
-        # The mean of three float32 numbers below 1.
-        np.testing.assert_allclose(sample.rgb[sliver], sum(frames) / 3, rtol=0, atol=2e-7)
-        assert np.array_equal(sample.depth_m[sliver], clip.depth_m[3 * sliver + 1])
-        assert np.array_equal(sample.valid[sliver], clip.valid[3 * sliver + 1])
-    assert sample.frame_edges_s is not None
-    np.testing.assert_allclose(sample.frame_edges_s, [0, 3e-3, 6e-3, 9e-3, 12e-3], rtol=1e-12)
-    assert sample.label == clip.label
-    assert load_manifest(made).entries[split, f"s{index:08d}"].label == clip.label
-    metadata = sample.metadata
-    assert metadata["scene"] == clip.source
-    assert (metadata["frames_seen"], metadata["slivers"]) == (12, 4)
-    assert metadata["frame_durations_s"] == pytest.approx(1e-3)
-
-
-@pytest.mark.parametrize(("split", "index", "place"), CASES[1:3])
-def test_a_measurement_is_the_sum_over_frames_and_rows(
-    made: Path, source: ModuleType, split: str, index: int, place: int
-) -> None:
-    sample, clip = open_dataset(made, split)[index], redrawn(source, place, split, index)
-    frames = np.stack([irradiance(made, rgb, depth) for rgb, depth in zip(clip.rgb, clip.depth_m, strict=True)])
-    seconds = seconds_open(12)
-    expected = np.einsum("tchw,th->chw", frames, seconds) / FULL_SCALE
-    # float32 FFTs of a few thousand points: some 1e-7 of the maximum.
-    assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
-    assert np.array_equal(sample.measurement, sample.noiseless)
-    assert expected.max() > 0.01
-    every_row = np.einsum("tchw,t->chw", frames, seconds.mean(axis=1)) / FULL_SCALE
-    assert np.abs(every_row - expected).max() > 0.05 * expected.max(), "here rows must differ in what they see"
-    assert sample.global_measurements is not None
-    for sliver in range(4):
-        expected = frames[3 * sliver : 3 * sliver + 3].mean(axis=0) * EXPOSURE_S / FULL_SCALE
-        assert np.abs(sample.global_measurements[sliver] - expected).max() < 2e-6 * expected.max()
-
-
-def test_slivers_can_be_cut_out_of_what_is_on_disk(made: Path) -> None:
-    """The shares of each row's exposure in which it saw each sliver: over all slivers, the whole exposure."""
-    data = open_dataset(made, "test")
-    assert data.info.time["slivers"] == 4
-    assert data.info.time["ground_truth"] == "slivers"
-    weights = data.sliver_weights(data[0])
-    expected = seconds_open(12).reshape(4, 3, 48).sum(axis=1) / (3 * FRAME_S)
-    np.testing.assert_allclose(weights, expected, rtol=0, atol=1e-12)
-
-
-def test_no_video_is_in_two_splits(made: Path) -> None:
-    videos = {split: {s.metadata["scene"]["video"] for s in open_dataset(made, split)} for split in SPLITS}
-    assert videos == {"train": {"video_0", "video_1"}, "validation": {"video_5"}, "test": {"video_4"}}
-
-
-def test_numbers_about_colour_look_at_all_frames_seen(trial: Any, source: ModuleType) -> None:
-    """Saturated colours are clipped in frames 1 to 11 only; those after the shutter has closed do not count."""
-    text = SOURCE.read_text().replace("colour = rng.random(3)", "colour = [1, 0, 0]")
-    text = text.replace(
-        "        valid = np.ones", "        rgb[0] = 0.05\n        rgb[12:] = 9\n        valid = np.ones"
-    )
-    write(trial, {"train": 1, "validation": 0, "test": 0}, frames=15)
-    (trial.folder / SOURCE.name).write_text(text)
-    root = generate(trial.path).path
-    sample = open_dataset(root)[0]
-    assert sample.rgb.max() == 1
-    matrix = np.array(json.loads((root / "dataset.json").read_text())["scene_to_camera"]["matrix"])
-    assert (matrix[:, 0] < 0).sum() == 1, "the camera's green or blue must see less than nothing of pure red"
-    assert sample.metadata["clipped_colour_share"] == pytest.approx(11 * 20 / (12 * 16 * 20 * 3))
-    assert sample.metadata["frames_seen"] == 12
-
-
-def test_depths_of_all_frames_count(trial: Any) -> None:
-    """Half of the last frame's depths lie before the nearest plane, those of the first within: 20 of 12 x 320 pixels."""
-    text = SOURCE.read_text().replace(
-        "        valid = np.ones", "        depth[11, :2, :10] = self.view.near_m / 2\n        valid = np.ones"
-    )
-    write(trial, {"train": 1, "validation": 0, "test": 0})
-    (trial.folder / SOURCE.name).write_text(text)
-    (sample,) = open_dataset(generate(trial.path, ["forward.max_clamped=1"]).path)
-    valid = 12 * (16 * 20 - 1)
-    assert sample.metadata["clamped_depth_share"] == pytest.approx(20 / valid, rel=1e-6)
-
-
-def test_a_capture_of_one_sliver_keeps_its_times_and_its_global_measurement_is_noiseless(trial: Any) -> None:
-    chosen = {"slivers": 1, "train": 1, "validation": 0, "test": 0, "global_measurements": True}
-    root = generate(write(trial, chosen), ["camera.noise={type: gaussian, std: 0.02}"]).path
-    data = open_dataset(root)
-    sample = data[0]
-    assert sample.frame_edges_s is not None
-    np.testing.assert_allclose(sample.frame_edges_s, [0, 12e-3], rtol=1e-12)
-    expected = seconds_open(12).sum(axis=0) / 12e-3
-    np.testing.assert_allclose(data.sliver_weights(sample)[0], expected, atol=1e-12)
-    assert sample.global_measurements is not None
-    assert sample.global_measurements.shape == (1, 3, 48, 60)
-    assert np.std(sample.measurement - sample.noiseless) == pytest.approx(0.02, rel=0.05)
-    rough = np.abs(np.diff(sample.global_measurements[0], axis=-1))[
-        :, :, -3:
-    ]  # far from the light: smooth if noiseless
-    assert rough.max() < 0.002
-
-
-def test_every_frame_may_be_the_truth(trial: Any, source: ModuleType) -> None:
-    """The frames that the shutter sees; those after it has closed are dropped."""
-    root = make(trial, {"ground_truth": "frames", "train": 1, "validation": 0, "test": 0}, frames=20)
-    sample, clip = open_dataset(root)[0], redrawn(source, 0, "train", 0, 20)
-    assert sample.rgb.shape == (12, 16, 20, 3)
-    assert np.array_equal(sample.rgb, clip.rgb[:12])
-    assert np.array_equal(sample.depth_m, clip.depth_m[:12])
-    assert np.array_equal(sample.frame_edges_s, clip.frame_edges_s[:13])
-    assert sample.metadata["slivers"] == 4
-
-
-def test_without_a_number_of_slivers_every_frame_is_one(trial: Any, source: ModuleType) -> None:
-    changes = {"slivers": None, "global_measurements": True, "train": 1, "validation": 0, "test": 0}
-    sample = open_dataset(make(trial, changes))[0]
-    assert np.array_equal(sample.rgb, redrawn(source, 0, "train", 0).rgb)
-    assert sample.metadata["slivers"] == 12
-    assert sample.global_measurements is not None
-    assert len(sample.global_measurements) == 12
-
-
-def files(root: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.suffix in (".exr", ".json")
-    }
-
-
-def test_a_run_that_dies_is_finished_with_the_same_bytes(trial: Any, made: Path) -> None:
-    """Two workers, one of which is killed; then some lines of the manifest are lost."""
-    changes = {"global_measurements": True, "engine": "local", "workers": 2}
-    root = make(trial, changes, kill_at=2, marker=str(trial.folder / "killed"))
-    assert (trial.folder / "killed").exists()
-    expected = {name: data for name, data in files(made).items() if name.startswith(SPLITS)}
-    assert len(expected) == 6 * 10
-    assert {name: data for name, data in files(root).items() if name.startswith(SPLITS)} == expected
-    manifest = root / "manifest.jsonl"
-    manifest.write_bytes(b"".join(manifest.read_bytes().splitlines(keepends=True)[:2]) + b'{"id": "s00')
-    result = generate(trial.path, ["dataset.engine=inline"])
-    assert (result.made, result.kept) == (4, 2)
-    assert {name: data for name, data in files(root).items() if name.startswith(SPLITS)} == expected
-    assert verify(root).ok
-
-
-class TestSkipping:
-    """``--skip-bad``: what cannot be used is left out and listed, and nothing else changes."""
-
-    def test_bad_samples_are_left_out_for_good(self, trial: Any, made: Path) -> None:
-        marker = trial.folder / "asked"
-        path = write(trial, {"global_measurements": True}, bad=[0, 5], marker=str(marker))
-        result = generate(path, skip_bad=True)
-        assert (result.made, result.kept, result.failed) == (2, 0, ())
-        reasons = [line.split(": ", 2)[0::2] for line in result.skipped]
-        assert [where for where, _ in reasons] == [f"train/s0000000{i}" for i in (0, 1)] + [
-            f"validation/s0000000{i}" for i in (0, 1)
-        ]
-        assert "video_0.webm is truncated" in result.skipped[0]
-        assert "video_5.webm is truncated" in load_skipped(result.path)["validation", "s00000001"]
-        own = files(result.path)
-        for name in ("train/0000/s00000002/measurement.exr", "test/0000/s00000000/sample.json"):
-            assert own[name] == files(made)[name], "a sample that is left out moves no other"
-        marker.with_name("asked.log").unlink()
-        again = generate(path, ["dataset.train=4"])  # not even asked for again, with or without --skip-bad
-        assert (again.made, again.kept, len(again.skipped)) == (1, 2, 4)
-        assert set(marker.with_name("asked.log").read_text().split()) <= {"3"}
-        assert verify(again.path).ok
-
-    def test_without_it_they_are_failures(self, trial: Any) -> None:
-        result = generate(write(trial, bad=[0]))
-        assert (result.made, len(result.failed), result.skipped) == (4, 2, ())
-        assert not (result.path / "skipped.jsonl").exists()
-
-    def test_pilots_that_cannot_be_made(self, trial: Any) -> None:
-        path = write(trial, bad=[1])
-        automatic = ["camera.exposure.full_scale=auto"]
-        with pytest.raises(InputError, match=r"video_1\.webm"):
-            generate(path, automatic)
-        said: list[str] = []
-        root = generate(path, automatic, skip_bad=True, say=said.append).path
-        assert json.loads((root / "dataset.json").read_text())["exposure"]["pilots"] == 12  # of 16: clips 2, 3, 14, 15
-        assert any("4 of 16 exposure pilots" in line for line in said)
-        write(trial, bad=[0, 1, 2, 3, 4, 5])
-        with pytest.raises(InputError, match=r"video_0\.webm"):
-            generate(path, [*automatic, f"dataset.output={trial.folder / 'dark'}"], skip_bad=True)
-
-    def test_problems_of_the_source(self, trial: Any) -> None:
-        problems = [f"clip_{number}.webm: has no frames" for number in range(23)]
-        path = write(trial, problems=problems)
-        with pytest.raises(InputError) as caught:
-            generate(path)
-        message = str(caught.value)
-        assert "its source has 23 problems" in message
-        assert all(line in message for line in problems[:20])
-        assert problems[20] not in message
-        assert "and 3 more" in message
-        assert "--skip-bad" in message
-        assert not (trial.folder / "out").exists()
-        said: list[str] = []
-        result = generate(path, skip_bad=True, say=said.append)
-        assert (result.made, result.problems) == (6, tuple(problems))
-        assert (result.path / "source_problems.txt").read_text().splitlines() == problems
-        assert any(problems[0] in line and "and 3 more" in line for line in said)
-        assert verify(result.path).ok
-
-    def test_a_list_that_was_torn_or_spoilt(self, tmp_path: Path) -> None:
-        path = tmp_path / "skipped.jsonl"
-        path.write_text('{"id":"s00000003","split":"train","reason":"bad"}\n{"id":"s0000')
-        assert load_skipped(tmp_path) == {("train", "s00000003"): "bad"}
-        path.write_text('{"id":"s00000003","split":"all","reason":"bad"}\n')
-        with pytest.raises(InputError, match=r"skipped\.jsonl:1: "):
-            load_skipped(tmp_path)
-
-
-class TestTimes:
-    """Clips that do not suit the shutter are refused before there is a folder."""
-
-    def refused(self, trial: Any, path: Path, *overrides: str) -> str:
-        with pytest.raises(InputError) as caught:
-            generate(path, overrides)
-        assert not (trial.folder / "out").exists()
-        return str(caught.value)
-
-    def test_known_from_the_configuration(self, trial: Any) -> None:
-        family = {"family": "high_speed", "size": [16, 20], "frames": 20, "frames_per_second": 2000}
-        path = trial.write(camera=CAMERA, scene=family, dataset=DATASET)
-        message = self.refused(trial, path)
-        assert (
-            "scene.frames: got 20 at 2000 per second, which last 10 ms, but the shutter is open for 11.575 ms"
-            in message
-        )
-        assert "expected at least 24" in message
-        # The 24th frame begins at 11.5 ms, before the last row closes: 24 are seen, of which 5 slivers cannot be made.
-        message = self.refused(trial, path, "scene.frames=30", "dataset.slivers=5")
-        assert "dataset.slivers: got 5, but the shutter sees 24 of the 30 frames" in message
-        assert "expected one of 1, 2, 3, 4, 6, 8, 12, 24" in message
-        message = self.refused(trial, path, "scene.frames=1")
-        assert "dataset.slivers: got 4, but the scenes stand still" in message
-
-    def test_known_from_a_clip_only(self, trial: Any) -> None:
-        message = self.refused(trial, write(trial, frames=11))
-        assert "a clip of 11 frames lasts 11 ms, but the shutter is open for 11.575 ms; take 12 frames" in message
-        assert "'video': 'video_0'" in message
-        message = self.refused(trial, write(trial), "dataset.slivers=5")
-        assert "the shutter sees all 12 frames" in message
-        assert "a clip of 11 frames" in self.refused(trial, write(trial, frames=11), "camera.exposure.full_scale=auto")
-
-    def test_stills_suit_every_shutter(self, trial: Any) -> None:
-        sample = open_dataset(make(trial, {"slivers": None, "global_measurements": True}, frames=1))[0]
-        assert sample.rgb.shape[0] == 1
-        assert not {"frames_seen", "slivers", "frame_durations_s"} & sample.metadata.keys()
-        assert sample.global_measurements is not None
-        # A scene that stands still: each row sees it for as long as every other one.
-        np.testing.assert_allclose(sample.global_measurements[0], sample.noiseless, rtol=0, atol=1e-7)
-
-    def test_splits_that_would_share_a_video(self, trial: Any) -> None:
-        path = write(trial, {"train": 9})
-        message = self.refused(trial, path)
-        assert "but of 6 videos (12 clips) train" in message
-        assert "train takes 5 for 9 samples" in message
-        alone = ["dataset.train=13", "dataset.validation=0", "dataset.test=0"]
-        root = generate(path, alone).path
-        scenes = [sample.metadata["scene"]["clip"] for sample in open_dataset(root)]
-        assert scenes == [*range(12), 0]
-        with pytest.raises(InputError, match="split"):
-            generate(path, [*alone, "dataset.test=1"])
-        said: list[str] = []
-        generate(path, ["dataset.share_videos=true", f"dataset.output={trial.folder / 'shared'}"], say=said.append)
-        assert any("splits share source videos" in line for line in said)
+def test_sources_may_give_their_videos_as_an_array() -> None:
+    order = clip_order(Source(4, np.array([0, 0, 3, 3], np.uint8)))  # type: ignore[arg-type]
+    assert order is not None
+    assert (order.clips, order.videos, order.place("validation", 0)) == (4, 2, 2)
+    assert clip_order(object()) is None  # type: ignore[arg-type]

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from simulator.dataset.fingerprint import build_fingerprint, difference, distinct_names, package_versions
 from simulator.errors import InputError
-from simulator.io.json import canonical_json, plain, readable_json
 
 CONFIG = {
     "name": "a",
@@ -191,33 +190,3 @@ def test_differences_are_readable(tmp_path: Path) -> None:
     assert difference({"config": {"gap": [{"mm": 1}, {"mm": 2}]}}, {"config": {"gap": [{"mm": 1}]}}) == (
         "gap.1.mm: 2 -> (absent)"
     )
-
-
-SIMPLE = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
-
-
-@given(
-    st.recursive(SIMPLE, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)),
-    st.recursive(SIMPLE, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)),
-)
-def test_canonical_json_tells_values_apart_and_loads_back(one: object, other: object) -> None:
-    import json
-
-    assert plain(one) == one
-    assert json.loads(canonical_json(one)) == json.loads(readable_json(one)) == one
-    if one != other:
-        assert canonical_json(one) != canonical_json(other)
-
-
-@pytest.mark.parametrize(
-    ("value", "words"),
-    [
-        ({"a": [1, float("nan")]}, r"config\.a\[1\] is NaN"),
-        ({"a": {1: 2}}, r"config\.a has the key 1"),
-        ({"a": {"b": {3}}}, r"config\.a\.b is a set"),
-        ({"a": np.array([1.0, np.nan])}, r"config\.a\[1\] is NaN"),
-    ],
-)
-def test_values_without_json_form_are_named(value: object, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        plain(value, "config")

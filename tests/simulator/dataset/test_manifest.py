@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from simulator.dataset.manifest import MANIFEST, ManifestWriter, load_manifest
+from simulator.dataset.manifest import MANIFEST, ManifestWriter, load_manifest, load_skipped
 from simulator.dataset.sample import SampleRecord, sample_id
 from simulator.errors import InputError
 from simulator.io import files
@@ -80,7 +80,7 @@ def test_a_line_torn_anywhere_costs_only_itself(tmp_path: Path) -> None:
 def test_bad_lines_before_the_end_are_named(tmp_path: Path, line: bytes) -> None:
     whole = write(tmp_path, record(0))
     (tmp_path / MANIFEST).write_bytes(whole + line + b"\n" + whole)
-    with pytest.raises(InputError, match=r"manifest\.jsonl:2: "):
+    with pytest.raises(InputError, match=r"manifest\.jsonl:2:"):
         load_manifest(tmp_path)
 
 
@@ -115,3 +115,12 @@ def test_a_full_disk_tears_no_line(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         monkeypatch.undo()
         writer.append(record(2), 1.0)
     assert load_manifest(tmp_path).ids("train") == ["s00000000", "s00000002"]
+
+
+def test_a_list_of_skipped_samples_that_was_torn_or_spoilt(tmp_path: Path) -> None:
+    path = tmp_path / "skipped.jsonl"
+    path.write_text('{"id":"s00000003","split":"train","reason":"bad"}\n{"id":"s0000')
+    assert load_skipped(tmp_path) == {("train", "s00000003"): "bad"}
+    path.write_text('{"id":"s00000003","split":"all","reason":"bad"}\n')
+    with pytest.raises(InputError, match=r"skipped\.jsonl:1:"):
+        load_skipped(tmp_path)

@@ -50,17 +50,9 @@ def resize(root: Path, samples: ModuleType) -> None:
 
 FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "flipped bit": (lambda root: flip(root / FIRST / "measurement.exr"), "measurement.exr"),
-    "truncated": (lambda root: tear(root / FIRST / "ground_truth.exr"), "ground_truth.exr"),
-    "emptied": (lambda root: (root / FIRST / "ground_truth.exr").write_bytes(b""), "ground_truth.exr"),
-    "no truth": (lambda root: (root / FIRST / "ground_truth.exr").unlink(), "ground_truth.exr"),
     "no measurement": (lambda root: (root / FIRST / "measurement.exr").unlink(), "measurement.exr"),
     "no description": (lambda root: (root / FIRST / "sample.json").unlink(), "sample.json"),
     "edited description": (lambda root: edit(root / FIRST / "sample.json", label="x"), "digest"),
-    "edited label": (lambda root: edit(root / FIRST / "sample.json", label="x"), "sample.json"),
-    "swapped pair": (
-        lambda root: shutil.copy(root / "train/0000/s00000001/ground_truth.exr", root / FIRST),
-        "ground_truth.exr",
-    ),
     "swapped folder": (
         lambda root: (shutil.rmtree(root / FIRST), shutil.copytree(root / "train/0000/s00000001", root / FIRST)),
         "s00000000: sample.json",
@@ -83,15 +75,9 @@ FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "fewer wanted": (lambda root: edit(root / "dataset.json", counts={"train": 2, "validation": 1}), "says 2"),
     "split not wanted": (lambda root: edit(root / "dataset.json", counts={"train": 3}), "split"),
     "other size": (lambda root: edit(root / "dataset.json", sensor_shape=[24, 35]), r"measurement is \(24, 36\)"),
-    "other scene size": (lambda root: edit(root / "dataset.json", scene_shape=[9, 9]), r"ground truth is \(10, 12\)"),
     "other channels": (lambda root: edit(root / "dataset.json", channels=["G"]), "channels"),
     "damaged PSF": (lambda root: flip(root / "psf/depth_0000.exr"), "depth_0000.exr"),
-    "swapped PSFs": (
-        lambda root: shutil.copy(root / "psf/depth_0001.exr", root / "psf/depth_0000.exr"),
-        "depth_0000.exr",
-    ),
     "no PSF": (lambda root: shutil.rmtree(root / "psf"), "psf"),
-    "missing depth": (lambda root: (root / "psf/depth_0001.exr").unlink(), "depth_0001.exr"),
     "another PSF": (lambda root: edit(root / "psf/psf.json", fingerprint="b" * 64), "made with psf = aaa"),
     "another exposure": (lambda root: edit(root / "dataset.json", exposure={"full_scale": 1.0}), "full_scale = 0.5"),
 }
@@ -114,15 +100,10 @@ def exchange(one: Path, other: Path) -> None:
 
 FRAMES = FIRST / "frames"
 CLIP_FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
-    "no frame": (
-        lambda root: (root / FRAMES / "ground_truth.0001.exr").unlink(),
-        r"frames/ground_truth\.0001\.exr",
-    ),
     "flipped bit": (
         lambda root: flip(root / FRAMES / "global.0002.exr"),
         r"frames/global\.0002\.exr",
     ),
-    "torn": (lambda root: tear(root / FRAMES / "ground_truth.0000.exr"), r"ground_truth\.0000\.exr"),
     "exchanged": (
         lambda root: exchange(root / FRAMES / "ground_truth.0001.exr", root / FRAMES / "ground_truth.0002.exr"),
         r"ground_truth\.0001\.exr .*frame 2 .*frame 1",
@@ -131,13 +112,11 @@ CLIP_FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda root: shutil.copy(root / FRAMES / "global.0002.exr", root / FRAMES / "global.0003.exr"),
         r"frames/global\.0003\.exr",
     ),
-    "other file": (lambda root: (root / FRAMES / "notes.txt").touch(), r"frames/notes\.txt"),
     "other folder": (
         lambda root: shutil.copytree(root / FRAMES, root / FRAMES / "old"),
         r"frames/old$",
     ),
     "a still's truth": (lambda root: (root / FIRST / "ground_truth.exr").touch(), r"ground_truth\.exr"),
-    "other times": (lambda root: edit(root / FIRST / "sample.json", frame_edges_s=[0, 1, 2, 3]), "digest"),
 }
 
 

@@ -82,5 +82,5 @@ def test_resizing_by_a_pixel_is_nearest_neighbour(tmp_path, shape) -> None:
 
 
 def test_two_pixels_are_too_many(tmp_path) -> None:
-    with pytest.raises(InputError, match=r"m\.png is 8 x 10 pixels and its image .*p\.jpg is 8 x 12"):
+    with pytest.raises(InputError, match=r"m\.png.*p\.jpg"):
         fit_mask(np.zeros((8, 10), np.uint8), (8, 12), tmp_path / "m.png", tmp_path / "p.jpg")

@@ -22,7 +22,7 @@ from simulator.optics.spectra import spectral_response
 from simulator.optics.stack import UNPROVEN, PsfStack
 from simulator.plots.psf import plot_psf_stack, psf_figure, shown_depths
 from simulator.plots.psf_facts import psf_depth_limit_m, psf_facts
-from simulator.text import length, share
+from simulator.text import share
 from simulator.types import CameraGeometry, SpectralResponse
 
 GREEN = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")
@@ -192,16 +192,3 @@ def test_facts_need_scene_and_sensor_that_fit():
     stack = PsfStack(np.ones((1, 1, 5, 5)), np.array([1.0]), 1e-5, ("Y",), "f")
     with pytest.raises(InputError, match="scene_shape"):
         psf_facts(stack, None, (11, 10), (10, 10))
-
-
-@pytest.mark.parametrize(
-    ("metres", "words"),
-    [(7.01e-3, "7.01 mm"), (1e-2, "1 cm"), (1.0, "1 m"), (532e-9, "532 nm"), (2.4e-6, "2.4 µm"), (2.77, "2.77 m")],
-)
-def test_lengths_in_words(metres, words):
-    assert length(metres) == words
-
-
-@pytest.mark.parametrize(("value", "words"), [(1.0, "100 %"), (0.99999, "100 %"), (2e-16, "0 %"), (0.00123, "0.12 %")])
-def test_shares_in_words(value, words):
-    assert share(value) == words

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,8 @@ def run(variant: str) -> dict[str, NDArray[Any]]:
     result["alone.rgb"] = alone.rgb
     if spectral:
         looks = Renderer(variant, ("albedo", "shape_id", "normal", "motion"), bands_nm=EDGES_NM)
-        clip = looks.clip(moves(), VIEW, frames_per_second=30, samples_per_pixel=1, seed=1, source={})
+        coarse = replace(VIEW, shape=(12, 16), pixel_pitch_m=4 * VIEW.pixel_pitch_m)
+        clip = looks.clip(moves(), coarse, frames_per_second=30, samples_per_pixel=1, seed=1, source={})
         result |= {f"moves.{name}": values for name, values in clip.extras.items()}
     colours = np.random.default_rng(0).uniform(0.02, 0.98, (4, 4, 3)).astype(np.float32)
     ball = Sphere(np.array([0.0, 0, 0.1]), 0.04, Material(colours), np.eye(3))

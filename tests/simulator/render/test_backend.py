@@ -24,7 +24,7 @@ def test_scalar_is_chosen_without_looking_for_llvm(monkeypatch: pytest.MonkeyPat
 
 
 def test_unknown_words_are_refused() -> None:
-    with pytest.raises(InputError, match=r"render\.backend: got 'cuda', expected one of auto, llvm, scalar"):
+    with pytest.raises(InputError, match=r"render\.backend:"):
         choose_backend("cuda")  # pyright: ignore[reportArgumentType]
 
 

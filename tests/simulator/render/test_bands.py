@@ -28,12 +28,12 @@ NOISE = 0.01
 def spectral(request: pytest.FixtureRequest, rendered: Callable[..., Pictures]) -> Pictures:
     if request.param.startswith("llvm"):
         request.getfixturevalue("needs_llvm")
-    return rendered("bands_worker.py", request.param)
+    return rendered("simulator/render/bands_worker.py", request.param)
 
 
 @pytest.fixture(scope="module")
 def in_rgb(rendered: Callable[..., Pictures]) -> Pictures:
-    return rendered("bands_worker.py", "scalar_rgb")
+    return rendered("simulator/render/bands_worker.py", "scalar_rgb")
 
 
 def d65(wavelengths_nm: NDArray[Any]) -> NDArray[Any]:
@@ -104,9 +104,9 @@ def test_albedo_and_motion_are_known_there_too(spectral: Pictures, in_rgb: Pictu
     # The fit of spectra to colours is exact to 0.001.
     np.testing.assert_allclose(spectral["ball.albedo"], in_rgb["ball.albedo"], atol=2e-3)
     assert set(np.unique(spectral["moves.shape_id"])) == {0, 1, 2, 3}
-    assert np.abs(spectral["moves.motion"][0]).max() > 1
+    assert np.abs(spectral["moves.motion"][0]).max() > 0.25
     assert spectral["moves.motion_valid"][0].any()
-    assert spectral["moves.bands"].shape == (3, 48, 64, 5)
+    assert spectral["moves.bands"].shape == (3, 12, 16, 5)
 
 
 def test_a_scene_of_many_colours_looks_the_same(spectral: Pictures, in_rgb: Pictures) -> None:
@@ -130,7 +130,7 @@ def test_what_bands_cannot_be_is_refused() -> None:
     for edges, words in (((500.0,), "two or more"), ((500.0, 500.5), "at least 1 nm"), ((300.0, 500.0), "within 360")):
         with pytest.raises(InputError, match=f"render.bands: .*{words}"):
             Renderer("scalar_spectral", bands_nm=edges)
-    with pytest.raises(InputError, match=r"hidden: does not know render\.bands"):
+    with pytest.raises(InputError, match="hidden:"):
         Renderer("scalar_spectral", ("hidden",), bands_nm=EDGES_NM)
 
 

@@ -128,7 +128,7 @@ def light(request: pytest.FixtureRequest, rendered: Callable[..., Pictures]) -> 
     """The arrays of hidden_worker.py, once for each variant."""
     if request.param == "llvm_ad_rgb":
         request.getfixturevalue("needs_llvm")
-    return rendered("hidden_worker.py", request.param)
+    return rendered("simulator/render/hidden_worker.py", request.param)
 
 
 @pytest.mark.parametrize("layer", [1, 2])

@@ -24,12 +24,12 @@ AMPLITUDE = np.where(RNG.random((5, 8)) < 0.5, 0.7, 0.0) + 0.3 * (RNG.random((5,
 
 @pytest.fixture(scope="module")
 def quick(needs_llvm: None, rendered: Callable[..., Arrays]) -> Arrays:
-    return rendered("lensless_worker.py", "quick")
+    return rendered("simulator/render/lensless_worker.py", "quick")
 
 
 @pytest.fixture(scope="module")
 def slow(needs_llvm: None, rendered: Callable[..., Arrays]) -> Arrays:
-    return rendered("lensless_worker.py", "slow")
+    return rendered("simulator/render/lensless_worker.py", "slow")
 
 
 @dataclass(frozen=True)

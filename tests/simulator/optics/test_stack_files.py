@@ -9,7 +9,7 @@ import pytest
 
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
-from simulator.optics.stack_files import read_psf_stack, write_psf_stack
+from simulator.optics.stack_files import read_psf_stack, stack_folder, write_psf_stack
 
 
 def make_stack(depths_m: tuple[float, ...] = (0.036, 0.2, np.inf), seed: int = 0) -> PsfStack:
@@ -131,3 +131,12 @@ def test_nothing_but_a_stack_is_replaced(tmp_path: Path) -> None:
             write_psf_stack(tmp_path / name, make_stack())
     assert (tmp_path / "file").read_text() == (tmp_path / "folder/thesis.tex").read_text() == "years of work"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder"]
+
+
+def test_where_stacks_lie(tmp_path, monkeypatch) -> None:
+    (tmp_path / "set/psf").mkdir(parents=True)
+    assert stack_folder(tmp_path / "set") == tmp_path / "set/psf"
+    assert stack_folder(tmp_path / "set", captured=True) == tmp_path / "set/psf_captured"
+    assert stack_folder(tmp_path / "stack", captured=True) == tmp_path / "stack_captured"
+    monkeypatch.chdir(tmp_path)
+    assert stack_folder(type(tmp_path)(), captured=True).name == f"{tmp_path.name}_captured"

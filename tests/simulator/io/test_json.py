@@ -1,0 +1,38 @@
+"""JSON: plain values come back as they were; what has no JSON form is named by its place."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulator.errors import InputError
+from simulator.io.json import canonical_json, plain, readable_json
+
+SIMPLE = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
+
+
+@given(
+    st.recursive(SIMPLE, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)),
+    st.recursive(SIMPLE, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)),
+)
+def test_canonical_json_tells_values_apart_and_loads_back(one: object, other: object) -> None:
+    assert plain(one) == one
+    assert json.loads(canonical_json(one)) == json.loads(readable_json(one)) == one
+    if one != other:
+        assert canonical_json(one) != canonical_json(other)
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ({"a": [1, float("nan")]}, r"config\.a\[1\] is NaN"),
+        ({"a": {1: 2}}, r"config\.a has the key 1"),
+        ({"a": {"b": {3}}}, r"config\.a\.b is a set"),
+        ({"a": np.array([1.0, np.nan])}, r"config\.a\[1\] is NaN"),
+    ],
+)
+def test_values_without_json_form_are_named(value: object, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        plain(value, "config")
