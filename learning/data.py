@@ -71,12 +71,7 @@ class ExampleSet(TorchDataset[Example]):
     """
 
     def __init__(
-        self,
-        dataset: Dataset,
-        *,
-        noise_db: tuple[float, float] | None = None,
-        seed: int = 0,
-        cache: Path | None = None,
+        self, dataset: Dataset, *, noise_db: tuple[float, float] | None = None, seed: int = 0, cache: Path | None = None
     ) -> None:
         """Look at the data set; samples are read when they are asked for, or now, where there is a cache to be filled.
 

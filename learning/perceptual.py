@@ -307,11 +307,7 @@ def _build(network: str, backbone: dict[str, Tensor]) -> torch.nn.Module:
     return model.requires_grad_(False).eval()
 
 
-FILES = {
-    "vgg19": "vgg19-dcbb9e9d.pth",
-    "vgg16": "vgg16-397923af.pth",
-    "alex": "alexnet-owt-7be5be79.pth",
-}
+FILES = {"vgg19": "vgg19-dcbb9e9d.pth", "vgg16": "vgg16-397923af.pth", "alex": "alexnet-owt-7be5be79.pth"}
 """Torchvision's names of the files (weights IMAGENET1K_V1); the digits are the beginning of the file's SHA-256."""
 
 SMALLEST_IMAGE = 32

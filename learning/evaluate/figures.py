@@ -244,12 +244,7 @@ class Shown:
 
 
 def montage_png(
-    columns: Sequence[str],
-    scenes: Sequence[Sequence[Shown]],
-    title: str,
-    line: str,
-    near_m: float,
-    far_m: float,
+    columns: Sequence[str], scenes: Sequence[Sequence[Shown]], title: str, line: str, near_m: float, far_m: float
 ) -> bytes:
     """Return the montage as PNG.
 

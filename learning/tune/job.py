@@ -332,13 +332,7 @@ class _Trials:
     """Tries parameters of one method at one level; volumes are kept for later trials, the best one's longest."""
 
     def __init__(
-        self,
-        tunable: Tunable,
-        noise_db: float,
-        measurements: Tensor,
-        score: Score,
-        study: Study,
-        progress: Progress,
+        self, tunable: Tunable, noise_db: float, measurements: Tensor, score: Score, study: Study, progress: Progress
     ) -> None:
         self._tunable, self._noise_db, self._measurements = tunable, noise_db, measurements
         self._score, self._study, self._progress = score, study, progress

@@ -9,15 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from learning.evaluate.figures import (
-    Shown,
-    depth_png,
-    method_colours,
-    montage_png,
-    noise_png,
-    stacks_png,
-    times_png,
-)
+from learning.evaluate.figures import Shown, depth_png, method_colours, montage_png, noise_png, stacks_png, times_png
 from learning.evaluate.outcome import Outcome, summarise
 from learning.evaluate.scoring import Times
 from simulator.plots.drawing import UNSEEN, depth_colours

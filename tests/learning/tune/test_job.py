@@ -71,8 +71,7 @@ class Truth:
                 blur = (error + wrong)[:, None, None, None]
                 grey, middle = truth.image.mean(), truth.disparity.mean()
                 return Estimate(
-                    truth.image[scenes] * (1 - blur) + grey * blur,
-                    truth.disparity[scenes] * (1 - blur) + middle * blur,
+                    truth.image[scenes] * (1 - blur) + grey * blur, truth.disparity[scenes] * (1 - blur) + middle * blur
                 )
 
         space = {"regularisation_lambda": Axis((1e-3, 1e-2, 1e-1)), "window": Axis((1, 10, 100), low=1)}
