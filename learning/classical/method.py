@@ -14,7 +14,7 @@ from learning.classical.admm import Admm
 from learning.classical.cls import ConstrainedLeastSquares
 from learning.classical.focus import COSTS, LIGHT, MEASURES, assemble, unary_cost
 from learning.classical.graph_cut import cut_labels
-from learning.method import Clock, Estimate, linear_to_srgb
+from learning.method import Clock, Estimate, check_choices, linear_to_srgb
 from learning.provenance import now_called
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
@@ -170,10 +170,7 @@ class ClassicalMethod:
         if not (np.isfinite(pairwise) and pairwise >= 0):
             msg = f"pairwise: got {pairwise!r}, expected 0 or more"
             raise InputError(msg)
-        for what, value, known in (("cost", cost, COSTS), ("measure", measure, MEASURES), ("light", light, LIGHT)):
-            if value not in known:
-                msg = f"{what}: got {value!r}, expected one of {', '.join(known)}"
-                raise InputError(msg)
+        check_choices(("cost", cost, COSTS), ("measure", measure, MEASURES), ("light", light, LIGHT))
         self.name, self.capture = name, capture
         self._method, self._stage, self._light, self._pairwise = volume_method, stage, light, float(pairwise)
         self._unary: dict[str, Any] = {"cost": cost, "measure": measure, "contrast": contrast, "window_px": window_px}
@@ -250,9 +247,7 @@ def build_classical(capture: CaptureModel, name: str, parameters: Mapping[str, V
     Raises:
         InputError: another name, a parameter that the method does not have, or a value that it refuses.
     """
-    if name not in _VOLUMES:
-        msg = f"name: got {name!r}, expected one of {', '.join(_VOLUMES)}"
-        raise InputError(msg)
+    check_choices(("name", name, _VOLUMES))
     check_parameters(parameters or {}, DEFAULTS[name], name)
     merged = DEFAULTS[name] | dict(parameters or {})
     build, label, stage = _VOLUMES[name]
@@ -279,9 +274,7 @@ class PlanarMethod:
         if len(capture.stack.depths_m) != 1:
             msg = f"stack: got {len(capture.stack.depths_m)} planes, expected one: this is for images without depth"
             raise InputError(msg)
-        if name not in _VOLUMES:
-            msg = f"method: got {name!r}, expected one of {', '.join(_VOLUMES)}"
-            raise InputError(msg)
+        check_choices(("method", name, _VOLUMES))
         check_parameters(parameters, PLANAR_DEFAULTS[name], f"{name} for one plane", "--set")
         self.name, self.capture = name, capture
         self.parameters = PLANAR_DEFAULTS[name] | dict(parameters)

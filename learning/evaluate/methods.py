@@ -69,6 +69,11 @@ class LearnedEntry(Entry):
     record: Mapping[str, Any]
     kind: Kind = "learned"
 
+    def plain(self) -> dict[str, Any]:
+        """Return what results.json says of it."""
+        about = {"architecture": dict(self.architecture), "record": dict(self.record)}
+        return {"file": self.path.name, "sha256": self.digest, **about}
+
     def identity(self, noise_db: float) -> dict[str, Any]:
         """Return the file's hash."""
         return {"checkpoint": self.digest}

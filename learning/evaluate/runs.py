@@ -20,10 +20,11 @@ from learning.evaluate.methods import Entry
 from learning.evaluate.outcome import OWN
 from learning.evaluate.scoring import Criteria, Progress, checked, score
 from learning.method import Method
-from learning.provenance import code_fingerprint, sample_digests
+from learning.provenance import sample_digests
 from simulator.arrays import to_numpy
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
+from simulator.io.cache import code_digest
 from simulator.io.files import sha256_bytes, write_atomic
 from simulator.io.json import canonical_json, plain
 from simulator.optics.stack import PsfStack
@@ -201,7 +202,7 @@ class Runner:
         self.test, self.stored_db = test, measured_psnr_db(test)
         self.cameras, self.criteria, self._cache = cameras, criteria, cache
         self.device, self.batch, self._seed = device, batch, seed
-        self._digests = sample_digests(test)
+        self._digests, self._code = sample_digests(test), code_digest(*_DECIDING)
 
     def level_db(self, run: Run) -> float:
         """Return the PSNR of the measurements that a run sees."""
@@ -283,7 +284,7 @@ class Runner:
             "noise": "stored" if run.noise_db is None else {"db": run.noise_db, "seed": self._seed},
             "device": self.device.type,
             "torch": torch.__version__,
-            "code": code_fingerprint(*_DECIDING),
+            "code": self._code,
         }
 
 

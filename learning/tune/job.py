@@ -19,12 +19,13 @@ from learning.config import FEWEST_SCENES, TuneConfig
 from learning.data import Example, ExampleSet, check_dataset
 from learning.method import Estimate, choose_device, linear_to_srgb
 from learning.metrics import depth_scores, psnr
-from learning.provenance import code_fingerprint, now_called, sample_digests
+from learning.provenance import now_called, sample_digests
 from learning.tune.search import Axis, Parameters, coordinate_search
 from learning.tune.study import Study
 from simulator import __version__
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
+from simulator.io.cache import code_digest
 from simulator.io.files import sha256_bytes, storage_errors
 from simulator.io.json import canonical_json
 
@@ -104,7 +105,7 @@ def tune_file(
         "objective": config.objective,
         "seed": config.seed,
         "version": __version__,
-        "code": code_fingerprint(*_DECIDING),
+        "code": code_digest(*_DECIDING),
     }
     about = {
         "config": config.dump(),

@@ -353,7 +353,7 @@ def test_a_book_of_other_code_or_samples_is_refused(
     config = load_file(TuneConfig, write_config(tmp_path, tiny_dataset))
     tune_file(config, tunables=tunables)
     with monkeypatch.context() as patch:
-        patch.setattr(job, "code_fingerprint", lambda *_: "f" * 64)
+        patch.setattr(job, "code_digest", lambda *_: "f" * 64)
         with pytest.raises(InputError, match=r"other data or settings: code was .*, is now ffff"):
             tune_file(config, tunables=tunables)
     entries = {key: replace(entry, digest="0" * 64) for key, entry in load_manifest(tiny_dataset).entries.items()}
