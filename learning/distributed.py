@@ -195,9 +195,6 @@ class Precision:
         Args:
             wanted: ``auto`` (bfloat16 on a CUDA device that has it), ``float32`` or ``bfloat16``.
             device: where the network is.
-
-        Raises:
-            InputError: bfloat16 on a CUDA device without it.
         """
         fits = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
         if wanted == "bfloat16" and device.type == "cuda" and not fits:

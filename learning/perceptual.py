@@ -277,9 +277,6 @@ def load_features(network: str, cure: str) -> tuple[dict[str, Tensor], str]:
     Args:
         network: a key of `FILES`.
         cure: what to do instead of using this file, for the message.
-
-    Raises:
-        InputError: the file is absent, damaged or not what its name says.
     """
     path = weight_folder() / FILES[network]
     if not path.is_file():
@@ -312,9 +309,6 @@ def fitting(
         network: gives the shapes.
         file: a key of `FILES`.
         cure: what to do instead, for the message.
-
-    Raises:
-        InputError: tensors that are missing or of another shape.
     """
     wanted = network.state_dict()
     if any(own not in state or state[own].shape != wanted[name].shape for name, own in names.items()):
@@ -324,11 +318,7 @@ def fitting(
 
 
 def check_size(*images: Tensor) -> None:
-    """Refuse images ``(B, 3, h, w)`` that differ in shape or are too small.
-
-    Raises:
-        InputError: naming the shapes.
-    """
+    """Refuse images ``(B, 3, h, w)`` that differ in shape or are too small."""
     shapes = [tuple(image.shape) for image in images]
     if len(set(shapes)) > 1 or len(shapes[0]) != 4 or shapes[0][1] != 3:
         msg = f"images: got shapes {' and '.join(map(str, shapes))}, expected (B, 3, h, w) twice"

@@ -62,11 +62,7 @@ def is_own_folder(folder: Path, description: str, kind: str, option: str = "outp
 
 
 def read_description(path: Path, kind: str) -> dict[str, Any]:
-    """Return what a job wrote about its folder, with today's keys.
-
-    Raises:
-        InputError: it cannot be read.
-    """
+    """Return what a job wrote about its folder, with today's keys."""
     cure = "restore it from a copy, or choose another output folder"
     try:
         content = json.loads(path.read_bytes())

@@ -57,11 +57,7 @@ def described(
 
 
 def check_folder(folder: Path, parts: dict[str, Any]) -> None:
-    """See that a folder is new, or holds the training that `described` tells of.
-
-    Raises:
-        InputError: the folder holds something else, or another training: what differs is listed.
-    """
+    """See that a folder is new, or holds the training that `described` tells of."""
     if not is_own_folder(folder, DESCRIPTION, "training"):
         return
     lines = difference(read_description(folder / DESCRIPTION, "training"), json.loads(readable_json(parts)))

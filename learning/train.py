@@ -266,11 +266,7 @@ class Plan:
 
 
 def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Plan:
-    """Read what a training needs and build its network, which is seeded; a mistake then leaves no folder behind.
-
-    Raises:
-        InputError: a mistake in the configuration, or data that nothing can be learned from.
-    """
+    """Read what a training needs and build its network, which is seeded; a mistake then leaves no folder behind."""
     material = find_material(config)
     for what, count in (("batch", config.batch), ("validation split", len(material.validation))):
         if count < group.world_size or (what == "batch" and count % group.world_size):
@@ -294,12 +290,7 @@ def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Pla
 
 @contextmanager
 def held_folder(plan: Plan) -> Iterator[None]:
-    """Let rank 0 take the folder; the other processes wait until it has, and give up where it could not.
-
-    Raises:
-        InputError: see `learning.resume.sole_use`.
-        StorageError: the folder cannot be written to.
-    """
+    """Let rank 0 take the folder; the other processes wait until it has, and give up where it could not."""
     config = plan.config
     init_from = plan.pretrained and plan.pretrained.describe()
     parts = described(config.dump(), plan.material.describe(), precision=plan.precision.kind, init_from=init_from)
@@ -352,12 +343,7 @@ class Training:
     """
 
     def __init__(self, plan: Plan, show: Show, say: Say) -> None:
-        """Build everything, and read the state where there is one.
-
-        Raises:
-            InputError: a damaged state, or one of more steps than are asked for.
-            StorageError: the cache of samples cannot be written.
-        """
+        """Build everything, and read the state where there is one."""
         self._plan, self._show, self._say = plan, show, say
         self._config, self._group, self._capture = config, group, _ = plan.config, plan.group, plan.material.capture
         self.folder = config.resolve_path(config.output)

@@ -89,11 +89,7 @@ def energy(unary: NDArray[np.floating], labels: NDArray[np.integer], pairwise: f
 
 
 def build_network(unary: NDArray[np.floating], pairwise: float) -> Network:
-    """Return the network for costs ``(K, h, w)``; see `cut_labels`.
-
-    Raises:
-        InputError: non-finite costs, a negative ``pairwise``, or fewer than two labels.
-    """
+    """Return the network for costs ``(K, h, w)``; see `cut_labels`."""
     costs = _checked(unary, pairwise)
     step = _step(costs, pairwise)
     # A constant per pixel changes no labels, and costs that begin at 0 leave less to flow.
@@ -157,9 +153,6 @@ def cut_convex(slopes: NDArray[np.int64], weight: int) -> NDArray[np.int64]:
     Args:
         slopes: ``(K - 1, h, w)`` what each label costs more than the one before; never falling along K.
         weight: what a difference of one label between neighbours costs, not negative, in the same unit.
-
-    Raises:
-        InputError: OR-tools is missing.
     """
     low = np.zeros(slopes.shape[1:], np.int64)
     high = np.full_like(low, len(slopes))
@@ -209,9 +202,6 @@ def source_side(
         capacities: ``(A,)`` whole numbers, not negative; source and sink each need an arc, if only one of 0.
         source: its number.
         sink: its number.
-
-    Raises:
-        InputError: OR-tools is missing.
     """
     solver = _load_solver()
     solver.add_arcs_with_capacity(tails, heads, capacities)

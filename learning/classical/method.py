@@ -103,9 +103,6 @@ def check_parameters(
         known: the method's, with their defaults.
         of: the method's name, for messages.
         argument: what they were given by, for messages.
-
-    Raises:
-        InputError: naming the parameter, what came and what was expected.
     """
     for name, value in given.items():
         if name not in known:
@@ -200,20 +197,12 @@ class ClassicalMethod:
 
     @torch.no_grad()
     def volume(self, measurement: Tensor) -> Tensor:
-        """Return the volume ``(B, K, C, h, w)`` of measurements ``(B, C, H, W)``.
-
-        Raises:
-            InputError: measurements that do not fit the camera.
-        """
+        """Return the volume ``(B, K, C, h, w)`` of measurements ``(B, C, H, W)``."""
         return self._method(measurement)
 
     @torch.no_grad()
     def estimate(self, volume: Tensor, clock: Clock | None = None) -> Estimate:
-        """Return image and depth of a volume ``(B, K, C, h, w)`` in the camera's channels, 1 for white.
-
-        Raises:
-            InputError: a volume of another shape, or one with NaN or infinite values.
-        """
+        """Return image and depth of a volume ``(B, K, C, h, w)`` in the camera's channels, 1 for white."""
         clock = clock or Clock(volume.device)
         with clock.stage("graph cut"):
             places = self.places(volume)
@@ -225,9 +214,6 @@ class ClassicalMethod:
         """Return each pixel's place among the planes, ``(B, h, w)``, 0 to K - 1, on the volume's device.
 
         One graph cut per scene, on the CPU.
-
-        Raises:
-            InputError: a volume with NaN or infinite values.
         """
         costs = to_numpy(unary_cost(volume, **self._unary)).astype(np.float64)
         steps = costs.shape[1] - 1

@@ -377,11 +377,7 @@ def left_out(outcomes: Sequence[Outcome]) -> str:
 
 
 def write_results(folder: Path, findings: Findings) -> list[Path]:
-    """Write everything, and delete what an earlier run left; returns the files, the report first.
-
-    Raises:
-        StorageError: the folder cannot be written to.
-    """
+    """Write everything, and delete what an earlier run left; returns the files, the report first."""
     times = {one.method: one for one in findings.times}
     images = _figures(findings)
     files: dict[str, bytes] = {

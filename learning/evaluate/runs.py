@@ -56,12 +56,9 @@ class Cameras:
 
         Args:
             test: the split that decides.
-            training: folder of the data set that the methods were trained or tuned on; None only where none needs it.
+            training: folder of the data set that methods were trained or tuned on; None only where none needs it.
             entries: all methods.
             folder: makes a path of the name of a stack's folder.
-
-        Raises:
-            InputError: methods whose images have different whites, or a data set that cannot be read.
         """
         self._training, self._folder = training, folder
         self._stacks: dict[str, PsfStack] = {}
@@ -69,16 +66,13 @@ class Cameras:
         self.test = capture_model(test, white=self._white(entries))
 
     def assumed(self, entry: Entry, name: str) -> CaptureModel:
-        """Return the camera that a method is told of, with PSFs ``own``, ``nominal``, ``captured``, or of a folder.
-
-        Raises:
-            InputError: no such stack, or one of another camera.
-        """
+        """Return the camera that a method is told of, with PSFs ``own``, ``nominal``, ``captured``, or of a folder."""
         try:
             if (known := entry.capture) is None:
                 known = self._nominal = self._nominal or capture_model(self._learned_from(), white=self.test.white)
             if name != OWN:
-                known = known.with_stack(self._stack(name))
+                self._stacks[name] = self._stacks.get(name) or self._stack(name)
+                known = known.with_stack(self._stacks[name])
             return self.test.with_assumed(known)
         except InputError as error:
             msg = f"{entry.name}: {error}"
@@ -89,12 +83,9 @@ class Cameras:
         return open_dataset(self._training, "train")
 
     def _stack(self, name: str) -> PsfStack:
-        if name not in self._stacks:
-            named = name in ("nominal", "captured")
-            self._stacks[name] = (
-                capture_model(self._learned_from(), name).stack if named else read_psf_stack(self._folder(name))
-            )
-        return self._stacks[name]
+        if name in ("nominal", "captured"):
+            return capture_model(self._learned_from(), name).stack
+        return read_psf_stack(self._folder(name))
 
     def _white(self, entries: Sequence[Entry]) -> float:
         whites = {entry.name: entry.capture.white for entry in entries if entry.capture is not None}
@@ -218,20 +209,11 @@ class Runner:
         return self.cameras.assumed(run.entry, run.stack)
 
     def method(self, run: Run) -> Method:
-        """Return a run's method, ready on the device.
-
-        Raises:
-            InputError: PSFs or checkpoints of another camera.
-        """
+        """Return a run's method, ready on the device."""
         return run.entry.build(self.camera(run), self.level_db(run), self.device)
 
     def result(self, run: Run, progress: Progress = lambda _: None) -> dict[str, Any]:
-        """Return what `score` finds, which is kept.
-
-        Raises:
-            InputError: see `method` and `score`.
-            StorageError: the result cannot be kept.
-        """
+        """Return what `score` finds, which is kept."""
         criteria = {
             "edges_cm": self.criteria.edges_cm,
             "dark_share": self.criteria.dark_share,
@@ -250,12 +232,7 @@ class Runner:
         return found
 
     def estimates(self, run: Run, positions: Sequence[int]) -> list[dict[str, NDArray[np.float32]]]:
-        """Return ``image`` (3, h, w) and ``depth_m`` (h, w) of some scenes, which are kept.
-
-        Raises:
-            InputError: see `method` and `score`.
-            StorageError: the result cannot be kept.
-        """
+        """Return ``image`` (3, h, w) and ``depth_m`` (h, w) of some scenes, which are kept."""
         method: Method | None = None
         examples, shown = self.examples(run.noise_db), []
         for position in positions:

@@ -33,11 +33,7 @@ class Tuned:
         return sorted(result["noise_db"] for result in self.content["results"] if result["method"] == method)
 
     def parameters(self, method: str, noise_db: float) -> tuple[Parameters, float]:
-        """Return the parameters of a method at a noise level, and the tuned level that they are of: the nearest.
-
-        Raises:
-            InputError: a method that was not tuned to the end at any level.
-        """
+        """Return the parameters of a method at a noise level, and the tuned level that they are of: the nearest."""
         levels = self.levels_db(method)
         if not levels:
             known = sorted({result["method"] for result in self.content["results"]})
@@ -93,11 +89,7 @@ class Study:
     """
 
     def __init__(self, path: Path, identity: dict[str, Any], about: dict[str, Any]) -> None:
-        """Open the file, or begin one.
-
-        Raises:
-            InputError: a file that is not a study, or one of other data or settings: the first difference is named.
-        """
+        """Open the file, or begin one."""
         self.path = path
         self._content: dict[str, Any] = {
             "format": FORMAT,
