@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -111,6 +111,15 @@ def check_choices(*choices: tuple[str, Any, Iterable[str]]) -> None:
         if value not in known:
             msg = f"{name}: got {value!r}, expected one of {', '.join(known)}"
             raise InputError(msg)
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows as lines of equal columns, the first at the left, the others at the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join([row[0].ljust(widths[0]), *(text.rjust(n) for text, n in zip(row[1:], widths[1:], strict=True))])
+        for row in rows
+    ]
 
 
 def choose_device(wanted: str) -> torch.device:

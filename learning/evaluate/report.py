@@ -24,6 +24,7 @@ from learning.evaluate.figures import (
 )
 from learning.evaluate.outcome import Outcome
 from learning.evaluate.scoring import Times
+from learning.method import aligned
 from learning.metrics import DEFINITIONS, SSIM_DEFINITION
 from learning.provenance import is_own_folder, read_description, versions
 from simulator.dataset.reader import Dataset
@@ -264,15 +265,6 @@ def terminal_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> s
         cells = [_cell(one, name).replace("–", "-") for name in names]
         rows.append([one.method, *cells, f"{times[one.method].total:.3g}" if one.method in times else "-"])
     return "\n".join(aligned(rows))
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return rows as lines of equal columns, the first at the left, the others at the right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join([row[0].ljust(widths[0]), *(text.rjust(n) for text, n in zip(row[1:], widths[1:], strict=True))])
-        for row in rows
-    ]
 
 
 def _measured(names: Iterable[str], outcomes: Sequence[Outcome]) -> list[str]:
