@@ -13,6 +13,7 @@ from typing import Any
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
+from torch.distributed.nn.functional import all_reduce  # with its gradient, the sum of the processes' gradients
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.nn.parallel import DistributedDataParallel
 
@@ -89,10 +90,8 @@ def processes(device: str) -> Iterator[Processes]:
         return
     local = int(os.environ["LOCAL_RANK"])
     if kind == "cuda" and local >= torch.cuda.device_count():
-        msg = (
-            f"device: torchrun started process {local + 1} on this machine, which has {torch.cuda.device_count()} GPU(s); "
-            "give --nproc-per-node as many"
-        )
+        there = f"on this machine, which has {torch.cuda.device_count()} GPU(s)"
+        msg = f"device: torchrun started process {local + 1} {there}; give --nproc-per-node as many"
         raise InputError(msg)
     place = torch.device(kind, local) if kind == "cuda" else torch.device(kind)
     if kind == "cuda":
@@ -116,35 +115,14 @@ def synchronise_batch_norm(network: nn.Module, kind: str) -> nn.Module:
     for module in list(network.modules()):
         for name, child in module.named_children():
             if isinstance(child, _BatchNorm):
-                setattr(module, name, _SynchronisedBatchNorm.of(child))
+                new = _SynchronisedBatchNorm(child.num_features)
+                new.__dict__.update(child.__dict__)  # the same options, and the same weights and statistics
+                setattr(module, name, new)
     return network
-
-
-class _SumOverProcesses(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, values: Tensor) -> Tensor:
-        total = values.clone()
-        dist.all_reduce(total)
-        return total
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
-        total = gradients[0].clone()
-        dist.all_reduce(total)
-        return total
 
 
 class _SynchronisedBatchNorm(_BatchNorm):
     """Batch normalisation with mean and variance over all processes' batches, which have the same size."""
-
-    @classmethod
-    def of(cls, layer: _BatchNorm) -> _SynchronisedBatchNorm:
-        """Return the same layer, sharing its weights."""
-        new = cls(layer.num_features, layer.eps, layer.momentum, layer.affine, layer.track_running_stats)
-        new.weight, new.bias = layer.weight, layer.bias
-        new.running_mean, new.running_var = layer.running_mean, layer.running_var
-        new.num_batches_tracked = layer.num_batches_tracked
-        return new
 
     def _check_input_dim(self, input: Tensor) -> None:
         """Any number of dimensions is normalised alike."""
@@ -157,9 +135,9 @@ class _SynchronisedBatchNorm(_BatchNorm):
         axes = [axis for axis in range(values.ndim) if axis != 1]
         shape = [1, -1] + [1] * (values.ndim - 2)
         count = values.numel() // values.shape[1] * dist.get_world_size()
-        mean = _sum(values.sum(axes)) / count
+        mean = all_reduce(values.sum(axes)) / count
         centred = values - mean.reshape(shape)
-        variance = _sum(centred.square().sum(axes)) / count
+        variance = all_reduce(centred.square().sum(axes)) / count
         if self.running_mean is not None and self.running_var is not None and self.momentum is not None:
             with torch.no_grad():
                 self.running_mean.lerp_(mean, self.momentum)
@@ -170,10 +148,6 @@ class _SynchronisedBatchNorm(_BatchNorm):
         if self.affine:
             normalised = normalised * self.weight.reshape(shape) + self.bias.reshape(shape)
         return normalised.to(input.dtype)
-
-
-def _sum(values: Tensor) -> Tensor:
-    return _SumOverProcesses.apply(values)  # pyright: ignore[reportReturnType]
 
 
 @dataclass(frozen=True)
@@ -190,12 +164,7 @@ class Precision:
 
     @classmethod
     def choose(cls, wanted: str, device: torch.device) -> Precision:
-        """Return the precision of a configuration.
-
-        Args:
-            wanted: ``auto`` (bfloat16 on a CUDA device that has it), ``float32`` or ``bfloat16``.
-            device: where the network is.
-        """
+        """Return the precision ``float32``, ``bfloat16``, or of ``auto``: bfloat16 on a CUDA device that has it."""
         fits = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
         if wanted == "bfloat16" and device.type == "cuda" and not fits:
             msg = f"precision: {torch.cuda.get_device_name(device)} has no bfloat16; take precision: float32, or auto"

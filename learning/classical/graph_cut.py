@@ -203,19 +203,15 @@ def source_side(
         source: its number.
         sink: its number.
     """
-    solver = _load_solver()
+    try:
+        from ortools.graph.python.max_flow import SimpleMaxFlow
+    except ImportError as error:
+        msg = f"graph cut: needs the package ortools ({error}): pip install 'flatlight[learn]', or uv run --extra learn"
+        raise InputError(msg) from error
+    solver: Any = SimpleMaxFlow()
     solver.add_arcs_with_capacity(tails, heads, capacities)
     status = solver.solve(source, sink)
     if status != solver.OPTIMAL:
         msg = f"graph cut: OR-tools' max flow ended with {status} for {len(tails)} arcs between {sink + 1} nodes"
         raise RuntimeError(msg)
     return np.asarray(solver.get_source_side_min_cut(), np.int64)
-
-
-def _load_solver() -> Any:
-    try:
-        from ortools.graph.python.max_flow import SimpleMaxFlow
-    except ImportError as error:
-        msg = f"graph cut: needs the package ortools ({error}): pip install 'flatlight[learn]', or uv run --extra learn"
-        raise InputError(msg) from error
-    return SimpleMaxFlow()
