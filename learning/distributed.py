@@ -13,7 +13,6 @@ from typing import Any
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
-from torch.distributed.nn.functional import all_reduce  # with its gradient, the sum of the processes' gradients
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.nn.parallel import DistributedDataParallel
 
@@ -121,6 +120,22 @@ def synchronise_batch_norm(network: nn.Module, kind: str) -> nn.Module:
     return network
 
 
+class _SumOverProcesses(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, values: Tensor) -> Tensor:
+        total = values.clone()
+        dist.all_reduce(total)
+        return total
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        return _SumOverProcesses.forward(ctx, gradients[0])
+
+
+def _sum(values: Tensor) -> Tensor:
+    return _SumOverProcesses.apply(values)  # pyright: ignore[reportReturnType]
+
+
 class _SynchronisedBatchNorm(_BatchNorm):
     """Batch normalisation with mean and variance over all processes' batches, which have the same size."""
 
@@ -135,9 +150,9 @@ class _SynchronisedBatchNorm(_BatchNorm):
         axes = [axis for axis in range(values.ndim) if axis != 1]
         shape = [1, -1] + [1] * (values.ndim - 2)
         count = values.numel() // values.shape[1] * dist.get_world_size()
-        mean = all_reduce(values.sum(axes)) / count
+        mean = _sum(values.sum(axes)) / count
         centred = values - mean.reshape(shape)
-        variance = all_reduce(centred.square().sum(axes)) / count
+        variance = _sum(centred.square().sum(axes)) / count
         if self.running_mean is not None and self.running_var is not None and self.momentum is not None:
             with torch.no_grad():
                 self.running_mean.lerp_(mean, self.momentum)

@@ -301,14 +301,9 @@ def load_features(network: str, cure: str) -> tuple[dict[str, Tensor], str]:
 def fitting(
     state: dict[str, Tensor], names: dict[str, str], network: nn.Module, file: str, cure: str
 ) -> dict[str, Tensor]:
-    """Return the weights of a network's file under the names that they have in a network.
+    """Return the weights of a network's file under the names that they have in a network, which gives the shapes.
 
-    Args:
-        state: of the file; see `load_features`.
-        names: of the network's tensors, to those of the file.
-        network: gives the shapes.
-        file: a key of `FILES`.
-        cure: what to do instead, for the message.
+    ``names`` lead from the network's tensors to those of the file, a key of `FILES`; ``cure`` ends the message of a refusal.
     """
     wanted = network.state_dict()
     if any(own not in state or state[own].shape != wanted[name].shape for name, own in names.items()):

@@ -39,11 +39,7 @@ def now_called(key: str, known: Container[str]) -> str:
 def is_own_folder(folder: Path, description: str, kind: str, option: str = "output") -> bool:
     """Return whether a folder holds a job's description; a new or empty one does not.
 
-    Args:
-        folder: that the job is to write to.
-        description: name of the file that says whose the folder is.
-        kind: of the job, for messages, such as "training".
-        option: that names the folder, for messages.
+    ``description`` names the file that says whose the folder is; ``kind`` ("training") and ``option`` are for messages.
 
     Raises:
         InputError: a file, or a folder of other things.

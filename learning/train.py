@@ -76,13 +76,10 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class TrainResult:
-    """What became of a training.
+    """What became of a training: ``folder`` holds ``best.safetensors``, ``last.safetensors`` and the rest.
 
-    Attributes:
-        folder: holds ``best.safetensors``, ``last.safetensors`` and the rest.
-        steps: taken in this sitting; 0 of a training that was finished before.
-        seconds: of all sittings.
-        best: step and metrics of the best validation.
+    ``steps`` are those of this sitting, 0 of a training that was finished before; ``seconds`` are of all sittings; ``best``
+    has step and metrics of the best validation.
     """
 
     folder: Path
@@ -125,13 +122,7 @@ def train(
 
 @dataclass(frozen=True)
 class Material:
-    """What a training learns from.
-
-    Attributes:
-        train: the split that is learned from.
-        validation: the split that is measured.
-        capture: the camera, with the PSFs that the inversion knows and the reference white of the images.
-    """
+    """What a training learns from: two splits, the camera with the PSFs that the inversion knows, the reference white."""
 
     train: Dataset
     validation: Dataset
@@ -216,13 +207,7 @@ def count_workers(config: TrainConfig, processes: int) -> int:
 
 @dataclass(frozen=True)
 class Pretrained:
-    """The checkpoint that a training begins with, known by its content: a path says nothing of what lay there.
-
-    Attributes:
-        path: its file.
-        sha256: of the file.
-        checkpoint: what it holds.
-    """
+    """The checkpoint that a training begins with, known by its content: a path says nothing of what lay there."""
 
     path: Path
     sha256: str
@@ -243,15 +228,10 @@ class Plan:
     """What can be known of a training without its folder.
 
     Attributes:
-        config: the configuration.
-        group: the processes that share the work.
         command: that started it; None where it was called from Python.
         material: what is learned from.
-        precision: of the network.
-        pretrained: the checkpoint that it begins with.
-        network: with the weights to begin with, on the CPU.
-        taken: lines that say what it took from ``pretrained``.
-        loss: on the CPU.
+        pretrained: the checkpoint that it begins with, and ``taken`` lines that say what it took from it.
+        network: with the weights to begin with, on the CPU, as is the loss.
     """
 
     config: TrainConfig

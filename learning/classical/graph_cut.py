@@ -196,12 +196,8 @@ def source_side(
 ) -> NDArray[np.int64]:
     """Return the numbers of the nodes on the source's side of a minimum cut, of the fewest where there are several.
 
-    Args:
-        tails: ``(A,)`` node where each arc begins.
-        heads: ``(A,)`` node where it ends.
-        capacities: ``(A,)`` whole numbers, not negative; source and sink each need an arc, if only one of 0.
-        source: its number.
-        sink: its number.
+    Arcs lead from ``tails`` to ``heads`` ``(A,)`` with whole ``capacities``, not negative; source and sink each need an arc,
+    if only one of 0.
     """
     try:
         from ortools.graph.python.max_flow import SimpleMaxFlow

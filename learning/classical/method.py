@@ -98,11 +98,7 @@ def check_parameters(
 ) -> None:
     """Refuse parameters that a method does not have, and values of another kind than its own.
 
-    Args:
-        given: parameters by name.
-        known: the method's, with their defaults.
-        of: the method's name, for messages.
-        argument: what they were given by, for messages.
+    ``known`` are the method's with their defaults; its name ``of`` and the ``argument`` they were given by are for messages.
     """
     for name, value in given.items():
         if name not in known:

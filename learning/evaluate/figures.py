@@ -246,15 +246,9 @@ class Shown:
 def montage_png(
     columns: Sequence[str], scenes: Sequence[Sequence[Shown]], title: str, line: str, near_m: float, far_m: float
 ) -> bytes:
-    """Return the montage as PNG.
+    """Return the montage as PNG: a row per scene, whose entries have the heads ``columns``, the truth first.
 
-    Args:
-        columns: what stands above each column, the truth first.
-        scenes: one row each; as many entries as columns.
-        title: first line.
-        line: second line.
-        near_m: depth of the first colour.
-        far_m: depth of the last.
+    ``title`` and ``line`` stand above; ``near_m`` and ``far_m`` are the depths of the first and the last colour.
     """
     from PIL import Image, ImageDraw
 

@@ -148,10 +148,8 @@ def check_learned(name: str, path: Path, record: Mapping[str, Any], test: Datase
             known = used.get(split)
             fingerprint = known.get("fingerprint") if isinstance(known, Mapping) else None
             if (fingerprint, split) == (test.fingerprint, test.split):
-                msg = (
-                    f"{name}: {path} {words} the scenes that decide here, split {test.split!r} of {test.root}; evaluate on "
-                    "its test split, or on another data set"
-                )
+                scenes = f"the scenes that decide here, split {test.split!r} of {test.root}"
+                msg = f"{name}: {path} {words} {scenes}; evaluate on its test split, or on another data set"
                 raise InputError(msg)
 
 
@@ -163,9 +161,8 @@ def check_tuned(name: str, tuned: Path, test: Dataset) -> None:
     """
     content = load_tuned(tuned).content["identity"]
     if (content.get("data"), content.get("split")) == (test.fingerprint, test.split):
-        msg = (
-            f"{name}: {tuned} was tuned on the scenes that decide here, split {test.split!r}; tune on validation scenes"
-        )
+        scenes = f"the scenes that decide here, split {test.split!r}"
+        msg = f"{name}: {tuned} was tuned on {scenes}; tune on validation scenes"
         raise InputError(msg)
 
 

@@ -71,20 +71,15 @@ class Findings:
     """What came out.
 
     Attributes:
-        config: the file.
-        test: the split that decided.
         camera: what the first method was told.
         stored_db: PSNR of the measurements as stored.
         edges_cm: of the bins of depth.
         perceptual: which perceptual metric was measured, or why none.
-        device: in words.
         methods: what is known of each method and seed.
         outcomes: of all methods, PSFs and levels.
-        naive: of the answers that look at nothing.
-        naive_part: of the same answers, on the scenes of the noise levels and of the PSFs that are compared.
+        naive: of the answers that look at nothing; ``naive_part`` on the scenes of noise levels and of compared PSFs.
         times: seconds per scene; empty where none were taken.
         montage: for each scene shown the truth and every method, in the order of ``columns``.
-        columns: of the montage.
     """
 
     config: EvaluateConfig

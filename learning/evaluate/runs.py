@@ -94,10 +94,8 @@ class Cameras:
         one, first = next(iter(whites.items()))
         for name, white in whites.items():
             if abs(white - first) > _WHITES_ALIKE * first:
-                msg = (
-                    f"methods: the images of {name} show a radiance of {white:g} as white, those of {one} {first:g}, so "
-                    "their scores cannot stand in one table; train them with one white"
-                )
+                whites_differ = f"the images of {name} show a radiance of {white:g} as white, those of {one} {first:g}"
+                msg = f"methods: {whites_differ}, so their scores cannot stand in one table; train them with one white"
                 raise InputError(msg)
         return first
 
@@ -151,13 +149,9 @@ class ResultCache:
 
 @dataclass(frozen=True)
 class Run:
-    """A method with one seed, with some PSFs, at one level of noise.
+    """A method with one seed, with some PSFs (see `Cameras.assumed`), at one level of noise.
 
-    Attributes:
-        entry: the method.
-        stack: the name of its PSFs; see `Cameras.assumed`.
-        noise_db: level at which noise is drawn anew; None for measurements as stored.
-        scenes: only the first so many; None for all.
+    Noise is drawn anew at ``noise_db``, None takes measurements as stored; ``scenes``: only the first so many, None for all.
     """
 
     entry: Entry
@@ -170,11 +164,6 @@ class Runner:
     """Runs on one split of a data set.
 
     Attributes:
-        test: the split.
-        cameras: of the methods.
-        criteria: by which they are judged.
-        device: where they run.
-        batch: scenes at a time.
         stored_db: the PSNR of its measurements as stored, decibels: by it parameters are chosen that depend on noise.
     """
 

@@ -114,13 +114,8 @@ DISPARITY_SCORES = ("disparity_rmse", "disparity_rmse_per_m")
 class Constant:
     """A method that gives the same answer to everything; see `learning.method.Method`.
 
-    Attributes:
-        name: in tables.
-        capture: for the range of depths.
-        image: ``(3, h, w)`` sRGB codes.
-        disparity: ``(1, h, w)``.
-        scores: those that it is an answer to.
-        best_in: in what no other answer of its kind is better.
+    ``image`` has sRGB codes ``(3, h, w)``, ``disparity`` ``(1, h, w)``; ``scores`` are those that it is an answer to, and
+    ``best_in`` says in what no other answer of its kind is better.
     """
 
     name: str
@@ -174,14 +169,7 @@ def naive_baselines(examples: ExampleSet, capture: CaptureModel, batch: int) -> 
 
 @dataclass(frozen=True)
 class Times:
-    """Seconds per scene of one method.
-
-    Attributes:
-        method: its name.
-        stages: median over the repeats, by stage.
-        total: median over the repeats of all stages together.
-        fastest: least total, which other work on the machine disturbed least.
-    """
+    """Seconds per scene of one method: medians over the repeats, by stage and of all stages together; the least total."""
 
     method: str
     stages: dict[str, float]

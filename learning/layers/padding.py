@@ -100,14 +100,9 @@ def from_pairs(pairs: Tensor) -> Tensor:
 def check_measurement(
     measurement: Tensor, offset: Tensor, rows: AxisPlan, columns: AxisPlan, *, frames: bool = False
 ) -> None:
-    """Refuse measurements ``(B, C, H, W)`` of another shape than the camera's.
+    """Refuse measurements ``(B, C, H, W)`` of another shape than the camera's, which has an ``offset`` per channel.
 
-    Args:
-        measurement: what came.
-        offset: one number per channel.
-        rows: plan of H.
-        columns: plan of W.
-        frames: whether several, ``(B, N, C, H, W)``, are welcome too.
+    With ``frames``, several, ``(B, N, C, H, W)``, are welcome too.
 
     Raises:
         InputError: saying both shapes.

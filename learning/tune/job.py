@@ -141,12 +141,8 @@ class VolumeMethod(Protocol):
 class Tunable:
     """A method and its search space.
 
-    Attributes:
-        name: of the method.
-        build: makes it of its parameters.
-        defaults: all parameters; where the search begins.
-        space: those that are searched, in this order.
-        volume_parameters: those on which the volume depends.
+    ``build`` makes it of its parameters; ``defaults`` are all of these, where the search begins, ``space`` those that are
+    searched, in this order, and ``volume_parameters`` those on which the volume depends.
     """
 
     name: str
@@ -262,7 +258,7 @@ def tune(
     progress: Progress = lambda *_: None,
     say: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Tune methods at noise levels and write everything to the study.
+    """Tune methods at noise levels and write everything to the study; what it knows is not tried again.
 
     Levels go from the least noise to the most. The first begins at the defaults and tries all candidates; each further one
     begins at the better of the defaults and the parameters of the level before, and goes from neighbour to neighbour.
@@ -271,7 +267,7 @@ def tune(
         tunables: the methods.
         measurements: ``(N, C, H, W)`` of the same scenes by noise level, decibels, on the device to compute on.
         score: of these scenes.
-        study: where trials and results go; what it knows is not tried again.
+        study: where trials and results go.
         progress: see `tune_file`.
         say: see `tune_file`.
 

@@ -37,10 +37,8 @@ class Tuned:
         levels = self.levels_db(method)
         if not levels:
             known = sorted({result["method"] for result in self.content["results"]})
-            msg = (
-                f"{self.path}: got the method {method!r}, expected one that was tuned ({', '.join(known) or 'none'}); "
-                "run `flatlight tune` with it"
-            )
+            wanted = f"one that was tuned ({', '.join(known) or 'none'})"
+            msg = f"{self.path}: got the method {method!r}, expected {wanted}; run `flatlight tune` with it"
             raise InputError(msg)
         nearest = min(levels, key=lambda level: abs(level - noise_db))
         found = (r for r in self.content["results"] if r["method"] == method and r["noise_db"] == nearest)
@@ -141,10 +139,8 @@ class Study:
         for name in sorted(new.keys() | old.keys()):
             if new.get(name) != old.get(name):
                 was, now = (str(content.get(name))[:60] for content in (old, new))
-                msg = (
-                    f"{self.path} holds trials of other data or settings: {name} was {was}, is now {now}; "
-                    "choose another output, or delete the file"
-                )
+                differs = f"{name} was {was}, is now {now}"
+                msg = f"{self.path} holds trials of other data or settings: {differs}; choose another output, or delete it"
                 raise InputError(msg)
 
     @staticmethod

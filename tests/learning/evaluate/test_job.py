@@ -285,7 +285,7 @@ def test_scenes_that_a_network_knows_do_not_decide(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_data_set_is_no_place_for_results(
+def test_results_do_not_go_into_a_data_set(
     load: Callable[..., EvaluateConfig], tmp_path: Path, tiny_dataset: Path
 ) -> None:
     (tmp_path / "out").mkdir()
@@ -296,7 +296,7 @@ def test_a_data_set_is_no_place_for_results(
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_a_network_that_gives_no_number_is_named(
+def test_a_network_with_non_finite_estimates_is_named(
     load: Callable[..., EvaluateConfig], tmp_path: Path, checkpoints: list[Path], tiny_dataset: Path
 ) -> None:
     checkpoint = load_checkpoint(checkpoints[0])
