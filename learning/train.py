@@ -462,8 +462,8 @@ class Training:
         raise DivergedError.in_step(self.progress.step + 1, guilty[0][2], guilty[0][3], every, self._kept())
 
     def _kept(self) -> str:
-        there = (self.folder / STATE).exists()
-        return f"the state in {self.folder} is that of an earlier step" if there else "nothing is saved yet"
+        saved = f"the state in {self.folder} is that of an earlier step"
+        return saved if (self.folder / STATE).exists() else "nothing is saved yet"
 
     def _write_log(self, log: Log | None, rate: float) -> None:
         progress, config = self.progress, self._config

@@ -109,10 +109,8 @@ def check_measurement(
     """
     wanted = (len(offset), rows.sensor, columns.sensor)
     if measurement.ndim not in ((4, 5) if frames else (4,)) or tuple(measurement.shape[-3:]) != wanted:
-        msg = (
-            f"measurement: got shape {tuple(measurement.shape)}, expected (B, C, H, W) with (C, H, W) = {wanted}: it is "
-            "of another camera than the PSF stack"
-        )
+        came = f"got shape {tuple(measurement.shape)}, expected (B, C, H, W) with (C, H, W) = {wanted}"
+        msg = f"measurement: {came}: it is of another camera than the PSF stack"
         raise InputError(msg)
 
 

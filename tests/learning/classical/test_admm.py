@@ -177,7 +177,7 @@ def test_light_of_two_points_lies_in_their_planes() -> None:
         ({"sparsity": np.inf}, "sparsity: got inf"),
         ({"weights": (1.0, 0.0, 1.0)}, "expected three positive numbers"),
         ({"iterations": 0}, "iterations: got 0, expected at least 1"),
-        ({"light": "dark"}, "light: got 'dark', expected 'scene' or 'anywhere'"),
+        ({"light": "dark"}, "light: got 'dark'"),
     ],
 )
 def test_bad_settings_are_refused(settings: dict[str, Any], message: str) -> None:
