@@ -122,10 +122,11 @@ class CaptureModel:
         if stack.channels != self.stack.channels or not np.isclose(
             stack.pixel_pitch_m, self.stack.pixel_pitch_m, rtol=1e-3, atol=0
         ):
-            msg = (
-                f"stack: got channels {', '.join(stack.channels)} at a pitch of {stack.pixel_pitch_m * 1e6:g} um, expected "
-                f"{', '.join(self.stack.channels)} at {self.stack.pixel_pitch_m * 1e6:g} um: it belongs to another camera"
+            got, wanted = (
+                f"{', '.join(each.channels)} at a pitch of {each.pixel_pitch_m * 1e6:g} um"
+                for each in (stack, self.stack)
             )
+            msg = f"stack: got channels {got}, expected {wanted}: it belongs to another camera"
             raise InputError(msg)
         return replace(self, stack=stack)
 
@@ -144,18 +145,16 @@ class CaptureModel:
         for name in ("sensor_shape", "scene_shape"):
             here, there = getattr(self, name), getattr(known, name)
             if tuple(here) != tuple(there):
-                msg = (
-                    f"{name}: the measurements have {here[0]} x {here[1]} pixels, the method was made for {there[0]} x "
-                    f"{there[1]}; give data of the same camera, or train and tune for this one"
-                )
+                sizes = f"{here[0]} x {here[1]} pixels, the method was made for {there[0]} x {there[1]}"
+                msg = f"{name}: the measurements have {sizes}; give data of the same camera, or train and tune for this one"
                 raise InputError(msg)
         # Of a single plane nothing follows for the range. A share of 1e-3 forgives depths that were written with few digits.
         excess = max(1 / self.near_m - 1 / known.near_m, 1 / known.far_m - 1 / self.far_m)
         if len(known.stack.depths_m) > 1 and excess > 1e-3 * known._range_per_m:
-            msg = (
-                f"stack: the data's depths are {self.near_m:g} to {self.far_m:g} m, but the method knows only "
-                f"{known.near_m:g} to {known.far_m:g} m; give data within that range, or train and tune for this one"
+            ranges = (
+                f"{self.near_m:g} to {self.far_m:g} m, but the method knows only {known.near_m:g} to {known.far_m:g} m"
             )
+            msg = f"stack: the data's depths are {ranges}; give data within that range, or train and tune for this one"
             raise InputError(msg)
         return replace(self.with_stack(known.stack), white=known.white)
 
@@ -181,17 +180,14 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
     info = dataset.info
     config = config_from_dict(info.config, dataset.root, check_plugins=False)
     if config.forward.boundary != "linear":
-        msg = (
-            f"{dataset.root}: forward.boundary is {config.forward.boundary}, but light that misses a real sensor is lost, as "
-            "reconstructions here know; make the data set with boundary: linear"
-        )
+        why = "light that misses a real sensor is lost, as reconstructions here know"
+        msg = f"{dataset.root}: forward.boundary is {config.forward.boundary}, but {why}; make it with boundary: linear"
         raise InputError(msg)
     nominal = read_psf_stack(dataset.root / PSF_FOLDER)
     if tuple(info.channels) != nominal.channels:
-        msg = (
-            f"{dataset.root}: measurements have the channels {', '.join(info.channels)}, the PSFs "
-            f"{', '.join(nominal.channels)}; reconstruction needs all colours in a pixel (camera.sensor.readout: binned_rgb)"
-        )
+        got = f"{', '.join(info.channels)}, the PSFs {', '.join(nominal.channels)}"
+        cure = "reconstruction needs all colours in a pixel (camera.sensor.readout: binned_rgb)"
+        msg = f"{dataset.root}: measurements have the channels {got}; {cure}"
         raise InputError(msg)
     sensor = recorded_sensor(info, config)
     gain, offset = gain_and_offset(sensor, len(nominal.channels), mean=config.forward.time == "mean")
@@ -255,7 +251,7 @@ def gain_and_offset(sensor: Sensor, channels: int, *, mean: bool) -> tuple[float
     exposures = np.unique(np.asarray(sensor.exposure_s, np.float64))
     if len(exposures) > 1:
         msg = (
-            "camera.shutter: rows have different exposure times; a still is reconstructed from rows that have the same"
+            "camera.shutter: rows have different exposure times; stills are reconstructed from rows that have the same"
         )
         raise InputError(msg)
     exposure = 1.0 if mean else float(exposures[0])
@@ -342,8 +338,7 @@ def typical_white(capture: CaptureModel, measurement: Array) -> float:
     per_scene = np.sum(light, axis=(-2, -1)) / (response * np.sum(capture.irradiance, dtype=np.float64))
     mean = float(np.mean(per_scene))
     if not mean > 0:
-        msg = (
-            f"measurement: got a mean radiance of {mean:.3g} above the background, expected light; check the background"
-        )
+        found = f"a mean radiance of {mean:.3g} above the background"
+        msg = f"measurement: got {found}, expected light; check the background"
         raise InputError(msg)
     return 2 * mean

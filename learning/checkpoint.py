@@ -82,8 +82,8 @@ def save_checkpoint(
         StorageError: the place cannot be written to.
     """
     full = full_architecture(architecture)
-    weights = {_WEIGHTS + name: _stored(name, value, precision) for name, value in network.state_dict().items()}
-    _check_fit(_build(full, capture), weights, "architecture")
+    weights = {name: _stored(name, value, precision) for name, value in network.state_dict().items()}
+    _check_shapes(_build(full, capture).state_dict(), weights, "architecture")
     stack = capture.stack
     arrays = {
         "psf": (stack.values, np.float32),
@@ -113,7 +113,13 @@ def save_checkpoint(
         "record": dict(record),
     }
     # One key only: safetensors writes several in an order that differs from run to run.
-    write_atomic(Path(path), save(weights | tensors, {_KEY: canonical_json(content).decode()}))
+    write_atomic(
+        Path(path),
+        save(
+            {_WEIGHTS + name: value for name, value in weights.items()} | tensors,
+            {_KEY: canonical_json(content).decode()},
+        ),
+    )
 
 
 def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, network: str | None = None) -> Checkpoint:
@@ -149,13 +155,13 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
     except (InputError, TypeError) as error:
         msg = f"{path}: this version of Flatlight cannot build its network ({error}); use the version that the record names"
         raise InputError(msg) from error
-    weights = {key: value for key, value in tensors.items() if key.startswith(_WEIGHTS)}
-    _check_fit(built, weights, str(path))
+    weights = {key.removeprefix(_WEIGHTS): value for key, value in tensors.items() if key.startswith(_WEIGHTS)}
+    _check_shapes(built.state_dict(), weights, str(path))
     for key, value in weights.items():
         if not bool(torch.isfinite(value).all()):
             msg = f"{path}: {key} holds NaN or infinite numbers; take an earlier checkpoint"
             raise InputError(msg)
-    built.load_state_dict({key.removeprefix(_WEIGHTS): value for key, value in weights.items()})
+    built.load_state_dict(weights)
     return Checkpoint(built.eval(), capture or own, own.stack.fingerprint, architecture, record)
 
 
@@ -215,18 +221,10 @@ def _capture(numbers: dict[str, Any], tensors: dict[str, Tensor]) -> CaptureMode
         str(numbers["fingerprint"]),
         dict(numbers["provenance"]),
     )
-    rows, columns = (int(length) for length in numbers["sensor_shape"])
-    h, w = (int(length) for length in numbers["scene_shape"])
-    return CaptureModel(
-        stack=stack,
-        sensor_shape=(rows, columns),
-        scene_shape=(h, w),
-        gain=float(numbers["gain"]),
-        offset=arrays["offset"],
-        irradiance=arrays["irradiance"],
-        scene_to_camera=arrays["scene_to_camera"],
-        white=float(numbers["white"]),
-    )
+    shapes: Any = {name: tuple(map(int, numbers[name])) for name in ("sensor_shape", "scene_shape")}
+    scalars: Any = {name: float(numbers[name]) for name in ("gain", "white")}
+    own: Any = {name: arrays[name] for name in ("offset", "irradiance", "scene_to_camera")}
+    return CaptureModel(stack, **shapes, **scalars, **own)
 
 
 def _check_camera(path: Path, own: CaptureModel, asked: CaptureModel) -> None:
@@ -237,31 +235,25 @@ def _check_camera(path: Path, own: CaptureModel, asked: CaptureModel) -> None:
         raise InputError(msg)
     # A share of 1e-3 forgives numbers that were written with few digits.
     if not np.isclose(mine.pixel_pitch_m, other.pixel_pitch_m, rtol=1e-3, atol=0):
-        msg = (
-            f"{path}: its network is for pixels of {mine.pixel_pitch_m * 1e6:g} um, the stack's are "
-            f"{other.pixel_pitch_m * 1e6:g} um; use a stack of the same camera"
-        )
+        own_um, um = (f"{stack.pixel_pitch_m * 1e6:g} um" for stack in (mine, other))
+        msg = f"{path}: its network is for pixels of {own_um}, the stack's are {um}; use a stack of the same camera"
         raise InputError(msg)
-    same = len(mine.depths_m) == len(other.depths_m) and np.allclose(1 / mine.depths_m, 1 / other.depths_m, rtol=1e-3)
-    if not same:
-        msg = (
-            f"{path}: its network is for {_planes(own)}, the stack has {_planes(asked)}; use the stack that it was trained "
-            "with, or fine-tune it for this one (learning.checkpoint)"
+    if len(mine.depths_m) != len(other.depths_m) or not np.allclose(1 / mine.depths_m, 1 / other.depths_m, rtol=1e-3):
+        here, there = (
+            f"{len(each.stack.depths_m)} planes from {each.near_m * 100:g} to {each.far_m * 100:g} cm"
+            for each in (own, asked)
         )
+        cure = "use the stack that it was trained with, or fine-tune it for this one (init_from)"
+        msg = f"{path}: its network is for {here}, the stack has {there}; {cure}"
         raise InputError(msg)
 
 
-def _planes(capture: CaptureModel) -> str:
-    return f"{len(capture.stack.depths_m)} planes from {capture.near_m * 100:g} to {capture.far_m * 100:g} cm"
-
-
-def _check_fit(network: FlatNet, weights: Mapping[str, Tensor], where: str) -> None:
-    expected = {_WEIGHTS + name: tuple(value.shape) for name, value in network.state_dict().items()}
-    found = {key: tuple(value.shape) for key, value in weights.items()}
-    for key in sorted(expected.keys() | found.keys()):
-        if expected.get(key) != found.get(key):
-            got, wanted = found.get(key, "nothing"), expected.get(key, "nothing")
-            msg = f"{where}: weights do not fit the architecture: {key} has the shape {got}, expected {wanted}"
+def _check_shapes(expected: Mapping[str, Tensor], found: Mapping[str, Tensor], where: str, cure: str = "") -> None:
+    """Refuse weights that are not those of an architecture."""
+    for name in sorted(expected.keys() | found.keys()):
+        got, wanted = (tuple(of[name].shape) if name in of else "nothing" for of in (found, expected))
+        if got != wanted:
+            msg = f"{where}: weights do not fit the architecture: {name} has the shape {got}, expected {wanted}{cure}"
             raise InputError(msg)
 
 
@@ -283,11 +275,7 @@ def find_checkpoint(text: str) -> Path:
     shipped = shipped_checkpoints()
     if text in shipped:
         return shipped[text]
-    known = (
-        f"a shipped checkpoint ({', '.join(shipped)})"
-        if shipped
-        else "the name of a shipped one, of which there are none"
-    )
+    known = f"a shipped checkpoint ({', '.join(shipped) or 'there is none'})"
     msg = f"--checkpoint: got {text!r}, expected an existing file of `flatlight train`, or {known}"
     raise InputError(msg)
 
@@ -323,14 +311,8 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
     new, old = network.inversion.disparities, checkpoint.network.inversion.disparities
     same = len(new) == len(old) and np.allclose(new, old, atol=1e-6)
     taken = dict(found) if same else found | _resampled(found, old, new)
-    for name in own.keys() | taken.keys():
-        got, wanted = _shape(taken, name), _shape(own, name)
-        if got != wanted:
-            msg = (
-                f"checkpoint: {name} has the shape {got}, expected {wanted}; take a checkpoint of the same size, or "
-                f"build the network with its numbers: {checkpoint.architecture}"
-            )
-            raise InputError(msg)
+    cure = f"take a checkpoint of the same size, or build the network with its numbers: {checkpoint.architecture}"
+    _check_shapes(own, taken, "checkpoint", f"; {cure}")
     network.load_state_dict(taken)
     if same:
         return [f"copied all {len(taken)} tensors: the planes lie alike"]
@@ -362,7 +344,3 @@ def _resampled(found: dict[str, Tensor], old: NDArray[np.float64], new: NDArray[
     planes = first.unflatten(1, (len(old), -1))  # planes are the slowest of the channels, before those of a stem
     changed[_FIRST] = torch.einsum("fo...,on->fn...", planes, back).flatten(1, 2)
     return changed
-
-
-def _shape(tensors: dict[str, Tensor], name: str) -> str | tuple[int, ...]:
-    return tuple(tensors[name].shape) if name in tensors else "nothing"

@@ -77,8 +77,7 @@ def reconstruct(
     measurement: Annotated[
         Path,
         typer.Argument(
-            help="a sample's folder, or a linear image: EXR, TIFF, PNG (8 bit, or 16 bit grey), npy",
-            show_default=False,
+            help="a sample's folder, or a linear image: EXR, TIFF, PNG (8 bit, or 16 bit grey), npy", show_default=False
         ),
     ],
     checkpoint: Annotated[
@@ -111,8 +110,7 @@ def reconstruct(
         str | None, typer.Option(help="to subtract: a number in the file's units, or an image of darkness")
     ] = None,
     psf_background: Annotated[
-        str | None,
-        typer.Option(help="the same for the image of a PSF; or border (its frame's median), none  [border]"),
+        str | None, typer.Option(help="the same for the image of a PSF; or border (its frame's median), none  [border]")
     ] = None,
     psf_crop: Annotated[str | None, typer.Option(help="the same as --crop for the image of a PSF")] = None,
     crop: Annotated[

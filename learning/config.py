@@ -7,26 +7,25 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import Field, PrivateAttr, ValidationError, model_validator
+from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 
 from learning.provenance import RENAMED
-from simulator.config.load import ConfigError
-from simulator.config.sections import Range, Section, refusal
-from simulator.config.yaml import apply_overrides, read_yaml
-from simulator.errors import InputError
-from simulator.text import show
-from simulator.validation import Problem, find_problems, validate
+from simulator.config import sections
+from simulator.config.load import load_model
+from simulator.config.sections import Range, refusal
+from simulator.validation import Problem
+
+
+class Section(sections.Section):
+    """A mapping whose keys are described below each."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
 
 
 class FileSection(Section):
     """The whole of a YAML file; relative paths in it are taken from its folder."""
 
     _base_dir: Path = PrivateAttr(default_factory=Path.cwd)
-
-    @property
-    def base_dir(self) -> Path:
-        """The YAML file's folder (absolute); no part of the dump."""
-        return self._base_dir
 
     def resolve_path(self, text: str | Path) -> Path:
         """Return a path of this file as an absolute one."""
@@ -45,34 +44,13 @@ Model = TypeVar("Model", bound=FileSection)
 
 
 def load_file(model: type[Model], path: Path | str, overrides: Sequence[str] = ()) -> Model:
-    """Load a YAML file: defaults, then the file, then the overrides.
-
-    Args:
-        model: what the file must be.
-        path: the file.
-        overrides: ``a.b=c`` each, as in `simulator.config.load_config`.
-
-    Raises:
-        InputError: one line ``file:line:column: key: problem`` per fault; for overrides ``--set a.b=c: ...``.
-    """
-    path = Path(path)
-    document = read_yaml(path, str(path))
-    if not isinstance(document.data, dict):
-        msg = f"{path}:1:1: expected a mapping of keys to values, got {show(document.data)}"
-        raise InputError(msg)
-    data, origins = apply_overrides(document, overrides, str(path))
-    if old := list(_old_names(data)):
-        raise ConfigError(old, origins)
-    try:
-        loaded = validate(model, data)
-    except ValidationError as error:
-        raise ConfigError(find_problems(error, model, data), origins) from error
-    loaded._base_dir = path.resolve().parent
+    """Load a YAML file; see `simulator.config.load.load_model`. Keys of earlier versions are refused with today's names."""
+    loaded = load_model(model, path, overrides, _old_names)
+    loaded._base_dir = Path(path).resolve().parent
     return loaded
 
 
 def _old_names(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[Problem]:
-    """Yield the keys of earlier versions, each with its name of today."""
     parts = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for key, value in parts:
         if key in RENAMED:
@@ -89,27 +67,18 @@ PositiveDecibels = Annotated[float, Range(1, 120, "dB")]
 class DataConfig(Section):
     """What is learned from."""
 
-    train: str = Field(description="folder of the data set whose train split is learned from", min_length=1)
-    validation: str | None = Field(
-        default=None, description="folder of the data set whose validation split is measured; the same when left out"
-    )
-    stack: str = Field(
-        default="nominal",
-        description="PSFs that the inversion knows: nominal, captured (psf.as_captured), or the folder of a stack",
-        min_length=1,
-    )
-    noise_db: tuple[PositiveDecibels, PositiveDecibels] | None = Field(
-        default=None,
-        description="peak signal-to-noise ratios, least and greatest, between which noise is drawn anew for every example; "
-        "the stored measurement when left out",
-    )
-    cache: bool | str = Field(
-        default=True,
-        description="keep decoded samples, which then cost no time: in Flatlight's cache folder (true), in a folder, or not",
-    )
-    workers: Annotated[int, Range(0, 256)] | Literal["auto"] = Field(
-        default="auto", description="processes that read examples; 0 reads between the steps"
-    )
+    train: str = Field(min_length=1)
+    """folder of the data set whose train split is learned from"""
+    validation: str | None = None
+    """folder of the data set whose validation split is measured; the same when left out"""
+    stack: str = Field("nominal", min_length=1)
+    """PSFs that the inversion knows: nominal, captured (psf.as_captured), or the folder of a stack"""
+    noise_db: tuple[PositiveDecibels, PositiveDecibels] | None = None
+    """PSNRs, least and greatest, between which noise is drawn anew for every example; left out: as stored"""
+    cache: bool | str = True
+    """keep decoded samples, which then cost no time: in Flatlight's cache folder (true), in a folder, or not"""
+    workers: Annotated[int, Range(0, 256)] | Literal["auto"] = "auto"
+    """processes that read examples; 0 reads between the steps"""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -122,27 +91,22 @@ class DataConfig(Section):
 class NetworkConfig(Section):
     """Which network, and how big: a size, and what differs from it."""
 
-    name: Literal["flatnet3d", "flatnet2d"] = Field(
-        default="flatnet3d", description="inversion at all depths of the stack, or at the hyperfocal one only"
-    )
-    size: Literal["thesis", "compact", "tiny"] = Field(
-        default="compact", description="the numbers below that are left out"
-    )
-    filters: Annotated[int, Range(1, 1024)] | None = Field(
-        default=None, description="channels of the U-Net's first level; each further one has twice as many"
-    )
-    levels: Annotated[int, Range(1, 8)] | None = Field(default=None, description="levels of the U-Net")
-    attention: bool | None = Field(default=None, description="attention gates on the U-Net's skips")
-    stem: Annotated[int, Range(1, 8)] | None = Field(
-        default=None, description="pixels per side that the U-Net takes as one: 2 makes it four times cheaper"
-    )
-    regularisation_lambda: Annotated[float, Range(1e-9, 1e6)] | None = Field(
-        default=None, description="initial, of the inversion, as a multiple of the PSF's mean spectral power"
-    )
-    tikhonov: Annotated[float, Range(0, 1e6)] | None = Field(
-        default=None,
-        description="initial Tikhonov term: response of the inversion's P at frequency zero; 0 is the Laplacian alone",
-    )
+    name: Literal["flatnet3d", "flatnet2d"] = "flatnet3d"
+    """inversion at all depths of the stack, or at the hyperfocal one only"""
+    size: Literal["thesis", "compact", "tiny"] = "compact"
+    """the numbers below that are left out"""
+    filters: Annotated[int, Range(1, 1024)] | None = None
+    """channels of the U-Net's first level; each further one has twice as many"""
+    levels: Annotated[int, Range(1, 8)] | None = None
+    """levels of the U-Net"""
+    attention: bool | None = None
+    """attention gates on the U-Net's skips"""
+    stem: Annotated[int, Range(1, 8)] | None = None
+    """pixels per side that the U-Net takes as one: 2 makes it four times cheaper"""
+    regularisation_lambda: Annotated[float, Range(1e-9, 1e6)] | None = None
+    """initial, of the inversion, as a multiple of the PSF's mean spectral power"""
+    tikhonov: Annotated[float, Range(0, 1e6)] | None = None
+    """initial Tikhonov term: response of the inversion's P at frequency zero; 0 is the Laplacian alone"""
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -155,80 +119,66 @@ class NetworkConfig(Section):
 class LossConfig(Section):
     """What is made small: the sum of the weighted terms."""
 
-    intensity: Literal["mse", "l1"] = Field(default="l1", description="error of the sRGB codes")
-    perceptual: Literal["none", "vgg", "random_vgg"] = Field(
-        default="none",
-        description="error of VGG-19 features: of trained weights (a file that must be there), or random ones",
-    )
-    intensity_weight: Weight = Field(default=1.0, description="of the error of the codes")
-    perceptual_weight: Weight = Field(default=0.1, description="of the error of the features, where there are any")
-    depth_weight: Weight = Field(default=1.0, description="of the mean absolute error of the disparity, 0..1")
-    perceptual_seed: Annotated[int, Range(0, 2**31 - 1)] = Field(
-        default=0, description="of random_vgg: trainings with other seeds are to make the same loss small"
-    )
-    invalid_depth: bool = Field(
-        default=False,
-        description="whether pixels where nothing was seen count in the error of the disparity, as far ones",
-    )
+    intensity: Literal["mse", "l1"] = "l1"
+    """error of the sRGB codes"""
+    perceptual: Literal["none", "vgg", "random_vgg"] = "none"
+    """error of VGG-19 features: of trained weights (a file that must be there), or random ones"""
+    intensity_weight: Weight = 1.0
+    """of the error of the codes"""
+    perceptual_weight: Weight = 0.1
+    """of the error of the features, where there are any"""
+    depth_weight: Weight = 1.0
+    """of the mean absolute error of the disparity, 0..1"""
+    perceptual_seed: Annotated[int, Range(0, 2**31 - 1)] = 0
+    """of random_vgg: trainings with other seeds are to make the same loss small"""
+    invalid_depth: bool = False
+    """whether pixels where nothing was seen count in the error of the disparity, as far ones"""
 
 
 class OptimiserConfig(Section):
     """Adam (AdamW where weights decay), and its learning rate over the steps."""
 
-    learning_rate: Annotated[float, Range(1e-9, 10, below="a learning rate is positive")] = Field(
-        default=1e-3, description="the greatest one"
-    )
-    schedule: Literal["cosine", "constant"] = Field(
-        default="cosine", description="after the warm-up: down to zero along half a cosine, or constant"
-    )
-    warm_up: Annotated[float, Range(0, 0.9)] = Field(
-        default=0.05, description="share of the steps over which the learning rate rises from zero"
-    )
-    weight_decay: Annotated[float, Range(0, 1)] = Field(
-        default=0.0,
-        description="decay of the convolutions' weights per unit of learning rate (Loshchilov and Hutter 2019)",
-    )
-    gradient_clip: Annotated[float, Range(1e-9, 1e9)] | None = Field(
-        default=None, description="greatest norm of the gradient; longer ones are shortened to it"
-    )
+    learning_rate: Annotated[float, Range(1e-9, 10, below="a learning rate is positive")] = 1e-3
+    """the greatest one"""
+    schedule: Literal["cosine", "constant"] = "cosine"
+    """after the warm-up: down to zero along half a cosine, or constant"""
+    warm_up: Annotated[float, Range(0, 0.9)] = 0.05
+    """share of the steps over which the learning rate rises from zero"""
+    weight_decay: Annotated[float, Range(0, 1)] = 0.0
+    """decay of the convolutions' weights per unit of learning rate (Loshchilov and Hutter 2019)"""
+    gradient_clip: Annotated[float, Range(1e-9, 1e9)] | None = None
+    """greatest norm of the gradient; longer ones are shortened to it"""
 
 
 class TrainConfig(FileSection):
     """One training."""
 
-    name: str = Field(description="of the method in tables and figures", min_length=1)
-    output: str = Field(description="folder of the checkpoints, the metrics and the state to go on from", min_length=1)
-    seed: Annotated[int, Range(0, 2**31 - 1)] = Field(
-        default=0, description="of the initial weights, the order of the examples and their noise"
-    )
+    name: str = Field(min_length=1)
+    """of the method in tables and figures"""
+    output: str = Field(min_length=1)
+    """folder of the checkpoints, the metrics and the state to go on from"""
+    seed: Annotated[int, Range(0, 2**31 - 1)] = 0
+    """of the initial weights, the order of the examples and their noise"""
     data: DataConfig
-    network: NetworkConfig = Field(default_factory=NetworkConfig)
-    init_from: str | None = Field(
-        default=None,
-        description="checkpoint (.safetensors) of a network of the same kind to begin with, for fine-tuning",
-    )
-    loss: LossConfig = Field(default_factory=LossConfig)
-    optimiser: OptimiserConfig = Field(default_factory=OptimiserConfig)
-    steps: Annotated[int, Range(1, 10**9)] = Field(
-        description="batches to learn from; may be raised later, where a cosine's learning rate then starts over higher up: "
-        "every change is recorded"
-    )
-    batch: Annotated[int, Range(1, 65536)] = Field(
-        default=8, description="examples in a step, of all processes together"
-    )
-    precision: Literal["auto", "float32", "bfloat16"] = Field(
-        default="auto",
-        description="of the U-Net: bfloat16 (autocast) is faster where the processor has it; auto takes it on CUDA only. "
-        "The inversion and the loss stay float32",
-    )
-    device: Literal["auto", "cpu", "cuda"] = Field(default="auto", description="auto takes CUDA where there is some")
-    validate_every: Annotated[int, Range(1, 10**9)] = Field(default=500, description="steps between validations")
-    log_every: Annotated[int, Range(1, 10**9)] = Field(
-        default=50, description="steps whose mean is one line of metrics.jsonl and one point in TensorBoard"
-    )
-    checkpoint_every_s: Annotated[float, Range(0, 1e6, "s")] = Field(
-        default=60.0, description="seconds between states that are saved to go on from"
-    )
+    network: NetworkConfig = NetworkConfig()
+    init_from: str | None = None
+    """checkpoint (.safetensors) of a network of the same kind to begin with, for fine-tuning"""
+    loss: LossConfig = LossConfig()
+    optimiser: OptimiserConfig = OptimiserConfig()
+    steps: Annotated[int, Range(1, 10**9)]
+    """batches to learn from; may be raised later, a cosine then starts over higher up: every change is recorded"""
+    batch: Annotated[int, Range(1, 65536)] = 8
+    """examples in a step, of all processes together"""
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """of the U-Net; inversion and loss stay float32. auto takes bfloat16 (autocast), which is faster, on CUDA only"""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """auto takes CUDA where there is some"""
+    validate_every: Annotated[int, Range(1, 10**9)] = 500
+    """steps between validations"""
+    log_every: Annotated[int, Range(1, 10**9)] = 50
+    """steps whose mean is one line of metrics.jsonl and one point in TensorBoard"""
+    checkpoint_every_s: Annotated[float, Range(0, 1e6, "s")] = 60.0
+    """seconds between states that are saved to go on from"""
 
 
 Decibels = Annotated[float, Range(0, 100, "dB")]
@@ -238,21 +188,18 @@ Count = Annotated[int, Range(1, 10_000_000, below="at least one")]
 class EvaluationData(Section):
     """The scenes that decide, and what the methods are told of the camera that saw them."""
 
-    test: str = Field(description="folder of the data set; its camera's gain, offset and exposure are known")
-    split: Literal["train", "validation", "test"] = Field(default="test", description="which of its splits")
-    scenes: Count | None = Field(default=None, description="only the first so many; null takes all")
-    training: str | None = Field(
-        default=None,
-        description="folder of the data set that the methods were trained or tuned on: the classical ones assume its PSFs",
-    )
-    stack: str = Field(
-        default="own",
-        description="the PSFs that methods assume: own (a checkpoint's; of classical methods nominal), nominal or captured "
-        "(of the training data set), or the folder of a stack",
-    )
-    compare_stacks: list[str] = Field(
-        default_factory=list, description="further PSFs that every method is given once, e.g. [nominal, captured]"
-    )
+    test: str
+    """folder of the data set; its camera's gain, offset and exposure are known"""
+    split: Literal["train", "validation", "test"] = "test"
+    """which of its splits"""
+    scenes: Count | None = None
+    """only the first so many; null takes all"""
+    training: str | None = None
+    """folder of the data set that the methods were trained or tuned on: the classical ones assume its PSFs"""
+    stack: str = "own"
+    """PSFs that methods assume: own (a checkpoint's, else nominal), nominal or captured (of training), or a folder"""
+    compare_stacks: list[str] = Field(default_factory=list)
+    """further PSFs that every method is given once, e.g. [nominal, captured]"""
 
     @model_validator(mode="after")
     def _known(self) -> Self:
@@ -266,13 +213,16 @@ class EvaluationData(Section):
 class MethodConfig(Section):
     """A method: the checkpoints of a network, one per seed, or a classical method with its parameters."""
 
-    name: str = Field(description="in tables and figures", min_length=1)
-    checkpoints: list[str] | None = Field(default=None, description="files, one per seed")
-    classical: Literal["cls", "admm"] | None = Field(default=None, description="instead of checkpoints")
-    tuned: str | None = Field(
-        default=None, description="what `flatlight tune` wrote; parameters of the nearest noise level"
-    )
-    parameters: dict[str, Any] | None = Field(default=None, description="instead of tuned; {} takes the defaults")
+    name: str = Field(min_length=1)
+    """in tables and figures"""
+    checkpoints: list[str] | None = None
+    """files, one per seed"""
+    classical: Literal["cls", "admm"] | None = None
+    """instead of checkpoints"""
+    tuned: str | None = None
+    """what `flatlight tune` wrote; parameters of the nearest noise level"""
+    parameters: dict[str, Any] | None = None
+    """instead of tuned; {} takes the defaults"""
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -295,49 +245,48 @@ class MethodConfig(Section):
 class Timing(Section):
     """How seconds per scene are taken: one scene at a time, the methods by turns, the median of the repeats."""
 
-    repeats: Annotated[int, Range(0, 1000)] = Field(
-        default=5, description="after one that is not counted; 0 takes no times"
-    )
-    noise_db: Decibels | None = Field(default=None, description="level whose parameters are timed; null: as stored")
+    repeats: Annotated[int, Range(0, 1000)] = 5
+    """after one that is not counted; 0 takes no times"""
+    noise_db: Decibels | None = None
+    """level whose parameters are timed; null: as stored"""
 
 
 class Drawing(Section):
     """Figures beside the table."""
 
-    montage: Annotated[int, Range(0, 100)] = Field(
-        default=4, description="scenes side by side with all estimates; 0: none"
-    )
+    montage: Annotated[int, Range(0, 100)] = 4
+    """scenes side by side with all estimates; 0: none"""
 
 
 class EvaluateConfig(FileSection):
     """The whole file."""
 
-    name: str = Field(description="title of the report", min_length=1)
-    output: str = Field(description="folder of results, tables and figures")
+    name: str = Field(min_length=1)
+    """title of the report"""
+    output: str
+    """folder of results, tables and figures"""
     data: EvaluationData
     methods: list[MethodConfig] = Field(min_length=1)
-    noise_db: list[Decibels] | None = Field(
-        default=None,
-        description="further levels at which noise is drawn anew from the noiseless measurements; null: only as stored",
-    )
-    ablation_scenes: Count | None = Field(
-        default=None, description="scenes for noise_db and compare_stacks, the first so many; null: all"
-    )
-    depth_bins_cm: list[Annotated[float, Range(0.01, 1e6, "cm")]] | None = Field(
-        default=None, description="edges of the depths by which errors are parted; null: eight, even in disparity"
-    )
-    dark_share: Annotated[float, Range(0, 1)] | None = Field(
-        default=None, description="also report depth without pixels darker than this share of white; null: not"
-    )
-    perceptual: Literal["none", "auto", "lpips"] = Field(
-        default="auto", description="LPIPS: none, where its weight files are (auto), or always, an error without them"
-    )
-    batch: Count = Field(default=8, description="scenes at a time, except where time is taken")
-    seed: int = Field(default=0, description="of noise that is drawn anew", ge=0)
+    noise_db: list[Decibels] | None = None
+    """further levels at which noise is drawn anew from the noiseless measurements; null: only as stored"""
+    ablation_scenes: Count | None = None
+    """scenes for noise_db and compare_stacks, the first so many; null: all"""
+    depth_bins_cm: list[Annotated[float, Range(0.01, 1e6, "cm")]] | None = None
+    """edges of the depths by which errors are parted; null: eight, even in disparity"""
+    dark_share: Annotated[float, Range(0, 1)] | None = None
+    """also report depth without pixels darker than this share of white; null: not"""
+    perceptual: Literal["none", "auto", "lpips"] = "auto"
+    """LPIPS: none, where its weight files are (auto), or always, an error without them"""
+    batch: Count = 8
+    """scenes at a time, except where time is taken"""
+    seed: int = Field(0, ge=0)
+    """of noise that is drawn anew"""
     time: Timing = Timing()
     figures: Drawing = Drawing()
-    device: Literal["auto", "cpu", "cuda"] = Field(default="auto", description="auto takes CUDA where there is some")
-    threads: Count | None = Field(default=None, description="of torch on the CPU; null leaves them as they are")
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """auto takes CUDA where there is some"""
+    threads: Count | None = None
+    """of torch on the CPU; null leaves them as they are"""
 
     @model_validator(mode="after")
     def _sense(self) -> Self:
@@ -366,14 +315,18 @@ FEWEST_SCENES = 32
 class TuneData(Section):
     """Scenes on which parameters are tuned; never those of the test."""
 
-    validation: Path = Field(description="folder of the data set")
-    split: Literal["validation", "train", "test"] = Field("validation", description="its split that is tuned on")
-    scenes: Annotated[int, Range(1, 1_000_000)] = Field(FEWEST_SCENES, description="its first so many samples are used")
-    allow_few_scenes: bool = Field(False, description=f"whether fewer than {FEWEST_SCENES} may be used; it is recorded")
-    stack: str = Field("nominal", description="PSFs that the methods assume: nominal, captured, or a stack's folder")
-    train: Path | None = Field(
-        None, description="data set whose train split gives images their reference white; null: the one above"
-    )
+    validation: Path
+    """folder of the data set"""
+    split: Literal["validation", "train", "test"] = "validation"
+    """its split that is tuned on"""
+    scenes: Annotated[int, Range(1, 1_000_000)] = FEWEST_SCENES
+    """its first so many samples are used"""
+    allow_few_scenes: bool = False
+    """whether fewer than 32 may be used; it is recorded"""
+    stack: str = "nominal"
+    """PSFs that the methods assume: nominal, captured, or a stack's folder"""
+    train: Path | None = None
+    """data set whose train split gives images their reference white; null: the one above"""
 
     @model_validator(mode="after")
     def _check_scenes(self) -> TuneData:
@@ -389,37 +342,35 @@ class TuneData(Section):
 class AxisSection(Section):
     """Candidates of one parameter instead of the method's own, and how far the search may go beyond them."""
 
-    values: list[float | int | str] | None = Field(None, min_length=1, description="candidates; numbers increase")
-    low: Annotated[float, Range(0, 1e300)] | None = Field(None, description="least value; null: the method's own")
-    high: Annotated[float, Range(0, 1e300, infinite=True)] | None = Field(
-        None, description="greatest; null: the method's own, e.g. 1000 iterations"
-    )
+    values: list[float | int | str] | None = Field(None, min_length=1)
+    """candidates; numbers increase"""
+    low: Annotated[float, Range(0, 1e300)] | None = None
+    """least value; null: the method's own"""
+    high: Annotated[float, Range(0, 1e300, infinite=True)] | None = None
+    """greatest; null: the method's own, e.g. 1000 iterations"""
 
 
 class TuneConfig(FileSection):
     """A whole file for `flatlight tune`."""
 
-    output: Path = Field(
-        Path("tuned.json"), description="result with all trials; a run that stopped goes on from there"
-    )
-    data: TuneData = Field(description="scenes")
-    methods: list[Literal["cls", "admm"]] = Field(
-        default_factory=lambda: ["cls", "admm"], min_length=1, description="classical methods"
-    )
+    output: Path = Path("tuned.json")
+    """result with all trials; a run that stopped goes on from there"""
+    data: TuneData
+    """scenes"""
+    methods: list[Literal["cls", "admm"]] = Field(default_factory=lambda: ["cls", "admm"], min_length=1)
+    """classical methods"""
     noise_db: list[Annotated[float, Range(0.1, 120, "dB")]] = Field(
-        default_factory=lambda: [20.0, 30.0, 40.0, 50.0],
-        min_length=1,
-        description="PSNR of the measurements, decibels; each level is tuned by itself",
+        default_factory=lambda: [20.0, 30.0, 40.0, 50.0], min_length=1
     )
-    objective: Literal["both", "image", "depth"] = Field(
-        "both",
-        description="minimised error, in units of the constant guess's: depth (RMSE), image (by PSNR), or their sum",
-    )
-    search: dict[str, dict[str, AxisSection]] = Field(
-        default_factory=dict, description="changes of the search space: method, parameter, candidates and limits"
-    )
-    seed: Annotated[int, Range(0, 2**63 - 1)] = Field(0, description="of the noise")
-    device: Literal["auto", "cpu", "cuda"] = Field("auto", description="auto takes a GPU where there is one")
+    """PSNR of the measurements, decibels; each level is tuned by itself"""
+    objective: Literal["both", "image", "depth"] = "both"
+    """minimised error, in units of the constant guess's: depth (RMSE), image (by PSNR), or their sum"""
+    search: dict[str, dict[str, AxisSection]] = Field(default_factory=dict)
+    """changes of the search space: method, parameter, candidates and limits"""
+    seed: Annotated[int, Range(0, 2**63 - 1)] = 0
+    """of the noise"""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """auto takes a GPU where there is one"""
 
     @model_validator(mode="after")
     def _check_search(self) -> TuneConfig:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import fcntl
-import hashlib
+import itertools
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +28,7 @@ from simulator.config.camera import PhysicalNoise as PhysicalConfig
 from simulator.dataset.reader import Dataset
 from simulator.dataset.sample import SPLITS, sample_index
 from simulator.errors import InputError
-from simulator.io.files import committed_folder, storage_errors
+from simulator.io.files import committed_folder, sha256_bytes, storage_errors
 
 _STREAM = 6  # apart from the simulator's streams of the same seed, whose keys are shorter
 _CHECKED = 16
@@ -71,12 +71,7 @@ class ExampleSet(TorchDataset[Example]):
     """
 
     def __init__(
-        self,
-        dataset: Dataset,
-        *,
-        noise_db: tuple[float, float] | None = None,
-        seed: int = 0,
-        cache: Path | None = None,
+        self, dataset: Dataset, *, noise_db: tuple[float, float] | None = None, seed: int = 0, cache: Path | None = None
     ) -> None:
         """Look at the data set; samples are read when they are asked for, or now, where there is a cache to be filled.
 
@@ -92,10 +87,8 @@ class ExampleSet(TorchDataset[Example]):
             InputError: an empty split, mosaics, or levels that make no sense.
         """
         if len(dataset) == 0:
-            msg = (
-                f"{dataset.root}: split {dataset.split!r} is empty; set dataset.{dataset.split} in its configuration and "
-                "run `flatlight generate` again, or give another data set"
-            )
+            cure = f"set dataset.{dataset.split} in its configuration and run `flatlight generate` again"
+            msg = f"{dataset.root}: split {dataset.split!r} is empty; {cure}, or give another data set"
             raise InputError(msg)
         if noise_db is not None and not 0 < noise_db[0] <= noise_db[1] <= 120:
             msg = f"noise_db: got {noise_db}, expected a range of PSNRs such as (20, 50), in 0 to 120 dB"
@@ -137,10 +130,9 @@ class ExampleSet(TorchDataset[Example]):
         if frame.depth_m.min() <= 0:
             msg = f"{stored.folder}: a depth of {frame.depth_m.min():g} m; expected z from the mask plane, above 0"
             raise InputError(msg)
+        seen = measurement if self._noise_db is None else noiseless
         radiance = np.ascontiguousarray(np.moveaxis(frame.rgb, -1, 0))
-        return Arrays(
-            measurement if self._noise_db is None else noiseless, radiance, frame.depth_m[None], frame.valid[None]
-        )
+        return Arrays(seen, radiance, frame.depth_m[None], frame.valid[None])
 
 
 def _converter(dataset: Dataset) -> tuple[Sensor, bool, bool]:
@@ -204,9 +196,8 @@ class Batches(Sampler[list[Draw]]):
             msg = f"got length {length}, batch {batch}, first {first}, seed {seed}; expected at least 1, 1, 0 and 0"
             raise InputError(msg)
         if not 0 <= rank < world_size or batch % world_size:
-            msg = (
-                f"batch: got {batch} for rank {rank} of {world_size} processes; they must divide it: choose a multiple"
-            )
+            whose = f"rank {rank} of {world_size} processes"
+            msg = f"batch: got {batch} for {whose}; they must divide it: choose a multiple"
             raise InputError(msg)
         self._length, self._batch, self._seed, self._first = length, batch, seed, first
         part = batch // world_size
@@ -215,10 +206,7 @@ class Batches(Sampler[list[Draw]]):
 
     def __iter__(self) -> Iterator[list[Draw]]:
         """Yield the batches from ``first`` on, without end."""
-        number = self._first
-        while True:
-            yield self.batch(number)
-            number += 1
+        yield from map(self.batch, itertools.count(self._first))
 
     def batch(self, number: int) -> list[Draw]:
         """Return this rank's part of a batch."""
@@ -328,20 +316,20 @@ class SampleCache:
             StorageError: the cache cannot be written.
         """
         identity = repr((_CACHE_FORMAT, kind, dataset.split, dataset.ids, sample_digests(dataset)))
-        own = folder / hashlib.sha256(identity.encode()).hexdigest()[:32]
-        samples, info = len(dataset), dataset.info
-        shapes = {
-            "measurement": (samples, len(info.channels), *info.sensor_shape),
-            "radiance": (samples, 3, *info.scene_shape),
-            "depth_m": (samples, 1, *info.scene_shape),
-            "valid": (samples, 1, *info.scene_shape),
+        own, info = folder / sha256_bytes(identity.encode())[:32], dataset.info
+        shapes = {"measurement": (len(dataset), len(info.channels), *info.sensor_shape)}
+        shapes |= {
+            name: (len(dataset), n, *info.scene_shape) for name, n in zip(Arrays._fields[1:], (3, 1, 1), strict=True)
         }
         cache = cls(own, shapes)
         with storage_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
-        with _locked(own.with_name(f"{own.name}.lock")):
+        lock = own.with_name(f"{own.name}.lock")
+        with ExitStack() as stack:
+            with storage_errors(lock):  # of the lock alone: what goes wrong under it is another matter
+                fcntl.flock(stack.enter_context(open(lock, "ab")), fcntl.LOCK_EX)
             if not cache._is_whole():
-                cache._write(lambda position: _readable(dataset, position, read))
+                cache._write(dataset, read)
         return cache
 
     def read(self, position: int) -> Arrays:
@@ -357,7 +345,7 @@ class SampleCache:
     def _open(self, name: str) -> NDArray[np.generic]:
         return np.load(self._folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
 
-    def _write(self, read: Callable[[int], Arrays]) -> None:
+    def _write(self, dataset: Dataset, read: Callable[[int], Arrays]) -> None:
         """Write one sample after another to plain files: a full disk is an error there, to a memory map it is the end."""
         with committed_folder(self._folder) as temporary, ExitStack() as stack:
             files = {name: stack.enter_context(open(temporary / f"{name}.npy", "wb")) for name in self._shapes}
@@ -365,8 +353,14 @@ class SampleCache:
                 kind = np.dtype(bool if name == "valid" else np.float32)
                 header = {"descr": np.lib.format.dtype_to_descr(kind), "fortran_order": False, "shape": shape}
                 np.lib.format.write_array_header_1_0(files[name], header)
-            for position in range(self._shapes["measurement"][0]):
-                for name, values in read(position)._asdict().items():
+            for position in range(len(dataset)):
+                try:
+                    arrays = read(position)
+                except OSError as error:  # not one to write the cache
+                    cure = f"({error.strerror or error}); check the disk, or restore the sample"
+                    msg = f"{dataset.folder(position)} cannot be read {cure}"
+                    raise InputError(msg) from error
+                for name, values in arrays._asdict().items():
                     files[name].write(values.tobytes())
             for file in files.values():
                 file.flush()
@@ -377,22 +371,3 @@ class SampleCache:
             return all(self._open(name).shape == shape for name, shape in self._shapes.items())
         except (OSError, ValueError):  # absent, or a header or length that is not an array's
             return False
-
-
-def _readable(dataset: Dataset, position: int, read: Callable[[int], Arrays]) -> Arrays:
-    """Return a sample; the system's refusal to read it is not taken for one to write the cache."""
-    try:
-        return read(position)
-    except OSError as error:
-        msg = f"{dataset.folder(position)} cannot be read ({error.strerror or error}); check the disk, or restore the sample"
-        raise InputError(msg) from error
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Hold the lock of this name; another process that wants it waits."""
-    with ExitStack() as stack:
-        with storage_errors(path):  # of the lock alone: what goes wrong under it is another matter
-            file = stack.enter_context(open(path, "ab"))
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield

@@ -89,10 +89,8 @@ def processes(device: str) -> Iterator[Processes]:
         return
     local = int(os.environ["LOCAL_RANK"])
     if kind == "cuda" and local >= torch.cuda.device_count():
-        msg = (
-            f"device: torchrun started process {local + 1} on this machine, which has {torch.cuda.device_count()} GPU(s); "
-            "give --nproc-per-node as many"
-        )
+        there = f"on this machine, which has {torch.cuda.device_count()} GPU(s)"
+        msg = f"device: torchrun started process {local + 1} {there}; give --nproc-per-node as many"
         raise InputError(msg)
     place = torch.device(kind, local) if kind == "cuda" else torch.device(kind)
     if kind == "cuda":
@@ -116,7 +114,9 @@ def synchronise_batch_norm(network: nn.Module, kind: str) -> nn.Module:
     for module in list(network.modules()):
         for name, child in module.named_children():
             if isinstance(child, _BatchNorm):
-                setattr(module, name, _SynchronisedBatchNorm.of(child))
+                new = _SynchronisedBatchNorm(child.num_features)
+                new.__dict__.update(child.__dict__)  # the same options, and the same weights and statistics
+                setattr(module, name, new)
     return network
 
 
@@ -129,22 +129,15 @@ class _SumOverProcesses(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> Tensor:
-        total = gradients[0].clone()
-        dist.all_reduce(total)
-        return total
+        return _SumOverProcesses.forward(ctx, gradients[0])
+
+
+def _sum(values: Tensor) -> Tensor:
+    return _SumOverProcesses.apply(values)  # pyright: ignore[reportReturnType]
 
 
 class _SynchronisedBatchNorm(_BatchNorm):
     """Batch normalisation with mean and variance over all processes' batches, which have the same size."""
-
-    @classmethod
-    def of(cls, layer: _BatchNorm) -> _SynchronisedBatchNorm:
-        """Return the same layer, sharing its weights."""
-        new = cls(layer.num_features, layer.eps, layer.momentum, layer.affine, layer.track_running_stats)
-        new.weight, new.bias = layer.weight, layer.bias
-        new.running_mean, new.running_var = layer.running_mean, layer.running_var
-        new.num_batches_tracked = layer.num_batches_tracked
-        return new
 
     def _check_input_dim(self, input: Tensor) -> None:
         """Any number of dimensions is normalised alike."""
@@ -172,10 +165,6 @@ class _SynchronisedBatchNorm(_BatchNorm):
         return normalised.to(input.dtype)
 
 
-def _sum(values: Tensor) -> Tensor:
-    return _SumOverProcesses.apply(values)  # pyright: ignore[reportReturnType]
-
-
 @dataclass(frozen=True)
 class Precision:
     """How a network is evaluated.
@@ -190,15 +179,7 @@ class Precision:
 
     @classmethod
     def choose(cls, wanted: str, device: torch.device) -> Precision:
-        """Return the precision of a configuration.
-
-        Args:
-            wanted: ``auto`` (bfloat16 on a CUDA device that has it), ``float32`` or ``bfloat16``.
-            device: where the network is.
-
-        Raises:
-            InputError: bfloat16 on a CUDA device without it.
-        """
+        """Return the precision ``float32``, ``bfloat16``, or of ``auto``: bfloat16 on a CUDA device that has it."""
         fits = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
         if wanted == "bfloat16" and device.type == "cuda" and not fits:
             msg = f"precision: {torch.cuda.get_device_name(device)} has no bfloat16; take precision: float32, or auto"

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor, nn
 
-from learning.method import Estimate
+from learning.method import Estimate, check_choices
 from learning.perceptual import PerceptualLoss
 from simulator.errors import InputError
 
@@ -50,13 +50,9 @@ class ReconstructionLoss(nn.Module):
             InputError: an unknown name, weights that are negative or all zero, or no weight file.
         """
         super().__init__()
-        for name, value, known in (
-            ("intensity", intensity, ("mse", "l1")),
-            ("perceptual", perceptual, ("none", "vgg", "random_vgg")),
-        ):
-            if value not in known:
-                msg = f"{name}: got {value!r}, expected one of {', '.join(known)}"
-                raise InputError(msg)
+        check_choices(
+            ("intensity", intensity, ("mse", "l1")), ("perceptual", perceptual, ("none", "vgg", "random_vgg"))
+        )
         self.weights = {"intensity": intensity_weight, "depth": depth_weight}
         if perceptual != "none":
             self.weights["perceptual"] = perceptual_weight

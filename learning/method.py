@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import platform
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -101,6 +101,27 @@ class Method(Protocol):
         ...
 
 
+def check_choices(*choices: tuple[str, Any, Iterable[str]]) -> None:
+    """Refuse a value that is not one of those known; of each argument its name, its value, and what it may be.
+
+    Raises:
+        InputError: naming the argument.
+    """
+    for name, value, known in choices:
+        if value not in known:
+            msg = f"{name}: got {value!r}, expected one of {', '.join(known)}"
+            raise InputError(msg)
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows as lines of equal columns, the first at the left, the others at the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join([row[0].ljust(widths[0]), *(text.rjust(n) for text, n in zip(row[1:], widths[1:], strict=True))])
+        for row in rows
+    ]
+
+
 def choose_device(wanted: str) -> torch.device:
     """Return the device of a word: ``auto`` (CUDA where there is some), ``cpu`` or ``cuda``.
 
@@ -108,9 +129,7 @@ def choose_device(wanted: str) -> torch.device:
         InputError: another word, or CUDA where there is none.
     """
     cuda = torch.cuda.is_available()
-    if wanted not in ("auto", "cpu", "cuda"):
-        msg = f"device: got {wanted!r}, expected auto, cpu or cuda"
-        raise InputError(msg)
+    check_choices(("device", wanted, ("auto", "cpu", "cuda")))
     if wanted == "cuda" and not cuda:
         msg = "device: got cuda, but torch finds no CUDA device here; take cpu, or auto"
         raise InputError(msg)

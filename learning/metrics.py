@@ -164,10 +164,7 @@ def _channels_last(images: Tensor) -> NDArray[np.float32]:
 
 
 def _check(estimate: Estimate, example: Example) -> None:
-    for name, found, wanted in (
-        ("image", estimate.image, example.radiance),
-        ("disparity", estimate.disparity, example.depth_m),
-    ):
+    for name, found, wanted in zip(Estimate._fields, estimate, (example.radiance, example.depth_m), strict=True):
         if found.shape != wanted.shape or found.ndim != 4:
             msg = f"estimate.{name}: got shape {tuple(found.shape)}, expected {tuple(wanted.shape)} of a batch of examples"
             raise InputError(msg)
@@ -175,7 +172,7 @@ def _check(estimate: Estimate, example: Example) -> None:
             count = int((~found.isfinite()).sum())
             msg = f"estimate.{name}: {count} of {found.numel()} numbers are NaN or infinite; there is no score for that"
             raise InputError(msg)
-    if min(estimate.image.shape[2:]) < SSIM_PIXELS:
-        height, width = estimate.image.shape[2:]
+    height, width = estimate.image.shape[2:]
+    if min(height, width) < SSIM_PIXELS:
         msg = f"estimate.image: got {height} x {width} pixels, expected at least {SSIM_PIXELS} x {SSIM_PIXELS} for SSIM"
         raise InputError(msg)

@@ -6,11 +6,8 @@ else takes their place unless it was asked for by name.
 
 from __future__ import annotations
 
-import hashlib
 import pickle
-import re
 import warnings
-from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
@@ -20,10 +17,9 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate
 from torch.nn.utils import skip_init
 
+from learning.method import check_choices
 from simulator.errors import InputError
-
-__all__ = ["LpipsDistance", "PerceptualLoss", "available_lpips"]
-
+from simulator.io.files import sha256_file
 
 # What torchvision's networks were trained on: sRGB codes 0..1 less the mean, by the spread, of ImageNet's images.
 _MEAN, _SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -60,16 +56,13 @@ class PerceptualLoss(nn.Module):
             weights: ``vgg``, trained on ImageNet, from torchvision's file; ``random_vgg``, drawn from ``seed`` and with
                 normalised features (see `learning.perceptual`).
             network: ``vgg19`` or ``vgg16``; see `LAYERS`.
-            seed: of ``random_vgg``; torch's global generator is neither used nor changed.
+            seed: of ``random_vgg``; torch's global generator is left alone.
 
         Raises:
             InputError: an unknown name, or ``vgg`` without the weight file.
         """
         super().__init__()
-        for name, value, known in (("perceptual", weights, ("vgg", "random_vgg")), ("network", network, tuple(LAYERS))):
-            if value not in known:
-                msg = f"{name}: got {value!r}, expected one of {', '.join(known)}"
-                raise InputError(msg)
+        check_choices(("perceptual", weights, ("vgg", "random_vgg")), ("network", network, LAYERS))
         self.weights, self.network, self.seed = weights, network, seed
         self.sha256: str | None = None
         indices = layer_indices(network)
@@ -78,11 +71,15 @@ class PerceptualLoss(nn.Module):
         self.register_buffer("mean", torch.tensor(_MEAN)[:, None, None])
         self.register_buffer("spread", torch.tensor(_SPREAD)[:, None, None])
         if weights == "vgg":
-            self._load(network)
+            choices = (
+                "choose perceptual: none (no such loss) or perceptual: random_vgg (the same network, random weights)"
+            )
+            state, self.sha256 = load_features(network, choices)
+            self.features.load_state_dict(
+                fitting(state, {key: key for key in self.features.state_dict()}, self.features, network, choices)
+            )
         else:
-            generator = torch.Generator().manual_seed(seed)
-            draw_weights(self.features, generator)
-            calibrate(self.features, self.indices, generator, self._standardise)
+            self._draw(torch.Generator().manual_seed(seed))
         self.requires_grad_(False).eval()
 
     def forward(self, image: Tensor, truth: Tensor) -> Tensor:
@@ -114,11 +111,7 @@ class PerceptualLoss(nn.Module):
 
     def record(self) -> dict[str, Any]:
         """Return what a checkpoint and a table of results must say of this loss."""
-        record: dict[str, Any] = {
-            "perceptual": self.weights,
-            "network": self.network,
-            "layers": list(LAYERS[self.network]),
-        }
+        record = {"perceptual": self.weights, "network": self.network, "layers": list(LAYERS[self.network])}
         if self.weights == "vgg":
             return record | {"file": FILES[self.network], "sha256": self.sha256}
         return record | {"seed": self.seed, "features": "each channel divided by its spread over random images"}
@@ -126,14 +119,24 @@ class PerceptualLoss(nn.Module):
     def _standardise(self, image: Tensor) -> Tensor:
         return (image - self.mean) / self.spread
 
-    def _load(self, network: str) -> None:
-        choices = "choose perceptual: none (no such loss) or perceptual: random_vgg (the same network, random weights)"
-        state, self.sha256 = load_features(network, choices)
-        wanted = self.features.state_dict()
-        if any(name not in state or state[name].shape != value.shape for name, value in wanted.items()):
-            msg = f"{FILES[network]}: not the weights of torchvision's {network}; get the file again, or {choices}"
-            raise InputError(msg)
-        self.features.load_state_dict({name: state[name] for name in wanted})
+    @torch.no_grad()
+    def _draw(self, generator: torch.Generator) -> None:
+        """Draw weights as He et al. do for ReLUs, without biases; scale them so that each compared channel has unit variance.
+
+        The variance is that over random images. Channels that hardly ever leave zero get less: at most 10 times the median.
+        """
+        for layer in self.features:
+            if isinstance(layer, nn.Conv2d):
+                nn.init.kaiming_normal_(layer.weight, nonlinearity="relu", generator=generator)
+                nn.init.zeros_(layer.bias)  # pyright: ignore[reportArgumentType]
+        values = self._standardise(natural_images(generator, 16, 64))
+        for index, layer in enumerate(self.features):
+            values = layer(values)
+            if index in self.indices:
+                spread = values.std(dim=(0, 2, 3), correction=0)
+                spread = spread.clamp_min(0.1 * spread.median())[:, None, None]
+                self.features[index - 1].weight /= spread[..., None]  # ReLU(x) / s = ReLU(x / s)
+                values = values / spread
 
 
 def layer_indices(network: str) -> dict[str, int]:
@@ -161,45 +164,6 @@ def build_features(network: str, length: int) -> nn.Sequential:
             inputs = outputs
         layers.append(nn.MaxPool2d(2))
     return nn.Sequential(*layers[:length])
-
-
-_IMAGES, _PIXELS = 16, 64
-
-_LEAST_SPREAD = 0.1  # of the median: channels that hardly ever leave zero must not outweigh the others when they do
-
-
-def draw_weights(features: nn.Sequential, generator: torch.Generator) -> None:
-    """Draw all weights of the convolutions as He et al. do for ReLUs, from this generator only; biases become zero."""
-    for layer in features:
-        if isinstance(layer, nn.Conv2d):
-            nn.init.kaiming_normal_(layer.weight, nonlinearity="relu", generator=generator)
-            nn.init.zeros_(layer.bias)  # pyright: ignore[reportArgumentType]
-
-
-@torch.no_grad()
-def calibrate(
-    features: nn.Sequential,
-    compared: Sequence[int],
-    generator: torch.Generator,
-    standardise: Callable[[Tensor], Tensor],
-) -> None:
-    """Give each channel of the compared features unit variance, by scaling the weights of the convolution before.
-
-    Args:
-        features: convolutions without bias, ReLUs and pools.
-        compared: indices of the ReLUs whose output is compared.
-        generator: draws the images over which that holds.
-        standardise: what images of sRGB codes go through first.
-    """
-    values = standardise(natural_images(generator, _IMAGES, _PIXELS))
-    for index, layer in enumerate(features):
-        values = layer(values)
-        if index in compared:
-            spread = values.std(dim=(0, 2, 3), correction=0)
-            spread = spread.clamp_min(_LEAST_SPREAD * spread.median())[:, None, None]
-            convolution = features[index - 1]
-            convolution.weight /= spread[..., None]  # ReLU(x) / s = ReLU(x / s)
-            values = values / spread
 
 
 def natural_images(generator: torch.Generator, count: int, pixels: int) -> Tensor:
@@ -233,12 +197,25 @@ class LpipsDistance:
         Raises:
             InputError: an unknown name, or no such weight file.
         """
-        if network not in _BACKBONES:
-            msg = f"lpips: got {network!r}, expected one of {', '.join(_BACKBONES)}"
+        import lpips
+
+        check_choices(("lpips", network, _BACKBONES))
+        self.network, backbone, cure = network, _BACKBONES[network], "leave LPIPS out"
+        features, self.sha256 = load_features(backbone, cure)
+        with torch.random.fork_rng(devices=[]), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", category=UserWarning, module="torchvision")  # lpips calls it as of old
+            model = lpips.LPIPS(pretrained=False, pnet_rand=True, net=network, version="0.1", verbose=False)
+        linear_file = Path(lpips.__file__).parent / "weights" / "v0.1" / f"{network}.pth"
+        state = torch.load(linear_file, map_location="cpu", weights_only=True)
+        # The package cuts the network into slices whose layers keep the numbers that they have in torchvision's features.
+        names = {name: name.split(".", 1)[1] for name in model.net.state_dict()}
+        state |= {f"net.{name}": value for name, value in fitting(features, names, model.net, backbone, cure).items()}
+        missing, unexpected = model.load_state_dict(state, strict=False)
+        # The linear layers are listed twice by the package; its scaling is a constant.
+        if unexpected or any(not name.startswith(("lins.", "scaling_layer.")) for name in missing):
+            msg = f"lpips {version('lpips')}: its weights {linear_file} do not fit its network; install lpips 0.1.4"
             raise InputError(msg)
-        self.network = network
-        state, self.sha256 = load_features(_BACKBONES[network], "leave LPIPS out")
-        self._model = _build(network, state)
+        self._model = model.requires_grad_(False).eval()
 
     def to(self, device: torch.device | str) -> LpipsDistance:
         """Move the network and return this."""
@@ -276,42 +253,13 @@ def available_lpips(network: str | None = None) -> tuple[LpipsDistance | None, s
     """
     wanted = list(_BACKBONES) if network is None else [network]
     for name in wanted:
-        if name not in _BACKBONES or has_weights(_BACKBONES[name]):
-            distance = LpipsDistance(name)
-            return distance, f"LPIPS {version('lpips')} with {FILES[_BACKBONES[name]]}"
+        if name not in _BACKBONES or (weight_folder() / FILES[_BACKBONES[name]]).is_file():
+            return LpipsDistance(name), f"LPIPS {version('lpips')} with {FILES[_BACKBONES[name]]}"
     files = " or ".join(FILES[_BACKBONES[name]] for name in wanted)
     return None, f"no LPIPS: {files} not in {weight_folder()}, and nothing is downloaded"
 
 
-def _build(network: str, backbone: dict[str, Tensor]) -> torch.nn.Module:
-    """Return the package's network, built without weights, so that it asks nobody for them, and filled from files."""
-    import lpips
-
-    with torch.random.fork_rng(devices=[]), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", category=UserWarning, module="torchvision")  # lpips calls it as of old
-        model = lpips.LPIPS(pretrained=False, pnet_rand=True, net=network, version="0.1", verbose=False)
-    linear_file = Path(lpips.__file__).parent / "weights" / "v0.1" / f"{network}.pth"
-    state = torch.load(linear_file, map_location="cpu", weights_only=True)
-    # The package cuts the network into slices whose layers keep the numbers that they have in torchvision's features.
-    for name, value in model.net.state_dict().items():
-        layer = name.split(".", 1)[1]
-        if layer not in backbone or backbone[layer].shape != value.shape:
-            msg = f"{FILES[_BACKBONES[network]]}: not the weights of torchvision's network; get the file again"
-            raise InputError(msg)
-        state[f"net.{name}"] = backbone[layer]
-    missing, unexpected = model.load_state_dict(state, strict=False)
-    # The linear layers are listed twice by the package; its scaling is a constant.
-    if unexpected or any(not name.startswith(("lins.", "scaling_layer.")) for name in missing):
-        msg = f"lpips {version('lpips')}: its weights {linear_file} do not fit its network; install lpips 0.1.4"
-        raise InputError(msg)
-    return model.requires_grad_(False).eval()
-
-
-FILES = {
-    "vgg19": "vgg19-dcbb9e9d.pth",
-    "vgg16": "vgg16-397923af.pth",
-    "alex": "alexnet-owt-7be5be79.pth",
-}
+FILES = {"vgg19": "vgg19-dcbb9e9d.pth", "vgg16": "vgg16-397923af.pth", "alex": "alexnet-owt-7be5be79.pth"}
 """Torchvision's names of the files (weights IMAGENET1K_V1); the digits are the beginning of the file's SHA-256."""
 
 SMALLEST_IMAGE = 32
@@ -323,20 +271,12 @@ def weight_folder() -> Path:
     return Path(torch.hub.get_dir()) / "checkpoints"
 
 
-def has_weights(network: str) -> bool:
-    """Whether the weight file of a network is there; see `FILES`."""
-    return (weight_folder() / FILES[network]).is_file()
-
-
 def load_features(network: str, cure: str) -> tuple[dict[str, Tensor], str]:
     """Return the weights of a network's convolutions, keyed as in its ``features``, and the file's SHA-256.
 
     Args:
         network: a key of `FILES`.
         cure: what to do instead of using this file, for the message.
-
-    Raises:
-        InputError: the file is absent, damaged or not what its name says.
     """
     path = weight_folder() / FILES[network]
     if not path.is_file():
@@ -346,9 +286,10 @@ def load_features(network: str, cure: str) -> tuple[dict[str, Tensor], str]:
         )
         raise InputError(msg)
     try:
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-        _check_digest(path, digest)
+        digest = sha256_file(path)
+        if not digest.startswith(promised := path.stem.rpartition("-")[2]):
+            msg = f"{path}: its SHA-256 begins with {digest[:8]}, its name says {promised}: damaged or another; get it again"
+            raise InputError(msg)
         state = torch.load(path, map_location="cpu", weights_only=True)
     except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
         msg = f"cannot read {path}: {error}; get the file again, or {cure}"
@@ -357,12 +298,22 @@ def load_features(network: str, cure: str) -> tuple[dict[str, Tensor], str]:
     return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}, digest
 
 
-def check_size(*images: Tensor) -> None:
-    """Refuse images ``(B, 3, h, w)`` that differ in shape or are too small.
+def fitting(
+    state: dict[str, Tensor], names: dict[str, str], network: nn.Module, file: str, cure: str
+) -> dict[str, Tensor]:
+    """Return the weights of a network's file under the names that they have in a network, which gives the shapes.
 
-    Raises:
-        InputError: naming the shapes.
+    ``names`` lead from the network's tensors to those of the file, a key of `FILES`; ``cure`` ends the message of a refusal.
     """
+    wanted = network.state_dict()
+    if any(own not in state or state[own].shape != wanted[name].shape for name, own in names.items()):
+        msg = f"{FILES[file]}: not the weights of torchvision's {file}; get the file again, or {cure}"
+        raise InputError(msg)
+    return {name: state[own] for name, own in names.items()}
+
+
+def check_size(*images: Tensor) -> None:
+    """Refuse images ``(B, 3, h, w)`` that differ in shape or are too small."""
     shapes = [tuple(image.shape) for image in images]
     if len(set(shapes)) > 1 or len(shapes[0]) != 4 or shapes[0][1] != 3:
         msg = f"images: got shapes {' and '.join(map(str, shapes))}, expected (B, 3, h, w) twice"
@@ -372,11 +323,4 @@ def check_size(*images: Tensor) -> None:
             f"images: got {shapes[0][2]} x {shapes[0][3]} pixels, expected at least {SMALLEST_IMAGE} x "
             f"{SMALLEST_IMAGE} for features of a deep network; choose perceptual: none, and no LPIPS, or larger scenes"
         )
-        raise InputError(msg)
-
-
-def _check_digest(path: Path, digest: str) -> None:
-    match = re.search(r"-([0-9a-f]{8,64})\.", path.name)
-    if match and not digest.startswith(match[1]):
-        msg = f"{path}: its SHA-256 begins with {digest[:8]}, its name says {match[1]}: damaged or another file; get it again"
         raise InputError(msg)

@@ -1,23 +1,19 @@
-"""Whose a folder is, which code made a result, and what files and keys of earlier versions are called now."""
+"""Whose a folder is, what made a result, and what files and keys of earlier versions are called now."""
 
 from __future__ import annotations
 
-import ast
 import json
 import platform
-from collections.abc import Container, Iterator
-from functools import cache
+from collections.abc import Container
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import learning
 from simulator import __version__
 from simulator.dataset.manifest import load_manifest
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
-from simulator.io.files import TEMPORARY_PREFIX, sha256_bytes
-from simulator.io.json import canonical_json
+from simulator.io.files import TEMPORARY_PREFIX
 
 RENAMED = {"strength": "regularisation_lambda", "floor": "tikhonov", "start": "init_from"}
 """Keys of earlier versions, in YAML files, tuned results, checkpoints and descriptions of trainings: their names of today."""
@@ -43,11 +39,7 @@ def now_called(key: str, known: Container[str]) -> str:
 def is_own_folder(folder: Path, description: str, kind: str, option: str = "output") -> bool:
     """Return whether a folder holds a job's description; a new or empty one does not.
 
-    Args:
-        folder: that the job is to write to.
-        description: name of the file that says whose the folder is.
-        kind: of the job, for messages, such as "training".
-        option: that names the folder, for messages.
+    ``description`` names the file that says whose the folder is; ``kind`` ("training") and ``option`` are for messages.
 
     Raises:
         InputError: a file, or a folder of other things.
@@ -66,11 +58,7 @@ def is_own_folder(folder: Path, description: str, kind: str, option: str = "outp
 
 
 def read_description(path: Path, kind: str) -> dict[str, Any]:
-    """Return what a job wrote about its folder, with today's keys.
-
-    Raises:
-        InputError: it cannot be read.
-    """
+    """Return what a job wrote about its folder, with today's keys."""
     cure = "restore it from a copy, or choose another output folder"
     try:
         content = json.loads(path.read_bytes())
@@ -98,49 +86,3 @@ def versions(*packages: str) -> dict[str, str]:
         except metadata.PackageNotFoundError:
             found[name] = "absent"
     return found
-
-
-@cache
-def code_fingerprint(*modules: str) -> str:
-    """Return a hash of the sources of modules of `learning`, of all that they import from it, and of the version.
-
-    Imports are read from the sources, those inside functions too, so no list of files can be forgotten.
-
-    Args:
-        modules: such as ``"learning.camera"``.
-
-    Raises:
-        ModuleNotFoundError: there is no such module.
-    """
-    sources: dict[str, bytes] = {}
-    waiting = list(modules)
-    while waiting:
-        name = waiting.pop()
-        if name in sources:
-            continue
-        path = _file(name)
-        if path is None:
-            raise ModuleNotFoundError(name)
-        sources[name] = path.read_bytes()
-        waiting += [each for each in _imports(sources[name]) if _file(each) is not None]
-    digests = {name: sha256_bytes(source) for name, source in sorted(sources.items())}
-    return sha256_bytes(canonical_json({"flatlight": __version__, "sources": digests}))
-
-
-def _file(name: str) -> Path | None:
-    """Return the source of a module of `learning`; None for anything else, such as a function."""
-    first, *rest = name.split(".")
-    if first != learning.__name__:
-        return None
-    place = Path(learning.__path__[0]).joinpath(*rest)
-    candidates = (place.with_suffix(".py"), place / "__init__.py") if rest else (place / "__init__.py",)
-    return next((path for path in candidates if path.is_file()), None)
-
-
-def _imports(source: bytes) -> Iterator[str]:
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)

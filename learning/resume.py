@@ -45,11 +45,8 @@ def described(
 ) -> dict[str, Any]:
     """Return what decides the numbers of a training, plain.
 
-    Args:
-        config: its configuration.
-        data: what is known of the data sets and the camera.
-        precision: ``float32`` or ``bfloat16``; ``auto`` means one or the other on another device.
-        init_from: what is known of the checkpoint that it begins with.
+    ``data`` and ``init_from`` are what is known of data sets and camera, and of the checkpoint that it begins with;
+    ``precision`` is resolved: ``auto`` means one or the other on another device.
     """
     kept = {key: value for key, value in config.items() if key not in (*_FREE, *_RESOLVED)}
     kept["data"] = {key: value for key, value in config["data"].items() if key not in _FREE_OF_DATA}
@@ -57,19 +54,14 @@ def described(
 
 
 def check_folder(folder: Path, parts: dict[str, Any]) -> None:
-    """See that a folder is new, or holds the training that `described` tells of.
-
-    Raises:
-        InputError: the folder holds something else, or another training: what differs is listed.
-    """
+    """See that a folder is new, or holds the training that `described` tells of."""
     if not is_own_folder(folder, DESCRIPTION, "training"):
         return
     lines = difference(read_description(folder / DESCRIPTION, "training"), json.loads(readable_json(parts)))
     if lines and (folder / STATE).exists():
-        msg = (
-            f"output: {folder} holds a training of another configuration; choose another folder, or undo the change "
-            f"(only {', '.join(_FREE[1:])}, data.cache and data.workers may change):\n{lines}"
-        )
+        free = f"only {', '.join(_FREE[1:])}, data.cache and data.workers may change"
+        cure = f"choose another folder, or undo the change ({free})"
+        msg = f"output: {folder} holds a training of another configuration; {cure}:\n{lines}"
         raise InputError(msg)
 
 

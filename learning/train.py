@@ -75,13 +75,10 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class TrainResult:
-    """What became of a training.
+    """What became of a training: ``folder`` holds ``best.safetensors``, ``last.safetensors`` and the rest.
 
-    Attributes:
-        folder: holds ``best.safetensors``, ``last.safetensors`` and the rest.
-        steps: taken in this sitting; 0 of a training that was finished before.
-        seconds: of all sittings.
-        best: step and metrics of the best validation.
+    ``steps`` are those of this sitting, 0 of a training that was finished before; ``seconds`` are of all sittings; ``best``
+    has step and metrics of the best validation.
     """
 
     folder: Path
@@ -124,13 +121,7 @@ def train(
 
 @dataclass(frozen=True)
 class Material:
-    """What a training learns from.
-
-    Attributes:
-        train: the split that is learned from.
-        validation: the split that is measured.
-        capture: the camera, with the PSFs that the inversion knows and the reference white of the images.
-    """
+    """What a training learns from: two splits, the camera with the PSFs that the inversion knows, the reference white."""
 
     train: Dataset
     validation: Dataset
@@ -215,13 +206,7 @@ def count_workers(config: TrainConfig, processes: int) -> int:
 
 @dataclass(frozen=True)
 class Pretrained:
-    """The checkpoint that a training begins with, known by its content: a path says nothing of what lay there.
-
-    Attributes:
-        path: its file.
-        sha256: of the file.
-        checkpoint: what it holds.
-    """
+    """The checkpoint that a training begins with, known by its content: a path says nothing of what lay there."""
 
     path: Path
     sha256: str
@@ -242,15 +227,10 @@ class Plan:
     """What can be known of a training without its folder.
 
     Attributes:
-        config: the configuration.
-        group: the processes that share the work.
         command: that started it; None where it was called from Python.
         material: what is learned from.
-        precision: of the network.
-        pretrained: the checkpoint that it begins with.
-        network: with the weights to begin with, on the CPU.
-        taken: lines that say what it took from ``pretrained``.
-        loss: on the CPU.
+        pretrained: the checkpoint that it begins with, and ``taken`` lines that say what it took from it.
+        network: with the weights to begin with, on the CPU, as is the loss.
     """
 
     config: TrainConfig
@@ -265,11 +245,7 @@ class Plan:
 
 
 def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Plan:
-    """Read what a training needs and build its network, which is seeded; a mistake then leaves no folder behind.
-
-    Raises:
-        InputError: a mistake in the configuration, or data that nothing can be learned from.
-    """
+    """Read what a training needs and build its network, which is seeded; a mistake then leaves no folder behind."""
     material = find_material(config)
     for what, count in (("batch", config.batch), ("validation split", len(material.validation))):
         if count < group.world_size or (what == "batch" and count % group.world_size):
@@ -293,12 +269,7 @@ def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Pla
 
 @contextmanager
 def held_folder(plan: Plan) -> Iterator[None]:
-    """Let rank 0 take the folder; the other processes wait until it has, and give up where it could not.
-
-    Raises:
-        InputError: see `learning.resume.sole_use`.
-        StorageError: the folder cannot be written to.
-    """
+    """Let rank 0 take the folder; the other processes wait until it has, and give up where it could not."""
     config = plan.config
     init_from = plan.pretrained and plan.pretrained.describe()
     parts = described(config.dump(), plan.material.describe(), precision=plan.precision.kind, init_from=init_from)
@@ -351,12 +322,7 @@ class Training:
     """
 
     def __init__(self, plan: Plan, show: Show, say: Say) -> None:
-        """Build everything, and read the state where there is one.
-
-        Raises:
-            InputError: a damaged state, or one of more steps than are asked for.
-            StorageError: the cache of samples cannot be written.
-        """
+        """Build everything, and read the state where there is one."""
         self._plan, self._show, self._say = plan, show, say
         self._config, self._group, self._capture = config, group, _ = plan.config, plan.group, plan.material.capture
         self.folder = config.resolve_path(config.output)
@@ -495,8 +461,8 @@ class Training:
         raise DivergedError.in_step(self.progress.step + 1, guilty[0][2], guilty[0][3], every, self._kept())
 
     def _kept(self) -> str:
-        there = (self.folder / STATE).exists()
-        return f"the state in {self.folder} is that of an earlier step" if there else "nothing is saved yet"
+        saved = f"the state in {self.folder} is that of an earlier step"
+        return saved if (self.folder / STATE).exists() else "nothing is saved yet"
 
     def _write_log(self, log: Log | None, rate: float) -> None:
         progress, config = self.progress, self._config

@@ -116,11 +116,7 @@ class Log:
     """
 
     def __init__(self, folder: Path, step: int) -> None:
-        """Open the log of a training that goes on after ``step`` steps.
-
-        Raises:
-            StorageError: the folder cannot be written to.
-        """
+        """Open the log of a training that goes on after ``step`` steps."""
         from torch.utils.tensorboard.writer import SummaryWriter
 
         self._path, self._preview = folder / METRICS, folder / PREVIEW
@@ -130,11 +126,7 @@ class Log:
             self._board = SummaryWriter(str(folder / TENSORBOARD), purge_step=step + 1)
 
     def write(self, step: int, kind: str, values: dict[str, float]) -> None:
-        """Write finite numbers of a step, of the kind ``train`` or ``validation``.
-
-        Raises:
-            StorageError: the disk is full.
-        """
+        """Write finite numbers of a step, of the kind ``train`` or ``validation``."""
         with storage_errors(self._path), open(self._path, "ab") as file:
             file.write(_encoded({"step": step, "kind": kind, **values}))
         for name, value in values.items():

@@ -28,7 +28,8 @@ import torch
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.layers.padding import AxisPlan, as_pairs, from_pairs
+from learning.layers.padding import AxisPlan, as_pairs, check_measurement, from_pairs
+from learning.method import check_choices
 from simulator.arrays import next_fast_len, to_numpy
 from simulator.errors import InputError
 
@@ -85,9 +86,7 @@ class Admm(nn.Module):
         if iterations < 1:
             msg = f"iterations: got {iterations}, expected at least 1"
             raise InputError(msg)
-        if light not in ("scene", "anywhere"):
-            msg = f"light: got {light!r}, expected 'scene' or 'anywhere'"
-            raise InputError(msg)
+        check_choices(("light", light, ("scene", "anywhere")))
         self.tv, self.sparsity, self.iterations = tv, sparsity, iterations
         self.grid = AdmmGrid(capture, light, dtype)
         brightest = float(capture.irradiance.max())
@@ -106,10 +105,7 @@ class Admm(nn.Module):
         Raises:
             InputError: measurements of another shape.
         """
-        wanted = (len(self.scale), *(part.stop for part in self.grid.sensor[1:]))
-        if measurement.ndim != 4 or tuple(measurement.shape[1:]) != wanted:
-            msg = f"measurement: got {tuple(measurement.shape)}, expected (B, {', '.join(map(str, wanted))}) of this camera"
-            raise InputError(msg)
+        check_measurement(measurement, self.offset, *self.grid.plans)
         target = ((measurement.to(self.scale) - self.offset) * self.scale)[:, None]
         at = self._start(target)
         for _ in range(self.iterations):
@@ -198,6 +194,7 @@ class AdmmGrid(nn.Module):
         power: sum_z |FH|^2, ``(C, L, M // 2 + 1)``.
         differences: |FD|^2, ``(L, M // 2 + 1)``.
         norm: what the channels' PSFs were divided by, ``(C,)`` float64.
+        plans: of rows and columns.
         shape: L, M.
         sensor: rows and columns of the measurement.
         light: rows and columns where light may come from.
@@ -218,7 +215,7 @@ class AdmmGrid(nn.Module):
         rows, columns = (
             fit(*sizes) for sizes in zip(capture.sensor_shape, capture.scene_shape, values.shape[-2:], strict=True)
         )
-        self.shape = (rows.length, columns.length)
+        self.plans, self.shape = (rows, columns), (rows.length, columns.length)
         self.sensor = (..., slice(rows.sensor), slice(columns.sensor))
         scene, everywhere = (..., rows.scene, columns.scene), (..., slice(None), slice(None))
         self.light, self.scene_in_light = (scene, everywhere) if light == "scene" else (everywhere, scene)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from learning.camera import CaptureModel
-from learning.method import Estimate, linear_to_srgb
+from learning.method import Estimate, check_choices, linear_to_srgb
 from simulator.arrays import like
 from simulator.errors import InputError
 
@@ -39,10 +39,8 @@ def sharpness(volume: Tensor, measure: str = "gradient") -> Tensor:
     if measure == "laplacian":
         bent = [after - before for before, after in (_differences(volume, dim) for dim in (-2, -1))]
         return (bent[0] + bent[1]).square().sum(dim=2)
-    if measure == "gradient":
-        return torch.stack([_squared_slope(volume, dim) for dim in (-2, -1)]).sum(dim=0).sum(dim=2)
-    msg = f"measure: got {measure!r}, expected one of {', '.join(MEASURES)}"
-    raise InputError(msg)
+    check_choices(("measure", measure, MEASURES))
+    return torch.stack([_squared_slope(volume, dim) for dim in (-2, -1)]).sum(dim=0).sum(dim=2)
 
 
 def unary_cost(
@@ -86,10 +84,8 @@ def unary_cost(
         mean = sharp.mean(dim=(1, 2, 3), keepdim=True)
         # A black stack is equally sharp everywhere; NaN stays NaN, for the graph cut to refuse.
         return _averaged(torch.exp(-contrast * sharp / torch.where(mean == 0, 1.0, mean)), window_px)
-    if cost == "spread":
-        return _spread(_averaged(sharp, window_px), contrast, steps_between_planes)
-    msg = f"cost: got {cost!r}, expected one of {', '.join(COSTS)}"
-    raise InputError(msg)
+    check_choices(("cost", cost, COSTS))
+    return _spread(_averaged(sharp, window_px), contrast, steps_between_planes)
 
 
 def _spread(sharp: Tensor, contrast: float, steps: int) -> Tensor:
@@ -170,12 +166,10 @@ def assemble(volume: Tensor, places: Tensor, capture: CaptureModel, light: str) 
     share = (places - before).to(volume)
     disparities = like(capture.plane_disparities(), volume)
     disparity = torch.lerp(disparities[before], disparities[after], share)[:, None]
+    check_choices(("light", light, LIGHT))
     if light == "sum":
         combined = volume.sum(dim=1)
-    elif light == "label":
+    else:
         one, other = (torch.take_along_dim(volume, at[:, None, None], dim=1)[:, 0] for at in (before, after))
         combined = torch.lerp(one, other, share[:, None])
-    else:
-        msg = f"light: got {light!r}, expected one of {', '.join(LIGHT)}"
-        raise InputError(msg)
     return Estimate(linear_to_srgb(capture.to_srgb(combined), 1.0), disparity)

@@ -89,11 +89,7 @@ def energy(unary: NDArray[np.floating], labels: NDArray[np.integer], pairwise: f
 
 
 def build_network(unary: NDArray[np.floating], pairwise: float) -> Network:
-    """Return the network for costs ``(K, h, w)``; see `cut_labels`.
-
-    Raises:
-        InputError: non-finite costs, a negative ``pairwise``, or fewer than two labels.
-    """
+    """Return the network for costs ``(K, h, w)``; see `cut_labels`."""
     costs = _checked(unary, pairwise)
     step = _step(costs, pairwise)
     # A constant per pixel changes no labels, and costs that begin at 0 leave less to flow.
@@ -157,9 +153,6 @@ def cut_convex(slopes: NDArray[np.int64], weight: int) -> NDArray[np.int64]:
     Args:
         slopes: ``(K - 1, h, w)`` what each label costs more than the one before; never falling along K.
         weight: what a difference of one label between neighbours costs, not negative, in the same unit.
-
-    Raises:
-        InputError: OR-tools is missing.
     """
     low = np.zeros(slopes.shape[1:], np.int64)
     high = np.full_like(low, len(slopes))
@@ -203,29 +196,18 @@ def source_side(
 ) -> NDArray[np.int64]:
     """Return the numbers of the nodes on the source's side of a minimum cut, of the fewest where there are several.
 
-    Args:
-        tails: ``(A,)`` node where each arc begins.
-        heads: ``(A,)`` node where it ends.
-        capacities: ``(A,)`` whole numbers, not negative; source and sink each need an arc, if only one of 0.
-        source: its number.
-        sink: its number.
-
-    Raises:
-        InputError: OR-tools is missing.
+    Arcs lead from ``tails`` to ``heads`` ``(A,)`` with whole ``capacities``, not negative; source and sink each need an arc,
+    if only one of 0.
     """
-    solver = _load_solver()
+    try:
+        from ortools.graph.python.max_flow import SimpleMaxFlow
+    except ImportError as error:
+        msg = f"graph cut: needs the package ortools ({error}): pip install 'flatlight[learn]', or uv run --extra learn"
+        raise InputError(msg) from error
+    solver: Any = SimpleMaxFlow()
     solver.add_arcs_with_capacity(tails, heads, capacities)
     status = solver.solve(source, sink)
     if status != solver.OPTIMAL:
         msg = f"graph cut: OR-tools' max flow ended with {status} for {len(tails)} arcs between {sink + 1} nodes"
         raise RuntimeError(msg)
     return np.asarray(solver.get_source_side_min_cut(), np.int64)
-
-
-def _load_solver() -> Any:
-    try:
-        from ortools.graph.python.max_flow import SimpleMaxFlow
-    except ImportError as error:
-        msg = f"graph cut: needs the package ortools ({error}): pip install 'flatlight[learn]', or uv run --extra learn"
-        raise InputError(msg) from error
-    return SimpleMaxFlow()

@@ -14,7 +14,7 @@ from learning.classical.admm import Admm
 from learning.classical.cls import ConstrainedLeastSquares
 from learning.classical.focus import COSTS, LIGHT, MEASURES, assemble, unary_cost
 from learning.classical.graph_cut import cut_labels
-from learning.method import Clock, Estimate, linear_to_srgb
+from learning.method import Clock, Estimate, check_choices, linear_to_srgb
 from learning.provenance import now_called
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
@@ -98,14 +98,7 @@ def check_parameters(
 ) -> None:
     """Refuse parameters that a method does not have, and values of another kind than its own.
 
-    Args:
-        given: parameters by name.
-        known: the method's, with their defaults.
-        of: the method's name, for messages.
-        argument: what they were given by, for messages.
-
-    Raises:
-        InputError: naming the parameter, what came and what was expected.
+    ``known`` are the method's with their defaults; its name ``of`` and the ``argument`` they were given by are for messages.
     """
     for name, value in given.items():
         if name not in known:
@@ -170,10 +163,7 @@ class ClassicalMethod:
         if not (np.isfinite(pairwise) and pairwise >= 0):
             msg = f"pairwise: got {pairwise!r}, expected 0 or more"
             raise InputError(msg)
-        for what, value, known in (("cost", cost, COSTS), ("measure", measure, MEASURES), ("light", light, LIGHT)):
-            if value not in known:
-                msg = f"{what}: got {value!r}, expected one of {', '.join(known)}"
-                raise InputError(msg)
+        check_choices(("cost", cost, COSTS), ("measure", measure, MEASURES), ("light", light, LIGHT))
         self.name, self.capture = name, capture
         self._method, self._stage, self._light, self._pairwise = volume_method, stage, light, float(pairwise)
         self._unary: dict[str, Any] = {"cost": cost, "measure": measure, "contrast": contrast, "window_px": window_px}
@@ -203,20 +193,12 @@ class ClassicalMethod:
 
     @torch.no_grad()
     def volume(self, measurement: Tensor) -> Tensor:
-        """Return the volume ``(B, K, C, h, w)`` of measurements ``(B, C, H, W)``.
-
-        Raises:
-            InputError: measurements that do not fit the camera.
-        """
+        """Return the volume ``(B, K, C, h, w)`` of measurements ``(B, C, H, W)``."""
         return self._method(measurement)
 
     @torch.no_grad()
     def estimate(self, volume: Tensor, clock: Clock | None = None) -> Estimate:
-        """Return image and depth of a volume ``(B, K, C, h, w)`` in the camera's channels, 1 for white.
-
-        Raises:
-            InputError: a volume of another shape, or one with NaN or infinite values.
-        """
+        """Return image and depth of a volume ``(B, K, C, h, w)`` in the camera's channels, 1 for white."""
         clock = clock or Clock(volume.device)
         with clock.stage("graph cut"):
             places = self.places(volume)
@@ -228,9 +210,6 @@ class ClassicalMethod:
         """Return each pixel's place among the planes, ``(B, h, w)``, 0 to K - 1, on the volume's device.
 
         One graph cut per scene, on the CPU.
-
-        Raises:
-            InputError: a volume with NaN or infinite values.
         """
         costs = to_numpy(unary_cost(volume, **self._unary)).astype(np.float64)
         steps = costs.shape[1] - 1
@@ -250,9 +229,7 @@ def build_classical(capture: CaptureModel, name: str, parameters: Mapping[str, V
     Raises:
         InputError: another name, a parameter that the method does not have, or a value that it refuses.
     """
-    if name not in _VOLUMES:
-        msg = f"name: got {name!r}, expected one of {', '.join(_VOLUMES)}"
-        raise InputError(msg)
+    check_choices(("name", name, _VOLUMES))
     check_parameters(parameters or {}, DEFAULTS[name], name)
     merged = DEFAULTS[name] | dict(parameters or {})
     build, label, stage = _VOLUMES[name]
@@ -279,9 +256,7 @@ class PlanarMethod:
         if len(capture.stack.depths_m) != 1:
             msg = f"stack: got {len(capture.stack.depths_m)} planes, expected one: this is for images without depth"
             raise InputError(msg)
-        if name not in _VOLUMES:
-            msg = f"method: got {name!r}, expected one of {', '.join(_VOLUMES)}"
-            raise InputError(msg)
+        check_choices(("method", name, _VOLUMES))
         check_parameters(parameters, PLANAR_DEFAULTS[name], f"{name} for one plane", "--set")
         self.name, self.capture = name, capture
         self.parameters = PLANAR_DEFAULTS[name] | dict(parameters)

@@ -5,21 +5,14 @@ from __future__ import annotations
 import colorsys
 import io
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from learning.evaluate.outcome import Outcome
 from learning.evaluate.scoring import Times
-from simulator.plots.psf import FAINT, GRID, INK, NORMAL, SMALL, style
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-from dataclasses import dataclass
-
-from numpy.typing import NDArray
-
 from simulator.plots.drawing import INK as SHEET_INK
 from simulator.plots.drawing import (
     LEGEND_WIDTH,
@@ -31,6 +24,11 @@ from simulator.plots.drawing import (
     png_bytes,
     resized,
 )
+from simulator.plots.psf import FAINT, GRID, INK, NORMAL, SMALL, style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _DPI = 120
 # Told apart by colour-blind eyes too (Okabe and Ito, 2008); grey is for answers that look at nothing.
@@ -178,23 +176,12 @@ def _colour(at: int) -> str:
 
 
 def _naive_lines(axes: Axes, score: str, naive: Sequence[Outcome]) -> None:
+    where: Any = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "ha": "right"}
     for one in naive:
         if score in one.scores:
-            axes.axhline(one.scores[score].mean, color=_NAIVE, ls="--", lw=1.2)
-            _beside(axes, one.scores[score].mean, one.method)
-
-
-def _beside(axes: Axes, height: float, words: str) -> None:
-    axes.annotate(
-        words,
-        (1.0, height),
-        (-2, 3),
-        xycoords=("axes fraction", "data"),
-        textcoords="offset points",
-        ha="right",
-        fontsize=SMALL,
-        color=FAINT,
-    )
+            mean = one.scores[score].mean
+            axes.axhline(mean, color=_NAIVE, ls="--", lw=1.2)
+            axes.annotate(one.method, (1.0, mean), (-2, 3), **where, fontsize=SMALL, color=FAINT)
 
 
 def _broken(name: str) -> str:
@@ -228,13 +215,9 @@ _TILE, _GAP, _WORDS, _HEAD, _LEGEND = 160, 10, 18, 62, 180  # pixels
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A scene as one method, or the truth, has it.
+    """A scene as one method, or the truth, has it: image ``(h, w, 3)`` in sRGB codes 0..1, depth ``(h, w)``, a few words.
 
-    Attributes:
-        image: ``(h, w, 3)`` sRGB codes 0..1.
-        depth_m: ``(h, w)``.
-        words: a few, such as its scores.
-        valid: ``(h, w)``, False where there was no surface; None where all count.
+    ``valid`` ``(h, w)`` is False where there was no surface; None where all count.
     """
 
     image: NDArray[np.floating]
@@ -244,22 +227,11 @@ class Shown:
 
 
 def montage_png(
-    columns: Sequence[str],
-    scenes: Sequence[Sequence[Shown]],
-    title: str,
-    line: str,
-    near_m: float,
-    far_m: float,
+    columns: Sequence[str], scenes: Sequence[Sequence[Shown]], title: str, line: str, near_m: float, far_m: float
 ) -> bytes:
-    """Return the montage as PNG.
+    """Return the montage as PNG: a row per scene, whose entries have the heads ``columns``, the truth first.
 
-    Args:
-        columns: what stands above each column, the truth first.
-        scenes: one row each; as many entries as columns.
-        title: first line.
-        line: second line.
-        near_m: depth of the first colour.
-        far_m: depth of the last.
+    ``title`` and ``line`` stand above; ``near_m`` and ``far_m`` are the depths of the first and the last colour.
     """
     from PIL import Image, ImageDraw
 

@@ -15,7 +15,7 @@ from learning.data import check_dataset
 from learning.evaluate.figures import Shown
 from learning.evaluate.methods import Entry, LearnedEntry, read_methods
 from learning.evaluate.outcome import Outcome, first_scenes, outcome
-from learning.evaluate.report import Findings, claim_folder, default_edges_cm, write_results
+from learning.evaluate.report import Findings, claim_folder, write_results
 from learning.evaluate.runs import Cameras, ResultCache, Run, Runner
 from learning.evaluate.scoring import Criteria, Times, naive_baselines, score, take_times
 from learning.method import choose_device, describe_device, linear_to_srgb
@@ -63,7 +63,9 @@ def evaluate(
     lpips, perceptual = _perceptual(config.perceptual, device)
     say(perceptual)
     camera = cameras.assumed(methods[0][0], config.data.stack)
-    edges_cm = default_edges_cm(camera, _BINS) if config.depth_bins_cm is None else tuple(config.depth_bins_cm)
+    edges_cm = tuple(config.depth_bins_cm or ())
+    if not edges_cm:  # even in disparity: what a mask resolves
+        edges_cm = tuple((100 * camera.depth_m(np.linspace(1, 0, _BINS + 1))).tolist())
     criteria = Criteria(edges_cm, config.dark_share, lpips)
     runner = Runner(test, cameras, criteria, cache, device=device, batch=config.batch, seed=config.seed)
     # PSFs and noise of all runs of a method, each once, the table's first.
@@ -191,14 +193,5 @@ def _about(seeds: Sequence[Entry], camera: CaptureModel) -> dict[str, Any]:
         "kind": seeds[0].kind,
         "planes": len(camera.stack.depths_m),
         "depth_range_m": [camera.near_m, camera.far_m],
-        "checkpoints": [
-            {
-                "file": entry.path.name,
-                "sha256": entry.digest,
-                "architecture": dict(entry.architecture),
-                "record": dict(entry.record),
-            }
-            for entry in seeds
-            if isinstance(entry, LearnedEntry)
-        ],
+        "checkpoints": [entry.plain() for entry in seeds if isinstance(entry, LearnedEntry)],
     }

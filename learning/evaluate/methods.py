@@ -1,9 +1,11 @@
-"""The methods that take part, each once per seed: what decides them, and how they are built for a camera."""
+"""The methods that take part, each once per seed: what decides them, how they are built for a camera.
+
+Train-test leakage: scenes that decide must be new to every method; what saw them before is refused.
+"""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,84 +16,58 @@ from learning.camera import CaptureModel
 from learning.checkpoint import load_checkpoint
 from learning.classical.method import DEFAULTS, build_classical
 from learning.config import EvaluateConfig, MethodConfig
-from learning.evaluate.leakage import check_learned, check_tuned
 from learning.evaluate.outcome import Kind
 from learning.method import Method
 from learning.models.flatnet import LearnedMethod
 from learning.tune.study import load_tuned
 from simulator.dataset.reader import Dataset
+from simulator.errors import InputError
 from simulator.io.files import sha256_file
 
 
-class Entry(ABC):
-    """A method with one seed.
-
-    Attributes:
-        name: how tables call it.
-        kind: learned or classical.
-        capture: the camera that it knows by itself; None for methods that are told.
-    """
-
-    name: str
-    kind: Kind
-    capture: CaptureModel | None
-
-    @abstractmethod
-    def identity(self, noise_db: float) -> dict[str, Any]:
-        """Return what decides it at a level of noise, beside the camera."""
-
-    @abstractmethod
-    def note(self, noise_db: float) -> str:
-        """Return what a reader should know of it at a level of noise."""
-
-    @abstractmethod
-    def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
-        """Return it, ready on a device, for a camera and a level of noise.
-
-        Raises:
-            InputError: the camera has other channels or planes than a network was trained for.
-        """
-
-    def tuned_db(self, noise_db: float) -> float | None:
-        """Return the level at which its parameters for a level were tuned; None where none were."""
-        return None
-
-
 @dataclass(frozen=True, eq=False)
-class LearnedEntry(Entry):
-    """A network's checkpoint."""
+class LearnedEntry:
+    """A network's checkpoint; ``capture`` is the camera that it knows by itself."""
 
     name: str
     path: Path
     digest: str
-    capture: CaptureModel | None
+    capture: CaptureModel
     architecture: Mapping[str, Any]
     record: Mapping[str, Any]
     kind: Kind = "learned"
 
+    def plain(self) -> dict[str, Any]:
+        """Return what results.json says of it."""
+        about = {"architecture": dict(self.architecture), "record": dict(self.record)}
+        return {"file": self.path.name, "sha256": self.digest, **about}
+
     def identity(self, noise_db: float) -> dict[str, Any]:
-        """Return the file's hash."""
+        """Return what decides it at a level of noise, beside the camera: the file's hash."""
         return {"checkpoint": self.digest}
 
     def note(self, noise_db: float) -> str:
-        """Return the architecture in words."""
+        """Return what a reader should know of it at a level of noise: the architecture in words."""
         return ", ".join(str(self.architecture[name]) for name in ("network", "size") if name in self.architecture)
 
     def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
-        """Return the network for a camera."""
+        """Return the network, ready on a device, for a camera; an InputError says that it does not fit."""
         network = load_checkpoint(self.path, capture=capture).network
         return LearnedMethod(self.name, network.to(device), capture)
 
+    def tuned_db(self, noise_db: float) -> None:
+        """Return None: nothing of it was tuned at a level of noise."""
+
 
 @dataclass(frozen=True, eq=False)
-class ClassicalEntry(Entry):
-    """A classical method, with parameters that may depend on the noise."""
+class ClassicalEntry:
+    """A classical method, with parameters that may depend on the noise; it is told of its camera."""
 
     name: str
     algorithm: str
     tuned: Path | None
     parameters: Mapping[str, Any] | None
-    capture: CaptureModel | None = None
+    capture: None = None
     kind: Kind = "classical"
 
     def identity(self, noise_db: float) -> dict[str, Any]:
@@ -122,6 +98,10 @@ class ClassicalEntry(Entry):
         return DEFAULTS[self.algorithm] | parameters, level
 
 
+Entry = LearnedEntry | ClassicalEntry
+"""A method with one seed."""
+
+
 def read_methods(config: EvaluateConfig, test: Dataset) -> list[list[Entry]]:
     """Return the methods in their order, each a list of its seeds.
 
@@ -129,20 +109,66 @@ def read_methods(config: EvaluateConfig, test: Dataset) -> list[list[Entry]]:
         InputError: a file that is missing, damaged or of another kind; a network that learned from the test scenes or was
             chosen by them, parameters that were tuned on them.
     """
-    return [_seeds(config, method, test) for method in config.methods]
+    return [
+        _classical(config, method, test) if method.checkpoints is None else _learned(config, method, test)
+        for method in config.methods
+    ]
 
 
-def _seeds(config: EvaluateConfig, method: MethodConfig, test: Dataset) -> list[Entry]:
-    if method.checkpoints is None:
-        assert method.classical is not None
-        tuned = None if method.tuned is None else config.resolve_path(method.tuned)
-        if tuned is not None:
-            check_tuned(method.name, tuned, test)
-        return [ClassicalEntry(method.name, method.classical, tuned, method.parameters)]
+def _classical(config: EvaluateConfig, method: MethodConfig, test: Dataset) -> list[Entry]:
+    assert method.classical is not None
+    tuned = None if method.tuned is None else config.resolve_path(method.tuned)
+    if tuned is not None:
+        check_tuned(method.name, tuned, test)
+    return [ClassicalEntry(method.name, method.classical, tuned, method.parameters)]
+
+
+def _learned(config: EvaluateConfig, method: MethodConfig, test: Dataset) -> list[Entry]:
     entries: list[Entry] = []
-    for text in method.checkpoints:
-        path = config.resolve_path(text)
+    for path in map(config.resolve_path, method.checkpoints or ()):
         one = load_checkpoint(path)
         check_learned(method.name, path, one.record, test)
         entries.append(LearnedEntry(method.name, path, sha256_file(path), one.capture, one.architecture, one.record))
     return entries
+
+
+_USED = {"train": "learned from", "validation": "was chosen among its own steps by"}
+
+
+def check_learned(name: str, path: Path, record: Mapping[str, Any], test: Dataset) -> None:
+    """Refuse a network that knows the test scenes, be it from the training of the checkpoint that it began with.
+
+    ``data sets`` in the checkpoint's record, at any depth, hold fingerprints by split.
+
+    Raises:
+        InputError: the scenes are those of its train split, or of the validation split by which its best step was chosen.
+    """
+    for used in _data_sets(record):
+        for split, words in _USED.items():
+            known = used.get(split)
+            fingerprint = known.get("fingerprint") if isinstance(known, Mapping) else None
+            if (fingerprint, split) == (test.fingerprint, test.split):
+                scenes = f"the scenes that decide here, split {test.split!r} of {test.root}"
+                msg = f"{name}: {path} {words} {scenes}; evaluate on its test split, or on another data set"
+                raise InputError(msg)
+
+
+def check_tuned(name: str, tuned: Path, test: Dataset) -> None:
+    """Refuse parameters of a method that `flatlight tune` found on the test scenes.
+
+    Raises:
+        InputError: the scenes are those that were tuned on, or the file cannot be read.
+    """
+    content = load_tuned(tuned).content["identity"]
+    if (content.get("data"), content.get("split")) == (test.fingerprint, test.split):
+        scenes = f"the scenes that decide here, split {test.split!r}"
+        msg = f"{name}: {tuned} was tuned on {scenes}; tune on validation scenes"
+        raise InputError(msg)
+
+
+def _data_sets(record: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    for key, value in record.items():
+        if isinstance(value, Mapping):
+            if key == "data sets":
+                yield value
+            yield from _data_sets(value)

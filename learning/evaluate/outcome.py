@@ -29,10 +29,6 @@ class Summary:
     seeds: tuple[float, ...]
     left_out: int = 0
 
-    def plain(self) -> dict[str, Any]:
-        """Return the same for JSON."""
-        return asdict(self)
-
 
 def summarise(values: ArrayLike) -> Summary:
     """Return mean and spreads of scores ``(seeds, scenes)``; scenes with NaN have no such score and are left out.
@@ -62,8 +58,7 @@ def pooled_rms(squares: ArrayLike, counts: ArrayLike) -> tuple[float | None, ...
         (3.0, None)
     """
     bins = np.shape(counts)[-1]
-    total = np.asarray(squares, np.float64).reshape(-1, bins).sum(axis=0)
-    pixels = np.asarray(counts, np.float64).reshape(-1, bins).sum(axis=0)
+    total, pixels = (np.asarray(each, np.float64).reshape(-1, bins).sum(axis=0) for each in (squares, counts))
     return tuple(math.sqrt(s / n) if n else None for s, n in zip(total.tolist(), pixels.tolist(), strict=True))
 
 
@@ -92,6 +87,7 @@ class Outcome:
         note: what else decides it, such as tuned parameters.
         scenes: how many were used.
         tuned_db: level at which its parameters were tuned; None where none were.
+        details: more for results.json.
     """
 
     method: str
@@ -113,19 +109,9 @@ class Outcome:
 
     def plain(self) -> dict[str, Any]:
         """Return the same for JSON."""
-        return {
-            "method": self.method,
-            "kind": self.kind,
-            "stack": self.stack,
-            "noise_db": self.noise_db,
-            "scores": {name: summary.plain() for name, summary in self.scores.items()},
-            "pooled_depth_rmse_cm": self.pooled_depth_rmse_cm,
-            "depth_rmse_cm_by_bin": list(self.bins_cm),
-            "note": self.note,
-            "scenes": self.scenes,
-            "tuned_db": self.tuned_db,
-            **self.details,
-        }
+        content = asdict(self)
+        details, bins = content.pop("details"), content.pop("bins_cm")
+        return content | details | {"depth_rmse_cm_by_bin": bins}
 
 
 def outcome(
@@ -142,26 +128,17 @@ def outcome(
 ) -> Outcome:
     """Return the outcome of what `learning.evaluate.scoring.score` found for each seed.
 
-    Args:
-        method: its name.
-        kind: of method.
-        seeds: one result per seed, of the same scenes.
-        stack: see `Outcome`.
-        noise_db: see `Outcome`.
-        note: see `Outcome`.
-        tuned_db: see `Outcome`.
-        details: for results.json.
-        only: the scores that mean anything; None keeps all.
+    ``seeds`` are one result each, of the same scenes; ``only`` names the scores that mean anything, None keeps all. The rest
+    see `Outcome`.
     """
     names = [name for name in seeds[0]["scores"][0] if only is None or name in only]
     tables = {name: np.array([[scene[name] for scene in seed["scores"]] for seed in seeds]) for name in names}
     scores = {name: summarise(table) for name, table in tables.items() if not np.isnan(table).any(axis=0).all()}
-    squares, counts = ([seed[name] for seed in seeds] for name in ("squares_cm2", "counts"))
-    with_depth = "depth_rmse_cm" in scores
     pooled, bins = None, ()
-    if with_depth:
-        bins = pooled_rms(squares, counts)
-        (pooled,) = pooled_rms([[[sum(scene)] for scene in seed] for seed in squares], _totals(counts))
+    if "depth_rmse_cm" in scores:
+        sums = [[seed[name] for seed in seeds] for name in ("squares_cm2", "counts")]
+        bins = pooled_rms(*sums)
+        (pooled,) = pooled_rms(*([[[sum(scene)] for scene in seed] for seed in each] for each in sums))
     scenes = len(seeds[0]["scores"])
     return Outcome(method, kind, stack, noise_db, scores, pooled, bins, note, scenes, tuned_db, dict(details or {}))
 
@@ -169,7 +146,3 @@ def outcome(
 def first_scenes(result: Mapping[str, Any], scenes: int) -> dict[str, Any]:
     """Return what `learning.evaluate.scoring.score` found, of the first so many scenes only."""
     return {name: values[:scenes] for name, values in result.items()}
-
-
-def _totals(counts: Sequence[Sequence[Sequence[float]]]) -> list[list[list[float]]]:
-    return [[[sum(scene)] for scene in seed] for seed in counts]

@@ -5,12 +5,10 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from learning.camera import CaptureModel
 from learning.config import EvaluateConfig
@@ -24,8 +22,9 @@ from learning.evaluate.figures import (
     stacks_png,
     times_png,
 )
-from learning.evaluate.outcome import Outcome, Summary
+from learning.evaluate.outcome import Outcome
 from learning.evaluate.scoring import Times
+from learning.method import aligned
 from learning.metrics import DEFINITIONS, SSIM_DEFINITION
 from learning.provenance import is_own_folder, read_description, versions
 from simulator.dataset.reader import Dataset
@@ -72,20 +71,15 @@ class Findings:
     """What came out.
 
     Attributes:
-        config: the file.
-        test: the split that decided.
-        camera: what the first method was told of the camera.
+        camera: what the first method was told.
         stored_db: PSNR of the measurements as stored.
         edges_cm: of the bins of depth.
         perceptual: which perceptual metric was measured, or why none.
-        device: in words.
         methods: what is known of each method and seed.
         outcomes: of all methods, PSFs and levels.
-        naive: of the answers that look at nothing.
-        naive_part: of the same answers, on the scenes of the noise levels and of the PSFs that are compared.
+        naive: of the answers that look at nothing; ``naive_part`` on the scenes of noise levels and of compared PSFs.
         times: seconds per scene; empty where none were taken.
         montage: for each scene shown the truth and every method, in the order of ``columns``.
-        columns: of the montage.
     """
 
     config: EvaluateConfig
@@ -122,23 +116,16 @@ class Findings:
     @property
     def compared(self) -> list[Outcome]:
         """Every method with each of the PSFs that are compared, on the measurements as stored."""
-        named = self.config.data.compare_stacks
         stored = [one for one in self.outcomes if one.noise_db is None and one.scenes == self.part]
-        return [one for one in stored if one.stack in named]
+        return [one for one in stored if one.stack in self.config.data.compare_stacks]
 
     @property
     def constant_cm(self) -> float | None:
         """Pooled depth RMSE of the best constant depth."""
         return next((one.pooled_depth_rmse_cm for one in self.naive if one.pooled_depth_rmse_cm is not None), None)
 
-    @property
-    def method_names(self) -> list[str]:
-        """All methods in their order."""
-        return [method.name for method in self.config.methods]
-
     def plain(self) -> dict[str, Any]:
         """Return all of it but the images, for JSON."""
-        info = self.test.info
         return {
             "name": self.config.name,
             "config": self.config.dump(),
@@ -146,7 +133,7 @@ class Findings:
                 "fingerprint": self.test.fingerprint,
                 "split": self.test.split,
                 "scenes": len(self.test),
-                "psf": info.config["psf"],
+                "psf": self.test.info.config["psf"],
                 "stored_psnr_db": self.stored_db,
             },
             "white": self.camera.white,
@@ -163,12 +150,6 @@ class Findings:
         }
 
 
-def default_edges_cm(camera: CaptureModel, bins: int) -> tuple[float, ...]:
-    """Return edges from the nearest to the farthest depth, even in disparity: what a mask resolves."""
-    edges_m = camera.depth_m(np.linspace(1, 0, bins + 1))
-    return tuple((100 * edges_m).tolist())
-
-
 # Title, digits and whether more is better; in this order, as far as they were measured.
 SCORES: dict[str, tuple[str, int, bool]] = {
     "psnr": ("PSNR dB", 2, True),
@@ -181,116 +162,93 @@ SCORES: dict[str, tuple[str, int, bool]] = {
     "disparity_rmse_per_m": ("1/z RMSE 1/m", 2, False),
     "lit_depth_rmse_cm": ("lit depth RMSE cm", 2, False),
 }
-
-
+# Of the thesis's table 5.2, and FLIP, which needs no weights.
 MAIN = ("psnr", "ssim", "lpips", "flip", "depth_rmse_cm")
-"""The scores of the thesis's table 5.2, and FLIP, which needs no weights."""
+
+
+def markdown(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table of text, its first column at the left, the others at the right."""
+    lines = [titles, ["---", *["---:"] * (len(titles) - 1)], *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in lines)
 
 
 def markdown_table(outcomes: Sequence[Outcome], times: Mapping[str, Times], constant_cm: float | None) -> str:
     """Return the table: mean, spread over scenes, and over seeds in brackets where there are several; best in bold.
 
-    Args:
-        outcomes: its rows.
-        times: by method.
-        constant_cm: pooled depth RMSE of the best constant depth; None where there is none.
+    ``times`` are by method; ``constant_cm`` is the pooled depth RMSE of the best constant depth, None without one.
     """
     names = _measured(MAIN, outcomes)
-    head = [*_titles(names), "of constant", *(["s per scene ↓"] if times else [])]
-    best = _best(names, outcomes)
-    lines = _head(["method", *head])
-    for one in _with_any(names, outcomes):
+    rows = []
+    for one, cells in _with_any(names, outcomes):
         pooled = one.pooled_depth_rmse_cm
         share = "–" if pooled is None or not constant_cm else f"{100 * pooled / constant_cm:.0f} %"
-        cells = [_name(one), *_cells(one, names, best), share]
-        if times:
-            cells.append(f"{times[one.method].total:.3g}" if one.method in times else "–")
-        lines.append(_line(cells))
-    return "\n".join(lines)
+        seconds = [f"{times[one.method].total:.3g}" if one.method in times else "–"] if times else []
+        rows.append([_name(one), *cells, share, *seconds])
+    return markdown(["method", *_titles(names), "of constant", *(["s per scene ↓"] if times else [])], rows)
 
 
 def markdown_further(outcomes: Sequence[Outcome]) -> str:
     """Return the scores that are not in the table, and the depth RMSE over all pixels of all scenes together."""
     names = _measured([name for name in SCORES if name not in MAIN], outcomes)
-    best = _best(names, outcomes)
-    lines = _head(["method", *_titles(names), "pooled depth RMSE cm ↓"])
-    for one in outcomes:
-        pooled = "–" if one.pooled_depth_rmse_cm is None else f"{one.pooled_depth_rmse_cm:.2f}"
-        lines.append(_line([_name(one), *_cells(one, names, best), pooled]))
-    return "\n".join(lines)
+    best, pooled = _best(names, outcomes), "pooled depth RMSE cm ↓"
+    return markdown(
+        ["method", *_titles(names), pooled],
+        ([_name(one), *_cells(one, names, best), _or_dash(one.pooled_depth_rmse_cm, ".2f")] for one in outcomes),
+    )
 
 
 def markdown_matrix(outcomes: Sequence[Outcome], score: str, columns: Sequence[Any], pick: str, unit: str) -> str:
     """Return one score of every method (rows) at several levels or with several stacks (columns).
 
-    Args:
-        outcomes: of all of them.
-        score: its name.
-        columns: values of the attribute ``pick``.
-        pick: ``noise_db`` or ``stack``.
-        unit: behind the numbers of the head.
+    ``columns`` are values of the attribute ``pick``, ``noise_db`` or ``stack``; ``unit`` stands behind them in the head.
     """
-    digits = SCORES[score][1]
     shown = [f"{column:g}" if isinstance(column, float) else column for column in columns]
-    lines = _head([SCORES[score][0], *(f"{column}{unit}" for column in shown)])
+    rows = []
     for method in dict.fromkeys(one.method for one in outcomes):
-        found = {getattr(one, pick): one for one in outcomes if one.method == method and score in one.scores}
-        cells = [_cell(found[column].scores[score], digits) if column in found else "–" for column in columns]
-        lines.append(_line([method, *cells]))
-    return "\n".join(lines)
+        found = {getattr(one, pick): one for one in outcomes if one.method == method}
+        rows.append([method, *(_cell(found[column], score) if column in found else "–" for column in columns)])
+    return markdown([SCORES[score][0], *(f"{column}{unit}" for column in shown)], rows)
 
 
 def markdown_times(times: Sequence[Times]) -> str:
     """Return seconds per stage, and how many times slower each method is than the fastest one."""
     stages = list(dict.fromkeys(stage for one in times for stage in one.stages))
     least = min(one.total for one in times)
-    lines = _head(["method", *(f"{stage} s" for stage in stages), "all s", "times the fastest"])
-    for one in times:
-        cells = [f"{one.stages[stage]:.3g}" if stage in one.stages else "–" for stage in stages]
-        lines.append(_line([one.method, *cells, f"{one.total:.3g}", f"{one.total / least:.3g}"]))
-    return "\n".join(lines)
+    rows = (
+        [
+            one.method,
+            *(_or_dash(one.stages.get(s), ".3g") for s in stages),
+            f"{one.total:.3g}",
+            f"{one.total / least:.3g}",
+        ]
+        for one in times
+    )
+    return markdown(["method", *(f"{stage} s" for stage in stages), "all s", "times the fastest"], rows)
 
 
 def markdown_bins(outcomes: Sequence[Outcome], edges_cm: Sequence[float]) -> str:
     """Return the depth RMSE in cm by bin of true depth."""
     names = [f"{a:.3g}–{b:.3g} cm" for a, b in pairwise(edges_cm)]
-    lines = _head(["depth RMSE cm", *names])
-    for one in outcomes:
-        if one.bins_cm:
-            lines.append(_line([one.method, *("–" if value is None else f"{value:.2f}" for value in one.bins_cm)]))
-    return "\n".join(lines)
+    rows = ([one.method, *(_or_dash(value, ".2f") for value in one.bins_cm)] for one in outcomes if one.bins_cm)
+    return markdown(["depth RMSE cm", *names], rows)
 
 
 def csv_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> str:
     """Return all outcomes, one line each, in full precision; a spread that does not exist is empty."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    names = _measured(SCORES, outcomes)
-    spreads = ("mean", "over_scenes", "over_seeds", "left_out")
-    head = [f"{name}_{spread}" for name in names for spread in spreads]
-    writer.writerow(
-        [
-            "method",
-            "kind",
-            "stack",
-            "noise_db",
-            "tuned_db",
-            "scenes",
-            "seeds",
-            *head,
-            "pooled_depth_rmse_cm",
-            "seconds_per_scene",
-        ]
-    )
+    about = ["method", "kind", "stack", "noise_db", "tuned_db", "scenes"]
+    columns = [
+        (name, s) for name in _measured(SCORES, outcomes) for s in ("mean", "over_scenes", "over_seeds", "left_out")
+    ]
+    head = [f"{name}_{spread}" for name, spread in columns]
+    writer.writerow([*about, "seeds", *head, "pooled_depth_rmse_cm", "seconds_per_scene"])
     for one in outcomes:
-        numbers = [
-            getattr(one.scores[name], spread) if name in one.scores else None for name in names for spread in spreads
-        ]
+        own = replace(one, noise_db="stored" if one.noise_db is None else one.noise_db)  # pyright: ignore[reportArgumentType]
+        numbers = [getattr(one.scores.get(name), spread, None) for name, spread in columns]
         seeds = len(next(iter(one.scores.values())).seeds)
         seconds = times[one.method].total if one.method in times else None
-        level = "stored" if one.noise_db is None else one.noise_db
-        about = [one.method, one.kind, one.stack, level, one.tuned_db, one.scenes, seeds]
-        writer.writerow([*about, *numbers, one.pooled_depth_rmse_cm, seconds])
+        writer.writerow([*(getattr(own, name) for name in about), seeds, *numbers, one.pooled_depth_rmse_cm, seconds])
     return stream.getvalue()
 
 
@@ -298,23 +256,20 @@ def terminal_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> s
     """Return the table in plain columns: mean ± spread over scenes (over seeds)."""
     names = _measured(MAIN, outcomes)
     rows = [["method", *(SCORES[name][0] for name in names), "s per scene"]]
-    for one in _with_any(names, outcomes):
-        cells = [_cell(one.scores[name], SCORES[name][1]) if name in one.scores else "-" for name in names]
+    for one, _ in _with_any(names, outcomes):
+        cells = [_cell(one, name).replace("–", "-") for name in names]
         rows.append([one.method, *cells, f"{times[one.method].total:.3g}" if one.method in times else "-"])
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join([row[0].ljust(widths[0]), *(text.rjust(n) for text, n in zip(row[1:], widths[1:], strict=True))])
-        for row in rows
-    )
+    return "\n".join(aligned(rows))
 
 
 def _measured(names: Iterable[str], outcomes: Sequence[Outcome]) -> list[str]:
     return [name for name in names if any(name in one.scores for one in outcomes)]
 
 
-def _with_any(names: Sequence[str], outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """Return those that have one of the scores: a row of dashes says nothing."""
-    return [one for one in outcomes if any(name in one.scores for name in names)]
+def _with_any(names: Sequence[str], outcomes: Sequence[Outcome]) -> list[tuple[Outcome, list[str]]]:
+    """Return those that have one of the scores, with their cells: a row of dashes says nothing."""
+    best = _best(names, outcomes)
+    return [(one, _cells(one, names, best)) for one in outcomes if any(name in one.scores for name in names)]
 
 
 def _titles(names: Sequence[str]) -> list[str]:
@@ -327,35 +282,27 @@ def _name(one: Outcome) -> str:
 
 def _best(names: Sequence[str], outcomes: Sequence[Outcome]) -> dict[str, float]:
     """Return the best mean of each score."""
-    return {
-        name: (max if SCORES[name][2] else min)(one.scores[name].mean for one in outcomes if name in one.scores)
-        for name in names
-    }
+    means = {name: [one.scores[name].mean for one in outcomes if name in one.scores] for name in names}
+    return {name: (max if SCORES[name][2] else min)(values) for name, values in means.items()}
 
 
 def _cells(one: Outcome, names: Sequence[str], best: Mapping[str, float]) -> list[str]:
-    cells = []
-    for name in names:
-        text = _cell(one.scores[name], SCORES[name][1]) if name in one.scores else "–"
-        cells.append(f"**{text}**" if name in one.scores and one.scores[name].mean == best[name] else text)
-    return cells
+    bold = {name for name in names if name in one.scores and one.scores[name].mean == best[name]}
+    return [f"**{_cell(one, name)}**" if name in bold else _cell(one, name) for name in names]
 
 
-def _cell(summary: Summary, digits: int) -> str:
+def _cell(one: Outcome, name: str) -> str:
+    if name not in one.scores:
+        return "–"
+    summary, digits = one.scores[name], SCORES[name][1]
     text = f"{summary.mean:.{digits}f}"
     if summary.over_scenes is not None:
         text += f" ± {summary.over_scenes:.{digits}f}"
-    if summary.over_seeds is not None:
-        text += f" ({summary.over_seeds:.{digits}f})"
-    return text
+    return text if summary.over_seeds is None else f"{text} ({summary.over_seeds:.{digits}f})"
 
 
-def _head(titles: Sequence[str]) -> list[str]:
-    return [_line(titles), _line(["---", *["---:"] * (len(titles) - 1)])]
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
+def _or_dash(value: float | None, digits: str) -> str:
+    return "–" if value is None else format(value, digits)
 
 
 PUBLISHED = """## Published, on other data
@@ -378,10 +325,16 @@ def conditions(findings: Findings) -> str:
     planes = f", PSFs {psf['model']} at {count} depths" if psf.get("model") and count else ""
     stack = findings.config.data.stack
     assumed = "their own PSFs" if stack == "own" else f"the PSFs {stack}"
+    ranges: dict[str, list[str]] = {}
+    for method in findings.methods:
+        near_cm, far_cm = (100 * depth_m for depth_m in method["depth_range_m"])
+        text = f"{method['planes']} planes, depths from {near_cm:.3g} to {far_cm:.3g} cm"
+        ranges.setdefault(text, []).append(method["name"])
+    told = "; ".join(text if len(ranges) == 1 else f"{', '.join(names)}: {text}" for text, names in ranges.items())
     return (
         f"{len(findings.test)} scenes, split {findings.test.split} of a data set with fingerprint "
         f"`{findings.test.fingerprint[:12]}`{planes}; measurements as stored have {findings.stored_db:.1f} dB. The methods "
-        f"assume {assumed}: {_planes(findings)}."
+        f"assume {assumed}: {told}."
     )
 
 
@@ -410,34 +363,12 @@ def left_out(outcomes: Sequence[Outcome]) -> str:
     )
 
 
-def on_part(findings: Findings) -> str:
-    """Return how many scenes the noise levels and the comparison of PSFs have."""
-    whole = len(findings.test)
-    return f"Of {'all' if findings.part == whole else 'the first'} {findings.part} of {whole} scenes."
-
-
-def _planes(findings: Findings) -> str:
-    """Return planes and range, of each method where they differ."""
-    words: dict[str, list[str]] = {}
-    for method in findings.methods:
-        near_cm, far_cm = (100 * depth_m for depth_m in method["depth_range_m"])
-        text = f"{method['planes']} planes, depths from {near_cm:.3g} to {far_cm:.3g} cm"
-        words.setdefault(text, []).append(method["name"])
-    if len(words) == 1:
-        return next(iter(words))
-    return "; ".join(f"{', '.join(names)}: {text}" for text, names in words.items())
-
-
 def write_results(folder: Path, findings: Findings) -> list[Path]:
-    """Write everything, and delete what an earlier run left; returns the files, the report first.
-
-    Raises:
-        StorageError: the folder cannot be written to.
-    """
+    """Write everything, and delete what an earlier run left; returns the files, the report first."""
     times = {one.method: one for one in findings.times}
     images = _figures(findings)
     files: dict[str, bytes] = {
-        REPORT: _report(findings, list(images)).encode(),
+        REPORT: _report(findings, times).encode(),
         TABLE: csv_table([*findings.outcomes, *findings.naive], times).encode(),
         RESULTS: readable_json(findings.plain()),
         **images,
@@ -456,28 +387,27 @@ def remove_stale(folder: Path, written: Iterable[str]) -> None:
 
 
 def _figures(findings: Findings) -> dict[str, bytes]:
-    colours = method_colours(findings.method_names)
-    figures: dict[str, bytes] = {}
+    colours = method_colours([method.name for method in findings.config.methods])
+    part, stacks = findings.naive_part, findings.config.data.compare_stacks
+    figures = {DEPTH: depth_png(findings.main, colours, findings.naive, findings.edges_cm)}
     if findings.montage:
         camera = findings.camera
         line = f"white = radiance {camera.white:.3g}; depth z {depth_range(camera.near_m, camera.far_m)}"
         depths_m = (camera.near_m, camera.far_m)
         figures[MONTAGE] = montage_png(findings.columns, findings.montage, findings.config.name, line, *depths_m)
     if findings.ablation:
-        figures[NOISE] = noise_png(findings.ablation, colours, findings.naive_part)
-    figures[DEPTH] = depth_png(findings.main, colours, findings.naive, findings.edges_cm)
+        figures[NOISE] = noise_png(findings.ablation, colours, part)
     if findings.compared:
-        figures[STACKS] = stacks_png(
-            findings.compared, colours, findings.config.data.compare_stacks, findings.naive_part
-        )
+        figures[STACKS] = stacks_png(findings.compared, colours, stacks, part)
     if findings.times:
         figures[TIMES] = times_png(findings.times, colours, findings.device)
     return figures
 
 
-def _report(findings: Findings, images: Sequence[str]) -> str:
-    times = {one.method: one for one in findings.times}
+def _report(findings: Findings, times: Mapping[str, Times]) -> str:
     rows = [*findings.main, *findings.naive]
+    ablation, compared, whole = findings.ablation, findings.compared, len(findings.test)
+    on_part = f"Of {'all' if findings.part == whole else 'the first'} {findings.part} of {whole} scenes."
     parts = [
         f"# {findings.config.name}",
         conditions(findings),
@@ -487,38 +417,27 @@ def _report(findings: Findings, images: Sequence[str]) -> str:
         left_out(rows),
         "## Further scores",
         markdown_further(rows),
+        "## Scenes\n\n![truth and estimates](montage.png)" if findings.montage else "",
     ]
-    if MONTAGE in images:
-        parts.append("## Scenes\n\n![truth and estimates](montage.png)")
-    if findings.ablation:
-        levels = sorted({one.noise_db for one in findings.ablation if one.noise_db is not None})
-        tables = [markdown_matrix(findings.ablation, score, levels, "noise_db", " dB") for score, _ in PANELS]
-        notes = [
-            f"- {one.method} at {one.noise_db:g} dB: {one.note}" for one in findings.ablation if one.kind == "classical"
-        ]
-        parts += [
-            "## Noise",
-            on_part(findings),
-            *tables,
-            "\n".join(notes),
-            f"{_WHISKERS}\n\n![scores against noise](noise.png)",
-        ]
+    if ablation:
+        levels = sorted({one.noise_db for one in ablation if one.noise_db is not None})
+        notes = [f"- {one.method} at {one.noise_db:g} dB: {one.note}" for one in ablation if one.kind == "classical"]
+        tables = [markdown_matrix(ablation, score, levels, "noise_db", " dB") for score, _ in PANELS]
+        parts += ["## Noise", on_part, *tables, "\n".join(notes), _WHISKERS, "![scores against noise](noise.png)"]
     parts += ["## Depth error against depth", markdown_bins(rows, findings.edges_cm), "![depth error](depth.png)"]
-    if findings.compared:
+    if compared:
         stacks = findings.config.data.compare_stacks
-        tables = [markdown_matrix(findings.compared, score, stacks, "stack", " PSFs") for score, _ in PANELS]
-        parts += [
-            "## Which PSFs are assumed",
-            on_part(findings),
-            *tables,
-            f"{_WHISKERS}\n\n![scores by PSFs](stacks.png)",
-        ]
+        tables = [markdown_matrix(compared, score, stacks, "stack", " PSFs") for score, _ in PANELS]
+        parts += ["## Which PSFs are assumed", on_part, *tables, _WHISKERS, "![scores by PSFs](stacks.png)"]
     if findings.times:
         words = (
             f"{findings.device}; one scene at a time, the methods by turns, median of {findings.config.time.repeats} after "
             "one that does not count. The seconds of learned methods are those of their first seed."
         )
         parts += ["## Time", words, markdown_times(findings.times), "![seconds per stage](times.png)"]
-    parts.append(PUBLISHED)
-    parts.append("## Made with\n\n" + ", ".join(f"{name} {version}" for name, version in versions(*_PACKAGES).items()))
+    parts += [
+        PUBLISHED,
+        "## Made with",
+        ", ".join(f"{name} {version}" for name, version in versions(*_PACKAGES).items()),
+    ]
     return "\n\n".join(part for part in parts if part) + "\n"

@@ -20,10 +20,11 @@ from learning.evaluate.methods import Entry
 from learning.evaluate.outcome import OWN
 from learning.evaluate.scoring import Criteria, Progress, checked, score
 from learning.method import Method
-from learning.provenance import code_fingerprint, sample_digests
+from learning.provenance import sample_digests
 from simulator.arrays import to_numpy
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
+from simulator.io.cache import code_digest
 from simulator.io.files import sha256_bytes, write_atomic
 from simulator.io.json import canonical_json, plain
 from simulator.optics.stack import PsfStack
@@ -55,12 +56,9 @@ class Cameras:
 
         Args:
             test: the split that decides.
-            training: folder of the data set that the methods were trained or tuned on; None only where none needs it.
+            training: folder of the data set that methods were trained or tuned on; None only where none needs it.
             entries: all methods.
             folder: makes a path of the name of a stack's folder.
-
-        Raises:
-            InputError: methods whose images have different whites, or a data set that cannot be read.
         """
         self._training, self._folder = training, folder
         self._stacks: dict[str, PsfStack] = {}
@@ -68,16 +66,13 @@ class Cameras:
         self.test = capture_model(test, white=self._white(entries))
 
     def assumed(self, entry: Entry, name: str) -> CaptureModel:
-        """Return the camera that a method is told of, with PSFs ``own``, ``nominal``, ``captured``, or of a folder.
-
-        Raises:
-            InputError: no such stack, or one of another camera.
-        """
+        """Return the camera that a method is told of, with PSFs ``own``, ``nominal``, ``captured``, or of a folder."""
         try:
             if (known := entry.capture) is None:
                 known = self._nominal = self._nominal or capture_model(self._learned_from(), white=self.test.white)
             if name != OWN:
-                known = known.with_stack(self._stack(name))
+                self._stacks[name] = self._stacks.get(name) or self._stack(name)
+                known = known.with_stack(self._stacks[name])
             return self.test.with_assumed(known)
         except InputError as error:
             msg = f"{entry.name}: {error}"
@@ -88,12 +83,9 @@ class Cameras:
         return open_dataset(self._training, "train")
 
     def _stack(self, name: str) -> PsfStack:
-        if name not in self._stacks:
-            named = name in ("nominal", "captured")
-            self._stacks[name] = (
-                capture_model(self._learned_from(), name).stack if named else read_psf_stack(self._folder(name))
-            )
-        return self._stacks[name]
+        if name in ("nominal", "captured"):
+            return capture_model(self._learned_from(), name).stack
+        return read_psf_stack(self._folder(name))
 
     def _white(self, entries: Sequence[Entry]) -> float:
         whites = {entry.name: entry.capture.white for entry in entries if entry.capture is not None}
@@ -102,10 +94,8 @@ class Cameras:
         one, first = next(iter(whites.items()))
         for name, white in whites.items():
             if abs(white - first) > _WHITES_ALIKE * first:
-                msg = (
-                    f"methods: the images of {name} show a radiance of {white:g} as white, those of {one} {first:g}, so "
-                    "their scores cannot stand in one table; train them with one white"
-                )
+                whites_differ = f"the images of {name} show a radiance of {white:g} as white, those of {one} {first:g}"
+                msg = f"methods: {whites_differ}, so their scores cannot stand in one table; train them with one white"
                 raise InputError(msg)
         return first
 
@@ -159,13 +149,9 @@ class ResultCache:
 
 @dataclass(frozen=True)
 class Run:
-    """A method with one seed, with some PSFs, at one level of noise.
+    """A method with one seed, with some PSFs (see `Cameras.assumed`), at one level of noise.
 
-    Attributes:
-        entry: the method.
-        stack: the name of its PSFs; see `Cameras.assumed`.
-        noise_db: level at which noise is drawn anew; None for measurements as stored.
-        scenes: only the first so many; None for all.
+    Noise is drawn anew at ``noise_db``, None takes measurements as stored; ``scenes``: only the first so many, None for all.
     """
 
     entry: Entry
@@ -178,11 +164,6 @@ class Runner:
     """Runs on one split of a data set.
 
     Attributes:
-        test: the split.
-        cameras: of the methods.
-        criteria: by which they are judged.
-        device: where they run.
-        batch: scenes at a time.
         stored_db: the PSNR of its measurements as stored, decibels: by it parameters are chosen that depend on noise.
     """
 
@@ -201,7 +182,7 @@ class Runner:
         self.test, self.stored_db = test, measured_psnr_db(test)
         self.cameras, self.criteria, self._cache = cameras, criteria, cache
         self.device, self.batch, self._seed = device, batch, seed
-        self._digests = sample_digests(test)
+        self._digests, self._code = sample_digests(test), code_digest(*_DECIDING)
 
     def level_db(self, run: Run) -> float:
         """Return the PSNR of the measurements that a run sees."""
@@ -217,20 +198,11 @@ class Runner:
         return self.cameras.assumed(run.entry, run.stack)
 
     def method(self, run: Run) -> Method:
-        """Return a run's method, ready on the device.
-
-        Raises:
-            InputError: PSFs or checkpoints of another camera.
-        """
+        """Return a run's method, ready on the device."""
         return run.entry.build(self.camera(run), self.level_db(run), self.device)
 
     def result(self, run: Run, progress: Progress = lambda _: None) -> dict[str, Any]:
-        """Return what `score` finds, which is kept.
-
-        Raises:
-            InputError: see `method` and `score`.
-            StorageError: the result cannot be kept.
-        """
+        """Return what `score` finds, which is kept."""
         criteria = {
             "edges_cm": self.criteria.edges_cm,
             "dark_share": self.criteria.dark_share,
@@ -249,12 +221,7 @@ class Runner:
         return found
 
     def estimates(self, run: Run, positions: Sequence[int]) -> list[dict[str, NDArray[np.float32]]]:
-        """Return ``image`` (3, h, w) and ``depth_m`` (h, w) of some scenes, which are kept.
-
-        Raises:
-            InputError: see `method` and `score`.
-            StorageError: the result cannot be kept.
-        """
+        """Return ``image`` (3, h, w) and ``depth_m`` (h, w) of some scenes, which are kept."""
         method: Method | None = None
         examples, shown = self.examples(run.noise_db), []
         for position in positions:
@@ -283,7 +250,7 @@ class Runner:
             "noise": "stored" if run.noise_db is None else {"db": run.noise_db, "seed": self._seed},
             "device": self.device.type,
             "torch": torch.__version__,
-            "code": code_fingerprint(*_DECIDING),
+            "code": self._code,
         }
 
 

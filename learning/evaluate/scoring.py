@@ -48,20 +48,11 @@ def score(
 ) -> dict[str, Any]:
     """Run a method over all scenes; depth counts where something was seen.
 
-    Args:
-        method: ready on the device.
-        examples: the scenes, at one level of noise.
-        criteria: by what it is judged.
-        device: where it runs.
-        batch: scenes at a time.
-        progress: called with the number of scenes after each batch.
+    ``progress`` is called with the number of scenes after each batch.
 
     Returns:
         ``scores``: for each scene, see `learning.metrics.measure`; ``squares_cm2`` and ``counts``: for each scene and bin,
         the sum of squared depth errors and the number of pixels.
-
-    Raises:
-        InputError: an estimate with NaN or infinite numbers; method and sample are named.
     """
     scores: list[dict[str, float]] = []
     squares: list[list[float]] = []
@@ -93,11 +84,7 @@ def batches(examples: ExampleSet, batch: int, device: torch.device) -> Iterator[
 
 
 def checked(method: Method, estimate: Estimate, examples: ExampleSet, first: int) -> Estimate:
-    """Return an estimate within the ranges, as metrics see it.
-
-    Raises:
-        InputError: it holds NaN or infinite numbers; method and sample are named.
-    """
+    """Return an estimate within the ranges, as metrics see it."""
     for what, values in zip(Estimate._fields, estimate, strict=True):
         good = values.isfinite().flatten(1).all(dim=1)
         if not bool(good.all()):
@@ -127,13 +114,8 @@ DISPARITY_SCORES = ("disparity_rmse", "disparity_rmse_per_m")
 class Constant:
     """A method that gives the same answer to everything; see `learning.method.Method`.
 
-    Attributes:
-        name: in tables.
-        capture: for the range of depths.
-        image: ``(3, h, w)`` sRGB codes.
-        disparity: ``(1, h, w)``.
-        scores: those that it is an answer to.
-        best_in: in what no other answer of its kind is better.
+    ``image`` has sRGB codes ``(3, h, w)``, ``disparity`` ``(1, h, w)``; ``scores`` are those that it is an answer to, and
+    ``best_in`` says in what no other answer of its kind is better.
     """
 
     name: str
@@ -170,45 +152,24 @@ def naive_baselines(examples: ExampleSet, capture: CaptureModel, batch: int) -> 
     of_depth = torch.as_tensor(capture.disparity(mean_m), dtype=torch.float32).expand_as(far)
     of_disparity = mean_disparity.float().expand_as(far)
     nearer_cm = 100 * float(capture.depth_m(mean_disparity))
+    pooled = "pooled over all pixels of these scenes"
+    of_cm = f"no constant has a smaller depth RMSE in cm, {pooled}"
+    of_inverse = f"no constant has a smaller RMSE of disparity and of 1/z, {pooled}"
+    of_codes = "no one image has a smaller mean square error of sRGB codes over these scenes"
+    nothing = "best in nothing: what a method that sees nothing gives"
     return [
+        Constant(f"constant depth ({100 * mean_m.item():.2f} cm)", capture, black, of_depth, DEPTH_SCORES, of_cm),
         Constant(
-            f"constant depth ({100 * mean_m.item():.2f} cm)",
-            capture,
-            black,
-            of_depth,
-            DEPTH_SCORES,
-            "no constant has a smaller depth RMSE in cm, pooled over all pixels of these scenes",
+            f"constant disparity ({nearer_cm:.2f} cm)", capture, black, of_disparity, DISPARITY_SCORES, of_inverse
         ),
-        Constant(
-            f"constant disparity ({nearer_cm:.2f} cm)",
-            capture,
-            black,
-            of_disparity,
-            DISPARITY_SCORES,
-            "no constant has a smaller RMSE of disparity and of 1/z, pooled over all pixels of these scenes",
-        ),
-        Constant(
-            "mean image",
-            capture,
-            mean_image,
-            far,
-            IMAGE_SCORES,
-            "no one image has a smaller mean square error of sRGB codes over these scenes",
-        ),
-        Constant("black", capture, black, far, IMAGE_SCORES, "best in nothing: what a method that sees nothing gives"),
+        Constant("mean image", capture, mean_image, far, IMAGE_SCORES, of_codes),
+        Constant("black", capture, black, far, IMAGE_SCORES, nothing),
     ]
 
 
 @dataclass(frozen=True)
 class Times:
-    """Seconds per scene of one method.
-
-    Attributes:
-        method: its name.
-        stages: median over the repeats, by stage.
-        total: median over the repeats of all stages together.
-        fastest: least total, which other work on the machine disturbed least.
-    """
+    """Seconds per scene of one method: medians over the repeats, by stage and of all stages together; the least total."""
 
     method: str
     stages: dict[str, float]
@@ -226,27 +187,22 @@ def take_times(
     repeats: int,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Times]:
-    """Time methods on one device.
+    """Time methods on the device of measurements ``(N, C, H, W)``, of which each turn takes the next one.
 
-    Args:
-        methods: ready on the measurements' device.
-        measurements: ``(N, C, H, W)``; each turn takes the next one.
-        repeats: turns that count, after one that does not.
-        progress: called with turns done and in all.
+    ``repeats`` turns count, after one that does not; ``progress`` is called with turns done and in all.
     """
-    totals: list[list[float]] = [[] for _ in methods]
-    stages: list[dict[str, list[float]]] = [{} for _ in methods]
+    found: list[list[dict[str, float]]] = [[] for _ in methods]
     for turn in range(repeats + 1):
         scene = measurements[turn % len(measurements)][None]
         for which, method in enumerate(methods):
             clock = Clock(scene.device)
             method.reconstruct(scene, clock)
             if turn:
-                totals[which].append(sum(clock.seconds.values()))
-                for stage, seconds in clock.seconds.items():
-                    stages[which].setdefault(stage, []).append(seconds)
+                found[which].append(clock.seconds)
         progress(turn + 1, repeats + 1)
-    return [
-        Times(method.name, {stage: median(seconds) for stage, seconds in by.items()}, median(total), min(total))
-        for method, by, total in zip(methods, stages, totals, strict=True)
-    ]
+    times = []
+    for method, turns in zip(methods, found, strict=True):
+        totals = [sum(seconds.values()) for seconds in turns]
+        stages = {stage: median(seconds[stage] for seconds in turns) for stage in turns[0]}
+        times.append(Times(method.name, stages, median(totals), min(totals)))
+    return times

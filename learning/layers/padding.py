@@ -100,24 +100,17 @@ def from_pairs(pairs: Tensor) -> Tensor:
 def check_measurement(
     measurement: Tensor, offset: Tensor, rows: AxisPlan, columns: AxisPlan, *, frames: bool = False
 ) -> None:
-    """Refuse measurements ``(B, C, H, W)`` of another shape than the camera's.
+    """Refuse measurements ``(B, C, H, W)`` of another shape than the camera's, which has an ``offset`` per channel.
 
-    Args:
-        measurement: what came.
-        offset: one number per channel.
-        rows: plan of H.
-        columns: plan of W.
-        frames: whether several, ``(B, N, C, H, W)``, are welcome too.
+    With ``frames``, several, ``(B, N, C, H, W)``, are welcome too.
 
     Raises:
         InputError: saying both shapes.
     """
     wanted = (len(offset), rows.sensor, columns.sensor)
     if measurement.ndim not in ((4, 5) if frames else (4,)) or tuple(measurement.shape[-3:]) != wanted:
-        msg = (
-            f"measurement: got shape {tuple(measurement.shape)}, expected (B, C, H, W) with (C, H, W) = {wanted}: it is "
-            "of another camera than the PSF stack"
-        )
+        came = f"got shape {tuple(measurement.shape)}, expected (B, C, H, W) with (C, H, W) = {wanted}"
+        msg = f"measurement: {came}: it is of another camera than the PSF stack"
         raise InputError(msg)
 
 

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from learning.camera import CaptureModel
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.unet import UNet
-from learning.method import Clock, Estimate
+from learning.method import Clock, Estimate, check_choices
 from learning.provenance import now_called
 from simulator.errors import InputError
 
@@ -119,7 +119,7 @@ def build_network(capture: CaptureModel, name: str, size: str = "compact", **cha
     Raises:
         InputError: an unknown name or size, or numbers that the network refuses.
     """
-    _check(name, size)
+    check_choices(("network", name, NETWORKS), ("size", size, SIZES))
     numbers = [key for key in inspect.signature(NETWORKS[name]).parameters if key != "capture"]
     for key in changes:
         if key not in numbers:
@@ -139,15 +139,8 @@ def full_architecture(architecture: Mapping[str, Any]) -> dict[str, Any]:
         8
     """
     name, size = architecture.get("network"), architecture.get("size", "compact")
-    _check(name, size)
+    check_choices(("network", name, NETWORKS), ("size", size, SIZES))
     return {"network": name, "size": size, **SIZES[size], **architecture}
-
-
-def _check(name: Any, size: Any) -> None:
-    for what, value, known in (("network", name, NETWORKS), ("size", size, SIZES)):
-        if value not in known:
-            msg = f"{what}: got {value!r}, expected one of {', '.join(known)}"
-            raise InputError(msg)
 
 
 class LearnedMethod:
@@ -171,7 +164,8 @@ class LearnedMethod:
             InputError: a measurement of another shape than the camera's.
         """
         clock = clock or Clock(measurement.device)
-        if not _same(self._made_from, _sources(self.network)):
+        before, now = self._made_from, _sources(self.network)
+        if any(a[1:] != b[1:] or a[0].data_ptr() != b[0].data_ptr() for a, b in zip(before, now, strict=True)):
             self._inverse, self._made_from = self._work_out()
         training = self.network.training
         self.network.eval()  # batch normalisation by what training saw, not by this batch
@@ -184,24 +178,13 @@ class LearnedMethod:
         finally:
             self.network.train(training)
 
-    def _work_out(self) -> tuple[Tensor, list[tuple[Tensor, int]]]:
+    def _work_out(self) -> tuple[Tensor, list[tuple[Tensor, int, torch.dtype]]]:
         with torch.no_grad():
             return self.network.inversion.inverse(), _sources(self.network)
 
 
-def _sources(network: FlatNet) -> list[tuple[Tensor, int]]:
-    """Return what W follows from, with how often each was written to.
-
-    The tensors share their memory with the network's. As long as they are kept, none else gets their addresses.
-    """
+def _sources(network: FlatNet) -> list[tuple[Tensor, int, torch.dtype]]:
+    """Return what W follows from, with how often each was written to; as long as it is kept, none else gets its address."""
     inversion = network.inversion
-    return [
-        (value.detach(), value._version) for value in (inversion.log_lambda, inversion.filters, inversion.numerator)
-    ]
-
-
-def _same(before: list[tuple[Tensor, int]], now: list[tuple[Tensor, int]]) -> bool:
-    return all(
-        version == other_version and value.data_ptr() == other.data_ptr() and value.dtype == other.dtype
-        for (value, version), (other, other_version) in zip(before, now, strict=True)
-    )
+    values = (inversion.log_lambda, inversion.filters, inversion.numerator)
+    return [(value.detach(), value._version, value.dtype) for value in values]

@@ -20,7 +20,6 @@ from simulator.dataset.dataset_info import FILE
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.io.files import sha256_file
-from simulator.optics.stack import PsfStack
 from simulator.optics.stack_files import DESCRIPTION, read_psf_stack, stack_folder
 
 _TYPICAL = "twice the mean radiance of a scene that sends this much light"
@@ -136,15 +135,14 @@ def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
     if name not in DEFAULTS:
         msg = f"--method: got {name!r}, expected cls or admm; a network is named by --checkpoint"
         raise InputError(msg)
-    camera = camera_of(measurement, request)
-    capture = camera.capture
+    capture, numbers_from, dataset = camera_of(measurement, request)
     _check_fit(measurement, capture, f"the stack {request.stack or 'of the data set'}")
     if request.scene is not None and capture.scene_shape != request.scene:
         scenes = _size(capture.scene_shape)
         msg = f"--scene: got {_size(request.scene)}, the data set's scenes have {scenes}; leave it out"
         raise InputError(msg)
     capture = _lit(measurement, capture)
-    white, white_from = _white(measurement, request, camera, capture)
+    white, white_from = _white(measurement, request, dataset, capture)
     capture = replace(capture, white=white)
     flat = len(capture.stack.depths_m) == 1
     if flat and request.tuned is not None:
@@ -158,7 +156,7 @@ def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
         "method": name,
         "parameters": known | parameters,
         "parameters_from": source,
-        "camera": _camera_record(capture, camera.numbers_from, white_from),
+        "camera": _camera_record(capture, numbers_from, white_from),
     }
     if flat:
         return Setup(PlanarMethod(capture, name, parameters), name, None if white_from == _TYPICAL else white, record)
@@ -184,60 +182,43 @@ def _parameters(
     return chosen | told, f"{request.tuned}, tuned at {level:g} dB for {noise_db:g} dB{', and --set' if told else ''}"
 
 
-@dataclass(frozen=True, eq=False)
-class Camera:
-    """The camera of a measurement.
+def camera_of(measurement: Measurement, request: Request) -> tuple[CaptureModel, str, Dataset | None]:
+    """Return the camera that took a measurement, its white still unknown.
 
-    Attributes:
-        capture: its white still unknown.
-        numbers_from: where gain, offset and irradiance come from, in words.
-        dataset: the data set's train split that they are of; None where nothing but the PSFs is known.
-    """
-
-    capture: CaptureModel
-    numbers_from: str
-    dataset: Dataset | None
-
-
-def camera_of(measurement: Measurement, request: Request) -> Camera:
-    """Return the camera that took a measurement.
-
-    Raises:
-        InputError: PSFs that are missing, cannot be read, or are of other channels.
+    And where gain, offset and irradiance come from, in words; and the data set's train split that they are of, None where
+    nothing but the PSFs is known.
     """
     dataset, stack = _own_dataset(measurement), request.stack
     if stack is None or stack in ("nominal", "captured"):
         if dataset is None:
-            msg = (
-                f"--stack: got {stack or 'nothing'}, but {measurement.path} is not a sample of a data set; give the PSFs of "
-                "its camera: a stack's folder, a data set's, or the image of a PSF"
-            )
+            wanted = "give the PSFs of its camera: a stack's folder, a data set's, or the image of a PSF"
+            msg = f"--stack: got {stack or 'nothing'}, but {measurement.path} is not a sample of a data set; {wanted}"
             raise InputError(msg)
-        return Camera(capture_model(dataset, stack or "nominal"), _of_own(dataset), dataset)
+        return capture_model(dataset, stack or "nominal"), _of_own(dataset), dataset
     place = Path(stack).expanduser()
+    folder = stack_folder(place)
     if place.is_file():
         if dataset is not None:
-            msg = (
-                f"--stack: {place} is an image, but {measurement.path} is a sample of a data set; give a stack's folder"
-            )
+            cure = "give a stack's folder"
+            msg = f"--stack: {place} is an image, but {measurement.path} is a sample of a data set; {cure}"
             raise InputError(msg)
         channels = RGB if len(measurement.channels) == 3 else measurement.channels
-        image = load_psf_image(
-            place, channels, background=request.psf_background, crop=request.psf_crop, binning=request.binning
-        )
-        return _plain(measurement, image, request)
-    if (place / FILE).is_file() and dataset is None:
-        found = open_dataset(place, "train")
-        return Camera(capture_model(found), f"of {place}, whose camera took the measurement", found)
-    folder = stack_folder(place)
-    if not (folder / DESCRIPTION).is_file():
+        options: dict[str, Any] = {"background": request.psf_background, "crop": request.psf_crop}
+        found = load_psf_image(place, channels, binning=request.binning, **options)
+    elif (place / FILE).is_file() and dataset is None:
+        train = open_dataset(place, "train")
+        return capture_model(train), f"of {place}, whose camera took the measurement", train
+    elif not (folder / DESCRIPTION).is_file():
         what = "neither the image of a PSF nor the folder of a stack or a data set"
         msg = f"--stack: {place} is {what}; `flatlight psf` makes stacks"
         raise InputError(msg)
-    found = read_psf_stack(folder)
+    else:
+        found = read_psf_stack(folder)
     if dataset is not None:
-        return Camera(capture_model(dataset, found), _of_own(dataset), dataset)
-    return _plain(measurement, found, request)
+        return capture_model(dataset, found), _of_own(dataset), dataset
+    _check_channels(measurement, found.channels, f"the stack {stack}")
+    capture = plain_capture(found, measurement.sensor_shape, request.scene)
+    return capture, "none: gain 1, no vignetting, colours as they are; radiance has an unknown factor", None
 
 
 def _own_dataset(measurement: Measurement) -> Dataset | None:
@@ -249,18 +230,8 @@ def _of_own(dataset: Dataset) -> str:
     return f"of {dataset.root}, the measurement's own data set"
 
 
-def _plain(measurement: Measurement, stack: PsfStack, request: Request) -> Camera:
-    _check_channels(measurement, stack.channels, f"the stack {request.stack}")
-    capture = plain_capture(stack, measurement.sensor_shape, request.scene)
-    return Camera(capture, "none: gain 1, no vignetting, colours as they are; radiance has an unknown factor", None)
-
-
 def _lit(measurement: Measurement, capture: CaptureModel) -> CaptureModel:
-    """Return the camera without its dark level where a background was subtracted, which would otherwise go twice.
-
-    Raises:
-        InputError: a measurement without light, of which a method would make something nevertheless.
-    """
+    """Return the camera without its dark level where a background was subtracted, which would otherwise go twice."""
     if "background" in measurement.record:
         capture = replace(capture, offset=np.zeros_like(capture.offset))
     mean = float(np.mean(measurement.values - capture.offset[:, None, None]))
@@ -297,7 +268,9 @@ def _check_channels(measurement: Measurement, channels: tuple[str, ...], whose: 
         raise InputError(msg)
 
 
-def _white(measurement: Measurement, request: Request, camera: Camera, capture: CaptureModel) -> tuple[float, str]:
+def _white(
+    measurement: Measurement, request: Request, dataset: Dataset | None, capture: CaptureModel
+) -> tuple[float, str]:
     """Return the radiance to be shown as 1, by which the methods also scale their volumes, and where it comes from.
 
     A data set's, or a tuning's, has a meaning only where the camera's numbers are a data set's: the radiance of others has
@@ -305,11 +278,10 @@ def _white(measurement: Measurement, request: Request, camera: Camera, capture: 
     """
     if request.white is not None:
         return request.white, "as told"
-    if camera.dataset is not None and request.tuned is not None:
+    if dataset is not None and request.tuned is not None:
         return float(load_tuned(request.tuned).content["identity"]["white"]), f"{request.tuned}"
-    if camera.dataset is not None and len(camera.dataset) > 0:
-        white_from = f"99th percentile of the train split of {camera.dataset.root}"
-        return measure_reference_white(camera.dataset), white_from
+    if dataset is not None and len(dataset) > 0:
+        return measure_reference_white(dataset), f"99th percentile of the train split of {dataset.root}"
     return typical_white(capture, measurement.values), _TYPICAL
 
 

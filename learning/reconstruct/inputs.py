@@ -20,23 +20,14 @@ from simulator.optics.stack import PsfStack
 
 
 def crop_window(crop: str, path: Path, shape: tuple[int, int], option: str = "crop") -> tuple[slice, slice]:
-    """Return the rows and columns of a crop.
+    """Return the rows and columns of a crop of an image of this shape.
 
-    Args:
-        crop: ``ROWSxCOLUMNS`` about the centre, or ``ROWSxCOLUMNS+TOP+LEFT``.
-        path: of the image, for messages.
-        shape: its rows and columns.
-        option: the argument's name, for messages.
-
-    Raises:
-        InputError: another text, or a window beyond the image.
+    ``crop`` is ``ROWSxCOLUMNS`` about the centre, or ``ROWSxCOLUMNS+TOP+LEFT``; ``path`` and ``option`` are for messages.
     """
     found = re.fullmatch(r"(\d+)x(\d+)(?:\+(\d+)\+(\d+))?", crop.strip())
     if not found:
-        msg = (
-            f"{option}: got {crop!r}, expected ROWSxCOLUMNS (about the centre) or ROWSxCOLUMNS+TOP+LEFT, "
-            "e.g. 1080x1440+60+80"
-        )
+        wanted = "ROWSxCOLUMNS (about the centre) or ROWSxCOLUMNS+TOP+LEFT, e.g. 1080x1440+60+80"
+        msg = f"{option}: got {crop!r}, expected {wanted}"
         raise InputError(msg)
     sizes = (int(found[1]), int(found[2]))
     starts = [(whole - size) // 2 for whole, size in zip(shape, sizes, strict=True)]
@@ -44,47 +35,29 @@ def crop_window(crop: str, path: Path, shape: tuple[int, int], option: str = "cr
         starts = [int(found[3]), int(found[4])]
     for start, size, whole in zip(starts, sizes, shape, strict=True):
         if size < 1 or start < 0 or start + size > whole:
-            msg = (
-                f"{option}: got {crop}, which reaches beyond {path} of {shape[0]} x {shape[1]} pixels; make it smaller"
-            )
+            of = f"{path} of {shape[0]} x {shape[1]} pixels"
+            msg = f"{option}: got {crop}, which reaches beyond {of}; make it smaller"
             raise InputError(msg)
     rows, columns = (slice(start, start + size) for start, size in zip(starts, sizes, strict=True))
     return rows, columns
 
 
-def check_binning(binning: int, path: Path, shape: tuple[int, int], crop_option: str = "--crop") -> None:
-    """Refuse a binning that leaves pixels over: dropped in silence, they would shift image against PSF.
-
-    Args:
-        binning: pixels per side that become one.
-        path: of the image, for messages.
-        shape: its rows and columns, cropped.
-        crop_option: what cures it.
-
-    Raises:
-        InputError: it does not divide the size, or exceeds it.
-    """
-    rows, columns = shape
+def check_binning(binning: int, path: Path, shape: tuple[int, ...], crop_option: str = "--crop") -> None:
+    """Refuse a binning of ``(..., H, W)`` that leaves pixels over: dropped in silence, they would shift image against PSF."""
+    rows, columns = shape[-2:]
     if not 1 <= binning <= min(rows, columns):
         msg = f"binning: got {binning}, expected 1 to {min(rows, columns)} pixels per side for {path}"
         raise InputError(msg)
     if rows % binning or columns % binning:
-        fitting = f"{rows // binning * binning}x{columns // binning * binning}"
-        msg = (
-            f"binning: got {binning}, which does not divide {path} of {rows} x {columns} pixels; "
-            f"add {crop_option} {fitting}"
-        )
+        cure = f"add {crop_option} {rows // binning * binning}x{columns // binning * binning}"
+        msg = f"binning: got {binning}, which does not divide {path} of {rows} x {columns} pixels; {cure}"
         raise InputError(msg)
 
 
 def binned(light: NDArray[np.floating[Any]], binning: int, path: Path) -> NDArray[np.float64]:
-    """Return the mean of blocks, ``(C, H, W)`` to ``(C, H / binning, W / binning)``.
-
-    Raises:
-        InputError: see `check_binning`.
-    """
+    """Return the mean of blocks, ``(C, H, W)`` to ``(C, H / binning, W / binning)``."""
+    check_binning(binning, path, light.shape)
     rows, columns = light.shape[-2:]
-    check_binning(binning, path, (rows, columns))
     blocks = light.reshape(-1, rows // binning, binning, columns // binning, binning)
     return blocks.mean(axis=(2, 4), dtype=np.float64)
 
@@ -182,11 +155,8 @@ def _sample_folder(path: Path) -> Path | None:
     if (folder / DESCRIPTION).is_file():
         return folder
     if path.is_dir():
-        what = (
-            "a data set: give one of its samples"
-            if (path / FILE).is_file()
-            else f"not a sample: it has no {DESCRIPTION}"
-        )
+        ours = "a data set: give one of its samples"
+        what = ours if (path / FILE).is_file() else f"not a sample: it has no {DESCRIPTION}"
         msg = f"{path} is {what}, e.g. train/0000/s00000000, or an image's file"
         raise InputError(msg)
     return None
@@ -232,16 +202,13 @@ def _dark(background: str | float, values: NDArray[Any], path: Path) -> tuple[ND
         return level, f"{level:g}"
     dark, _ = _channels_first(image)
     if dark.shape[1:] != values.shape[1:] or len(dark) not in (1, len(values)):
-        msg = (
-            f"background: {image} is {_size(dark.shape)}, but {path} is {_size(values.shape)}; expected a dark image of "
-            "the same camera and size, before crop and binning"
+        dark_size, size = (
+            f"{h} x {w} with {c} channel{'s' if c > 1 else ''}" for c, h, w in (dark.shape, values.shape)
         )
+        wanted = "a dark image of the same camera and size, before crop and binning"
+        msg = f"background: {image} is {dark_size}, but {path} is {size}; expected {wanted}"
         raise InputError(msg)
     return dark.astype(np.float64), str(image)
-
-
-def _size(shape: tuple[int, ...]) -> str:
-    return f"{shape[1]} x {shape[2]} with {shape[0]} channel{'s' if shape[0] > 1 else ''}"
 
 
 _PITCH_M = 1e-5  # nothing here depends on it: values are scaled to a sum of 1
@@ -264,48 +231,30 @@ def load_psf_image(
         InputError: a file that cannot be read, a crop beyond it, a binning that does not divide it, or no light.
     """
     image = read_measurement(path, channels)
-    if crop is None:
-        check_binning(binning, path, _shape(image), "--psf-crop")
-        return _load(path, channels, _level(background), binning)
-    window = crop_window(crop, path, _shape(image), "psf-crop")
+    window = (slice(None), slice(None)) if crop is None else crop_window(crop, path, image.shape[-2:], "psf-crop")
     cut = image[(slice(None), *window)]
-    check_binning(binning, path, _shape(cut), "--psf-crop")
+    check_binning(binning, path, cut.shape, "--psf-crop")
     level = _level(background)
+    options: dict[str, Any] = {"frame": "stored", "binning": binning, "channels": channels}
+    options["throughput_m2"] = _PITCH_M**2
+    if crop is None:
+        return load_measured_psf([path], [np.inf], _PITCH_M, background=level, **options)
     with TemporaryDirectory() as folder:
         np.save(place := Path(folder, "psf.npy"), cut)
+        told = {"background": background} if isinstance(level, Path) else {}
         if isinstance(level, Path):
             dark = read_measurement(level, channels)
-            dark_window = crop_window(crop, level, _shape(dark), "psf-crop")
+            dark_window = crop_window(crop, level, dark.shape[-2:], "psf-crop")
             np.save(level := Path(folder, "dark.npy"), dark[(slice(None), *dark_window)])
-        stack = _load(place, channels, level, binning)
-    told = {"background": background} if isinstance(level, Path) else {}
+        stack = load_measured_psf([place], [np.inf], _PITCH_M, background=level, **options)
     images = [record | {"file": path.name} for record in stack.provenance["images"]]
     return replace(stack, provenance={**stack.provenance, **told, "images": images, "crop": crop})
 
 
-def _load(path: Path, channels: tuple[str, ...], background: Background, binning: int) -> PsfStack:
-    return load_measured_psf(
-        [path],
-        [np.inf],
-        _PITCH_M,
-        frame="stored",
-        binning=binning,
-        background=background,
-        throughput_m2=_PITCH_M**2,
-        channels=channels,
-    )
-
-
 def _level(background: str | None) -> Background:
-    if background is None or background == "border":
-        return "border"
-    if background == "none":
-        return "none"
+    if background in (None, "border", "none"):
+        return "none" if background == "none" else "border"
     try:
         return float(background)
     except ValueError:
         return Path(background)
-
-
-def _shape(image: Any) -> tuple[int, int]:
-    return image.shape[-2], image.shape[-1]

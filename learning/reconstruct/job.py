@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 import torch
@@ -68,13 +68,8 @@ def reconstruct_file(options: Options) -> str:
         msg = f"--white: got {options.white}, expected a positive radiance"
         raise InputError(msg)
     device = choose_device(options.device)
-    measurement = load_measurement(
-        options.measurement,
-        bits=options.bits,
-        background=options.background,
-        crop=options.crop,
-        binning=options.binning,
-    )
+    of_file = {name: getattr(options, name) for name in ("bits", "background", "crop", "binning")}
+    measurement = load_measurement(options.measurement, **of_file)
     if options.output is not None:
         is_own_folder(options.output, RECORD, "reconstruction", "--output")
     setup = choose_method(measurement, options)
@@ -99,11 +94,7 @@ def reconstruct_file(options: Options) -> str:
 
 
 def parse_size(text: str | None) -> tuple[int, int] | None:
-    """Return the rows and columns of ``--scene ROWSxCOLUMNS``.
-
-    Raises:
-        InputError: another text.
-    """
+    """Return the rows and columns of ``--scene ROWSxCOLUMNS``."""
     found = re.fullmatch(r"(\d+)x(\d+)", text or "")
     if text is not None and not found:
         msg = f"--scene: got {text!r}, expected ROWSxCOLUMNS, e.g. 256x256"
@@ -112,11 +103,7 @@ def parse_size(text: str | None) -> tuple[int, int] | None:
 
 
 def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
-    """Return the parameters of ``--set KEY=VALUE``.
-
-    Raises:
-        InputError: another text.
-    """
+    """Return the parameters of ``--set KEY=VALUE``."""
     parameters = {}
     for text in texts:
         name, _, value = text.partition("=")
@@ -149,15 +136,6 @@ def _report(measurement: Measurement, name: str, record: dict[str, Any], result:
     }
     width = max(map(len, lines))
     return "\n".join(f"{name:>{width}}  {text}" for name, text in lines.items())
-
-
-@runtime_checkable
-class HasVolume(Protocol):
-    """A method that can show its volume."""
-
-    def volume(self, measurement: Tensor) -> Tensor:
-        """Return ``(B, K, C, h, w)`` of measurements ``(B, C, H, W)``."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +190,7 @@ def reconstruct(
     if not np.isfinite(measurement).all():
         msg = "measurement: got NaN or infinite numbers, expected finite ones; repair these pixels first"
         raise InputError(msg)
-    if volume and not isinstance(method, HasVolume | LearnedMethod):
+    if volume and not (isinstance(method, LearnedMethod) or hasattr(method, "volume")):
         msg = f"volume: {method.name} has none to show; leave it out"
         raise InputError(msg)
     batch = torch.from_numpy(np.array(measurement, np.float32))[None].to(device)
@@ -224,8 +202,8 @@ def reconstruct(
     if isinstance(method, LearnedMethod) and volume:
         with torch.no_grad():
             shown = method.network.inversion(batch)
-    elif isinstance(method, HasVolume) and volume:
-        shown = method.volume(batch)
+    elif volume:
+        shown = method.volume(batch)  # pyright: ignore[reportAttributeAccessIssue]
     depth_m = np.minimum(to_numpy(estimate.depth_m(capture))[0, 0], FARTHEST_M)
     return Reconstruction(
         radiance=to_numpy(srgb_to_linear(estimate.image, capture.white))[0],
@@ -256,20 +234,11 @@ def _planar(batch: Tensor, method: PlanarMethod, clock: Clock, *, volume: bool, 
 def write_reconstruction(
     folder: Path, result: Reconstruction, capture: CaptureModel, record: dict[str, Any]
 ) -> list[str]:
-    """Write a reconstruction; the folder appears whole or not at all.
+    """Write a reconstruction and return the files' names; the folder appears whole or not at all.
 
     ``picture.png`` (sRGB, 8 bit), ``picture.exr`` (linear R, G, B), ``depth.exr`` (Z, metres), ``depth.png`` (colours and
-    what they mean), ``volume.exr`` (channels ``plane00.R`` and so on, nearest first) and ``reconstruction.json``, as far as
-    there is something to write.
-
-    Args:
-        folder: is made; an earlier reconstruction in it is replaced.
-        result: what to write.
-        capture: the camera, for the depths.
-        record: how it came about.
-
-    Returns:
-        The files' names.
+    what they mean), ``volume.exr`` (channels ``plane00.R`` and so on, nearest first), ``reconstruction.json`` (``record``),
+    as far as there is something to write. An earlier reconstruction in the folder is replaced.
 
     Raises:
         InputError: the folder holds other things.

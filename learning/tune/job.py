@@ -17,14 +17,15 @@ from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
 from learning.config import FEWEST_SCENES, TuneConfig
 from learning.data import Example, ExampleSet, check_dataset
-from learning.method import Estimate, choose_device, linear_to_srgb
+from learning.method import Estimate, aligned, choose_device, linear_to_srgb
 from learning.metrics import depth_scores, psnr
-from learning.provenance import code_fingerprint, now_called, sample_digests
+from learning.provenance import now_called, sample_digests
 from learning.tune.search import Axis, Parameters, coordinate_search
 from learning.tune.study import Study
 from simulator import __version__
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
+from simulator.io.cache import code_digest
 from simulator.io.files import sha256_bytes, storage_errors
 from simulator.io.json import canonical_json
 
@@ -42,25 +43,17 @@ _MOST_BYTES = 2 << 30  # of volumes that are kept
 _DECIDING = ("learning.classical.method", "learning.data", "learning.metrics", "learning.tune.job")
 
 _LIMITS: dict[str, tuple[float, float]] = {
-    # Of the PSF's mean spectral power: less is below the rounding of float32, more leaves nothing but the mean brightness.
-    "regularisation_lambda": (1e-7, 100.0),
-    # The Laplacian's greatest response is 8: far more is Tikhonov's regularisation, far less the Laplacian alone.
-    "tikhonov": (1e-4, 1000.0),
-    # White is 1: a weight of 10 on every step or value leaves a grey plane, or nothing.
-    "tv": (1e-6, 10.0),
+    "regularisation_lambda": (1e-7, 100.0),  # below float32's rounding; nothing but the mean brightness is left
+    "tikhonov": (1e-4, 1000.0),  # far from the Laplacian's greatest response, 8, on either side
+    "tv": (1e-6, 10.0),  # white is 1: ten times that on every step or value leaves a grey plane, or nothing
     "sparsity": (1e-6, 10.0),
-    # More is for the file to ask.
-    "iterations": (1, 1000),
-    # Costs are alike for all planes below, and those of a single plane above.
-    "contrast": (0.01, 1000.0),
-    # A window of a quarter of a pixel is that pixel.
-    "window_px": (0.25, math.inf),
-    # Of the cost between a pixel's best and worst label: a map of noise below, of one depth above.
-    "pairwise": (1e-3, 1000.0),
-    # 32 labels between two planes are finer than any capture tells.
-    "steps_between_planes": (1, 32),
+    "iterations": (1, 1000),  # more is for the file to ask
+    "contrast": (0.01, 1000.0),  # costs are alike for all planes below, and those of a single plane above
+    "window_px": (0.25, math.inf),  # a window of a quarter of a pixel is that pixel
+    "pairwise": (1e-3, 1000.0),  # a map of noise below, of one depth above
+    "steps_between_planes": (1, 32),  # finer than any capture tells
 }
-_HEADINGS = ("method", "noise dB", "PSNR dB", "depth RMSE cm", "score", "parameters")
+_HEADINGS: tuple[str, ...] = ("method", "noise dB", "PSNR dB", "depth RMSE cm", "score", "parameters")
 
 
 def tune_file(
@@ -86,12 +79,19 @@ def tune_file(
     output = config.resolve_path(config.output)
     with storage_errors(output):
         output.parent.mkdir(parents=True, exist_ok=True)
-    device = choose_device(config.device)
-    dataset = _scenes(config)
+    device, data = choose_device(config.device), config.data
+    dataset = open_dataset(config.resolve_path(data.validation), data.split)
+    if len(dataset) < data.scenes:
+        cure = "generate more of them"
+        if len(dataset) < FEWEST_SCENES or data.allow_few_scenes:
+            cure += ", or set data.scenes (and allow_few_scenes: true below 32)"
+        found = f"split {data.split!r} of {dataset.root} has {len(dataset)} samples"
+        msg = f"data.scenes: got {data.scenes}, but {found}; {cure}"
+        raise InputError(msg)
+    dataset = dataset[: data.scenes]
     check_dataset(dataset)
-    train = open_dataset(config.resolve_path(config.data.train or config.data.validation), "train")
-    white = measure_reference_white(train)
-    capture = capture_model(dataset, config.resolve_stack(config.data.stack), white=white)
+    white = measure_reference_white(open_dataset(config.resolve_path(data.train or data.validation), "train"))
+    capture = capture_model(dataset, config.resolve_stack(data.stack), white=white)
     methods = tunables(capture) if tunables else [classical(capture, name, config, device) for name in config.methods]
     score = Score(config.objective, _load(dataset, None, config.seed), capture)
     identity = {  # all that decides the score of given parameters
@@ -104,14 +104,14 @@ def tune_file(
         "objective": config.objective,
         "seed": config.seed,
         "version": __version__,
-        "code": code_fingerprint(*_DECIDING),
+        "code": code_digest(*_DECIDING),
     }
     about = {
         "config": config.dump(),
-        "scenes": config.data.scenes,
-        "fewer_scenes_than_advised": config.data.scenes < FEWEST_SCENES,
+        "scenes": data.scenes,
+        "fewer_scenes_than_advised": data.scenes < FEWEST_SCENES,
         "objective": FORMULAS[config.objective],
-        "constant_guess": {"psnr_db": score.constant.psnr_db, "depth_rmse_cm": score.constant.depth_rmse_cm},
+        "constant_guess": asdict(score.constant),
         "device": config.device,
         "torch": torch.__version__,
     }
@@ -122,45 +122,27 @@ def tune_file(
     return output
 
 
-def _scenes(config: TuneConfig) -> Dataset:
-    data = config.data
-    dataset = open_dataset(config.resolve_path(data.validation), data.split)
-    if len(dataset) < data.scenes:
-        cure = "generate more of them"
-        if len(dataset) < FEWEST_SCENES or data.allow_few_scenes:
-            cure += ", or set data.scenes (and allow_few_scenes: true below 32)"
-        msg = f"data.scenes: got {data.scenes}, but split {data.split!r} of {dataset.root} has {len(dataset)} samples; {cure}"
-        raise InputError(msg)
-    return dataset[: data.scenes]
-
-
 def _load(dataset: Dataset, noise_db: float | None, seed: int) -> Example:
     examples = ExampleSet(dataset, noise_db=None if noise_db is None else (noise_db, noise_db), seed=seed)
     return Example(*default_collate([tuple(examples[position]) for position in range(len(dataset))]))
 
 
 class VolumeMethod(Protocol):
-    """A method in two steps, so that the first, which is the costly one, is done once where only the second changes."""
+    """A method in two steps, so that the first, which is the costly one, is done once where only the second changes.
 
-    def volume(self, measurement: Tensor) -> Tensor:
-        """Return the volume ``(B, K, C, h, w)`` of measurements ``(B, C, H, W)``."""
-        ...
+    ``volume`` makes ``(B, K, C, h, w)`` of measurements ``(B, C, H, W)``, ``estimate`` image and depth of that.
+    """
 
-    def estimate(self, volume: Tensor) -> Estimate:
-        """Return image and depth of a volume."""
-        ...
+    def volume(self, measurement: Tensor) -> Tensor: ...  # noqa: D102
+    def estimate(self, volume: Tensor) -> Estimate: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
 class Tunable:
     """A method and its search space.
 
-    Attributes:
-        name: of the method.
-        build: makes it of its parameters.
-        defaults: all parameters; where the search begins.
-        space: those that are searched, in this order.
-        volume_parameters: those on which the volume depends.
+    ``build`` makes it of its parameters; ``defaults`` are all of these, where the search begins, ``space`` those that are
+    searched, in this order, and ``volume_parameters`` those on which the volume depends.
     """
 
     name: str
@@ -205,10 +187,9 @@ def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torc
 
 def limits(parameter: str, capture: CaptureModel) -> tuple[float, float]:
     """Return the least and the greatest value of a parameter that still mean something; a file may ask for others."""
-    # Half the scene: a wider window averages everything.
-    widest_px = max(capture.scene_shape) / 2 if parameter == "window_px" else math.inf
     low, high = _LIMITS.get(parameter, (0.0, math.inf))
-    return low, min(high, widest_px)
+    # Half the scene: a wider window averages everything.
+    return low, max(capture.scene_shape) / 2 if parameter == "window_px" else high
 
 
 @dataclass(frozen=True)
@@ -277,7 +258,7 @@ def tune(
     progress: Progress = lambda *_: None,
     say: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Tune methods at noise levels and write everything to the study.
+    """Tune methods at noise levels and write everything to the study; what it knows is not tried again.
 
     Levels go from the least noise to the most. The first begins at the defaults and tries all candidates; each further one
     begins at the better of the defaults and the parameters of the level before, and goes from neighbour to neighbour.
@@ -286,9 +267,9 @@ def tune(
         tunables: the methods.
         measurements: ``(N, C, H, W)`` of the same scenes by noise level, decibels, on the device to compute on.
         score: of these scenes.
-        study: where trials and results go; what it knows is not tried again.
-        progress: called with a stage, trials done and about how many there will be.
-        say: called with a line for each result.
+        study: where trials and results go.
+        progress: see `tune_file`.
+        say: see `tune_file`.
 
     Raises:
         InputError: a method whose defaults give no finite score, or a search space without its defaults.
@@ -332,13 +313,7 @@ class _Trials:
     """Tries parameters of one method at one level; volumes are kept for later trials, the best one's longest."""
 
     def __init__(
-        self,
-        tunable: Tunable,
-        noise_db: float,
-        measurements: Tensor,
-        score: Score,
-        study: Study,
-        progress: Progress,
+        self, tunable: Tunable, noise_db: float, measurements: Tensor, score: Score, study: Study, progress: Progress
     ) -> None:
         self._tunable, self._noise_db, self._measurements = tunable, noise_db, measurements
         self._score, self._study, self._progress = score, study, progress
@@ -408,17 +383,13 @@ def in_words(result: Mapping[str, Any], constant: Mapping[str, Any]) -> str:
 def table(content: Mapping[str, Any]) -> str:
     """Return all results of a study and the constant guess, one line each."""
     constant = content["about"]["constant_guess"]
-    rows: list[tuple[str, ...]] = [_HEADINGS]
+    rows = [_HEADINGS]
     for result in content["results"]:
         numbers = (_number(result["psnr_db"]), _number(result["depth_rmse_cm"]), f"{result['score']:.4g}")
         rows.append((result["method"], f"{result['noise_db']:g}", *numbers, _parameters_and_remarks(result)))
     rows.append(("constant guess", "", _number(constant["psnr_db"]), _number(constant["depth_rmse_cm"]), "", ""))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)][:-1]
-    lines = []
-    for first, *numbers, words in rows:
-        cells = [first.ljust(widths[0]), *(text.rjust(n) for text, n in zip(numbers, widths[1:], strict=True)), words]
-        lines.append("  ".join(cells).rstrip())
-    return "\n".join(lines)
+    lines = aligned([numbers for *numbers, _ in rows])
+    return "\n".join(f"{line}  {words}".rstrip() for line, (*_, words) in zip(lines, rows, strict=True))
 
 
 def _parameters_and_remarks(result: Mapping[str, Any]) -> str:

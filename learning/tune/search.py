@@ -110,14 +110,9 @@ class Axis:
 
 @dataclass(frozen=True)
 class Found:
-    """Where a search ended.
+    """Where a search ended: the best parameters, and how many rounds it took, the last, without a change, included.
 
-    Attributes:
-        parameters: the best.
-        score: of the best.
-        rounds: through all parameters, the last one, in which nothing changed, included.
-        converged: whether nothing changed in the last.
-        at_limit: parameters whose best value is a limit of its axis.
+    ``converged`` says whether nothing changed in the last; ``at_limit`` names those whose best value is a limit of its axis.
     """
 
     parameters: Parameters

@@ -33,18 +33,12 @@ class Tuned:
         return sorted(result["noise_db"] for result in self.content["results"] if result["method"] == method)
 
     def parameters(self, method: str, noise_db: float) -> tuple[Parameters, float]:
-        """Return the parameters of a method at a noise level, and the tuned level that they are of: the nearest.
-
-        Raises:
-            InputError: a method that was not tuned to the end at any level.
-        """
+        """Return the parameters of a method at a noise level, and the tuned level that they are of: the nearest."""
         levels = self.levels_db(method)
         if not levels:
             known = sorted({result["method"] for result in self.content["results"]})
-            msg = (
-                f"{self.path}: got the method {method!r}, expected one that was tuned ({', '.join(known) or 'none'}); "
-                "run `flatlight tune` with it"
-            )
+            wanted = f"one that was tuned ({', '.join(known) or 'none'})"
+            msg = f"{self.path}: got the method {method!r}, expected {wanted}; run `flatlight tune` with it"
             raise InputError(msg)
         nearest = min(levels, key=lambda level: abs(level - noise_db))
         found = (r for r in self.content["results"] if r["method"] == method and r["noise_db"] == nearest)
@@ -93,11 +87,7 @@ class Study:
     """
 
     def __init__(self, path: Path, identity: dict[str, Any], about: dict[str, Any]) -> None:
-        """Open the file, or begin one.
-
-        Raises:
-            InputError: a file that is not a study, or one of other data or settings: the first difference is named.
-        """
+        """Open the file, or begin one."""
         self.path = path
         self._content: dict[str, Any] = {
             "format": FORMAT,
@@ -149,10 +139,8 @@ class Study:
         for name in sorted(new.keys() | old.keys()):
             if new.get(name) != old.get(name):
                 was, now = (str(content.get(name))[:60] for content in (old, new))
-                msg = (
-                    f"{self.path} holds trials of other data or settings: {name} was {was}, is now {now}; "
-                    "choose another output, or delete the file"
-                )
+                differs = f"{name} was {was}, is now {now}"
+                msg = f"{self.path} holds trials of other data or settings: {differs}; choose another output, or delete it"
                 raise InputError(msg)
 
     @staticmethod

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from simulator import plugins
 from simulator.config.camera import RowWindows
@@ -45,13 +45,45 @@ def load_config(path: str | Path, overrides: Sequence[str] = ()) -> Config:
     Raises:
         InputError: one line ``file:line:column: key: problem`` per fault; for overrides ``--set a.b=c: ...``.
     """
-    path = Path(path)
-    document = read_yaml(path, str(path))
+    data, origins = _read(path, overrides)
+    return _build(data, Path(path).resolve().parent, origins)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def load_model(
+    model: type[Model],
+    path: str | Path,
+    overrides: Sequence[str] = (),
+    faults: Callable[[Any], Iterable[Problem]] = lambda _: (),
+) -> Model:
+    """Load any other YAML file: defaults, then the file, then the overrides.
+
+    Args:
+        model: what the file must be, strict.
+        path: the file.
+        overrides: see :func:`load_config`.
+        faults: finds what is wrong with plain data beside what the model refuses; where there is any, only that is said.
+
+    Raises:
+        InputError: see :func:`load_config`.
+    """
+    data, origins = _read(path, overrides)
+    if not (problems := list(faults(data))):
+        try:
+            return validate(model, data)
+        except ValidationError as error:
+            problems = find_problems(error, model, data)
+    raise ConfigError(problems, origins)
+
+
+def _read(path: str | Path, overrides: Sequence[str]) -> tuple[dict[str, Any], Origins]:
+    document = read_yaml(Path(path), str(path))
     if not isinstance(document.data, dict):
         msg = f"{path}:1:1: expected a mapping of keys to values, got {show(document.data)}"
         raise InputError(msg)
-    data, origins = apply_overrides(document, overrides, str(path))
-    return _build(data, path.resolve().parent, origins)
+    return apply_overrides(document, overrides, str(path))
 
 
 def config_from_dict(data: Mapping[str, Any], base_dir: Path | None = None, *, check_plugins: bool = True) -> Config:

@@ -148,9 +148,9 @@ def test_stacks_are_chosen_by_name_folder_or_value(train: Dataset, tmp_path: Pat
         assert model.near_m == nominal.stack.depths_m[1]
 
 
-def test_what_is_no_stack_of_this_camera_is_refused(train: Dataset, tmp_path: Path) -> None:
+def test_a_stack_of_another_camera_is_refused(train: Dataset, tmp_path: Path) -> None:
     stack = capture_model(train).stack
-    with pytest.raises(InputError, match=r"R, G, B at a pitch of 9\.6 um, expected R, G, B at 19\.2 um"):
+    with pytest.raises(InputError, match=r"9\.6 um, expected R, G, B at .*19\.2 um"):
         capture_model(train, replace(stack, pixel_pitch_m=9.6e-6))
     with pytest.raises(InputError, match="stack: got channels Y at"):
         capture_model(train, replace(stack, values=stack.values[:, :1], channels=("Y",)))

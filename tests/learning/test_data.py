@@ -204,7 +204,7 @@ def test_scenes_without_depth_are_refused(learning_trial: Any) -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 @pytest.mark.parametrize(("file", "channel"), [("measurement.exr", "G"), ("ground_truth.exr", "Z")])
-def test_values_that_are_no_numbers_are_refused_and_the_sample_named(
+def test_non_finite_values_are_refused_and_the_sample_named(
     tiny_dataset: Path, tmp_path: Path, bad: float, file: str, channel: str
 ) -> None:
     dataset = copied(tiny_dataset, tmp_path)

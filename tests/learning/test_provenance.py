@@ -1,4 +1,4 @@
-"""The folder of an evaluation: whose it is, and that nothing of an earlier run goes stale in it."""
+"""Keys of earlier versions: refused with the new name in files, read in results."""
 
 from __future__ import annotations
 
@@ -9,77 +9,11 @@ from typing import Any
 import pytest
 import yaml
 
-import learning
 from learning.checkpoint import load_checkpoint, shipped_checkpoints
 from learning.classical.method import DEFAULTS, check_parameters
 from learning.config import TrainConfig, TuneConfig, load_file
-from learning.evaluate.report import claim_folder, remove_stale
-from learning.provenance import code_fingerprint
 from learning.tune.study import load_tuned
 from simulator.errors import InputError
-
-
-@pytest.mark.parametrize("content", ["dataset.json", "training.json", "report.md", "notes.txt"])
-def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path: Path, content: str) -> None:
-    (tmp_path / content).write_text("mine")
-    with pytest.raises(InputError, match=rf"output: .* is not empty and holds no evaluation \({content}"):
-        claim_folder(tmp_path, "trial")
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {content: "mine"}
-
-
-def test_a_folder_is_gone_on_with_under_its_own_name_only(tmp_path: Path) -> None:
-    folder = tmp_path / "a" / "b"
-    claim_folder(folder, "trial")
-    (folder / "notes.txt").write_text("mine")
-    claim_folder(folder, "trial")
-    with pytest.raises(InputError, match=r"holds the evaluation 'trial', not 'other'"):
-        claim_folder(folder, "other")
-    (folder / "evaluation.json").write_text("{}")
-    with pytest.raises(InputError, match=r"is not a description of an evaluation"):
-        claim_folder(folder, "trial")
-    with pytest.raises(InputError, match=r"notes\.txt is a file"):
-        claim_folder(folder / "notes.txt", "trial")
-
-
-def test_what_was_not_written_this_time_goes_and_foreign_files_stay(tmp_path: Path) -> None:
-    for name in ("report.md", "noise.png", "times.png", "mine.png"):
-        (tmp_path / name).write_text("old")
-    remove_stale(tmp_path, ["report.md", "times.png"])
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.png", "report.md", "times.png"]
-
-
-SOURCES = {
-    "a.py": "from learning.b import one\n",
-    "b.py": "def one():\n    from learning.c import deep\n",
-    "c/__init__.py": "from learning.c import deep\n",
-    "c/deep.py": "import json\n",
-    "d.py": "from learning.a import one\n",
-}
-
-
-@pytest.mark.parametrize(
-    ("changed", "decides"),
-    [("a.py", True), ("b.py", True), ("c/__init__.py", True), ("c/deep.py", True), ("d.py", False)],
-)
-def test_all_that_is_imported_decides(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changed: str, decides: bool
-) -> None:
-    monkeypatch.setattr(learning, "__path__", [str(tmp_path)])
-    (tmp_path / "c").mkdir()
-    for name, text in SOURCES.items():
-        (tmp_path / name).write_text(text)
-    code_fingerprint.cache_clear()
-    before = code_fingerprint("learning.a")
-    (tmp_path / changed).write_text(SOURCES[changed] + "x = 1\n")
-    code_fingerprint.cache_clear()
-    after = code_fingerprint("learning.a")
-    code_fingerprint.cache_clear()
-    assert (before != after) == decides
-
-
-def test_a_module_that_is_none_is_refused() -> None:
-    with pytest.raises(ModuleNotFoundError, match=r"learning\.gone"):
-        code_fingerprint("learning.gone")
 
 
 @pytest.mark.parametrize(

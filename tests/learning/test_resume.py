@@ -44,7 +44,7 @@ def test_what_was_resolved_matters(tmp_path: Path) -> None:
         check_folder(tmp_path, described(config, {}, init_from=start | {"sha256": "b" * 64}))
 
 
-def test_what_never_saved_anything_is_no_hindrance(tmp_path: Path) -> None:
+def test_a_training_that_never_saved_anything_is_replaced(tmp_path: Path) -> None:
     with sole_use(tmp_path, described(CONFIG, {})):
         pass
     other = described(CONFIG | {"seed": 2}, {})

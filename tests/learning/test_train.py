@@ -147,7 +147,7 @@ def test_another_configuration_is_refused_line_by_line(settings: Callable[..., T
     assert train(settings(steps=2, log_every=1, data={"workers": 1})).steps == 1
 
 
-def test_a_loss_that_is_no_number_stops_before_its_step(
+def test_a_non_finite_loss_stops_before_its_step(
     settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch, tiny_dataset: Path
 ) -> None:
     config = settings(checkpoint_every_s=0.0)
@@ -175,7 +175,7 @@ def test_a_loss_that_is_no_number_stops_before_its_step(
     assert train(config).steps == 7
 
 
-def test_gradient_that_is_no_number(settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_non_finite_gradient(settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch) -> None:
     """The root of nothing: its value is 0, its slope infinite."""
     forward = ReconstructionLoss.forward
 
@@ -188,7 +188,7 @@ def test_gradient_that_is_no_number(settings: Callable[..., TrainConfig], monkey
         train(settings())
 
 
-def test_a_validation_that_is_no_number(settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_non_finite_validation(settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("learning.train.validate", lambda *_, **__: {"total": float("nan"), "psnr_db": 3.0})
     with pytest.raises(DivergedError, match=r"validation after step 4 is not finite \(total nan, psnr_db 3\)"):
         train(settings())

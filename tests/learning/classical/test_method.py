@@ -131,11 +131,7 @@ def test_the_number_of_labels_and_the_unit_do_not_change_what_pairwise_means(tin
     ("name", "parameters", "message"),
     [
         ("wiener", {}, "name: got 'wiener', expected one of cls, admm"),
-        (
-            "cls",
-            {"tv": 0.1},
-            "parameters: got 'tv', expected a parameter of cls",
-        ),
+        ("cls", {"tv": 0.1}, "parameters: got 'tv', expected a parameter of cls"),
         (
             "cls",
             {"regularisation_lambda": "much"},

@@ -9,15 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from learning.evaluate.figures import (
-    Shown,
-    depth_png,
-    method_colours,
-    montage_png,
-    noise_png,
-    stacks_png,
-    times_png,
-)
+from learning.evaluate.figures import Shown, depth_png, method_colours, montage_png, noise_png, stacks_png, times_png
 from learning.evaluate.outcome import Outcome, summarise
 from learning.evaluate.scoring import Times
 from simulator.plots.drawing import UNSEEN, depth_colours
@@ -31,7 +23,7 @@ def _outcome(name: str, noise_db: float | None = None, stack: str = "own", psnr:
     return Outcome(name, "learned", stack, noise_db, scores, 2.5, (1.0, None, 2.0))
 
 
-TRIVIAL = Outcome("constant", "naive", "own", None, {"depth_rmse_cm": summarise([[4.0, 4.4]])}, 4.2, (3.0, None, 5.0))
+NAIVE = Outcome("constant", "naive", "own", None, {"depth_rmse_cm": summarise([[4.0, 4.4]])}, 4.2, (3.0, None, 5.0))
 
 
 def _pixels(content: bytes) -> np.ndarray:
@@ -43,9 +35,9 @@ def _has(pixels: np.ndarray, colour: str) -> bool:
     return bool((np.abs(pixels - wanted).max(axis=-1) <= 2).sum() > 20)
 
 
-def test_the_ablation_draws_every_method_and_the_trivial_answers() -> None:
+def test_the_ablation_draws_every_method_and_the_naive_baselines() -> None:
     outcomes = [_outcome(name, level, psnr=at + level / 4) for at, name in enumerate(NAMES) for level in (20.0, 30.0)]
-    pixels = _pixels(noise_png(outcomes, COLOURS, [TRIVIAL]))
+    pixels = _pixels(noise_png(outcomes, COLOURS, [NAIVE]))
     assert all(_has(pixels, colour) for colour in COLOURS.values())
     half = pixels.shape[1] // 2
     assert _has(pixels[:, half:], "#8a9299")  # the constant depth has no PSNR: only the right panel has its line
@@ -57,8 +49,8 @@ def test_bins_stacks_and_times_draw_every_method() -> None:
     compared = [_outcome(name, stack=stack) for name in NAMES for stack in ("nominal", "captured")]
     times = [Times(name, {"inversion": 0.01, "network": 0.1 * at + 0.1}, 0.3, 0.2) for at, name in enumerate(NAMES)]
     for content in (
-        depth_png(outcomes, COLOURS, [TRIVIAL], (3.6, 5.0, 10.0, 20.0)),
-        stacks_png(compared, COLOURS, ("nominal", "captured"), [TRIVIAL]),
+        depth_png(outcomes, COLOURS, [NAIVE], (3.6, 5.0, 10.0, 20.0)),
+        stacks_png(compared, COLOURS, ("nominal", "captured"), [NAIVE]),
     ):
         assert all(_has(_pixels(content), colour) for colour in COLOURS.values())
     assert _pixels(times_png(times, COLOURS, "a CPU, 1 of 2 threads")).std() > 10
@@ -77,9 +69,9 @@ def test_points_with_parameters_of_another_level_are_hollow() -> None:
     assert blue(30.0) > blue(20.0) + 50  # two marks, one in each panel, lose their inside
 
 
-def test_compared_stacks_stand_beside_the_trivial_answers() -> None:
+def test_compared_stacks_stand_beside_the_naive_baselines() -> None:
     compared = [_outcome(name, stack=stack) for name in NAMES for stack in ("nominal", "captured")]
-    pixels = _pixels(stacks_png(compared, COLOURS, ("nominal", "captured"), [TRIVIAL]))
+    pixels = _pixels(stacks_png(compared, COLOURS, ("nominal", "captured"), [NAIVE]))
     half = pixels.shape[1] // 2
     assert _has(pixels[:, half:], "#8a9299")
     assert not _has(pixels[:, :half], "#8a9299")

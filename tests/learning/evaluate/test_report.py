@@ -5,12 +5,16 @@ from __future__ import annotations
 import csv
 import io
 import re
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
+
+import pytest
 
 from learning.evaluate.outcome import Outcome, summarise
 from learning.evaluate.report import (
     Findings,
+    claim_folder,
     conditions,
     csv_table,
     left_out,
@@ -19,9 +23,11 @@ from learning.evaluate.report import (
     markdown_matrix,
     markdown_table,
     markdown_times,
+    remove_stale,
     terminal_table,
 )
 from learning.evaluate.scoring import Times
+from simulator.errors import InputError
 
 NET = Outcome(
     "Net",
@@ -145,3 +151,32 @@ def test_scenes_without_a_score_are_counted() -> None:
     ]
     assert left_out(outcomes) == "- lit depth RMSE cm: 1 of 2 scenes have none and are left out (A, B)"
     assert not left_out([Outcome("A", "learned", "own", None, {"psnr": whole}, None, (), scenes=2)])
+
+
+@pytest.mark.parametrize("content", ["dataset.json", "training.json", "report.md", "notes.txt"])
+def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path: Path, content: str) -> None:
+    (tmp_path / content).write_text("mine")
+    with pytest.raises(InputError, match=rf"output: .* is not empty and holds no evaluation \({content}"):
+        claim_folder(tmp_path, "trial")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {content: "mine"}
+
+
+def test_a_folder_is_gone_on_with_under_its_own_name_only(tmp_path: Path) -> None:
+    folder = tmp_path / "a" / "b"
+    claim_folder(folder, "trial")
+    (folder / "notes.txt").write_text("mine")
+    claim_folder(folder, "trial")
+    with pytest.raises(InputError, match=r"holds the evaluation 'trial', not 'other'"):
+        claim_folder(folder, "other")
+    (folder / "evaluation.json").write_text("{}")
+    with pytest.raises(InputError, match=r"is not a description of an evaluation"):
+        claim_folder(folder, "trial")
+    with pytest.raises(InputError, match=r"notes\.txt is a file"):
+        claim_folder(folder / "notes.txt", "trial")
+
+
+def test_what_was_not_written_this_time_goes_and_foreign_files_stay(tmp_path: Path) -> None:
+    for name in ("report.md", "noise.png", "times.png", "mine.png"):
+        (tmp_path / name).write_text("old")
+    remove_stale(tmp_path, ["report.md", "times.png"])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.png", "report.md", "times.png"]

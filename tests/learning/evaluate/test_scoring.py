@@ -115,7 +115,7 @@ def test_dark_and_invalid_pixels_do_not_count_on_request(
 
 
 @pytest.mark.parametrize(("field", "value"), [("image", float("nan")), ("disparity", float("inf"))])
-def test_an_estimate_that_is_no_number_is_named(
+def test_a_non_finite_estimate_is_named(
     examples: ExampleSet, tiny_camera: CaptureModel, oracle: Any, field: str, value: float
 ) -> None:
     def spoil(estimate: Estimate) -> Estimate:
@@ -127,7 +127,7 @@ def test_an_estimate_that_is_no_number_is_named(
         score(oracle(tiny_camera, examples, spoil), examples, Criteria(EDGES_CM), device=CPU, batch=4)
 
 
-def test_trivial_rows_are_what_hand_computation_gives(tiny_dataset: Path, tiny_camera: CaptureModel) -> None:
+def test_naive_baselines_are_what_hand_computation_gives(tiny_dataset: Path, tiny_camera: CaptureModel) -> None:
     test = open_dataset(tiny_dataset, "test")
     examples = ExampleSet(test)
     criteria = Criteria((1.0, 20.0))

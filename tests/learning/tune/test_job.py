@@ -71,8 +71,7 @@ class Truth:
                 blur = (error + wrong)[:, None, None, None]
                 grey, middle = truth.image.mean(), truth.disparity.mean()
                 return Estimate(
-                    truth.image[scenes] * (1 - blur) + grey * blur,
-                    truth.disparity[scenes] * (1 - blur) + middle * blur,
+                    truth.image[scenes] * (1 - blur) + grey * blur, truth.disparity[scenes] * (1 - blur) + middle * blur
                 )
 
         space = {"regularisation_lambda": Axis((1e-3, 1e-2, 1e-1)), "window": Axis((1, 10, 100), low=1)}
@@ -158,7 +157,7 @@ def test_a_run_that_dies_goes_on_and_tries_nothing_twice(truth: Truth, score: Sc
     assert path.read_bytes() == before
 
 
-def test_a_book_of_other_data_is_refused_and_kept(tmp_path: Path) -> None:
+def test_a_study_of_other_data_is_refused_and_kept(tmp_path: Path) -> None:
     path = tmp_path / "tuned.json"
     study = Study(path, {"data": "x", "seed": 0}, {})
     study.add_trial({"method": "cls", "noise_db": 20.0, "parameters": {"a": 1.0}, "score": float("inf")})
@@ -185,7 +184,7 @@ def test_a_book_of_other_data_is_refused_and_kept(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_files_that_are_no_book_are_refused(tmp_path: Path, content: str | None, message: str) -> None:
+def test_files_that_are_not_a_study_are_refused(tmp_path: Path, content: str | None, message: str) -> None:
     path = tmp_path / "tuned.json"
     if content is not None:
         path.write_text(content, encoding="utf-8")
@@ -338,7 +337,7 @@ def test_a_file_is_tuned_on_noise_of_its_level_and_says_what_it_used(tiny_datase
         tune_file(load_file(TuneConfig, tmp_path / "tune.yaml", ["seed=3"]), tunables=tunables)
 
 
-def test_a_book_of_other_code_or_samples_is_refused(
+def test_a_study_of_other_code_or_samples_is_refused(
     tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def tunables(_: CaptureModel) -> list[Tunable]:
@@ -354,7 +353,7 @@ def test_a_book_of_other_code_or_samples_is_refused(
     config = load_file(TuneConfig, write_config(tmp_path, tiny_dataset))
     tune_file(config, tunables=tunables)
     with monkeypatch.context() as patch:
-        patch.setattr(job, "code_fingerprint", lambda *_: "f" * 64)
+        patch.setattr(job, "code_digest", lambda *_: "f" * 64)
         with pytest.raises(InputError, match=r"other data or settings: code was .*, is now ffff"):
             tune_file(config, tunables=tunables)
     entries = {key: replace(entry, digest="0" * 64) for key, entry in load_manifest(tiny_dataset).entries.items()}

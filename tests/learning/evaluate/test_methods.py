@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from learning.evaluate.leakage import check_learned, check_tuned
+from learning.evaluate.methods import check_learned, check_tuned
 from learning.tune.study import Study
 from simulator.dataset.reader import open_dataset
 from simulator.errors import InputError
