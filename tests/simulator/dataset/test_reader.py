@@ -69,15 +69,6 @@ def test_other_processes_read_it(dataset: Path) -> None:
     assert [sample.label for sample in labels] == ["class 2", "class 0"]
 
 
-def test_torch_data_loader(dataset: Path) -> None:
-    data = pytest.importorskip("torch.utils.data", reason="extra learn")
-    torch = pytest.importorskip("torch")
-    loader = data.DataLoader(
-        open_dataset(dataset), batch_size=2, collate_fn=lambda group: np.stack([sample.measurement for sample in group])
-    )
-    assert [torch.from_numpy(batch).shape for batch in loader] == [(2, 3, 24, 36), (1, 3, 24, 36)]
-
-
 def test_nothing_heavy_or_foreign_is_imported(samples: ModuleType, tmp_path: Path) -> None:
     camera = {"shutter": {"type": "windows", "function": "./evil.py:windows"}}
     dataset = samples.make_dataset(
