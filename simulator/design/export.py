@@ -25,6 +25,9 @@ _SAME_HEIGHT_M = 1e-12  # heights this close are one step: single precision of a
 _FRAME = "row 0 at the top, as seen from behind the sensor"
 
 
+# ---- a height map as TIFF
+
+
 def height_tiff(mask: Mask) -> bytes:
     """Return a TIFF of one page, 16 bit grey: 0 is the lowest height of the mask and 65535 the highest.
 
@@ -55,6 +58,26 @@ def height_tiff(mask: Mask) -> bytes:
         software="flatlight",
     )
     return file.getvalue()
+
+
+def _relief(mask: Mask) -> NDArray[np.float64]:
+    height = np.asarray(to_numpy(mask.height_m), np.float64)
+    return height - height.min()
+
+
+def _described(mask: Mask) -> dict[str, Any]:
+    return {
+        "mask": mask.name,
+        "pitch_m": mask.pitch_m,
+        "profile": mask.profile,
+        "material": mask.material.name,
+        "material_source": mask.material.source,
+        "frame": _FRAME,
+        "sha256": mask.digest(),
+    }
+
+
+# ---- layers
 
 
 @dataclass(frozen=True)
@@ -144,23 +167,6 @@ def write_layers(folder: Path, layers: MaskLayers) -> list[str]:
     return [entry["file"] for entry in entries] + ([] if aperture is None else [APERTURE_FILE])
 
 
-def _relief(mask: Mask) -> NDArray[np.float64]:
-    height = np.asarray(to_numpy(mask.height_m), np.float64)
-    return height - height.min()
-
-
-def _described(mask: Mask) -> dict[str, Any]:
-    return {
-        "mask": mask.name,
-        "pitch_m": mask.pitch_m,
-        "profile": mask.profile,
-        "material": mask.material.name,
-        "material_source": mask.material.source,
-        "frame": _FRAME,
-        "sha256": mask.digest(),
-    }
-
-
 def _png(image: NDArray[np.bool_], pitch_m: float) -> bytes:
     from PIL import Image
 
@@ -169,6 +175,8 @@ def _png(image: NDArray[np.bool_], pitch_m: float) -> bytes:
     Image.fromarray(image).save(file, format="PNG", dpi=(dots_per_inch, dots_per_inch))
     return file.getvalue()
 
+
+# ---- a solid body
 
 UNIT_M = 1e-3
 """One unit of an STL file: the format has none, and everyone takes millimetres."""
@@ -200,8 +208,7 @@ def relief_solid(mask: Mask, base_m: float) -> tuple[NDArray[np.float64], NDArra
     if not 0 < base_m < np.inf:
         msg = f"base_m: got {base_m:g}, expected a finite thickness above zero: a body needs a plate under its lowest height"
         raise InputError(msg)
-    height = np.asarray(to_numpy(mask.height_m), np.float64)
-    height = height - height.min()
+    height = _relief(mask)
     if not height.any():
         msg = f"height_m: mask {mask.name!r} is flat, so it has no relief; write its opening as layers instead"
         raise InputError(msg)

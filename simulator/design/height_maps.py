@@ -13,6 +13,8 @@ from simulator.design.export import MAX_SIDE, MAX_TRIANGLES
 from simulator.errors import InputError
 from simulator.io.measurements import read_measurement
 
+# ---- images and arrays
+
 _ROUNDING = 1e-6
 MAX_RELIEF_M = 1e-2
 """Highest relief that is taken for a mask's, metres, as high as ``max_height_um`` may be; above it the unit is wrong."""
@@ -94,6 +96,8 @@ def _largest_code(numbers: NDArray[Any], path: Path) -> int:
         raise InputError(msg)
     return int(np.iinfo(numbers.dtype).max)
 
+
+# ---- STL bodies
 
 Triangles = NDArray[np.float64]
 _AREA_TOLERANCE = 1e-4  # of the rectangle: what single precision leaves between neighbouring triangles

@@ -11,6 +11,8 @@ from simulator.arrays import require_mask_memory, require_memory
 from simulator.errors import InputError
 from simulator.optics.mask import Mask
 
+# ---- random surfaces and places
+
 _PLACES_PER_UNIT = 24
 
 
@@ -96,6 +98,8 @@ def poisson_disc(width: float, seed: int) -> NDArray[np.float64]:
     return (np.array(points, np.float64) + 0.5) * (width / lattice)
 
 
+# ---- contour lines
+
 # A picture's edge begins where its contrast exceeds this share of the picture's range and goes on down to half of it.
 _EDGE_CONTRAST = 0.2
 # Up to this reach, in samples, a disc is drawn at every edge; above it that costs more than the distance from the edges.
@@ -178,6 +182,8 @@ def _widened(edges: NDArray[np.bool_], line: float) -> NDArray[np.float32]:
     return binary_dilation(edges, x**2 + y**2 <= (line / 2) ** 2).astype(np.float32)
 
 
+# ---- coordinates and round apertures
+
 _SUBPIXELS = 16
 
 
@@ -220,6 +226,8 @@ def round_aperture(samples: int, diameter: float) -> NDArray[np.float32]:
     coverage[rows, columns] = inside.mean((1, 2))
     return coverage
 
+
+# ---- open and closed features
 
 FEATURE_TOLERANCE = 1e-6
 """How far, in samples, a feature may be from a whole number of them."""

@@ -1,4 +1,7 @@
-"""PSFs without a paraxial step: the point source's own wave on the mask, the angular spectrum from there."""
+"""PSFs without a paraxial step: the point source's own wave on the mask, the angular spectrum from there.
+
+From top to bottom: images on the sensor's pixels, the waves behind them, and the grids that these need.
+"""
 
 from __future__ import annotations
 
@@ -47,101 +50,86 @@ from simulator.types import CameraGeometry
 # As kernel.ORDERS. More orders need a finer grid here, and the pixel's sinc vanishes at one: 1.2 would take half as long
 # again for 0.4 % more of a PhlatCam's light.
 ORDERS = 1.0
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Where the light of one source goes and the grid that holds it.
-
-    Attributes:
-        source: the point source.
-        gap: layers between mask and sensor.
-        band: what is followed of the mask.
-        travel_m: how far sideways light travels beyond its carrier, metres: the margin on each side of the mask.
-        limited: whether steeper light exists and must be cut softly.
-    """
-
-    source: Source
-    gap: Strata
-    band: Band
-    travel_m: float
-    limited: bool
-
-    def grid(self, mask: Mask, oversampling: int) -> FineGrid:
-        """Return the grid that this source needs."""
-        factor = oversampling if mask.profile == "smooth" else 1
-        shape = (mask.shape[0] * factor, mask.shape[1] * factor)
-        half_width = max(mask.shape) * mask.pitch_m / 2 + self.band.tail_m
-        residual = self.source.residual_band(half_width)
-        return fine_grid(shape, mask.pitch_m / factor, self.band, residual, self.travel_m)
-
-
-def plan(mask: Mask, camera: CameraGeometry, oversampling: int, source: Source) -> Plan:
-    """Return where the light of a source goes behind a mask."""
-    wavelength_m, gap = source.wavelength_m, gap_strata(camera, source.wavelength_m)
-    band = mask_band(mask, wavelength_m, sum(number(t) for t, _ in gap), oversampling)
-    half_width = max(mask.shape) * mask.pitch_m / 2 + band.tail_m
-    steepest = wavelength_m * (band.end + source.residual_band(half_width))
-    # A smooth mask's corner frequencies carry light; a staircase's lie in the dark corners of two sincs.
-    travel_m, limited = _travel(gap, source.carrier, steepest, corners=band.pixel_m == 0)
-    if limited or band.end > band.full:
-        # The cut fades over this width inwards: it begins where the light that is followed ends.
-        edge_m = band_edge_m(wavelength_m, sum(number(t) for t, _ in gap))
-        return Plan(source, gap, band, travel_m + edge_m, True)
-    return Plan(source, gap, band, travel_m, False)
-
-
-def mask_band(mask: Mask, wavelength_m: float, distance_m: float, oversampling: int) -> Band:
-    """Return what is followed of a mask: so many diffraction orders of a staircase, a smooth mask's own band."""
-    steepest = MAX_SINE / wavelength_m
-    if mask.profile == "staircase":
-        reach_m = kernel_reach_m(mask.pitch_m, wavelength_m, distance_m, ORDERS, oversampling)
-        end = reach_m / math.hypot(reach_m, distance_m) / wavelength_m
-        return Band(TAPER * end, end, mask.pitch_m)
-    own = followed_frequency(mask, wavelength_m, oversampling)
-    if oversampling == 1 and own <= steepest:
-        return Band(own, own, 0.0)
-    finer = oversampling / (2 * mask.pitch_m)
-    return Band(min(own, TAPER * steepest), min(1.25 * own, steepest, finer), 0.0)
-
-
-def offset_m(camera: CameraGeometry, source: Source) -> tuple[float, float]:
-    """Return where (x, y; metres) a convolution puts a PSF's centre, seen from where the ray through the mask's centre lands.
-
-    A convolution knows one distance in air; behind glass, oblique rays land elsewhere.
-    """
-    placed = -np.array(source.direction) * number(camera.mask_to_sensor_m)
-    x, y = placed - _landing(gap_strata(camera, source.wavelength_m), np.array(source.carrier))
-    return float(x), float(y)
-
-
-def _travel(gap: Strata, carrier: tuple[float, float], steepest: float, *, corners: bool) -> tuple[float, bool]:
-    """Return how far (metres, per axis) light within ``steepest`` of the carrier travels beyond it, and if steeper is cut."""
-    straight = _landing(gap, np.array(carrier))
-    farthest, limited = 0.0, False
-    other = (-steepest, steepest) if corners else (0.0,)
-    for offset in [(a, b) for a in (-steepest, steepest) for b in other] + [
-        (b, a) for a in (-steepest, steepest) for b in other
-    ]:
-        sine = np.array(carrier) + offset
-        length = float(np.hypot(*sine))
-        limit = MAX_SINE * min(index for _, index in gap)
-        if length > limit:
-            sine, limited = sine * (limit / length), True
-        farthest = max(farthest, float(np.abs(_landing(gap, sine) - straight).max()))
-    return farthest, limited or not corners
-
-
-def _landing(gap: Strata, sine: np.ndarray) -> np.ndarray:
-    """Return where (x, y; metres) a ray through the mask's centre meets the sensor."""
-    total = np.zeros(2)
-    for thickness_m, index in gap:
-        total += number(thickness_m) * sine / math.sqrt(index**2 - float(sine @ sine))
-    return total
-
-
 LEAST = 16  # rows or columns at a time: measured, 8 and 64 are a quarter slower
 FINE_MASK = 0.4  # what sampling the mask finely costs, in waves on the same grid
+
+
+# ---- images
+
+
+def exact_images(
+    mask: Mask,
+    camera: CameraGeometry,
+    sources: Sequence[Source],
+    size: int,
+    *,
+    oversampling: int = 1,
+    threads: int = 1,
+) -> Iterator[Array]:
+    """Yield the PSF ``(size, size)`` of each source (one wavelength), in the stored frame (turned by 180 degrees).
+
+    Each is the irradiance on the sensor's pixels per unit |U|^2 of the incident wave at the mask's centre. Its middle is the
+    sensor's point (-x d, -y d) for a source in the direction (x, y) and the camera's distance d in air, where a convolution
+    puts it: without layers that is where the ray through the mask's centre arrives.
+
+    Args:
+        mask: the mask; its arrays decide precision and kind.
+        camera: distance or layers, binned pixel pitch.
+        sources: point sources of one wavelength and direction.
+        size: odd number of pixels.
+        oversampling: multiplies the orders that are followed behind a staircase, the samples of a smooth mask.
+        threads: NumPy only; they share one grid.
+    """
+    centres = (np.arange(size) - size // 2) * camera.pixel_pitch_m
+    light = waves(mask, camera, sources, oversampling=oversampling, threads=threads)
+    for source, wave in zip(sources, light, strict=True):
+        grid, real = wave.grid, wave.real
+        bin_columns, bin_rows = (
+            box_integral(grid.samples // 2, grid.pitch_m, centres + offset, camera.pixel_pitch_m).prepared(
+                real, grid.samples
+            )
+            for offset in offset_m(camera, source)
+        )
+        xp = namespace(real)
+        if is_torch(real):
+            binned = bin_rows(bin_columns(wave.intensity(slice(None)), -1), -2)
+        else:
+            tall = np.empty((grid.samples, size), real.dtype)
+
+            def narrow(part: slice, wave: Wave = wave, tall: np.ndarray = tall, bins: Callable = bin_columns) -> None:
+                tall[part] = bins(wave.intensity(part), -1)
+
+            in_threads(narrow, blocks(tall, grid.samples, grid.samples, LEAST), threads)
+            binned = bin_rows(tall, -2)
+        yield xp.flip(binned / float(camera.pixel_pitch_m**2))
+
+
+def exact_points(
+    mask: Mask,
+    camera: CameraGeometry,
+    source: Source,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    oversampling: int = 1,
+    threads: int = 1,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return |U|^2 at random grid points of the mask's shadow; see ``psf.sampled_intensity``."""
+    (wave,) = waves(mask, camera, [source], oversampling=oversampling, threads=threads)
+    grid = wave.grid
+    magnification = 1 + number(reduced_m(gap_strata(camera, source.wavelength_m))) / source.effective_m
+    half = [n * mask.pitch_m / 2 * magnification / grid.pitch_m for n in mask.shape]
+    rows, columns = (np.rint(rng.uniform(-h, h, count)).astype(np.int64) for h in half)
+    values = wave.intensity(rows + grid.samples // 2)[np.arange(count), columns + grid.samples // 2]
+    return np.stack([columns, rows], axis=1).astype(np.float64) * grid.pitch_m, values.astype(np.float64)
+
+
+def exact_width_m(mask: Mask, camera: CameraGeometry, source: Source, oversampling: int) -> float:
+    """Return the width (metres) of a source's PSF, with all the light that is followed."""
+    return max(mask.shape) * mask.pitch_m + 2 * plan(mask, camera, oversampling, source).travel_m
+
+
+# ---- waves on the sensor
 
 
 @dataclass(frozen=True)
@@ -338,73 +326,95 @@ class _Light:
         self._quadrant[:, columns] = self._quadrant_columns(columns)
 
 
-def exact_images(
-    mask: Mask,
-    camera: CameraGeometry,
-    sources: Sequence[Source],
-    size: int,
-    *,
-    oversampling: int = 1,
-    threads: int = 1,
-) -> Iterator[Array]:
-    """Yield the PSF ``(size, size)`` of each source (one wavelength), in the stored frame (turned by 180 degrees).
+# ---- where light goes
 
-    Each is the irradiance on the sensor's pixels per unit |U|^2 of the incident wave at the mask's centre. Its middle is the
-    sensor's point (-x d, -y d) for a source in the direction (x, y) and the camera's distance d in air, where a convolution
-    puts it: without layers that is where the ray through the mask's centre arrives.
 
-    Args:
-        mask: the mask; its arrays decide precision and kind.
-        camera: distance or layers, binned pixel pitch.
-        sources: point sources of one wavelength and direction.
-        size: odd number of pixels.
-        oversampling: multiplies the orders that are followed behind a staircase, the samples of a smooth mask.
-        threads: NumPy only; they share one grid.
+@dataclass(frozen=True)
+class Plan:
+    """Where the light of one source goes and the grid that holds it.
+
+    Attributes:
+        source: the point source.
+        gap: layers between mask and sensor.
+        band: what is followed of the mask.
+        travel_m: how far sideways light travels beyond its carrier, metres: the margin on each side of the mask.
+        limited: whether steeper light exists and must be cut softly.
     """
-    centres = (np.arange(size) - size // 2) * camera.pixel_pitch_m
-    light = waves(mask, camera, sources, oversampling=oversampling, threads=threads)
-    for source, wave in zip(sources, light, strict=True):
-        grid, real = wave.grid, wave.real
-        bin_columns, bin_rows = (
-            box_integral(grid.samples // 2, grid.pitch_m, centres + offset, camera.pixel_pitch_m).prepared(
-                real, grid.samples
-            )
-            for offset in offset_m(camera, source)
-        )
-        xp = namespace(real)
-        if is_torch(real):
-            binned = bin_rows(bin_columns(wave.intensity(slice(None)), -1), -2)
-        else:
-            tall = np.empty((grid.samples, size), real.dtype)
 
-            def narrow(part: slice, wave: Wave = wave, tall: np.ndarray = tall, bins: Callable = bin_columns) -> None:
-                tall[part] = bins(wave.intensity(part), -1)
+    source: Source
+    gap: Strata
+    band: Band
+    travel_m: float
+    limited: bool
 
-            in_threads(narrow, blocks(tall, grid.samples, grid.samples, LEAST), threads)
-            binned = bin_rows(tall, -2)
-        yield xp.flip(binned / float(camera.pixel_pitch_m**2))
+    def grid(self, mask: Mask, oversampling: int) -> FineGrid:
+        """Return the grid that this source needs."""
+        factor = oversampling if mask.profile == "smooth" else 1
+        shape = (mask.shape[0] * factor, mask.shape[1] * factor)
+        half_width = max(mask.shape) * mask.pitch_m / 2 + self.band.tail_m
+        residual = self.source.residual_band(half_width)
+        return fine_grid(shape, mask.pitch_m / factor, self.band, residual, self.travel_m)
 
 
-def exact_points(
-    mask: Mask,
-    camera: CameraGeometry,
-    source: Source,
-    count: int,
-    rng: np.random.Generator,
-    *,
-    oversampling: int = 1,
-    threads: int = 1,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return |U|^2 at random grid points of the mask's shadow; see ``psf.sampled_intensity``."""
-    (wave,) = waves(mask, camera, [source], oversampling=oversampling, threads=threads)
-    grid = wave.grid
-    magnification = 1 + number(reduced_m(gap_strata(camera, source.wavelength_m))) / source.effective_m
-    half = [n * mask.pitch_m / 2 * magnification / grid.pitch_m for n in mask.shape]
-    rows, columns = (np.rint(rng.uniform(-h, h, count)).astype(np.int64) for h in half)
-    values = wave.intensity(rows + grid.samples // 2)[np.arange(count), columns + grid.samples // 2]
-    return np.stack([columns, rows], axis=1).astype(np.float64) * grid.pitch_m, values.astype(np.float64)
+def plan(mask: Mask, camera: CameraGeometry, oversampling: int, source: Source) -> Plan:
+    """Return where the light of a source goes behind a mask."""
+    wavelength_m, gap = source.wavelength_m, gap_strata(camera, source.wavelength_m)
+    band = mask_band(mask, wavelength_m, sum(number(t) for t, _ in gap), oversampling)
+    half_width = max(mask.shape) * mask.pitch_m / 2 + band.tail_m
+    steepest = wavelength_m * (band.end + source.residual_band(half_width))
+    # A smooth mask's corner frequencies carry light; a staircase's lie in the dark corners of two sincs.
+    travel_m, limited = _travel(gap, source.carrier, steepest, corners=band.pixel_m == 0)
+    if limited or band.end > band.full:
+        # The cut fades over this width inwards: it begins where the light that is followed ends.
+        edge_m = band_edge_m(wavelength_m, sum(number(t) for t, _ in gap))
+        return Plan(source, gap, band, travel_m + edge_m, True)
+    return Plan(source, gap, band, travel_m, False)
 
 
-def exact_width_m(mask: Mask, camera: CameraGeometry, source: Source, oversampling: int) -> float:
-    """Return the width (metres) of a source's PSF, with all the light that is followed."""
-    return max(mask.shape) * mask.pitch_m + 2 * plan(mask, camera, oversampling, source).travel_m
+def mask_band(mask: Mask, wavelength_m: float, distance_m: float, oversampling: int) -> Band:
+    """Return what is followed of a mask: so many diffraction orders of a staircase, a smooth mask's own band."""
+    steepest = MAX_SINE / wavelength_m
+    if mask.profile == "staircase":
+        reach_m = kernel_reach_m(mask.pitch_m, wavelength_m, distance_m, ORDERS, oversampling)
+        end = reach_m / math.hypot(reach_m, distance_m) / wavelength_m
+        return Band(TAPER * end, end, mask.pitch_m)
+    own = followed_frequency(mask, wavelength_m, oversampling)
+    if oversampling == 1 and own <= steepest:
+        return Band(own, own, 0.0)
+    finer = oversampling / (2 * mask.pitch_m)
+    return Band(min(own, TAPER * steepest), min(1.25 * own, steepest, finer), 0.0)
+
+
+def offset_m(camera: CameraGeometry, source: Source) -> tuple[float, float]:
+    """Return where (x, y; metres) a convolution puts a PSF's centre, seen from where the ray through the mask's centre lands.
+
+    A convolution knows one distance in air; behind glass, oblique rays land elsewhere.
+    """
+    placed = -np.array(source.direction) * number(camera.mask_to_sensor_m)
+    x, y = placed - _landing(gap_strata(camera, source.wavelength_m), np.array(source.carrier))
+    return float(x), float(y)
+
+
+def _travel(gap: Strata, carrier: tuple[float, float], steepest: float, *, corners: bool) -> tuple[float, bool]:
+    """Return how far (metres, per axis) light within ``steepest`` of the carrier travels beyond it, and if steeper is cut."""
+    straight = _landing(gap, np.array(carrier))
+    farthest, limited = 0.0, False
+    other = (-steepest, steepest) if corners else (0.0,)
+    for offset in [(a, b) for a in (-steepest, steepest) for b in other] + [
+        (b, a) for a in (-steepest, steepest) for b in other
+    ]:
+        sine = np.array(carrier) + offset
+        length = float(np.hypot(*sine))
+        limit = MAX_SINE * min(index for _, index in gap)
+        if length > limit:
+            sine, limited = sine * (limit / length), True
+        farthest = max(farthest, float(np.abs(_landing(gap, sine) - straight).max()))
+    return farthest, limited or not corners
+
+
+def _landing(gap: Strata, sine: np.ndarray) -> np.ndarray:
+    """Return where (x, y; metres) a ray through the mask's centre meets the sensor."""
+    total = np.zeros(2)
+    for thickness_m, index in gap:
+        total += number(thickness_m) * sine / math.sqrt(index**2 - float(sine @ sine))
+    return total

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -84,16 +84,12 @@ class Mask:
 
     def crop(self, shape: tuple[int, int]) -> Mask:
         """Return the central part of the mask, at most ``shape`` rows and columns."""
-        rows, columns = (_central(have, want) for have, want in zip(self.shape, shape, strict=True))
-        return Mask(
-            self.height_m[rows, columns],
-            self.amplitude[rows, columns],
-            self.pitch_m,
-            self.material,
-            self.profile,
-            self.name,
-            self.notes,
+        rows, columns = (
+            slice(start, start + want)
+            for have, want in zip(self.shape, shape, strict=True)
+            for start in [max((have - want) // 2, 0)]
         )
+        return replace(self, height_m=self.height_m[rows, columns], amplitude=self.amplitude[rows, columns])
 
     def transmission(self, wavelength_m: float, oversample: int = 1, sine: float = 0.0) -> Array:
         """Return the complex transmission t = a exp(i 2 pi (n - 1) h / lambda) of a thin element.
@@ -115,7 +111,8 @@ class Mask:
         xp = namespace(self.height_m)
         height, amplitude = self.height_m, self.amplitude
         if oversample > 1 and self.profile == "smooth":
-            height, amplitude = (_interpolate(part, oversample) for part in (height, amplitude))
+            rows, columns = (cubic_interpolation(length, oversample) for length in self.shape)
+            height, amplitude = (columns.apply(rows.apply(part, -2), -1) for part in (height, amplitude))
             amplitude = xp.clip(amplitude, 0, 1)
         # In turns and reduced to one turn before the exponential: float32 keeps its digits at any height.
         per_height = np.sqrt(self.material.index(wavelength_m) ** 2 - sine**2) - np.sqrt(1 - sine**2)
@@ -148,16 +145,6 @@ class Mask:
             "transmitted_area_m2": self.transmitted_area_m2,
             "sha256": self.digest(),
         }
-
-
-def _central(have: int, want: int) -> slice:
-    start = max((have - want) // 2, 0)
-    return slice(start, start + min(have, want))
-
-
-def _interpolate(array: Array, factor: int) -> Array:
-    rows, columns = (cubic_interpolation(length, factor) for length in array.shape)
-    return columns.apply(rows.apply(array, -2), -1)
 
 
 def steepest_frequency(mask: Mask, wavelength_m: float) -> float:

@@ -16,49 +16,6 @@ from simulator.io.files import read_text
 from simulator.io.tables import UM, ordered, read_wavelength_table
 
 Formula = Literal["sellmeier", "sellmeier-2", "polynomial", "cauchy", "table"]
-
-
-def refractive_index(formula: Formula, coefficients: Sequence[float], wavelength_um: float) -> float:
-    """Return the refractive index at a wavelength l in micrometres; no range is checked here.
-
-    Args:
-        formula: what the coefficients mean; in parentheses its number at refractiveindex.info.
-
-            - ``sellmeier`` (1): n^2 = 1 + A + sum B_i l^2 / (l^2 - C_i^2), coefficients (A, B_1, C_1, B_2, C_2, ...);
-            - ``sellmeier-2`` (2): n^2 = 1 + A + sum B_i l^2 / (l^2 - C_i), (A, B_1, C_1, ...);
-            - ``polynomial`` (3): n^2 = A + sum B_i l^P_i, (A, B_1, P_1, ...);
-            - ``cauchy`` (5): n = A + sum B_i l^P_i, (A, B_1, P_1, ...);
-            - ``table``: (l_1, n_1, l_2, n_2, ...), between its points a monotone cubic (Fritsch and Carlson, SIAM J.
-              Numer. Anal. 17, 238, 1980), which never overshoots.
-        coefficients: as the formula says; lengths in micrometres.
-        wavelength_um: vacuum wavelength, micrometres.
-
-    Example:
-        >>> round(refractive_index("cauchy", (1.5375, 0.00829045, -2, -0.000211046, -4), 0.589), 3)
-        1.56
-    """
-    um = wavelength_um
-    if formula == "table":
-        return _interpolated(coefficients, um)
-    constant, pairs = coefficients[0], list(zip(coefficients[1::2], coefficients[2::2], strict=True))
-    if formula == "sellmeier":
-        return float(np.sqrt(1 + constant + sum(b * um**2 / (um**2 - c**2) for b, c in pairs)))
-    if formula == "sellmeier-2":
-        return float(np.sqrt(1 + constant + sum(b * um**2 / (um**2 - c) for b, c in pairs)))
-    value = constant + sum(b * um**power for b, power in pairs)
-    return float(np.sqrt(value)) if formula == "polynomial" else float(value)
-
-
-def _interpolated(coefficients: Sequence[float], um: float) -> float:
-    from scipy.interpolate import PchipInterpolator
-
-    wavelengths_um, index = np.asarray(coefficients[::2]), np.asarray(coefficients[1::2])
-    # Four points each side decide the value; a long table costs no more than a short one.
-    at = int(np.searchsorted(wavelengths_um, um))
-    near = slice(max(at - 4, 0), at + 4)
-    return float(PchipInterpolator(wavelengths_um[near], index[near])(um))
-
-
 _ROUNDING = 1e-9  # 0.4 um, 400 nm and 4e-7 m differ in their last digit
 _LEAST_REFRACTIVITY = 1e-3  # below it a wave's delay takes more than half a millimetre of height
 
@@ -114,6 +71,52 @@ class Material:
         return refractivity
 
 
+# ---- dispersion formulas
+
+
+def refractive_index(formula: Formula, coefficients: Sequence[float], wavelength_um: float) -> float:
+    """Return the refractive index at a wavelength l in micrometres; no range is checked here.
+
+    Args:
+        formula: what the coefficients mean; in parentheses its number at refractiveindex.info.
+
+            - ``sellmeier`` (1): n^2 = 1 + A + sum B_i l^2 / (l^2 - C_i^2), coefficients (A, B_1, C_1, B_2, C_2, ...);
+            - ``sellmeier-2`` (2): n^2 = 1 + A + sum B_i l^2 / (l^2 - C_i), (A, B_1, C_1, ...);
+            - ``polynomial`` (3): n^2 = A + sum B_i l^P_i, (A, B_1, P_1, ...);
+            - ``cauchy`` (5): n = A + sum B_i l^P_i, (A, B_1, P_1, ...);
+            - ``table``: (l_1, n_1, l_2, n_2, ...), between its points a monotone cubic (Fritsch and Carlson, SIAM J.
+              Numer. Anal. 17, 238, 1980), which never overshoots.
+        coefficients: as the formula says; lengths in micrometres.
+        wavelength_um: vacuum wavelength, micrometres.
+
+    Example:
+        >>> round(refractive_index("cauchy", (1.5375, 0.00829045, -2, -0.000211046, -4), 0.589), 3)
+        1.56
+    """
+    um = wavelength_um
+    if formula == "table":
+        return _interpolated(coefficients, um)
+    constant, pairs = coefficients[0], list(zip(coefficients[1::2], coefficients[2::2], strict=True))
+    if formula == "sellmeier":
+        return float(np.sqrt(1 + constant + sum(b * um**2 / (um**2 - c**2) for b, c in pairs)))
+    if formula == "sellmeier-2":
+        return float(np.sqrt(1 + constant + sum(b * um**2 / (um**2 - c) for b, c in pairs)))
+    value = constant + sum(b * um**power for b, power in pairs)
+    return float(np.sqrt(value)) if formula == "polynomial" else float(value)
+
+
+def _interpolated(coefficients: Sequence[float], um: float) -> float:
+    from scipy.interpolate import PchipInterpolator
+
+    wavelengths_um, index = np.asarray(coefficients[::2]), np.asarray(coefficients[1::2])
+    # Four points each side decide the value; a long table costs no more than a short one.
+    at = int(np.searchsorted(wavelengths_um, um))
+    near = slice(max(at - 4, 0), at + 4)
+    return float(PchipInterpolator(wavelengths_um[near], index[near])(um))
+
+
+# ---- built in
+
 AIR = Material(
     "air",
     "cauchy",
@@ -121,7 +124,6 @@ AIR = Material(
     (0.1e-6, 20e-6),
     "by definition: indices of solids are published relative to air (its own n - 1 is 2.8e-4)",
 )
-
 FUSED_SILICA = Material(
     "fused-silica",
     "sellmeier",
@@ -129,7 +131,6 @@ FUSED_SILICA = Material(
     (0.21e-6, 6.7e-6),
     "Malitson, J. Opt. Soc. Am. 55, 1205 (1965)",
 )
-
 N_BK7 = Material(
     "n-bk7",
     "sellmeier-2",
@@ -137,7 +138,6 @@ N_BK7 = Material(
     (0.3e-6, 2.5e-6),
     "SCHOTT Zemax catalog 2017-01-20b",
 )
-
 PMMA = Material(
     "pmma",
     "polynomial",
@@ -145,7 +145,6 @@ PMMA = Material(
     (0.42e-6, 1.62e-6),
     "Beadie et al., Appl. Opt. 54, F139 (2015), at 20.1 C",
 )
-
 PDMS = Material(
     "pdms",
     "sellmeier-2",
@@ -153,7 +152,6 @@ PDMS = Material(
     (0.35e-6, 0.70e-6),
     "Sylgard 184: Schneider et al., Sens. Actuators A 151, 95 (2009)",
 )
-
 POLYCARBONATE = Material(
     "polycarbonate",
     "sellmeier-2",
@@ -161,7 +159,6 @@ POLYCARBONATE = Material(
     (0.4368e-6, 1.052e-6),
     "Sultanova et al., Acta Phys. Pol. A 116, 585 (2009), fit of refractiveindex.info, at 20 C",
 )
-
 NOA61 = Material(
     "noa61",
     "cauchy",
@@ -169,7 +166,6 @@ NOA61 = Material(
     (0.45e-6, 1.55e-6),
     "Norland Optical Adhesive 61 data sheet",
 )
-
 # The data sheet of SU-8 2000 speaks of the uncured film, and a mask is cured; the two differ by 0.016 in the visible.
 SU8 = Material(
     "su-8",
@@ -178,9 +174,7 @@ SU8 = Material(
     (0.32e-6, 1.7e-6),
     "Microchem SU-8 3000 data sheet (2011)",
 )
-
 _SU8_2000 = (1.566, 0.00796, -2, 0.00014, -4)
-
 # Only n(532 nm) = 1.5103 is published for this resist, so a visible fit of another resist is rescaled to it.
 PHLATCAM_RESIST = Material(
     "phlatcam-resist",
@@ -190,7 +184,6 @@ PHLATCAM_RESIST = Material(
     "nominal: Microchem SU-8 2000 data sheet's Cauchy fit, n - 1 rescaled to 0.5103 at 532 nm (Boominathan et al. 2020)",
     scale=0.5103 / (refractive_index("cauchy", _SU8_2000, 0.532) - 1),
 )
-
 MATERIALS = {
     material.name: material
     for material in (AIR, FUSED_SILICA, N_BK7, NOA61, PDMS, PHLATCAM_RESIST, PMMA, POLYCARBONATE, SU8)
@@ -234,6 +227,8 @@ def load_material(name: str, base_dir: Path | None = None) -> Material:
         raise InputError(msg)
     return MATERIALS[name]
 
+
+# ---- from files
 
 _FORMULAS: dict[str, Formula] = {
     "formula 1": "sellmeier",

@@ -1,4 +1,4 @@
-"""Numbers that judge a PSF: autocorrelation, MTF, sharpness, contrast, depths told apart, light that misses the sensor."""
+"""Numbers that judge a PSF: autocorrelation and MTF, depths told apart, light that misses the sensor."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 from simulator.arrays import fft, ifft, irfft, next_fast_len, rfft, to_numpy
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
+
+_RAYS, _STEPS_PER_PIXEL = 64, 4
+
+
+# ---- sharpness: autocorrelation and MTF
 
 
 def autocorrelation(image: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -37,123 +42,6 @@ def autocorrelation(image: NDArray[np.floating]) -> NDArray[np.float64]:
     shifts = irfft(ifft(np.abs(spectrum) ** 2, -2), lengths[1], -1)
     shifts = np.roll(shifts, (rows - 1, columns - 1), (0, 1))[: 2 * rows - 1, : 2 * columns - 1]
     return shifts / np.sum(light**2)
-
-
-def radial_mtf(image: NDArray[np.floating], pitch_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the modulation transfer function, averaged over rings of spatial frequency, from zero to Nyquist.
-
-    MTF(f) = |F[I](f)| / F[I](0). Rings are as wide as the longer side's frequency step; each is reported at the mean
-    frequency of its members, so a smooth MTF is averaged without a bias of first order.
-
-    Args:
-        image: PSF ``(H, W)``, finite, with a positive sum.
-        pitch_m: pixel pitch, metres.
-
-    Returns:
-        ``(N,)`` frequencies in cycles per metre and ``(N,)`` values, 1 at frequency zero; N = max(H, W) // 2 + 1.
-
-    Raises:
-        InputError: for another shape, NaN, a sum that is not positive, or an implausible pitch.
-    """
-    light = _checked(image)
-    if not light.sum() > 0:
-        msg = f"image: its sum is {light.sum():g}, but a PSF's is positive: remove less background"
-        raise InputError(msg)
-    _check_positive("pitch_m", pitch_m)
-    longest = max(light.shape)
-    modulus = np.abs(np.fft.rfft2(light)) / light.sum()
-    fy, fx = np.fft.fftfreq(light.shape[0])[:, None], np.fft.rfftfreq(light.shape[1])[None, :]
-    frequency = np.hypot(fy, fx)
-    # rfft2 leaves out the negative half of the columns: those that have a mirror image count twice.
-    columns = np.arange(fx.size)
-    twice = np.where((columns > 0) & (2 * columns < light.shape[1]), 2.0, 1.0)
-    weight = np.broadcast_to(twice, frequency.shape)
-    ring = np.rint(frequency * longest).astype(np.int64)
-    kept = ring <= longest // 2
-    count, total_f, total_m = (
-        np.bincount(ring[kept], weight[kept] * part[kept]) for part in (np.ones_like(frequency), frequency, modulus)
-    )
-    return total_f / count / pitch_m, total_m / count
-
-
-def depth_limit_m(aperture_m: float, mask_to_sensor_m: float, pitch_m: float) -> float:
-    """Return z_max, the depth beyond which the PSF no longer changes by a pixel: z_max = a d / (2 p).
-
-    Light from depth z reaches the rim of the PSF a d / (2 z) farther out than light from infinity.
-
-    Args:
-        aperture_m: width of the mask, metres.
-        mask_to_sensor_m: mask to sensor, metres.
-        pitch_m: (binned) pixel pitch, metres.
-
-    Raises:
-        InputError: when a length is not positive.
-
-    Example:
-        >>> round(depth_limit_m(7e-3, 1.9e-3, 19.2e-6), 2)
-        0.35
-    """
-    for name, value in (("aperture_m", aperture_m), ("mask_to_sensor_m", mask_to_sensor_m), ("pitch_m", pitch_m)):
-        _check_positive(name, value)
-    return aperture_m * mask_to_sensor_m / (2 * pitch_m)
-
-
-def light_off_sensor(
-    stack: PsfStack, sensor_shape: tuple[int, int], scene_shape: tuple[int, int]
-) -> NDArray[np.float64]:
-    """Return the share of a PSF's light that misses the sensor, averaged over all scene pixels.
-
-    A PSF sample at displacement s lands on the sensor for a share g(s) of the scene's rows (and of its columns), so the
-    mean over scene pixels is one weighted sum of the PSF: exact, whatever the sizes.
-
-    Args:
-        stack: PSFs, ``(K, C, rows, columns)``.
-        sensor_shape: H, W of the (binned) sensor.
-        scene_shape: h, w of the scene, each of the sensor's parity and not larger.
-
-    Returns:
-        ``(K, C)``, 0 when everything is caught. The light that is outside the stack's grid is not in it.
-
-    Raises:
-        InputError: when scene and sensor do not fit.
-    """
-    values = to_numpy(stack.values).astype(np.float64, copy=False)
-    rows, columns = (
-        _share_caught(size, sensor, scene)
-        for size, sensor, scene in zip(values.shape[-2:], sensor_shape, scene_shape, strict=True)
-    )
-    caught = (values @ columns) @ rows
-    total = values.sum(axis=-1).sum(axis=-1)
-    return np.clip(1 - caught / total, 0, 1)  # rounding may leave -1e-16
-
-
-def _share_caught(size: int, sensor: int, scene: int) -> NDArray[np.float64]:
-    """Return, for every PSF sample along an axis, the share of scene pixels whose light it puts on the sensor."""
-    if not 0 < scene <= sensor or (sensor - scene) % 2:
-        msg = (
-            f"scene_shape: {scene} on a sensor of {sensor}; expected at most the sensor's size, and even or odd like it"
-        )
-        raise InputError(msg)
-    nearest = np.arange(size) - size // 2 + (sensor - scene) // 2  # where scene pixel 0 puts it
-    first, last = np.maximum(nearest, 0), np.minimum(nearest + scene - 1, sensor - 1)
-    return np.clip(last - first + 1, 0, None) / scene
-
-
-def _checked(image: NDArray[np.floating]) -> NDArray[np.float64]:
-    light = np.asarray(image, np.float64)
-    if light.ndim != 2 or 0 in light.shape or not np.all(np.isfinite(light)) or not np.any(light):
-        msg = f"image must be finite (H, W) and not zero everywhere, got {light.dtype} of shape {light.shape}"
-        raise InputError(msg)
-    return light
-
-
-def _check_positive(name: str, value: float) -> None:
-    if not 0 < value < np.inf:
-        msg = f"{name}: got {value!r}, expected positive metres"
-        raise InputError(msg)
-
-
-_RAYS, _STEPS_PER_PIXEL = 64, 4
 
 
 @dataclass(frozen=True)
@@ -201,6 +89,43 @@ def autocorrelation_peak(image: NDArray[np.floating], pitch_m: float) -> Peak:
     return Peak(float(width * pitch_m), float(peak[beyond].max(initial=0.0)))
 
 
+def radial_mtf(image: NDArray[np.floating], pitch_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the modulation transfer function, averaged over rings of spatial frequency, from zero to Nyquist.
+
+    MTF(f) = |F[I](f)| / F[I](0). Rings are as wide as the longer side's frequency step; each is reported at the mean
+    frequency of its members, so a smooth MTF is averaged without a bias of first order.
+
+    Args:
+        image: PSF ``(H, W)``, finite, with a positive sum.
+        pitch_m: pixel pitch, metres.
+
+    Returns:
+        ``(N,)`` frequencies in cycles per metre and ``(N,)`` values, 1 at frequency zero; N = max(H, W) // 2 + 1.
+
+    Raises:
+        InputError: for another shape, NaN, a sum that is not positive, or an implausible pitch.
+    """
+    light = _checked(image)
+    if not light.sum() > 0:
+        msg = f"image: its sum is {light.sum():g}, but a PSF's is positive: remove less background"
+        raise InputError(msg)
+    _check_positive("pitch_m", pitch_m)
+    longest = max(light.shape)
+    modulus = np.abs(np.fft.rfft2(light)) / light.sum()
+    fy, fx = np.fft.fftfreq(light.shape[0])[:, None], np.fft.rfftfreq(light.shape[1])[None, :]
+    frequency = np.hypot(fy, fx)
+    # rfft2 leaves out the negative half of the columns: those that have a mirror image count twice.
+    columns = np.arange(fx.size)
+    twice = np.where((columns > 0) & (2 * columns < light.shape[1]), 2.0, 1.0)
+    weight = np.broadcast_to(twice, frequency.shape)
+    ring = np.rint(frequency * longest).astype(np.int64)
+    kept = ring <= longest // 2
+    count, total_f, total_m = (
+        np.bincount(ring[kept], weight[kept] * part[kept]) for part in (np.ones_like(frequency), frequency, modulus)
+    )
+    return total_f / count / pitch_m, total_m / count
+
+
 def mean_mtf(image: NDArray[np.floating], pitch_m: float) -> float:
     """Return the mean over frequencies, from zero to Nyquist, of the radially averaged MTF: 1 for a single bright pixel.
 
@@ -215,6 +140,31 @@ def mean_mtf(image: NDArray[np.floating], pitch_m: float) -> float:
     if len(frequency) == 1:
         return float(mtf[0])
     return float(np.trapezoid(mtf, frequency) / frequency[-1])
+
+
+# ---- depths told apart
+
+
+def depth_limit_m(aperture_m: float, mask_to_sensor_m: float, pitch_m: float) -> float:
+    """Return z_max, the depth beyond which the PSF no longer changes by a pixel: z_max = a d / (2 p).
+
+    Light from depth z reaches the rim of the PSF a d / (2 z) farther out than light from infinity.
+
+    Args:
+        aperture_m: width of the mask, metres.
+        mask_to_sensor_m: mask to sensor, metres.
+        pitch_m: (binned) pixel pitch, metres.
+
+    Raises:
+        InputError: when a length is not positive.
+
+    Example:
+        >>> round(depth_limit_m(7e-3, 1.9e-3, 19.2e-6), 2)
+        0.35
+    """
+    for name, value in (("aperture_m", aperture_m), ("mask_to_sensor_m", mask_to_sensor_m), ("pitch_m", pitch_m)):
+        _check_positive(name, value)
+    return aperture_m * mask_to_sensor_m / (2 * pitch_m)
 
 
 def depth_correlations(stack: PsfStack) -> NDArray[np.float64]:
@@ -244,3 +194,64 @@ def distinct_depths(correlations: NDArray[np.float64]) -> float:
         (1.0, 4.0)
     """
     return float(len(correlations) ** 2 / np.sum(correlations**2))
+
+
+# ---- light on the sensor
+
+
+def light_off_sensor(
+    stack: PsfStack, sensor_shape: tuple[int, int], scene_shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Return the share of a PSF's light that misses the sensor, averaged over all scene pixels.
+
+    A PSF sample at displacement s lands on the sensor for a share g(s) of the scene's rows (and of its columns), so the
+    mean over scene pixels is one weighted sum of the PSF: exact, whatever the sizes.
+
+    Args:
+        stack: PSFs, ``(K, C, rows, columns)``.
+        sensor_shape: H, W of the (binned) sensor.
+        scene_shape: h, w of the scene, each of the sensor's parity and not larger.
+
+    Returns:
+        ``(K, C)``, 0 when everything is caught. The light that is outside the stack's grid is not in it.
+
+    Raises:
+        InputError: when scene and sensor do not fit.
+    """
+    values = to_numpy(stack.values).astype(np.float64, copy=False)
+    rows, columns = (
+        _share_caught(size, sensor, scene)
+        for size, sensor, scene in zip(values.shape[-2:], sensor_shape, scene_shape, strict=True)
+    )
+    caught = (values @ columns) @ rows
+    total = values.sum(axis=-1).sum(axis=-1)
+    return np.clip(1 - caught / total, 0, 1)  # rounding may leave -1e-16
+
+
+def _share_caught(size: int, sensor: int, scene: int) -> NDArray[np.float64]:
+    """Return, for every PSF sample along an axis, the share of scene pixels whose light it puts on the sensor."""
+    if not 0 < scene <= sensor or (sensor - scene) % 2:
+        msg = (
+            f"scene_shape: {scene} on a sensor of {sensor}; expected at most the sensor's size, and even or odd like it"
+        )
+        raise InputError(msg)
+    nearest = np.arange(size) - size // 2 + (sensor - scene) // 2  # where scene pixel 0 puts it
+    first, last = np.maximum(nearest, 0), np.minimum(nearest + scene - 1, sensor - 1)
+    return np.clip(last - first + 1, 0, None) / scene
+
+
+# ---- checks of arguments
+
+
+def _checked(image: NDArray[np.floating]) -> NDArray[np.float64]:
+    light = np.asarray(image, np.float64)
+    if light.ndim != 2 or 0 in light.shape or not np.all(np.isfinite(light)) or not np.any(light):
+        msg = f"image must be finite (H, W) and not zero everywhere, got {light.dtype} of shape {light.shape}"
+        raise InputError(msg)
+    return light
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not 0 < value < np.inf:
+        msg = f"{name}: got {value!r}, expected positive metres"
+        raise InputError(msg)

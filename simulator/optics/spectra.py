@@ -19,6 +19,12 @@ from simulator.types import Refractive, SpectralResponse
 
 COLOURS = ("R", "G", "B")
 MONOCHROME = ("Y",)
+# No curves are published here for the IMX183: this measured DSLR set is the labelled stand-in.
+NOMINAL_CAMERA = "Nikon 5100 (NPL)"
+
+
+# ---- curves by name
+
 _TAIL = 2.5  # full widths: there a Gaussian is down to 3e-8
 
 
@@ -143,6 +149,8 @@ def _expect_known(argument: str, name: str, known: object) -> None:
         raise InputError(msg)
 
 
+# ---- curves from files
+
 _NAMES = {"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B"}
 _FORGIVEN = 0.01  # of the peak: a digitised or measured zero may lie a little below
 
@@ -207,24 +215,9 @@ def _in_order(
     return COLOURS, columns[:, [found.index(colour) for colour in COLOURS]]
 
 
-# No curves are published here for the IMX183: this measured DSLR set is the labelled stand-in.
-NOMINAL_CAMERA = "Nikon 5100 (NPL)"
+# ---- the response and the lines that stand for it
+
 _FINEST_M = 0.1e-9
-
-
-@dataclass(frozen=True)
-class Line:
-    """One wavelength that stands for a part of a channel.
-
-    Attributes:
-        channel: index of the channel.
-        wavelength_m: metres.
-        weight: share of the channel's photons; the weights of a channel add up to 1.
-    """
-
-    channel: int
-    wavelength_m: float
-    weight: float
 
 
 def spectral_response(
@@ -261,27 +254,23 @@ def spectral_response(
     return SpectralResponse(wavelengths_m, weights, curves.channels, label)
 
 
-def check_materials(response: SpectralResponse, lines: Iterable[Line], materials: Iterable[Refractive]) -> None:
-    """Refuse materials that are not known at a wavelength that the camera sees.
+def _span(wavelengths_m: NDArray[np.float64]) -> str:
+    return f"{wavelengths_m[0] / NM:g} to {wavelengths_m[-1] / NM:g} nm"
 
-    Args:
-        response: the camera under its light, for the message.
-        lines: from :func:`quantile_lines` of it.
-        materials: of the mask and of the layers.
 
-    Raises:
-        InputError: naming the channel, the light and the material.
+@dataclass(frozen=True)
+class Line:
+    """One wavelength that stands for a part of a channel.
+
+    Attributes:
+        channel: index of the channel.
+        wavelength_m: metres.
+        weight: share of the channel's photons; the weights of a channel add up to 1.
     """
-    for material in materials:
-        for line in lines:
-            try:
-                material.index(line.wavelength_m)
-            except InputError as error:
-                msg = (
-                    f"channel {response.channels[line.channel]!r} of {response.label} needs {line.wavelength_m / NM:.1f} nm "
-                    f"(fewer psf.wavelengths_per_channel lie closer together): {error}"
-                )
-                raise InputError(msg) from error
+
+    channel: int
+    wavelength_m: float
+    weight: float
 
 
 def quantile_lines(response: SpectralResponse, per_channel: int) -> list[Line]:
@@ -322,9 +311,30 @@ def _centroids(wavelengths_m: NDArray[np.float64], weights: NDArray[np.float64],
     return np.diff(moments) / np.diff(edges)
 
 
-def _span(wavelengths_m: NDArray[np.float64]) -> str:
-    return f"{wavelengths_m[0] / NM:g} to {wavelengths_m[-1] / NM:g} nm"
+def check_materials(response: SpectralResponse, lines: Iterable[Line], materials: Iterable[Refractive]) -> None:
+    """Refuse materials that are not known at a wavelength that the camera sees.
 
+    Args:
+        response: the camera under its light, for the message.
+        lines: from :func:`quantile_lines` of it.
+        materials: of the mask and of the layers.
+
+    Raises:
+        InputError: naming the channel, the light and the material.
+    """
+    for material in materials:
+        for line in lines:
+            try:
+                material.index(line.wavelength_m)
+            except InputError as error:
+                msg = (
+                    f"channel {response.channels[line.channel]!r} of {response.label} needs {line.wavelength_m / NM:.1f} nm "
+                    f"(fewer psf.wavelengths_per_channel lie closer together): {error}"
+                )
+                raise InputError(msg) from error
+
+
+# ---- electrons per lux
 
 LUMENS_PER_WATT = 683.0
 """K_cd, the luminous efficacy at 540 THz by which the candela is defined (BIPM, The International System of Units, 2019)."""
