@@ -1,4 +1,4 @@
-"""A mask as the files that fabrication takes: a 16 bit height map, a picture per height step, or a watertight mesh."""
+"""A mask as the files that fabrication takes: a 16 bit height map, an image per height step, or a watertight mesh."""
 
 from __future__ import annotations
 
@@ -139,11 +139,11 @@ def binary_layers(mask: Mask, step_m: float = 0.0) -> MaskLayers:
 def write_layers(folder: Path, layers: MaskLayers) -> list[str]:
     """Write ``layer_001.png`` (lowest) and on, ``aperture.png`` for a mask with opaque parts, and ``layers.json``.
 
-    The pictures have one bit per pixel, white where there is material (or where light passes), and the pitch as their
+    The images have one bit per pixel, white where there is material (or where light passes), and the pitch as their
     resolution. The folder appears whole or not at all, and replaces one of that name.
 
     Returns:
-        The names of the pictures.
+        The names of the images.
 
     Raises:
         StorageError: the place cannot be written to.
@@ -185,7 +185,7 @@ MAX_TRIANGLES = 10_000_000
 MAX_SIDE = 2**14
 """Most mask pixels per side: beyond it single precision no longer tells the walls of a pixel apart."""
 # Walls lean by this share of a pixel to each side. Upright ones would make two pixels that touch at a corner share an edge
-# four times, which is no solid; leaning ones keep every such mesh a single-valued, closed surface of the same volume.
+# four times, which is not a solid; leaning ones keep every such mesh a single-valued, closed surface of the same volume.
 LEAN = 1 / 512
 
 

@@ -118,8 +118,8 @@ def read_stl_height(path: Path, pitch_m: float, unit_m: float) -> NDArray[np.flo
         ``(H, W)`` metres above the lowest sample, row 0 at the top (largest y).
 
     Raises:
-        InputError: naming what makes it no height map: an overhang, a hole, an outline that is no rectangle, surfaces
-            above each other; or a file that is no STL.
+        InputError: naming why it is not a height map: an overhang, a hole, an outline that is not a rectangle, surfaces
+            above each other; or a file that is not STL.
     """
     triangles = _triangles(path)
     triangles *= unit_m
@@ -142,7 +142,9 @@ def read_stl_height(path: Path, pitch_m: float, unit_m: float) -> NDArray[np.flo
     height = _rasterise(upper, middle, rows, columns, pitch_m)
     if not np.all(np.isfinite(height)):
         missing = int(np.count_nonzero(~np.isfinite(height)))
-        msg = f"{path} is no height map: its surface has a hole over {missing} of {height.size} mask pixels; close it"
+        msg = (
+            f"{path} is not a height map: its surface has a hole over {missing} of {height.size} mask pixels; close it"
+        )
         raise InputError(msg)
     return (height - height.min()).astype(np.float32)
 
@@ -191,7 +193,7 @@ def _refuse_overhangs(
     hanging = float(-area[(area < 0) & raised].sum())
     if hanging > _AREA_TOLERANCE * np.prod((high - low)[:2]):
         msg = (
-            f"{path} is no height map: {hanging * 1e6:.3g} mm2 of it overhang (face down above the flat bottom); make the "
+            f"{path} is not a height map: {hanging * 1e6:.3g} mm2 of it overhang (face down above the flat bottom); make the "
             "bottom flat and the surface single-valued in z, or turn the body or its normals over if it lies upside down"
         )
         raise InputError(msg)
@@ -201,11 +203,11 @@ def _refuse_other_outlines(path: Path, area_m2: float, low: NDArray[np.float64],
     rectangle_m2 = float(np.prod((high - low)[:2]))
     if area_m2 < (1 - _AREA_TOLERANCE) * rectangle_m2:
         missing = f"{(rectangle_m2 - area_m2) * 1e6:.3g} of {rectangle_m2 * 1e6:.3g} mm2"
-        msg = f"{path} is no height map: its surface leaves out {missing} of its rectangle; fill holes and corners"
+        msg = f"{path} is not a height map: its surface leaves out {missing} of its rectangle; fill holes and corners"
         raise InputError(msg)
     if area_m2 > (1 + _AREA_TOLERANCE) * rectangle_m2 or rectangle_m2 == 0:
         msg = (
-            f"{path} is no height map: its upper surfaces cover {area_m2 * 1e6:.3g} mm2 of a rectangle of "
+            f"{path} is not a height map: its upper surfaces cover {area_m2 * 1e6:.3g} mm2 of a rectangle of "
             f"{rectangle_m2 * 1e6:.3g} mm2, so some lie above each other; keep one surface z(x, y)"
         )
         raise InputError(msg)

@@ -100,7 +100,7 @@ def poisson_disc(width: float, seed: int) -> NDArray[np.float64]:
 
 # ---- contour lines
 
-# A picture's edge begins where its contrast exceeds this share of the picture's range and goes on down to half of it.
+# An edge of an image begins where its contrast exceeds this share of the image's range and goes on down to half of it.
 _EDGE_CONTRAST = 0.2
 # Up to this reach, in samples, a disc is drawn at every edge; above it that costs more than the distance from the edges.
 _DISC_REACH = 8
@@ -126,19 +126,19 @@ def contours(samples: int, cell: float, line: float, seed: int) -> NDArray[np.fl
 
 
 def contours_of_image(path: Path, samples: int, line: float) -> NDArray[np.float32]:
-    """Return the line pattern of a picture, stretched to the mask, float32 ``(samples, samples)`` of 0 and 1.
+    """Return the line pattern of an image, stretched to the mask, float32 ``(samples, samples)`` of 0 and 1.
 
-    A picture of two grey levels is a pattern already: what is brighter is light. Any other gives its edges of at least a
+    An image of two grey levels is a pattern already: what is brighter is light. Any other gives its edges of at least a
     fifth of its contrast (Canny, blurred by a third of a line first), widened to lines.
 
     Args:
-        path: square grey or colour picture (PNG, TIFF, EXR, npy); its top row is the mask's top as seen from behind the
+        path: square grey or colour image (PNG, TIFF, EXR, npy); its top row is the mask's top as seen from behind the
             sensor.
         samples: side of the pattern.
         line: width of the lines drawn along edges, in samples.
 
     Raises:
-        InputError: for a picture that is unreadable, not square, or without an edge.
+        InputError: for an image that is unreadable, not square, or without an edge.
     """
     from skimage.feature import canny
     from skimage.transform import resize
@@ -148,12 +148,12 @@ def contours_of_image(path: Path, samples: int, line: float) -> NDArray[np.float
     image = np.asarray(read_measurement(path, ("R", "G", "B")), np.float64).mean(0)
     rows, columns = image.shape
     if abs(rows - columns) > 1:
-        msg = f"image: {path} has {rows} x {columns} pixels, but the mask is square; crop the picture to a square first"
+        msg = f"image: {path} has {rows} x {columns} pixels, but the mask is square; crop the image to a square first"
         raise InputError(msg)
     low, high = image.min(), image.max()
     if low == high:
         msg = (
-            f"image: {path} is of one grey level everywhere; expected a picture with edges or a black and white pattern"
+            f"image: {path} is of one grey level everywhere; expected an image with edges or a black and white pattern"
         )
         raise InputError(msg)
     fitted = resize((image - low) / (high - low), (samples, samples), order=1, anti_aliasing=rows > samples)

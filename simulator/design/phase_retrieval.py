@@ -21,7 +21,7 @@ _BYTES_PER_SAMPLE = 22
 
 @dataclass(frozen=True)
 class Retrieval:
-    """A retrieved phase and how it was come by.
+    """A retrieved phase and how well it fits.
 
     Attributes:
         phase: float32 ``(H, W)``, -pi..pi.

@@ -66,7 +66,7 @@ def exact_images(
     oversampling: int = 1,
     threads: int = 1,
 ) -> Iterator[Array]:
-    """Yield the PSF ``(size, size)`` of each source (one wavelength), in the stored frame (turned by 180 degrees).
+    """Yield the PSF ``(size, size)`` of each source (one wavelength), in the stored frame (rotated by 180 degrees).
 
     Each is the irradiance on the sensor's pixels per unit |U|^2 of the incident wave at the mask's centre. Its middle is the
     sensor's point (-x d, -y d) for a source in the direction (x, y) and the camera's distance d in air, where a convolution

@@ -191,7 +191,7 @@ MATERIALS = {
 
 
 def material_file(name: str, base_dir: Path | None = None) -> Path | None:
-    """Return the file that a material's name stands for, or None where it is no file's name.
+    """Return the file that a material's name stands for, or None where it is not a file name.
 
     Args:
         name: as in sim_config.yaml.
@@ -269,7 +269,7 @@ def _from_database(path: Path) -> Material:
     try:
         page = yaml.safe_load(read_text(path, "a table of wavelengths"))
     except (yaml.YAMLError, RecursionError) as error:
-        msg = f"{path}: no YAML that can be read ({str(error).splitlines()[0]})"
+        msg = f"{path}: not readable as YAML ({str(error).splitlines()[0]})"
         raise InputError(msg) from error
     entries = page.get("DATA") if isinstance(page, dict) else None
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):

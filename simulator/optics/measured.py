@@ -46,7 +46,7 @@ def load_measured_psf(
             ``.npy`` of ``(K, H, W)`` or ``(K, C, H, W)``. Values must be linear in light.
         depths_m: ``(K,)`` depth of the point source from the mask plane, metres, increasing.
         pixel_pitch_m: pitch of the binned pixels, metres.
-        frame: ``physical`` as read from the sensor (turned here by 180 degrees), or ``stored`` (a pinhole's picture is
+        frame: ``physical`` as read from the sensor (rotated here by 180 degrees), or ``stored`` (a pinhole's picture is
             upright). The origin is sample ``(H // 2, W // 2)`` of the binned image.
         binning: pixels per side that are averaged into one; an image that does not divide is cropped in its centre.
         background: ``border`` takes the median of the image's outer 2 % frame, per image and channel (a PSF that fills
@@ -251,7 +251,7 @@ def _check_numbers_given(pixel_pitch_m: float, throughput_m2: float, binning: in
         msg = f"binning is {binning!r}; expected a whole number of pixels from 1 up"
         raise InputError(msg)
     if frame not in ("physical", "stored"):
-        msg = f"frame is {frame!r}; expected 'physical' (as read from the sensor) or 'stored' (turned by 180 degrees)"
+        msg = f"frame is {frame!r}; expected 'physical' (as read from the sensor) or 'stored' (rotated by 180 degrees)"
         raise InputError(msg)
 
 

@@ -140,7 +140,7 @@ def _check_lengths(pitch_m: float, wavelength_m: float, distance_m: float) -> No
 class Transfer:
     """The transfer function of one grid and wavelength, evaluated for any distance at the price of one exponential.
 
-    It is even in both frequencies, so only one quadrant is computed. Phases are reckoned in turns in float64 and reduced
+    It is even in both frequencies, so only one quadrant is computed. Phases are computed in turns in float64 and reduced
     to one turn before the exponential: this is what keeps complex64 accurate.
     """
 
@@ -425,7 +425,7 @@ def fan(strata: Strata, rho_squared: Array) -> Fan:
     """Trace the rays of one point to sideways distances.
 
     Args:
-        strata: layers; one of index 1 is reckoned analytically, several through a table (NumPy only).
+        strata: layers; one of index 1 is treated analytically, several through a table (NumPy only).
         rho_squared: squared sideways distances, square metres, float64.
 
     Raises:

@@ -57,7 +57,7 @@ def plain_psf(
         oversampling: grid samples per mask pixel and axis; the grid must hold the source's wave and the mask's light.
 
     Returns:
-        ``(size, size)`` irradiance per unit irradiance at the mask's centre, in the stored frame (turned by 180 degrees).
+        ``(size, size)`` irradiance per unit irradiance at the mask's centre, in the stored frame (rotated by 180 degrees).
     """
     pitch_m = mask.pitch_m / oversampling
     transmission = mask.transmission(wavelength_m, oversampling).astype(np.complex128)
@@ -186,7 +186,7 @@ def depth_images(
     threads: int = 1,
     direction: tuple[float, float] = (0.0, 0.0),
 ) -> Iterator[Array]:
-    """Yield the PSF ``(size, size)`` of one wavelength for each depth, in the stored frame (turned by 180 degrees).
+    """Yield the PSF ``(size, size)`` of one wavelength for each depth, in the stored frame (rotated by 180 degrees).
 
     Args:
         mask: the mask.

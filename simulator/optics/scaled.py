@@ -128,7 +128,7 @@ def scaled_images(
     diffracted: bool = True,
     threads: int = 1,
 ) -> Iterator[Array]:
-    """Yield the PSF ``(size, size)`` of each on-axis source (one wavelength), in the stored frame (turned by 180 degrees).
+    """Yield the PSF ``(size, size)`` of each on-axis source (one wavelength), in the stored frame (rotated by 180 degrees).
 
     Args:
         mask: the mask; its arrays decide precision and kind.
@@ -144,9 +144,9 @@ def scaled_images(
 
     def image(source: Source) -> Array:
         wave = model.wave(source, diffracted=diffracted)
-        picture = model.image(wave, model.magnification(source), centres, camera.pixel_pitch_m)
+        psf = model.image(wave, model.magnification(source), centres, camera.pixel_pitch_m)
         model.release(wave)
-        return namespace(picture).flip(picture)
+        return namespace(psf).flip(psf)
 
     if threads == 1 or is_torch(mask.height_m):
         yield from map(image, sources)

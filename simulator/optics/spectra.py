@@ -72,7 +72,7 @@ class Led:
 
 
 def curve_file(name: str, base_dir: Path | None = None) -> Path | None:
-    """Return the file that a name of curves stands for, or None where it is no file's name."""
+    """Return the file that a name of curves stands for, or None where it is not a file name."""
     return (base_dir or Path()) / Path(name).expanduser() if name.lower().endswith((".csv", ".json")) else None
 
 

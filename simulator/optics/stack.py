@@ -18,8 +18,8 @@ UNPROVEN = "unproven"
 class PsfStack:
     """Point spread functions of one camera.
 
-    A value is sensor irradiance per irradiance at the mask. The stored frame is the physical sensor's image turned by
-    180 degrees, so that a pinhole's picture is upright; the origin lies on sample ``(H // 2, W // 2)``.
+    A value is sensor irradiance per irradiance at the mask. The stored frame is the physical sensor's image rotated by
+    180 degrees, so that a pinhole's image is upright; the origin lies on sample ``(H // 2, W // 2)``.
 
     Attributes:
         values: ``(K, C, H, W)``, not negative; the sum over (H, W) times ``pixel_pitch_m**2`` is the power (square metres)

@@ -88,7 +88,7 @@ def true_intensity(
         wavelength_m: wavelength in air, metres.
         distance_m: mask to sensor, metres.
         depth_m: z of the source from the mask plane, metres, or ``inf``.
-        points_m: ``(N, 2)`` sensor points as x, y in metres, in the physical frame, reckoned from the geometric shadow of
+        points_m: ``(N, 2)`` sensor points as x, y in metres, in the physical frame, measured from the geometric shadow of
             the mask's centre at ``-distance_m * direction``.
         direction: tangents of the source's direction: it stands at (tan_x z, tan_y z, z).
         tolerance: relative L2 uncertainty above which the cells are divided again.
@@ -134,7 +134,7 @@ def mask_field(
 ) -> NDArray[np.complex128]:
     """Sum the wave behind a mask of ``factor`` cells per sample and axis, ``(N,)``, without the constant phase exp(ikd).
 
-    Arguments as for ``true_intensity``, but ``points_m`` are reckoned from the mask's axis.
+    Arguments as for ``true_intensity``, but ``points_m`` are measured from the mask's axis.
     """
     cells = mask_cells(mask, factor)
     tan_x, tan_y = direction

@@ -253,8 +253,8 @@ FORMULA = "DATA:\n  - type: formula 1\n    wavelength_range: 0.3 2\n    coeffici
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[1, 2", "no YAML that can be read"),
-        ("!!python/object/apply:os.system ['true']", "no YAML that can be read"),
+        ("[1, 2", "not readable as YAML"),
+        ("!!python/object/apply:os.system ['true']", "not readable as YAML"),
         ("ABOUT: glass\n", "no DATA list; expected a page of refractiveindex.info"),
         ("DATA:\n  - type: formula 7\n", "its DATA are formula 7; expected exactly one of formula 1, formula 2"),
         ("DATA:\n  - type: tabulated k\n    data: 0.3 1\n", "its DATA are tabulated k; expected exactly one"),
