@@ -60,16 +60,14 @@ class CaptureModel:
             ("scene_to_camera", self.scene_to_camera.shape, (channels, 3)),
         ):
             if tuple(shape) != tuple(wanted):
-                msg = f"{name}: got shape {tuple(shape)}, expected {tuple(wanted)} for this stack and scene"
-                raise InputError(msg)
+                raise InputError(name, f"got shape {tuple(shape)}, expected {tuple(wanted)} for this stack and scene")
         for axis, sensor, scene in zip(("rows", "columns"), self.sensor_shape, self.scene_shape, strict=True):
             if scene > sensor or (sensor - scene) % 2:
-                msg = f"scene_shape: {scene} {axis} on a sensor of {sensor}; expected at most as many, even or odd like it"
-                raise InputError(msg)
+                got = f"got {scene} {axis} on a sensor of {sensor}"
+                raise InputError("scene_shape", f"{got}; expected at most as many, even or odd like it")
         for name, value in (("gain", self.gain), ("white", self.white)):
             if not (np.isfinite(value) and value > 0):
-                msg = f"{name}: got {value!r}, expected a positive number"
-                raise InputError(msg)
+                raise InputError(name, f"got {value!r}, expected a positive number")
 
     @property
     def near_m(self) -> float:
@@ -106,38 +104,24 @@ class CaptureModel:
         """Return the convolution: ``offset + gain forward(V)`` is the measurement of irradiance V, ``(1, K, C, h, w)``.
 
         V is irradiance at the mask in the camera's channels, ``irradiance M L_k``; the result lacks gain and offset.
-
-        Args:
-            reference: an array of the kind, type and device to work on; None is NumPy in float32.
+        ``reference`` is an array of the kind, type and device to work on; None is NumPy in float32.
         """
         stack = self.stack if reference is None else replace(self.stack, values=like(self.stack.values, reference))
         return ForwardModel(stack, self.sensor_shape, self.scene_shape)
 
     def with_stack(self, stack: PsfStack) -> CaptureModel:
-        """Return the same camera assumed to have other PSFs.
-
-        Raises:
-            InputError: when the stack has other channels or another pixel pitch.
-        """
-        if stack.channels != self.stack.channels or not np.isclose(
-            stack.pixel_pitch_m, self.stack.pixel_pitch_m, rtol=1e-3, atol=0
-        ):
-            got, wanted = (
-                f"{', '.join(each.channels)} at a pitch of {each.pixel_pitch_m * 1e6:g} um"
-                for each in (stack, self.stack)
-            )
-            msg = f"stack: got channels {got}, expected {wanted}: it belongs to another camera"
-            raise InputError(msg)
+        """Return the same camera assumed to have other PSFs; an InputError refuses other channels or another pixel pitch."""
+        alike = np.isclose(stack.pixel_pitch_m, self.stack.pixel_pitch_m, rtol=1e-3, atol=0)
+        if stack.channels != self.stack.channels or not alike:
+            got, wanted = (f"{each.channels} at {each.pixel_pitch_m * 1e6:g} um" for each in (stack, self.stack))
+            raise InputError("stack", f"got channels {got}, expected {wanted}: it belongs to another camera")
         return replace(self, stack=stack)
 
     def with_assumed(self, known: CaptureModel) -> CaptureModel:
-        """Return the camera that made this data with the PSFs that a method assumes which was made for another data set.
+        """Return the camera that made this data with the PSFs of ``known``, for which a method was trained or tuned.
 
-        The camera's numbers (gain, offset, irradiance, colours) stay this data set's, whose exposure may be its own. PSFs,
-        depth range and white are the known ones: with them the method was trained or tuned.
-
-        Args:
-            known: what the method was made for.
+        The camera's numbers (gain, offset, irradiance, colours) stay this data set's; PSFs, depth range and white are the
+        known ones.
 
         Raises:
             InputError: other shapes, channels or pixel pitch, or scenes here beyond the depths that are known.
@@ -145,17 +129,14 @@ class CaptureModel:
         for name in ("sensor_shape", "scene_shape"):
             here, there = getattr(self, name), getattr(known, name)
             if tuple(here) != tuple(there):
-                sizes = f"{here[0]} x {here[1]} pixels, the method was made for {there[0]} x {there[1]}"
-                msg = f"{name}: the measurements have {sizes}; give data of the same camera, or train and tune for this one"
-                raise InputError(msg)
+                wanted = f"{there[0]} x {there[1]}, for which the method was made; train and tune anew"
+                raise InputError(name, f"got {here[0]} x {here[1]} pixels, expected {wanted}")
         # Of a single plane nothing follows for the range. A share of 1e-3 forgives depths that were written with few digits.
         excess = max(1 / self.near_m - 1 / known.near_m, 1 / known.far_m - 1 / self.far_m)
         if len(known.stack.depths_m) > 1 and excess > 1e-3 * known._range_per_m:
-            ranges = (
-                f"{self.near_m:g} to {self.far_m:g} m, but the method knows only {known.near_m:g} to {known.far_m:g} m"
-            )
-            msg = f"stack: the data's depths are {ranges}; give data within that range, or train and tune for this one"
-            raise InputError(msg)
+            here, there = (f"{each.near_m:g} to {each.far_m:g} m" for each in (self, known))
+            cure = "give data within that range, or train and tune anew"
+            raise InputError("stack", f"the data's depths are {here}, the method knows {there}; {cure}")
         return replace(self.with_stack(known.stack), white=known.white)
 
     @property
@@ -167,11 +148,8 @@ class CaptureModel:
 def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *, white: float = 1.0) -> CaptureModel:
     """Return what is known of the camera that made a data set; no code that the data set names is run.
 
-    Args:
-        dataset: any split of it.
-        stack: ``nominal``, the PSFs that made the data; ``captured``, as a calibration would have measured them
-            (``psf.as_captured``); the folder of any other stack, or the stack itself.
-        white: the radiance that images show as 1; see `measure_reference_white`.
+    ``stack`` is ``nominal``, the PSFs that made the data; ``captured``, as a calibration would have measured them
+    (``psf.as_captured``); the folder of any other stack, or the stack itself. ``white`` see `measure_reference_white`.
 
     Raises:
         InputError: a mosaic's measurement, a circular convolution, rows with different exposure times, a damaged record, no
@@ -180,15 +158,12 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
     info = dataset.info
     config = config_from_dict(info.config, dataset.root, check_plugins=False)
     if config.forward.boundary != "linear":
-        why = "light that misses a real sensor is lost, as reconstructions here know"
-        msg = f"{dataset.root}: forward.boundary is {config.forward.boundary}, but {why}; make it with boundary: linear"
-        raise InputError(msg)
+        reason = f"got forward.boundary {config.forward.boundary}, expected linear: light that misses a sensor is lost"
+        raise InputError(dataset.root, reason)
     nominal = read_psf_stack(dataset.root / PSF_FOLDER)
     if tuple(info.channels) != nominal.channels:
-        got = f"{', '.join(info.channels)}, the PSFs {', '.join(nominal.channels)}"
-        cure = "reconstruction needs all colours in a pixel (camera.sensor.readout: binned_rgb)"
-        msg = f"{dataset.root}: measurements have the channels {got}; {cure}"
-        raise InputError(msg)
+        got = f"got channels {', '.join(info.channels)}, the PSFs have {', '.join(nominal.channels)}"
+        raise InputError(dataset.root, f"{got}; take camera.sensor.readout: binned_rgb")
     sensor = recorded_sensor(info, config)
     gain, offset = gain_and_offset(sensor, len(nominal.channels), mean=config.forward.time == "mean")
     view = View(
@@ -210,8 +185,7 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
         return model
     folder = dataset.root / CAPTURED_FOLDER if stack == "captured" else Path(stack)
     if stack == "captured" and not folder.is_dir():
-        msg = f"stack: got 'captured', but {dataset.root} has no {CAPTURED_FOLDER}; make it with psf.as_captured in its file"
-        raise InputError(msg)
+        raise InputError("stack", f"got captured, but {dataset.root} has no {CAPTURED_FOLDER}; set psf.as_captured")
     return model.with_stack(read_psf_stack(folder))
 
 
@@ -227,8 +201,7 @@ def recorded_sensor(info: DatasetInfo, config: Config) -> Sensor:
         if responsivity is not None:
             responsivity = tuple(float(responsivity[channel]) for channel in info.channels)
     except (KeyError, TypeError, ValueError) as error:
-        msg = f"{FILE}: exposure is damaged ({type(error).__name__}: {error}); restore it from a copy"
-        raise InputError(msg) from error
+        raise InputError(FILE, f"damaged exposure ({type(error).__name__}: {error}); restore it from a copy") from error
     # Without the illuminance: what it decides is recorded, and its files of spectra may be elsewhere.
     camera = config.camera.model_copy(update={"exposure": ExposureConfig(full_scale=full_scale)})
     recorded = Assembly(config.model_copy(update={"camera": camera}))
@@ -240,20 +213,14 @@ def recorded_sensor(info: DatasetInfo, config: Config) -> Sensor:
 def gain_and_offset(sensor: Sensor, channels: int, *, mean: bool) -> tuple[float, NDArray[np.float64]]:
     """Return DN / 2^bits per unit of exposed irradiance, and what is stored without light, ``(C,)``.
 
-    Args:
-        sensor: from `recorded_sensor`.
-        channels: of the light, C.
-        mean: whether the forward model divided exposures by the exposure time (``forward.time: mean``).
+    ``mean``: whether the forward model divided exposures by the exposure time (``forward.time: mean``).
 
     Raises:
         InputError: rows with different exposure times, which have no common gain.
     """
     exposures = np.unique(np.asarray(sensor.exposure_s, np.float64))
     if len(exposures) > 1:
-        msg = (
-            "camera.shutter: rows have different exposure times; stills are reconstructed from rows that have the same"
-        )
-        raise InputError(msg)
+        raise InputError("camera.shutter", "rows differ in exposure time; stills need rows that agree")
     exposure = 1.0 if mean else float(exposures[0])
     dark = np.zeros((channels, *sensor.shape))
     offset, bright = sensor.noiseless(dark), sensor.noiseless(dark + sensor.full_scale)
@@ -285,8 +252,7 @@ def plain_capture(
     """
     channels = len(stack.channels)
     if channels not in (1, 3):
-        msg = f"stack: got {channels} channels ({', '.join(stack.channels)}), expected 1 (grey) or 3 (red, green, blue)"
-        raise InputError(msg)
+        raise InputError("stack", f"got channels {', '.join(stack.channels)}, expected one (grey) or red, green, blue")
     scene = sensor_shape if scene_shape is None else scene_shape
     return CaptureModel(
         stack=stack,
@@ -310,24 +276,18 @@ def measure_reference_white(dataset: Dataset) -> float:
         InputError: an empty split, or one whose scenes are black.
     """
     if len(dataset) == 0:
-        msg = f"split {dataset.split!r} of {dataset.root} is empty; generate some of its samples first"
-        raise InputError(msg)
+        raise InputError(dataset.root, f"split {dataset.split!r} is empty; generate some of its samples first")
     values = [dataset.stored(position).frame(0).rgb for position in range(min(len(dataset), _WHITE_SAMPLES))]
     white = float(np.percentile(np.stack(values), _WHITE_PERCENTILE))
     if white <= 0:
-        msg = f"split {dataset.split!r} of {dataset.root}: its scenes are black, so images of them have no scale"
-        raise InputError(msg)
+        raise InputError(dataset.root, f"the scenes of split {dataset.split!r} are black; their images have no scale")
     return white
 
 
 def typical_white(capture: CaptureModel, measurement: Array) -> float:
-    """Return a radiance to be shown as 1: twice the mean of a scene that sends as much light as was measured.
+    """Return a radiance to be shown as 1: twice the mean of a scene that sends as much light as ``(..., C, H, W)`` holds.
 
     For a capture whose unit is unknown; of data sets it is measured once, see `measure_reference_white`.
-
-    Args:
-        capture: the camera, its ``white`` unused.
-        measurement: ``(..., C, H, W)``.
 
     Raises:
         InputError: a measurement without light above the background.
@@ -338,7 +298,5 @@ def typical_white(capture: CaptureModel, measurement: Array) -> float:
     per_scene = np.sum(light, axis=(-2, -1)) / (response * np.sum(capture.irradiance, dtype=np.float64))
     mean = float(np.mean(per_scene))
     if not mean > 0:
-        found = f"a mean radiance of {mean:.3g} above the background"
-        msg = f"measurement: got {found}, expected light; check the background"
-        raise InputError(msg)
+        raise InputError("measurement", f"got a mean radiance of {mean:.3g}, expected light; check the background")
     return 2 * mean

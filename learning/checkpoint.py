@@ -143,24 +143,22 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
         name = str(architecture["network"])
         own = _capture(content["camera"], tensors)
     except (KeyError, TypeError, ValueError) as error:
-        msg = f"{path} is damaged: its camera or architecture cannot be read ({type(error).__name__}: {error}); restore it"
-        raise InputError(msg) from error
+        reason = f"damaged: camera or architecture cannot be read ({type(error).__name__}: {error}); restore it"
+        raise InputError(path, reason) from error
     if network not in (None, name):
-        msg = f"{path}: got a checkpoint of {name}, expected {network}; name another file or another network"
-        raise InputError(msg)
+        raise InputError(path, f"got a checkpoint of {name}, expected {network}; name another file or another network")
     if capture is not None:
         _check_camera(path, own, capture)
     try:
         built = _build(architecture, capture or own)
     except (InputError, TypeError) as error:
-        msg = f"{path}: this version of Flatlight cannot build its network ({error}); use the version that the record names"
-        raise InputError(msg) from error
+        reason = f"this version of Flatlight cannot build its network ({error}); use the version that the record names"
+        raise InputError(path, reason) from error
     weights = {key.removeprefix(_WEIGHTS): value for key, value in tensors.items() if key.startswith(_WEIGHTS)}
     _check_shapes(built.state_dict(), weights, str(path))
     for key, value in weights.items():
         if not bool(torch.isfinite(value).all()):
-            msg = f"{path}: {key} holds NaN or infinite numbers; take an earlier checkpoint"
-            raise InputError(msg)
+            raise InputError(path, f"{key} holds NaN or infinite numbers; take an earlier checkpoint")
     built.load_state_dict(weights)
     return Checkpoint(built.eval(), capture or own, own.stack.fingerprint, architecture, record)
 
@@ -173,11 +171,8 @@ def _stored(name: str, value: Tensor, precision: torch.dtype) -> Tensor:
         return value
     rounded = value.to(precision)
     if bool((value.isfinite() & ~rounded.isfinite()).any()):
-        msg = (
-            f"precision: {name} has values up to {float(value.abs().max()):.3g}, {precision} holds at most "
-            f"{torch.finfo(precision).max:g}; store torch.float32"
-        )
-        raise InputError(msg)
+        most = f"{float(value.abs().max()):.3g}, expected at most {torch.finfo(precision).max:g}"
+        raise InputError("precision", f"{name} has values up to {most} for {precision}; store torch.float32")
     return rounded
 
 
@@ -193,21 +188,17 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
             text = (file.metadata() or {}).get(_KEY)
             tensors = {} if text is None else {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (no dict)
     except OSError as error:
-        msg = f"cannot read the checkpoint {path}: {error.strerror or error}"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
     except SafetensorError as error:
-        msg = f"{path} is not a checkpoint, or a truncated one ({error}); expected a safetensors file of `flatlight train`"
-        raise InputError(msg) from error
+        raise InputError(path, f"not a checkpoint of `flatlight train`, or a truncated one ({error})") from error
     try:
         content = json.loads(text) if text is not None else {}
     except (ValueError, RecursionError):
         content = {}
     if not isinstance(content, dict) or content.get("format") != FORMAT or not isinstance(content.get("version"), int):
-        msg = f"{path} is a safetensors file, but not a Flatlight checkpoint; expected one that `flatlight train` wrote"
-        raise InputError(msg)
+        raise InputError(path, "a safetensors file, but not a checkpoint that `flatlight train` wrote")
     if content["version"] > VERSION:
-        msg = f"{path}: got a checkpoint of version {content['version']}, expected at most {VERSION}; update Flatlight"
-        raise InputError(msg)
+        raise InputError(path, f"got version {content['version']}, expected at most {VERSION}; update Flatlight")
     return content, tensors
 
 
@@ -231,21 +222,19 @@ def _check_camera(path: Path, own: CaptureModel, asked: CaptureModel) -> None:
     """Refuse a camera for which the weights mean something else: other channels, pixels, or planes at other depths."""
     mine, other = own.stack, asked.stack
     if mine.channels != other.channels:
-        msg = f"{path}: its network takes the channels {', '.join(mine.channels)}, the stack has {', '.join(other.channels)}"
-        raise InputError(msg)
+        names, wanted = ", ".join(mine.channels), ", ".join(other.channels)
+        raise InputError(path, f"its network takes the channels {names}, the stack has {wanted}")
     # A share of 1e-3 forgives numbers that were written with few digits.
     if not np.isclose(mine.pixel_pitch_m, other.pixel_pitch_m, rtol=1e-3, atol=0):
         own_um, um = (f"{stack.pixel_pitch_m * 1e6:g} um" for stack in (mine, other))
-        msg = f"{path}: its network is for pixels of {own_um}, the stack's are {um}; use a stack of the same camera"
-        raise InputError(msg)
+        raise InputError(path, f"its network is for pixels of {own_um}, the stack's are {um}; use another stack")
     if len(mine.depths_m) != len(other.depths_m) or not np.allclose(1 / mine.depths_m, 1 / other.depths_m, rtol=1e-3):
         here, there = (
             f"{len(each.stack.depths_m)} planes from {each.near_m * 100:g} to {each.far_m * 100:g} cm"
             for each in (own, asked)
         )
         cure = "use the stack that it was trained with, or fine-tune it for this one (init_from)"
-        msg = f"{path}: its network is for {here}, the stack has {there}; {cure}"
-        raise InputError(msg)
+        raise InputError(path, f"its network is for {here}, the stack has {there}; {cure}")
 
 
 def _check_shapes(expected: Mapping[str, Tensor], found: Mapping[str, Tensor], where: str, cure: str = "") -> None:
@@ -253,8 +242,7 @@ def _check_shapes(expected: Mapping[str, Tensor], found: Mapping[str, Tensor], w
     for name in sorted(expected.keys() | found.keys()):
         got, wanted = (tuple(of[name].shape) if name in of else "nothing" for of in (found, expected))
         if got != wanted:
-            msg = f"{where}: weights do not fit the architecture: {name} has the shape {got}, expected {wanted}{cure}"
-            raise InputError(msg)
+            raise InputError(where, f"{name} has the shape {got}, expected {wanted} by the architecture{cure}")
 
 
 def shipped_checkpoints() -> dict[str, Path]:
@@ -276,8 +264,7 @@ def find_checkpoint(text: str) -> Path:
     if text in shipped:
         return shipped[text]
     known = f"a shipped checkpoint ({', '.join(shipped) or 'there is none'})"
-    msg = f"--checkpoint: got {text!r}, expected an existing file of `flatlight train`, or {known}"
-    raise InputError(msg)
+    raise InputError("--checkpoint", f"got {text!r}, expected an existing file of `flatlight train`, or {known}")
 
 
 def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
@@ -299,15 +286,11 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
     """
     own, found = network.state_dict(), checkpoint.network.state_dict()
     if type(network) is not type(checkpoint.network):
-        msg = (
-            f"checkpoint: got a {type(checkpoint.network).__name__}, expected a {type(network).__name__}; take a checkpoint "
-            "of the same network"
-        )
-        raise InputError(msg)
+        kinds = f"got a {type(checkpoint.network).__name__}, expected a {type(network).__name__}"
+        raise InputError("checkpoint", f"{kinds}; take a checkpoint of the same network")
     mine, other = network.inversion.channels, checkpoint.network.inversion.channels
     if mine != other:
-        msg = f"checkpoint: its camera has the channels {', '.join(other)}, expected {', '.join(mine)}"
-        raise InputError(msg)
+        raise InputError("checkpoint", f"its camera has the channels {', '.join(other)}, expected {', '.join(mine)}")
     new, old = network.inversion.disparities, checkpoint.network.inversion.disparities
     same = len(new) == len(old) and np.allclose(new, old, atol=1e-6)
     taken = dict(found) if same else found | _resampled(found, old, new)

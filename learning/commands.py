@@ -5,15 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from simulator.commands.shared import Overrides
 
 
 def train(
     config: Annotated[
-        Path,
-        typer.Argument(help="training (YAML); `flatlight init --preset flatnet3d_64` writes one", show_default=False),
+        Path, Argument(help="training (YAML); `flatlight init --preset flatnet3d_64` writes one", show_default=False)
     ],
     set_: Overrides = None,
 ) -> None:
@@ -23,24 +22,15 @@ def train(
 
     with Bar() as bar:
         result = run(config, set_ or [], show=bar.update, say=bar.say)
-    best = result.best
-    what = (
-        f"{result.steps} steps, {result.seconds:.0f} s in all"
-        if result.steps
-        else "was finished before; raise steps to go on"
-    )
-    print(f"{result.folder}: {what}")
-    print(
-        f"best after step {best['step']:.0f}: PSNR {best['psnr_db']:.2f} dB, depth RMSE {best['depth_rmse_cm']:.2f} cm on "
-        f"validation; {result.folder / 'best.safetensors'}"
-    )
-    print(f"look at {result.folder / 'validation.png'}, or at the curves: tensorboard --logdir {result.folder}")
+    best, folder, done = result.best, result.folder, f"{result.steps} steps, {result.seconds:.0f} s in all"
+    print(f"{folder}: {done if result.steps else 'was finished before; raise steps to go on'}")
+    errors = f"PSNR {best['psnr_db']:.2f} dB, depth RMSE {best['depth_rmse_cm']:.2f} cm on validation"
+    print(f"best after step {best['step']:.0f}: {errors}; {folder / 'best.safetensors'}")
+    print(f"look at {folder / 'validation.png'}, or at the curves: tensorboard --logdir {folder}")
 
 
 def tune(
-    config: Annotated[
-        Path, typer.Argument(help="YAML file: data, methods, noise levels, objective", show_default=False)
-    ],
+    config: Annotated[Path, Argument(help="YAML file: data, methods, noise levels, objective", show_default=False)],
     set_: Overrides = None,
 ) -> None:
     """Tune the classical methods on validation scenes, each noise level by itself; a run that stopped goes on."""
@@ -57,7 +47,7 @@ def tune(
 
 
 def evaluate(
-    config: Annotated[Path, typer.Argument(help="what is compared, on which scenes (YAML)", show_default=False)],
+    config: Annotated[Path, Argument(help="what is compared, on which scenes (YAML)", show_default=False)],
     set_: Overrides = None,
 ) -> None:
     """Compare networks and classical methods on test scenes; a run that stopped goes on from there."""
@@ -73,79 +63,45 @@ def evaluate(
     print(f"look at {files[0]}")
 
 
+Sample = Argument(
+    help="a sample's folder, or a linear image: EXR, TIFF, PNG (8 bit, 16 bit grey), npy", show_default=False
+)
+Network = Option(help="a trained network: file, or name of a shipped one; default: the shipped one that fits")
+Stack = Option(help="its PSFs: folder of a stack or data set, image of one PSF; a sample's own: nominal, captured")
+Parameter = Option("--set", metavar="KEY=VALUE", help="one of its parameters, e.g. regularisation_lambda=0.01")
+Output = Option(help="folder for the result; default: SPLIT_NAME_METHOD here", show_default=False)
+Bits = Option(help="the sensor's bit depth, where the file's type is wider, e.g. 12 in 16 bit files")
+Background = Option(help="to subtract: a number in the file's units, or an image of darkness")
+PsfBackground = Option(help="the same for the image of a PSF; or border (its frame's median), none; default: border")
+Crop = Option(help="ROWSxCOLUMNS about the centre, or ROWSxCOLUMNS+TOP+LEFT, of the file's pixels")
+Scene = Option(help="ROWSxCOLUMNS of the result without data set or network; default: the sensor's")
+
+
 def reconstruct(
-    measurement: Annotated[
-        Path,
-        typer.Argument(
-            help="a sample's folder, or a linear image: EXR, TIFF, PNG (8 bit, or 16 bit grey), npy", show_default=False
-        ),
-    ],
-    checkpoint: Annotated[
-        str | None,
-        typer.Option(help="a trained network: file, or name of a shipped one; default: the shipped one that fits"),
-    ] = None,
-    method: Annotated[str | None, typer.Option(help="a classical method instead: cls or admm")] = None,
-    stack: Annotated[
-        str | None,
-        typer.Option(
-            help="its PSFs: folder of a stack or data set, image of one PSF; a sample's own: nominal, captured"
-        ),
-    ] = None,
-    tuned: Annotated[Path | None, typer.Option(help="its parameters: what `flatlight tune` wrote")] = None,
-    noise_db: Annotated[
-        float | None, typer.Option(help="PSNR of the measurement, which chooses among the tuned")
-    ] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="one of its parameters, e.g. regularisation_lambda=0.01"),
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option(help="folder for the result; default: SPLIT_NAME_METHOD here", show_default=False)
-    ] = None,
-    volume: Annotated[bool, typer.Option("--volume", help="write the volume too, a plane per depth")] = False,
-    bits: Annotated[
-        int | None, typer.Option(help="the sensor's bit depth, where the file's type is wider, e.g. 12 in 16 bit files")
-    ] = None,
-    background: Annotated[
-        str | None, typer.Option(help="to subtract: a number in the file's units, or an image of darkness")
-    ] = None,
-    psf_background: Annotated[
-        str | None, typer.Option(help="the same for the image of a PSF; or border (its frame's median), none  [border]")
-    ] = None,
-    psf_crop: Annotated[str | None, typer.Option(help="the same as --crop for the image of a PSF")] = None,
-    crop: Annotated[
-        str | None, typer.Option(help="ROWSxCOLUMNS about the centre, or ROWSxCOLUMNS+TOP+LEFT, of the file's pixels")
-    ] = None,
-    binning: Annotated[int, typer.Option(help="pixels per side that become one, of the PSF's image too")] = 1,
-    scene: Annotated[
-        str | None, typer.Option(help="ROWSxCOLUMNS of the result without data set or network  [the sensor's]")
-    ] = None,
+    measurement: Annotated[Path, Sample],
+    checkpoint: Annotated[str | None, Network] = None,
+    method: Annotated[str | None, Option(help="a classical method instead: cls or admm")] = None,
+    stack: Annotated[str | None, Stack] = None,
+    tuned: Annotated[Path | None, Option(help="its parameters: what `flatlight tune` wrote")] = None,
+    noise_db: Annotated[float | None, Option(help="PSNR of the measurement, which chooses among the tuned")] = None,
+    set_: Annotated[list[str] | None, Parameter] = None,
+    output: Annotated[Path | None, Output] = None,
+    volume: Annotated[bool, Option("--volume", help="write the volume too, a plane per depth")] = False,
+    bits: Annotated[int | None, Bits] = None,
+    background: Annotated[str | None, Background] = None,
+    psf_background: Annotated[str | None, PsfBackground] = None,
+    psf_crop: Annotated[str | None, Option(help="the same as --crop for the image of a PSF")] = None,
+    crop: Annotated[str | None, Crop] = None,
+    binning: Annotated[int, Option(help="pixels per side that become one, of the PSF's image too")] = 1,
+    scene: Annotated[str | None, Scene] = None,
     white: Annotated[
-        float | None, typer.Option(help="radiance to show as white  [the camera's, or the image's]")
+        float | None, Option(help="radiance to show as white; default: the camera's, or the image's")
     ] = None,
-    device: Annotated[str, typer.Option(help="auto, cpu or cuda")] = "auto",
+    device: Annotated[str, Option(help="auto, cpu or cuda")] = "auto",
 ) -> None:
     """Reconstruct image and depth from one measurement, by a network or a classical method."""
+    given = locals()  # an option of the command is a field of Options, but for the two that are parsed
     from learning.reconstruct.job import Options, parse_changes, parse_size, reconstruct_file
 
-    options = Options(
-        measurement=measurement,
-        checkpoint=checkpoint,
-        method=method,
-        stack=stack,
-        tuned=tuned,
-        noise_db=noise_db,
-        parameters=parse_changes(set_ or ()),
-        output=output,
-        volume=volume,
-        bits=bits,
-        background=background,
-        psf_background=psf_background,
-        psf_crop=psf_crop,
-        crop=crop,
-        binning=binning,
-        scene=parse_size(scene),
-        white=white,
-        device=device,
-    )
-    print(reconstruct_file(options))
+    parsed = {"parameters": parse_changes(given.pop("set_") or ()), "scene": parse_size(scene)}
+    print(reconstruct_file(Options(**given | parsed)))

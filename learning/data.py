@@ -8,6 +8,8 @@ import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -52,23 +54,14 @@ class Example(NamedTuple):
 
 
 class Draw(NamedTuple):
-    """A sample and the noise it is seen with.
-
-    Attributes:
-        position: of the sample in its split.
-        number: of the drawing: another number is another noise.
-    """
+    """A sample by its position in its split, and the noise it is seen with: another number is another noise."""
 
     position: int
     number: int
 
 
 class ExampleSet(TorchDataset[Example]):
-    """One split of a data set of stills; picklable, for workers that are forked or spawned.
-
-    Attributes:
-        dataset: the split.
-    """
+    """One split of a data set of stills, ``dataset``; picklable, for workers that are forked or spawned."""
 
     def __init__(
         self, dataset: Dataset, *, noise_db: tuple[float, float] | None = None, seed: int = 0, cache: Path | None = None
@@ -87,12 +80,10 @@ class ExampleSet(TorchDataset[Example]):
             InputError: an empty split, mosaics, or levels that make no sense.
         """
         if len(dataset) == 0:
-            cure = f"set dataset.{dataset.split} in its configuration and run `flatlight generate` again"
-            msg = f"{dataset.root}: split {dataset.split!r} is empty; {cure}, or give another data set"
-            raise InputError(msg)
+            cure = f"set dataset.{dataset.split} and run `flatlight generate` again, or give another data set"
+            raise InputError(dataset.root, f"split {dataset.split!r} is empty; {cure}")
         if noise_db is not None and not 0 < noise_db[0] <= noise_db[1] <= 120:
-            msg = f"noise_db: got {noise_db}, expected a range of PSNRs such as (20, 50), in 0 to 120 dB"
-            raise InputError(msg)
+            raise InputError("noise_db", f"got {noise_db}, expected a range of PSNRs such as (20, 50), in 0 to 120 dB")
         self.dataset, self._noise_db, self._seed = dataset, noise_db, seed
         self._sensor, self._clip, self._quantise = _converter(dataset)
         self._cache = None
@@ -105,11 +96,7 @@ class ExampleSet(TorchDataset[Example]):
         return len(self.dataset)
 
     def __getitem__(self, draw: Draw | int) -> Example:
-        """Return a sample; a plain position is draw number 0.
-
-        Raises:
-            InputError: a damaged sample, or a clip; the file is named.
-        """
+        """Return a sample; a plain position is draw number 0. An InputError names the file of a clip or a damaged sample."""
         position, number = draw if isinstance(draw, tuple) else (draw, 0)
         arrays = self._read(position) if self._cache is None else self._cache.read(position)
         measurement = arrays.measurement
@@ -123,13 +110,11 @@ class ExampleSet(TorchDataset[Example]):
     def _read(self, position: int) -> Arrays:
         stored = self.dataset.stored(position)
         if stored.frame_edges_s is not None:
-            msg = f"{stored.folder} is a clip of {stored.frames} frames; this reconstruction is of stills: use a set of those"
-            raise InputError(msg)
+            raise InputError(stored.folder, f"got a clip of {stored.frames} frames, expected a still")
         measurement, noiseless = stored.measurement()
         frame = stored.frame(0)
         if frame.depth_m.min() <= 0:
-            msg = f"{stored.folder}: a depth of {frame.depth_m.min():g} m; expected z from the mask plane, above 0"
-            raise InputError(msg)
+            raise InputError(stored.folder, f"got a depth of {frame.depth_m.min():g} m, expected depths above 0")
         seen = measurement if self._noise_db is None else noiseless
         radiance = np.ascontiguousarray(np.moveaxis(frame.rgb, -1, 0))
         return Arrays(seen, radiance, frame.depth_m[None], frame.valid[None])
@@ -139,8 +124,8 @@ def _converter(dataset: Dataset) -> tuple[Sensor, bool, bool]:
     """Return the sensor, and whether measurements are clipped and quantised."""
     config = config_from_dict(dataset.config, dataset.root, check_plugins=False)
     if (readout := config.camera.sensor.readout) != "binned_rgb":
-        msg = f"{dataset.root}: camera.sensor.readout is {readout}; reconstruction needs all colours in a pixel (binned_rgb)"
-        raise InputError(msg)
+        reason = f"camera.sensor.readout is {readout}; reconstruction needs all colours in a pixel (binned_rgb)"
+        raise InputError(dataset.root, reason)
     sensor = recorded_sensor(dataset.info, config)
     noise = config.camera.noise
     if isinstance(noise, GaussianConfig):
@@ -164,8 +149,8 @@ def check_dataset(dataset: Dataset) -> None:
             near, far = min(near, float(seen.min())), max(far, float(seen.max()))
     if near >= far:
         what = f"all scenes are at {far:g} m" if far > 0 else "no pixel of its scenes is valid"
-        msg = f"{dataset.root}, split {dataset.split!r} says nothing about depth: {what}; use scenes or a source with depth"
-        raise InputError(msg)
+        reason = f"split {dataset.split!r} says nothing about depth: {what}; use scenes or a source with depth"
+        raise InputError(dataset.root, reason)
 
 
 class Batches(Sampler[list[Draw]]):
@@ -179,26 +164,16 @@ class Batches(Sampler[list[Draw]]):
     def __init__(
         self, length: int, batch: int, *, seed: int, first: int = 0, rank: int = 0, world_size: int = 1
     ) -> None:
-        """Set the order.
+        """Set the order of ``length`` samples in batches of ``batch``, from number ``first`` on.
 
-        Args:
-            length: how many samples there are.
-            batch: samples in a batch of all ranks together.
-            seed: of the order.
-            first: number of the first batch.
-            rank: which part of each batch to give, 0 to ``world_size - 1``.
-            world_size: how many processes share a batch; they must divide it.
-
-        Raises:
-            InputError: numbers that make no sense.
+        ``world_size`` processes share each batch, which they must divide; ``rank`` says which part is given here.
         """
-        if length < 1 or batch < 1 or first < 0 or seed < 0:
-            msg = f"got length {length}, batch {batch}, first {first}, seed {seed}; expected at least 1, 1, 0 and 0"
-            raise InputError(msg)
+        for name, value, least in (("length", length, 1), ("batch", batch, 1), ("first", first, 0), ("seed", seed, 0)):
+            if value < least:
+                raise InputError(name, f"got {value}, expected at least {least}")
         if not 0 <= rank < world_size or batch % world_size:
             whose = f"rank {rank} of {world_size} processes"
-            msg = f"batch: got {batch} for {whose}; they must divide it: choose a multiple"
-            raise InputError(msg)
+            raise InputError("batch", f"got {batch} for {whose}; they must divide it: choose a multiple")
         self._length, self._batch, self._seed, self._first = length, batch, seed, first
         part = batch // world_size
         self._part = slice(rank * part, (rank + 1) * part)
@@ -230,7 +205,7 @@ class Loader:
         self._loader = DataLoader(
             _Guarded(examples),
             batch_sampler=order,  # pyright: ignore[reportArgumentType]
-            collate_fn=_collate,
+            collate_fn=itemgetter(0),
             num_workers=workers,
             pin_memory=pin_memory,
             worker_init_fn=_ignore_interrupts,
@@ -239,11 +214,7 @@ class Loader:
         )
 
     def __iter__(self) -> Iterator[Example]:
-        """Yield batches in their order.
-
-        Raises:
-            InputError: see `ExampleSet`.
-        """
+        """Yield batches in their order; an InputError is that of `ExampleSet`."""
         for found in self._loader:
             if isinstance(found, InputError):
                 raise found
@@ -257,21 +228,17 @@ class Loader:
             self._loader._iterator = None
 
 
+@dataclass(frozen=True)
 class _Guarded(TorchDataset[Any]):
-    """Examples by the batch, or the refusal to read one as a value: raised, torch would wrap it in a traceback's text."""
+    """One batch, or the refusal to read it as a value: raised, torch would wrap it in a traceback's text."""
 
-    def __init__(self, examples: ExampleSet) -> None:
-        self._examples = examples
+    examples: ExampleSet
 
-    def __getitems__(self, draws: Iterable[Draw | int]) -> list[Example] | InputError:
+    def __getitems__(self, draws: Iterable[Draw | int]) -> list[Example | InputError]:
         try:
-            return [self._examples[draw] for draw in draws]
+            return [default_collate([self.examples[draw] for draw in draws])]
         except InputError as error:
-            return error
-
-
-def _collate(found: list[Example] | InputError) -> Any:
-    return found if isinstance(found, InputError) else default_collate(found)
+            return [error]
 
 
 def _ignore_interrupts(_: int) -> None:
@@ -303,13 +270,9 @@ class SampleCache:
 
     @classmethod
     def filled(cls, folder: Path, dataset: Dataset, kind: str, read: Callable[[int], Arrays]) -> SampleCache:
-        """Return the cache of a split, which is written first where it is not there or not whole.
+        """Return the cache of a split below ``folder``, which is written first where it is not there or not whole.
 
-        Args:
-            folder: holds the caches of all data sets; made where it is absent.
-            dataset: the split.
-            kind: what ``measurement`` is: caches of different kinds lie apart.
-            read: gives a sample.
+        ``kind`` says what ``measurement`` is, so that caches of both kinds lie apart; ``read`` gives a sample.
 
         Raises:
             InputError: a sample cannot be read.
@@ -317,11 +280,9 @@ class SampleCache:
         """
         identity = repr((_CACHE_FORMAT, kind, dataset.split, dataset.ids, sample_digests(dataset)))
         own, info = folder / sha256_bytes(identity.encode())[:32], dataset.info
-        shapes = {"measurement": (len(dataset), len(info.channels), *info.sensor_shape)}
-        shapes |= {
-            name: (len(dataset), n, *info.scene_shape) for name, n in zip(Arrays._fields[1:], (3, 1, 1), strict=True)
-        }
-        cache = cls(own, shapes)
+        scenes = ((len(dataset), channels, *info.scene_shape) for channels in (3, 1, 1))
+        shapes = ((len(dataset), len(info.channels), *info.sensor_shape), *scenes)
+        cache = cls(own, dict(zip(Arrays._fields, shapes, strict=True)))
         with storage_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
         lock = own.with_name(f"{own.name}.lock")
@@ -358,8 +319,7 @@ class SampleCache:
                     arrays = read(position)
                 except OSError as error:  # not one to write the cache
                     cure = f"({error.strerror or error}); check the disk, or restore the sample"
-                    msg = f"{dataset.folder(position)} cannot be read {cure}"
-                    raise InputError(msg) from error
+                    raise InputError(dataset.folder(position), f"cannot be read {cure}") from error
                 for name, values in arrays._asdict().items():
                     files[name].write(values.tobytes())
             for file in files.values():

@@ -90,8 +90,7 @@ def processes(device: str) -> Iterator[Processes]:
     local = int(os.environ["LOCAL_RANK"])
     if kind == "cuda" and local >= torch.cuda.device_count():
         there = f"on this machine, which has {torch.cuda.device_count()} GPU(s)"
-        msg = f"device: torchrun started process {local + 1} {there}; give --nproc-per-node as many"
-        raise InputError(msg)
+        raise InputError("device", f"torchrun started process {local + 1} {there}; give --nproc-per-node as many")
     place = torch.device(kind, local) if kind == "cuda" else torch.device(kind)
     if kind == "cuda":
         torch.cuda.set_device(place)
@@ -182,8 +181,8 @@ class Precision:
         """Return the precision ``float32``, ``bfloat16``, or of ``auto``: bfloat16 on a CUDA device that has it."""
         fits = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
         if wanted == "bfloat16" and device.type == "cuda" and not fits:
-            msg = f"precision: {torch.cuda.get_device_name(device)} has no bfloat16; take precision: float32, or auto"
-            raise InputError(msg)
+            name = torch.cuda.get_device_name(device)
+            raise InputError("precision", f"got bfloat16, which {name} lacks; take float32, or auto")
         kind = wanted if wanted != "auto" else "bfloat16" if fits else "float32"
         return cls(kind, device)
 

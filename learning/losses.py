@@ -58,11 +58,9 @@ class ReconstructionLoss(nn.Module):
             self.weights["perceptual"] = perceptual_weight
         for name, weight in self.weights.items():
             if not (math.isfinite(weight) and weight >= 0):
-                msg = f"{name}_weight: got {weight!r}, expected a number of at least 0"
-                raise InputError(msg)
+                raise InputError(f"{name}_weight", f"got {weight!r}, expected a number of at least 0")
         if not any(self.weights.values()):
-            msg = f"{', '.join(f'{name}_weight' for name in self.weights)}: all are 0, so there is nothing to learn"
-            raise InputError(msg)
+            raise InputError(", ".join(f"{name}_weight" for name in self.weights), "all are 0: nothing to learn")
         self.intensity, self.invalid_depth = intensity, invalid_depth
         self.perceptual = None if perceptual == "none" else PerceptualLoss(perceptual, "vgg19", seed=seed)
 
@@ -84,8 +82,7 @@ class ReconstructionLoss(nn.Module):
             ("valid", disparity, valid),
         ):
             if found.shape != wanted.shape:
-                msg = f"{name}: got shape {tuple(wanted.shape)}, expected {tuple(found.shape)} as estimated"
-                raise InputError(msg)
+                raise InputError(name, f"got shape {tuple(wanted.shape)}, expected {tuple(found.shape)} as estimated")
         difference = estimate.image - image
         terms = {"intensity": (difference.square() if self.intensity == "mse" else difference.abs()).mean()}
         if self.perceptual is not None:

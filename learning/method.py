@@ -109,8 +109,7 @@ def check_choices(*choices: tuple[str, Any, Iterable[str]]) -> None:
     """
     for name, value, known in choices:
         if value not in known:
-            msg = f"{name}: got {value!r}, expected one of {', '.join(known)}"
-            raise InputError(msg)
+            raise InputError(name, f"got {value!r}, expected one of {', '.join(known)}")
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
@@ -131,8 +130,7 @@ def choose_device(wanted: str) -> torch.device:
     cuda = torch.cuda.is_available()
     check_choices(("device", wanted, ("auto", "cpu", "cuda")))
     if wanted == "cuda" and not cuda:
-        msg = "device: got cuda, but torch finds no CUDA device here; take cpu, or auto"
-        raise InputError(msg)
+        raise InputError("device", "got cuda, but torch finds no CUDA device here; take cpu, or auto")
     return torch.device("cuda" if cuda and wanted != "cpu" else "cpu")
 
 

@@ -148,8 +148,7 @@ def dark_mask(example: Example, capture: CaptureModel, share: float) -> Tensor:
         InputError: a share outside 0..1.
     """
     if not 0 <= share <= 1:
-        msg = f"share: got {share!r}, expected 0 to 1: a share of white's luminance"
-        raise InputError(msg)
+        raise InputError("share", f"got {share!r}, expected 0 to 1: a share of white's luminance")
     weights = torch.tensor(_LUMINANCE, dtype=example.radiance.dtype, device=example.radiance.device)
     return torch.einsum("c,bchw->bhw", weights, example.radiance)[:, None] < share * capture.white
 
@@ -166,13 +165,11 @@ def _channels_last(images: Tensor) -> NDArray[np.float32]:
 def _check(estimate: Estimate, example: Example) -> None:
     for name, found, wanted in zip(Estimate._fields, estimate, (example.radiance, example.depth_m), strict=True):
         if found.shape != wanted.shape or found.ndim != 4:
-            msg = f"estimate.{name}: got shape {tuple(found.shape)}, expected {tuple(wanted.shape)} of a batch of examples"
-            raise InputError(msg)
+            shapes = f"got shape {tuple(found.shape)}, expected {tuple(wanted.shape)}"
+            raise InputError(f"estimate.{name}", f"{shapes} of a batch of examples")
         if not bool(found.isfinite().all()):
             count = int((~found.isfinite()).sum())
-            msg = f"estimate.{name}: {count} of {found.numel()} numbers are NaN or infinite; there is no score for that"
-            raise InputError(msg)
+            raise InputError(f"estimate.{name}", f"{count} of {found.numel()} numbers are NaN or infinite")
     height, width = estimate.image.shape[2:]
     if min(height, width) < SSIM_PIXELS:
-        msg = f"estimate.image: got {height} x {width} pixels, expected at least {SSIM_PIXELS} x {SSIM_PIXELS} for SSIM"
-        raise InputError(msg)
+        raise InputError("estimate.image", f"got {height} x {width} pixels, expected {SSIM_PIXELS} per side for SSIM")

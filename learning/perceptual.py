@@ -213,8 +213,8 @@ class LpipsDistance:
         missing, unexpected = model.load_state_dict(state, strict=False)
         # The linear layers are listed twice by the package; its scaling is a constant.
         if unexpected or any(not name.startswith(("lins.", "scaling_layer.")) for name in missing):
-            msg = f"lpips {version('lpips')}: its weights {linear_file} do not fit its network; install lpips 0.1.4"
-            raise InputError(msg)
+            reason = f"its weights {linear_file} do not fit its network; install lpips 0.1.4"
+            raise InputError(f"lpips {version('lpips')}", reason)
         self._model = model.requires_grad_(False).eval()
 
     def to(self, device: torch.device | str) -> LpipsDistance:
@@ -280,20 +280,16 @@ def load_features(network: str, cure: str) -> tuple[dict[str, Tensor], str]:
     """
     path = weight_folder() / FILES[network]
     if not path.is_file():
-        msg = (
-            f"weights of {network}: {path.name} is not in {path.parent} and is not downloaded; put it there (torchvision's "
-            f"IMAGENET1K_V1), or set TORCH_HOME to the folder above its hub/checkpoints, or {cure}"
-        )
-        raise InputError(msg)
+        where = f"{path.name} is not in {path.parent}, and nothing is downloaded"
+        put = "put it there (torchvision's IMAGENET1K_V1), set TORCH_HOME to the folder above its hub/checkpoints"
+        raise InputError(f"weights of {network}", f"{where}; {put}, or {cure}")
     try:
         digest = sha256_file(path)
         if not digest.startswith(promised := path.stem.rpartition("-")[2]):
-            msg = f"{path}: its SHA-256 begins with {digest[:8]}, its name says {promised}: damaged or another; get it again"
-            raise InputError(msg)
+            raise InputError(path, f"its SHA-256 begins with {digest[:8]}, its name says {promised}; get it again")
         state = torch.load(path, map_location="cpu", weights_only=True)
     except (OSError, RuntimeError, EOFError, pickle.UnpicklingError) as error:
-        msg = f"cannot read {path}: {error}; get the file again, or {cure}"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read: {error}; get the file again, or {cure}") from error
     prefix = "features."
     return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}, digest
 
@@ -307,8 +303,7 @@ def fitting(
     """
     wanted = network.state_dict()
     if any(own not in state or state[own].shape != wanted[name].shape for name, own in names.items()):
-        msg = f"{FILES[file]}: not the weights of torchvision's {file}; get the file again, or {cure}"
-        raise InputError(msg)
+        raise InputError(FILES[file], f"not the weights of torchvision's {file}; get the file again, or {cure}")
     return {name: state[own] for name, own in names.items()}
 
 
@@ -316,11 +311,7 @@ def check_size(*images: Tensor) -> None:
     """Refuse images ``(B, 3, h, w)`` that differ in shape or are too small."""
     shapes = [tuple(image.shape) for image in images]
     if len(set(shapes)) > 1 or len(shapes[0]) != 4 or shapes[0][1] != 3:
-        msg = f"images: got shapes {' and '.join(map(str, shapes))}, expected (B, 3, h, w) twice"
-        raise InputError(msg)
+        raise InputError("images", f"got shapes {' and '.join(map(str, shapes))}, expected (B, 3, h, w) twice")
     if min(shapes[0][2:]) < SMALLEST_IMAGE:
-        msg = (
-            f"images: got {shapes[0][2]} x {shapes[0][3]} pixels, expected at least {SMALLEST_IMAGE} x "
-            f"{SMALLEST_IMAGE} for features of a deep network; choose perceptual: none, and no LPIPS, or larger scenes"
-        )
-        raise InputError(msg)
+        got = f"got {shapes[0][2]} x {shapes[0][3]} pixels, expected at least {SMALLEST_IMAGE} x {SMALLEST_IMAGE}"
+        raise InputError("images", f"{got} for deep features; choose perceptual: none, or larger scenes")

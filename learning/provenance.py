@@ -45,15 +45,14 @@ def is_own_folder(folder: Path, description: str, kind: str, option: str = "outp
         InputError: a file, or a folder of other things.
     """
     if folder.exists() and not folder.is_dir():
-        msg = f"{option}: {folder} is a file; choose another folder"
-        raise InputError(msg)
+        raise InputError(option, f"{folder} is a file; choose another folder")
     if (folder / description).exists():
         return True
     names = [each.name for each in sorted(folder.iterdir())] if folder.exists() else []
     foreign = [name for name in names if not name.startswith(TEMPORARY_PREFIX)]
     if foreign:
-        msg = f"{option}: {folder} is not empty and holds no {kind} ({foreign[0]}, ...); choose another folder, or empty it"
-        raise InputError(msg)
+        there = f"{folder} is not empty and holds no {kind} ({foreign[0]}, ...)"
+        raise InputError(option, f"{there}; choose another folder, or empty it")
     return False
 
 
@@ -63,11 +62,9 @@ def read_description(path: Path, kind: str) -> dict[str, Any]:
     try:
         content = json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
-        msg = f"{path} cannot be read ({error}); {cure}"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read ({error}); {cure}") from error
     if not isinstance(content, dict):
-        msg = f"{path} is not a description of a {kind}; {cure}"
-        raise InputError(msg)
+        raise InputError(path, f"not a description of a {kind}; {cure}")
     return renamed(content)
 
 

@@ -9,7 +9,7 @@ import os
 import shlex
 import signal
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -61,8 +61,7 @@ def check_folder(folder: Path, parts: dict[str, Any]) -> None:
     if lines and (folder / STATE).exists():
         free = f"only {', '.join(_FREE[1:])}, data.cache and data.workers may change"
         cure = f"choose another folder, or undo the change ({free})"
-        msg = f"output: {folder} holds a training of another configuration; {cure}:\n{lines}"
-        raise InputError(msg)
+        raise InputError("output", f"{folder} holds a training of another configuration; {cure}:\n{lines}")
 
 
 @contextmanager
@@ -84,8 +83,8 @@ def sole_use(folder: Path, parts: dict[str, Any]) -> Iterator[None]:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            msg = f"output: another process trains in {folder} now; wait for it, or choose another folder"
-            raise InputError(msg) from error
+            busy = f"another process trains in {folder} now; wait for it, or choose another folder"
+            raise InputError("output", busy) from error
         except OSError:
             pass  # a file system without locks
         check_folder(folder, parts)
@@ -151,8 +150,7 @@ def load_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer)
     try:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         if content["format"] != _FORMAT:
-            msg = f"{path}: got {content['format']!r}, expected {_FORMAT!r}; another version of Flatlight wrote it"
-            raise InputError(msg)
+            raise InputError(path, f"got {content['format']!r}, expected {_FORMAT!r} of this version of Flatlight")
         network.load_state_dict(content["network"])
         optimiser.load_state_dict(content["optimiser"])
         return Progress(**content["progress"])
@@ -160,15 +158,14 @@ def load_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer)
         raise
     except Exception as error:  # torch raises what it likes for a damaged file
         text = f"{type(error).__name__}: {str(error).splitlines()[0][:200]}"
-        msg = f"{path} cannot be read ({text}); restore it from a copy, or delete it to begin the training again"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read ({text}); restore it, or delete it to begin again") from error
 
 
+@dataclass
 class Stop:
     """Whether somebody asked the training to stop."""
 
-    def __init__(self) -> None:
-        self.wanted = False
+    wanted: bool = False
 
 
 @contextmanager
@@ -195,30 +192,6 @@ def stop_signals() -> Iterator[Stop]:
 
 class DivergedError(InputError):
     """A non-finite loss or gradient; the weights before that step are kept."""
-
-    @classmethod
-    def in_step(
-        cls, step: int, terms: Mapping[str, float], gradient_norm: float, ids: Sequence[str], kept: str
-    ) -> DivergedError:
-        """Return the error of a step, which was not taken, for these samples; ``kept`` says what can be gone on from."""
-        msg = (
-            f"step {step}: the loss or its gradient is not finite ({_listed({**terms, 'gradient': gradient_norm})}) for "
-            f"samples {', '.join(ids)}; the step was not taken, {kept}. A smaller optimiser.learning_rate or an "
-            "optimiser.gradient_clip may help, in another output folder (init_from: goes on from a checkpoint); look at "
-            "these samples first"
-        )
-        return cls(msg)
-
-    @classmethod
-    def in_validation(cls, step: int, metrics: Mapping[str, float], kept: str) -> DivergedError:
-        """Return the error of the validation after a step; ``kept`` says what can be gone on from."""
-        cure = "Try precision: float32, or a smaller optimiser.learning_rate, in another output folder"
-        msg = f"validation after step {step} is not finite ({_listed(metrics)}); {kept}. {cure}"
-        return cls(msg)
-
-
-def _listed(numbers: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} {value:.4g}" for name, value in numbers.items())
 
 
 def portable_command(path: Path | str, overrides: Sequence[str]) -> str:

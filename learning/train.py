@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from torch.utils.data import default_collate
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white
-from learning.checkpoint import Checkpoint, load_checkpoint, save_checkpoint, transfer
+from learning.checkpoint import load_checkpoint, save_checkpoint, transfer
 from learning.config import OptimiserConfig, TrainConfig, load_file
 from learning.data import Batches, Example, ExampleSet, Loader, check_dataset
 from learning.distributed import Precision, Processes, processes, synchronise_batch_norm
@@ -119,25 +119,8 @@ def train(
     return TrainResult(training.folder, progress.step - first, progress.seconds, progress.best)
 
 
-@dataclass(frozen=True)
-class Material:
-    """What a training learns from: two splits, the camera with the PSFs that the inversion knows, the reference white."""
-
-    train: Dataset
-    validation: Dataset
-    capture: CaptureModel
-
-    def describe(self) -> dict[str, Any]:
-        """Return what decides a training's numbers, plain."""
-        splits = {
-            split.split: {"name": split.info.name, "fingerprint": split.fingerprint, "samples": len(split)}
-            for split in (self.train, self.validation)
-        }
-        return {**splits, "stack": self.capture.stack.fingerprint, "white": self.capture.white}
-
-
-def find_material(config: TrainConfig) -> Material:
-    """Open the data sets of a training and look at some of their samples.
+def find_data(config: TrainConfig) -> tuple[Dataset, Dataset, CaptureModel]:
+    """Open both splits of a training, look at some of their samples, and return them with the camera that the network knows.
 
     The validation split must come from the same camera: mask, sensor, exposure and range of depths. How finely its PSFs were
     computed may differ (``psf.model``, ``psf.depths``), so that what is learned from a fast model can be measured on an exact
@@ -155,7 +138,7 @@ def find_material(config: TrainConfig) -> Material:
     capture = capture_model(train, config.resolve_stack(config.data.stack), white=measure_reference_white(train))
     if other != root:
         _check_same_camera(train, validation)
-    return Material(train, validation, capture)
+    return train, validation, capture
 
 
 def _check_same_camera(train: Dataset, validation: Dataset) -> None:
@@ -171,8 +154,7 @@ def _check_same_camera(train: Dataset, validation: Dataset) -> None:
             f"{where} {value.tolist() if np.size(value) <= _SHOWN_NUMBERS else 'another'}"
             for where, value in ((validation.root, np.asarray(two)), (f"data.train {train.root}", np.asarray(one)))
         )
-        msg = f"data.validation: {what} differs: {short}; validate on data of the same camera ({cure})"
-        raise InputError(msg)
+        raise InputError("data.validation", f"{what} differs: {short}; validate on data of the same camera ({cure})")
 
 
 def _camera(dataset: Dataset) -> dict[str, Any]:
@@ -204,75 +186,66 @@ def count_workers(config: TrainConfig, processes: int) -> int:
     return min(max(cores // processes - 1, 0), _MOST_WORKERS)
 
 
-@dataclass(frozen=True)
-class Pretrained:
-    """The checkpoint that a training begins with, known by its content: a path says nothing of what lay there."""
-
-    path: Path
-    sha256: str
-    checkpoint: Checkpoint
-
-    def describe(self) -> dict[str, Any]:
-        """Return what decides a training's numbers, plain: its content, wherever it lies and however it is called."""
-        return {"sha256": self.sha256, "architecture": self.checkpoint.architecture}
-
-    def record(self) -> dict[str, Any]:
-        """Return the same with what the network had learned from before, which an evaluation must not test it on."""
-        before = {key: self.checkpoint.record.get(key) for key in ("data sets", "init_from")}
-        return self.describe() | {"file": self.path.name} | before
-
-
 @dataclass(frozen=True, eq=False)
 class Plan:
     """What can be known of a training without its folder.
 
     Attributes:
         command: that started it; None where it was called from Python.
-        material: what is learned from.
-        pretrained: the checkpoint that it begins with, and ``taken`` lines that say what it took from it.
+        capture: the camera, with the PSFs that the inversion knows and the reference white.
+        data: what decides the numbers, of data sets and camera, plain.
+        init_from: the checkpoint that it begins with, known by its content: a path says nothing of what lay there. With what
+            its network had learned from, which an evaluation must not test it on.
+        taken: lines that say what was taken from that checkpoint.
         network: with the weights to begin with, on the CPU, as is the loss.
     """
 
     config: TrainConfig
     group: Processes
     command: str | None
-    material: Material
+    train: Dataset
+    validation: Dataset
+    capture: CaptureModel
+    data: dict[str, Any]
     precision: Precision
-    pretrained: Pretrained | None
-    network: FlatNet
+    init_from: dict[str, Any] | None
     taken: list[str]
+    network: FlatNet
     loss: ReconstructionLoss
 
 
 def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Plan:
     """Read what a training needs and build its network, which is seeded; a mistake then leaves no folder behind."""
-    material = find_material(config)
-    for what, count in (("batch", config.batch), ("validation split", len(material.validation))):
+    train, validation, capture = find_data(config)
+    for what, count in (("batch", config.batch), ("validation split", len(validation))):
         if count < group.world_size or (what == "batch" and count % group.world_size):
             sharing = f"{group.world_size} processes, which share it"
-            msg = f"{what}: got {count} for {sharing}; choose a multiple, or other processes"
-            raise InputError(msg)
-    precision, pretrained = Precision.choose(config.precision, group.device), None
+            raise InputError(what, f"got {count} for {sharing}; choose a multiple, or other processes")
+    data: dict[str, Any] = {
+        each.split: {"name": each.info.name, "fingerprint": each.fingerprint, "samples": len(each)}
+        for each in (train, validation)
+    }
+    data |= {"stack": capture.stack.fingerprint, "white": capture.white}
+    precision = Precision.choose(config.precision, group.device)
+    loss = ReconstructionLoss(**config.loss.model_dump(exclude={"perceptual_seed"}), seed=config.loss.perceptual_seed)
+    torch.manual_seed(config.seed)
+    network = build_network(capture, config.network.name, config.network.size, **config.network.changes)
+    init_from, taken = None, []
     if config.init_from is not None:
         path = config.resolve_path(config.init_from)
-        checkpoint = load_checkpoint(path, network=config.network.name)
-        pretrained = Pretrained(path, sha256_file(path), checkpoint)
-    choices = config.loss.model_dump(exclude={"perceptual_seed"})
-    loss = ReconstructionLoss(**choices, seed=config.loss.perceptual_seed)
-    torch.manual_seed(config.seed)
-    network = build_network(material.capture, config.network.name, config.network.size, **config.network.changes)
-    taken = []
-    if pretrained is not None:
-        taken = [f"{pretrained.path.name}: {line}" for line in transfer(network, pretrained.checkpoint)]
-    return Plan(config, group, command, material, precision, pretrained, network, taken, loss)
+        known = load_checkpoint(path, network=config.network.name)
+        taken = [f"{path.name}: {line}" for line in transfer(network, known)]
+        init_from = {"sha256": sha256_file(path), "architecture": known.architecture, "file": path.name}
+        init_from |= {key: known.record.get(key) for key in ("data sets", "init_from")}
+    return Plan(config, group, command, train, validation, capture, data, precision, init_from, taken, network, loss)
 
 
 @contextmanager
 def held_folder(plan: Plan) -> Iterator[None]:
     """Let rank 0 take the folder; the other processes wait until it has, and give up where it could not."""
-    config = plan.config
-    init_from = plan.pretrained and plan.pretrained.describe()
-    parts = described(config.dump(), plan.material.describe(), precision=plan.precision.kind, init_from=init_from)
+    config, start = plan.config, plan.init_from
+    start = start and {key: start[key] for key in ("sha256", "architecture")}
+    parts = described(config.dump(), plan.data, precision=plan.precision.kind, init_from=start)
     with ExitStack() as stack:
         error = None
         if plan.group.is_rank_zero:
@@ -280,9 +253,9 @@ def held_folder(plan: Plan) -> Iterator[None]:
                 stack.enter_context(sole_use(config.resolve_path(config.output), parts))
             except InputError as found:
                 error = found
-        told = plan.group.gather(None if error is None else str(error))[0]
+        told = plan.group.gather(None if error is None else (error.path, error.reason))[0]
         if told is not None:
-            raise error or InputError(told)
+            raise error or InputError(*told)
         yield
 
 
@@ -324,7 +297,7 @@ class Training:
     def __init__(self, plan: Plan, show: Show, say: Say) -> None:
         """Build everything, and read the state where there is one."""
         self._plan, self._show, self._say = plan, show, say
-        self._config, self._group, self._capture = config, group, _ = plan.config, plan.group, plan.material.capture
+        self._config, self._group, self._capture = config, group, _ = plan.config, plan.group, plan.capture
         self.folder = config.resolve_path(config.output)
         self._network = _placed(plan.network, group)
         self._loss = plan.loss.to(group.device)
@@ -336,11 +309,9 @@ class Training:
         for line in [f"{self.folder}: going on after step {step} of {config.steps}"] if begun else plan.taken:
             say(line)
         if step > config.steps:
-            msg = f"steps: got {config.steps}, but {self.folder} has done {step}; they can be raised, not lowered"
-            raise InputError(msg)
+            raise InputError("steps", f"got {config.steps}, expected at least the {step} that {self.folder} has done")
         self._note_length()
-        splits = (plan.material.train, plan.material.validation)
-        self._examples, self._held_out = (open_examples(split, config, say) for split in splits)
+        self._examples, self._held_out = (open_examples(each, config, say) for each in (plan.train, plan.validation))
         self._workers = count_workers(config, group.world_size)
 
     def _note_length(self) -> None:
@@ -458,7 +429,12 @@ class Training:
         reports = self._group.gather((all(map(math.isfinite, terms.values())), ids, terms, norm))
         guilty = [report for report in reports if not report[0]] or reports
         every = [identifier for report in guilty for identifier in report[1]]
-        raise DivergedError.in_step(self.progress.step + 1, guilty[0][2], guilty[0][3], every, self._kept())
+        raise DivergedError(
+            f"step {self.progress.step + 1}",
+            f"non-finite loss or gradient ({_listed({**guilty[0][2], 'gradient': guilty[0][3]})}) for samples "
+            f"{', '.join(every)}; the step was not taken, {self._kept()}. Look at these samples; a smaller "
+            "optimiser.learning_rate or a gradient_clip may help, in another folder (init_from: goes on from a checkpoint)",
+        )
 
     def _kept(self) -> str:
         saved = f"the state in {self.folder} is that of an earlier step"
@@ -477,7 +453,9 @@ class Training:
         progress, precision = self.progress, self._plan.precision
         metrics = validate(self._network, batches, self._loss, self._capture, precision=precision, group=self._group)
         if not all(map(math.isfinite, metrics.values())):
-            raise DivergedError.in_validation(progress.step, metrics, self._kept())
+            cure = "try precision: float32, or a smaller optimiser.learning_rate, in another output folder"
+            reason = f"non-finite metrics ({_listed(metrics)}); {self._kept()}; {cure}"
+            raise DivergedError(f"validation after step {progress.step}", reason)
         progress.last = {"step": progress.step, **metrics}
         better = metrics["total"] < progress.best.get("total", float("inf"))
         if better:
@@ -505,8 +483,8 @@ class Training:
                 "name": config.name,
                 "config": portable_config(config),
                 "command": plan.command or "learning.train.train, called from Python",
-                "data sets": plan.material.describe(),
-                "init_from": plan.pretrained and plan.pretrained.record(),
+                "data sets": plan.data,
+                "init_from": plan.init_from,
                 "loss": self._loss.record(),
                 "validation": {"best": progress.best, "last": progress.last},
                 "step": progress.step,
@@ -518,6 +496,10 @@ class Training:
                 "versions": {"flatlight": __version__, "torch": str(torch.__version__)},
             },
         )
+
+
+def _listed(numbers: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in numbers.items())
 
 
 def _placed(network: nn.Module, group: Processes) -> nn.Module:

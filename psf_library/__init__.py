@@ -31,9 +31,9 @@ def load_psf_stack(path: Path | str, *, captured: bool = False) -> PsfStack:
         return captured_stack(assembly) if captured else assembly.psf_stack
     folder = stack_folder(path, captured=captured)
     if captured and not folder.exists():
-        msg = (
-            f"captured: no stack as captured in {folder}; a data set has one with `as_captured: {{}}` in its section psf, "
-            "and `flatlight psf --as-captured --output FOLDER` writes one"
+        raise InputError(
+            "captured",
+            f"no stack as captured in {folder}; a data set has one with `as_captured: {{}}` in its section psf, "
+            "and `flatlight psf --as-captured --output FOLDER` writes one",
         )
-        raise InputError(msg)
     return read_psf_stack(folder)

@@ -35,16 +35,18 @@ def far_end(view: View) -> float:
         InputError: when near and far are too close for solids to fit in between.
     """
     if math.isinf(view.near_m):
-        msg = "scene: the PSF's only plane lies at infinity, where solids have no size; set scene.near_cm and scene.far_cm"
-        raise InputError(msg)
+        raise InputError(
+            "scene",
+            "the PSF's only plane lies at infinity, where solids have no size; set scene.near_cm and scene.far_cm",
+        )
     if math.isinf(view.far_m):
         return _DEPTHS_OF_INFINITY * view.near_m
     if not view.far_m >= _LEAST_RATIO * view.near_m:
-        msg = (
-            f"scene: solids do not fit between near {view.near_m:g} m and far {view.far_m:g} m; "
-            f"expected far of at least {_LEAST_RATIO} x near: set scene.near_cm and scene.far_cm, or widen the PSF's depths"
+        raise InputError(
+            "scene",
+            f"solids do not fit between near {view.near_m:g} m and far {view.far_m:g} m; "
+            f"expected far of at least {_LEAST_RATIO} x near: set scene.near_cm and scene.far_cm, or widen the PSF's depths",
         )
-        raise InputError(msg)
     return view.far_m
 
 

@@ -34,11 +34,11 @@ def module(name: str) -> Any:
         try:
             import array_api_compat.torch as xp
         except ImportError as error:
-            msg = "xp: got 'torch', which is not installed; install the extra: pip install 'flatlight[learn]'"
-            raise InputError(msg) from error
+            raise InputError(
+                "xp", "got 'torch', which is not installed; install the extra: pip install 'flatlight[learn]'"
+            ) from error
         return xp
-    msg = f"xp: got {name!r}, expected 'numpy' or 'torch'"
-    raise InputError(msg)
+    raise InputError("xp", f"got {name!r}, expected 'numpy' or 'torch'")
 
 
 def is_torch(array: Array) -> bool:
@@ -223,11 +223,11 @@ which 1 GB are allowed; use a narrower mask
     estimate = int(grid[0] * grid[1] * fields * bytes_per_sample)
     limit = int(SHARE * machine_bytes()) if limit_bytes is None else limit_bytes
     if estimate > limit:
-        msg = (
-            f"{name}: the grid of {grid[0]} x {grid[1]} samples would take {_gigabytes(estimate)} of memory, of which "
-            f"{_gigabytes(limit)} are allowed; {cure}"
+        raise InputError(
+            name,
+            f"the grid of {grid[0]} x {grid[1]} samples would take {_gigabytes(estimate)} of memory, of which "
+            f"{_gigabytes(limit)} are allowed; {cure}",
         )
-        raise InputError(msg)
     return estimate
 
 

@@ -195,12 +195,12 @@ class Assembly:
         else:
             colour = CameraColour(np.array(chosen, np.float64), {"from": "configuration"})
         if len(colour.matrix) != len(channels):
-            msg = (
-                f"camera.scene_to_camera: {chosen if isinstance(chosen, str) else 'the matrix'} has {len(colour.matrix)} "
+            raise InputError(
+                "camera.scene_to_camera",
+                f"{chosen if isinstance(chosen, str) else 'the matrix'} has {len(colour.matrix)} "
                 f"rows, but the PSF stack has the channels {', '.join(channels)}; give a list with a row of three numbers "
-                "for each"
+                "for each",
             )
-            raise InputError(msg)
         return colour
 
     # ---- mask and PSFs
@@ -268,10 +268,10 @@ class Assembly:
         """
         mask, stack = self.mask, self.psf_stack
         if mask is None:
-            msg = (
-                "--check: the PSF of this configuration was measured, so there is no model to check; leave --check out"
+            raise InputError(
+                "--check",
+                "the PSF of this configuration was measured, so there is no model to check; leave --check out",
             )
-            raise InputError(msg)
         rows, columns = self.config.scene.size
         per_pixel = self.pixel_pitch_m / self.mask_to_sensor_m
         corner = (columns / 2 * per_pixel, rows / 2 * per_pixel)
@@ -306,11 +306,10 @@ class Assembly:
             try:
                 return read_row_shutter(path, rows, binning)
             except InputError as error:
-                msg = f"camera.shutter.file: {error}"
-                raise InputError(msg) from error
+                raise InputError("camera.shutter.file", str(error)) from error
         with plugin_errors(plugin):
             windows = plugin.function(rows * binning, **plugin.bind(chosen.params))
-        return row_shutter(windows, rows, binning, f"camera.shutter.function: {plugin.name} returned: ")
+        return row_shutter(windows, rows, binning, f"camera.shutter.function ({plugin.name})")
 
     @cached_property
     def sensor(self) -> Sensor:
@@ -400,11 +399,10 @@ class Assembly:
         with plugin_errors(plugin):
             source = plugin.function(self.view, **arguments)
         if not isinstance(source, SceneSource):
-            msg = (
-                f"scene {plugin.name!r} returned {type(source).__name__}, expected an object with inputs and "
-                "clip(index, rng)"
+            raise InputError(
+                f"scene {plugin.name!r}",
+                f"returned {type(source).__name__}, expected an object with inputs and clip(index, rng)",
             )
-            raise InputError(msg)
         return source
 
     @cached_property
@@ -438,8 +436,7 @@ class Assembly:
         """The sensor without what the shutter and the light decide: the model's numbers, some replaced."""
         chosen = self.config.camera.sensor
         if chosen.model not in MODELS:
-            msg = f"camera.sensor.model: got {chosen.model!r}, expected one of {', '.join(MODELS)}"
-            raise InputError(msg)
+            raise InputError("camera.sensor.model", f"got {chosen.model!r}, expected one of {', '.join(MODELS)}")
         own = {name: value for name in _REPLACEABLE if (value := getattr(chosen, name)) is not None}
         if chosen.pixel_pitch_um is not None:
             own["pixel_pitch_m"] = chosen.pixel_pitch_um * 1e-6

@@ -102,8 +102,9 @@ def check_calibration(assembly: Assembly) -> None:
 def _chosen(assembly: Assembly) -> AsCaptured:
     psf = assembly.config.psf
     if not isinstance(psf, ComputedPsf):
-        msg = "psf.as_captured: this PSF was measured, and its errors are in it; a calibration is simulated from a mask"
-        raise InputError(msg)
+        raise InputError(
+            "psf.as_captured", "this PSF was measured, and its errors are in it; a calibration is simulated from a mask"
+        )
     return psf.as_captured or AsCaptured()
 
 
@@ -127,9 +128,7 @@ def _recording(chosen: AsCaptured) -> Recording:
             chosen.background,
         )
     except InputError as error:
-        _, _, reason = str(error).partition(": ")  # behind the names of the recording's attributes
-        msg = f"psf.as_captured.peak_percent + pedestal_percent + glow_percent: {reason}"
-        raise InputError(msg) from error
+        raise InputError("psf.as_captured.peak_percent + pedestal_percent + glow_percent", error.reason) from error
 
 
 def _places(assembly: Assembly, chosen: AsCaptured) -> SourcePlaces:
@@ -138,9 +137,7 @@ def _places(assembly: Assembly, chosen: AsCaptured) -> SourcePlaces:
     try:
         return _source(chosen).place(assembly.depths_m, assembly.mask_to_sensor_m, rng)
     except InputError as error:
-        _, _, reason = str(error).partition(": ")  # behind the names of the source's attributes
-        msg = f"psf.as_captured.depth_offset_mm, depth_std_mm: {reason}"
-        raise InputError(msg) from error
+        raise InputError("psf.as_captured.depth_offset_mm, depth_std_mm", error.reason) from error
 
 
 def _lit(assembly: Assembly, chosen: AsCaptured) -> tuple[CameraGeometry, list[Line]]:
@@ -154,6 +151,7 @@ def _lit(assembly: Assembly, chosen: AsCaptured) -> tuple[CameraGeometry, list[L
         lines = quantile_lines(lit.response, per_channel)
         check_materials(lit.response, lines, [layer.material for layer in (*lit.gap, *lit.window)])
     except InputError as error:
-        msg = f"psf.as_captured.illuminant: {str(error).removeprefix('illuminant: ')}"
-        raise InputError(msg) from error
+        raise InputError(
+            "psf.as_captured.illuminant", error.reason if error.path == "illuminant" else str(error)
+        ) from error
     return lit, lines

@@ -62,8 +62,7 @@ def decode_srgb_picture(picture: NDArray[np.uint8] | NDArray[np.uint16]) -> NDAr
         InputError: for any other type.
     """
     if picture.dtype not in (np.uint8, np.uint16):
-        msg = f"picture must be uint8 or uint16 (its full scale follows from that), got {picture.dtype}"
-        raise InputError(msg)
+        raise InputError("picture", f"expected uint8 or uint16 (its full scale follows from that), got {picture.dtype}")
     full_scale = int(np.iinfo(picture.dtype).max)
     if picture.size < full_scale:
         return srgb_to_linear(picture / np.float64(full_scale))
@@ -74,6 +73,7 @@ def decode_srgb_picture(picture: NDArray[np.uint8] | NDArray[np.uint16]) -> NDAr
 def _floats(values: NDArray[np.floating], name: str) -> NDArray[np.float64]:
     array = np.asarray(values)
     if not np.issubdtype(array.dtype, np.floating):
-        msg = f"{name} must hold floats with 1.0 as full scale, got {array.dtype}: divide by the full scale first"
-        raise InputError(msg)
+        raise InputError(
+            name, f"must hold floats with 1.0 as full scale, got {array.dtype}: divide by the full scale first"
+        )
     return array.astype(np.float64)

@@ -33,8 +33,9 @@ def commands() -> dict[str, EntryPoint]:
     for entry in entry_points(_COMMANDS):
         other = found.setdefault(entry.name, entry)
         if other.value != entry.value:
-            msg = f"command {entry.name!r} is defined by both {other.value} and {entry.value}; uninstall one of them"
-            raise InputError(msg)
+            raise InputError(
+                "", f"command {entry.name!r} is defined by both {other.value} and {entry.value}; uninstall one of them"
+            )
     return found
 
 

@@ -3,6 +3,21 @@
 The command line prints an ``InputError`` as one message with exit code 2; any other exception is our own fault (1).
 """
 
+from pathlib import Path
+
 
 class InputError(ValueError):
-    """Bad input. The message names the argument, what came, what was expected and the cure."""
+    """Bad input.
+
+    Attributes:
+        path: where it is: an argument, a key (``camera.sensor.shape``), an option or a file; empty where the reason says it.
+        reason: what came, what was expected and the cure.
+    """
+
+    def __init__(self, path: str | Path, reason: str) -> None:
+        super().__init__(path, reason)
+        self.path, self.reason = str(path), reason
+
+    def __str__(self) -> str:
+        """Return the one line that a user reads."""
+        return f"{self.path}: {self.reason}" if self.path else self.reason

@@ -73,8 +73,9 @@ def _pictures(config: Config, chosen: MeasuredPsf) -> list[Path]:
     files = [config.resolve_path(name) for name in chosen.measured]
     for index, file in enumerate(files):
         if not file.is_file():
-            msg = f"psf.measured[{index}]: there is no file {file}; relative paths start at the YAML file's folder"
-            raise InputError(msg)
+            raise InputError(
+                f"psf.measured[{index}]", f"there is no file {file}; relative paths start at the YAML file's folder"
+            )
     return files
 
 
@@ -92,12 +93,12 @@ def _from_pictures(config: Config, chosen: MeasuredPsf, sensor: Sensor) -> PsfSt
     )
     for axis, have, physical in zip(("rows", "columns"), stack.values.shape[-2:], sensor.physical_shape, strict=True):
         if have * sensor.binning > physical:
-            msg = (
-                f"psf.binning: {chosen.binning} leaves pictures of {have} {axis}, but sensor {sensor.name!r} has only "
+            raise InputError(
+                "psf.binning",
+                f"{chosen.binning} leaves pictures of {have} {axis}, but sensor {sensor.name!r} has only "
                 f"{physical // sensor.binning} binned ones of {sensor.binned_pitch_m * 1e6:g} um; the PSF's pixels "
-                "must become the sensor's binned pixels: raise psf.binning"
+                "must become the sensor's binned pixels: raise psf.binning",
             )
-            raise InputError(msg)
     return stack
 
 
@@ -110,30 +111,30 @@ def _refuse_other_geometry(
         InputError: naming both pitches, distances or gaps.
     """
     if not math.isclose(stack.pixel_pitch_m, pitch_m, rel_tol=_SAME_LENGTH):
-        msg = (
-            f"psf.measured: the stack in {chosen.measured} has pixels of {stack.pixel_pitch_m * 1e6:g} um, the sensor's "
-            f"binned ones are {pitch_m * 1e6:g} um; set camera.sensor.binning and pixel_pitch_um as when it was made"
+        raise InputError(
+            "psf.measured",
+            f"the stack in {chosen.measured} has pixels of {stack.pixel_pitch_m * 1e6:g} um, the sensor's "
+            f"binned ones are {pitch_m * 1e6:g} um; set camera.sensor.binning and pixel_pitch_um as when it was made",
         )
-        raise InputError(msg)
     recorded_m = stack.provenance.get("mask_to_sensor_m")
     if recorded_m is None:
         return
     if not math.isclose(recorded_m, mask_to_sensor_m, rel_tol=_SAME_LENGTH):
         made, asked = (f"{metres * 1e3:.7g} mm" for metres in (recorded_m, mask_to_sensor_m))
-        msg = (
-            f"psf.measured: the stack in {chosen.measured} was made with {made} of air, or as much as that, from mask to "
-            f"sensor, the camera has {asked}; set camera.mask_to_sensor_mm, or gap and substrate, as when it was made"
+        raise InputError(
+            "psf.measured",
+            f"the stack in {chosen.measured} was made with {made} of air, or as much as that, from mask to "
+            f"sensor, the camera has {asked}; set camera.mask_to_sensor_mm, or gap and substrate, as when it was made",
         )
-        raise InputError(msg)
     own_gap = [(layer.thickness_m, layer.material.name) for layer in gap]
     made_gap = [(layer["thickness_m"], layer["material"]) for layer in stack.provenance.get("gap", ())]
     if own_gap and not _same_layers(own_gap, made_gap or [(recorded_m, AIR.name)]):
         made, asked = (_shown(layers) for layers in (made_gap, own_gap))
-        msg = (
-            f"psf.measured: the stack in {chosen.measured} was made behind a gap of {made}, the camera's is {asked}; set "
-            "camera.gap and substrate as when it was made"
+        raise InputError(
+            "psf.measured",
+            f"the stack in {chosen.measured} was made behind a gap of {made}, the camera's is {asked}; set "
+            "camera.gap and substrate as when it was made",
         )
-        raise InputError(msg)
 
 
 def _same_layers(some: Layers, others: Layers) -> bool:
@@ -150,11 +151,11 @@ def _shown(layers: Layers) -> str:
 def _folder(config: Config, chosen: StoredPsf) -> Path:
     place = config.resolve_path(chosen.measured)
     if place.is_file():
-        msg = (
-            f"psf.measured: {chosen.measured} is a file; pictures are given as a list with their depths: "
-            f"measured: [{chosen.measured}], depths_cm: [...], frame: ..., throughput_mm2: ..."
+        raise InputError(
+            "psf.measured",
+            f"{chosen.measured} is a file; pictures are given as a list with their depths: "
+            f"measured: [{chosen.measured}], depths_cm: [...], frame: ..., throughput_mm2: ...",
         )
-        raise InputError(msg)
     return stack_folder(place)
 
 

@@ -42,7 +42,7 @@ def modules_defining(package: str, kind: str) -> frozenset[str]:
         paths = importlib.import_module(package).__path__
     except (Exception, SystemExit) as error:
         label = f"the package {package!r}, which an entry point names for {kind}s"
-        raise InputError(describe_failure(error, label)) from error
+        raise InputError(label, describe_failure(error)) from error
     names = []
     for info in pkgutil.iter_modules(paths):
         spec = None if info.name.startswith("_") else info.module_finder.find_spec(f"{package}.{info.name}", None)
@@ -80,14 +80,13 @@ def import_file(path: Path, label: str) -> ModuleType:
         InputError: when there is no such file, or naming the line where its code fails.
     """
     if not path.is_file():
-        msg = f"{label}: there is no file {path}; a relative path starts at the YAML file's folder"
-        raise InputError(msg)
+        raise InputError(label, f"there is no file {path}; a relative path starts at the YAML file's folder")
     path = path.resolve()
     state = path.stat()
     try:
         return _import_version(path, state.st_mtime_ns, state.st_size)
     except (Exception, SystemExit) as error:
-        raise InputError(describe_failure(error, label, path)) from error
+        raise InputError(label, describe_failure(error, path)) from error
 
 
 @cache
@@ -105,21 +104,20 @@ def _import_version(path: Path, mtime_ns: int, size: int) -> ModuleType:
     return module
 
 
-def describe_failure(error: BaseException, label: str, path: Path | None = None) -> str:
+def describe_failure(error: BaseException, path: Path | None = None) -> str:
     """Return one line that names the file and line where importing a plugin failed.
 
     Args:
         error: what was raised.
-        label: what was being imported.
         path: the plugin's file; the deepest line in it is named. None names the deepest line of all.
     """
     reason = " ".join(str(error).split())
     if isinstance(error, SyntaxError) and error.filename:
-        return f"{label}: {error.filename}:{error.lineno}: {type(error).__name__}: {error.msg}"
+        return f"{error.filename}:{error.lineno}: {type(error).__name__}: {error.msg}"
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith("<frozen")]
     own = [frame for frame in frames if path is not None and Path(frame.filename) == path] or frames
     where = f"{own[-1].filename}:{own[-1].lineno}: " if own else ""
-    return f"{label}: {where}{type(error).__name__}: {reason}"
+    return f"{where}{type(error).__name__}: {reason}"
 
 
 # What messages call each kind, its entry-point group, and the packages that need no entry point.
@@ -152,7 +150,7 @@ class ParameterError(InputError):
 
     def __init__(self, label: str, problems: list[Problem]) -> None:
         self.problems = problems
-        super().__init__("\n".join(f"{label}: {problem}" for problem in problems))
+        super().__init__("", "\n".join(f"{label}: {problem}" for problem in problems))
 
 
 @dataclass(frozen=True)
@@ -232,8 +230,9 @@ def resolve(kind: str, name: str, base_dir: Path | None = None) -> Plugin:
     function = getattr(module, attribute, None)
     if not inspect.isroutine(function) and not inspect.isclass(function):
         known = [key for key, value in vars(module).items() if inspect.isfunction(value) and not key.startswith("_")]
-        msg = f"{_LABELS[kind]} {name!r}: {place} defines no function {attribute!r}{nearest(attribute, known)}"
-        raise InputError(msg)
+        raise InputError(
+            f"{_LABELS[kind]} {name!r}", f"{place} defines no function {attribute!r}{nearest(attribute, known)}"
+        )
     parameters, takes_renderer = _model_of(kind, name, function)
     return Plugin(kind, name, function, parameters, takes_renderer, base_dir, path)
 
@@ -261,10 +260,10 @@ def plugin_errors(plugin: Plugin) -> Iterator[None]:
             raise
         label = f"{plugin.kind} {plugin.name!r}"
         if isinstance(error, InputError):
-            msg = f"{label}: {error}"
+            reason = str(error)
         else:
-            msg = describe_failure(error, label, plugin.path.resolve() if plugin.path else None)
-        raise InputError(msg) from error
+            reason = describe_failure(error, plugin.path.resolve() if plugin.path else None)
+        raise InputError(label, reason) from error
 
 
 def _packages(kind: str) -> list[str]:
@@ -276,15 +275,16 @@ def _module_of(kind: str, name: str) -> str:
     found = [package for package in _packages(kind) if name in modules_defining(package, kind)]
     if len(found) > 1:
         places = " and ".join(f"{package}.{name}" for package in found)
-        msg = f"{_LABELS[kind]} {name!r} is defined by both {places}; write the one you mean as package.module:name"
-        raise InputError(msg)
+        raise InputError(
+            f"{_LABELS[kind]} {name!r}", f"defined by both {places}; write the one you mean as package.module:name"
+        )
     if not found:
         known = available(kind)
-        msg = (
-            f"unknown {_LABELS[kind]}, got {name!r}; expected one of {', '.join(known) or '(none is installed)'}, "
-            f"./file.py:name or package.module:name{nearest(name, known)}"
+        raise InputError(
+            _LABELS[kind],
+            f"got {name!r}, expected one of {', '.join(known) or '(none is installed)'}, "
+            f"./file.py:name or package.module:name{nearest(name, known)}",
         )
-        raise InputError(msg)
     return f"{found[0]}.{name}"
 
 
@@ -294,11 +294,12 @@ def _import_module(kind: str, name: str, module: str) -> Any:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
-            raise InputError(describe_failure(error, label)) from error
-        msg = f"{label}: no module {error.name!r} is installed; a file beside the YAML file is written ./file.py:name"
-        raise InputError(msg) from error
+            raise InputError(label, describe_failure(error)) from error
+        raise InputError(
+            label, f"no module {error.name!r} is installed; a file beside the YAML file is written ./file.py:name"
+        ) from error
     except (Exception, SystemExit) as error:
-        raise InputError(describe_failure(error, label)) from error
+        raise InputError(label, describe_failure(error)) from error
 
 
 def _model_of(kind: str, name: str, function: Callable[..., Any]) -> tuple[type[BaseModel], bool]:
@@ -311,24 +312,25 @@ def _model_of(kind: str, name: str, function: Callable[..., Any]) -> tuple[type[
         target = function.__init__ if inspect.isclass(function) else function
         hints = get_type_hints(target, include_extras=True)
     except (NameError, TypeError, ValueError, AttributeError) as error:
-        msg = f"{label}: its annotations cannot be read ({error}); import their names at the top of its module"
-        raise InputError(msg) from error
+        raise InputError(
+            label, f"its annotations cannot be read ({error}); import their names at the top of its module"
+        ) from error
     for parameter in parameters:
         if parameter.name == _INJECTED:
             takes_renderer = True
         elif parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
-            msg = f"{label}: its parameters cannot be checked because of '{parameter}'; name each one after a '*'"
-            raise InputError(msg)
+            raise InputError(
+                label, f"its parameters cannot be checked because of '{parameter}'; name each one after a '*'"
+            )
         elif parameter.kind is parameter.KEYWORD_ONLY:
             if parameter.name.startswith("_"):
-                msg = f"{label}: the parameter {parameter.name!r} begins with an underscore, so no key can name it"
-                raise InputError(msg)
+                raise InputError(
+                    label, f"the parameter {parameter.name!r} begins with an underscore, so no key can name it"
+                )
             if parameter.name in SECTION_KEYS[kind]:
-                msg = f"{label}: the parameter {parameter.name!r} is a key of its section already; rename it"
-                raise InputError(msg)
+                raise InputError(label, f"the parameter {parameter.name!r} is a key of its section already; rename it")
             if parameter.name not in hints:
-                msg = f"{label}: the parameter {parameter.name!r} has no type; annotate it, for example float"
-                raise InputError(msg)
+                raise InputError(label, f"the parameter {parameter.name!r} has no type; annotate it, for example float")
             default = ... if parameter.default is parameter.empty else parameter.default
             fields[parameter.name] = (hints[parameter.name], default)
     config = ConfigDict(
@@ -345,8 +347,9 @@ def _model_of(kind: str, name: str, function: Callable[..., Any]) -> tuple[type[
             return create_model(f"{name} parameters", __config__=config, **fields), takes_renderer
     except (PydanticUserError, NameError, TypeError) as error:
         reason = str(error).splitlines()[0]
-        msg = f"{label}: its parameters cannot come from YAML ({reason}); use plain types such as float, str or Path"
-        raise InputError(msg) from error
+        raise InputError(
+            label, f"its parameters cannot come from YAML ({reason}); use plain types such as float, str or Path"
+        ) from error
 
 
 def _absolute(value: Any, base_dir: Path) -> Any:

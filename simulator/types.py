@@ -77,33 +77,37 @@ class Clip:
 
     def __post_init__(self) -> None:
         if self.rgb.ndim != 4 or self.rgb.shape[-1] != 3 or self.rgb.dtype != np.float32:
-            msg = f"Clip.rgb must be float32 (T, H, W, 3), got {self.rgb.dtype} {self.rgb.shape}"
-            raise InputError(msg)
+            raise InputError("Clip.rgb", f"expected float32 (T, H, W, 3), got {self.rgb.dtype} {self.rgb.shape}")
         frames_shape = self.rgb.shape[:3]
         if self.depth_m.shape != frames_shape or self.depth_m.dtype != np.float32:
-            msg = f"Clip.depth_m must be float32 {frames_shape} like rgb, got {self.depth_m.dtype} {self.depth_m.shape}"
-            raise InputError(msg)
+            raise InputError(
+                "Clip.depth_m",
+                f"expected float32 {frames_shape} like rgb, got {self.depth_m.dtype} {self.depth_m.shape}",
+            )
         if self.valid.shape != frames_shape or self.valid.dtype != np.bool_:
-            msg = f"Clip.valid must be bool {frames_shape} like rgb, got {self.valid.dtype} {self.valid.shape}"
-            raise InputError(msg)
+            raise InputError(
+                "Clip.valid", f"expected bool {frames_shape} like rgb, got {self.valid.dtype} {self.valid.shape}"
+            )
         edges = self.frame_edges_s
         if edges.shape != (frames_shape[0] + 1,) or not (np.all(np.diff(edges) > 0) and np.all(np.isfinite(edges))):
-            msg = (
-                f"Clip.frame_edges_s must hold {frames_shape[0] + 1} finite, strictly increasing seconds, got {edges!r}"
+            raise InputError(
+                "Clip.frame_edges_s",
+                f"must hold {frames_shape[0] + 1} finite, strictly increasing seconds, got {edges!r}",
             )
-            raise InputError(msg)
         if not (self.rgb.min() >= 0 and self.rgb.max() < np.inf):  # also catches NaN, and needs no memory
-            msg = "Clip.rgb must be finite and not negative: linear radiance has no NaN, inf or negative values"
-            raise InputError(msg)
+            raise InputError(
+                "Clip.rgb", "expected finite and not negative: linear radiance has no NaN, inf or negative values"
+            )
         if not np.all(self.depth_m > 0):  # also catches NaN
-            msg = f"Clip.depth_m must be positive metres from the mask plane, got a minimum of {self.depth_m.min()}"
-            raise InputError(msg)
+            raise InputError(
+                "Clip.depth_m", f"expected positive metres from the mask plane, got a minimum of {self.depth_m.min()}"
+            )
         for name, values in self.extras.items():
             if values.ndim not in (3, 4) or values.shape[:3] != frames_shape or not np.all(np.isfinite(values)):
-                msg = (
-                    f"Clip.extras[{name!r}] must be finite {frames_shape} or {(*frames_shape, 'n')}, got {values.shape}"
+                raise InputError(
+                    f"Clip.extras[{name!r}]",
+                    f"expected finite {frames_shape} or {(*frames_shape, 'n')}, got {values.shape}",
                 )
-                raise InputError(msg)
 
 
 @runtime_checkable

@@ -157,8 +157,8 @@ def _validate(model: type[Model], data: Any) -> Model:
     try:
         text = json.dumps(data)
     except (TypeError, ValueError) as error:
-        msg = f"the configuration must be plain data (mappings, lists, text, numbers, true, false, null): {error}"
-        raise InputError(msg) from error
+        wanted = "plain data (mappings, lists, text, numbers, true, false, null)"
+        raise InputError("configuration", f"expected {wanted}: {error}") from error
     # JSON mode keeps the types strict, but lets a list be a tuple and a text a path.
     return model.model_validate_json(text, strict=True)
 

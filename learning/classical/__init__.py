@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from learning.classical.admm import Admm
-from learning.classical.cls import ConstrainedLeastSquares
-from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, ClassicalMethod, build_classical
+from learning.classical.method import (
+    DEFAULTS,
+    SEARCH,
+    VOLUME_PARAMETERS,
+    ClassicalMethod,
+    ConstrainedLeastSquares,
+    build_classical,
+)
 
 __all__ = [
     "DEFAULTS",

@@ -77,34 +77,25 @@ class Admm(nn.Module):
         super().__init__()
         for name, value in (("tv", tv), ("sparsity", sparsity)):
             if not 0 <= value < np.inf:
-                msg = f"{name}: got {value!r}, expected a finite number that is not negative"
-                raise InputError(msg)
+                raise InputError(name, f"got {value!r}, expected a finite number that is not negative")
         self.weights = default_weights(tv) if weights is None else weights
         if len(self.weights) != 3 or not all(0 < weight < np.inf for weight in self.weights):
-            msg = f"weights: got {weights}, expected three positive numbers"
-            raise InputError(msg)
+            raise InputError("weights", f"got {weights}, expected three positive numbers")
         if iterations < 1:
-            msg = f"iterations: got {iterations}, expected at least 1"
-            raise InputError(msg)
+            raise InputError("iterations", f"got {iterations}, expected at least 1")
         check_choices(("light", light, ("scene", "anywhere")))
         self.tv, self.sparsity, self.iterations = tv, sparsity, iterations
         self.grid = AdmmGrid(capture, light, dtype)
         brightest = float(capture.irradiance.max())
         scale = 1 / (capture.gain * capture.white * brightest * self.grid.norm)
-        for name, values in (
-            ("scale", scale[:, None, None]),
-            ("offset", capture.offset[:, None, None]),
-            ("brightness", brightest / capture.irradiance.astype(np.float64)),
-        ):
+        brightness = brightest / capture.irradiance.astype(np.float64)
+        buffers = {"scale": scale[:, None, None], "offset": capture.offset[:, None, None], "brightness": brightness}
+        for name, values in buffers.items():
             self.register_buffer(name, torch.from_numpy(np.asarray(values)).to(dtype), persistent=False)
 
     @torch.no_grad()
     def forward(self, measurement: Tensor) -> Tensor:
-        """Return ``(B, K, C, h, w)`` radiance / white in the camera's channels of measurements ``(B, C, H, W)``.
-
-        Raises:
-            InputError: measurements of another shape.
-        """
+        """Return ``(B, K, C, h, w)`` radiance / white in the camera's channels of measurements ``(B, C, H, W)``."""
         check_measurement(measurement, self.offset, *self.grid.plans)
         target = ((measurement.to(self.scale) - self.offset) * self.scale)[:, None]
         at = self._start(target)
@@ -172,13 +163,9 @@ class Parts(NamedTuple):
 
 
 class Iterate(NamedTuple):
-    """Where the iteration stands.
+    """Where the iteration stands: the spectra of S ``(B, K, C, L, M // 2 + 1)`` and of sum_z H S, the image, with one plane.
 
-    Attributes:
-        volume: spectrum of S, ``(B, K, C, L, M // 2 + 1)``.
-        image: spectrum of sum_z H S, ``(B, 1, C, L, M // 2 + 1)``.
-        old: multipliers before the last step.
-        new: multipliers after it.
+    ``old`` and ``new`` are the multipliers before and after the last step.
     """
 
     volume: Tensor
@@ -243,14 +230,8 @@ class AdmmGrid(nn.Module):
 
         A^T M A = a H^H H + q with one row H of K numbers, one weight a of the image and one number q = b |FD|^2 + c of the
         other two: with n = H H^H, by Sherman and Morrison, X = (volume + H^H (q image - a H volume) / (q + a n)) / q.
-
-        Args:
-            volume: spectrum ``(B, K, C, L, M // 2 + 1)``; overwritten with X.
-            image: spectrum ``(B, 1, C, L, M // 2 + 1)``.
-            weights: a, b, c.
-
-        Returns:
-            X, and the image H X of it.
+        ``volume`` and ``image`` are spectra as in `Iterate`, ``weights`` a, b, c. Returns X, in the memory of ``volume``, and
+        its image H X.
         """
         a, b, c = weights
         own = b * self.differences + c

@@ -28,12 +28,9 @@ def sharpness(volume: Tensor, measure: str = "gradient") -> Tensor:
             ``laplacian``, (Delta I)^2 with the five-point stencil, which weighs fine detail more; ``light``, I^2, for volumes
             such as ADMM's whose light lies at its plane.
 
-    Raises:
-        InputError: another shape or measure.
     """
     if volume.ndim != 5:
-        msg = f"volume: got shape {tuple(volume.shape)}, expected (B, K, C, h, w)"
-        raise InputError(msg)
+        raise InputError("volume", f"got shape {tuple(volume.shape)}, expected (B, K, C, h, w)")
     if measure == "light":
         return volume.square().sum(dim=2)
     if measure == "laplacian":
@@ -71,14 +68,11 @@ def unary_cost(
         InputError: another shape, cost or measure, a contrast that is not positive, a negative window, or no step.
     """
     if not (math.isfinite(contrast) and contrast > 0):
-        msg = f"contrast: got {contrast!r}, expected a positive number: of 0 all planes cost the same"
-        raise InputError(msg)
+        raise InputError("contrast", f"got {contrast!r}, expected a positive number: of 0 all planes cost the same")
     if not (math.isfinite(window_px) and window_px >= 0):
-        msg = f"window_px: got {window_px!r}, expected 0 (no average) or a standard deviation in pixels"
-        raise InputError(msg)
+        raise InputError("window_px", f"got {window_px!r}, expected 0 (no average) or a standard deviation in pixels")
     if steps_between_planes < 1:
-        msg = f"steps_between_planes: got {steps_between_planes!r}, expected 1 (the planes alone) or more"
-        raise InputError(msg)
+        raise InputError("steps_between_planes", f"got {steps_between_planes!r}, expected 1 (the planes alone) or more")
     sharp = sharpness(volume, measure)
     if cost == "defocus":
         mean = sharp.mean(dim=(1, 2, 3), keepdim=True)
@@ -95,9 +89,8 @@ def _spread(sharp: Tensor, contrast: float, steps: int) -> Tensor:
     weights = torch.where(highest == 0, 1.0, sharp / highest) ** contrast
     weights = weights / weights.sum(dim=1, keepdim=True)
     intervals = max(sharp.shape[1] - 1, 1)
-    labels = torch.arange(steps * (sharp.shape[1] - 1) + 1, device=sharp.device, dtype=sharp.dtype) / (
-        steps * intervals
-    )
+    labels = torch.arange(steps * (sharp.shape[1] - 1) + 1, device=sharp.device, dtype=sharp.dtype)
+    labels /= steps * intervals
     return torch.einsum("xk,bkhw->bxhw", (labels[:, None] - labels[::steps]).square(), weights)
 
 
@@ -152,15 +145,11 @@ def assemble(volume: Tensor, places: Tensor, capture: CaptureModel, light: str) 
     """
     planes = len(capture.stack.depths_m)
     if volume.ndim != 5 or volume.shape[1] != planes or places.shape != (*volume.shape[:1], *volume.shape[3:]):
-        msg = (
-            f"volume, places: got shapes {tuple(volume.shape)} and {tuple(places.shape)}, expected (B, K, C, h, w) and "
-            f"(B, h, w) with K = {planes}, the planes of the capture's stack"
-        )
-        raise InputError(msg)
+        got, wanted = f"{tuple(volume.shape)} and {tuple(places.shape)}", f"(B, K, C, h, w) and (B, h, w), K = {planes}"
+        raise InputError("volume, places", f"got shapes {got}, expected {wanted} as in the capture's stack")
     low, high = float(places.min()), float(places.max())
     if not (low >= 0 and high <= planes - 1):
-        msg = f"places: got {low:g} to {high:g}, expected 0 to {planes - 1}, from the first plane to the last"
-        raise InputError(msg)
+        raise InputError("places", f"got {low:g} to {high:g}, expected 0 to {planes - 1}, first plane to last")
     before = places.floor().long()
     after = (before + 1).clamp_max(planes - 1)
     share = (places - before).to(volume)

@@ -22,13 +22,8 @@ class Network(NamedTuple):
     """A flow network whose minimum cut is the labelling of least energy.
 
     Pixel i has a chain of K - 1 nodes from source to sink; the arc that is cut is its label. A node lies on the source's side
-    where the label is larger than the node's place in the chain.
-
-    Attributes:
-        nodes: ``(K - 1, h, w)`` number of each node; source and sink come after them.
-        tails: ``(A,)`` where each arc begins.
-        heads: ``(A,)`` where it ends.
-        capacities: ``(A,)`` whole numbers, not negative.
+    where the label is larger than the node's place in the chain. ``nodes`` ``(K - 1, h, w)`` are their numbers, source and
+    sink come after them; arcs lead from ``tails`` to ``heads`` ``(A,)`` with whole ``capacities``, not negative.
     """
 
     nodes: NDArray[np.int32]
@@ -77,17 +72,6 @@ def labels_of_cut(network: Network, source_side: NDArray[np.integer] | list[int]
     return larger[network.nodes].sum(axis=0)
 
 
-def energy(unary: NDArray[np.floating], labels: NDArray[np.integer], pairwise: float) -> float:
-    """Return E(x) of labels ``(h, w)`` for costs ``(K, h, w)``.
-
-    >>> energy(np.array([[[0.0, 1.0]], [[1.0, 0.0]], [[2.0, 2.0]]]), np.array([[0, 2]]), 0.5)
-    3.0
-    """
-    alone = np.take_along_axis(np.asarray(unary, np.float64), labels[None], axis=0).sum()
-    steps = sum(int(np.abs(np.diff(labels, axis=axis)).sum()) for axis in (0, 1))
-    return float(alone + pairwise * steps)
-
-
 def build_network(unary: NDArray[np.floating], pairwise: float) -> Network:
     """Return the network for costs ``(K, h, w)``; see `cut_labels`."""
     costs = _checked(unary, pairwise)
@@ -127,16 +111,13 @@ def _step(costs: NDArray[np.float64], pairwise: float) -> float:
 
 def _checked(unary: NDArray[np.floating], pairwise: float) -> NDArray[np.float64]:
     if unary.ndim != 3 or unary.shape[0] < 2 or 0 in unary.shape:
-        msg = f"unary: got shape {unary.shape}, expected (K, h, w) with at least two labels: planes to choose from"
-        raise InputError(msg)
+        raise InputError("unary", f"got shape {unary.shape}, expected (K, h, w) with at least two labels")
     costs = np.asarray(unary, np.float64)
     if not np.isfinite(costs).all():
         share = 1 - np.isfinite(costs).mean()
-        msg = f"unary: {share:.2%} of its costs are NaN or infinite; look for them in the measurement and the volume"
-        raise InputError(msg)
+        raise InputError("unary", f"{share:.2%} of its costs are NaN or infinite; check measurement and volume")
     if not (np.isfinite(pairwise) and pairwise >= 0):
-        msg = f"pairwise: got {pairwise!r}, expected 0 or more: only smooth labels may be rewarded"
-        raise InputError(msg)
+        raise InputError("pairwise", f"got {pairwise!r}, expected 0 or more: only smooth labels may be rewarded")
     return costs
 
 
@@ -150,9 +131,8 @@ _PAIRS = (
 def cut_convex(slopes: NDArray[np.int64], weight: int) -> NDArray[np.int64]:
     """Return the labels ``(h, w)`` of least energy, 0 to K - 1.
 
-    Args:
-        slopes: ``(K - 1, h, w)`` what each label costs more than the one before; never falling along K.
-        weight: what a difference of one label between neighbours costs, not negative, in the same unit.
+    ``slopes`` ``(K - 1, h, w)``, never falling along K, are what each label costs more than the one before, ``weight`` what a
+    difference of one label between neighbours costs.
     """
     low = np.zeros(slopes.shape[1:], np.int64)
     high = np.full_like(low, len(slopes))
@@ -202,8 +182,8 @@ def source_side(
     try:
         from ortools.graph.python.max_flow import SimpleMaxFlow
     except ImportError as error:
-        msg = f"graph cut: needs the package ortools ({error}): pip install 'flatlight[learn]', or uv run --extra learn"
-        raise InputError(msg) from error
+        cure = "pip install 'flatlight[learn]', or uv run --extra learn"
+        raise InputError("graph cut", f"needs the package ortools ({error}): {cure}") from error
     solver: Any = SimpleMaxFlow()
     solver.add_arcs_with_capacity(tails, heads, capacities)
     status = solver.solve(source, sink)

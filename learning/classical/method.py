@@ -11,15 +11,44 @@ from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from learning.classical.admm import Admm
-from learning.classical.cls import ConstrainedLeastSquares
 from learning.classical.focus import COSTS, LIGHT, MEASURES, assemble, unary_cost
 from learning.classical.graph_cut import cut_labels
+from learning.layers.inversion import RegularisedInversion
+from learning.layers.padding import as_pairs, from_pairs
 from learning.method import Clock, Estimate, check_choices, linear_to_srgb
 from learning.provenance import now_called
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
 
 Value = float | int | str
+
+
+class ConstrainedLeastSquares(RegularisedInversion):
+    """``argmin |Y - H(z) * S|^2 + lambda(z) |P * S|^2`` for each plane z: thesis 5.2 and 5.3, where P is the Laplacian.
+
+    Gonzalez and Woods, Digital Image Processing, section 5.9. A Tikhonov term added to the Laplacian's middle is not in the
+    thesis: without it wide masks, whose FH has zeros near frequency zero, give images of the wrong brightness. The layer of
+    the networks with nothing learned, so that both have the same Fourier transforms, padding and units; the division is
+    worked out once.
+    """
+
+    divided: Tensor
+
+    def __init__(self, capture: CaptureModel, *, regularisation_lambda: float, tikhonov: float) -> None:
+        """Prepare the division; the parameters are those of `RegularisedInversion`."""
+        super().__init__(capture, regularisation_lambda=regularisation_lambda, tikhonov=tikhonov, learned=False)
+        # Pairs, three axes: as the layer's own spectra they follow a module to another precision or memory format unharmed.
+        self.register_buffer("divided", as_pairs(super().inverse()).flatten(0, 1), persistent=False)
+
+    def inverse(self) -> Tensor:
+        """Return W(z), ``(K, C, L // 2 + 1, M)`` complex; see `RegularisedInversion.inverse`."""
+        return from_pairs(self.divided).unflatten(0, self.log_lambda.shape)
+
+    @torch.no_grad()
+    def forward(self, measurement: Tensor, inverse: Tensor | None = None) -> Tensor:
+        """Return ``(B, K, C, h, w)`` radiance / white in the camera's channels of measurements ``(B, C, H, W)``."""
+        return super().forward(measurement, inverse)
+
 
 VOLUME_PARAMETERS: dict[str, tuple[str, ...]] = {
     "cls": ("regularisation_lambda", "tikhonov"),
@@ -103,15 +132,12 @@ def check_parameters(
     for name, value in given.items():
         if name not in known:
             hint = now_called(name, known)
-            msg = f"{argument}: got {name!r}, expected a parameter of {of}: {', '.join(known)}{hint}"
-            raise InputError(msg)
+            raise InputError(argument, f"got {name!r}, expected a parameter of {of}: {', '.join(known)}{hint}")
         own = known[name]
-        kinds, words = {str: ((str,), "a word"), int: ((int,), "a whole number"), float: ((int, float), "a number")}[
-            type(own)
-        ]
+        wanted = {str: ((str,), "a word"), int: ((int,), "a whole number"), float: ((int, float), "a number")}
+        kinds, words = wanted[type(own)]
         if not isinstance(value, kinds) or isinstance(value, bool):
-            msg = f"{argument}: {name} of {of} is {value!r}, expected {words} such as {own!r}"
-            raise InputError(msg)
+            raise InputError(argument, f"{name} of {of} is {value!r}, expected {words} such as {own!r}")
 
 
 class ClassicalMethod:
@@ -158,11 +184,9 @@ class ClassicalMethod:
         """
         planes = len(capture.stack.depths_m)
         if planes < 2:
-            msg = f"capture: its stack has {planes} plane, expected at least two: depth is found by comparing planes"
-            raise InputError(msg)
+            raise InputError("capture", f"got a stack of {planes} plane, expected two or more to find depth among")
         if not (np.isfinite(pairwise) and pairwise >= 0):
-            msg = f"pairwise: got {pairwise!r}, expected 0 or more"
-            raise InputError(msg)
+            raise InputError("pairwise", f"got {pairwise!r}, expected 0 or more")
         check_choices(("cost", cost, COSTS), ("measure", measure, MEASURES), ("light", light, LIGHT))
         self.name, self.capture = name, capture
         self._method, self._stage, self._light, self._pairwise = volume_method, stage, light, float(pairwise)
@@ -177,15 +201,7 @@ class ClassicalMethod:
         return self
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
-        """Return the estimate of measurements ``(B, C, H, W)``, DN / 2^bits, on their device; without gradients.
-
-        Args:
-            measurement: what the camera stored.
-            clock: times the stages: that of the volume, ``graph cut`` (with its costs) and ``assembly``.
-
-        Raises:
-            InputError: measurements that do not fit the camera, or are not finite.
-        """
+        """Return the estimate; the clock's stages: that of the volume, ``graph cut`` (with its costs) and ``assembly``."""
         clock = clock or Clock(measurement.device)
         with clock.stage(self._stage):
             volume = self.volume(measurement)
@@ -207,10 +223,7 @@ class ClassicalMethod:
 
     @torch.no_grad()
     def places(self, volume: Tensor) -> Tensor:
-        """Return each pixel's place among the planes, ``(B, h, w)``, 0 to K - 1, on the volume's device.
-
-        One graph cut per scene, on the CPU.
-        """
+        """Return each pixel's place among the planes, ``(B, h, w)``, 0 to K - 1: one graph cut per scene, on the CPU."""
         costs = to_numpy(unary_cost(volume, **self._unary)).astype(np.float64)
         steps = costs.shape[1] - 1
         labels = [cut_labels(cost, self._pairwise * float(np.ptp(cost, axis=0).mean()) / steps) for cost in costs]
@@ -219,12 +232,7 @@ class ClassicalMethod:
 
 
 def build_classical(capture: CaptureModel, name: str, parameters: Mapping[str, Value] | None = None) -> ClassicalMethod:
-    """Return a classical method for a camera.
-
-    Args:
-        capture: the camera.
-        name: ``cls`` or ``admm``.
-        parameters: by name, any of `DEFAULTS`; the others are taken from there.
+    """Return ``cls`` or ``admm`` for a camera, with `DEFAULTS` for the parameters that are not given.
 
     Raises:
         InputError: another name, a parameter that the method does not have, or a value that it refuses.
@@ -239,13 +247,7 @@ def build_classical(capture: CaptureModel, name: str, parameters: Mapping[str, V
 
 
 class PlanarMethod:
-    """CLS or ADMM with the PSF of one depth: no depth is searched, so the volume is the image; see `learning.method.Method`.
-
-    Attributes:
-        name: ``cls`` or ``admm``.
-        capture: the camera; a stack of one plane.
-        parameters: all of them.
-    """
+    """CLS or ADMM with the PSF of one depth: nothing to search, the volume is the image; see `learning.method.Method`."""
 
     def __init__(self, capture: CaptureModel, name: str, parameters: Mapping[str, Any]) -> None:
         """Prepare the method; ``parameters`` take the place of `PLANAR_DEFAULTS`.
@@ -254,8 +256,7 @@ class PlanarMethod:
             InputError: a stack of several planes, an unknown name or parameter, or values that the method refuses.
         """
         if len(capture.stack.depths_m) != 1:
-            msg = f"stack: got {len(capture.stack.depths_m)} planes, expected one: this is for images without depth"
-            raise InputError(msg)
+            raise InputError("stack", f"got {len(capture.stack.depths_m)} planes, expected one")
         check_choices(("method", name, _VOLUMES))
         check_parameters(parameters, PLANAR_DEFAULTS[name], f"{name} for one plane", "--set")
         self.name, self.capture = name, capture
@@ -263,8 +264,7 @@ class PlanarMethod:
         build, _, self.stage = _VOLUMES[name]
         self._inversion = build(capture, **self.parameters)
 
-    def to(self, device: torch.device | str) -> Self:
-        """Move it to a device, and return this."""
+    def to(self, device: torch.device | str) -> Self:  # noqa: D102
         self._inversion.to(device)
         return self
 

@@ -149,8 +149,7 @@ def check_learned(name: str, path: Path, record: Mapping[str, Any], test: Datase
             fingerprint = known.get("fingerprint") if isinstance(known, Mapping) else None
             if (fingerprint, split) == (test.fingerprint, test.split):
                 scenes = f"the scenes that decide here, split {test.split!r} of {test.root}"
-                msg = f"{name}: {path} {words} {scenes}; evaluate on its test split, or on another data set"
-                raise InputError(msg)
+                raise InputError(name, f"{path} {words} {scenes}; evaluate on its test split, or on another data set")
 
 
 def check_tuned(name: str, tuned: Path, test: Dataset) -> None:
@@ -162,8 +161,7 @@ def check_tuned(name: str, tuned: Path, test: Dataset) -> None:
     content = load_tuned(tuned).content["identity"]
     if (content.get("data"), content.get("split")) == (test.fingerprint, test.split):
         scenes = f"the scenes that decide here, split {test.split!r}"
-        msg = f"{name}: {tuned} was tuned on {scenes}; tune on validation scenes"
-        raise InputError(msg)
+        raise InputError(name, f"{tuned} was tuned on {scenes}; tune on validation scenes")
 
 
 def _data_sets(record: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:

@@ -55,11 +55,10 @@ def claim_folder(folder: Path, name: str) -> None:
         content = read_description(path, "evaluation")
         known = content.get("name")
         if content.get("format") != _FORMAT or not isinstance(known, str):
-            msg = f"{path} is not a description of an evaluation; choose another output folder"
-            raise InputError(msg)
+            raise InputError(path, "not a description of an evaluation; choose another output folder")
         if known != name:
-            msg = f"output: {folder} holds the evaluation {known!r}, not {name!r}; choose another folder, or keep its name"
-            raise InputError(msg)
+            found = f"{folder} holds the evaluation {known!r}, not {name!r}"
+            raise InputError("output", f"{found}; choose another folder, or keep its name")
         return
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)

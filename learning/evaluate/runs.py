@@ -75,8 +75,7 @@ class Cameras:
                 known = known.with_stack(self._stacks[name])
             return self.test.with_assumed(known)
         except InputError as error:
-            msg = f"{entry.name}: {error}"
-            raise InputError(msg) from error
+            raise InputError(entry.name, str(error)) from error
 
     def _learned_from(self) -> Dataset:
         assert self._training is not None  # the configuration sees to it
@@ -95,8 +94,7 @@ class Cameras:
         for name, white in whites.items():
             if abs(white - first) > _WHITES_ALIKE * first:
                 whites_differ = f"the images of {name} show a radiance of {white:g} as white, those of {one} {first:g}"
-                msg = f"methods: {whites_differ}, so their scores cannot stand in one table; train them with one white"
-                raise InputError(msg)
+                raise InputError("methods", f"{whites_differ}, which no one table can hold; train them with one white")
         return first
 
 

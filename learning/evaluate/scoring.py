@@ -89,8 +89,8 @@ def checked(method: Method, estimate: Estimate, examples: ExampleSet, first: int
         good = values.isfinite().flatten(1).all(dim=1)
         if not bool(good.all()):
             scene = examples.dataset.ids[first + int((~good).nonzero()[0])]
-            msg = f"{method.name}: its {what} of sample {scene} is NaN or infinite; check its checkpoint or parameters"
-            raise InputError(msg)
+            what_of = f"its {what} of sample {scene} is NaN or infinite"
+            raise InputError(method.name, f"{what_of}; check its checkpoint or parameters")
     return estimate.clamped()
 
 

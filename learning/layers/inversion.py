@@ -1,17 +1,20 @@
-"""Inversion of a lensless measurement at every depth: a regularised division in the Fourier domain, learned or fixed.
+"""Inversion of a lensless measurement in the Fourier domain: a regularised division at every depth, or a learned filter.
 
 S(z) = F^-1{F(Y) conj(FH(z)) / (|FH(z)|^2 + lambda(z) |FP(z)|^2)}: thesis equations 4.10 and 4.11; with the Laplacian for P
 and a fixed lambda, the constrained least squares of 5.2 and 5.3 (Gonzalez and Woods, Digital Image Processing, section 5.9).
+
+S = F^-1{F(W) F(Y)}, W = F^-1{conj(FH) / (K + |FH|^2)} at first, a filter W of the whole measurement's size that starts as
+Wiener's: thesis equation 4.1; Khan et al., FlatNet, TPAMI 2020.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
@@ -33,12 +36,42 @@ _LEAST = 1e-8
 LAPLACIAN = ((0.0, -1.0, 0.0), (-1.0, 4.0, -1.0), (0.0, -1.0, 0.0))
 
 
-class RegularisedInversion(nn.Module):
+class FourierInversion(nn.Module):
+    """What inversions share: the numbers of the camera, and the period of the FFT on which sensor, PSFs and scene lie.
+
+    The arithmetic is float32 under autocast too, and torch's default precision at construction otherwise. Buffers have three
+    axes at most, complex ones are pairs of real numbers: so they follow a module to another memory format or precision.
+    """
+
+    scale: Tensor
+    offset: Tensor
+
+    def __init__(self, capture: CaptureModel) -> None:
+        super().__init__()
+        self.rows, self.columns = axis_plans(capture)
+        self._keep(
+            "scale", torch.from_numpy(1 / (capture.gain * capture.white * capture.irradiance.astype(np.float64)))
+        )
+        self._keep("offset", torch.from_numpy(capture.offset)[:, None, None])
+
+    def _keep(self, name: str, values: Tensor) -> None:
+        self.register_buffer(name, values.to(torch.get_default_dtype()), persistent=False)
+
+    def _kernel(self, psfs: NDArray[np.floating]) -> Tensor:
+        """Return PSFs ``(..., h, w)`` with their origin at 0 of the period, float64."""
+        return torch.from_numpy(self.columns.place(self.rows.place(psfs.astype(np.float64), -2), -1))
+
+    def _spectrum(self, measurement: Tensor) -> Tensor:
+        """Return the spectrum of a measurement ``(..., C, H, W)`` without its offset, continued to the period."""
+        light = measurement.to(self.offset.dtype) - self.offset
+        return spectrum_of(pad_measurement(light, self.rows, self.columns))
+
+
+class RegularisedInversion(FourierInversion):
     """From a measurement to one estimate of the whole scene per depth plane: sharp where the depth is right.
 
     Learned are P, a 3 x 3 filter per plane that the channels share, and lambda per plane and channel,
     ``lambda = exp(log_lambda) mean |FH|^2``, so that the same number means the same for every mask and scale.
-    The arithmetic is float32 under autocast too, and torch's default precision at construction otherwise.
 
     Attributes:
         planes: indices of the stack's planes that it inverts at.
@@ -48,8 +81,6 @@ class RegularisedInversion(nn.Module):
 
     power: Tensor
     numerator: Tensor
-    scale: Tensor
-    offset: Tensor
 
     def __init__(
         self,
@@ -59,7 +90,6 @@ class RegularisedInversion(nn.Module):
         regularisation_lambda: float = 1e-2,
         tikhonov: float = 0.0,
         learned: bool = True,
-        boundary: Literal["linear", "circular"] = "linear",
     ) -> None:
         """Prepare the spectra of the PSFs.
 
@@ -70,36 +100,23 @@ class RegularisedInversion(nn.Module):
             tikhonov: Tikhonov term that P begins with beside the Laplacian, its response at frequency zero. A mask as wide as
                 the scene and more has zeros of FH so near to frequency zero that the Laplacian hardly holds them.
             learned: whether P and lambda are parameters or stay as they are.
-            boundary: ``circular`` takes light that misses the sensor to come back on its other side, as the thesis does:
-                nothing is padded, and the inverse is exact for such a camera.
 
         Raises:
-            InputError: a lambda that is not positive, or another boundary.
+            InputError: a lambda that is not positive.
         """
-        super().__init__()
+        super().__init__(capture)
         if not (math.isfinite(regularisation_lambda) and regularisation_lambda > 0):
-            given = f"got {regularisation_lambda!r}"
-            msg = f"regularisation_lambda: {given}, expected a positive multiple of the PSF's mean spectral power"
-            raise InputError(msg)
+            raise InputError("regularisation_lambda", f"got {regularisation_lambda!r}, expected a positive number")
         self.planes = tuple(range(len(capture.stack.depths_m))) if planes is None else tuple(planes)
         self.disparities = capture.plane_disparities()[list(self.planes)]
         self.channels = capture.stack.channels
-        values = to_numpy(capture.stack.values)[list(self.planes)].astype(np.float64)
-        self.rows, self.columns = axis_plans(capture, boundary)
-        kernel = torch.from_numpy(self.columns.place(self.rows.place(values, -2), -1))
+        kernel = self._kernel(to_numpy(capture.stack.values)[list(self.planes)])
         # Parseval: the mean over all frequencies. PSFs of power 1 keep float32 far from its limits.
         root = kernel.square().sum(dim=(-2, -1), keepdim=True).sqrt()
         spectrum = spectrum_of(kernel / root)
-        dtype = torch.get_default_dtype()
-        # Three axes at most and pairs of real numbers: what follows a module to another memory format or precision unharmed.
-        self.register_buffer("power", spectrum.abs().square().flatten(0, 1).to(dtype), persistent=False)
-        numerator = as_pairs(spectrum.conj() / root)
-        self.register_buffer("numerator", numerator.flatten(0, 1).to(dtype), persistent=False)
-        scale = 1 / (capture.gain * capture.white * capture.irradiance.astype(np.float64))
-        self.register_buffer("scale", torch.from_numpy(scale).to(dtype), persistent=False)
-        offset = torch.from_numpy(capture.offset)[:, None, None]
-        self.register_buffer("offset", offset.to(dtype), persistent=False)
-        kernels, channels = values.shape[:2]
+        self._keep("power", spectrum.abs().square().flatten(0, 1))
+        self._keep("numerator", as_pairs(spectrum.conj() / root).flatten(0, 1))
+        kernels, channels = kernel.shape[:2]
         begin = torch.tensor(LAPLACIAN)
         begin[1, 1] += tikhonov
         self.filters = nn.Parameter(begin.repeat(kernels, 1, 1), requires_grad=learned)
@@ -108,22 +125,15 @@ class RegularisedInversion(nn.Module):
         )
 
     def forward(self, measurement: Tensor, inverse: Tensor | None = None) -> Tensor:
-        """Invert measurements.
+        """Return ``(B, K, C, h, w)``, irradiance-corrected radiance in the camera's channels, 1 for white.
 
         Args:
-            measurement: ``(B, C, H, W)`` DN / 2^bits.
+            measurement: ``(B, C, H, W)`` DN / 2^bits; an InputError refuses another shape than the camera's.
             inverse: what `inverse` returned for the present parameters, on this device; None works it out.
-
-        Returns:
-            ``(B, K, C, h, w)``, irradiance-corrected radiance in the camera's channels, 1 for white.
-
-        Raises:
-            InputError: a measurement of another shape than the camera's.
         """
         check_measurement(measurement, self.offset, self.rows, self.columns)
         with torch.autocast(measurement.device.type, enabled=False):
-            light = measurement.to(self.offset.dtype) - self.offset
-            spectrum = spectrum_of(pad_measurement(light, self.rows, self.columns))
+            spectrum = self._spectrum(measurement)
             inverses = self.inverse() if inverse is None else inverse
             # One plane at a time: what lies between stays in the processor's cache, three times faster than all at once.
             planes = [scene_of(spectrum * one, self.rows, self.columns) for one in inverses]
@@ -148,3 +158,48 @@ class RegularisedInversion(nn.Module):
         turns = torch.arange(length, device=self.filters.device, dtype=self.filters.dtype) / length
         angles = -2 * math.pi * turns[:, None] * taps
         return torch.complex(angles.cos(), angles.sin())
+
+
+class WienerInversion(FourierInversion):
+    """From measurements of a scene at one depth to the scene, frame by frame.
+
+    Learned is the spectrum of W, every frequency of its own, in units of its initial root mean square: one learning rate then
+    serves it and the networks behind it, whatever the scale of the PSF. A spectrum rather than W itself saves two transforms
+    per step; the transform is unitary but for a constant, so that gradient steps are the same.
+    """
+
+    root: Tensor
+
+    def __init__(
+        self, capture: CaptureModel, plane: int = 0, *, noise_to_signal: float = 1e-2, learned: bool = True
+    ) -> None:
+        """Prepare Wiener's filter of one plane; ``noise_to_signal`` is K as a multiple of the PSF's mean spectral power.
+
+        Raises:
+            InputError: a plane that the stack does not have, or a ratio that is not positive.
+        """
+        super().__init__(capture)
+        if not (math.isfinite(noise_to_signal) and noise_to_signal > 0):
+            raise InputError("noise_to_signal", f"got {noise_to_signal!r}, expected a positive number")
+        if not 0 <= plane < len(capture.stack.depths_m):
+            raise InputError("plane", f"got {plane}, expected 0 to {len(capture.stack.depths_m) - 1}")
+        kernel = self._kernel(to_numpy(capture.stack.values)[plane])
+        power = kernel.square().sum(dim=(-2, -1), keepdim=True)
+        spectrum = spectrum_of(kernel)
+        wiener = spectrum.conj() / (spectrum.abs().square() + noise_to_signal * power)
+        root = wiener.abs().square().mean(dim=(-2, -1), keepdim=True).sqrt()
+        self._keep("root", root)
+        self.weight = nn.Parameter(as_pairs(wiener / root).to(torch.get_default_dtype()), requires_grad=learned)
+
+    def forward(self, measurements: Tensor) -> Tensor:
+        """Return ``(B, C, h, w)`` or ``(B, N, C, h, w)``, radiance in the camera's channels, 1 for white.
+
+        ``measurements`` are ``(B, C, H, W)``, or frames ``(B, N, C, H, W)``; an InputError refuses another camera's shape.
+        """
+        check_measurement(measurements, self.offset, self.rows, self.columns, frames=True)
+        with torch.autocast(measurements.device.type, enabled=False):
+            return scene_of(self._spectrum(measurements) * self.inverse(), self.rows, self.columns) * self.scale
+
+    def inverse(self) -> Tensor:
+        """Return F(W), ``(C, L // 2 + 1, M)`` complex."""
+        return from_pairs(self.weight) * self.root

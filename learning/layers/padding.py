@@ -20,7 +20,7 @@ class AxisPlan:
 
     Attributes:
         sensor: samples of the measurement, which lies at 0.
-        length: period: the sensor where it holds all of the light, else long enough that what is cut off has a place.
+        length: period, so long that all of the light has a place, also what the sensor cuts off.
         offset: where the scene begins.
         size: samples of the scene.
     """
@@ -31,23 +31,9 @@ class AxisPlan:
     size: int
 
     @classmethod
-    def fit(cls, sensor: int, scene: int, psf: int, boundary: str = "linear") -> AxisPlan:
-        """Return the plan for these sizes: light of a scene falls on ``scene + psf - 1`` samples.
-
-        Args:
-            sensor: samples of the measurement.
-            scene: samples of the scene.
-            psf: samples of the PSF.
-            boundary: ``linear``, or ``circular`` where light that misses the sensor comes back on its other side.
-
-        Raises:
-            InputError: another boundary.
-        """
-        if boundary not in ("linear", "circular"):
-            msg = f"boundary: got {boundary!r}, expected 'linear' or 'circular'"
-            raise InputError(msg)
-        length = sensor if boundary == "circular" else next_fast_len(max(sensor, scene + psf - 1))
-        return cls(sensor, length, (sensor - scene) // 2, scene)
+    def fit(cls, sensor: int, scene: int, psf: int) -> AxisPlan:
+        """Return the plan for these numbers of samples: light of a scene falls on ``scene + psf - 1``."""
+        return cls(sensor, next_fast_len(max(sensor, scene + psf - 1)), (sensor - scene) // 2, scene)
 
     @property
     def scene(self) -> slice:
@@ -62,14 +48,10 @@ class AxisPlan:
         return np.moveaxis(placed, 0, axis)
 
 
-def axis_plans(capture: CaptureModel, boundary: str = "linear") -> tuple[AxisPlan, AxisPlan]:
+def axis_plans(capture: CaptureModel) -> tuple[AxisPlan, AxisPlan]:
     """Return the plans of rows and columns for a camera; see `AxisPlan.fit`."""
-    rows, columns = (
-        AxisPlan.fit(sensor, scene, psf, boundary)
-        for sensor, scene, psf in zip(
-            capture.sensor_shape, capture.scene_shape, capture.stack.values.shape[-2:], strict=True
-        )
-    )
+    sizes = zip(capture.sensor_shape, capture.scene_shape, capture.stack.values.shape[-2:], strict=True)
+    rows, columns = (AxisPlan.fit(*each) for each in sizes)
     return rows, columns
 
 
@@ -100,18 +82,11 @@ def from_pairs(pairs: Tensor) -> Tensor:
 def check_measurement(
     measurement: Tensor, offset: Tensor, rows: AxisPlan, columns: AxisPlan, *, frames: bool = False
 ) -> None:
-    """Refuse measurements ``(B, C, H, W)`` of another shape than the camera's, which has an ``offset`` per channel.
-
-    With ``frames``, several, ``(B, N, C, H, W)``, are welcome too.
-
-    Raises:
-        InputError: saying both shapes.
-    """
+    """Refuse measurements ``(B, C, H, W)``, with ``frames`` also ``(B, N, C, H, W)``, of another shape than the camera's."""
     wanted = (len(offset), rows.sensor, columns.sensor)
     if measurement.ndim not in ((4, 5) if frames else (4,)) or tuple(measurement.shape[-3:]) != wanted:
         came = f"got shape {tuple(measurement.shape)}, expected (B, C, H, W) with (C, H, W) = {wanted}"
-        msg = f"measurement: {came}: it is of another camera than the PSF stack"
-        raise InputError(msg)
+        raise InputError("measurement", f"{came}: it is of another camera than the PSF stack")
 
 
 def pad_measurement(measurement: Tensor, rows: AxisPlan, columns: AxisPlan) -> Tensor:

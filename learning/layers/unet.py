@@ -80,19 +80,17 @@ class UNet(nn.Module):
             InputError: for numbers below one, other dimensions, or a stem in 3D.
         """
         super().__init__()
-        for name, value in (
-            ("inputs", inputs),
-            ("outputs", outputs),
-            ("filters", filters),
-            ("levels", levels),
-            ("stem", stem),
-        ):
+        for name, value in {
+            "inputs": inputs,
+            "outputs": outputs,
+            "filters": filters,
+            "levels": levels,
+            "stem": stem,
+        }.items():
             if value < 1:
-                msg = f"{name}: got {value}, expected at least 1"
-                raise InputError(msg)
+                raise InputError(name, f"got {value}, expected at least 1")
         if dimensions not in (2, 3) or (dimensions == 3 and stem > 1):
-            msg = f"dimensions: got {dimensions} with stem {stem}; expected 2, or 3 with stem 1"
-            raise InputError(msg)
+            raise InputError("dimensions", f"got {dimensions} with stem {stem}; expected 2, or 3 with stem 1")
         self.dimensions, self.stem, self.levels = dimensions, stem, levels
         conv = nn.Conv2d if dimensions == 2 else nn.Conv3d
         widths = [filters * 2**level for level in range(levels)]
@@ -115,10 +113,8 @@ class UNet(nn.Module):
         """Return ``(B, outputs, ...)`` of ``(B, inputs, ...)``, any size: odd ones are continued at their ends."""
         size = image.shape[2:]
         multiple = self.stem * 2 ** (self.levels - 1)
-        missing = [
-            -length % (multiple if axis >= self.dimensions - 2 else multiple // self.stem)
-            for axis, length in enumerate(size)
-        ]
+        depth = [multiple // self.stem] * (self.dimensions - 2)
+        missing = [-length % many for length, many in zip(size, [*depth, multiple, multiple], strict=True)]
         if any(missing):
             image = nnf.pad(image, [n for extra in reversed(missing) for n in (0, extra)], mode="replicate")
         if self.stem > 1:

@@ -123,8 +123,7 @@ def build_network(capture: CaptureModel, name: str, size: str = "compact", **cha
     numbers = [key for key in inspect.signature(NETWORKS[name]).parameters if key != "capture"]
     for key in changes:
         if key not in numbers:
-            msg = f"{key}: not a number of this network; {name} has {', '.join(numbers)}{now_called(key, numbers)}"
-            raise InputError(msg)
+            raise InputError(key, f"unknown; {name} has {', '.join(numbers)}{now_called(key, numbers)}")
     return NETWORKS[name](capture, **SIZES[size] | changes)
 
 

@@ -67,25 +67,20 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
             not fit the measurement.
     """
     if request.checkpoint is not None and (request.method or request.stack or request.tuned or request.parameters):
-        msg = (
-            "--checkpoint: a network brings its own PSFs and parameters; leave out --method, --stack, --tuned and --set"
-        )
-        raise InputError(msg)
+        brings = "a network brings its own PSFs and parameters"
+        raise InputError("--checkpoint", f"{brings}; leave out --method, --stack, --tuned and --set")
     if request.noise_db is not None and request.tuned is None:
-        msg = "--noise-db: chooses among tuned parameters; add --tuned, what `flatlight tune` wrote, or leave it out"
-        raise InputError(msg)
+        raise InputError("--noise-db", "chooses among tuned parameters; add --tuned, or leave it out")
     image = request.method is not None and request.stack is not None and Path(request.stack).expanduser().is_file()
     for option, value in (("--psf-background", request.psf_background), ("--psf-crop", request.psf_crop)):
         if value is not None and not image:
-            msg = f"{option}: is for the image of a PSF; name one by --stack, or leave it out"
-            raise InputError(msg)
+            raise InputError(option, "applies to the image of a PSF; name one by --stack, or leave it out")
     if request.method is not None:
         return _classical(measurement, request, request.method)
     if request.checkpoint is not None:
         return _learned(measurement, find_checkpoint(request.checkpoint), request)
     if request.stack or request.tuned or request.parameters:
-        msg = "--method: missing; --stack, --tuned and --set are for a classical method: add --method cls or --method admm"
-        raise InputError(msg)
+        raise InputError("--method", "missing; --stack, --tuned and --set are for cls and admm: add one of them")
     refused: list[str] = []
     for name, path in shipped_checkpoints().items():
         try:
@@ -93,11 +88,8 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
         except InputError as error:
             refused.append(f"{name}: {error}")
     reasons = "; ".join(refused) or "none is shipped"
-    msg = (
-        f"{measurement.path}: no shipped checkpoint fits ({reasons}). Give --checkpoint FILE of a network for this camera, "
-        "or --method cls or admm with --stack, its PSFs"
-    )
-    raise InputError(msg)
+    cure = "Give --checkpoint FILE of a network for this camera, or --method cls or admm with --stack, its PSFs"
+    raise InputError(measurement.path, f"no shipped checkpoint fits ({reasons}). {cure}")
 
 
 def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
@@ -110,8 +102,7 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
         try:
             capture = capture_model(dataset).with_assumed(capture)
         except InputError as error:
-            msg = f"{path} was trained for another camera than that of {dataset.root}: {error}"
-            raise InputError(msg) from error
+            raise InputError(path, f"was trained for another camera than that of {dataset.root}: {error}") from error
         numbers = _of_own(dataset)
     capture = _lit(measurement, capture)
     if request.white is not None:
@@ -119,8 +110,7 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
     if capture is not checkpoint.capture:
         checkpoint = load_checkpoint(path, capture=capture)
     if request.scene not in (None, capture.scene_shape):
-        msg = f"--scene: the network gives scenes of {_size(capture.scene_shape)}; leave it out"
-        raise InputError(msg)
+        raise InputError("--scene", f"the network gives scenes of {_size(capture.scene_shape)}; leave it out")
     name = str(checkpoint.architecture["network"])
     record = {
         "checkpoint": str(path),
@@ -133,21 +123,18 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
 
 def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
     if name not in DEFAULTS:
-        msg = f"--method: got {name!r}, expected cls or admm; a network is named by --checkpoint"
-        raise InputError(msg)
+        raise InputError("--method", f"got {name!r}, expected cls or admm; a network is named by --checkpoint")
     capture, numbers_from, dataset = camera_of(measurement, request)
     _check_fit(measurement, capture, f"the stack {request.stack or 'of the data set'}")
     if request.scene is not None and capture.scene_shape != request.scene:
         scenes = _size(capture.scene_shape)
-        msg = f"--scene: got {_size(request.scene)}, the data set's scenes have {scenes}; leave it out"
-        raise InputError(msg)
+        raise InputError("--scene", f"got {_size(request.scene)}, the data set's scenes have {scenes}; leave it out")
     capture = _lit(measurement, capture)
     white, white_from = _white(measurement, request, dataset, capture)
     capture = replace(capture, white=white)
     flat = len(capture.stack.depths_m) == 1
     if flat and request.tuned is not None:
-        msg = f"--tuned: {request.tuned} is for depth, but these PSFs are of one; leave it out, and give --set"
-        raise InputError(msg)
+        raise InputError("--tuned", f"{request.tuned} is for depth, these PSFs are of one; give --set instead")
     known, of = (PLANAR_DEFAULTS[name], f"{name} for one plane") if flat else (DEFAULTS[name], name)
     told = dict(request.parameters or {})
     check_parameters(told, known, of, "--set")
@@ -176,8 +163,7 @@ def _parameters(
     noise_db = request.noise_db or of_set or (levels[0] if len(levels) == 1 else None)
     if noise_db is None:
         known = ", ".join(f"{level:g}" for level in levels)
-        msg = f"--noise-db: missing; {request.tuned} was tuned at {known} dB: say how noisy the measurement is"
-        raise InputError(msg)
+        raise InputError("--noise-db", f"missing; {request.tuned} has parameters for {known} dB: choose by the noise")
     chosen, level = tuned.parameters(name, noise_db)
     return chosen | told, f"{request.tuned}, tuned at {level:g} dB for {noise_db:g} dB{', and --set' if told else ''}"
 
@@ -192,16 +178,15 @@ def camera_of(measurement: Measurement, request: Request) -> tuple[CaptureModel,
     if stack is None or stack in ("nominal", "captured"):
         if dataset is None:
             wanted = "give the PSFs of its camera: a stack's folder, a data set's, or the image of a PSF"
-            msg = f"--stack: got {stack or 'nothing'}, but {measurement.path} is not a sample of a data set; {wanted}"
-            raise InputError(msg)
+            found = f"got {stack or 'nothing'}, but {measurement.path} is not a sample of a data set"
+            raise InputError("--stack", f"{found}; {wanted}")
         return capture_model(dataset, stack or "nominal"), _of_own(dataset), dataset
     place = Path(stack).expanduser()
     folder = stack_folder(place)
     if place.is_file():
         if dataset is not None:
-            cure = "give a stack's folder"
-            msg = f"--stack: {place} is an image, but {measurement.path} is a sample of a data set; {cure}"
-            raise InputError(msg)
+            found = f"{place} is an image, but {measurement.path} is a sample of a data set"
+            raise InputError("--stack", f"{found}; give a stack's folder")
         channels = RGB if len(measurement.channels) == 3 else measurement.channels
         options: dict[str, Any] = {"background": request.psf_background, "crop": request.psf_crop}
         found = load_psf_image(place, channels, binning=request.binning, **options)
@@ -210,8 +195,7 @@ def camera_of(measurement: Measurement, request: Request) -> tuple[CaptureModel,
         return capture_model(train), f"of {place}, whose camera took the measurement", train
     elif not (folder / DESCRIPTION).is_file():
         what = "neither the image of a PSF nor the folder of a stack or a data set"
-        msg = f"--stack: {place} is {what}; `flatlight psf` makes stacks"
-        raise InputError(msg)
+        raise InputError("--stack", f"{place} is {what}; `flatlight psf` makes stacks")
     else:
         found = read_psf_stack(folder)
     if dataset is not None:
@@ -237,8 +221,7 @@ def _lit(measurement: Measurement, capture: CaptureModel) -> CaptureModel:
     mean = float(np.mean(measurement.values - capture.offset[:, None, None]))
     if not mean > 0:
         found = f"a mean of {mean:.3g} above the background"
-        msg = f"{measurement.path} has {found}, expected light; check --background, or the exposure"
-        raise InputError(msg)
+        raise InputError(measurement.path, f"got {found}, expected light; check --background, or the exposure")
     return capture
 
 
@@ -256,16 +239,14 @@ def _check_fit(measurement: Measurement, capture: CaptureModel, whose: str) -> N
         cure = "leave out --binning, or give another stack or checkpoint"
     elif all(a >= b for a, b in zip(got, wanted, strict=True)):
         cure = f"add --crop {_size(wanted, 'x')} (about the centre), or give another stack or checkpoint"
-    msg = f"{measurement.path} has {_size(got)} pixels, {whose} is for {_size(wanted)}; {cure}"
-    raise InputError(msg)
+    raise InputError(measurement.path, f"got {_size(got)} pixels, {whose} is for {_size(wanted)}; {cure}")
 
 
 def _check_channels(measurement: Measurement, channels: tuple[str, ...], whose: str) -> None:
     if len(measurement.channels) != len(channels):
         got, wanted = ", ".join(measurement.channels), ", ".join(channels)
         cure = "give a stack or checkpoint of this camera"
-        msg = f"{measurement.path} has the channels {got}, {whose} is for {wanted}; {cure}"
-        raise InputError(msg)
+        raise InputError(measurement.path, f"got the channels {got}, {whose} is for {wanted}; {cure}")
 
 
 def _white(

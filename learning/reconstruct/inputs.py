@@ -27,8 +27,7 @@ def crop_window(crop: str, path: Path, shape: tuple[int, int], option: str = "cr
     found = re.fullmatch(r"(\d+)x(\d+)(?:\+(\d+)\+(\d+))?", crop.strip())
     if not found:
         wanted = "ROWSxCOLUMNS (about the centre) or ROWSxCOLUMNS+TOP+LEFT, e.g. 1080x1440+60+80"
-        msg = f"{option}: got {crop!r}, expected {wanted}"
-        raise InputError(msg)
+        raise InputError(option, f"got {crop!r}, expected {wanted}")
     sizes = (int(found[1]), int(found[2]))
     starts = [(whole - size) // 2 for whole, size in zip(shape, sizes, strict=True)]
     if found[3]:
@@ -36,8 +35,7 @@ def crop_window(crop: str, path: Path, shape: tuple[int, int], option: str = "cr
     for start, size, whole in zip(starts, sizes, shape, strict=True):
         if size < 1 or start < 0 or start + size > whole:
             of = f"{path} of {shape[0]} x {shape[1]} pixels"
-            msg = f"{option}: got {crop}, which reaches beyond {of}; make it smaller"
-            raise InputError(msg)
+            raise InputError(option, f"got {crop}, which reaches beyond {of}; make it smaller")
     rows, columns = (slice(start, start + size) for start, size in zip(starts, sizes, strict=True))
     return rows, columns
 
@@ -46,12 +44,10 @@ def check_binning(binning: int, path: Path, shape: tuple[int, ...], crop_option:
     """Refuse a binning of ``(..., H, W)`` that leaves pixels over: dropped in silence, they would shift image against PSF."""
     rows, columns = shape[-2:]
     if not 1 <= binning <= min(rows, columns):
-        msg = f"binning: got {binning}, expected 1 to {min(rows, columns)} pixels per side for {path}"
-        raise InputError(msg)
+        raise InputError("binning", f"got {binning}, expected 1 to {min(rows, columns)} pixels per side for {path}")
     if rows % binning or columns % binning:
         cure = f"add {crop_option} {rows // binning * binning}x{columns // binning * binning}"
-        msg = f"binning: got {binning}, which does not divide {path} of {rows} x {columns} pixels; {cure}"
-        raise InputError(msg)
+        raise InputError("binning", f"got {binning}, which does not divide {path} of {rows} x {columns} pixels; {cure}")
 
 
 def binned(light: NDArray[np.floating[Any]], binning: int, path: Path) -> NDArray[np.float64]:
@@ -115,8 +111,7 @@ def load_measurement(
     """
     path = Path(path)
     if bits is not None and not 1 <= bits <= 32:
-        msg = f"bits: got {bits}, expected 1 to 32, the sensor's bit depth"
-        raise InputError(msg)
+        raise InputError("bits", f"got {bits}, expected 1 to 32, the sensor's bit depth")
     sample = _sample_folder(path)
     if sample is None:
         values, channels = _channels_first(path)
@@ -125,8 +120,7 @@ def load_measurement(
     else:
         stored = StoredSample(sample)
         if stored.frames != 1:
-            msg = f"{sample} is a clip of {stored.frames} frames; reconstruct takes stills, of one frame"
-            raise InputError(msg)
+            raise InputError(sample, f"a clip of {stored.frames} frames; reconstruct takes stills, of one frame")
         values, channels = stored.measurement()[0], stored.channels
         scale, assumed = (1.0, "as stored: DN / 2^bits") if bits is None else (2.0**bits, "as told")
         dataset = sample.parents[2] if (sample.parents[2] / FILE).is_file() else None
@@ -157,8 +151,7 @@ def _sample_folder(path: Path) -> Path | None:
     if path.is_dir():
         ours = "a data set: give one of its samples"
         what = ours if (path / FILE).is_file() else f"not a sample: it has no {DESCRIPTION}"
-        msg = f"{path} is {what}, e.g. train/0000/s00000000, or an image's file"
-        raise InputError(msg)
+        raise InputError(path, f"{what}, e.g. train/0000/s00000000, or an image's file")
     return None
 
 
@@ -172,20 +165,15 @@ def _scale(values: NDArray[Any], bits: int | None, path: Path) -> tuple[float, s
     kind = values.dtype
     if bits is None and kind.kind == "f":
         if (brightest := float(values.max())) > _MOST_OF_SHARES:
-            msg = (
-                f"{path} holds floats up to {brightest:g}; expected shares of the sensor's full scale, 0 to 1: give --bits, "
-                "the sensor's bit depth, by which numbers are divided by 2^bits"
-            )
-            raise InputError(msg)
+            wanted = "shares of full scale, 0 to 1; or give --bits, which divides numbers by 2^bits"
+            raise InputError(path, f"got floats up to {brightest:g}, expected {wanted}")
         return 1.0, "floats, taken as DN / 2^bits"
     if bits is None and kind.kind == "i":
-        msg = f"{path} holds signed integers ({kind}), which have no full scale; give --bits, the sensor's bit depth"
-        raise InputError(msg)
+        raise InputError(path, f"got signed integers ({kind}), which have no full scale; give --bits, the bit depth")
     scale = 2.0 ** (bits or 8 * kind.itemsize)
     top = float(values.max())
     if top >= scale:
-        msg = f"{path} holds numbers up to {top:g}, more than --bits {bits} can hold ({scale - 1:g}); give more bits"
-        raise InputError(msg)
+        raise InputError(path, f"got numbers up to {top:g}, expected at most {scale - 1:g} (--bits {bits})")
     return scale, "as told" if bits else f"assumed from the file's type, {kind}"
 
 
@@ -197,8 +185,7 @@ def _dark(background: str | float, values: NDArray[Any], path: Path) -> tuple[ND
         image = Path(str(background))
     else:
         if not np.isfinite(level):
-            msg = f"background: got {background}, expected a finite number in the file's units, or an image"
-            raise InputError(msg)
+            raise InputError("background", f"got {background}, expected a finite number, or an image")
         return level, f"{level:g}"
     dark, _ = _channels_first(image)
     if dark.shape[1:] != values.shape[1:] or len(dark) not in (1, len(values)):
@@ -206,8 +193,7 @@ def _dark(background: str | float, values: NDArray[Any], path: Path) -> tuple[ND
             f"{h} x {w} with {c} channel{'s' if c > 1 else ''}" for c, h, w in (dark.shape, values.shape)
         )
         wanted = "a dark image of the same camera and size, before crop and binning"
-        msg = f"background: {image} is {dark_size}, but {path} is {size}; expected {wanted}"
-        raise InputError(msg)
+        raise InputError("background", f"{image} is {dark_size}, but {path} is {size}; expected {wanted}")
     return dark.astype(np.float64), str(image)
 
 

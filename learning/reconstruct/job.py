@@ -65,8 +65,7 @@ def reconstruct_file(options: Options) -> str:
         StorageError: the result cannot be written.
     """
     if options.white is not None and not (math.isfinite(options.white) and options.white > 0):
-        msg = f"--white: got {options.white}, expected a positive radiance"
-        raise InputError(msg)
+        raise InputError("--white", f"got {options.white}, expected a positive radiance")
     device = choose_device(options.device)
     of_file = {name: getattr(options, name) for name in ("bits", "background", "crop", "binning")}
     measurement = load_measurement(options.measurement, **of_file)
@@ -97,8 +96,7 @@ def parse_size(text: str | None) -> tuple[int, int] | None:
     """Return the rows and columns of ``--scene ROWSxCOLUMNS``."""
     found = re.fullmatch(r"(\d+)x(\d+)", text or "")
     if text is not None and not found:
-        msg = f"--scene: got {text!r}, expected ROWSxCOLUMNS, e.g. 256x256"
-        raise InputError(msg)
+        raise InputError("--scene", f"got {text!r}, expected ROWSxCOLUMNS, e.g. 256x256")
     return (int(found[1]), int(found[2])) if found else None
 
 
@@ -108,8 +106,7 @@ def parse_changes(texts: Iterable[str]) -> dict[str, Any]:
     for text in texts:
         name, _, value = text.partition("=")
         if not name or not value:
-            msg = f"--set: got {text!r}, expected KEY=VALUE, e.g. pairwise=0.5"
-            raise InputError(msg)
+            raise InputError("--set", f"got {text!r}, expected KEY=VALUE, e.g. pairwise=0.5")
         parameters[name.strip()] = parse_scalar(value.strip())
     return parameters
 
@@ -185,14 +182,12 @@ def reconstruct(
     capture = method.capture
     expected = (len(capture.stack.channels), *capture.sensor_shape)
     if tuple(measurement.shape) != expected:
-        msg = f"measurement: got shape {tuple(measurement.shape)}, expected the camera's {expected}: channels, rows, columns"
-        raise InputError(msg)
+        wanted = f"expected the camera's {expected}: channels, rows, columns"
+        raise InputError("measurement", f"got shape {tuple(measurement.shape)}, {wanted}")
     if not np.isfinite(measurement).all():
-        msg = "measurement: got NaN or infinite numbers, expected finite ones; repair these pixels first"
-        raise InputError(msg)
+        raise InputError("measurement", "got NaN or infinite numbers, expected finite ones; repair these pixels first")
     if volume and not (isinstance(method, LearnedMethod) or hasattr(method, "volume")):
-        msg = f"volume: {method.name} has none to show; leave it out"
-        raise InputError(msg)
+        raise InputError("volume", f"{method.name} has none to show; leave it out")
     batch = torch.from_numpy(np.array(measurement, np.float32))[None].to(device)
     clock = Clock(device)
     if isinstance(method, PlanarMethod):

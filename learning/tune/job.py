@@ -86,8 +86,7 @@ def tune_file(
         if len(dataset) < FEWEST_SCENES or data.allow_few_scenes:
             cure += ", or set data.scenes (and allow_few_scenes: true below 32)"
         found = f"split {data.split!r} of {dataset.root} has {len(dataset)} samples"
-        msg = f"data.scenes: got {data.scenes}, but {found}; {cure}"
-        raise InputError(msg)
+        raise InputError("data.scenes", f"got {data.scenes}, but {found}; {cure}")
     dataset = dataset[: data.scenes]
     check_dataset(dataset)
     white = measure_reference_white(open_dataset(config.resolve_path(data.train or data.validation), "train"))
@@ -155,8 +154,7 @@ class Tunable:
         for name in self.space:
             if name not in self.defaults:
                 hint = now_called(name, self.defaults)
-                msg = f"search.{self.name}: got {name!r}, expected one of {', '.join(self.defaults)}{hint}"
-                raise InputError(msg)
+                raise InputError(f"search.{self.name}", f"got {name!r}, expected {', '.join(self.defaults)}{hint}")
 
 
 def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torch.device) -> Tunable:
@@ -168,16 +166,14 @@ def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torc
         values = SEARCH[name].get(parameter) if change is None or change.values is None else change.values
         if values is None:
             known = f"{', '.join(SEARCH[name])}{now_called(parameter, SEARCH[name])}"
-            msg = f"search.{name}.{parameter}: no values; expected candidates for it, or one of {known}"
-            raise InputError(msg)
+            raise InputError(f"search.{name}.{parameter}", f"no values; expected candidates for it, or one of {known}")
         low, high = limits(parameter, capture)
         if change is not None:
             low, high = low if change.low is None else change.low, high if change.high is None else change.high
         try:
             axes[parameter] = Axis(tuple(values), low, high)
         except InputError as error:
-            msg = f"search.{name}.{parameter}: {error}"
-            raise InputError(msg) from error
+            raise InputError(f"search.{name}.{parameter}", str(error)) from error
 
     def build(parameters: Parameters) -> VolumeMethod:
         return build_classical(capture, name, parameters).to(device)
@@ -283,8 +279,7 @@ def tune(
             try:
                 found = coordinate_search(tunable.space, starts, trials, sweep=not before, least_gain=1e-3)
             except InputError as error:
-                msg = f"{tunable.name} at {noise_db:g} dB: {error}"
-                raise InputError(msg) from error
+                raise InputError(f"{tunable.name} at {noise_db:g} dB", str(error)) from error
             best = study.trial(tunable.name, noise_db, found.parameters)
             assert best is not None
             kept = ("method", "noise_db", "parameters", "score", "psnr_db", "depth_rmse_cm")

@@ -41,11 +41,10 @@ class Axis:
         numbers = [value for value in self.values if not isinstance(value, str)]
         increasing = all(a < b for a, b in pairwise(numbers))
         if not self.values or len(numbers) not in (0, len(self.values)) or not increasing:
-            msg = f"values: got {list(self.values)}, expected words, or numbers in increasing order"
-            raise InputError(msg)
+            raise InputError("values", f"got {list(self.values)}, expected words, or numbers in increasing order")
         if numbers and not (self.low <= numbers[0] and numbers[-1] <= self.high and numbers[0] >= 0):
-            msg = f"values: got {list(self.values)}, expected numbers from {self.low:g} to {self.high:g}, none negative"
-            raise InputError(msg)
+            wanted = f"numbers from {self.low:g} to {self.high:g}, none negative"
+            raise InputError("values", f"got {list(self.values)}, expected {wanted}")
 
     @property
     def is_number(self) -> bool:
@@ -150,8 +149,7 @@ def coordinate_search(
     rated = [(_finite(score(dict(start))), start) for start in starts]
     best_score, best = min(rated, key=lambda pair: pair[0], default=(math.inf, {}))
     if math.isinf(best_score):
-        msg = f"starts: got {[dict(start) for start in starts]}, expected one whose score is a finite number"
-        raise InputError(msg)
+        raise InputError("starts", f"got {[dict(start) for start in starts]}, expected one with a finite score")
     best = dict(best)
     rounds, converged = 0, False
     while rounds < most_rounds and not converged:

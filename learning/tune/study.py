@@ -38,8 +38,7 @@ class Tuned:
         if not levels:
             known = sorted({result["method"] for result in self.content["results"]})
             wanted = f"one that was tuned ({', '.join(known) or 'none'})"
-            msg = f"{self.path}: got the method {method!r}, expected {wanted}; run `flatlight tune` with it"
-            raise InputError(msg)
+            raise InputError(self.path, f"got the method {method!r}, expected {wanted}; run `flatlight tune` with it")
         nearest = min(levels, key=lambda level: abs(level - noise_db))
         found = (r for r in self.content["results"] if r["method"] == method and r["noise_db"] == nearest)
         return dict(next(found)["parameters"]), nearest
@@ -55,26 +54,21 @@ def load_tuned(path: Path | str) -> Tuned:
     try:
         content = json.loads(path.read_bytes())
     except OSError as error:
-        msg = f"cannot read {path}: {error.strerror or error}; `flatlight tune` writes such a file"
-        raise InputError(msg) from error
+        reason = f"cannot be read: {error.strerror or error}; `flatlight tune` writes such a file"
+        raise InputError(path, reason) from error
     except (ValueError, RecursionError) as error:
-        msg = f"{path} is damaged or not a result of `flatlight tune` ({error}); restore it, or tune again"
-        raise InputError(msg) from error
+        raise InputError(path, f"damaged, or not written by `flatlight tune` ({error}); tune again") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        msg = f"{path} is not a result of `flatlight tune`: its format is not {FORMAT!r}"
-        raise InputError(msg)
+        raise InputError(path, f"not a result of `flatlight tune`: its format is not {FORMAT!r}")
     if content.get("version") != VERSION:
-        msg = f"{path} has version {content.get('version')!r}, expected {VERSION}; tune again with this Flatlight"
-        raise InputError(msg)
+        raise InputError(path, f"got version {content.get('version')!r}, expected {VERSION}; tune again")
     wanted: tuple[tuple[str, type], ...] = (("identity", dict), ("trials", list), ("results", list))
     for name, kind in wanted:
         if not isinstance(content.get(name), kind):
-            msg = f"{path} is damaged: {name} is missing or of another kind; restore it, or tune again"
-            raise InputError(msg)
+            raise InputError(path, f"damaged: {name} is missing or of another kind; restore it, or tune again")
     for entry in [*content["trials"], *content["results"]]:
         if not isinstance(entry, dict) or not {"method", "noise_db", "parameters", "score"} <= entry.keys():
-            msg = f"{path} is damaged: {str(entry)[:80]} lacks method, noise_db, parameters or score; tune again"
-            raise InputError(msg)
+            raise InputError(path, f"damaged: {str(entry)[:60]} lacks a method, level, parameters or score")
     return Tuned(path, renamed(content))
 
 
@@ -140,8 +134,8 @@ class Study:
             if new.get(name) != old.get(name):
                 was, now = (str(content.get(name))[:60] for content in (old, new))
                 differs = f"{name} was {was}, is now {now}"
-                msg = f"{self.path} holds trials of other data or settings: {differs}; choose another output, or delete it"
-                raise InputError(msg)
+                cure = "choose another output, or delete it"
+                raise InputError(self.path, f"holds trials of other data or settings: {differs}; {cure}")
 
     @staticmethod
     def _key(method: str, noise_db: float, parameters: Parameters) -> bytes:

@@ -41,8 +41,9 @@ def height_map(
     max_height_m = None if max_height_um is None else max_height_um * 1e-6
     if file.suffix.lower() == ".stl":
         if max_height_um is not None:
-            msg = f"max_height_um: got {max_height_um:g}, but {file} is a body with heights of its own; use unit_um"
-            raise InputError(msg)
+            raise InputError(
+                "max_height_um", f"got {max_height_um:g}, but {file} is a body with heights of its own; use unit_um"
+            )
         height_m = read_stl_height(file, pixel_um * 1e-6, UNIT_M if unit_m is None else unit_m)
     else:
         height_m = read_height_map(file, unit_m, max_height_m)

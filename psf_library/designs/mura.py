@@ -50,8 +50,7 @@ def coded_array(rank: int) -> NDArray[np.int64]:
         InputError: when the rank is no odd prime.
     """
     if rank < 3 or any(rank % divisor == 0 for divisor in range(2, int(rank**0.5) + 1)):
-        msg = f"rank: got {rank}, expected an odd prime (for example 31, 61, 101, 127 or 251)"
-        raise InputError(msg)
+        raise InputError("rank", f"got {rank}, expected an odd prime (for example 31, 61, 101, 127 or 251)")
     residue = np.full(rank, -1)
     residue[np.arange(1, rank) ** 2 % rank] = 1
     array = (np.outer(residue, residue) == 1).astype(np.int64)

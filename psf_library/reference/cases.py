@@ -109,8 +109,7 @@ def compute(name: str, mask: Mask | None = None) -> PsfStack:
 
 def _case(name: str) -> Case:
     if name not in CASES:
-        msg = f"name: got {name!r}, expected one of {', '.join(CASES)}{nearest(name, list(CASES))}"
-        raise InputError(msg)
+        raise InputError("name", f"got {name!r}, expected one of {', '.join(CASES)}{nearest(name, list(CASES))}")
     return CASES[name]
 
 
@@ -164,6 +163,6 @@ def write(name: str, mask: Mask, stack: PsfStack, folder: Path = PINNED) -> None
 def _folder(name: str, folder: Path) -> Path:
     known = sorted(path.name for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
     if name not in known:
-        msg = f"name: got {name!r}, expected one of {', '.join(known) or f'(there is none in {folder})'}"
-        raise InputError(msg + nearest(name, known))
+        choices = ", ".join(known) or f"(there is none in {folder})"
+        raise InputError("name", f"got {name!r}, expected one of {choices}{nearest(name, known)}")
     return folder / name

@@ -76,8 +76,7 @@ def compare_stacks(found: PsfStack, expected: PsfStack) -> StackDifference:
         ("depths (m)", found.depths_m.tolist(), expected.depths_m.tolist()),
     ):
         if one != other:
-            msg = f"the stacks cannot be compared: {what} is {one}, expected {other}"
-            raise InputError(msg)
+            raise InputError(what, f"got {one}, expected {other}: such stacks have no common pixels to compare")
     values, wanted = (to_numpy(stack.values).astype(np.float64) for stack in (found, expected))
     # A stack refuses planes that are zero everywhere, so nothing is divided by zero.
     relative = np.linalg.norm(values - wanted, axis=(-2, -1)) / np.linalg.norm(wanted, axis=(-2, -1))

@@ -59,8 +59,7 @@ def activity(
     check_range(view)
     chosen = tuple(actions) if actions is not None else ACTIONS
     if len(set(chosen)) < len(chosen):
-        msg = f"actions: got {', '.join(chosen)}, expected each at most once; leave out what is repeated"
-        raise InputError(msg)
+        raise InputError("actions", f"got {', '.join(chosen)}, expected each at most once; leave out what is repeated")
     return Activity(view, frames, frames_per_second, samples_per_pixel, chosen, renderer)
 
 

@@ -101,7 +101,7 @@ def draw_viewpoint(view: View, rng: np.random.Generator) -> Viewpoint:
         if least <= most:
             break
     else:
-        raise InputError(_too_thin(view, far_end(view) * least / most))
+        raise _too_thin(view, far_end(view) * least / most)
     scale = _size(least, most, shares[5])
     knee = scale * (_distance(turn, eye) - _REACH_M)
     return Viewpoint(turn, eye, scale, wall, ease * yaw, pitch, view.near_m, knee)
@@ -113,10 +113,11 @@ def _size(least: float, most: float, share: float) -> float:
     return smallest * (largest / smallest) ** share
 
 
-def _too_thin(view: View, needed_m: float) -> str:
-    return (
-        f"scene: a table and a wall do not fit between near {view.near_m:g} m and far {view.far_m:g} m; "
-        f"expected far of at least {1.001 * needed_m:.3g} m: set scene.near_cm and scene.far_cm, or widen the PSF's depths"
+def _too_thin(view: View, needed_m: float) -> InputError:
+    return InputError(
+        "scene",
+        f"a table and a wall do not fit between near {view.near_m:g} m and far {view.far_m:g} m; "
+        f"expected far of at least {1.001 * needed_m:.3g} m: set scene.near_cm and scene.far_cm, or widen the PSF's depths",
     )
 
 
@@ -133,7 +134,7 @@ def check_range(view: View) -> None:
                 least, most = _scales(view, *_camera(view, pitch, roll, extent), _WALL_M[0], 0.0)
                 needed = max(needed, reach * least / most)
     if needed > reach:
-        raise InputError(_too_thin(view, needed))
+        raise _too_thin(view, needed)
 
 
 def _camera(view: View, pitch: float, roll: float, extent_m: float) -> tuple[Array, Array]:

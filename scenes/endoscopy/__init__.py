@@ -85,11 +85,13 @@ def endoscopy(
     """
     seconds = (np.arange(frames) - 0.5 * (frames - 1)) / frames_per_second
     if (surface is None) != (path is None):
-        msg = "surface and path: got one without the other; a segmented surface needs the line along its middle"
-        raise InputError(msg)
+        raise InputError(
+            "surface and path", "got one without the other; a segmented surface needs the line along its middle"
+        )
     if surface is not None and organ == "mixed":
-        msg = f"organ: got 'mixed' with a surface, expected what {surface.name} shows: one of {', '.join(ORGANS)}"
-        raise InputError(msg)
+        raise InputError(
+            "organ", f"got 'mixed' with a surface, expected what {surface.name} shows: one of {', '.join(ORGANS)}"
+        )
     family = Endoscopy(
         view,
         organ,
@@ -107,12 +109,12 @@ def endoscopy(
     shortest = min(ORGANS[name].shortest_m for name in family.organs)
     travel = abs(advance_mm_per_s) * 1e-3 * float(seconds[-1] - seconds[0])
     if travel > _LARGEST_TRAVEL * shortest:
-        msg = (
-            f"advance_mm_per_s: {advance_mm_per_s:g} over {frames} frames at {frames_per_second:g} per second moves the "
+        raise InputError(
+            "advance_mm_per_s",
+            f"{advance_mm_per_s:g} over {frames} frames at {frames_per_second:g} per second moves the "
             f"camera {1e3 * travel:.3g} mm, expected at most {1e3 * _LARGEST_TRAVEL * shortest:.3g} mm; make it slower or "
-            "clips shorter"
+            "clips shorter",
         )
-        raise InputError(msg)
     family.segment()  # refuses broken files before any work is done
     return family
 
@@ -185,17 +187,17 @@ def check_view(view: View, organs: tuple[str, ...]) -> None:
         nearest = (organ.narrowest_m - CLEARANCE_M / 3) / corner
         label = name.replace("_", " ")
         if not view.near_m <= nearest:
-            msg = (
-                f"scene.near_cm: got {100 * view.near_m:.3g}, but through this camera the wall of a {label} is seen from "
-                f"{100 * nearest:.2g} cm on; set scene.near_cm to {0.9 * 100 * nearest:.2g} or less"
+            raise InputError(
+                "scene.near_cm",
+                f"got {100 * view.near_m:.3g}, but through this camera the wall of a {label} is seen from "
+                f"{100 * nearest:.2g} cm on; set scene.near_cm to {0.9 * 100 * nearest:.2g} or less",
             )
-            raise InputError(msg)
         if not view.far_m >= organ.shortest_m:
-            msg = (
-                f"scene.far_cm: got {100 * view.far_m:.3g}, but a {label} is at least {100 * organ.shortest_m:.3g} cm deep; "
-                f"set scene.far_cm to {100 * organ.shortest_m:.3g} or more, best to 10"
+            raise InputError(
+                "scene.far_cm",
+                f"got {100 * view.far_m:.3g}, but a {label} is at least {100 * organ.shortest_m:.3g} cm deep; "
+                f"set scene.far_cm to {100 * organ.shortest_m:.3g} or more, best to 10",
             )
-            raise InputError(msg)
 
 
 def draw_shot(

@@ -63,8 +63,7 @@ def read_segment(surface: Path, path: Path, voxel_size_mm: tuple[float, float, f
     """
     for name, file in (("surface", surface), ("path", path)):
         if not file.is_file():
-            msg = f"{name}: there is no file {file}; a relative path starts at the YAML file's folder"
-            raise InputError(msg)
+            raise InputError(name, f"there is no file {file}; a relative path starts at the YAML file's folder")
     states = tuple(file.stat().st_mtime_ns for file in (surface, path))
     return _read_version(surface, path, tuple(voxel_size_mm), states)
 
@@ -80,12 +79,12 @@ def _read_version(surface: Path, path: Path, voxel_size_mm: tuple[float, ...], _
     first, last = (float(arc) for arc in np.percentile(course.start_m + course.step_m * node, (1, 99)))
     width = 2 * float(np.median(away))
     if not (width < _WIDEST_M and last - first > _SHORTEST_M):
-        msg = (
-            f"path: {path} does not run along {surface}: {100 * (last - first):.3g} cm of it lie in a lumen "
+        raise InputError(
+            "path",
+            f"{path} does not run along {surface}: {100 * (last - first):.3g} cm of it lie in a lumen "
             f"{100 * width:.3g} cm wide, expected over {100 * _SHORTEST_M:.3g} cm in one under {100 * _WIDEST_M:.3g} cm; "
-            "check that both are in the same units, and voxel_size_mm"
+            "check that both are in the same units, and voxel_size_mm",
         )
-        raise InputError(msg)
     faces = _inwards(points, faces, course.points_m[node])
     normals = smooth_normals(points, faces)
     uv = _unrolled(points, node, course, tile_m=0.5 * math.pi * width, tiles_around=2)
@@ -119,12 +118,12 @@ def find_shot(
             continue
         if all(clears(view, pose.seen(wall.vertices_m)) for pose in poses):
             return _ahead(view, wall, poses), poses
-    msg = (
-        f"surface: in {segment.file} no place was found in {_TRIES} tries from which all the wall in view lies between near "
+    raise InputError(
+        "surface",
+        f"in {segment.file} no place was found in {_TRIES} tries from which all the wall in view lies between near "
         f"{100 * view.near_m:.3g} cm and far {100 * view.far_m:.3g} cm; set scene.near_cm to 0.5 and scene.far_cm to 15, "
-        "or use a wider or longer piece"
+        "or use a wider or longer piece",
     )
-    raise InputError(msg)
 
 
 def _encloses(view: View, pose: Pose, wall: Wall) -> bool:
@@ -171,11 +170,13 @@ def _read_path(path: Path) -> Array:
     try:
         points = np.asarray(json.loads(path.read_text(encoding="utf-8"))["points"], dtype=float)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        msg = f'path: {path} is not {{"points": [[x, y, z], ...]}} in JSON ({type(error).__name__}: {error})'
-        raise InputError(msg) from error
+        raise InputError(
+            "path", f'{path} is not {{"points": [[x, y, z], ...]}} in JSON ({type(error).__name__}: {error})'
+        ) from error
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or not np.isfinite(points).all():
-        msg = f"path: {path} holds points of shape {points.shape}, expected at least two of three finite numbers"
-        raise InputError(msg)
+        raise InputError(
+            "path", f"{path} holds points of shape {points.shape}, expected at least two of three finite numbers"
+        )
     return points
 
 

@@ -47,18 +47,18 @@ def read_surface(path: Path) -> Surface:
         InputError: when the file is missing, broken, of another kind, or holds no usable faces.
     """
     if not path.is_file():
-        msg = f"surface: there is no file {path}; expected a legacy .vtk or a mesh that trimesh reads"
-        raise InputError(msg)
+        raise InputError("surface", f"there is no file {path}; expected a legacy .vtk or a mesh that trimesh reads")
     points, faces = read_vtk_polydata(path) if path.suffix.lower() == ".vtk" else _through_trimesh(path)
     if len(faces) == 0:
-        msg = (
-            f"surface: {path} has no faces, expected a surface of polygons; export it as a mesh, not as points or lines"
+        raise InputError(
+            "surface",
+            f"{path} has no faces, expected a surface of polygons; export it as a mesh, not as points or lines",
         )
-        raise InputError(msg)
     if not np.isfinite(points).all():
         number = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        msg = f"surface: {path}: point {number} is {points[number].tolist()}, expected finite numbers; repair the mesh"
-        raise InputError(msg)
+        raise InputError(
+            "surface", f"{path}: point {number} is {points[number].tolist()}, expected finite numbers; repair the mesh"
+        )
     return points, faces
 
 
@@ -78,8 +78,10 @@ def _through_trimesh(path: Path) -> Surface:
         mesh = trimesh.load(path, force="mesh", process=False)
         points, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)  # pyright: ignore[reportAttributeAccessIssue]
     except Exception as error:  # its loaders raise anything
-        msg = f"surface: {path} cannot be read as a mesh ({error}); expected .vtk, .ply, .stl, .obj or another of trimesh's"
-        raise InputError(msg) from error
+        raise InputError(
+            "surface",
+            f"{path} cannot be read as a mesh ({error}); expected .vtk, .ply, .stl, .obj or another of trimesh's",
+        ) from error
     return points.reshape(-1, 3), faces.reshape(-1, 3)
 
 
@@ -190,9 +192,8 @@ class _Reader:
             self._refuse(f"has numbers of type {name!r}, expected one of {', '.join(_TYPES)}")
         return _TYPES[name]
 
-    def _refuse(self, text: str, cause: Exception | None = None) -> NoReturn:
-        msg = f"surface: {self.path} {text}"
-        raise InputError(msg) from cause
+    def _refuse(self, reason: str, cause: Exception | None = None) -> NoReturn:
+        raise InputError("surface", f"{self.path} {reason}") from cause
 
 
 def _fans(offsets: NDArray[np.int64], corners: NDArray[np.int64]) -> NDArray[np.int64]:

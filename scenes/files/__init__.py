@@ -60,15 +60,17 @@ def files(
     """
     found = _list_files(path)
     if pose == "as_is" and length_of_unit_cm is None:
-        msg = "pose: as_is takes the file's coordinates for the camera's, which needs length_of_unit_cm; give it too"
-        raise InputError(msg)
+        raise InputError(
+            "pose", "as_is takes the file's coordinates for the camera's, which needs length_of_unit_cm; give it too"
+        )
     for key, value, suffixes in (
         ("plane_cm", plane_cm, _PICTURES),
         ("length_of_unit_cm", length_of_unit_cm, (*_SCENES, *MESH_SUFFIXES)),
     ):
         if value is not None and not any(_is(file, suffixes) for file in found):
-            msg = f"{key}: got {value:g}, but none of the files is one that it is for ({', '.join(suffixes)}); leave it out"
-            raise InputError(msg)
+            raise InputError(
+                key, f"got {value:g}, but it applies to no file given, only to {', '.join(suffixes)}; leave it out"
+            )
     if any(_is(file, MESH_SUFFIXES) for file in found):
         far_end(view)  # refuses a view that cannot be filled, before any work is done
     depth_m = plane_depth(view, plane_cm)
@@ -172,10 +174,10 @@ class OwnFiles:
     def _check_seen(self, path: Path, depth_m: np.ndarray) -> None:
         before = back_m(self.view, self.wall) * (1 - 1e-4) if self.wall else np.inf
         if not np.any(depth_m < before):
-            msg = (
-                f"{path}: as it is, nothing of it is in view; move it before the camera, or use pose: upright or random"
+            raise InputError(
+                path,
+                "with pose: as_is nothing of it is in view; move it before the camera, or use pose: upright or random",
             )
-            raise InputError(msg)
 
 
 @dataclass(frozen=True)
@@ -190,8 +192,7 @@ class FiniteOwnFiles(OwnFiles):
 def _list_files(path: Path | list[Path]) -> tuple[Path, ...]:
     given = path if isinstance(path, list) else [path]
     if not given:
-        msg = "path: got an empty list, expected at least one file"
-        raise InputError(msg)
+        raise InputError("path", "got an empty list, expected at least one file")
     known = f"Mitsuba scenes (.xml), meshes ({', '.join(MESH_SUFFIXES)}) and images ({', '.join(_PICTURES)})"
     found: list[Path] = []
     for one in map(Path, given):
@@ -201,15 +202,12 @@ def _list_files(path: Path | list[Path]) -> tuple[Path, ...]:
             shown = [file for file in inside if _is(file, (*_SCENES, *MESH_SUFFIXES))]
             shown = shown or [file for file in inside if _is(file, _PICTURES)]
             if not shown:
-                msg = f"path: the folder {one} holds nothing that can be shown; expected {known}"
-                raise InputError(msg)
+                raise InputError("path", f"the folder {one} holds nothing that can be shown; expected {known}")
             found += shown
         elif not one.is_file():
-            msg = f"path: there is no file {one}; a relative path is taken from the YAML file's folder"
-            raise InputError(msg)
+            raise InputError("path", f"there is no file {one}; a relative path is taken from the YAML file's folder")
         elif not _is(one, (*_SCENES, *MESH_SUFFIXES, *_PICTURES)):
-            msg = f"path: got {one}, whose suffix {one.suffix!r} is unknown; expected {known}"
-            raise InputError(msg)
+            raise InputError("path", f"got {one}, whose suffix {one.suffix!r} is unknown; expected {known}")
         else:
             found.append(one)
     return tuple(found)

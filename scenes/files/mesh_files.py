@@ -45,15 +45,15 @@ def mesh_inputs(path: Path) -> list[Path]:
         InputError: when one is missing or is not an image, or the file is packed in a way that is not read.
     """
     if not path.is_file():
-        msg = f"{path}: no such file; expected a mesh (OBJ, PLY, STL, glTF or GLB)"
-        raise InputError(msg)
+        raise InputError(path, "no such file; expected a mesh (OBJ, PLY, STL, glTF or GLB)")
     names = {".obj": _of_obj, ".ply": _of_ply, ".gltf": _of_gltf, ".glb": _of_gltf}.get(path.suffix.lower(), _nothing)
     found = [path]
     for user, name in names(path):
         file = user.parent / name
         if not file.is_file():
-            msg = f"{user}: it needs the file {name!r}, and there is none at {file}; put it there, or mend the name"
-            raise InputError(msg)
+            raise InputError(
+                user, f"it needs the file {name!r}, and there is none at {file}; put it there, or mend the name"
+            )
         if file.suffix.lower() in _PICTURES:
             picture_shape(file)
         found.append(file)
@@ -76,8 +76,9 @@ def _of_obj(path: Path) -> Iterator[tuple[Path, str]]:
         key, _, name = line.strip().partition(" ")
         if key.lower() == "map_kd":
             if name.strip().startswith("-"):
-                msg = f"{materials}: its texture {line.strip()!r} has options, which are not read; remove them"
-                raise InputError(msg)
+                raise InputError(
+                    materials, f"its texture {line.strip()!r} has options, which are not read; remove them"
+                )
             yield path, name.strip()  # beside the OBJ file, even if its material file is elsewhere
 
 
@@ -95,8 +96,7 @@ def _of_gltf(path: Path) -> Iterator[tuple[Path, str]]:
     tree = _gltf_tree(path)
     packed = [name for name in tree.get("extensionsRequired", []) if name in _PACKED]
     if packed:
-        msg = f"{path}: it needs {', '.join(packed)}, which is not read; export it without compression"
-        raise InputError(msg)
+        raise InputError(path, f"it needs {', '.join(packed)}, which is not read; export it without compression")
     for part in (*tree.get("buffers", []), *tree.get("images", [])):
         address = part.get("uri", "data:")
         if not address.startswith("data:"):
@@ -110,15 +110,13 @@ def _gltf_tree(path: Path) -> dict[str, Any]:
         if path.suffix.lower() == ".glb":
             magic, _, _, length, kind = struct.unpack_from("<5I", content)
             if (magic, kind) != (_GLB_MAGIC, _GLB_JSON):
-                raise ValueError("wrong first bytes")  # noqa: EM101, TRY003
+                raise ValueError("wrong first bytes")
             content = content[20 : 20 + length]
         tree = json.loads(content)
     except (ValueError, struct.error) as error:
-        msg = f"{path} is not a glTF file, or is damaged ({error}): export it again"
-        raise InputError(msg) from error
+        raise InputError(path, f"damaged, or not a glTF file ({error}); export it again") from error
     if not isinstance(tree, dict):
-        msg = f"{path} is not a glTF file: its JSON is not an object"
-        raise InputError(msg)
+        raise InputError(path, "not a glTF file: its JSON is not an object; export it again")
     return tree
 
 
@@ -241,8 +239,7 @@ def _texture(image: Any, factor: tuple[float, ...], path: Path) -> NDArray[np.fl
     try:
         pixels = np.asarray(image.convert("RGB"))
     except (OSError, ValueError, SyntaxError) as error:
-        msg = f"{path}: a texture of it cannot be decoded ({error}); replace it"
-        raise InputError(msg) from error
+        raise InputError(path, f"a texture of it cannot be decoded ({error}); replace it") from error
     return _decoded(pixels.tobytes(), pixels.shape, factor)
 
 
@@ -324,8 +321,7 @@ def _load(path: Path, axis: str, turn_degrees: float, *_when: int) -> Model:
     pieces = [_triangles(path, *node, to_ours) for node in _nodes(path)]
     if not pieces:
         _refuse_cut_stl(path)
-        msg = f"{path} holds no faces: a point cloud or an empty file; export it as triangles"
-        raise InputError(msg)
+        raise InputError(path, "holds no faces: a point cloud or an empty file; export it as triangles")
     every = np.concatenate([corners for corners, _, _ in pieces])
     low, high = every.min(axis=0), every.max(axis=0)
     centre = (low + high) / 2
@@ -340,11 +336,11 @@ def _refuse_cut_stl(path: Path) -> None:
     count = int.from_bytes(head[80:84], "little")
     expected = _STL_HEAD + 50 * count
     if size != expected:
-        msg = (
-            f"{path} is damaged or cut short: its header promises {count} triangles, which are {expected} bytes, "
-            f"and it has {size}; fetch it or export it again"
+        raise InputError(
+            path,
+            f"damaged or cut short: its header promises {count} triangles, which are {expected} bytes, "
+            f"and it has {size}; fetch it or export it again",
         )
-        raise InputError(msg)
 
 
 def _nodes(path: Path) -> list[tuple[Any, Array]]:
@@ -357,8 +353,9 @@ def _nodes(path: Path) -> list[tuple[Any, Array]]:
             scene = trimesh.load_scene(path, process=False)
     except Exception as error:  # trimesh raises whatever the broken bytes lead to
         _refuse_cut_stl(path)
-        msg = f"{path} cannot be read as a mesh ({type(error).__name__}: {error}); export it again"
-        raise InputError(msg) from error
+        raise InputError(
+            path, f"cannot be read as a mesh ({type(error).__name__}: {error}); export it again"
+        ) from error
     placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
     found = [(scene.geometry[name], np.asarray(matrix, dtype=np.float64)) for matrix, name in placed]
     return [(mesh, matrix) for mesh, matrix in found if len(getattr(mesh, "faces", ()))]
@@ -371,17 +368,15 @@ def _triangles(path: Path, mesh: Any, matrix: Array, to_ours: Array) -> tuple[Ar
     vertices, faces = (np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
     broken = ~np.isfinite(vertices).all(axis=1)
     if broken.any():
-        msg = f"{path}: {np.count_nonzero(broken)} of {len(vertices)} vertices are NaN or inf; clean the mesh"
-        raise InputError(msg)
+        raise InputError(path, f"{np.count_nonzero(broken)} of {len(vertices)} vertices are NaN or inf; clean the mesh")
     turn = to_ours @ matrix[:3, :3]
     places = vertices @ turn.T + to_ours @ matrix[:3, 3]
     cross = face_cross(places, faces)
     length = np.linalg.norm(cross, axis=1)
     if not length.max() > 0:
-        msg = (
-            f"{path}: all its vertices lie on one line or point, so it has no size; check its unit and export it again"
+        raise InputError(
+            path, "all its vertices lie on one line or point, so it has no size; check its unit and export it again"
         )
-        raise InputError(msg)
     kept = length > 1e-12 * length.max()
     surface = surface_of(mesh, kept, path)
     faces, cross = faces[kept], cross[kept]

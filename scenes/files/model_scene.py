@@ -79,12 +79,12 @@ def place_model(
         radius = model.radius * unit_m
         first, last = near + radius, back - radius
         if first > last:
-            msg = (
-                f"{path}: at length_of_unit_cm = {unit_m * 100:g} it is {2 * radius * 100:.4g} cm across, which does not fit "
+            raise InputError(
+                path,
+                f"at length_of_unit_cm = {unit_m * 100:g} it is {2 * radius * 100:.4g} cm across, which does not fit "
                 f"between {near * 100:.4g} and {back * 100:.4g} cm; make length_of_unit_cm smaller or leave it out, or "
-                "widen scene.near_cm and scene.far_cm"
+                "widen scene.near_cm and scene.far_cm",
             )
-            raise InputError(msg)
         depth = 1 / rng.uniform(1 / last, 1 / first) if random else math.sqrt(first * last)
     room = np.maximum(half * depth - radius * slope, 0)
     across = rng.uniform(-1, 1, 2) * room if random else np.zeros(2)
@@ -118,17 +118,17 @@ def _check_as_is(path: Path, model: Model, unit_m: float, view: View, back: floa
     """Refuse what the image alone would not tell: nothing before the camera, or parts behind the wall."""
     z = np.concatenate([part.corners[:, 2] for part in model.parts]) * unit_m
     if z.max() <= 0:
-        msg = (
-            f"{path}: as it is, it lies behind the camera ({z.min() * 100:.4g}..{z.max() * 100:.4g} cm deep); turn it round, "
-            "or use pose: upright or random"
+        raise InputError(
+            path,
+            f"with pose: as_is it lies behind the camera ({z.min() * 100:.4g}..{z.max() * 100:.4g} cm deep); turn it round, "
+            "or use pose: upright or random",
         )
-        raise InputError(msg)
     if z.max() > back:
-        msg = (
-            f"{path}: as it is, it reaches {z.max() * 100:.4g} cm deep, behind the wall at {back * 100:.4g} cm; use "
-            f"background: black, make length_of_unit_cm smaller, or widen scene.far_cm = {view.far_m * 100:.4g}"
+        raise InputError(
+            path,
+            f"with pose: as_is it reaches {z.max() * 100:.4g} cm deep, behind the wall at {back * 100:.4g} cm; use "
+            f"background: black, make length_of_unit_cm smaller, or widen scene.far_cm = {view.far_m * 100:.4g}",
         )
-        raise InputError(msg)
 
 
 def _wall(view: View, rng: np.random.Generator) -> TriangleMesh:

@@ -61,11 +61,11 @@ def plane_depth(view: View, plane_cm: float | None) -> float:
     if plane_cm is None:
         return min(2 / (1 / view.near_m + 1 / view.far_m), FARTHEST_M) if math.isfinite(view.near_m) else FARTHEST_M
     if not view.near_m <= plane_cm * 1e-2 <= view.far_m:
-        msg = (
-            f"plane_cm: got {plane_cm:g}, which is outside near..far = {view.near_m * 100:.4g}..{view.far_m * 100:.4g} cm; "
-            "choose a depth inside, or set scene.near_cm and scene.far_cm"
+        raise InputError(
+            "plane_cm",
+            f"got {plane_cm:g}, which is outside near..far = {view.near_m * 100:.4g}..{view.far_m * 100:.4g} cm; "
+            "choose a depth inside, or set scene.near_cm and scene.far_cm",
         )
-        raise InputError(msg)
     return plane_cm * 1e-2
 
 
@@ -85,8 +85,9 @@ def picture_clip(path: Path, view: View, depth_m: float, outputs: tuple[str, ...
         InputError: when it cannot be read, or ``motion`` is asked of it.
     """
     if "motion" in outputs:
-        msg = f"render.outputs: motion needs clips of at least 2 frames, and {path} is a still; leave it out"
-        raise InputError(msg)
+        raise InputError(
+            "render.outputs", f"motion needs clips of at least 2 frames, and {path} is a still; leave it out"
+        )
     light = read_light(path)
     factor = min(have / want for have, want in zip(light.shape, view.shape, strict=False))
     margins = [(have - factor * want) / 2 for have, want in zip(light.shape, view.shape, strict=False)]
@@ -101,8 +102,7 @@ def picture_clip(path: Path, view: View, depth_m: float, outputs: tuple[str, ...
     if "albedo" in outputs:
         extras["albedo"] = np.zeros((*frame, 3), np.float32)
     if "hidden" in outputs:
-        msg = f"render.outputs: nothing is hidden behind the image {path}; leave hidden out"
-        raise InputError(msg)
+        raise InputError("render.outputs", f"nothing is hidden behind the image {path}; leave hidden out")
     return Clip(
         rgb=rgb[np.newaxis],
         depth_m=np.full(frame, depth_m, np.float32),

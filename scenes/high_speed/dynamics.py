@@ -165,10 +165,10 @@ def collide(
         if impact is None or starts[-1] + wait > duration_s:
             return Billiard(np.array(starts), tuple(states), pull)
         if len(starts) > _MOST_IMPACTS:
-            msg = (
-                f"collide: got more than {_MOST_IMPACTS} impacts, expected fewer; shorten the duration or drop the pull"
+            raise InputError(
+                "collide",
+                f"got more than {_MOST_IMPACTS} impacts, expected fewer; shorten the duration or drop the pull",
             )
-            raise InputError(msg)
         starts.append(starts[-1] + wait)
         states.append(_parted(_flown(states[-1], pull, wait), impact, restitution))
 

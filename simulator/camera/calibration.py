@@ -54,11 +54,11 @@ class CalibrationSource:
         true = stated + self.depth_offset_m + self.depth_std_m * unit[:, 0]
         if not np.all(true > 0):
             k = int(np.argmax(~(true > 0)))
-            msg = (
-                f"depth_offset_m, depth_std_m: the source of {stated[k]:g} m would stand at {true[k]:g} m, behind the mask; "
-                "use smaller errors or farther depths"
+            raise InputError(
+                "depth_offset_m, depth_std_m",
+                f"the source of {stated[k]:g} m would stand at {true[k]:g} m, behind the mask; "
+                "use smaller errors or farther depths",
             )
-            raise InputError(msg)
         per_metre = (mask_to_sensor_m / true)[:, None]  # 0 at infinity, where only angles count
         along = (mask_to_sensor_m * (1 - stated[0] / stated))[:, None]
         shifts = per_metre * self.shift_std_m * unit[:, 1:] + along * np.tan(self.tilt_rad)
@@ -193,21 +193,18 @@ class Recording:
 
     def __post_init__(self) -> None:
         if not 0 < self.peak <= 1:
-            msg = f"peak: got {self.peak}, expected a share of full scale above 0, at most 1"
-            raise InputError(msg)
+            raise InputError("peak", f"got {self.peak}, expected a share of full scale above 0, at most 1")
         if self.frames < 1:
-            msg = f"frames: got {self.frames}, expected a whole number of pictures from 1"
-            raise InputError(msg)
+            raise InputError("frames", f"got {self.frames}, expected a whole number of pictures from 1")
         brightest = self.peak + self.pedestal + self.glow
         if brightest > 1 + _ROUNDING:
-            msg = (
-                f"peak + pedestal + glow: got {brightest:.4g} of full scale, expected at most 1, above which pixels "
-                "saturate and the PSF's peak is cut off; lower the peak"
+            raise InputError(
+                "peak + pedestal + glow",
+                f"got {brightest:.4g} of full scale, expected at most 1, above which pixels "
+                "saturate and the PSF's peak is cut off; lower the peak",
             )
-            raise InputError(msg)
         if self.background not in ("dark", "border", "none"):
-            msg = f"background: got {self.background!r}, expected 'dark', 'border' or 'none'"
-            raise InputError(msg)
+            raise InputError("background", f"got {self.background!r}, expected 'dark', 'border' or 'none'")
 
     def stray(self, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return the light that is not the source's, ``(C, H, W)``, shares of full scale."""

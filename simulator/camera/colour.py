@@ -124,8 +124,9 @@ def clipped_share(rgb: NDArray[np.float32], matrix: NDArray[np.floating]) -> flo
 
 def _mixed(rgb: NDArray[np.float32], matrix: NDArray[np.floating]) -> NDArray[np.float32]:
     if matrix.ndim != 2 or matrix.shape[1] != 3:
-        msg = f"scene_to_camera: got a matrix of shape {matrix.shape}, expected (C, 3): a row per channel of the camera"
-        raise InputError(msg)
+        raise InputError(
+            "scene_to_camera", f"got a matrix of shape {matrix.shape}, expected (C, 3): a row per channel of the camera"
+        )
     rows = matrix.astype(np.float32)[:, :, None, None]
     # Term by term, so that the bytes do not depend on how a library orders a product.
     return np.asarray(rows[:, 0] * rgb[..., 0] + rows[:, 1] * rgb[..., 1] + rows[:, 2] * rgb[..., 2], np.float32)

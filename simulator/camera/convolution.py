@@ -40,15 +40,14 @@ class StackConvolution:
             InputError: for other boundaries or shapes that do not fit.
         """
         if boundary not in ("linear", "circular"):
-            msg = f"boundary: got {boundary!r}, expected 'linear' or 'circular'"
-            raise InputError(msg)
+            raise InputError("boundary", f"got {boundary!r}, expected 'linear' or 'circular'")
         for axis, sensor, scene in zip(("rows", "columns"), sensor_shape, scene_shape, strict=True):
             if scene > sensor or (sensor - scene) % 2:
-                msg = (
-                    f"scene_shape: {scene} {axis} on a sensor of {sensor}; a scene is at most as large as the sensor and "
-                    f"even or odd like it, so that pixels lie on pixels: use {scene - 1 if scene > 1 else scene + 1}"
+                raise InputError(
+                    "scene_shape",
+                    f"{scene} {axis} on a sensor of {sensor}; a scene is at most as large as the sensor and "
+                    f"even or odd like it, so that pixels lie on pixels: use {scene - 1 if scene > 1 else scene + 1}",
                 )
-                raise InputError(msg)
         self.sensor_shape, self.scene_shape, self.boundary = sensor_shape, scene_shape, boundary
         axes = [
             _axis_plan(size, sensor, scene, boundary == "circular")
@@ -109,8 +108,7 @@ class StackConvolution:
     def _check_planes(self, planes: Array) -> None:
         expected = (*self._spectrum.shape[:2], *self.scene_shape)
         if tuple(planes.shape) != tuple(expected):
-            msg = f"planes must be (K, C, h, w) = {tuple(expected)}, got {tuple(planes.shape)}"
-            raise InputError(msg)
+            raise InputError("planes", f"expected (K, C, h, w) = {tuple(expected)}, got {tuple(planes.shape)}")
 
     def _columns(self, planes: Array) -> Array:
         """Return the sum of the convolved planes, columns still transformed: ``(C, columns, H)``."""

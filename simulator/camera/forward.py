@@ -77,8 +77,7 @@ class ForwardModel:
             InputError: when the shapes do not fit.
         """
         if time not in ("integral", "mean"):
-            msg = f"time: got {time!r}, expected 'integral' or 'mean'"
-            raise InputError(msg)
+            raise InputError("time", f"got {time!r}, expected 'integral' or 'mean'")
         self.stack, self.shutter, self.time = stack, shutter, time
         self.sensor_shape, self.scene_shape = sensor_shape, scene_shape
         self._convolution = StackConvolution(stack.values, sensor_shape, scene_shape, boundary)
@@ -98,16 +97,16 @@ class ForwardModel:
         """
         expected = (*self.stack.values.shape[:2], *self.scene_shape)
         if volume.ndim != 5 or tuple(volume.shape[1:]) != tuple(expected):
-            msg = f"volume must be (T, K, C, h, w) with (K, C, h, w) = {tuple(expected)}, got {tuple(volume.shape)}"
-            raise InputError(msg)
+            raise InputError(
+                "volume", f"expected (T, K, C, h, w) with (K, C, h, w) = {tuple(expected)}, got {tuple(volume.shape)}"
+            )
         return self._convolution.forward_rows(volume, self.row_weights(volume.shape[0], frame_edges_s))
 
     def adjoint(self, image: Array, frame_edges_s: NDArray[np.float64] | None = None) -> Array:
         """Apply the transpose of ``forward`` to an image ``(C, H, W)``: the result is a volume ``(T, K, C, h, w)``."""
         expected = (self.stack.values.shape[1], *self.sensor_shape)
         if tuple(image.shape) != tuple(expected):
-            msg = f"image must be (C, H, W) = {tuple(expected)}, got {tuple(image.shape)}"
-            raise InputError(msg)
+            raise InputError("image", f"expected (C, H, W) = {tuple(expected)}, got {tuple(image.shape)}")
         frames = 1 if frame_edges_s is None else len(frame_edges_s) - 1
         return self._convolution.adjoint_rows(image, self.row_weights(frames, frame_edges_s))
 
@@ -158,8 +157,9 @@ class ForwardModel:
         if frames == 1 and frame_edges_s is None:
             return self._exposures()[None]
         if self.shutter is None or frame_edges_s is None:
-            msg = f"volume: {frames} frames need a shutter and frame_edges_s; without them only one frame has a meaning"
-            raise InputError(msg)
+            raise InputError(
+                "volume", f"{frames} frames need a shutter and frame_edges_s; without them only one frame has a meaning"
+            )
         # Shutter rows are physical; the stored image is turned by 180 degrees.
         seconds = np.diff(frame_edges_s)[:, None] * self.shutter.weights(self.sensor_shape[0], frame_edges_s)[:, ::-1]
         return seconds if self.time == "integral" else seconds / self._open_s()
@@ -175,8 +175,9 @@ class ForwardModel:
             InputError: no shutter, edges that do not cover it, or frames that cannot be shared equally.
         """
         if self.shutter is None:
-            msg = "shutter: got None, but slivers are what a shutter cuts a capture into; give the model a shutter"
-            raise InputError(msg)
+            raise InputError(
+                "shutter", "got None, but slivers are what a shutter cuts a capture into; give the model a shutter"
+            )
         return self.shutter.weights(self.sensor_shape[0], sliver_edges(frame_edges_s, slivers))[:, ::-1]
 
     def _open_s(self) -> NDArray[np.float64]:
@@ -192,27 +193,26 @@ class ForwardModel:
         """Return the part of a clip that the shutter sees, after all checks."""
         shape = clip.rgb.shape[1:3]
         if shape != tuple(self.scene_shape):
-            msg = f"clip: its frames are {shape}, but the model was made for scenes of {self.scene_shape}"
-            raise InputError(msg)
+            raise InputError("clip", f"its frames are {shape}, but the model was made for scenes of {self.scene_shape}")
         channels = self.stack.channels
         if len(self.scene_to_camera) != len(channels):
-            msg = (
-                f"scene_to_camera: got {len(self.scene_to_camera)} rows for the PSF stack's {len(channels)} channels "
-                f"({', '.join(channels)}); give a row of three numbers per channel"
+            raise InputError(
+                "scene_to_camera",
+                f"got {len(self.scene_to_camera)} rows for the PSF stack's {len(channels)} channels "
+                f"({', '.join(channels)}); give a row of three numbers per channel",
             )
-            raise InputError(msg)
         if self.shutter is not None:
             clip = exposed_part(clip, self.shutter, self.sensor_shape[0])
         depths_m = self.stack.depths_m
         share = clamped_share(clip.depth_m, clip.valid, depths_m)
         if share > self._rule.max_clamped:
             seen = clip.depth_m[clip.valid]
-            msg = (
-                f"clip: {share:.1%} of its pixels lie outside the PSF stack's depths, {depths_m[0]:g} to {depths_m[-1]:g} m "
+            raise InputError(
+                "clip",
+                f"{share:.1%} of its pixels lie outside the PSF stack's depths, {depths_m[0]:g} to {depths_m[-1]:g} m "
                 f"(the scene spans {seen.min():g} to {seen.max():g} m); widen psf.near_cm / psf.far_cm, or raise "
-                "forward.max_clamped to clamp them"
+                "forward.max_clamped to clamp them",
             )
-            raise InputError(msg)
         return clip
 
     def _planes(self, clip: Clip) -> Iterator[NDArray[np.float32]]:

@@ -37,8 +37,9 @@ class GaussianNoise:
 
     def __post_init__(self) -> None:
         if (self.std is None) == (self.psnr_db is None):
-            msg = f"noise: give exactly one of std and psnr_db, got std={self.std} and psnr_db={self.psnr_db}"
-            raise InputError(msg)
+            raise InputError(
+                "noise", f"give exactly one of std and psnr_db, got std={self.std} and psnr_db={self.psnr_db}"
+            )
 
     def standard_deviation(self, signal: Array) -> float:
         """Return the standard deviation for this noiseless signal, as a share of full scale."""

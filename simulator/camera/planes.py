@@ -24,8 +24,7 @@ def plane_weights(
         plane, 0..1; the nearer one takes the rest.
     """
     if method not in ("linear", "nearest"):
-        msg = f"depth_assignment: got {method!r}, expected 'linear' or 'nearest'"
-        raise InputError(msg)
+        raise InputError("depth_assignment", f"got {method!r}, expected 'linear' or 'nearest'")
     if len(depths_m) == 1:
         return np.zeros(depth_m.shape, np.intp), np.zeros(depth_m.shape, np.float32)
     disparities = 1 / np.asarray(depths_m, np.float64)

@@ -120,8 +120,7 @@ class BayerReadout:
 
     def __post_init__(self) -> None:
         if self.pattern not in PATTERNS:
-            msg = f"cfa: got {self.pattern!r}, expected one of {', '.join(PATTERNS)}"
-            raise InputError(msg)
+            raise InputError("cfa", f"got {self.pattern!r}, expected one of {', '.join(PATTERNS)}")
 
     @property
     def stored_pattern(self) -> str:
@@ -177,8 +176,8 @@ class BayerReadout:
 
     @staticmethod
     def _refuse(came: str) -> NoReturn:
-        msg = (
-            f"camera.sensor.readout: 'bayer' needs light of the channels R, G, B, got {came}; use binned_rgb, or PSFs and a "
-            "spectral response of three colours"
+        raise InputError(
+            "camera.sensor.readout",
+            f"'bayer' needs light of the channels R, G, B, got {came}; use binned_rgb, or PSFs and a "
+            "spectral response of three colours",
         )
-        raise InputError(msg)

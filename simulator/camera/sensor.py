@@ -61,11 +61,11 @@ def full_scale_from_pilots(exposures: Sequence[NDArray[np.floating]]) -> float:
     """
     bright = float(np.percentile(np.concatenate([np.ravel(e) for e in exposures]), PERCENTILE))
     if not bright > 0:
-        msg = (
-            "camera.exposure.full_scale: 'auto' found no light in the pilot samples; check the scene's light and the mask's "
-            "amplitude, or give a number"
+        raise InputError(
+            "camera.exposure.full_scale",
+            "'auto' found no light in the pilot samples; check the scene's light and the mask's "
+            "amplitude, or give a number",
         )
-        raise InputError(msg)
     return bright / TARGET
 
 
@@ -132,28 +132,27 @@ class Sensor:
 
     def __post_init__(self) -> None:
         if self.readout not in ("binned_rgb", "bayer"):
-            msg = f"readout: got {self.readout!r}, expected 'binned_rgb' or 'bayer'"
-            raise InputError(msg)
+            raise InputError("readout", f"got {self.readout!r}, expected 'binned_rgb' or 'bayer'")
         for axis, stored, physical in zip(("rows", "columns"), self.shape, self.physical_shape, strict=True):
             needed = self._readout.extent(stored)
             if needed > physical:
-                msg = (
-                    f"shape: {stored} {axis} of {self.binning} x {self.binning} bins need {needed} physical "
-                    f"{axis}, but sensor {self.name!r} has {physical}; at most {physical // self.binning}"
+                raise InputError(
+                    "shape",
+                    f"{stored} {axis} of {self.binning} x {self.binning} bins need {needed} physical "
+                    f"{axis}, but sensor {self.name!r} has {physical}; at most {physical // self.binning}",
                 )
-                raise InputError(msg)
         if self.full_scale <= 0 or not np.isfinite(self.full_scale):
-            msg = f"full_scale: got {self.full_scale!r}, expected a positive exposure"
-            raise InputError(msg)
+            raise InputError("full_scale", f"got {self.full_scale!r}, expected a positive exposure")
         if not 0 <= self.black_level_dn < 2**self.bit_depth - 1:
-            msg = f"black_level_dn: got {self.black_level_dn}, expected 0 to below {2**self.bit_depth - 1}"
-            raise InputError(msg)
+            raise InputError(
+                "black_level_dn", f"got {self.black_level_dn}, expected 0 to below {2**self.bit_depth - 1}"
+            )
         if np.size(self.exposure_s) not in (1, self.shape[0]) or not np.all(np.greater(self.exposure_s, 0)):
-            msg = f"exposure_s: expected positive seconds, one or {self.shape[0]} (the rows), got {self.exposure_s!r}"
-            raise InputError(msg)
+            raise InputError(
+                "exposure_s", f"expected positive seconds, one or {self.shape[0]} (the rows), got {self.exposure_s!r}"
+            )
         if self.responsivity is not None and not all(0 < share <= 1 for share in self.responsivity):
-            msg = f"responsivity: got {self.responsivity}, expected shares above 0, at most 1"
-            raise InputError(msg)
+            raise InputError("responsivity", f"got {self.responsivity}, expected shares above 0, at most 1")
 
     @property
     def binned_pitch_m(self) -> float:
@@ -182,11 +181,11 @@ class Sensor:
             InputError: when this sensor cannot read such light.
         """
         if self.responsivity is not None and len(self.responsivity) != len(stack_channels):
-            msg = (
-                f"camera.exposure.illuminance_lux: the spectral response has {len(self.responsivity)} channels, but the PSF "
-                f"stack has {', '.join(stack_channels)}; choose a camera.sensor.spectral_response with as many"
+            raise InputError(
+                "camera.exposure.illuminance_lux",
+                f"the spectral response has {len(self.responsivity)} channels, but the PSF "
+                f"stack has {', '.join(stack_channels)}; choose a camera.sensor.spectral_response with as many",
             )
-            raise InputError(msg)
         return self._readout.channels(stack_channels)
 
     def pixels_per_channel(self, channels: int) -> tuple[float, ...]:
@@ -290,9 +289,12 @@ class Sensor:
 
     def _signal(self, irradiance: Array) -> Array:
         if irradiance.ndim != 3 or tuple(irradiance.shape[1:]) != self.shape:
-            msg = f"irradiance must be (C, H, W) with (H, W) = {self.shape}, got {tuple(irradiance.shape)}"
-            raise InputError(msg)
+            raise InputError(
+                "irradiance", f"expected (C, H, W) with (H, W) = {self.shape}, got {tuple(irradiance.shape)}"
+            )
         if self.responsivity is not None and len(self.responsivity) != irradiance.shape[0]:
-            msg = f"irradiance has {irradiance.shape[0]} channels, responsivity {len(self.responsivity)}; give one for each"
-            raise InputError(msg)
+            raise InputError(
+                "irradiance",
+                f"has {irradiance.shape[0]} channels, responsivity {len(self.responsivity)}; give one for each",
+            )
         return self._readout.read(irradiance) * (1 / self.full_scale)

@@ -64,11 +64,11 @@ class Shutter(ABC):
         """
         (first, last), begin, end = self.span_s(rows), float(frame_edges_s[0]), float(frame_edges_s[-1])
         if begin > first + ROUNDING * last or end < last * (1 - ROUNDING):
-            msg = (
+            raise InputError(
+                "",
                 f"the clip lasts from {begin:.9g} to {end:.9g} s, but the shutter is open from {first:.9g} to {last:.9g} s; "
-                "use a longer clip (more frames, or fewer per second) or a faster shutter"
+                "use a longer clip (more frames, or fewer per second) or a faster shutter",
             )
-            raise InputError(msg)
 
     def separable_frames(self, rows: int) -> int:
         """Return how many frames one capture of so many stored rows can tell apart.
@@ -102,8 +102,9 @@ class Shutter(ABC):
         """
         edges = np.asarray(frame_edges_s, np.float64)
         if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
-            msg = f"frame_edges_s: got shape {edges.shape}, expected at least two times in seconds, strictly increasing"
-            raise InputError(msg)
+            raise InputError(
+                "frame_edges_s", f"got shape {edges.shape}, expected at least two times in seconds, strictly increasing"
+            )
         self.check_covered(rows, edges)
         windows, (first, last) = self.windows_s(rows), self.span_s(rows)
         reached = np.concatenate([[min(edges[0], first)], edges[1:-1], [max(edges[-1], last)]])
@@ -201,16 +202,17 @@ class RowShutter(Shutter):
         _check_times(self.binning)
         table = np.asarray(self.table_s, np.float64)
         if table.ndim != 2 or table.shape[1:] != (2,) or not len(table):
-            msg = f"table_s: got shape {table.shape}, expected opening and closing of every row, seconds (rows, 2)"
-            raise InputError(msg)
+            raise InputError(
+                "table_s", f"got shape {table.shape}, expected opening and closing of every row, seconds (rows, 2)"
+            )
         wrong = np.flatnonzero(~((table[:, 0] >= 0) & (table[:, 1] > table[:, 0]) & (table[:, 1] < np.inf)))
         if wrong.size:  # NaN is wrong too: it compares as false
             row = int(wrong[0])
-            msg = (
-                f"table_s: row {row} (from 0, top first) opens at {table[row, 0]:g} s and closes at {table[row, 1]:g} s; "
-                "expected times from zero on, and a row that closes after it opens"
+            raise InputError(
+                "table_s",
+                f"row {row} (from 0, top first) opens at {table[row, 0]:g} s and closes at {table[row, 1]:g} s; "
+                "expected times from zero on, and a row that closes after it opens",
             )
-            raise InputError(msg)
         object.__setattr__(self, "table_s", table)
 
     def physical_windows_s(self, rows: int) -> NDArray[np.float64]:
@@ -220,11 +222,11 @@ class RowShutter(Shutter):
             InputError: the table is of another number of rows.
         """
         if rows != len(self.table_s):
-            msg = (
-                f"table_s: got windows of {len(self.table_s)} rows, expected {rows}: {rows // self.binning} rows of the "
-                f"picture x binning {self.binning}; give one window per physical row"
+            raise InputError(
+                "table_s",
+                f"got windows of {len(self.table_s)} rows, expected {rows}: {rows // self.binning} rows of the "
+                f"picture x binning {self.binning}; give one window per physical row",
             )
-            raise InputError(msg)
         return self.table_s
 
 
@@ -235,17 +237,16 @@ def _windows(opening_s: NDArray[np.floating], exposure_s: float) -> NDArray[np.f
 def _check_times(binning: int, **times_s: float) -> None:
     for name, value in times_s.items():
         if not 0 < value < np.inf:
-            msg = f"{name}: got {value!r}, expected positive seconds (10 ms is 0.01)"
-            raise InputError(msg)
+            raise InputError(name, f"got {value!r}, expected positive seconds (10 ms is 0.01)")
     if not isinstance(binning, int | np.integer) or isinstance(binning, bool) or binning < 1:
-        msg = f"binning: got {binning!r}, expected a whole number of physical rows per stored row, at least 1"
-        raise InputError(msg)
+        raise InputError(
+            "binning", f"got {binning!r}, expected a whole number of physical rows per stored row, at least 1"
+        )
 
 
 def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
     if value not in choices:
-        msg = f"{name}: got {value!r}, expected {' or '.join(map(repr, choices))}"
-        raise InputError(msg)
+        raise InputError(name, f"got {value!r}, expected {' or '.join(map(repr, choices))}")
 
 
 _UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
@@ -263,25 +264,27 @@ def read_row_shutter(path: Path, rows: int, binning: int) -> RowShutter:
         InputError: naming the file, and the row: as `read_row_windows`; another number of rows, no times, or a row that
             closes before it opens.
     """
-    return row_shutter(read_row_windows(path), rows, binning, f"{path}: ")
+    return row_shutter(read_row_windows(path), rows, binning, path)
 
 
-def row_shutter(windows: Any, rows: int, binning: int, label: str) -> RowShutter:
+def row_shutter(windows: Any, rows: int, binning: int, source: str | Path) -> RowShutter:
     """Return the shutter of a table, ``(rows * binning, 2)`` seconds, for a picture of so many rows.
 
     Raises:
-        InputError: beginning with the label, and naming the row.
+        InputError: at ``source``, naming the row.
     """
     try:
         table = np.asarray(windows, np.float64)
     except (TypeError, ValueError) as error:
-        msg = f"{label}got {type(windows).__name__}, expected opening and closing of every row, seconds (rows, 2): {error}"
-        raise InputError(msg) from error
+        got = type(windows).__name__
+        raise InputError(
+            source, f"got {got}, expected opening and closing of every row, seconds (rows, 2): {error}"
+        ) from error
     try:
         shutter = RowShutter(table, binning)
         shutter.physical_windows_s(rows * binning)
     except InputError as error:
-        raise InputError(label + str(error).removeprefix("table_s: ")) from error
+        raise InputError(source, error.reason) from error
     return shutter
 
 
@@ -300,16 +303,16 @@ def read_row_windows(path: Path) -> NDArray[np.float64]:
     """
     kind = path.suffix.lower()
     if kind not in (".csv", ".npy"):
-        msg = f"{path} is of a kind that is not read; expected .csv or .npy with opening and closing of every row"
-        raise InputError(msg)
+        raise InputError(
+            path, "of a kind that is not read; expected .csv or .npy with opening and closing of every row"
+        )
     if kind == ".csv":
         return _read_csv(path)
     windows = read_npy(path)
     if windows.ndim != 2 or windows.shape[1] != 2 or windows.dtype.kind not in "fiu":
-        msg = (
-            f"{path}: got {windows.dtype} {windows.shape}, expected opening and closing of every row, seconds (rows, 2)"
+        raise InputError(
+            path, f"got {windows.dtype} {windows.shape}, expected opening and closing of every row, seconds (rows, 2)"
         )
-        raise InputError(msg)
     return windows.astype(np.float64)
 
 
@@ -326,18 +329,20 @@ def _read_csv(path: Path) -> NDArray[np.float64]:
                 continue
             units_s = 1.0, 1.0
         if len(cells) != 2:
-            msg = f"{path}:{line}: got {len(cells)} cells, expected two: when the row opens and when it closes"
-            raise InputError(msg)
+            raise InputError(
+                f"{path}:{line}", f"got {len(cells)} cells, expected two: when the row opens and when it closes"
+            )
         try:
             windows.append((float(cells[0]) * units_s[0], float(cells[1]) * units_s[1]))
         except ValueError:
-            msg = (
-                f"{path}:{line}: got {text.strip()[:60]!r}, expected two numbers: when the row opens and when it closes"
-            )
-            raise InputError(msg) from None
+            raise InputError(
+                f"{path}:{line}",
+                f"got {text.strip()[:60]!r}, expected two numbers: when the row opens and when it closes",
+            ) from None
     if not windows:
-        msg = f"{path}: holds no rows; expected one line per physical row of the sensor: when it opens and closes"
-        raise InputError(msg)
+        raise InputError(
+            path, "holds no rows; expected one line per physical row of the sensor: when it opens and closes"
+        )
     return np.array(windows)
 
 
@@ -351,11 +356,11 @@ def _header(path: Path, line: int, cells: list[str]) -> tuple[float, float] | No
         return None
     names = [cell.lower().partition("_") for cell in cells]
     if [name for name, _, _ in names] != ["open", "close"] or any(unit not in _UNITS_S for _, _, unit in names):
-        msg = (
-            f"{path}:{line}: got {','.join(cells)!r}, expected two numbers parted by a comma, seconds, or the header "
-            "open_s,close_s (or _ms, _us)"
+        raise InputError(
+            f"{path}:{line}",
+            f"got {','.join(cells)!r}, expected two numbers parted by a comma, seconds, or the header "
+            "open_s,close_s (or _ms, _us)",
         )
-        raise InputError(msg)
     opening, closing = (_UNITS_S[unit] for _, _, unit in names)
     return opening, closing
 
@@ -390,11 +395,11 @@ def shutter_record(shutter: Shutter) -> dict[str, Any]:
         if type(shutter) is known:
             values = {entry.name: getattr(shutter, entry.name) for entry in fields(known)}
             return {"type": kind} | {name: _plain(value) for name, value in values.items()}
-    msg = (
-        f"shutter: got a {type(shutter).__name__}, which has no record; expected one of simulator.camera.shutter; put its "
-        "windows into a RowShutter(shutter.physical_windows_s(rows))"
+    raise InputError(
+        "shutter",
+        f"got a {type(shutter).__name__}, which has no record; expected one of simulator.camera.shutter; put its "
+        "windows into a RowShutter(shutter.physical_windows_s(rows))",
     )
-    raise InputError(msg)
 
 
 def shutter_from_record(record: object) -> Shutter:
@@ -412,14 +417,15 @@ def shutter_from_record(record: object) -> Shutter:
     known = _KINDS.get(kind) if isinstance(kind, str) else None
     if known is None:
         shown = repr(kind) if isinstance(record, Mapping) else type(record).__name__
-        msg = (
-            f"shutter record: got {shown}, expected a type of {', '.join(_KINDS)}; another version may have written it"
+        raise InputError(
+            "shutter record",
+            f"got {shown}, expected a type of {', '.join(_KINDS)}; another version may have written it",
         )
-        raise InputError(msg)
     wanted = [entry.name for entry in fields(known)]
     if set(values) != set(wanted):
-        msg = f"shutter record: got the fields {sorted(map(str, values))} for {kind!r}, expected {sorted(wanted)}"
-        raise InputError(msg)
+        raise InputError(
+            "shutter record", f"got the fields {sorted(map(str, values))} for {kind!r}, expected {sorted(wanted)}"
+        )
     for name, value in values.items():
         values[name] = _read(name, value)
     return known(**values)
@@ -437,14 +443,15 @@ def _read(name: str, value: Any) -> Any:
         try:
             return np.array(value, np.float64)
         except (TypeError, ValueError) as error:
-            msg = f"shutter record: table_s must hold opening and closing of every row in seconds ({error})"
-            raise InputError(msg) from error
+            raise InputError(
+                "shutter record", f"table_s must hold opening and closing of every row in seconds ({error})"
+            ) from error
     fits = whole if name == "binning" else whole or isinstance(value, float)
     if name in ("direction", "order"):
         fits = isinstance(value, str)
     if not fits:
-        msg = (
-            f"shutter record: {name} is {value!r}; expected {'text' if name in ('direction', 'order') else 'a number'}"
+        raise InputError(
+            "shutter record",
+            f"{name} is {value!r}; expected {'text' if name in ('direction', 'order') else 'a number'}",
         )
-        raise InputError(msg)
     return value

@@ -50,11 +50,11 @@ def sliver_length(frames: int, slivers: int) -> int:
     if not 1 <= slivers <= frames or frames % slivers:
         fitting = [number for number in range(1, frames + 1) if frames % number == 0]
         nearest = min(fitting, key=lambda number: abs(number - slivers))
-        msg = (
-            f"slivers: got {slivers} for a capture that sees {frames} frames, which do not come out even; take {nearest} "
-            "slivers, or change the number of frames or the shutter's times"
+        raise InputError(
+            "slivers",
+            f"got {slivers} for a capture that sees {frames} frames, which do not come out even; take {nearest} "
+            "slivers, or change the number of frames or the shutter's times",
         )
-        raise InputError(msg)
     return frames // slivers
 
 

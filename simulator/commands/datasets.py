@@ -35,8 +35,7 @@ def init(
     text = preset_text(preset or DEFAULT)
     path = path or Path("sim_config.yaml" if preset is None else f"{preset}.yaml")
     if path.exists() and not force:
-        msg = f"{path} exists already; choose another name, or --force to overwrite it"
-        raise InputError(msg)
+        raise InputError(path, "exists already; choose another name, or --force to overwrite it")
     write_atomic(path, text.encode())
     head = [line.removeprefix("# ") for line in text.splitlines() if _USE.match(line)]
     uses = [re.sub(r"\bFILE\b|sim_config\.yaml", lambda _: str(path), line) for line in head]

@@ -37,8 +37,7 @@ def import_check(
     from simulator.plugins import resolve
 
     if not check.exists():
-        msg = f"--check: there is no file or folder {check}; expected a data set in its original layout"
-        raise InputError(msg)
+        raise InputError("--check", f"there is no file or folder {check}; expected a data set in its original layout")
     options, _ = apply_overrides(parse_yaml("{}", "--set"), set_ or [], "--set")
     with Bar() as bar:
         if source is not None:
@@ -51,14 +50,13 @@ def import_check(
         survey = run_survey(plugin, check, options, lambda done, total: bar.update("read", done, total))
     print(survey)
     if not survey.usable:
-        msg = f"{survey.path}: nothing can be used; mend the problems above, or check the path"
-        raise InputError(msg)
+        raise InputError(survey.path, "nothing can be used; mend the problems above, or check the path")
     if survey.problems and not skip_bad:
-        msg = (
-            f"{survey.path}: problems above: {len(survey.problems)}; mend them, or go on without what is bad: --skip-bad, "
-            "here and in flatlight generate"
+        raise InputError(
+            survey.path,
+            f"problems above: {len(survey.problems)}; mend them, or go on without what is bad: --skip-bad, "
+            "here and in flatlight generate",
         )
-        raise InputError(msg)
     print(_usage(plugin, check, options, survey.needed))
 
 

@@ -15,9 +15,7 @@ if TYPE_CHECKING:
     from simulator.optics.mask import Mask
 
 
-def masks(
-    names: Annotated[list[str] | None, typer.Argument(help="designs to list; all when left out")] = None,
-) -> None:
+def masks(names: Annotated[list[str] | None, typer.Argument(help="designs to list; all when left out")] = None) -> None:
     """List the mask designs: what they are, and their parameters with range, default and meaning."""
     from simulator.plugin_listing import print_plugins
 
@@ -55,12 +53,10 @@ def export_mask(
     from simulator.io.files import write_atomic
 
     if not (stl or tiff or layers):
-        msg = "nothing to write; give --stl FILE, --tiff FILE or --layers FOLDER"
-        raise InputError(msg)
+        raise InputError("--stl, --tiff, --layers", "nothing to write; give --stl FILE, --tiff FILE or --layers FOLDER")
     for option, number in (("--base-um", base_um), ("--step-um", step_um), ("--crop-mm", crop_mm)):
         if number is not None and not math.isfinite(number):
-            msg = f"{option}: got {number}, expected a finite number"
-            raise InputError(msg)
+            raise InputError(option, f"got {number}, expected a finite number")
     for option, path, suffixes in (("--stl", stl, (".stl",)), ("--tiff", tiff, (".tif", ".tiff"))):
         if path is not None:
             check_output_file(option, path, suffixes)
@@ -70,8 +66,7 @@ def export_mask(
     loaded = load_config(config, set_ or [])
     mask = Assembly(loaded).mask
     if mask is None or loaded.camera.mask is None:
-        msg = f"{config} has a measured PSF and no mask to export; set camera.mask"
-        raise InputError(msg)
+        raise InputError(config, "has a measured PSF and no mask to export; set camera.mask")
     if crop_mm is not None:
         mask = _cropped(mask, crop_mm)
     # A material of the user's own is named as the configuration names it, by its file.
@@ -100,18 +95,17 @@ def _cropped(mask: Mask, crop_mm: float) -> Mask:
     side, pixel_mm = round(crop_mm * 1e-3 / mask.pitch_m), mask.pitch_m * 1e3
     if not 1 <= side <= min(mask.shape):
         rows, columns = (n * pixel_mm for n in mask.shape)
-        msg = (
-            f"--crop-mm: got {crop_mm:g}, but the mask is {columns:.4g} x {rows:.4g} mm of pixels of {pixel_mm:g} mm; "
-            f"expected {pixel_mm:g} to {min(rows, columns):.4g}, or none for the whole mask"
+        raise InputError(
+            "--crop-mm",
+            f"got {crop_mm:g}, but the mask is {columns:.4g} x {rows:.4g} mm of pixels of {pixel_mm:g} mm; "
+            f"expected {pixel_mm:g} to {min(rows, columns):.4g}, or none for the whole mask",
         )
-        raise InputError(msg)
     return mask.crop((side, side))
 
 
 def _check_overwriting(option: str, path: Path, force: bool) -> None:
     if path.exists() and not force:
-        msg = f"{option}: {path} exists already; choose another name, or --force to overwrite it"
-        raise InputError(msg)
+        raise InputError(option, f"{path} exists already; choose another name, or --force to overwrite it")
 
 
 def _check_folder(folder: Path | None, force: bool) -> None:
@@ -126,8 +120,7 @@ def _check_folder(folder: Path | None, force: bool) -> None:
     foreign = not folder.is_dir() or any(not any(path.match(name) for name in own) for path in folder.iterdir())
     if foreign or (not force and any(folder.iterdir())):
         cure = "choose another name" + ("" if foreign else ", or --force to overwrite these layers")
-        msg = f"--layers: {folder} exists already{' and holds other things' if foreign else ''}; {cure}"
-        raise InputError(msg)
+        raise InputError("--layers", f"{folder} exists already{' and holds other things' if foreign else ''}; {cure}")
 
 
 def _as_design(mask: Mask, path: Path, material: str, max_height_um: float | None = None) -> str:

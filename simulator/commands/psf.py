@@ -108,11 +108,7 @@ def psf(
         from simulator.plots.psf import plot_psf_stack
 
         plot_psf_stack(
-            stack,
-            assembly.mask,
-            plot,
-            scene_shape=loaded.scene.size,
-            sensor_shape=loaded.camera.sensor.shape,
+            stack, assembly.mask, plot, scene_shape=loaded.scene.size, sensor_shape=loaded.camera.sensor.shape
         )
         print(f"look at {plot}")
     if as_captured:

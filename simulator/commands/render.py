@@ -107,8 +107,10 @@ def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) 
         activate(variant, threads=available_cpus())
     elif config.render.outputs:
         wanted = ", ".join(config.render.outputs)
-        msg = f"render.outputs: got {wanted}, but {plugin.name} is not rendered: it holds colour and depth; leave them out"
-        raise InputError(msg)
+        raise InputError(
+            "render.outputs",
+            f"got {wanted}, but {plugin.name} is not rendered: it holds colour and depth; leave them out",
+        )
     clips: list[Clip] = []
     with plugin_errors(plugin):
         source = Assembly(config, variant).source
@@ -149,15 +151,17 @@ def _renderer_names(text: str) -> list[str]:
     names = [word.strip() for word in text.split(",") if word.strip()]
     for name in names:
         if name not in _OUTPUTS:
-            msg = f"--outputs: got {name!r}, expected some of {','.join(_OUTPUTS)}{nearest(name, list(_OUTPUTS))}"
-            raise InputError(msg)
+            raise InputError(
+                "--outputs", f"got {name!r}, expected some of {','.join(_OUTPUTS)}{nearest(name, list(_OUTPUTS))}"
+            )
     return [_OUTPUTS[name] for name in dict.fromkeys(names)]
 
 
 def _count(kind: str, samples: int | None) -> int:
     if kind == ".exr" and samples not in (None, 1):
-        msg = f"--samples: got {samples}, but an EXR holds the values of one sample; choose it with --index"
-        raise InputError(msg)
+        raise InputError(
+            "--samples", f"got {samples}, but an EXR holds the values of one sample; choose it with --index"
+        )
     return _SAMPLES[kind] if samples is None else samples
 
 
@@ -166,5 +170,4 @@ def _check_split(split: str) -> None:
     from simulator.text import nearest
 
     if split not in SPLITS:
-        msg = f"--split: got {split!r}, expected one of {', '.join(SPLITS)}{nearest(split, list(SPLITS))}"
-        raise InputError(msg)
+        raise InputError("--split", f"got {split!r}, expected one of {', '.join(SPLITS)}{nearest(split, list(SPLITS))}")

@@ -52,8 +52,7 @@ def draw_thumbnails(plugins: Sequence[Plugin], path: Path, bar: Bar) -> list[str
         except InputError as error:
             left_out.append(f"{plugin.name} ({error})")
     if not shown:
-        msg = f"--thumbnails: nothing can be drawn: {'; '.join(left_out)}"
-        raise InputError(msg)
+        raise InputError("--thumbnails", f"nothing can be drawn: {'; '.join(left_out)}")
     clips = [clip for _, family in shown for clip in family]
     frames = [[_middle(clip)] for clip in clips]
     scales = common_scales(clips, frames, frames)

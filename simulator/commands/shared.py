@@ -28,14 +28,11 @@ def check_output_file(option: str, path: Path, suffixes: tuple[str, ...]) -> Non
         InputError: another suffix, a folder of that name, or no folder to write into.
     """
     if path.suffix.lower() not in suffixes:
-        msg = f"{option}: got {path.name!r}, expected a name that ends in {' or '.join(suffixes)}"
-        raise InputError(msg)
+        raise InputError(option, f"got {path.name!r}, expected a name that ends in {' or '.join(suffixes)}")
     if path.is_dir():
-        msg = f"{option}: {path} exists already and is a folder; choose another name"
-        raise InputError(msg)
+        raise InputError(option, f"{path} exists already and is a folder; choose another name")
     if not path.absolute().parent.is_dir():
-        msg = f"{option}: the folder {path.parent} does not exist; make it first, or choose another"
-        raise InputError(msg)
+        raise InputError(option, f"the folder {path.parent} does not exist; make it first, or choose another")
 
 
 def check_output_folder(option: str, folder: Path) -> None:
@@ -46,8 +43,7 @@ def check_output_folder(option: str, folder: Path) -> None:
     """
     above = next(place for place in folder.absolute().parents if place.exists())
     if not above.is_dir():
-        msg = f"{option}: {folder} cannot be made, {above} is a file; choose another folder"
-        raise InputError(msg)
+        raise InputError(option, f"{folder} cannot be made, {above} is a file; choose another folder")
 
 
 def check_distinct(places: Mapping[str, Path | None]) -> None:
@@ -65,5 +61,4 @@ def check_distinct(places: Mapping[str, Path | None]) -> None:
             continue
         other = taken.setdefault(path.resolve(), option)
         if other != option:
-            msg = f"{option}: got {path}, which {other} writes already; choose another name"
-            raise InputError(msg)
+            raise InputError(option, f"got {path}, which {other} writes already; choose another name")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -28,7 +29,7 @@ class ConfigError(InputError):
     def __init__(self, problems: Sequence[Problem], origins: Origins) -> None:
         self.problems = sorted(problems, key=lambda problem: origins.order(problem.path, problem.on_key))
         lines = [f"{origins.label(problem.path, problem.on_key)}{problem}" for problem in self.problems]
-        super().__init__("\n".join(lines))
+        super().__init__("", "\n".join(lines))
 
 
 def load_config(path: str | Path, overrides: Sequence[str] = ()) -> Config:
@@ -81,8 +82,7 @@ def load_model(
 def _read(path: str | Path, overrides: Sequence[str]) -> tuple[dict[str, Any], Origins]:
     document = read_yaml(Path(path), str(path))
     if not isinstance(document.data, dict):
-        msg = f"{path}:1:1: expected a mapping of keys to values, got {show(document.data)}"
-        raise InputError(msg)
+        raise InputError(f"{path}:1:1", f"expected a mapping of keys to values, got {show(document.data)}")
     return apply_overrides(document, overrides, str(path))
 
 
@@ -134,9 +134,7 @@ def _build(data: dict[str, Any], base_dir: Path, origins: Origins, check_plugins
         problems += [problem for problem in find_problems(error, Config, filled) if problem.path not in known]
     else:
         config._base_dir = base_dir
-        problems += (
-            [*material_problems(config), *curve_problems(config), *shutter_problems(config)] if check_plugins else []
-        )
+        problems += _file_problems(config) if check_plugins else []
         if not problems:
             return config
     raise ConfigError(problems, origins)
@@ -188,70 +186,47 @@ def _without_infinity(value: Any) -> Any:
     return value
 
 
-def material_problems(config: Config) -> list[Problem]:
-    """Return what is wrong with the materials that the camera names: unknown names, unreadable files.
+def _file_problems(config: Config) -> list[Problem]:
+    """Return what is wrong with the materials, curves and row windows that the camera names: unknown, or unreadable files.
 
     The mask's ``material`` is looked at where the design has a bare name; a user's own may mean something else by it.
+    Curves that are no files are looked up on use, which takes a second.
     """
-    camera = config.camera
-    named: dict[KeyPath, str | None] = {
+    camera, base_dir = config.camera, config.base_dir
+    materials: dict[KeyPath, Any] = {
         ("camera", "gap", index, "material"): layer.material for index, layer in enumerate(camera.gap or ())
     }
     if camera.substrate is not None:
-        named["camera", "substrate", "material"] = camera.substrate.material
-    mask = camera.mask
-    if mask is not None and ":" not in mask.design and isinstance(mask.params.get("material"), str):
-        named["camera", "mask", "material"] = mask.params["material"]
-    return [problem for path, name in named.items() if name and (problem := _material_problem(path, name, config))]
-
-
-def curve_problems(config: Config) -> list[Problem]:
-    """Return what is wrong with the files of spectral curves; names are looked up on use, which takes a second."""
-    named: dict[KeyPath, Any] = {
-        ("camera", "sensor", "spectral_response"): config.camera.sensor.spectral_response,
-        ("camera", "illuminant"): config.camera.illuminant,
+        materials["camera", "substrate", "material"] = camera.substrate.material
+    if camera.mask is not None and ":" not in camera.mask.design:
+        materials["camera", "mask", "material"] = camera.mask.params.get("material")
+    curves: dict[KeyPath, Any] = {
+        ("camera", "sensor", "spectral_response"): camera.sensor.spectral_response,
+        ("camera", "illuminant"): camera.illuminant,
     }
-    captured = getattr(config.psf, "as_captured", None)
-    if captured is not None:
-        named["psf", "as_captured", "illuminant"] = captured.illuminant
-    return [
-        problem
-        for path, name in named.items()
-        if isinstance(name, str) and (problem := _curve_problem(path, name, config))
-    ]
+    if (captured := getattr(config.psf, "as_captured", None)) is not None:
+        curves["psf", "as_captured", "illuminant"] = captured.illuminant
+    # What reads them imports NumPy, which a plain camera does not need.
+    checks: dict[KeyPath, Callable[[], object]] = {}
+    for path, name in materials.items():
+        if isinstance(name, str):
+            from simulator.optics.materials import load_material
 
+            checks[path] = partial(load_material, name, base_dir)
+    for path, name in curves.items():
+        if isinstance(name, str) and name.lower().endswith((".csv", ".json")):
+            from simulator.optics.spectra import camera_curves, illuminant_curve
 
-def shutter_problems(config: Config) -> list[Problem]:
-    """Return what is wrong with the file of the rows' windows."""
-    chosen, sensor = config.camera.shutter, config.camera.sensor
-    if not isinstance(chosen, RowWindows) or chosen.file is None:
-        return []
-    from simulator.camera.shutter import read_row_shutter  # imports NumPy, which other shutters do not need
+            checks[path] = partial(illuminant_curve if path[-1] == "illuminant" else camera_curves, name, base_dir)
+    if isinstance(camera.shutter, RowWindows) and camera.shutter.file is not None:
+        from simulator.camera.shutter import read_row_shutter
 
-    try:
-        read_row_shutter(config.resolve_path(chosen.file), sensor.shape[0], sensor.binning)
-    except InputError as error:
-        return [Problem(("camera", "shutter", "file"), str(error))]
-    return []
-
-
-def _material_problem(path: KeyPath, name: str, config: Config) -> Problem | None:
-    from simulator.optics.materials import load_material  # imports NumPy, which reading a plain camera does not need
-
-    try:
-        load_material(name, config.base_dir)
-    except InputError as error:
-        return Problem(path, str(error).removeprefix("material: "))
-    return None
-
-
-def _curve_problem(path: KeyPath, name: str, config: Config) -> Problem | None:
-    if not name.lower().endswith((".csv", ".json")):
-        return None
-    from simulator.optics.spectra import camera_curves, illuminant_curve  # import NumPy, which a name does not need
-
-    try:
-        (illuminant_curve if path[-1] == "illuminant" else camera_curves)(name, config.base_dir)
-    except InputError as error:
-        return Problem(path, str(error))
-    return None
+        file, sensor = config.resolve_path(camera.shutter.file), camera.sensor
+        checks["camera", "shutter", "file"] = partial(read_row_shutter, file, sensor.shape[0], sensor.binning)
+    problems = []
+    for path, check in checks.items():
+        try:
+            check()
+        except InputError as error:
+            problems.append(Problem(path, error.reason if error.path == path[-1] else str(error)))
+    return problems

@@ -42,23 +42,19 @@ def parse_scalar(text: str) -> Any:
         digits = text.lstrip("+-")
         if len(digits) > 1 and digits[0] == "0":
             plain = digits.lstrip("0") or "0"
-            msg = f"{text} has a leading zero, which some read as octal; write {plain}, or '{text}' for text"
-            raise InputError(msg)
+            raise InputError(text, f"has a leading zero, which some read as octal; write {plain}, or '{text}' for text")
         if len(digits) > MAX_DIGITS:
-            msg = f"the number {text[:12]}... has {len(digits)} digits; expected at most {MAX_DIGITS}"
-            raise InputError(msg)
+            raise InputError("", f"the number {text[:12]}... has {len(digits)} digits; expected at most {MAX_DIGITS}")
         return int(text)
     if _FLOAT.fullmatch(text):
         value = float(text)
         if value in (float("inf"), float("-inf")):
-            msg = f"{text[:40]} is too large for a number; write .inf if infinity is meant"
-            raise InputError(msg)
+            raise InputError("", f"{text[:40]} is too large for a number; write .inf if infinity is meant")
         return value
     if match := _INFINITY.fullmatch(text):
         return float(f"{match[1]}inf")
     if text in (".nan", ".NaN", ".NAN"):
-        msg = f"{text} is not a number, and no setting takes it; leave the key out for its default"
-        raise InputError(msg)
+        raise InputError(text, "not a number, and no setting takes it; leave the key out for its default")
     return text
 
 
@@ -98,7 +94,7 @@ class YamlError(InputError):
 
     def __init__(self, problems: list[tuple[Mark, str]], name: str) -> None:
         self.problems = sorted(problems)
-        super().__init__("\n".join(f"{name}:{mark.line}:{mark.column}: {text}" for mark, text in self.problems))
+        super().__init__("", "\n".join(f"{name}:{mark.line}:{mark.column}: {text}" for mark, text in self.problems))
 
 
 def read_yaml(path: Path, name: str) -> Document:
@@ -116,11 +112,9 @@ def read_yaml(path: Path, name: str) -> Document:
         with path.open("rb") as file:
             raw = file.read(MAX_BYTES + 1)
     except OSError as error:
-        msg = f"{name}: cannot read the configuration: {error.strerror or error}"
-        raise InputError(msg) from error
+        raise InputError(name, f"cannot read the configuration: {error.strerror or error}") from error
     if len(raw) > MAX_BYTES:
-        msg = f"{name}: larger than 1 MiB, which no configuration needs; is this the right file?"
-        raise InputError(msg)
+        raise InputError(name, "larger than 1 MiB, which no configuration needs; is this the right file?")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -353,16 +347,15 @@ def _parse(text: str) -> tuple[KeyPath, Any]:
     key, separator, value = text.partition("=")
     path = tuple(key.strip().split("."))
     if not separator or not all(path):
-        msg = f"--set {text}: expected key=value with a dotted key, for example camera.mask_to_sensor_mm=2.5"
-        raise InputError(msg)
+        raise InputError(
+            f"--set {text}", "expected key=value with a dotted key, for example camera.mask_to_sensor_mm=2.5"
+        )
     if not value.strip():
-        msg = f"--set {text}: the value is missing; null takes the key away, '' is empty text"
-        raise InputError(msg)
+        raise InputError(f"--set {text}", "the value is missing; null takes the key away, '' is empty text")
     try:
         return path, parse_yaml(value, "value").data
     except YamlError as error:
-        msg = "\n".join(f"--set {text}: {problem}" for _, problem in error.problems)
-        raise InputError(msg) from error
+        raise InputError("", "\n".join(f"--set {text}: {problem}" for _, problem in error.problems)) from error
 
 
 def _set(data: dict[str, Any], path: KeyPath, value: Any, text: str) -> None:
@@ -370,8 +363,9 @@ def _set(data: dict[str, Any], path: KeyPath, value: Any, text: str) -> None:
     for position, step in enumerate(path[:-1], start=1):
         inner = section.get(step, {})
         if not isinstance(inner, dict):
-            msg = f"--set {text}: {dotted(path[:position])} is {show(inner)}, not a mapping; set it as a whole"
-            raise InputError(msg)
+            raise InputError(
+                f"--set {text}", f"{dotted(path[:position])} is {show(inner)}, not a mapping; set it as a whole"
+            )
         section[step] = dict(inner)  # the document stays as it was read
         section = section[step]
     if value is None:

@@ -41,8 +41,7 @@ class ClipOrder:
         self._counted = isinstance(groups, int)
         numbers = np.arange(groups) if isinstance(groups, int) else _checked(groups)
         if numbers.size == 0:
-            msg = "scene: its source has no clip; give it the place of a data set that has some"
-            raise InputError(msg)
+            raise InputError("scene", "its source has no clip; give it the place of a data set that has some")
         self._video = np.unique(numbers, return_inverse=True)[1]
         self.clips, self.videos = len(numbers), int(self._video[-1]) + 1
         self._walks: dict[str, NDArray[np.intp]] = {}
@@ -105,8 +104,9 @@ def clip_order(source: SceneSource) -> ClipOrder | None:
     if groups is None:
         return ClipOrder(length)
     if len(groups) != length:
-        msg = f"scene: its source has {length} clips but {len(groups)} groups; groups must hold the video of each clip"
-        raise InputError(msg)
+        raise InputError(
+            "scene", f"its source has {length} clips but {len(groups)} groups; groups must hold the video of each clip"
+        )
     return ClipOrder(np.asarray(groups))
 
 
@@ -114,8 +114,10 @@ def _checked(groups: ArrayLike) -> NDArray[np.integer]:
     numbers = np.asarray(groups)
     whole = numbers.size == 0 or np.issubdtype(numbers.dtype, np.integer)
     if numbers.ndim != 1 or not whole or np.any(numbers[1:] < numbers[:-1]):
-        msg = "scene: the groups of its source must be whole numbers that never fall, one per clip: the number of its video"
-        raise InputError(msg)
+        raise InputError(
+            "scene",
+            "the groups of its source must be whole numbers that never fall, one per clip: the number of its video",
+        )
     return numbers
 
 
@@ -149,11 +151,11 @@ def check_parameters(params: Mapping[str, Any], shutter: Shutter, rows: int, cho
     open_s = shutter.duration_s(rows)
     if frames / rate < open_s * (1 - ROUNDING):
         needed = math.ceil(open_s * rate * (1 - ROUNDING))
-        msg = (
-            f"scene.frames: got {frames} at {rate:g} per second, which last {_time(frames / rate)}, but the shutter is open "
-            f"for {_time(open_s)}; expected at least {needed}, or fewer per second, or a faster camera.shutter"
+        raise ClipTimesError(
+            "scene.frames",
+            f"got {frames} at {rate:g} per second, which last {_time(frames / rate)}, but the shutter is open "
+            f"for {_time(open_s)}; expected at least {needed}, or fewer per second, or a faster camera.shutter",
         )
-        raise ClipTimesError(msg)
     _check_slivers(count_seen(np.arange(frames + 1) / rate, shutter, rows), frames, chosen.slivers)
     return True
 
@@ -171,16 +173,17 @@ def check_clip(clip: Clip, shutter: Shutter, rows: int, slivers: int | None) -> 
     first_s, open_s = shutter.span_s(rows)
     if edges[0] <= first_s and edges[-1] < open_s * (1 - ROUNDING):
         needed = math.ceil((open_s - edges[0]) * frames / (edges[-1] - edges[0]) * (1 - ROUNDING))
-        msg = (
-            f"scene: a clip of {frames} frames lasts {_time(edges[-1])}, but the shutter is open for {_time(open_s)}; take "
-            f"{needed} frames, or fewer per second, or a faster camera.shutter. The clip: {clip.source}"
+        raise ClipTimesError(
+            "scene",
+            f"a clip of {frames} frames lasts {_time(edges[-1])}, but the shutter is open for {_time(open_s)}; take "
+            f"{needed} frames, or fewer per second, or a faster camera.shutter. The clip: {clip.source}",
         )
-        raise ClipTimesError(msg)
     try:
         shutter.check_covered(rows, edges)
     except InputError as error:
-        msg = f"scene: {error}; times count from the capture's start. The clip: {clip.source}"
-        raise ClipTimesError(msg) from error
+        raise ClipTimesError(
+            "scene", f"{error}; times count from the capture's start. The clip: {clip.source}"
+        ) from error
     _check_slivers(count_seen(edges, shutter, rows), frames, slivers)
 
 
@@ -203,15 +206,16 @@ def _check_slivers(seen: int, frames: int, slivers: int | None) -> None:
     if slivers is None or (1 <= slivers <= seen and seen % slivers == 0):
         return
     if frames == 1:
-        msg = f"dataset.slivers: got {slivers}, but the scenes stand still (scene.frames is 1); leave it out"
-        raise ClipTimesError(msg)
+        raise ClipTimesError(
+            "dataset.slivers", f"got {slivers}, but the scenes stand still (scene.frames is 1); leave it out"
+        )
     fitting = ", ".join(str(number) for number in range(1, seen + 1) if seen % number == 0)
     of = f"{seen} of the {frames}" if seen < frames else f"all {seen}"
-    msg = (
-        f"dataset.slivers: got {slivers}, but the shutter sees {of} frames of a clip, which do not come out even; expected "
-        f"one of {fitting}, or change scene.frames, scene.frames_per_second or the shutter's times"
+    raise ClipTimesError(
+        "dataset.slivers",
+        f"got {slivers}, but the shutter sees {of} frames of a clip, which do not come out even; expected "
+        f"one of {fitting}, or change scene.frames, scene.frames_per_second or the shutter's times",
     )
-    raise ClipTimesError(msg)
 
 
 def _time(seconds: float) -> str:

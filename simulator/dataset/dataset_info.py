@@ -16,6 +16,7 @@ from simulator.io.files import write_atomic
 from simulator.io.json import plain, readable_json
 
 FILE = "dataset.json"
+_SHUTTER = f"{FILE}: time.shutter"
 FORMAT = "flatlight-dataset"
 FORMAT_VERSION = 1
 
@@ -85,8 +86,7 @@ class DatasetInfo:
         try:
             return None if record is None else shutter_from_record(record)
         except InputError as error:
-            msg = f"{FILE}: time.shutter: {error}"
-            raise InputError(msg) from error
+            raise InputError(_SHUTTER, str(error)) from error
 
 
 def write_info(root: Path | str, info: DatasetInfo) -> None:
@@ -108,30 +108,24 @@ def read_info(root: Path | str) -> DatasetInfo:
     root = Path(root)
     path = root / FILE
     if not root.is_dir():
-        msg = f"no such folder: {root}; give the folder that `flatlight generate` wrote (dataset.output)"
-        raise InputError(msg)
+        raise InputError(root, "no such folder; give the folder that `flatlight generate` wrote (dataset.output)")
     if not path.is_file():
-        msg = f"{root} is not a data set: it has no {FILE}; give the folder that `flatlight generate` wrote"
-        raise InputError(msg)
+        raise InputError(root, f"not a data set: it has no {FILE}; give the folder that `flatlight generate` wrote")
     try:
         content = json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
-        msg = f"{path} is unreadable or damaged ({error}); restore it from a copy"
-        raise InputError(msg) from error
+        raise InputError(path, f"unreadable or damaged ({error}); restore it from a copy") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        msg = f"{path} does not describe a data set of ours: its format must be {FORMAT!r}"
-        raise InputError(msg)
+        raise InputError(path, f"does not describe a data set of ours: its format must be {FORMAT!r}")
     if content.get("format_version") != FORMAT_VERSION:
         version = content.get("format_version")
-        msg = (
-            f"{path} has format version {version!r}, this package reads {FORMAT_VERSION}; install a matching flatlight"
+        raise InputError(
+            path, f"has format version {version!r}, this package reads {FORMAT_VERSION}; install a matching flatlight"
         )
-        raise InputError(msg)
     optional = {entry.name for entry in fields(DatasetInfo) if entry.default_factory is not MISSING}
     missing = [entry.name for entry in fields(DatasetInfo) if entry.name not in content.keys() | optional]
     if missing:
-        msg = f"{path} lacks {', '.join(missing)}; restore it from a copy"
-        raise InputError(msg)
+        raise InputError(path, f"lacks {', '.join(missing)}; restore it from a copy")
     values = {entry.name: content[entry.name] for entry in fields(DatasetInfo) if entry.name in content}
     for name in ("scene_shape", "sensor_shape", "channels"):
         values[name] = tuple(values[name]) if isinstance(values[name], list) else values[name]
@@ -141,8 +135,7 @@ def read_info(root: Path | str) -> DatasetInfo:
     try:
         return DatasetInfo(**values)
     except InputError as error:
-        msg = f"{path}: {error}"
-        raise InputError(msg) from error
+        raise InputError(path, str(error)) from error
 
 
 def _whole(value: object, least: int) -> bool:
@@ -151,8 +144,7 @@ def _whole(value: object, least: int) -> bool:
 
 def _expect(name: str, fits: bool, wanted: str, value: object) -> None:
     if not fits:
-        msg = f"DatasetInfo.{name} must be {wanted}, got {value!r}"
-        raise InputError(msg)
+        raise InputError(name, f"expected {wanted}, got {value!r}")
 
 
 _CURE = "restore it from a copy"
@@ -185,12 +177,12 @@ def check_shutter(info: DatasetInfo) -> tuple[Shutter | None, list[str]]:
             return None, []
         rows = info.sensor_shape[0] * shutter.binning
         if rows > _MOST_ROWS:
-            msg = f"got {rows} physical rows (sensor_shape x binning), expected at most {_MOST_ROWS}"
-            raise InputError(msg)
+            raise InputError(
+                _SHUTTER, f"got {rows} physical rows (sensor_shape x binning), expected at most {_MOST_ROWS}"
+            )
         shutter.duration_s(info.sensor_shape[0])
     except InputError as error:
-        text = str(error).removeprefix(f"{FILE}: time.shutter: ")
-        return None, [f"{FILE}: time.shutter: {text}; {_CURE}"]
+        return None, [f"{_SHUTTER}: {error.reason}; {_CURE}"]
     try:
         expected = _of_configuration(info.config)
     except (InputError, KeyError, TypeError, ValueError, AttributeError):
@@ -199,7 +191,7 @@ def check_shutter(info: DatasetInfo) -> tuple[Shutter | None, list[str]]:
     recorded.pop("table_s", None)  # of a file or function, which may be gone
     lines = difference(expected, recorded)
     text = ", ".join(lines.splitlines())
-    return shutter, [f"{FILE}: time.shutter is not what config says ({text}); {_CURE}"] if text else []
+    return shutter, [f"{_SHUTTER} is not what config says ({text}); {_CURE}"] if text else []
 
 
 def _of_configuration(config: Mapping[str, Any]) -> dict[str, Any]:

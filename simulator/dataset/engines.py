@@ -85,7 +85,7 @@ def perform(payload: bytes) -> Reply:
 def _failure(error: Exception, at_start: bool) -> Failure:
     mistake = None
     if isinstance(error, InputError):
-        mistake = InputError(str(error))
+        mistake = InputError(error.path, error.reason)
         try:  # a user's subclass may not survive pickling
             copy = pickle.loads(pickle.dumps(error))
             mistake = copy if type(copy) is type(error) and str(copy) == str(error) else mistake
@@ -239,18 +239,17 @@ def run(
         EngineError: the initializer failed otherwise, or workers die before they finish any task.
     """
     if engine not in ENGINES:
-        msg = f"engine must be one of {', '.join(ENGINES)}, got {engine!r}"
-        raise InputError(msg)
+        raise InputError("engine", f"expected one of {', '.join(ENGINES)}, got {engine!r}")
     if workers != "auto" and (not isinstance(workers, int) or isinstance(workers, bool) or workers < 1):
-        msg = f"workers must be 'auto' or a whole number of at least 1, got {workers!r}"
-        raise InputError(msg)
+        raise InputError("workers", f"expected 'auto' or a whole number of at least 1, got {workers!r}")
     if engine == "inline":
         return _run_inline(function, tasks, initializer, initargs)
     try:
         pickle.dumps(function)
     except Exception as error:
-        msg = f"{function!r} cannot be sent to worker processes: it must be importable by name ({error})"
-        raise InputError(msg) from error
+        raise InputError(
+            repr(function), f"cannot be sent to worker processes: it must be importable by name ({error})"
+        ) from error
     count = available_cpus() if isinstance(workers, str) else workers
     return _Local(function, tasks, count, initializer, initargs, timeout_s, max_tasks).outcomes()
 

@@ -64,32 +64,31 @@ def existing_info(
     if not root.exists():
         return None
     if not root.is_dir():
-        msg = f"dataset.output: {root} is a file; choose another folder"
-        raise InputError(msg)
+        raise InputError("dataset.output", f"{root} is a file; choose another folder")
     if not (root / FILE).exists():
         foreign = [path.name for path in sorted(root.iterdir()) if not _left_by_a_start(path)]
         if foreign:
-            msg = (
-                f"dataset.output: {root} is not empty and holds no data set ({foreign[0]}, ...); choose another "
-                "folder, or empty this one"
+            raise InputError(
+                "dataset.output",
+                f"{root} is not empty and holds no data set ({foreign[0]}, ...); choose another "
+                "folder, or empty this one",
             )
-            raise InputError(msg)
         return None
     info = read_info(root)
     if info.fingerprint != fingerprint:
-        msg = (
-            f"dataset.output: {root} holds a data set of another configuration; choose another folder, or undo "
-            f"the change:\n{difference(info.fingerprint_parts, parts)}"
+        raise InputError(
+            "dataset.output",
+            f"{root} holds a data set of another configuration; choose another folder, or undo "
+            f"the change:\n{difference(info.fingerprint_parts, parts)}",
         )
-        raise InputError(msg)
     _refuse_other_windows(root, info, shutter, parts["config"]["camera"]["shutter"].get("function"))
     for split, count in counts.items():
         if count < info.counts.get(split, 0):
-            msg = (
-                f"dataset.{split}: got {count}, but the data set in {root} already has {info.counts[split]}; counts "
-                "can grow later, not shrink: choose another folder for a smaller one"
+            raise InputError(
+                f"dataset.{split}",
+                f"got {count}, but the data set in {root} already has {info.counts[split]}; counts "
+                "can grow later, not shrink: choose another folder for a smaller one",
             )
-            raise InputError(msg)
     return info
 
 
@@ -132,13 +131,12 @@ def _refuse_other_windows(root: Path, info: DatasetInfo, shutter: Shutter, funct
     if recorded is None or canonical_json(recorded) == canonical_json(shutter_record(shutter)):
         return
     if function is None:
-        msg = f"{root / FILE}: time.shutter is not what its configuration says; restore the file from a copy"
-        raise InputError(msg)
-    msg = (
-        f"camera.shutter.function: {function} gave other windows than the data set in {root} was begun with; it must return "
-        "the same at every call: seed what it draws, or write its windows into a file and give camera.shutter.file"
+        raise InputError(root / FILE, "time.shutter is not what its configuration says; restore the file from a copy")
+    raise InputError(
+        "camera.shutter.function",
+        f"{function} gave other windows than the data set in {root} was begun with; it must return "
+        "the same at every call: seed what it draws, or write its windows into a file and give camera.shutter.file",
     )
-    raise InputError(msg)
 
 
 def _left_by_a_start(path: Path) -> bool:
@@ -172,11 +170,11 @@ def data_set_stack(assembly: Assembly, root: Path, say: Callable[[str], None]) -
             warnings.simplefilter("ignore", SamplingWarning)  # the job tells it on every run
             stack = assembly.psf_stack
         if stack.provenance.get("sampling") == UNPROVEN:
-            msg = (
-                "psf: the sampling error of this stack was never measured, so no data set is made with it; compute it with "
-                "simulator.optics.error_budget.budget.proven_psf_stack"
+            raise InputError(
+                "psf",
+                "the sampling error of this stack was never measured, so no data set is made with it; compute it with "
+                "simulator.optics.error_budget.budget.proven_psf_stack",
             )
-            raise InputError(msg)
         if assembly.wants_full_check:
             say("checking the PSFs against exact ones and direct sums")
             stack = assembly.checked_stack
@@ -331,8 +329,7 @@ class _Job:
         order = clip_order(source)
         shortage = None if order is None else order.shortage(self._counts())
         if shortage and not self.config.dataset.share_videos:
-            msg = f"dataset: {shortage}, or for a trial let them: dataset.share_videos: true"
-            raise InputError(msg)
+            raise InputError("dataset", f"{shortage}, or for a trial let them: dataset.share_videos: true")
         if shortage:
             self.say(f"note: splits share source videos, so results on them mean nothing: {shortage}")
 

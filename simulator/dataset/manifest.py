@@ -70,8 +70,9 @@ def _parse(path: Path, number: int, line: bytes) -> Entry:
         valid, entry = False, None
     if not valid or entry is None:
         names = ", ".join(field.name for field in fields(Entry))
-        msg = f"{path}:{number}: not a manifest line ({names}); delete the line, and its sample is made again"
-        raise InputError(msg)
+        raise InputError(
+            f"{path}:{number}", f"not a manifest line ({names}); delete the line, and its sample is made again"
+        )
     return entry
 
 
@@ -161,8 +162,10 @@ def load_skipped(root: Path | str) -> dict[tuple[str, str], str]:
         except (ValueError, TypeError, KeyError, RecursionError):
             valid = False
         if not valid:
-            msg = f"{path}:{number}: not a line of skipped samples (id, split, reason); delete it, and its sample is tried"
-            raise InputError(msg)
+            raise InputError(
+                f"{path}:{number}",
+                "not a line of skipped samples (id, split, reason); delete it, and its sample is tried",
+            )
         reasons[split, identifier] = reason
     return dict(sorted(reasons.items(), key=lambda item: (SPLITS.index(item[0][0]), item[0][1])))
 
@@ -180,11 +183,11 @@ def refuse_problems(problems: Sequence[str]) -> None:
         InputError: naming them and why.
     """
     if problems:
-        msg = (
-            f"scene: its source has {_counted(len(problems))}:\n{shortened(problems)}\nmend or remove what is named, or "
-            "leave it out: flatlight generate --skip-bad"
+        raise InputError(
+            "scene",
+            f"its source has {_counted(len(problems))}:\n{shortened(problems)}\nmend or remove what is named, or "
+            "leave it out: flatlight generate --skip-bad",
         )
-        raise InputError(msg)
 
 
 def list_problems(root: Path, problems: Sequence[str]) -> str:

@@ -93,8 +93,9 @@ class Dataset(Sequence[Sample]):
         """
         folder = self.folder(position)
         if not folder.is_dir():
-            msg = f"sample {folder} is in the manifest but not on disk; `flatlight verify {self.root}` lists all faults"
-            raise InputError(msg)
+            raise InputError(
+                folder, f"in the manifest but not on disk; `flatlight verify {self.root}` lists all faults"
+            )
         return StoredSample(folder)
 
     @property
@@ -120,8 +121,9 @@ class Dataset(Sequence[Sample]):
         if sample.frame_edges_s is None:
             return np.ones((1, rows))
         if (shutter := self.shutter) is None:
-            msg = f"{self.root / FILE} records no shutter (time.shutter), which slivers need; make the data set again"
-            raise InputError(msg)
+            raise InputError(
+                self.root / FILE, "records no shutter (time.shutter), which slivers need; make the data set again"
+            )
         # Shutter rows are physical; the stored image is turned by 180 degrees.
         return shutter.weights(rows, sample.frame_edges_s)[:, ::-1]
 
@@ -145,6 +147,5 @@ def open_dataset(path: Path | str, split: str = "train") -> Dataset:
     root = Path(path)
     info = read_info(root)
     if split not in SPLITS or split not in info.counts:
-        msg = f"split must be one of {', '.join(info.counts)} for {root}, got {split!r}"
-        raise InputError(msg)
+        raise InputError("split", f"expected one of {', '.join(info.counts)} for {root}, got {split!r}")
     return Dataset(root, split, tuple(load_manifest(root).ids(split)), info)

@@ -76,14 +76,11 @@ def read_description(folder: Path) -> tuple[dict[str, Any], bytes]:
         complete = complete and isinstance(description["metadata"], dict)
         layout_channels(description.get("extras", {}) if complete else {})
     except OSError as error:
-        msg = f"cannot read {path}: {error.strerror or error}; is {folder} a sample?"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read: {error.strerror or error}; is {folder} a sample?") from error
     except (ValueError, TypeError, RecursionError) as error:
-        msg = f"{path} is not a sample description ({error}); {cure}"
-        raise InputError(msg) from error
+        raise InputError(path, f"not a sample description ({error}); {cure}") from error
     if not complete:
-        msg = f"{path} lacks fields of a sample description; {cure}"
-        raise InputError(msg)
+        raise InputError(path, f"lacks fields of a sample description; {cure}")
     return description, data
 
 
@@ -151,15 +148,18 @@ class Sample:
         _expect("valid", self.valid, np.bool_, f"{frames} like rgb", self.valid.shape == frames)
         names = self.channels
         if len(names) != shape[0] or len(set(names)) != len(names) or any(name.startswith(NOISELESS) for name in names):
-            msg = f"Sample.channels must be {shape[0]} different names, none starting with {NOISELESS!r}; got {names}"
-            raise InputError(msg)
+            raise InputError(
+                "Sample.channels", f"expected {shape[0]} different names, none starting with {NOISELESS!r}; got {names}"
+            )
         if not isinstance(self.seed, int) or not isinstance(self.label, str | None):
-            msg = f"Sample.seed must be a whole number and label text or None, got {self.seed!r} and {self.label!r}"
-            raise InputError(msg)
+            raise InputError(
+                "Sample.seed", f"expected a whole number and label text or None, got {self.seed!r} and {self.label!r}"
+            )
         for name, values in self.extras.items():
             if values.ndim not in (3, 4) or values.shape[:3] != frames:
-                msg = f"Sample.extras[{name!r}] must be {frames} or {(*frames, 'n')} like rgb, got {values.shape}"
-                raise InputError(msg)
+                raise InputError(
+                    f"Sample.extras[{name!r}]", f"expected {frames} or {(*frames, 'n')} like rgb, got {values.shape}"
+                )
         _check_edges(frames[0], self.frame_edges_s)
         if (measured := self.global_measurements) is not None:
             every = (frames[0], *shape)
@@ -193,8 +193,7 @@ def sample_id(index: int) -> str:
         's00000012'
     """
     if not 0 <= index <= _LAST_INDEX:
-        msg = f"sample index must be 0 to {_LAST_INDEX}, got {index}"
-        raise InputError(msg)
+        raise InputError("index", f"expected 0 to {_LAST_INDEX}, got {index}")
     return f"s{index:08d}"
 
 
@@ -207,8 +206,7 @@ def sample_index(identifier: str) -> int:
     """
     digits = identifier[1:]
     if identifier[:1] != "s" or len(digits) != 8 or not (digits.isascii() and digits.isdigit()):
-        msg = f"sample id must look like s00000012, got {identifier!r}"
-        raise InputError(msg)
+        raise InputError("identifier", f"expected one like s00000012, got {identifier!r}")
     return int(digits)
 
 
@@ -220,8 +218,7 @@ def sample_folder(root: Path, split: str, index: int) -> Path:
         'out/train/0012/s00012345'
     """
     if split not in SPLITS:
-        msg = f"split must be one of {', '.join(SPLITS)}, got {split!r}"
-        raise InputError(msg)
+        raise InputError("split", f"expected one of {', '.join(SPLITS)}, got {split!r}")
     return Path(root) / split / f"{index // 1000:04d}" / sample_id(index)
 
 
@@ -255,11 +252,11 @@ def _describe(sample: Sample, split: str, index: int) -> dict[str, Any]:
     """Return the content of ``sample.json`` without the hashes; what a sample has not is not mentioned."""
     identifier, frames = sample_id(index), sample.rgb.shape[0]
     if frames > MOST_FRAMES:
-        msg = (
-            f"sample {identifier} has {frames} frames, more than the {MOST_FRAMES} that can be stored; give it fewer frames, "
-            "or only its slivers (dataset.slivers)"
+        raise InputError(
+            f"sample {identifier}",
+            f"has {frames} frames, more than the {MOST_FRAMES} that can be stored; give it fewer frames, "
+            "or only its slivers (dataset.slivers)",
         )
-        raise InputError(msg)
     description: dict[str, Any] = {
         "channels": sample.channels,
         "frames": frames,
@@ -300,19 +297,18 @@ def _files(folder: Path, sample: Sample) -> Iterator[tuple[str, int | None, dict
 
 def _check_edges(frames: int, edges_s: NDArray[np.float64] | None) -> None:
     if edges_s is None and frames > 1:
-        msg = f"Sample.frame_edges_s must hold the {frames + 1} times that {frames} frames begin and end at, got None"
-        raise InputError(msg)
+        raise InputError(
+            "Sample.frame_edges_s", f"must hold the {frames + 1} times that {frames} frames begin and end at, got None"
+        )
     if edges_s is not None:
         _expect("frame_edges_s", edges_s, np.float64, f"({frames + 1},)", edges_s.shape == (frames + 1,))
         if not np.all(np.isfinite(edges_s)) or not np.all(np.diff(edges_s) > 0):
-            msg = f"Sample.frame_edges_s must be finite and increasing seconds, got {edges_s.tolist()}"
-            raise InputError(msg)
+            raise InputError("Sample.frame_edges_s", f"expected finite and increasing seconds, got {edges_s.tolist()}")
 
 
 def _expect(name: str, values: NDArray[Any], kind: type, wanted: str, fits: bool) -> None:
     if not fits or values.dtype != kind:
-        msg = f"Sample.{name} must be {np.dtype(kind)} {wanted}, got {values.dtype} {values.shape}"
-        raise InputError(msg)
+        raise InputError(f"Sample.{name}", f"expected {np.dtype(kind)} {wanted}, got {values.dtype} {values.shape}")
 
 
 class SceneFrame(NamedTuple):
@@ -338,10 +334,7 @@ class StoredSample:
     """
 
     def __init__(
-        self,
-        folder: Path | str,
-        description: dict[str, Any] | None = None,
-        files: Mapping[str, bytes] | None = None,
+        self, folder: Path | str, description: dict[str, Any] | None = None, files: Mapping[str, bytes] | None = None
     ) -> None:
         """Read ``sample.json``.
 
@@ -392,8 +385,9 @@ class StoredSample:
             InputError: the sample has none, or the file is missing, damaged, or belongs elsewhere; it is named.
         """
         if not self.has_global_measurements:
-            msg = f"{self.folder} has no global measurements; make the data set with dataset.global_measurements=true"
-            raise InputError(msg)
+            raise InputError(
+                self.folder, "has no global measurements; make the data set with dataset.global_measurements=true"
+            )
         return self._stacked(self._read(global_file(number), number, list(self.channels)))
 
     def sample(self) -> Sample:
@@ -431,19 +425,16 @@ class StoredSample:
         try:
             data = path.read_bytes() if self._files is None else self._files[name]
         except OSError as error:
-            msg = f"cannot read {path}: {error.strerror or error}"
-            raise InputError(msg) from error
+            raise InputError(path, f"cannot be read: {error.strerror or error}") from error
         planes, metadata = decode_exr(data, path, require_checksums=True)
         wanted = file_metadata(self.description, frame)
         if metadata != wanted:
-            what = f"{path} does not belong to the {DESCRIPTION} beside it: their metadata differ"
+            what = f"does not belong to the {DESCRIPTION} beside it: their metadata differ"
             if metadata | {"frame": frame} == wanted:
-                what = f"{path} is frame {metadata.get('frame')} of this sample, not frame {frame}"
-            msg = f"{what} (mixed-up or edited files)"
-            raise InputError(msg)
+                what = f"holds frame {metadata.get('frame')} of this sample, not frame {frame}"
+            raise InputError(path, f"{what} (mixed-up or edited files)")
         if sorted(planes) != sorted(expected):
-            msg = f"{path} must have the channels {sorted(expected)}, got {sorted(planes)}"
-            raise InputError(msg)
+            raise InputError(path, f"expected the channels {sorted(expected)}, got {sorted(planes)}")
         return planes
 
     def _check_no_more_frames(self) -> None:
@@ -454,8 +445,9 @@ class StoredSample:
         names = [path.name for path in folder.iterdir() if re.fullmatch(r"(ground_truth|global)\.\d+\.exr", path.name)]
         unknown = sorted(f"{FRAMES}/{name}" for name in names if f"{FRAMES}/{name}" not in self.description["files"])
         if unknown:
-            msg = f"{self.folder / unknown[0]} is no file of this sample, which has {self.frames} frames; remove it"
-            raise InputError(msg)
+            raise InputError(
+                self.folder / unknown[0], f"not a file of this sample, which has {self.frames} frames; remove it"
+            )
 
 
 def read_sample(folder: Path | str) -> Sample:

@@ -74,8 +74,7 @@ def verify(path: Path | str, *, workers: int | str = 1, progress: Callable[[int,
     """
     root = Path(path)
     if not root.is_dir():
-        msg = f"no such folder: {root}; give the folder that `flatlight generate` wrote (dataset.output)"
-        raise InputError(msg)
+        raise InputError(root, "no such folder; give the folder that `flatlight generate` wrote (dataset.output)")
     problems: list[str] = []
     try:
         info = read_info(root)

@@ -41,8 +41,9 @@ def height_tiff(mask: Mask) -> bytes:
 
     height = _relief(mask)
     if not height.any():
-        msg = f"height_m: mask {mask.name!r} is flat, so it has no height map; write its opening as layers instead"
-        raise InputError(msg)
+        raise InputError(
+            "height_m", f"mask {mask.name!r} is flat, so it has no height map; write its opening as layers instead"
+        )
     per_code = float(height.max()) / _LARGEST_CODE
     described = _described(mask) | {"metres_per_dn": per_code}
     pixels_per_cm = 1e-2 / mask.pitch_m
@@ -123,16 +124,15 @@ def binary_layers(mask: Mask, step_m: float = 0.0) -> MaskLayers:
     height = np.asarray(quantise(_relief(mask), step_m), np.float64)
     grid = np.unique(np.rint(height / _SAME_HEIGHT_M))
     if len(grid) - 1 > MAX_LAYERS:
-        msg = (
-            f"step_um: mask {mask.name!r} has {len(grid)} different heights up to {height.max() * 1e6:.3g} um"
+        raise InputError(
+            "step_um",
+            f"mask {mask.name!r} has {len(grid)} different heights up to {height.max() * 1e6:.3g} um"
             f"{f' in steps of {step_m * 1e6:g} um' if step_m else ''}; at most {MAX_LAYERS} layers are written: give a step "
-            f"of at least {height.max() * 1e6 / MAX_LAYERS:.2g} um"
+            f"of at least {height.max() * 1e6 / MAX_LAYERS:.2g} um",
         )
-        raise InputError(msg)
     layers = MaskLayers(mask, height, tuple(float(level) * _SAME_HEIGHT_M for level in grid[1:]))
     if not layers.tops_m and layers.aperture() is None:
-        msg = f"mask {mask.name!r} is flat and open everywhere: there is nothing to fabricate"
-        raise InputError(msg)
+        raise InputError("", f"mask {mask.name!r} is flat and open everywhere: there is nothing to fabricate")
     return layers
 
 
@@ -206,21 +206,24 @@ def relief_solid(mask: Mask, base_m: float) -> tuple[NDArray[np.float64], NDArra
         InputError: for a plate without thickness, a mask without height, or one too large for a mesh.
     """
     if not 0 < base_m < np.inf:
-        msg = f"base_m: got {base_m:g}, expected a finite thickness above zero: a body needs a plate under its lowest height"
-        raise InputError(msg)
+        raise InputError(
+            "base_m",
+            f"got {base_m:g}, expected a finite thickness above zero: a body needs a plate under its lowest height",
+        )
     height = _relief(mask)
     if not height.any():
-        msg = f"height_m: mask {mask.name!r} is flat, so it has no relief; write its opening as layers instead"
-        raise InputError(msg)
+        raise InputError(
+            "height_m", f"mask {mask.name!r} is flat, so it has no relief; write its opening as layers instead"
+        )
     rows, columns = (_lines(n, mask) for n in mask.shape)
     triangles = 2 * (len(rows) * len(columns) + len(rows) + len(columns))
     if triangles > MAX_TRIANGLES or max(mask.shape) > MAX_SIDE:
         side = int(np.sqrt(MAX_TRIANGLES / (8 if mask.profile == "staircase" else 2)))
-        msg = (
+        raise InputError(
+            "",
             f"mask {mask.name!r} of {mask.shape[0]} x {mask.shape[1]} pixels needs {triangles} triangles; at most "
-            f"{MAX_TRIANGLES} are written: crop it to {side * mask.pitch_m * 1e3:.2g} mm"
+            f"{MAX_TRIANGLES} are written: crop it to {side * mask.pitch_m * 1e3:.2g} mm",
         )
-        raise InputError(msg)
     z = np.repeat(np.repeat(height, 2, 0), 2, 1) if mask.profile == "staircase" else np.pad(height, 1, mode="edge")
     return _closed(columns, -rows, z, base_m)
 

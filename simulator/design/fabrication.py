@@ -37,8 +37,7 @@ def quantise(height_m: Array, step_m: float) -> Array:
         [0.0, 0.2, 0.4]
     """
     if not 0 <= step_m < math.inf:
-        msg = f"step_m: got {step_m:g}, expected metres from 0 (no steps) up; 0.2 um is 2e-7"
-        raise InputError(msg)
+        raise InputError("step_m", f"got {step_m:g}, expected metres from 0 (no steps) up; 0.2 um is 2e-7")
     if step_m == 0:
         return height_m
     xp = namespace(height_m)
@@ -80,11 +79,11 @@ def fabricate(
     """
     for name, value in (("roughness_m", roughness_m), ("rounding_m", rounding_m)):
         if not 0 <= value < math.inf:
-            msg = f"{name}: got {value:g}, expected metres from 0 (perfect) up; 0.5 um is 5e-7"
-            raise InputError(msg)
+            raise InputError(name, f"got {value:g}, expected metres from 0 (perfect) up; 0.5 um is 5e-7")
     if not -1 < height_error < math.inf:
-        msg = f"height_error: got {height_error:g}, expected a share above -1 (all height lost); 5 % is 0.05"
-        raise InputError(msg)
+        raise InputError(
+            "height_error", f"got {height_error:g}, expected a share above -1 (all height lost); 5 % is 0.05"
+        )
     asked = {"step_m": step_m, "height_error": height_error, "roughness_m": roughness_m, "rounding_m": rounding_m}
     mask = replace(mask, notes={**mask.notes, "fabrication": {**asked, "seed": seed}})
     height = quantise(to_numpy(mask.height_m), step_m)

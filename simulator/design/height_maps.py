@@ -38,18 +38,18 @@ def read_height_map(path: Path, unit_m: float | None, max_height_m: float | None
     numbers = _grey(path)
     if numbers.dtype.kind == "f":
         if max_height_m is not None:
-            msg = (
-                f"max_height_um: got {max_height_m * 1e6:g}, but {path} holds floats, whose height needs no largest code; "
-                "use unit_um (micrometres per unit), or leave both out for metres"
+            raise InputError(
+                "max_height_um",
+                f"got {max_height_m * 1e6:g}, but {path} holds floats, whose height needs no largest code; "
+                "use unit_um (micrometres per unit), or leave both out for metres",
             )
-            raise InputError(msg)
         return _plausible(path, numbers * (1.0 if unit_m is None else unit_m))
     if unit_m is not None or max_height_m is None:
-        msg = (
-            f"max_height_um: missing for {path}, which holds integers of {8 * numbers.itemsize} bits; give the height of "
-            f"the largest code, {_largest_code(numbers, path)}, in micrometres, in place of unit_um"
+        raise InputError(
+            "max_height_um",
+            f"missing for {path}, which holds integers of {8 * numbers.itemsize} bits; give the height of "
+            f"the largest code, {_largest_code(numbers, path)}, in micrometres, in place of unit_um",
         )
-        raise InputError(msg)
     return _plausible(path, numbers * (max_height_m / _largest_code(numbers, path)))
 
 
@@ -66,34 +66,33 @@ def read_unit_map(path: Path) -> NDArray[np.float32]:
     if numbers.dtype.kind != "f":
         return (numbers / _largest_code(numbers, path)).astype(np.float32)
     if numbers.min() < 0 or numbers.max() > 1:
-        msg = f"{path} holds numbers from {numbers.min():g} to {numbers.max():g}; expected 0 (opaque) to 1 (open)"
-        raise InputError(msg)
+        raise InputError(
+            path, f"holds numbers from {numbers.min():g} to {numbers.max():g}; expected 0 (opaque) to 1 (open)"
+        )
     return numbers.astype(np.float32)
 
 
 def _plausible(path: Path, height_m: NDArray[Any]) -> NDArray[np.float32]:
     relief_m = float(np.ptp(height_m))
     if relief_m > MAX_RELIEF_M * (1 + _ROUNDING):
-        msg = (
-            f"{path} makes a relief of {relief_m * 1e3:.3g} mm, expected at most {MAX_RELIEF_M * 1e3:g} mm: give the unit "
-            "of its numbers with unit_um (1 for micrometres, 0.001 for nanometres), or max_height_um for integers"
+        raise InputError(
+            path,
+            f"makes a relief of {relief_m * 1e3:.3g} mm, expected at most {MAX_RELIEF_M * 1e3:g} mm: give the unit "
+            "of its numbers with unit_um (1 for micrometres, 0.001 for nanometres), or max_height_um for integers",
         )
-        raise InputError(msg)
     return height_m.astype(np.float32)
 
 
 def _grey(path: Path) -> NDArray[Any]:
     channels = read_measurement(path, ("R", "G", "B"))
     if any(not np.array_equal(channels[0], other) for other in channels[1:]):
-        msg = f"{path} is in colour; expected one grey map: save it as grey, or as an .npy of shape (H, W)"
-        raise InputError(msg)
+        raise InputError(path, "in colour; expected one grey map: save it as grey, or as an .npy of shape (H, W)")
     return channels[0]
 
 
 def _largest_code(numbers: NDArray[Any], path: Path) -> int:
     if numbers.dtype not in (np.uint8, np.uint16):
-        msg = f"{path} holds {numbers.dtype}; expected 8 or 16 bit unsigned integers, or floats"
-        raise InputError(msg)
+        raise InputError(path, f"holds {numbers.dtype}; expected 8 or 16 bit unsigned integers, or floats")
     return int(np.iinfo(numbers.dtype).max)
 
 
@@ -132,20 +131,19 @@ def read_stl_height(path: Path, pitch_m: float, unit_m: float) -> NDArray[np.flo
     columns, rows = (int(extent / pitch_m + _EDGE) for extent in (high - low)[:2])
     if not (1 <= rows <= MAX_SIDE and 1 <= columns <= MAX_SIDE):
         size = " x ".join(f"{extent * 1e3:.3g}" for extent in (high - low)[:2])
-        msg = (
-            f"pixel_um: got {pitch_m * 1e6:g} for {path} of {size} mm, which makes {rows} x {columns} pixels; expected 1 to "
-            f"{MAX_SIDE} per side: change pixel_um, or unit_um (one unit of the file is taken for {unit_m * 1e6:g} um)"
+        raise InputError(
+            "pixel_um",
+            f"got {pitch_m * 1e6:g} for {path} of {size} mm, which makes {rows} x {columns} pixels; expected 1 to "
+            f"{MAX_SIDE} per side: change pixel_um, or unit_um (one unit of the file is taken for {unit_m * 1e6:g} um)",
         )
-        raise InputError(msg)
     require_mask_memory((rows, columns))
     middle = (low + high) / 2
     height = _rasterise(upper, middle, rows, columns, pitch_m)
     if not np.all(np.isfinite(height)):
         missing = int(np.count_nonzero(~np.isfinite(height)))
-        msg = (
-            f"{path} is not a height map: its surface has a hole over {missing} of {height.size} mask pixels; close it"
+        raise InputError(
+            path, f"not a height map: its surface has a hole over {missing} of {height.size} mask pixels; close it"
         )
-        raise InputError(msg)
     return (height - height.min()).astype(np.float32)
 
 
@@ -155,28 +153,31 @@ def _triangles(path: Path) -> Triangles:
 
     try:
         if path.stat().st_size > 300 * MAX_TRIANGLES:  # a triangle takes 50 bytes, or about 250 as text
-            msg = f"{path} is larger than {MAX_TRIANGLES} triangles, the most that are read; simplify or crop it"
-            raise InputError(msg)
+            raise InputError(
+                path, f"larger than {MAX_TRIANGLES} triangles, the most that are read; simplify or crop it"
+            )
         with path.open("rb") as file:
             content = load_stl(file)  # not through a mesh, whose indices would take several times the memory
         # Corner by corner, in the order of the faces; a text file that holds several bodies lists them by name.
         bodies = list(content["geometry"].values()) if "geometry" in content else [content]
         if not bodies:
-            msg = f"{path} holds 0 triangles that can be read: is it an STL file? Export it again, as binary STL"
-            raise InputError(msg)
+            raise InputError(
+                path, "holds 0 triangles that can be read: is it an STL file? Export it again, as binary STL"
+            )
         triangles = np.concatenate([body["vertices"].reshape(-1, 3, 3) for body in bodies], dtype=np.float64)
     except InputError:
         raise
     except OSError as error:
-        msg = f"{path} cannot be read: {error.strerror or error}"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
     # trimesh reports damage by many kinds of exceptions; whatever it is, the file cannot be used.
     except Exception as error:
-        msg = f"{path} cannot be read as STL ({type(error).__name__}: {error}): export it again, as binary STL"
-        raise InputError(msg) from error
+        raise InputError(
+            path, f"cannot be read as STL ({type(error).__name__}: {error}): export it again, as binary STL"
+        ) from error
     if len(triangles) == 0 or not np.all(np.isfinite(triangles)):
-        msg = f"{path} holds {len(triangles)} triangles, some of them not finite or none at all: export it again"
-        raise InputError(msg)
+        raise InputError(
+            path, f"holds {len(triangles)} triangles, some of them not finite or none at all: export it again"
+        )
     return triangles
 
 
@@ -192,25 +193,26 @@ def _refuse_overhangs(
     raised = triangles[:, :, 2].max(1) > low[2] + _FLAT * (high[2] - low[2])
     hanging = float(-area[(area < 0) & raised].sum())
     if hanging > _AREA_TOLERANCE * np.prod((high - low)[:2]):
-        msg = (
-            f"{path} is not a height map: {hanging * 1e6:.3g} mm2 of it overhang (face down above the flat bottom); make the "
-            "bottom flat and the surface single-valued in z, or turn the body or its normals over if it lies upside down"
+        raise InputError(
+            path,
+            f"not a height map: {hanging * 1e6:.3g} mm2 of it overhang (face down above the flat bottom); make the "
+            "bottom flat and the surface single-valued in z, or turn the body or its normals over if it lies upside down",
         )
-        raise InputError(msg)
 
 
 def _refuse_other_outlines(path: Path, area_m2: float, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
     rectangle_m2 = float(np.prod((high - low)[:2]))
     if area_m2 < (1 - _AREA_TOLERANCE) * rectangle_m2:
         missing = f"{(rectangle_m2 - area_m2) * 1e6:.3g} of {rectangle_m2 * 1e6:.3g} mm2"
-        msg = f"{path} is not a height map: its surface leaves out {missing} of its rectangle; fill holes and corners"
-        raise InputError(msg)
-    if area_m2 > (1 + _AREA_TOLERANCE) * rectangle_m2 or rectangle_m2 == 0:
-        msg = (
-            f"{path} is not a height map: its upper surfaces cover {area_m2 * 1e6:.3g} mm2 of a rectangle of "
-            f"{rectangle_m2 * 1e6:.3g} mm2, so some lie above each other; keep one surface z(x, y)"
+        raise InputError(
+            path, f"not a height map: its surface leaves out {missing} of its rectangle; fill holes and corners"
         )
-        raise InputError(msg)
+    if area_m2 > (1 + _AREA_TOLERANCE) * rectangle_m2 or rectangle_m2 == 0:
+        raise InputError(
+            path,
+            f"not a height map: its upper surfaces cover {area_m2 * 1e6:.3g} mm2 of a rectangle of "
+            f"{rectangle_m2 * 1e6:.3g} mm2, so some lie above each other; keep one surface z(x, y)",
+        )
 
 
 def _rasterise(

@@ -37,11 +37,13 @@ def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
             with plugin_errors(plugin):
                 mask = plugin.function(**arguments)
         except MemoryError as error:
-            msg = f"mask design {design!r} needs more memory than there is; use a coarser pixel or a narrower mask"
-            raise InputError(msg) from error
+            raise InputError(
+                "", f"mask design {design!r} needs more memory than there is; use a coarser pixel or a narrower mask"
+            ) from error
         if not isinstance(mask, Mask):
-            msg = f"mask design {design!r} returned {type(mask).__name__}, expected a simulator.optics.mask.Mask"
-            raise InputError(msg)
+            raise InputError(
+                "", f"mask design {design!r} returned {type(mask).__name__}, expected a simulator.optics.mask.Mask"
+            )
         described = {
             "pitch_m": mask.pitch_m,
             "material": asdict(mask.material),

@@ -148,14 +148,15 @@ def contours_of_image(path: Path, samples: int, line: float) -> NDArray[np.float
     image = np.asarray(read_measurement(path, ("R", "G", "B")), np.float64).mean(0)
     rows, columns = image.shape
     if abs(rows - columns) > 1:
-        msg = f"image: {path} has {rows} x {columns} pixels, but the mask is square; crop the image to a square first"
-        raise InputError(msg)
+        raise InputError(
+            "image", f"{path} has {rows} x {columns} pixels, but the mask is square; crop the image to a square first"
+        )
     low, high = image.min(), image.max()
     if low == high:
-        msg = (
-            f"image: {path} is of one grey level everywhere; expected an image with edges or a black and white pattern"
+        raise InputError(
+            "image",
+            f"{path} is of one grey level everywhere; expected an image with edges or a black and white pattern",
         )
-        raise InputError(msg)
     fitted = resize((image - low) / (high - low), (samples, samples), order=1, anti_aliasing=rows > samples)
     if np.all((image == low) | (image == high)):
         return np.asarray(fitted >= 0.5, np.float32)
@@ -165,10 +166,10 @@ def contours_of_image(path: Path, samples: int, line: float) -> NDArray[np.float
     low, high = (contrast * steepest for contrast in (_EDGE_CONTRAST / 2, _EDGE_CONTRAST))
     edges = canny(fitted, sigma=sigma, low_threshold=low, high_threshold=high)
     if not edges.any():
-        msg = (
-            f"image: {path} shows no edge at lines {line:.3g} mask pixels wide; use a narrower line_um or more contrast"
+        raise InputError(
+            "image",
+            f"{path} shows no edge at lines {line:.3g} mask pixels wide; use a narrower line_um or more contrast",
         )
-        raise InputError(msg)
     return _widened(edges, line)
 
 
@@ -252,11 +253,11 @@ def amplitude_mask(pattern: ArrayLike, feature_m: float, pitch_m: float, name: s
     samples = round(feature_m / pitch_m)
     if samples < 1 or abs(feature_m / pitch_m - samples) > FEATURE_TOLERANCE:
         nearest_um = feature_m * 1e6 / max(samples, 1)
-        msg = (
-            f"pixel_um: got {pitch_m * 1e6:g}, but features of {feature_m * 1e6:g} um must be made of whole pixels; "
-            f"use {nearest_um:g}"
+        raise InputError(
+            "pixel_um",
+            f"got {pitch_m * 1e6:g}, but features of {feature_m * 1e6:g} um must be made of whole pixels; "
+            f"use {nearest_um:g}",
         )
-        raise InputError(msg)
     features = np.asarray(pattern, np.float32)
     rows, columns = features.shape
     require_mask_memory((rows * samples, columns * samples))

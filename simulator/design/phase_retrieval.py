@@ -62,14 +62,13 @@ def retrieve_phase(
     import scipy.fft
 
     if target.ndim != 2 or not np.all(np.isfinite(target)) or target.min() < 0 or not target.max() > 0:
-        msg = f"target must be a finite, not negative, not dark 2-D image, got shape {target.shape}"
-        raise InputError(msg)
+        raise InputError("target", f"expected a finite, not negative, not dark 2-D image, got shape {target.shape}")
     if iterations < 1:
-        msg = f"iterations: got {iterations}, expected a whole number from 1"
-        raise InputError(msg)
+        raise InputError("iterations", f"got {iterations}, expected a whole number from 1")
     if not tolerance >= 0:
-        msg = f"tolerance: got {tolerance:g}, expected a gain of overlap from 0 (make all passes) up, such as 1e-3"
-        raise InputError(msg)
+        raise InputError(
+            "tolerance", f"got {tolerance:g}, expected a gain of overlap from 0 (make all passes) up, such as 1e-3"
+        )
     height, width = target.shape
     spread = spread_samples(pitch_m, wavelength_m, distance_m)
     padded = tuple(next_fast_len(n + min(spread, n)) for n in (height, width))

@@ -160,15 +160,14 @@ def pinhole_of(matrix: NDArray[np.float64], name: str) -> Pinhole:
     """
     numbers = matrix.tolist()
     if matrix[2, 0] > 0 and matrix[2, 1] > 0 and not matrix[0, 2] and not matrix[1, 2]:
-        msg = (
-            f"{name} holds MATLAB's transposed camera matrix {numbers}: write it as intrinsics: {{type: pinhole, "
-            f"fx: {matrix[0, 0]:g}, fy: {matrix[1, 1]:g}, cx: {matrix[2, 0]:g}, cy: {matrix[2, 1]:g}, first_pixel: 1}}"
+        raise InputError(
+            name,
+            f"holds MATLAB's transposed camera matrix {numbers}: write it as intrinsics: {{type: pinhole, "
+            f"fx: {matrix[0, 0]:g}, fy: {matrix[1, 1]:g}, cx: {matrix[2, 0]:g}, cy: {matrix[2, 1]:g}, first_pixel: 1}}",
         )
-        raise InputError(msg)
     (fx, skew, cx), (zero, fy, cy), last = numbers
     if not np.all(np.isfinite(matrix)) or fx <= 0 or fy <= 0 or skew or zero or last != [0.0, 0.0, 1.0]:
-        msg = f"{name} holds {numbers}; expected the camera matrix fx, 0, cx, 0, fy, cy, 0, 0, 1 row by row"
-        raise InputError(msg)
+        raise InputError(name, f"holds {numbers}; expected the camera matrix fx, 0, cx, 0, fy, cy, 0, 0, 1 row by row")
     return Pinhole(fx=fx, fy=fy, cx=cx, cy=cy)
 
 
@@ -213,22 +212,21 @@ def read_intrinsics(path: Path) -> Lens:
         except ValueError:
             numbers = np.zeros(0)
         if numbers.size != 9:
-            msg = f"{path} holds {text[:60]!r}; expected nine numbers, the camera matrix fx, 0, cx, 0, fy, cy, 0, 0, 1"
-            raise InputError(msg)
+            raise InputError(
+                path, f"holds {text[:60]!r}; expected nine numbers, the camera matrix fx, 0, cx, 0, fy, cy, 0, 0, 1"
+            )
         return pinhole_of(numbers.reshape(3, 3), str(path))
     import yaml
 
     try:
         data = yaml.safe_load(text)
     except yaml.YAMLError as error:
-        msg = f"{path} is not valid YAML: {' '.join(str(error).split())}"
-        raise InputError(msg) from error
+        raise InputError(path, f"not valid YAML: {' '.join(str(error).split())}") from error
     try:
         return validate(_File, data).root
     except ValidationError as error:
         problems = "; ".join(map(str, find_problems(error, _File, data)))
-        msg = f"{path}: {problems}"
-        raise InputError(msg) from error
+        raise InputError(path, problems) from error
 
 
 def nearest_file(root: Path, folder: Path) -> Path | None:

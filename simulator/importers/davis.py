@@ -102,21 +102,24 @@ def find(path: Path, subset: str | None, resolution: Resolution, keep_background
     """
     if is_folder(path / _FLAT[0]) and not is_folder(path / "JPEGImages"):
         if subset is not None:
-            msg = f"subset is {subset!r}, but {path} holds images and masks without ImageSets: leave subset out"
-            raise InputError(msg)
+            raise InputError(
+                "subset", f"got {subset!r}, but {path} holds images and masks without ImageSets: leave subset out"
+            )
         images, masks = (path / name for name in _FLAT)
         if not (is_folder(masks) or keep_background):
-            msg = f"path: {path} has a folder images, but none called masks: fetch the masks, or use keep_background: true"
-            raise InputError(msg)
+            raise InputError(
+                "path",
+                f"{path} has a folder images, but none called masks: fetch the masks, or use keep_background: true",
+            )
         return find_videos("davis", path, images, masks, FILMED_AT, keep_background=keep_background)
     images = path / "JPEGImages" / resolution
     if not is_folder(images):
         there = ", ".join(list_folder(path / "JPEGImages")[0]) or "none"
-        msg = (
-            f"path: {path} has no folder JPEGImages/{resolution} (resolutions there: {there}): name the folder that holds "
-            "JPEGImages and Annotations, or another resolution"
+        raise InputError(
+            "path",
+            f"{path} has no folder JPEGImages/{resolution} (resolutions there: {there}): name the folder that holds "
+            "JPEGImages and Annotations, or another resolution",
         )
-        raise InputError(msg)
     annotations = next((name for name in ("Annotations", "Annotations_unsupervised") if is_folder(path / name)), None)
     masks = path / (annotations or "Annotations") / resolution
     names = None if subset is None else read_image_set(path / "ImageSets", subset, resolution)
@@ -139,16 +142,15 @@ def read_image_set(folder: Path, subset: str, resolution: str) -> list[str]:
     wanted = [f"2017/{subset}", f"2016/{subset}", f"{resolution}/{subset}", subset]
     name = next((name for name in wanted if name in files), None)
     if name is None:
-        msg = f"subset: got {subset!r}, expected one of the lists in {folder}: {', '.join(files) or 'there are none'}"
-        raise InputError(msg)
+        raise InputError(
+            "subset", f"got {subset!r}, expected one of the lists in {folder}: {', '.join(files) or 'there are none'}"
+        )
     try:
         text = files[name].read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
-        msg = f"{files[name]} cannot be read as a list of names ({error}): fetch it again"
-        raise InputError(msg) from error
+        raise InputError(files[name], f"cannot be read as a list of names ({error}): fetch it again") from error
     lines = [line.split() for line in text.splitlines() if line.strip()]
     names = [Path(line[0]).parent.name if "/" in line[0] else line[0] for line in lines]
     if not names:
-        msg = f"{files[name]} names no video: fetch it again"
-        raise InputError(msg)
+        raise InputError(files[name], "names no video: fetch it again")
     return list(dict.fromkeys(names))

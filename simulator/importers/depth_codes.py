@@ -32,12 +32,10 @@ def read_codes(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
     codes = read_picture(path)
     if codes.ndim == 3:
         if not np.array_equal(codes[..., 0], codes[..., 1]) or not np.array_equal(codes[..., 0], codes[..., 2]):
-            msg = f"{path} has coloured pixels; expected a depth chart in grey, with red = green = blue"
-            raise InputError(msg)
+            raise InputError(path, "it has coloured pixels; expected a depth chart in grey, with red = green = blue")
         codes = codes[..., 0]
     if not codes.any():
-        msg = f"{path} is zero everywhere, so it says nothing about depth: leave this frame out"
-        raise InputError(msg)
+        raise InputError(path, "it is zero everywhere, so it says nothing about depth: leave this frame out")
     return codes
 
 
@@ -108,16 +106,16 @@ def check_depths(root: Path, chart: Path, seen_m: NDArray[np.float64], decoding:
     """
     known_m = seen_m[np.isfinite(seen_m)]
     if known_m.size == 0:
-        msg = f"{root / chart} gives no depth where its image is seen: check border and field, or leave this clip out"
-        raise InputError(msg)
+        raise InputError(
+            root / chart, "gives no depth where its image is seen: check border and field, or leave this clip out"
+        )
     beyond = float((known_m > max_m).sum() / seen_m.size)
     if beyond <= MOSTLY and known_m.min() <= max_m:
         return
     depths = f"depths of {known_m.min() * 100:.4g} to {known_m.max() * 100:.4g} cm, with max_cm {max_m * 100:g}"
     cure = f"check depth_scale_cm ({decoding.full_m * 100:g}) and depth_code ({decoding.code}), or raise max_cm"
     if known_m.min() > max_m:
-        msg = f"{root / chart} is the first of a clip in which no pixel is valid ({depths}): {cure}"
-        raise InputError(msg)
+        raise InputError(root / chart, f"the first of a clip in which no pixel is valid ({depths}): {cure}")
     if root not in _WARNED:
         _WARNED.add(root)
         text = f"{root / chart} is the first of a clip in which {beyond:.0%} of the pixels are not valid ({depths})"

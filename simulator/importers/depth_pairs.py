@@ -34,8 +34,9 @@ def list_pairs(root: Path) -> tuple[tuple[Pair, ...], tuple[Fault, ...]]:
         InputError: when there is no such folder, one cannot be read, or none holds a pair.
     """
     if not is_folder(root):
-        msg = f"path: there is no folder {root}; expected one with images and depth charts somewhere below it"
-        raise InputError(msg)
+        raise InputError(
+            "path", f"there is no folder {root}; expected one with images and depth charts somewhere below it"
+        )
     images: dict[tuple[Path, str, str], dict[int, Path]] = {}
     depths: dict[tuple[Path, str, str], dict[int, Path]] = {}
     faults: list[Fault] = []
@@ -65,11 +66,11 @@ def list_pairs(root: Path) -> tuple[tuple[Pair, ...], tuple[Fault, ...]]:
         faults.append((str(root / folder), reason))
     if not pairs:
         found = f"; {': '.join(faults[0])}" if faults else ""
-        msg = (
-            f"path: {root} holds no images with depth charts (such as image_0000.png with aov_image_0000.png, or "
-            f"FrameBuffer_0000.png with Depth_0000.png){found}"
+        raise InputError(
+            "path",
+            f"{root} holds no images with depth charts (such as image_0000.png with aov_image_0000.png, or "
+            f"FrameBuffer_0000.png with Depth_0000.png){found}",
         )
-        raise InputError(msg)
     return tuple(pairs), tuple(faults)
 
 

@@ -113,11 +113,11 @@ def find_runs(pairs: Sequence[Pair], length: int) -> tuple[tuple[int, ...], tupl
             reason = f"has {most} consecutive frames, but a clip takes {length}: ask for fewer frames"
             faults.append((pairs[first].sequence, reason))
     if not starts:
-        msg = (
-            f"frames is {length}, but no sequence has so many with consecutive numbers: the longest, {longest[1]!r}, "
-            f"has {longest[0]}; ask for fewer"
+        raise InputError(
+            "frames",
+            f"got {length}, but no sequence has so many with consecutive numbers: the longest, {longest[1]!r}, "
+            f"has {longest[0]}; ask for fewer",
         )
-        raise InputError(msg)
     return tuple(starts), tuple(groups), grouped(faults)
 
 
@@ -134,14 +134,15 @@ def check_rate(frames: int, frames_per_second: float | None) -> None:
         InputError: for either.
     """
     if frames > 1 and frames_per_second is None:
-        msg = f"frames_per_second is missing: a clip of {frames} frames needs the rate at which they were taken"
-        raise InputError(msg)
-    if frames == 1 and frames_per_second is not None:
-        msg = (
-            f"frames_per_second is {frames_per_second:g}, but frames: 1 gives stills, which stand still for as long as the "
-            "shutter is open: leave it out or ask for more frames"
+        raise InputError(
+            "frames_per_second", f"missing: a clip of {frames} frames needs the rate at which they were taken"
         )
-        raise InputError(msg)
+    if frames == 1 and frames_per_second is not None:
+        raise InputError(
+            "frames_per_second",
+            f"got {frames_per_second:g}, but frames: 1 gives stills, which stand still for as long as the "
+            "shutter is open: leave it out or ask for more frames",
+        )
 
 
 def read_pairs(

@@ -46,21 +46,21 @@ def read_pfm(path: Path) -> NDArray[np.float32]:
             (height, width, channels, order), start = _parse_header(file.read(_HEADER_BYTES), path)
             size, expected = path.stat().st_size - start, 4 * height * width * channels
             if size != expected:
-                msg = (
-                    f"{path} is {'cut short' if size < expected else 'too long'}: {size} bytes of data for {height} x "
-                    f"{width} x {channels} values, expected {expected}: fetch it again"
+                raise InputError(
+                    path,
+                    f"{'cut short' if size < expected else 'too long'}: {size} bytes of data for {height} x "
+                    f"{width} x {channels} values, expected {expected}: fetch it again",
                 )
-                raise InputError(msg)
             file.seek(start)
             data = file.read(expected)
     except OSError as error:
-        msg = f"{path} cannot be read: {error.strerror or error}"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
     values = np.frombuffer(data, dtype=f"{order}f4").astype(np.float32).reshape(height, width, channels)
     if not np.all(np.isfinite(values)):
         bad = int(np.count_nonzero(~np.isfinite(values)))
-        msg = f"{path} holds {bad} values that are NaN or infinite; expected finite numbers: leave this frame out"
-        raise InputError(msg)
+        raise InputError(
+            path, f"holds {bad} values that are NaN or infinite; expected finite numbers: leave this frame out"
+        )
     upright = np.ascontiguousarray(values[::-1])
     return upright[..., 0] if channels == 1 else upright
 
@@ -69,22 +69,24 @@ def _parse_header(head: bytes, path: Path) -> tuple[tuple[int, int, int, str], i
     """``(height, width, channels, byte order)`` and the offset of the data."""
     match = _HEADER.match(head)
     if match is None:
-        msg = f"{path} is not a PFM file: expected 'Pf' or 'PF', a width, a height and a scale, got {head[:24]!r}"
-        raise InputError(msg)
+        raise InputError(
+            path, f"not a PFM file: expected 'Pf' or 'PF', a width, a height and a scale, got {head[:24]!r}"
+        )
     magic, *numbers = (part.decode("ascii", "replace") for part in match.groups())
     try:
         width, height, scale = int(numbers[0]), int(numbers[1]), float(numbers[2])
     except ValueError:
-        msg = f"{path} has a bad PFM header: expected width, height and scale as numbers, got {' '.join(numbers)!r}"
-        raise InputError(msg) from None
+        raise InputError(
+            path, f"has a bad PFM header: expected width, height and scale as numbers, got {' '.join(numbers)!r}"
+        ) from None
     if width <= 0 or height <= 0 or width * height > MAX_PIXELS:
-        msg = (
-            f"{path} claims {height} x {width} pixels; expected positive sizes of at most {MAX_PIXELS} pixels together"
+        raise InputError(
+            path, f"claims {height} x {width} pixels; expected positive sizes of at most {MAX_PIXELS} pixels together"
         )
-        raise InputError(msg)
     if scale == 0 or not math.isfinite(scale):
-        msg = f"{path} has a PFM scale of {numbers[2]}; expected a finite number, not zero (its sign is the byte order)"
-        raise InputError(msg)
+        raise InputError(
+            path, f"has a PFM scale of {numbers[2]}; expected a finite number, not zero (its sign is the byte order)"
+        )
     return (height, width, 3 if magic == "PF" else 1, "<" if scale < 0 else ">"), match.end()
 
 
@@ -99,11 +101,11 @@ def read_disparity(path: Path) -> NDArray[np.float32]:
     """
     disparity = read_pfm(path)
     if disparity.ndim != 2:
-        msg = f"{path} has three channels ('PF'); expected a disparity map with one ('Pf')"
-        raise InputError(msg)
+        raise InputError(path, "has three channels ('PF'); expected a disparity map with one ('Pf')")
     if disparity.min() < 0 < disparity.max():
-        msg = f"{path} mixes disparities of both signs ({disparity.min():g}..{disparity.max():g} px): expected one sign"
-        raise InputError(msg)
+        raise InputError(
+            path, f"mixes disparities of both signs ({disparity.min():g}..{disparity.max():g} px): expected one sign"
+        )
     return np.abs(disparity)
 
 
@@ -115,8 +117,7 @@ def disparity_range(disparity: NDArray[np.float32], path: Path) -> tuple[float, 
     """
     seen = disparity[disparity > 0]
     if seen.size == 0:
-        msg = f"{path} is zero everywhere, so it says nothing about depth: leave this frame out"
-        raise InputError(msg)
+        raise InputError(path, "it is zero everywhere, so it says nothing about depth: leave this frame out")
     return float(seen.min()), float(seen.max())
 
 
@@ -171,11 +172,11 @@ class AffineMap:
         """
         lowest, highest = min(low for low, _ in ranges), max(high for _, high in ranges)
         if not highest > lowest:
-            msg = (
-                f"{name} has one single disparity ({lowest:g} px), which cannot be spread over {near_m:g}..{far_m:g} m: "
-                "use depth_scaling: fixed, or per: set"
+            raise InputError(
+                name,
+                f"has one single disparity ({lowest:g} px), which cannot be spread over {near_m:g}..{far_m:g} m: "
+                "use depth_scaling: fixed, or per: set",
             )
-            raise InputError(msg)
         return cls(kind, lowest, highest, near_m, far_m)
 
 
@@ -220,8 +221,8 @@ def check_fixed_depths(depth_m: NDArray[np.float64], disparity: NDArray[np.float
         single = depth_m.astype(np.float32)
     bad = ~((single > 0) & np.isfinite(single))
     if bad.any():
-        msg = (
-            f"{path} has a disparity of {disparity[bad][0]:g} px, that is a depth of {depth_m[bad][0]:g} m, which cannot be "
-            "used: fetch it again, or check metres_per_unit"
+        raise InputError(
+            path,
+            f"has a disparity of {disparity[bad][0]:g} px, that is a depth of {depth_m[bad][0]:g} m, which cannot be "
+            "used: fetch it again, or check metres_per_unit",
         )
-        raise InputError(msg)

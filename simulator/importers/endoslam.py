@@ -99,16 +99,16 @@ def endoslam(
     """
     check_rate(frames, frames_per_second)
     if intrinsics is not None and intrinsics_file is not None:
-        msg = "intrinsics and intrinsics_file are both given: leave one of them out"
-        raise InputError(msg)
+        raise InputError("intrinsics, intrinsics_file", "both are given: leave one of them out")
     known = intrinsics or (read_intrinsics(intrinsics_file) if intrinsics_file is not None else None)
     if known is None and (field == "angles" or depth_along == "ray"):
         what = "field: angles" if field == "angles" else "depth_along: ray"
-        msg = f"{what} needs the directions of the images' rays: give intrinsics or intrinsics_file"
-        raise InputError(msg)
+        raise InputError(what, "needs the directions of the images' rays: give intrinsics or intrinsics_file")
     if depth_at_zero_cm == depth_scale_cm:
-        msg = f"depth_at_zero_cm and depth_scale_cm are both {depth_scale_cm:g}: every code would mean the same depth"
-        raise InputError(msg)
+        raise InputError(
+            "depth_at_zero_cm, depth_scale_cm",
+            f"both are {depth_scale_cm:g}, so that every code would mean the same depth",
+        )
     root = Path(path)
     pairs, faults = list_pairs(root)
     starts, groups, short = find_runs(pairs, frames)
@@ -197,11 +197,11 @@ class EndoSlam(DepthClips):
         if image.shape[:2] != self.shape or image.ndim != dimensions:
             what = " x ".join(map(str, image.shape))
             kind = "RGB image" if dimensions == 3 else "depth chart"
-            msg = (
-                f"{self.root / name} is {what}; expected a {kind} of {self.shape[0]} x {self.shape[1]} pixels like "
-                f"{self.pairs[0].image}: name a path that holds one camera's images"
+            raise InputError(
+                self.root / name,
+                f"got {what}; expected a {kind} of {self.shape[0]} x {self.shape[1]} pixels like "
+                f"{self.pairs[0].image}: name a path that holds one camera's images",
             )
-            raise InputError(msg)
         return image
 
     def _lens(self) -> Lens:
@@ -277,10 +277,9 @@ def survey(
     if any(value is not None for value in (depth_scale_cm, depth_code, depth_at_zero_cm, depth_full_code)):
         if depth_scale_cm is None or depth_code is None:
             missing = "depth_scale_cm" if depth_scale_cm is None else "depth_code"
-            msg = (
-                f"{missing} is missing: depths follow from depth_scale_cm and depth_code together; give both or neither"
+            raise InputError(
+                missing, "missing: depths follow from depth_scale_cm and depth_code together; give both or neither"
             )
-            raise InputError(msg)
         decoding = DepthDecoding.of_cm(depth_code, depth_scale_cm, depth_at_zero_cm, depth_full_code)
     root = Path(path)
     pairs, unpaired = list_pairs(root)
@@ -291,11 +290,9 @@ def survey(
         image, codes = read_picture(root / pair.image), read_codes(root / pair.depth)
         if image.shape != (*codes.shape, 3):
             texts = (" x ".join(map(str, array.shape)) for array in (image, codes))
-            msg = f"{root / pair.image} is {' and its depth chart '.join(texts)}: fetch both again"
-            raise InputError(msg)
+            raise InputError(root / pair.image, f"got {', but its depth chart is '.join(texts)}: fetch both again")
         if not counts.add(codes):
-            msg = f"{root / pair.depth} {counts.all_beyond}"
-            raise InputError(msg)
+            raise InputError(root / pair.depth, counts.all_beyond)
         if len(images) < _LOOKED_AT:
             images.append(image)
         return codes.shape

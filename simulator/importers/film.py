@@ -58,11 +58,11 @@ def film(
     plan = ClipPlan.of(view, frames, frames_per_second, clips_per_video, crop, plane_cm, *interpolation)
     root, film_names, sequences = _list(Path(path))
     if sequences and frames_per_second is None:
-        msg = (
-            f"frames_per_second: images such as those in {root / next(iter(sequences))} have no frame rate; say at "
-            "which rate a clip is taken to have been filmed"
+        raise InputError(
+            "frames_per_second",
+            f"images such as those in {root / next(iter(sequences))} have no frame rate; say at "
+            "which rate a clip is taken to have been filmed",
         )
-        raise InputError(msg)
     films, problems = open_films(root, [(name, None) for name in film_names])
     videos: list[Film | ImageSequence] = [*films]
     for name, images in sequences.items():
@@ -112,16 +112,17 @@ def _list(path: Path) -> tuple[Path, list[str], dict[str, tuple[str, ...]]]:
     """Return the folder that names start from, the films' names, and the images of each folder that holds some."""
     if not is_folder(path):
         if not path.is_file():
-            msg = f"path: {path} does not exist; expected a film, or a folder of films or images"
-            raise InputError(msg)
+            raise InputError("path", f"{path} does not exist; expected a film, or a folder of films or images")
         if path.suffix.lower() in IMAGE_SUFFIXES:
-            msg = f"path: {path} is one image; expected a film or a folder of images: give the folder that it lies in"
-            raise InputError(msg)
+            raise InputError(
+                "path", f"{path} is one image; expected a film or a folder of images: give the folder that it lies in"
+            )
         return path.parent, [path.name], {}
     films, images = _look(path)
     if films and images:
-        msg = f"path: {path} holds both films ({films[0]}) and images ({images[0]}): put them into separate folders"
-        raise InputError(msg)
+        raise InputError(
+            "path", f"{path} holds both films ({films[0]}) and images ({images[0]}): put them into separate folders"
+        )
     if images:
         return path.parent, [], {path.name or ".": images}
     sequences: dict[str, tuple[str, ...]] = {}
@@ -131,11 +132,11 @@ def _list(path: Path) -> tuple[Path, list[str], dict[str, tuple[str, ...]]]:
         if images:
             sequences[folder] = images
     if not films and not sequences:
-        msg = (
-            f"path: {path} holds no films ({', '.join(sorted(FILM_SUFFIXES))}) and no images "
-            f"({', '.join(sorted(IMAGE_SUFFIXES))}), nor do the folders in it"
+        raise InputError(
+            "path",
+            f"{path} holds no films ({', '.join(sorted(FILM_SUFFIXES))}) and no images "
+            f"({', '.join(sorted(IMAGE_SUFFIXES))}), nor do the folders in it",
         )
-        raise InputError(msg)
     return path, list(films), sequences
 
 

@@ -87,19 +87,20 @@ def flyingthings3d(
     check_rate(frames, frames_per_second)
     root, pairs, faults = list_frames(Path(path), picture_pass, eye, subset)
     if depth_scaling != "fixed" and metres_per_unit is not None:
-        msg = (
-            f"metres_per_unit is {metres_per_unit}, but depth_scaling: {depth_scaling} fills near..far: "
-            "leave it out or use fixed"
+        raise InputError(
+            "metres_per_unit",
+            f"got {metres_per_unit}, but depth_scaling: {depth_scaling} fills near..far: leave it out or use fixed",
         )
-        raise InputError(msg)
     if depth_scaling == "affine_depth" and not np.isfinite(view.far_m):
-        msg = "depth_scaling: affine_depth cannot reach far = inf: use affine_disparity, or give a finite far depth"
-        raise InputError(msg)
+        raise InputError(
+            "depth_scaling", "affine_depth cannot reach far = inf: use affine_disparity, or give a finite far depth"
+        )
     depth: float | AffineMap | AffineKind
     if depth_scaling == "fixed":
         if metres_per_unit is None:
-            msg = "depth_scaling: fixed needs metres_per_unit (the metres that one unit of the data set stands for)"
-            raise InputError(msg)
+            raise InputError(
+                "depth_scaling", "fixed needs metres_per_unit (the metres that one unit of the data set stands for)"
+            )
         depth = metres_per_unit
     elif per == "set":
         pairs, ranges, broken = _usable(root, pairs)
@@ -198,11 +199,11 @@ class FlyingThings3D(DepthClips):
         for t, (pair, disparity) in enumerate(zip(pairs, disparities, strict=True)):
             image = _read_image(self.root, pair, disparity.shape)
             if disparity.shape != shape:
-                msg = (
-                    f"{self.root / pair.image} is {disparity.shape[0]} x {disparity.shape[1]}, but the clip's first frame is "
-                    f"{shape[0]} x {shape[1]}: expected one size in a sequence, fetch it again"
+                raise InputError(
+                    self.root / pair.image,
+                    f"got {disparity.shape[0]} x {disparity.shape[1]}, but the clip's first frame is "
+                    f"{shape[0]} x {shape[1]}: expected one size in a sequence, fetch it again",
                 )
-                raise InputError(msg)
             rgb[t] = _box_mean(decode_srgb_picture(image[window]), factor)
         cut = np.stack([disparity[window][centres] for disparity in disparities]).astype(np.float64)
         valid = cut > 0
@@ -235,11 +236,11 @@ class FlyingThings3D(DepthClips):
         factor = max(largest, 1) if self.downscale == "auto" else self.downscale
         if factor > largest:
             cure = f"downscale at most {largest}" if largest else f"a scene of at most {shape[0]} x {shape[1]}"
-            msg = (
+            raise InputError(
+                "downscale",
                 f"the scene's {self.view.shape[0]} x {self.view.shape[1]} pixels at downscale {factor} are more than "
-                f"{pair.image} has ({shape[0]} x {shape[1]}): use {cure}"
+                f"{pair.image} has ({shape[0]} x {shape[1]}): use {cure}",
             )
-            raise InputError(msg)
         return factor
 
 
@@ -247,11 +248,11 @@ def _read_image(root: Path, pair: Pair, shape: tuple[int, ...]) -> NDArray[np.ui
     """Read the image of a disparity map of this size."""
     image = read_picture(root / pair.image)
     if image.shape != (*shape, 3):
-        msg = (
-            f"{root / pair.image} is {' x '.join(map(str, image.shape))} and its disparity {pair.depth} is "
-            f"{' x '.join(map(str, shape))}: expected an RGB image of the same size, fetch both again"
+        raise InputError(
+            root / pair.image,
+            f"got {' x '.join(map(str, image.shape))}, but its disparity {pair.depth} is "
+            f"{' x '.join(map(str, shape))}: expected an RGB image of the same size, fetch both again",
         )
-        raise InputError(msg)
     return image
 
 
@@ -271,8 +272,9 @@ def _usable(
         else:
             usable.append(pair)
     if not usable:
-        msg = f"none of the {len(pairs)} disparities in {root} can be used; the first: {': '.join(faults[0])}"
-        raise InputError(msg)
+        raise InputError(
+            "path", f"none of the {len(pairs)} disparities in {root} can be used; the first: {': '.join(faults[0])}"
+        )
     return tuple(usable), ranges, tuple(faults)
 
 

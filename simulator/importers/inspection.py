@@ -128,13 +128,12 @@ def choose(path: Path, candidates: Candidates) -> Plugin:
         return candidates.recognised[0]
     if candidates.recognised:
         listed = _lines(candidates.recognised)
-        msg = f"--check: {path} is recognised by several sources; choose one with --source:{listed}"
-        raise InputError(msg)
-    msg = f"--check: {path} is laid out like none of these; check the path, or choose one with --source:"
-    msg += _lines(candidates.others)
+        raise InputError("--check", f"{path} is recognised by several sources; choose one with --source:{listed}")
+    reason = f"{path} is laid out like none of these; check the path, or choose one with --source:"
+    reason += _lines(candidates.others)
     if candidates.silent:
-        msg += f"\nnot asked, as they do not say what they expect:{_lines(candidates.silent)}"
-    raise InputError(msg)
+        reason += f"\nnot asked, as they do not say what they expect:{_lines(candidates.silent)}"
+    raise InputError("--check", reason)
 
 
 def run_survey(plugin: Plugin, path: Path, options: Mapping[str, Any], progress: Progress | None = None) -> Survey:
@@ -151,21 +150,21 @@ def run_survey(plugin: Plugin, path: Path, options: Mapping[str, Any], progress:
     """
     survey = getattr(_module(plugin), "survey", None)
     if not callable(survey):
-        msg = (
-            f"--source: {plugin.name!r} has no survey(path, progress) in its module, so nothing can be checked before use; "
-            f"`flatlight render` shows what it makes of {path}"
+        raise InputError(
+            "--source",
+            f"{plugin.name!r} has no survey(path, progress) in its module, so nothing can be checked before use; "
+            f"`flatlight render` shows what it makes of {path}",
         )
-        raise InputError(msg)
     values = _options(plugin, survey, options)
     with plugin_errors(plugin):
         try:
             result = survey(path, progress, **values)
         except PermissionError as error:
-            msg = f"path: {error.filename or path} cannot be read: {error.strerror or error}; check who may read it"
-            raise InputError(msg) from error
+            raise InputError(
+                "path", f"{error.filename or path} cannot be read: {error.strerror or error}; check who may read it"
+            ) from error
     if not isinstance(result, Survey):
-        msg = f"source {plugin.name!r}: its survey returned {type(result).__name__}, expected a Survey"
-        raise InputError(msg)
+        raise InputError(f"source {plugin.name!r}", f"its survey returned {type(result).__name__}, expected a Survey")
     return result
 
 
@@ -182,8 +181,9 @@ def _options(plugin: Plugin, survey: Any, options: Mapping[str, Any]) -> dict[st
     """
     for key in options:
         if key in SECTION_KEYS["source"]:
-            msg = f"--set: {key} is a key of scene, which decides nothing about what is read here; leave it out"
-            raise InputError(msg)
+            raise InputError(
+                "--set", f"{key} is a key of scene, which decides nothing about what is read here; leave it out"
+            )
     taken = inspect.signature(survey).parameters.values()
     anything = any(parameter.kind is parameter.VAR_KEYWORD for parameter in taken)
     named = [parameter for parameter in taken if parameter.kind is parameter.KEYWORD_ONLY]

@@ -89,8 +89,9 @@ def is_folder(path: Path) -> bool:
 
 def refuse_unreadable(path: Path, error: OSError) -> NoReturn:
     """Refuse a place that the system does not let us read."""
-    msg = f"path: {path} cannot be read: {error.strerror or error}; check who may read it, or name a path without it"
-    raise InputError(msg) from error
+    raise InputError(
+        "path", f"{path} cannot be read: {error.strerror or error}; check who may read it, or name a path without it"
+    ) from error
 
 
 def natural(name: str) -> list[tuple[int, str]]:
@@ -138,20 +139,19 @@ def counting_fault(names: Sequence[str]) -> str | None:
 
 
 def fault_of(error: InputError, *files: Path, root: Path | None = None) -> Fault:
-    """Take the file apart from a message that begins with it, so that the same fault of many files makes one line.
+    """Return where a fault is and why, so that the same fault of many files makes one line.
 
     Args:
         error: what a reader raised.
         *files: those that were read; a message that names none of them is about the first.
         root: a folder by which names, in the reason too, are shortened.
     """
-    text = str(error)
-    named = next((file for file in files if text.startswith((f"{file} ", f"{file}: "))), None)
-    where = (named or files[0]).as_posix() if root is None else (named or files[0]).relative_to(root).as_posix()
-    if named is None:
-        return where, text
-    reason = text.removeprefix(str(named)).lstrip(": ")
-    return where, reason if root is None else reason.replace(f"{root}/", "")
+    named = next((file for file in files if error.path == str(file)), None)
+    where = named or files[0]
+    reason = str(error) if named is None else error.reason
+    if root is None:
+        return where.as_posix(), reason
+    return where.relative_to(root).as_posix(), reason.replace(f"{root}/", "")
 
 
 def grouped(faults: Iterable[Fault]) -> tuple[str, ...]:

@@ -129,11 +129,11 @@ class MaskedVideo:
                 frame = np.where(object_pixels(fitted)[..., None], frame, np.float32(0))
             size = size or frame.shape
             if frame.shape != size:
-                msg = (
-                    f"{self.images / name} is {frame.shape[0]} x {frame.shape[1]} pixels, but {self.frames[start]} "
-                    f"before it is {size[0]} x {size[1]}: expected frames of one size; fetch the video again"
+                raise InputError(
+                    self.images / name,
+                    f"got {frame.shape[0]} x {frame.shape[1]} pixels, but {self.frames[start]} "
+                    f"before it is {size[0]} x {size[1]}: expected frames of one size; fetch the video again",
                 )
-                raise InputError(msg)
             yield frame
 
     def record(self, start: int, stop: int) -> dict[str, Any]:
@@ -153,7 +153,7 @@ class MaskedVideo:
             return found
         facts = {Path(name).stem: self.mask_facts(name) for name in names}
         if not any(fact.objects for fact in facts.values()):
-            raise InputError(self.nothing_in(names))
+            raise self.nothing_in(names)
         return found | {
             "objects": sorted({number for fact in facts.values() for number in fact.objects}),
             "masks_resized_by_a_pixel": [name for name, fact in facts.items() if fact.resized],
@@ -161,12 +161,13 @@ class MaskedVideo:
             "masks_with_void": [name for name, fact in facts.items() if fact.void],
         }
 
-    def nothing_in(self, frames: Sequence[str]) -> str:
-        """Return the message about frames whose masks are all without any object."""
-        those = f"and the {len(frames) - 1} after it have" if len(frames) > 1 else "has"
-        return (
-            f"{self.mask(frames[0])} {those} no object, so that nothing is left of the images (index {VOID} is void): save "
-            f"objects as 1..{VOID - 1}, or leave video {self.name} out"
+    def nothing_in(self, frames: Sequence[str]) -> InputError:
+        """Return the error of frames whose masks are all without any object."""
+        after = f", nor in the {len(frames) - 1} masks after it" if len(frames) > 1 else ""
+        return InputError(
+            self.mask(frames[0]),
+            f"no object in it{after}, so nothing is left of the images (index {VOID} is void): save objects as "
+            f"1..{VOID - 1}, or leave video {self.name} out",
         )
 
     def mask_facts(self, frame: str) -> MaskFacts:
@@ -184,11 +185,11 @@ class MaskedVideo:
         numbers = read_object_numbers(self.mask(frame))
         unknown = [number for number in _objects(numbers) if number not in self.categories]
         if self.categories and unknown:
-            msg = (
-                f"{self.mask(frame)} has object {', '.join(map(str, unknown))}, but meta.json gives video {self.name} only "
-                f"{', '.join(map(str, self.categories))}: fetch masks and meta.json from the same release"
+            raise InputError(
+                self.mask(frame),
+                f"has object {', '.join(map(str, unknown))}, but meta.json gives video {self.name} only "
+                f"{', '.join(map(str, self.categories))}: fetch masks and meta.json from the same release",
             )
-            raise InputError(msg)
         return numbers
 
 
@@ -285,8 +286,7 @@ def find_videos(
     here, _ = list_folder(images)
     list_folder(masks)  # one that cannot be read is not the fault of each video
     if not here:
-        msg = f"path: {images} holds no video; expected a folder of images for each, fetch them"
-        raise InputError(msg)
+        raise InputError("path", f"{images} holds no video; expected a folder of images for each, fetch them")
     videos: list[MaskedVideo] = []
     faults: list[Fault] = []
     unannotated = stray = 0
@@ -294,16 +294,19 @@ def find_videos(
         try:
             annotated = _masks(masks / name)
             if categories is not None and not categories.get(name):
-                msg = "meta.json lists no object of it: fetch images and meta.json from the same release"
-                raise InputError(msg)
+                raise InputError(
+                    "", "meta.json lists no object of it: fetch images and meta.json from the same release"
+                )
             frames = _frames(images / name)
             matched = tuple(frame for frame in frames if Path(frame).stem in annotated)
             if not frames:
-                msg = f"no images in {images.relative_to(root)}: fetch them, or take its name off the list"
-                raise InputError(msg)
+                raise InputError(
+                    "", f"no images in {images.relative_to(root)}: fetch them, or take its name off the list"
+                )
             if not (matched or keep_background):
-                msg = f"no mask in {masks.relative_to(root)} for any image: fetch them, or use keep_background: true"
-                raise InputError(msg)
+                raise InputError(
+                    "", f"no mask in {masks.relative_to(root)} for any image: fetch them, or use keep_background: true"
+                )
         except InputError as error:
             faults.append((name, str(error)))
             continue
@@ -326,8 +329,9 @@ def _masks(folder: Path) -> dict[str, str]:
         if path.suffix.lower() != _MASK:
             continue
         if path.stem in found:
-            msg = f"{found[path.stem]} and {name} are both the mask of frame {path.stem}: take one of them away"
-            raise InputError(msg)
+            raise InputError(
+                "", f"{found[path.stem]} and {name} are both the mask of frame {path.stem}: take one of them away"
+            )
         found[path.stem] = name
     return found
 
@@ -338,8 +342,7 @@ def _frames(folder: Path) -> tuple[str, ...]:
     numbered = sorted((frame_number(name), name) for name in found)
     for (number, name), (following, other) in pairwise(numbered):
         if number == following:
-            msg = f"{name} and {other} are both frame {number}: take one of them away"
-            raise InputError(msg)
+            raise InputError("", f"{name} and {other} are both frame {number}: take one of them away")
     return tuple(name for _, name in numbered)
 
 
@@ -355,8 +358,7 @@ def frame_number(image: str) -> int:
     """
     digits = re.search(r"(\d+)$", Path(image).stem)
     if digits is None:
-        msg = f"{image}: expected a name that ends in the frame's number, such as 00005.jpg; rename it"
-        raise InputError(msg)
+        raise InputError(image, "expected a name that ends in the frame's number, such as 00005.jpg; rename it")
     return int(digits[1])
 
 
@@ -410,7 +412,7 @@ class _Read:
             listed = ", ".join(f"{count} of {rows} x {columns}" for (rows, columns), count in self.sizes.items())
             self.faults.append((self.video.name, f"frames of several sizes ({listed}): fetch the video again"))
         if len(self.empty) == len(self.video):
-            nothing = InputError(self.video.nothing_in(self.video.frames))
+            nothing = self.video.nothing_in(self.video.frames)
             self.faults.append(fault_of(nothing, self.video.mask(self.video.frames[0]), root=self.root))
 
 

@@ -40,19 +40,18 @@ def read_object_numbers(path: Path) -> NDArray[np.uint8]:
         with Image.open(path) as image:
             mode, values = image.mode, np.asarray(image)
     except (OSError, SyntaxError, ValueError, EOFError) as error:
-        msg = f"{path} is damaged or cut short ({error}): fetch it again"
-        raise InputError(msg) from error
+        raise InputError(path, f"damaged or cut short ({error}): fetch it again") from error
     if mode == "P":
         return values.astype(np.uint8, copy=False)
     if mode in ("1", "L"):
         return _binary(values.astype(np.uint8) * (255 if mode == "1" else 1), path)
     if mode in ("RGB", "RGBA") and np.all(values[..., :3] == values[..., :1]):
         return _binary(values[..., 0], path)
-    msg = (
-        f"{path} holds colours (kind {mode!r}) instead of object numbers, which they do not tell: expected a palette PNG "
-        "(8 bit, kind 'P') as the data set ships it, or a grey one with 0 and 255; fetch the original masks"
+    raise InputError(
+        path,
+        f"holds colours (kind {mode!r}) instead of object numbers, which they do not tell: expected a palette PNG "
+        "(8 bit, kind 'P') as the data set ships it, or a grey one with 0 and 255; fetch the original masks",
     )
-    raise InputError(msg)
 
 
 def object_pixels(numbers: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -70,11 +69,11 @@ def fit_mask(numbers: NDArray[np.uint8], shape: tuple[int, int], mask: Path, ima
     if found == shape:
         return numbers
     if max(abs(found[0] - shape[0]), abs(found[1] - shape[1])) > 1:
-        msg = (
-            f"{mask} is {found[0]} x {found[1]} pixels and its image {image} is {shape[0]} x {shape[1]}: expected the "
-            "same size (one pixel more or less is mended); fetch both again, in the same resolution"
+        raise InputError(
+            mask,
+            f"got {found[0]} x {found[1]} pixels, but its image {image} is {shape[0]} x {shape[1]}: expected the "
+            "same size (one pixel more or less is mended); fetch both again, in the same resolution",
         )
-        raise InputError(msg)
     rows, columns = (
         ((np.arange(wanted) + 0.5) * had / wanted).astype(int) for wanted, had in zip(shape, found, strict=True)
     )
@@ -85,9 +84,9 @@ def _binary(values: NDArray[np.uint8], path: Path) -> NDArray[np.uint8]:
     found = np.unique(values).tolist()
     if not (set(found) <= {0, 255} or set(found) <= {0, 1}):
         shown = ", ".join(map(str, found[:5])) + (", ..." if len(found) > 5 else "")
-        msg = (
-            f"{path} is a grey image with the values {shown}: expected 0 and 255 (a binary mask), or a palette PNG whose "
-            "indices are the objects' numbers; save it as one of these, without smoothing"
+        raise InputError(
+            path,
+            f"got a grey image with the values {shown}: expected 0 and 255 (a binary mask), or a palette PNG whose "
+            "indices are the objects' numbers; save it as one of these, without smoothing",
         )
-        raise InputError(msg)
     return (values != 0).astype(np.uint8)

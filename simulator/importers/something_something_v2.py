@@ -148,14 +148,16 @@ class _Found:
 
 def _list(root: Path, subset: Subset | None, classes: Classes) -> _Found:
     if not is_folder(root):
-        msg = f"path: {root} is not a folder; expected the one that holds the clips' folder and the label files"
-        raise InputError(msg)
+        raise InputError(
+            "path", f"{root} is not a folder; expected the one that holds the clips' folder and the label files"
+        )
     chosen: Subset = subset or ("train" if find_labels(root, "train") else "validation")
     places = {name: find_labels(root, name) for name in ("labels", chosen)}
     for name, place in places.items():
         if place is None:
-            msg = f"path: {root} holds no something-something-v2-{name}.json (or {name}.json), there or in labels"
-            raise InputError(msg)
+            raise InputError(
+                "path", f"{root} holds no something-something-v2-{name}.json (or {name}.json), there or in labels"
+            )
     labels, entries_file = filter(None, places.values())
     templates = read_templates(labels)
     entries, unknown = read_entries(entries_file, templates, labels)
@@ -169,30 +171,31 @@ def _list(root: Path, subset: Subset | None, classes: Classes) -> _Found:
     listings = ((name, [f for f in list_folder(root / name)[1] if f.endswith(".webm")]) for name in _CLIP_FOLDERS)
     folder, clips = next((found for found in listings if found[1]), (None, []))
     if folder is None:
-        msg = f"path: {root} holds no clips: expected 74225.webm and so on in {' or '.join(_CLIP_FOLDERS[:2])}"
-        raise InputError(msg)
+        raise InputError(
+            "path", f"{root} holds no clips: expected 74225.webm and so on in {' or '.join(_CLIP_FOLDERS[:2])}"
+        )
     there = {name.removesuffix(".webm") for name in clips}
     present = {identity: template for identity, template in entries.items() if identity in there}
     problems = tuple(line for identity, line in unknown.items() if identity in there)
     if problems and not present:
         listed_problems = "\n  ".join(first_lines(problems))
-        msg = f"path: {root} holds no clip whose template is known:\n  {listed_problems}"
-        raise InputError(msg)
+        raise InputError("path", f"{root} holds no clip whose template is known:\n  {listed_problems}")
     if not present:
         first = next(iter((*entries, *unknown)))
-        msg = (
-            f"path: none of the {len(there)} clips in {root / folder} is listed in {entries_file.name} (of {listed}, the "
-            f"first {first}): expected files named by their id"
+        raise InputError(
+            "path",
+            f"none of the {len(there)} clips in {root / folder} is listed in {entries_file.name} (of {listed}, the "
+            f"first {first}): expected files named by their id",
         )
-        raise InputError(msg)
     films = [
         ((Path(folder) / f"{identity}.webm").as_posix(), table[template])
         for identity, template in present.items()
         if template in table
     ]
     if not films:
-        msg = f"classes: none of the {len(present)} clips in {root / folder} is of a template that {files[-1]} lists"
-        raise InputError(msg)
+        raise InputError(
+            "classes", f"none of the {len(present)} clips in {root / folder} is of a template that {files[-1]} lists"
+        )
     return _Found(
         root=root,
         subset=chosen,
@@ -227,8 +230,7 @@ def read_templates(path: Path) -> dict[str, Any]:
     """
     content = _read_json(path)
     if not isinstance(content, dict) or not content or not all(str(value).isdecimal() for value in content.values()):
-        msg = f'{path} is not a file of labels: expected {{"Approaching something with your camera": "0", ...}}'
-        raise InputError(msg)
+        raise InputError(path, 'not a file of labels: expected {"Approaching something with your camera": "0", ...}')
     return content
 
 
@@ -244,27 +246,25 @@ def read_entries(path: Path, templates: Collection[str], labels: Path) -> tuple[
     """
     content = _read_json(path)
     if not isinstance(content, list) or not content:
-        msg = (
-            f'{path} holds no list of clips: expected [{{"id": "74225", "template": "Closing [something]", ...}}, ...]'
+        raise InputError(
+            path, 'holds no list of clips: expected [{"id": "74225", "template": "Closing [something]", ...}, ...]'
         )
-        raise InputError(msg)
     entries: dict[str, str] = {}
     unknown: dict[str, str] = {}
     for place, item in enumerate(content):
         if not isinstance(item, Mapping) or not str(item.get("id", "")).isdecimal():
-            msg = f"{path}: entry {place} has no id of digits, got {str(item)[:80]}"
-            raise InputError(msg)
+            raise InputError(path, f"entry {place} has no id of digits, got {str(item)[:80]}")
         identity, written = str(item["id"]), item.get("template")
         if not isinstance(written, str):
-            msg = f"{path}: clip {identity} has no template; the file of the test subset has none, use train or validation"
-            raise InputError(msg)
+            raise InputError(
+                path, f"clip {identity} has no template; the file of the test subset has none, use train or validation"
+            )
         template = _bare(written)
         if template not in templates:
             text = f"clip {identity} has the unknown template {written!r}, not in {labels.name}"
             unknown[identity] = f"{path.name}: {text}{_nearest(template, templates)}"
         elif identity in entries:
-            msg = f"{path} lists clip {identity} twice: keep one of them"
-            raise InputError(msg)
+            raise InputError(path, f"lists clip {identity} twice: keep one of them")
         else:
             entries[identity] = template
     return entries, unknown
@@ -282,32 +282,34 @@ def read_table(path: Path, templates: Collection[str], labels: Path) -> dict[str
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        msg = f"classes: {path} cannot be read as a table of classes ({error}); expected all, coarse or a CSV file"
-        raise InputError(msg) from error
+        raise InputError(
+            "classes", f"{path} cannot be read as a table of classes ({error}); expected all, coarse or a CSV file"
+        ) from error
     # Comments become empty lines, so that lines keep their numbers.
     reader = csv.reader(("" if line.startswith("#") else line for line in lines), strict=True)
     try:
         rows = [(reader.line_num, row) for row in reader if row]
     except csv.Error as error:
-        msg = f"{path}:{reader.line_num} is not a line of a CSV file ({error})"
-        raise InputError(msg) from error
+        raise InputError(f"{path}:{reader.line_num}", f"not a line of a CSV file ({error})") from error
     columns = [name.strip() for name in rows[0][1]] if rows else []
     if columns != ["template", "class"] or len(rows) == 1:
-        msg = f"{path} begins with {','.join(columns) or 'nothing'}; expected the line template,class and a line per template"
-        raise InputError(msg)
+        raise InputError(
+            path,
+            f"begins with {','.join(columns) or 'nothing'}; expected the line template,class and a line per template",
+        )
     table: dict[str, str] = {}
     for number, row in rows[1:]:
         if len(row) != 2 or not row[1].strip():
-            msg = f"{path}:{number} holds {','.join(row)}; expected a template and its class, in quotes if they hold commas"
-            raise InputError(msg)
+            raise InputError(
+                f"{path}:{number}",
+                f"holds {','.join(row)}; expected a template and its class, in quotes if they hold commas",
+            )
         template = _bare(row[0]).strip()
         if template not in templates:
             hint = _nearest(template, templates)
-            msg = f"{path}:{number} has the unknown template {template!r}, not in {labels.name}{hint}"
-            raise InputError(msg)
+            raise InputError(f"{path}:{number}", f"unknown template {template!r}, not in {labels.name}{hint}")
         if template in table:
-            msg = f"{path}:{number} lists {template!r} a second time: keep one of them"
-            raise InputError(msg)
+            raise InputError(f"{path}:{number}", f"lists {template!r} a second time: keep one of them")
         table[template] = row[1].strip()
     return table
 
@@ -328,5 +330,4 @@ def _read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
-        msg = f"{path} cannot be read as JSON ({error}): fetch it again"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read as JSON ({error}): fetch it again") from error

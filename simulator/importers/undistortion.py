@@ -72,11 +72,11 @@ def build_lookup(lens: Lens, shape: tuple[int, int], view: View, field: Field, c
     """
     if not _seen(*lens.pixels(np.zeros(1), np.zeros(1)), shape, circle)[0]:
         column, row = lens.centre
-        msg = (
-            f"intrinsics: the optical axis is at column {column:g}, row {row:g}, outside what the {shape[0]} x {shape[1]} "
-            "image shows; check that they belong to images of this size"
+        raise InputError(
+            "intrinsics",
+            f"the optical axis is at column {column:g}, row {row:g}, outside what the {shape[0]} x {shape[1]} "
+            "image shows; check that they belong to images of this size",
         )
-        raise InputError(msg)
     scale = 1.0 if field == "angles" else _fill_scale(lens, shape, view, circle)
     x, y = (scale * tangents for tangents in _tangents(view, 1))
     columns, rows = lens.pixels(x, y)
@@ -142,11 +142,7 @@ def _samples(columns: NDArray[np.float64], rows: NDArray[np.float64]) -> int:
 
 
 def _weights(
-    columns: NDArray[np.float64],
-    rows: NDArray[np.float64],
-    shape: tuple[int, int],
-    circle: Circle | None,
-    samples: int,
+    columns: NDArray[np.float64], rows: NDArray[np.float64], shape: tuple[int, int], circle: Circle | None, samples: int
 ) -> csr_array:
     """The mean of bilinear samples in each view pixel, as a matrix; samples that see nothing are black."""
     height, width = rows.shape[0] // samples, rows.shape[1] // samples
@@ -206,11 +202,11 @@ def find_circle(images: Sequence[NDArray[np.uint8] | NDArray[np.uint16]], name: 
         centred = abs(column / dark.shape[1] - 0.5) < 0.5 and abs(row / dark.shape[0] - 0.5) < 0.5
         if centred and np.median(np.abs(miss)) <= _RESIDUAL_PX:
             return column, row, radius - _MARGIN_PX
-    msg = (
-        f"border: the black rim of {name}'s images ({100 * border.mean():.1f} % of them) is not bounded by a circle: give "
-        "border: [column, row, radius] in pixels, or border: none"
+    raise InputError(
+        "border",
+        f"the black rim of {name}'s images ({100 * border.mean():.1f} % of them) is not bounded by a circle: give "
+        "border: [column, row, radius] in pixels, or border: none",
     )
-    raise InputError(msg)
 
 
 def _edge_points(border: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -42,8 +42,7 @@ def load_extra(module: str, package: str, extra: str = "import") -> ModuleType:
         return importlib.import_module(module)
     except ImportError as error:
         cure = f"pip install 'flatlight[{extra}]', or in a clone uv run --extra {extra}"
-        msg = f"this importer needs {package} ({error}): {cure}"
-        raise MissingPackageError(msg) from error
+        raise MissingPackageError(package, f"this importer needs it ({error}): {cure}") from error
 
 
 _HDR = {16: "PQ (SMPTE ST 2084)", 18: "HLG (ARIB STD-B67)"}  # transfer characteristics of ITU-T H.273, table 3
@@ -93,8 +92,7 @@ def index_film(path: Path) -> FilmIndex:
     try:
         state = path.stat()
     except OSError as error:
-        msg = f"{path} cannot be read: {error.strerror or error}"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
     return _index(path, state.st_mtime_ns, state.st_size)
 
 
@@ -145,13 +143,11 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
         with av.open(str(path)) as container:
             stream = container.streams.best("video")
             if stream is None or stream.codec_context is None:
-                msg = f"{path} holds no video that can be read: check the file"
-                raise InputError(msg)
+                raise InputError(path, "holds no video that can be read: check the file")
             stream.codec_context.thread_count = 1  # jobs run one process per core already
             yield container, stream
     except av.FFmpegError as error:
-        msg = f"{path} is not a film, or is damaged or cut short ({error.strerror}): fetch it again"
-        raise InputError(msg) from error
+        raise InputError(path, f"not a film, or is damaged or cut short ({error.strerror}): fetch it again") from error
 
 
 @functools.lru_cache(maxsize=64)
@@ -162,8 +158,10 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
     with _opened(path) as (container, stream):
         transfer = stream.codec_context.color_trc
         if transfer in _HDR:
-            msg = f"{path} is a film of high dynamic range, {_HDR[transfer]}; convert it to standard range (BT.709 or sRGB)"
-            raise InputError(msg)
+            raise InputError(
+                path,
+                f"got a film of high dynamic range, {_HDR[transfer]}; convert it to standard range (BT.709 or sRGB)",
+            )
         avi = container.format.name == "avi"
         vp8 = stream.codec_context.name == "vp8"
         first_s, last_s = 0.0, 0.0
@@ -186,11 +184,9 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
         matrix = _matrix(stream.codec_context, path)
         square = stream.codec_context.sample_aspect_ratio in (None, 0, 1)
     if not shown:
-        msg = f"{path} holds no frames: fetch it again"
-        raise InputError(msg)
+        raise InputError(path, "holds no frames: fetch it again")
     if seen < promised:
-        msg = f"{path} holds {seen} of the {promised} frames that its header promises: fetch it again"
-        raise InputError(msg)
+        raise InputError(path, f"holds {seen} of the {promised} frames that its header promises: fetch it again")
     # AVI holds no times of showing: what libav makes up is the order of decoding, wrong where images are out of order.
     times = np.unique(np.array([time for time in shown if time is not None], np.int64))
     times = times if len(times) == len(shown) and not avi else None
@@ -207,11 +203,11 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
         if not alone:
             ends_s, late_s = max(ends_s, last_s) - first_s, late_s + _SOUND_S
         if duration_s is not None and duration_s - ends_s > late_s:
-            msg = f"{path} ends after {ends_s:.2f} s of the {duration_s:.2f} s that its header promises: fetch it again"
-            raise InputError(msg)
+            raise InputError(
+                path, f"ends after {ends_s:.2f} s of the {duration_s:.2f} s that its header promises: fetch it again"
+            )
     if not rate:
-        msg = f"{path} does not say how many frames per second it has: convert it to a film that does"
-        raise InputError(msg)
+        raise InputError(path, "does not say how many frames per second it has: convert it to a film that does")
     rows = [] if times is None else [(int(np.searchsorted(times, pts)), pts, min(pts, dts)) for pts, dts in keys]
     key_table = np.array(sorted(rows), np.int64).reshape(-1, 3)
     return FilmIndex(len(shown), float(rate), variable, times, key_table, square, matrix)
@@ -223,19 +219,20 @@ def _matrix(codec: Any, path: Path) -> str:
     if codec.colorspace in _MATRICES:
         return _MATRICES[int(codec.colorspace)]
     if codec.colorspace != _UNSPECIFIED:
-        msg = (
-            f"{path} has colours by matrix {int(codec.colorspace)} of ITU-T H.273, which is not converted here: convert the "
-            "film to BT.709"
+        raise InputError(
+            path,
+            f"has colours by matrix {int(codec.colorspace)} of ITU-T H.273, which is not converted here: convert the "
+            "film to BT.709",
         )
-        raise InputError(msg)
     return _HD_UNTAGGED if codec.height >= 720 or codec.width >= 1280 else _SD_UNTAGGED
 
 
 def _frames(path: Path, index: FilmIndex, start: int, stop: int) -> Iterator[Any]:
     """Decode frames by number: after seeking where every time fits, else counted from the start."""
     if not 0 <= start < stop <= index.frames:
-        msg = f"{path}: frames {start} to {stop - 1} were asked of {index.frames}: the file has changed, or is another one"
-        raise InputError(msg)
+        raise InputError(
+            path, f"frames {start} to {stop - 1} were asked of {index.frames}: the file has changed, or is another one"
+        )
     wanted = start
     before = index.keys[index.keys[:, 0] <= start]
     if index.times is not None and len(before) and before[-1, 0] > 0:
@@ -258,28 +255,28 @@ def _frames(path: Path, index: FilmIndex, start: int, stop: int) -> Iterator[Any
         number = -1
         for number, frame in enumerate(container.decode(stream)):
             if index.times is not None and (number >= index.frames or frame.pts != index.times[number]):
-                msg = f"{path} does not give its frame {number} at the time it should: it is damaged, fetch it again"
-                raise InputError(msg)
+                raise InputError(
+                    path, f"does not give its frame {number} at the time it should: it is damaged, fetch it again"
+                )
             if number == wanted:
                 _refuse_corrupt(frame, number, path)
                 yield frame
                 wanted += 1
                 if wanted == stop:
                     return
-    msg = f"{path} gives only {number + 1} of its {index.frames} frames: it is damaged, fetch or convert it again"
-    raise InputError(msg)
+    raise InputError(
+        path, f"gives only {number + 1} of its {index.frames} frames: it is damaged, fetch or convert it again"
+    )
 
 
 def _refuse_corrupt(frame: Any, number: int, path: Path) -> None:
     if frame.is_corrupt:
-        msg = f"{path}: frame {number} is damaged: fetch the film again"
-        raise InputError(msg)
+        raise InputError(path, f"frame {number} is damaged: fetch the film again")
 
 
 def _upright(image: NDArray[Any], degrees: float, path: Path) -> NDArray[Any]:
-    """Turn a image anticlockwise as the film's display matrix says."""
+    """Rotate an image anticlockwise as the film's display matrix says."""
     quarters = degrees / 90
     if quarters != round(quarters):
-        msg = f"{path} is to be shown turned by {degrees:g} degrees; expected quarters of a turn: convert it"
-        raise InputError(msg)
+        raise InputError(path, f"to be rotated by {degrees:g} degrees; expected a multiple of 90: convert it")
     return np.rot90(image, round(quarters))

@@ -115,11 +115,11 @@ class ClipPlan:
         """
         plane_m = min(view.far_m, FARTHEST_M) if plane_cm is None else plane_cm * 1e-2
         if plane_cm is not None and not view.near_m <= plane_m <= view.far_m:
-            msg = (
-                f"plane_cm: got {plane_cm:g}, which is outside near..far = {view.near_m * 100:.4g}..{view.far_m * 100:.4g} "
-                "cm; choose a depth inside, or set scene.near_cm and scene.far_cm"
+            raise InputError(
+                "plane_cm",
+                f"got {plane_cm:g}, which is outside near..far = {view.near_m * 100:.4g}..{view.far_m * 100:.4g} "
+                "cm; choose a depth inside, or set scene.near_cm and scene.far_cm",
             )
-            raise InputError(msg)
         interpolator = choose_interpolator(interpolate_by, interpolate_with, superslomo_checkpoint)
         return cls(frames, frames_per_second, interpolate_by, clips_per_video, crop, plane_m, interpolator)
 
@@ -140,7 +140,7 @@ class ClipPlan:
             InputError: the video is too short.
         """
         if reason := self.fault(available):
-            raise InputError(reason)
+            raise InputError("frames", reason)
         spare = available - self.needed
         if self.clips_per_video == 1:
             return int(rng.integers(spare + 1))
@@ -182,29 +182,31 @@ def choose_interpolator(
     """
     if interpolate_by == 1:
         if checkpoint is not None:
-            msg = f"superslomo_checkpoint is {checkpoint}, but interpolate_by is 1: leave it out or take more"
-            raise InputError(msg)
+            raise InputError(
+                "superslomo_checkpoint", f"got {checkpoint}, but interpolate_by is 1: leave it out or take more"
+            )
         if interpolate_with != "optical_flow":
-            msg = f"interpolate_with: got {interpolate_with}, but interpolate_by is 1: leave it out or take more"
-            raise InputError(msg)
+            raise InputError(
+                "interpolate_with", f"got {interpolate_with}, but interpolate_by is 1: leave it out or take more"
+            )
         return None
     # OpenCV or torch, which nobody needs who interpolates nothing.
     if interpolate_with == "optical_flow":
         if checkpoint is not None:
-            msg = (
-                f"superslomo_checkpoint: got {checkpoint}, but interpolate_with is optical_flow, which takes no weights; "
-                "set interpolate_with: superslomo, or leave the checkpoint out"
+            raise InputError(
+                "superslomo_checkpoint",
+                f"got {checkpoint}, but interpolate_with is optical_flow, which takes no weights; "
+                "set interpolate_with: superslomo, or leave the checkpoint out",
             )
-            raise InputError(msg)
         from simulator.importers.optical_flow import OpticalFlow
 
         return OpticalFlow()
     if checkpoint is None:
-        msg = (
-            "superslomo_checkpoint: got none, but interpolate_with is superslomo, whose weights are not part of Flatlight; "
-            "give the path of SuperSloMo.ckpt, or set interpolate_with: optical_flow"
+        raise InputError(
+            "superslomo_checkpoint",
+            "got none, but interpolate_with is superslomo, whose weights are not part of Flatlight; "
+            "give the path of SuperSloMo.ckpt, or set interpolate_with: optical_flow",
         )
-        raise InputError(msg)
     load_extra("torch", "torch", "learn")
     from simulator.importers.superslomo import SuperSloMo
 
@@ -260,8 +262,7 @@ class FlatVideos:
                 usable.append(video)
         if not usable:
             listed = "".join(f"\n  {line}" for line in first_lines(found, 10))
-            msg = f"source: {importer} found no video that can be used{':' if found else ''}{listed}"
-            raise InputError(msg)
+            raise InputError("source", f"{importer} found no video that can be used{':' if found else ''}{listed}")
         return cls(importer, view, tuple(usable), plan, tuple(found), tuple(other_inputs))
 
     def __len__(self) -> int:
@@ -298,8 +299,7 @@ class FlatVideos:
         stop = start + plan.needed
         rgb, window = fit_frames(video.read(start, stop), video.name, self.view.shape, plan.crop, rng)
         if len(rgb) != plan.needed:
-            msg = f"{video.name} gave {len(rgb)} of the {plan.needed} frames from {start} on: fetch it again"
-            raise InputError(msg)
+            raise InputError(video.name, f"gave {len(rgb)} of the {plan.needed} frames from {start} on: fetch it again")
         interpolation: dict[str, Any] = {}
         if plan.interpolator is not None:
             rgb = plan.interpolator.interpolate(rgb, plan.interpolate_by)[: plan.frames]
@@ -307,8 +307,9 @@ class FlatVideos:
         own_rate = video.frames_per_second
         rate = plan.frames_per_second or (None if own_rate is None else own_rate * plan.interpolate_by)
         if rate is None:
-            msg = f"frames_per_second: {video.name} has no frame rate; say at which a clip is taken to have been filmed"
-            raise InputError(msg)
+            raise InputError(
+                "frames_per_second", f"{video.name} has no frame rate; say at which a clip is taken to have been filmed"
+            )
         shape = rgb.shape[:3]
         source = {
             "importer": self.importer,
@@ -408,13 +409,12 @@ def fit_frames(
             size = frame.shape[:2]
             window = largest_window(size, shape, crop, rng)
         elif frame.shape[:2] != size:
-            msg = (
-                f"{name} changes its size from {size[0]} x {size[1]} to {frame.shape[0]} x {frame.shape[1]} pixels: "
-                "split it where that happens"
+            raise InputError(
+                name,
+                f"changes its size from {size[0]} x {size[1]} to {frame.shape[0]} x {frame.shape[1]} pixels: "
+                "split it where that happens",
             )
-            raise InputError(msg)
         fitted.append(fit(frame, window, shape))
     if not fitted:
-        msg = f"{name} gave no frames"
-        raise InputError(msg)
+        raise InputError(name, "gave no frames")
     return np.stack(fitted), window

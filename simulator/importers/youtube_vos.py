@@ -111,19 +111,19 @@ def read_categories(path: Path) -> dict[str, Categories]:
     try:
         meta = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        msg = f"{path} is missing, which lists the videos' objects and categories: fetch it from the data set's release"
-        raise InputError(msg) from None
+        raise InputError(
+            path, "it is missing, and lists the videos' objects and categories: fetch it from the data set's release"
+        ) from None
     except (OSError, ValueError) as error:
-        msg = f"{path} cannot be read as JSON ({error}): fetch it again"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read as JSON ({error}): fetch it again") from error
     try:
         return {name: _categories(video["objects"]) for name, video in meta["videos"].items()}
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        msg = (
-            f"{path} is not laid out like YouTube-VOS ({type(error).__name__}: {error}): expected "
-            '{"videos": {name: {"objects": {"1": {"category": ..., "frames": [...]}}}}}'
-        )
-        raise InputError(msg) from error
+        raise InputError(
+            path,
+            f"not laid out like YouTube-VOS ({type(error).__name__}: {error}): expected "
+            '{"videos": {name: {"objects": {"1": {"category": ..., "frames": [...]}}}}}',
+        ) from error
 
 
 def _categories(objects: dict[str, dict[str, Any]]) -> Categories:
@@ -142,9 +142,9 @@ def _root(path: Path, subset: Subset | None) -> Path:
         folders, files = list_folder(path)
         held = ", ".join(sorted(folders + files)[:6]) or "nothing"
         here = f"it holds {held}" if is_folder(path) else "it does not exist"
-        msg = (
-            f"path: {path} with subset: {subset or 'null'} has no folder {_IMAGES}; {here}: name the folder that holds "
-            f"train or valid, or one of these, with {_IMAGES}, {_MASKS} and {_META} in it"
+        raise InputError(
+            "path",
+            f"{path} with subset: {subset or 'null'} has no folder {_IMAGES}; {here}: name the folder that holds "
+            f"train or valid, or one of these, with {_IMAGES}, {_MASKS} and {_META} in it",
         )
-        raise InputError(msg)
     return root

@@ -74,27 +74,23 @@ def describe_extras(extras: Mapping[str, NDArray[Any]]) -> Layout:
     for name, values in extras.items():
         if values.dtype.name not in _DTYPES or (values.dtype.kind in "iu" and np.abs(values).max() > _LARGEST_WHOLE):
             most = f", up to {np.abs(values).max()}" if values.dtype.kind in "iu" else ""
-            msg = (
-                f"extras[{name!r}]: got {values.dtype}{most}; expected one of {', '.join(_DTYPES)} with whole numbers up to "
-                "2^24, which 32-bit channels hold exactly; convert it knowingly"
+            raise InputError(
+                f"extras[{name!r}]",
+                f"got {values.dtype}{most}; expected one of {', '.join(_DTYPES)} with whole numbers up to "
+                "2^24, which 32-bit channels hold exactly; convert it knowingly",
             )
-            raise InputError(msg)
         components = values.shape[3] if values.ndim == 4 else None
         channels = extra_channels(name, components)
         for channel in channels:
             if channel in taken:
-                msg = f"extras[{name!r}]: its channel {channel!r} is that of {taken[channel]}; rename it"
-                raise InputError(msg)
+                raise InputError(f"extras[{name!r}]", f"its channel {channel!r} is that of {taken[channel]}; rename it")
             taken[channel] = name
         layout[name] = {"channels": channels, "components": components, "dtype": values.dtype.name}
     return layout
 
 
 def frame_channels(
-    rgb: NDArray[np.float32],
-    depth_m: NDArray[np.float32],
-    valid: NDArray[np.bool_],
-    extras: Mapping[str, NDArray[Any]],
+    rgb: NDArray[np.float32], depth_m: NDArray[np.float32], valid: NDArray[np.bool_], extras: Mapping[str, NDArray[Any]]
 ) -> dict[str, NDArray[np.float32]]:
     """Return one frame as channels.
 
@@ -133,8 +129,7 @@ def layout_channels(layout: object) -> list[str]:
     entries = layout.items() if isinstance(layout, dict) else [("", None)]
     channels = [channel for name, entry in entries for channel in _listed(name, entry)]
     if "" in channels or len(set(channels)) != len(channels):
-        msg = f"extras: got {layout!r}, expected channels, components and dtype by name"
-        raise InputError(msg)
+        raise InputError("extras", f"got {layout!r}, expected channels, components and dtype by name")
     return channels
 
 
@@ -184,7 +179,7 @@ def _check_no_others(path: Path, paths: list[Path]) -> None:
     own = {file.name for file in paths}
     others = sorted(file.name for file in path.absolute().parent.iterdir() if numbered.fullmatch(file.name))
     if foreign := [name for name in others if name not in own]:
-        msg = (
-            f"--output: {foreign[0]} lies there already and is no frame of this clip; remove it, or choose another name"
+        raise InputError(
+            "--output",
+            f"{foreign[0]} lies there already and is no frame of this clip; remove it, or choose another name",
         )
-        raise InputError(msg)

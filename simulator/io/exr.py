@@ -100,8 +100,7 @@ def write_exr(path: Path | str, channels: Mapping[str, NDArray[np.float32]], met
 
     def check(written: Path) -> None:
         if written.read_bytes() != data:
-            msg = f"cannot write {path}: the disk gave back other bytes than it was given. Check the disk."
-            raise StorageError(msg)
+            raise StorageError(path, "the disk gave back other bytes than it was given. Check the disk.")
 
     write_atomic(path, data, check)
     return data
@@ -145,49 +144,56 @@ def decode_exr(
     rows, columns = header.shape
     values = rows * columns * len(header.channels)
     if values > max_pixels:
-        msg = (
-            f"{path} claims {rows} x {columns} pixels x {len(header.channels)} channels = {values} values, more than "
-            f"the limit of {max_pixels}; if that is right, raise max_pixels"
+        raise InputError(
+            path,
+            f"claims {rows} x {columns} pixels x {len(header.channels)} channels = {values} values, more than "
+            f"the limit of {max_pixels}; if that is right, raise max_pixels",
         )
-        raise InputError(msg)
     if require_checksums and header.checksums is None:
-        msg = f"{path} has no {ATTRIBUTE!r} attribute: it was not written by flatlight, or its header is damaged"
-        raise InputError(msg)
+        raise InputError(
+            path, f"has no {ATTRIBUTE!r} attribute: it was not written by flatlight, or its header is damaged"
+        )
     with quiet():
         try:
             parts = OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=0).parts
             found = dict(parts[0].channels) if len(parts) == 1 else {}
         except Exception as error:
-            raise InputError(_damaged(path, str(error))) from error
+            raise _damaged(path, str(error)) from error
     if sorted(found) != sorted(header.channels):  # OpenEXR drops what it cannot decode, without raising
-        raise InputError(_damaged(path, f"channels {list(header.channels)} announced, {list(found)} readable"))
+        raise _damaged(path, f"channels {list(header.channels)} announced, {list(found)} readable")
     result = {name: _decoded_channel(path, header, name, channel.pixels) for name, channel in found.items()}
     return result, header.metadata
 
 
 def _checked_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
     if not channels:
-        msg = f"cannot write {path}: no channels given"
-        raise InputError(msg)
+        raise InputError(path, "cannot be written: no channels given")
     clean: dict[str, NDArray[np.float32]] = {}
     shape: tuple[int, ...] | None = None
     for name, values in channels.items():
         if not isinstance(name, str) or not name or "\0" in name or len(name.encode()) > _MAX_NAME_BYTES:
-            msg = f"cannot write {path}: channel name must be text of 1 to {_MAX_NAME_BYTES} bytes, got {name!r}"
-            raise InputError(msg)
+            raise InputError(
+                path, f"cannot be written: channel name must be text of 1 to {_MAX_NAME_BYTES} bytes, got {name!r}"
+            )
         if not isinstance(values, np.ndarray) or values.dtype != np.float32:
             kind = values.dtype if isinstance(values, np.ndarray) else type(values).__name__
-            msg = f"cannot write {path}: channel {name!r} must be a float32 array, got {kind}; convert it knowingly"
-            raise InputError(msg)
+            raise InputError(
+                path, f"cannot be written: channel {name!r} must be a float32 array, got {kind}; convert it knowingly"
+            )
         if values.ndim != 2 or values.size == 0:
-            msg = f"cannot write {path}: channel {name!r} must be (rows, columns) and not empty, got {values.shape}"
-            raise InputError(msg)
+            raise InputError(
+                path, f"cannot be written: channel {name!r} must be (rows, columns) and not empty, got {values.shape}"
+            )
         if shape is not None and values.shape != shape:
-            msg = f"cannot write {path}: channel {name!r} is {values.shape}, the others {shape}; one file has one size"
-            raise InputError(msg)
+            raise InputError(
+                path,
+                f"cannot be written: channel {name!r} is {values.shape}, the others {shape}; one file has one size",
+            )
         if not np.isfinite(values).all():
-            msg = f"cannot write {path}: channel {name!r} holds NaN or inf; store a validity channel and finite values"
-            raise InputError(msg)
+            raise InputError(
+                path,
+                f"cannot be written: channel {name!r} holds NaN or inf; store a validity channel and finite values",
+            )
         shape = values.shape
         clean[name] = np.ascontiguousarray(values, dtype="<f4")  # other layouts are written WRONG, silently
     return clean
@@ -197,11 +203,13 @@ def _attribute(path: Path, channels: Mapping[str, NDArray[np.float32]], metadata
     try:
         text = json.dumps(dict(metadata), sort_keys=True, allow_nan=False)
     except (TypeError, ValueError) as error:
-        msg = f"cannot write {path}: metadata must be plain JSON (text, numbers, lists, dicts; no NaN): {error}"
-        raise InputError(msg) from error
+        raise InputError(
+            path, f"cannot be written: metadata must be plain JSON (text, numbers, lists, dicts; no NaN): {error}"
+        ) from error
     if json.loads(text) != dict(metadata):
-        msg = f"cannot write {path}: metadata would not come back as given; use lists for tuples and text for keys"
-        raise InputError(msg)
+        raise InputError(
+            path, "cannot be written: metadata would not come back as given; use lists for tuples and text for keys"
+        )
     checksums = {name: zlib.crc32(values.data) for name, values in channels.items()}
     content = {"crc32": checksums, "metadata": text, "metadata_crc32": zlib.crc32(text.encode())}
     return json.dumps(content, sort_keys=True)
@@ -220,30 +228,26 @@ def _bytes_of(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        msg = f"cannot read {path}: {error.strerror or error}"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
 
 
 def _header(data: bytes, path: Path) -> Header:
     import OpenEXR
 
     if data[:4] != b"\x76\x2f\x31\x01":
-        msg = f"{path} is not an OpenEXR file ({len(data)} bytes, wrong first bytes)"
-        raise InputError(msg)
+        raise InputError(path, f"not an OpenEXR file ({len(data)} bytes, wrong first bytes)")
     with quiet():
         try:
             parts = OpenEXR.File(io.BytesIO(data), separate_channels=True, header_only=True, num_threads=0).parts
             headers = [dict(part.header) for part in parts]
             sizes = [_size_and_names(header) for header in headers]
         except Exception as error:
-            raise InputError(_damaged(path, str(error))) from error
+            raise _damaged(path, str(error)) from error
     if len(headers) != 1:
-        msg = f"{path} has {len(headers)} parts; only single-part files are read"
-        raise InputError(msg)
+        raise InputError(path, f"has {len(headers)} parts; only single-part files are read")
     header = headers[0]
     if header.get("type", OpenEXR.scanlineimage) not in (OpenEXR.scanlineimage, OpenEXR.tiledimage):
-        msg = f"{path} is of type {header['type']}; only flat scanline or tiled images are read"
-        raise InputError(msg)
+        raise InputError(path, f"got type {header['type']}; only flat scanline or tiled images are read")
     shape, names = sizes[0]
     metadata, checksums = _parsed_attribute(path, header.get(ATTRIBUTE), names)
     return Header(shape, names, metadata, checksums)
@@ -263,29 +267,27 @@ def _parsed_attribute(
         content = json.loads(attribute if isinstance(attribute, str) else "")
         text, checksums = content["metadata"], content["crc32"]
         if zlib.crc32(text.encode()) != content["metadata_crc32"]:
-            raise InputError(_damaged(path, "the metadata do not match their checksum"))
+            raise _damaged(path, "the metadata do not match their checksum")
         metadata = json.loads(text)
     except (KeyError, TypeError, AttributeError, json.JSONDecodeError, RecursionError) as error:
-        raise InputError(_damaged(path, f"unreadable {ATTRIBUTE!r} attribute")) from error
+        raise _damaged(path, f"unreadable {ATTRIBUTE!r} attribute") from error
     if set(checksums) != set(names):
-        raise InputError(_damaged(path, f"channels {list(names)} in the header, {sorted(checksums)} written"))
+        raise _damaged(path, f"channels {list(names)} in the header, {sorted(checksums)} written")
     return metadata, checksums
 
 
 def _decoded_channel(path: Path, header: Header, name: str, pixels: NDArray[Any]) -> NDArray[np.float32]:
     if pixels.dtype not in (np.float32, np.float16):
-        msg = f"{path}: channel {name!r} holds {pixels.dtype}; only float32 and float16 are read"
-        raise InputError(msg)
+        raise InputError(path, f"channel {name!r} holds {pixels.dtype}; only float32 and float16 are read")
     if pixels.shape != header.shape:
-        raise InputError(_damaged(path, f"channel {name!r} is {pixels.shape}, the header says {header.shape}"))
+        raise _damaged(path, f"channel {name!r} is {pixels.shape}, the header says {header.shape}")
     values = np.ascontiguousarray(pixels, dtype=np.float32)
     if header.checksums is not None and zlib.crc32(values.data) != header.checksums[name]:
-        raise InputError(_damaged(path, f"channel {name!r} does not match its checksum"))
+        raise _damaged(path, f"channel {name!r} does not match its checksum")
     if not np.isfinite(values).all():
-        msg = f"{path}: channel {name!r} holds NaN or inf"
-        raise InputError(msg)
+        raise InputError(path, f"channel {name!r} holds NaN or inf")
     return values
 
 
-def _damaged(path: Path, detail: str) -> str:
-    return f"{path} is truncated or corrupt ({detail}); make it again or restore it from a copy"
+def _damaged(path: Path, detail: str) -> InputError:
+    return InputError(path, f"truncated or corrupt ({detail}); make it again or restore it from a copy")

@@ -55,15 +55,15 @@ def storage_errors(path: Path) -> Iterator[None]:
         kept = "Nothing already written is lost; run the same command again to resume where it stopped"
         if error.errno in _FULL:
             cure = f"Free space (or choose another dataset.output). {kept}."
-            msg = f"cannot write {path}: {_FULL[error.errno]}. {cure}"
+            reason = f"{_FULL[error.errno]}. {cure}"
         elif error.errno == errno.ENOENT:
-            msg = f"cannot write {path}: its folder does not exist. Make it first, or choose another place."
+            reason = "its folder does not exist. Make it first, or choose another place."
         elif error.errno in _DENIED:
             cure = f"Give write permission or choose another output folder. {kept}."
-            msg = f"cannot write {path}: {_DENIED[error.errno]}. {cure}"
+            reason = f"{_DENIED[error.errno]}. {cure}"
         else:
-            msg = f"cannot write {path}: {error.strerror or error}. Check the disk. {kept}."
-        raise StorageError(msg) from error
+            reason = f"{error.strerror or error}. Check the disk. {kept}."
+        raise StorageError(path, f"cannot be written: {reason}") from error
 
 
 def sync_folder(folder: Path) -> None:
@@ -191,8 +191,7 @@ def sha256_file(path: Path) -> str:
         with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        msg = f"cannot read {path}: {error.strerror or error}"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
 
 
 MAX_BYTES = 16 << 20
@@ -213,15 +212,12 @@ def read_text(path: Path, holds: str, max_bytes: int = MAX_BYTES) -> str:
         with path.open("rb") as file:
             raw = file.read(max_bytes + 1)
         if len(raw) > max_bytes:
-            msg = f"{path}: larger than {max_bytes >> 10} KiB, expected {holds}; is this the right file?"
-            raise InputError(msg)
+            raise InputError(path, f"larger than {max_bytes >> 10} KiB, expected {holds}; is this the right file?")
         return raw.decode("utf-8-sig")
     except OSError as error:
-        msg = f"cannot read {path}: {error.strerror or error}"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
-        msg = f"{path}: not UTF-8 text (byte 0x{error.object[error.start]:02x}); expected {holds}"
-        raise InputError(msg) from error
+        raise InputError(path, f"not UTF-8 text (byte 0x{error.object[error.start]:02x}); expected {holds}") from error
 
 
 class AppendedLines:
@@ -241,8 +237,9 @@ class AppendedLines:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             os.close(self._descriptor)
-            msg = f"another process is writing to the data set in {path.parent}; wait for it or choose another dataset.output"
-            raise InputError(msg) from error
+            raise InputError(
+                path.parent, "another process is writing to the data set; wait for it or choose another dataset.output"
+            ) from error
         except OSError:
             pass  # a file system without locks
         with storage_errors(path):
@@ -289,8 +286,7 @@ def read_lines(path: Path) -> tuple[list[bytes], bool]:
     except FileNotFoundError:
         return [], False
     except OSError as error:
-        msg = f"cannot read {path}: {error.strerror or error}"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
     *lines, rest = data.split(b"\n")
     return lines, bool(rest)
 

@@ -54,8 +54,9 @@ def read_picture(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
         if mode.startswith("I;16"):
             return np.asarray(_load(image, path)).astype(np.uint16)
         if mode not in _CONVERT:
-            msg = f"{path} has pixels of kind {mode!r}; expected 8 bit grey or RGB, or 16 bit grey: convert it"
-            raise InputError(msg)
+            raise InputError(
+                path, f"has pixels of kind {mode!r}; expected 8 bit grey or RGB, or 16 bit grey: convert it"
+            )
         loaded = _load(image, path)
         return np.asarray(loaded if loaded.mode == _CONVERT[mode] else loaded.convert(_CONVERT[mode]))
 
@@ -79,16 +80,14 @@ def read_shown_picture(path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint1
         loaded = _load(image, path)
         if loaded.has_transparency_data:
             if values.dtype == np.uint16:
-                msg = (
-                    f"{path} has 16 bit grey with a transparent value, which is not read; save it without transparency"
+                raise InputError(
+                    path, "has 16 bit grey with a transparent value, which is not read; save it without transparency"
                 )
-                raise InputError(msg)
             alpha = np.asarray(loaded.convert("RGBA"))[..., 3]
         try:
             orientation = loaded.getexif().get(_ORIENTATION, 1)
         except _BROKEN as error:
-            msg = f"{path} has damaged EXIF data ({error}): save it again without them"
-            raise InputError(msg) from error
+            raise InputError(path, f"has damaged EXIF data ({error}): save it again without them") from error
     return upright(values, orientation), None if alpha is None else upright(alpha, orientation)
 
 
@@ -126,18 +125,16 @@ def _open(path: Path) -> Image:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # from half the limit on
             image = Image.open(path)
     except UnidentifiedImageError:
-        msg = f"{path} is not a picture that can be read (PNG, WebP, JPEG): check the file or fetch it again"
-        raise InputError(msg) from None
+        raise InputError(
+            path, "not a picture that can be read (PNG, WebP, JPEG): check the file or fetch it again"
+        ) from None
     except Image.DecompressionBombError as error:
-        msg = f"{path} claims too many pixels; at most {MAX_PIXELS} are read"
-        raise InputError(msg) from error
+        raise InputError(path, f"claims too many pixels; at most {MAX_PIXELS} are read") from error
     except _BROKEN as error:
-        msg = f"{path} cannot be opened as a picture: {error}"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be opened as a picture: {error}") from error
     if image.width * image.height > MAX_PIXELS:
         image.close()
-        msg = f"{path} claims {image.height} x {image.width} pixels; at most {MAX_PIXELS} are read"
-        raise InputError(msg)
+        raise InputError(path, f"claims {image.height} x {image.width} pixels; at most {MAX_PIXELS} are read")
     return image
 
 
@@ -145,8 +142,7 @@ def _load(image: Image, path: Path) -> Image:
     try:
         image.load()
     except _BROKEN as error:
-        msg = f"{path} is damaged or cut short ({error}): fetch it again"
-        raise InputError(msg) from error
+        raise InputError(path, f"damaged or cut short ({error}): fetch it again") from error
     return image
 
 
@@ -156,15 +152,14 @@ def _refuse_deep_colour(path: Path) -> None:
         with path.open("rb") as file:
             head = file.read(26)
     except OSError as error:
-        msg = f"{path} cannot be read: {error.strerror or error}"
-        raise InputError(msg) from error
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
     grey = 0
     if head[:8] == b"\x89PNG\r\n\x1a\n" and len(head) == 26 and head[24] == 16 and head[25] != grey:
-        msg = (
-            f"{path} is a 16 bit colour PNG, which cannot be read here without losing bits: "
-            "save it as a TIFF, an .npy or one grey 16 bit PNG per channel"
+        raise InputError(
+            path,
+            "got a 16 bit colour PNG, which cannot be read here without losing bits: "
+            "save it as a TIFF, an .npy or one grey 16 bit PNG per channel",
         )
-        raise InputError(msg)
 
 
 def read_light(path: Path) -> NDArray[np.float32]:
@@ -187,8 +182,10 @@ def read_light(path: Path) -> NDArray[np.float32]:
     if light.ndim == 2:
         light = np.repeat(light[..., np.newaxis], 3, axis=2)
     if not np.all(light >= 0):  # also catches NaN
-        msg = f"{path}: {np.count_nonzero(~(light >= 0))} of its values are negative or NaN, and light is not; set them to 0"
-        raise InputError(msg)
+        raise InputError(
+            path,
+            f"{np.count_nonzero(~(light >= 0))} of its values are negative or NaN, and light is not; set them to 0",
+        )
     return light
 
 
@@ -198,8 +195,7 @@ def _exr_light(path: Path) -> NDArray[np.float32]:
         return np.stack([channels[name] for name in "RGB"], axis=-1)
     if "Y" in channels:
         return channels["Y"]
-    msg = f"{path}: its channels are {', '.join(channels)}; expected R, G and B, or Y"
-    raise InputError(msg)
+    raise InputError(path, f"its channels are {', '.join(channels)}; expected R, G and B, or Y")
 
 
 def _before_black(light: NDArray[np.float32], alpha: NDArray[Any] | None) -> NDArray[np.float32]:
@@ -220,24 +216,25 @@ def _tiff_light(path: Path) -> NDArray[np.float32]:
             orientation = page.tags.valueof(_ORIENTATION, 1)
             straight = tuple(page.extrasamples) == (tifffile.EXTRASAMPLE.UNASSALPHA,)
     except Exception as error:  # tifffile raises whatever the broken bytes lead to
-        msg = f"{path} cannot be read as a TIFF picture ({error}): check the file or fetch it again"
-        raise InputError(msg) from error
+        raise InputError(
+            path, f"cannot be read as a TIFF picture ({error}): check the file or fetch it again"
+        ) from error
     if values.ndim != 2 and not (values.ndim == 3 and values.shape[2] in (3, 4)):
-        msg = f"{path} has an array of {' x '.join(map(str, values.shape))}; expected one picture, grey or RGB"
-        raise InputError(msg)
+        raise InputError(
+            path, f"has an array of {' x '.join(map(str, values.shape))}; expected one picture, grey or RGB"
+        )
     values, alpha = upright(values, orientation), None
     if values.ndim == 3 and values.shape[2] == 4:
         values, alpha = values[..., :3], values[..., 3]
         if not straight and np.ptp(alpha):
-            msg = f"{path} has a fourth channel that is no straight alpha (its ExtraSamples are not 2); save it as RGB"
-            raise InputError(msg)
+            raise InputError(
+                path, "has a fourth channel that is no straight alpha (its ExtraSamples are not 2); save it as RGB"
+            )
         alpha = alpha if straight else None
     if values.dtype in (np.uint8, np.uint16):
         return _before_black(decode_srgb_picture(values), alpha)
     if values.dtype in (np.float16, np.float32, np.float64):
         if not np.isfinite(values).all():
-            msg = f"{path} holds NaN or inf; set them to finite values"
-            raise InputError(msg)
+            raise InputError(path, "holds NaN or inf; set them to finite values")
         return _before_black(values.astype(np.float32), alpha)
-    msg = f"{path} holds {values.dtype}; expected 8 or 16 bit sRGB, or floating point linear light"
-    raise InputError(msg)
+    raise InputError(path, f"holds {values.dtype}; expected 8 or 16 bit sRGB, or floating point linear light")

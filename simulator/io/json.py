@@ -43,21 +43,18 @@ def plain(value: Any, where: str = "value") -> Any:
         return int(value)
     if isinstance(value, float):
         if math.isnan(value):
-            msg = f"{where} is NaN, which JSON cannot hold; leave it out or use None"
-            raise InputError(msg)
+            raise InputError(where, "got NaN, which JSON cannot hold; leave it out or use None")
         return float(value) if math.isfinite(value) else str(float(value))
     if isinstance(value, PurePath):
         return str(value)
     if isinstance(value, Mapping):
         for key in value:
             if not isinstance(key, str):
-                msg = f"{where} has the key {key!r}; keys must be text"
-                raise InputError(msg)
+                raise InputError(where, f"has the key {key!r}; keys must be text")
         return {str(key): plain(item, f"{where}.{key}") for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [plain(item, f"{where}[{index}]") for index, item in enumerate(value)]
-    msg = f"{where} is a {type(value).__name__}, which has no JSON form; use text, numbers, lists and dicts"
-    raise InputError(msg)
+    raise InputError(where, f"got a {type(value).__name__}, which has no JSON form; use text, numbers, lists and dicts")
 
 
 def canonical_json(value: Any) -> bytes:

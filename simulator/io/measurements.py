@@ -39,15 +39,14 @@ def read_measurement(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
         if image.ndim == 3 and path.suffix.lower() != ".npy":
             image = np.moveaxis(image, -1, 0)
     else:
-        msg = f"{path} is of a kind that is not read: expected .tif, .tiff, .png, .exr or .npy (linear, without loss)"
-        raise InputError(msg)
+        raise InputError(path, "expected .tif, .tiff, .png, .exr or .npy (linear, without loss)")
     image = image[None] if image.ndim == 2 else image
     if image.ndim != 3 or image.shape[0] not in (1, len(channels)) or 0 in image.shape:
-        msg = (
-            f"{path} holds an array of shape {image.shape}; expected one grey image or {len(channels)} channels "
-            f"({', '.join(channels)})"
+        raise InputError(
+            path,
+            f"holds an array of shape {image.shape}; expected one grey image or {len(channels)} channels "
+            f"({', '.join(channels)})",
         )
-        raise InputError(msg)
     return check_numbers(image, path)
 
 
@@ -60,16 +59,15 @@ def read_npy(path: Path) -> NDArray[Any]:
     try:
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)
         if not isinstance(mapped, np.ndarray):
-            msg = f"{path} is an archive of arrays (.npz); expected one array: save it with numpy.save"
-            raise InputError(msg)
+            raise InputError(path, "got an archive of arrays (.npz); expected one array: save it with numpy.save")
         _check_size(mapped.shape, path)
         return np.array(mapped)
     except InputError:
         raise
     except FileNotFoundError as error:
-        raise InputError(_missing(path, error)) from error
+        raise _missing(path, error) from error
     except (OSError, ValueError, EOFError) as error:
-        raise InputError(_unreadable(path, error)) from error
+        raise _unreadable(path, error) from error
 
 
 def check_numbers(image: NDArray[Any], path: Path) -> NDArray[Any]:
@@ -79,12 +77,12 @@ def check_numbers(image: NDArray[Any], path: Path) -> NDArray[Any]:
         InputError: naming the file otherwise.
     """
     if image.dtype.kind not in "uif":
-        msg = f"{path} holds values of type {image.dtype}; expected integers or floats"
-        raise InputError(msg)
+        raise InputError(path, f"holds values of type {image.dtype}; expected integers or floats")
     if image.dtype.kind == "f" and not np.all(np.isfinite(image)):
         bad = int(np.count_nonzero(~np.isfinite(image)))
-        msg = f"{path} holds {bad} values that are NaN or infinite; expected finite numbers: repair these pixels first"
-        raise InputError(msg)
+        raise InputError(
+            path, f"holds {bad} values that are NaN or infinite; expected finite numbers: repair these pixels first"
+        )
     return image
 
 
@@ -96,18 +94,19 @@ def _read_tiff(path: Path) -> NDArray[Any]:
         with tifffile.TiffFile(path) as file:
             pages = len(file.pages)
             if pages != 1:
-                msg = f"{path} has {pages} pages; expected one image per file: save one TIFF per depth, or one .npy"
-                raise InputError(msg)
+                raise InputError(
+                    path, f"has {pages} pages; expected one image per file: save one TIFF per depth, or one .npy"
+                )
             page = file.pages.first
             _check_size(page.shape, path)
             image, axes = page.asarray(), page.axes
     except InputError:
         raise
     except FileNotFoundError as error:
-        raise InputError(_missing(path, error)) from error
+        raise _missing(path, error) from error
     # tifffile reports damage by many kinds of exceptions; whatever it is, the file cannot be used.
     except Exception as error:
-        raise InputError(_unreadable(path, error)) from error
+        raise _unreadable(path, error) from error
     return np.moveaxis(image, 0, -1) if axes == "SYX" else image
 
 
@@ -120,20 +119,21 @@ def _read_exr(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
         return np.stack([found[name] for name in channels])
     if len(found) == 1:
         return next(iter(found.values()))
-    msg = f"{path} has the channels {', '.join(sorted(found))}; expected {', '.join(channels)}, or a single one"
-    raise InputError(msg)
+    raise InputError(
+        path, f"has the channels {', '.join(sorted(found))}; expected {', '.join(channels)}, or a single one"
+    )
 
 
 def _check_size(shape: tuple[int, ...], path: Path) -> None:
     values = int(np.prod([int(n) for n in shape], dtype=object)) if shape else 1
     if values > MAX_VALUES or max(shape, default=0) > MAX_PIXELS:
-        msg = f"{path} claims {' x '.join(map(str, shape))} values; at most {MAX_VALUES} are read"
-        raise InputError(msg)
+        raise InputError(path, f"claims {' x '.join(map(str, shape))} values; at most {MAX_VALUES} are read")
 
 
-def _unreadable(path: Path, error: Exception) -> str:
-    return f"{path} cannot be read ({type(error).__name__}: {error}): check the file or save it again, uncompressed"
+def _unreadable(path: Path, error: Exception) -> InputError:
+    cure = "check the file or save it again, uncompressed"
+    return InputError(path, f"cannot be read ({type(error).__name__}: {error}): {cure}")
 
 
-def _missing(path: Path, error: FileNotFoundError) -> str:
-    return f"cannot read {path}: {error.strerror}; check its name and folder"
+def _missing(path: Path, error: FileNotFoundError) -> InputError:
+    return InputError(path, f"cannot be read: {error.strerror}; check its name and folder")

@@ -59,14 +59,11 @@ def read_wavelength_table(path: Path, unit_m: float | None = None) -> Wavelength
     for (line, cells), numbers in zip(rows, values, strict=True):
         if len(cells) != len(rows[0][1]) or len(cells) < 2 or None in numbers:
             wanted = f"{max(len(rows[0][1]), 2)} finite numbers, the wavelength first"
-            msg = f"{path}:{line}: got {', '.join(cells)!r}; expected {wanted}"
-            raise InputError(msg)
+            raise InputError(f"{path}:{line}", f"got {', '.join(cells)!r}; expected {wanted}")
     if len(values) < 2:
-        msg = f"{path}: {len(values)} rows of numbers; a table needs at least two wavelengths"
-        raise InputError(msg)
+        raise InputError(path, f"got {len(values)} rows of numbers; expected at least two wavelengths")
     if header is not None and len(header) != len(values[0]):
-        msg = f"{path}: its header names {len(header)} columns, but the rows hold {len(values[0])}"
-        raise InputError(msg)
+        raise InputError(path, f"its header names {len(header)} columns, but the rows hold {len(values[0])}")
     table = np.array(values, np.float64)
     wavelengths_m = table[:, 0] * _unit_m(path, header[0] if header else "", unit_m)
     names = tuple(name.strip() for name in header[1:]) if header else None
@@ -84,15 +81,14 @@ def ordered(
     order = np.argsort(wavelengths_m, kind="stable")
     wavelengths_m, columns = wavelengths_m[order], columns[order]
     if wavelengths_m[0] < _SHORTEST_M or wavelengths_m[-1] > _LONGEST_M:
-        msg = (
-            f"{path}: wavelengths from {wavelengths_m[0]:g} to {wavelengths_m[-1]:g} m, which is no light; does the header "
-            "name their unit (wavelength_nm, wavelength_um, wavelength_angstrom)?"
+        raise InputError(
+            path,
+            f"got wavelengths from {wavelengths_m[0]:g} to {wavelengths_m[-1]:g} m, which are not optical; does the header "
+            "name their unit (wavelength_nm, wavelength_um, wavelength_angstrom)?",
         )
-        raise InputError(msg)
     twice = np.flatnonzero(np.diff(wavelengths_m) <= 0)
     if len(twice):
-        msg = f"{path}: the wavelength {wavelengths_m[twice[0]]:g} m comes twice; keep one of the rows"
-        raise InputError(msg)
+        raise InputError(path, f"the wavelength {wavelengths_m[twice[0]]:g} m comes twice; keep one of the rows")
     return wavelengths_m, columns
 
 
@@ -115,9 +111,9 @@ def _unit_m(path: Path, label: str, default: float | None) -> float:
         if re.search(pattern, words):
             return metres
     if default is None:
-        msg = (
-            f"{path}: the unit of the wavelengths is not said; give the table a header, such as wavelength_nm,n or "
-            "wavelength_um,n,k"
+        raise InputError(
+            path,
+            "the unit of the wavelengths is not said; give the table a header, such as wavelength_nm,n or "
+            "wavelength_um,n,k",
         )
-        raise InputError(msg)
     return default

@@ -46,17 +46,16 @@ def interpolate_stack(
     wanted = np.asarray(depths_m, np.float64)
     check_depths(wanted)
     if not 0 < mask_to_sensor_m < np.inf:
-        msg = f"mask_to_sensor_m: got {mask_to_sensor_m!r}, expected positive metres"
-        raise InputError(msg)
+        raise InputError("mask_to_sensor_m", f"got {mask_to_sensor_m!r}, expected positive metres")
     own = stack.depths_m
     outside = [float(depth) for depth in wanted if _same(own, depth) is None and not own[0] < depth < own[-1]]
     if outside and not extrapolate:
         span = length(own[0]) if len(own) == 1 else f"{length(own[0])} to {length(own[-1])}"
-        msg = (
-            f"depths_m: got {', '.join(map(length, outside[:5]))}, outside the stack's {span}, where nothing was measured; "
-            "choose depths within, or set extrapolate to magnify the outermost plane"
+        raise InputError(
+            "depths_m",
+            f"got {', '.join(map(length, outside[:5]))}, outside the stack's {span}, where nothing was measured; "
+            "choose depths within, or set extrapolate to magnify the outermost plane",
         )
-        raise InputError(msg)
     errors = left_out_errors(stack, mask_to_sensor_m)
     planes, records = [], []
     for depth in wanted:

@@ -46,31 +46,27 @@ class Mask:
 
     def __post_init__(self) -> None:
         if self.height_m.ndim != 2 or tuple(self.height_m.shape) != tuple(self.amplitude.shape):
-            msg = (
-                f"height_m and amplitude must be 2-D arrays of one shape, got {tuple(self.height_m.shape)} and "
-                f"{tuple(self.amplitude.shape)}; give one height and one amplitude per mask pixel"
+            raise InputError(
+                "height_m, amplitude",
+                f"got {tuple(self.height_m.shape)} and "
+                f"{tuple(self.amplitude.shape)}; give one height and one amplitude per mask pixel",
             )
-            raise InputError(msg)
         height, amplitude = to_numpy(self.height_m), to_numpy(self.amplitude)
         if not np.all(np.isfinite(height)):
             bad = np.count_nonzero(~np.isfinite(height))
-            msg = f"height_m holds {bad} NaN or infinite values; every height must be finite metres"
-            raise InputError(msg)
+            raise InputError("height_m", f"holds {bad} NaN or infinite values; every height must be finite metres")
         if not np.all((amplitude >= 0) & (amplitude <= 1)):
-            msg = (
-                f"amplitude must lie in 0..1, got {np.nanmin(amplitude)} to {np.nanmax(amplitude)}"
-                f" with {np.count_nonzero(np.isnan(amplitude))} NaN; divide by its maximum first"
+            raise InputError(
+                "amplitude",
+                f"must lie in 0..1, got {np.nanmin(amplitude)} to {np.nanmax(amplitude)}"
+                f" with {np.count_nonzero(np.isnan(amplitude))} NaN; divide by its maximum first",
             )
-            raise InputError(msg)
         if not np.any(amplitude > 0):
-            msg = "amplitude is zero everywhere: no light passes; open at least one mask pixel"
-            raise InputError(msg)
+            raise InputError("amplitude", "zero everywhere: no light passes; open at least one mask pixel")
         if not 1e-8 <= self.pitch_m <= 1e-3:
-            msg = f"pitch_m: got {self.pitch_m:g}, expected metres from 1e-8 to 1e-3 (2 um is 2e-6)"
-            raise InputError(msg)
+            raise InputError("pitch_m", f"got {self.pitch_m:g}, expected metres from 1e-8 to 1e-3 (2 um is 2e-6)")
         if self.profile not in ("staircase", "smooth"):
-            msg = f"profile: got {self.profile!r}, expected 'staircase' or 'smooth'"
-            raise InputError(msg)
+            raise InputError("profile", f"got {self.profile!r}, expected 'staircase' or 'smooth'")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -106,8 +102,7 @@ class Mask:
             ``(H * oversample, W * oversample)`` complex64 for float32 masks, complex128 for float64.
         """
         if oversample < 1:
-            msg = f"oversample: got {oversample}, expected a whole number from 1"
-            raise InputError(msg)
+            raise InputError("oversample", f"got {oversample}, expected a whole number from 1")
         xp = namespace(self.height_m)
         height, amplitude = self.height_m, self.amplitude
         if oversample > 1 and self.profile == "smooth":

@@ -48,11 +48,11 @@ class Material:
         """
         low, high = self.range_m
         if not low * (1 - _ROUNDING) <= wavelength_m <= high * (1 + _ROUNDING):
-            msg = (
-                f"wavelength_m: got {wavelength_m:g} m, but the dispersion of {self.name!r} is known from {low:g} to "
-                f"{high:g} m; choose a wavelength inside it or another material (is the unit metres?)"
+            raise InputError(
+                "wavelength_m",
+                f"got {wavelength_m:g} m, but the dispersion of {self.name!r} is known from {low:g} to "
+                f"{high:g} m; choose a wavelength inside it or another material (is the unit metres?)",
             )
-            raise InputError(msg)
         return 1 + self.scale * (refractive_index(self.formula, self.coefficients, wavelength_m * 1e6) - 1)
 
     def refractivity(self, wavelength_m: float) -> float:
@@ -63,11 +63,11 @@ class Material:
         """
         refractivity = self.index(wavelength_m) - 1
         if abs(refractivity) < _LEAST_REFRACTIVITY:
-            msg = (
-                f"material: {self.name!r} delays no light (n - 1 = {refractivity:g} at {wavelength_m * 1e9:g} nm), so no "
-                "height of it makes a phase; choose a solid, such as 'fused-silica'"
+            raise InputError(
+                "material",
+                f"{self.name!r} delays no light (n - 1 = {refractivity:g} at {wavelength_m * 1e9:g} nm), so no "
+                "height of it makes a phase; choose a solid, such as 'fused-silica'",
             )
-            raise InputError(msg)
         return refractivity
 
 
@@ -220,11 +220,11 @@ def load_material(name: str, base_dir: Path | None = None) -> Material:
     if path is not None:
         return read_material(path)
     if name not in MATERIALS:
-        msg = (
-            f"material: got {name!r}, expected one of {', '.join(sorted(MATERIALS))}, or a file: a table .csv or a "
-            "refractiveindex.info .yml"
+        raise InputError(
+            "material",
+            f"got {name!r}, expected one of {', '.join(sorted(MATERIALS))}, or a file: a table .csv or a "
+            "refractiveindex.info .yml",
         )
-        raise InputError(msg)
     return MATERIALS[name]
 
 
@@ -257,8 +257,7 @@ def _from_table(path: Path) -> Material:
     table = read_wavelength_table(path)
     names = [name.lower() for name in table.names or ()]
     if names not in (["n"], ["n", "k"]):
-        msg = f"{path}: got the columns {', '.join(names)} after the wavelength; expected n, or n and k"
-        raise InputError(msg)
+        raise InputError(path, f"got the columns {', '.join(names)} after the wavelength; expected n, or n and k")
     absorption = table.columns[:, 1] if len(names) > 1 else None
     return _tabulated(path, table.wavelengths_m, table.columns[:, 0], table.remarks or "user's table", absorption)
 
@@ -269,21 +268,21 @@ def _from_database(path: Path) -> Material:
     try:
         page = yaml.safe_load(read_text(path, "a table of wavelengths"))
     except (yaml.YAMLError, RecursionError) as error:
-        msg = f"{path}: not readable as YAML ({str(error).splitlines()[0]})"
-        raise InputError(msg) from error
+        raise InputError(path, f"not readable as YAML ({str(error).splitlines()[0]})") from error
     entries = page.get("DATA") if isinstance(page, dict) else None
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        msg = f"{path}: no DATA list; expected a page of refractiveindex.info, such as main/SiO2/nk/Malitson.yml"
-        raise InputError(msg)
+        raise InputError(
+            path, "no DATA list; expected a page of refractiveindex.info, such as main/SiO2/nk/Malitson.yml"
+        )
     kinds = [str(entry.get("type")) for entry in entries]
     known = [(kind, entry) for kind, entry in zip(kinds, entries, strict=True) if kind in (*_FORMULAS, *_TABLES)]
     strange = [kind for kind in kinds if kind not in (*_FORMULAS, *_TABLES, *_WITHOUT_INDEX)]
     if len(known) != 1 or strange:
-        msg = (
-            f"{path}: its DATA are {', '.join(kinds) or 'empty'}; expected exactly one of "
-            f"{', '.join((*_FORMULAS, *_TABLES))}, beside it at most {', '.join(_WITHOUT_INDEX)}: write a table .csv instead"
+        raise InputError(
+            path,
+            f"its DATA are {', '.join(kinds) or 'empty'}; expected exactly one of "
+            f"{', '.join((*_FORMULAS, *_TABLES))}, beside it at most {', '.join(_WITHOUT_INDEX)}: write a table .csv instead",
         )
-        raise InputError(msg)
     ((kind, chosen),) = known
     source = _citation(page.get("REFERENCES")) or "refractiveindex.info"
     absorption = [_rows(path, entry, 2)[:, 1] for k, entry in zip(kinds, entries, strict=True) if k == "tabulated k"]
@@ -293,8 +292,7 @@ def _from_database(path: Path) -> Material:
         return _tabulated(path, rows[:, 0] * UM, rows[:, 1], source, *absorption)
     coefficients, span_um = _numbers(path, chosen, "coefficients"), _numbers(path, chosen, "wavelength_range")
     if len(coefficients) % 2 == 0 or len(span_um) != 2 or not 0 < span_um[0] < span_um[1]:
-        msg = f"{path}: {kind} with {len(coefficients)} coefficients over {span_um} um makes no sense"
-        raise InputError(msg)
+        raise InputError(path, f"{kind} with {len(coefficients)} coefficients over {span_um} um makes no sense")
     range_m = (span_um[0] * UM, span_um[1] * UM)
     material = Material(path.name, _FORMULAS[kind], coefficients, range_m, _with_absorption(source, *absorption))
     for wavelength_m in np.linspace(*range_m, 32):
@@ -330,8 +328,9 @@ def _with_absorption(source: str, *absorption: NDArray[np.float64] | None) -> st
 def _check_index(path: Path, index: NDArray[np.float64]) -> None:
     bad = index[~((index > 0.05) & (index < 10))]  # also catches NaN
     if len(bad):
-        msg = f"{path}: a refractive index of {bad.flat[0]:g}; expected 0.05 to 10: are the columns wavelength, n, k?"
-        raise InputError(msg)
+        raise InputError(
+            path, f"a refractive index of {bad.flat[0]:g}; expected 0.05 to 10: are the columns wavelength, n, k?"
+        )
 
 
 def _numbers(path: Path, entry: dict[str, Any], key: str) -> tuple[float, ...]:
@@ -341,8 +340,9 @@ def _numbers(path: Path, entry: dict[str, Any], key: str) -> tuple[float, ...]:
 def _rows(path: Path, entry: dict[str, Any], columns: int) -> NDArray[np.float64]:
     rows = _array(path, entry, "data", str(entry.get("data")))
     if rows.shape[1] != columns or len(rows) < 2:
-        msg = f"{path}: {entry.get('type')} holds {rows.shape[0]} rows of {rows.shape[1]}; expected {columns} a row, 2 rows"
-        raise InputError(msg)
+        raise InputError(
+            path, f"{entry.get('type')} holds {rows.shape[0]} rows of {rows.shape[1]}; expected {columns} a row, 2 rows"
+        )
     return rows
 
 
@@ -352,8 +352,9 @@ def _array(path: Path, entry: dict[str, Any], key: str, text: str) -> NDArray[np
     except ValueError:
         rows = np.array([np.nan])
     if rows.ndim != 2 or not np.all(np.isfinite(rows)):
-        msg = f"{path}: {entry.get('type')} has {key} {text[:40]!r}, expected rows of finite numbers parted by blanks"
-        raise InputError(msg)
+        raise InputError(
+            path, f"{entry.get('type')} has {key} {text[:40]!r}, expected rows of finite numbers parted by blanks"
+        )
     return rows
 
 

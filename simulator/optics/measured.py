@@ -72,11 +72,11 @@ def load_measured_psf(
     shape: tuple[int, ...] | None = None
     for name, image in _images([Path(file) for file in files], len(depths), channels):
         if shape is not None and image.shape != shape:
-            msg = (
-                f"{name} is {_size(image.shape)}, but the first PSF is {_size(shape)}: "
-                "all depths need the same size and channels"
+            raise InputError(
+                name,
+                f"{_size(image.shape)}, but the first PSF is {_size(shape)}: "
+                "all depths need the same size and channels",
             )
-            raise InputError(msg)
         shape = image.shape
         light, record = _clean(image, level, binning, name)
         planes.append(_turned(light) if frame == "physical" else light)
@@ -85,11 +85,11 @@ def load_measured_psf(
     energy = values.sum(axis=(-2, -1))
     if not np.all(energy > 0):
         k = int(np.argwhere(energy <= 0)[0][0])
-        msg = (
+        raise InputError(
+            "",
             f"the PSF of {depths[k]:g} m ({records[k]['file']}) is zero everywhere after removing a background of "
-            f"{records[k]['background']}: no light is left; check the image, or choose another background"
+            f"{records[k]['background']}: no light is left; check the image, or choose another background",
         )
-        raise InputError(msg)
     scale = throughput_m2 / (energy.mean() * pixel_pitch_m**2)
     centres = [_centre_of_mass(plane) for plane in values.sum(axis=1)]
     settings = {
@@ -130,8 +130,9 @@ class _Background:
             self.name: str | float = str(background)
         elif isinstance(background, int | float):
             if not (math.isfinite(background) and background >= 0):
-                msg = f"background is {background}; expected a number of counts from 0 up, 'border', 'none' or a file"
-                raise InputError(msg)
+                raise InputError(
+                    "background", f"{background}; expected a number of counts from 0 up, 'border', 'none' or a file"
+                )
             self._level, self.name = float(background), float(background)
         else:
             path = Path(background)
@@ -141,11 +142,11 @@ class _Background:
         """The background of an image ``(C, H, W)``, broadcastable to it."""
         if self._dark is not None:
             if self._dark.shape[-2:] != image.shape[-2:] or self._dark.shape[0] not in (1, image.shape[0]):
-                msg = (
-                    f"background {self.name} is {_size(self._dark.shape)}, but {name} is {_size(image.shape)}: "
-                    "expected a dark image of the same camera and size"
+                raise InputError(
+                    f"background {self.name}",
+                    f"{_size(self._dark.shape)}, but {name} is {_size(image.shape)}: "
+                    "expected a dark image of the same camera and size",
                 )
-                raise InputError(msg)
             return self._dark
         if self._level is not None or self.name == "none":
             return np.full((1, 1, 1), self._level or 0.0)
@@ -169,16 +170,17 @@ def _images(files: list[Path], depths: int, channels: tuple[str, ...]) -> Iterat
             one_image = depths == 1 and stack.shape[0] == len(channels)  # (C, H, W), as in a file per depth
             stack = stack[None] if one_image else stack[:, None]
         if stack.ndim != 4 or stack.shape[0] != depths or stack.shape[1] not in (1, len(channels)) or 0 in stack.shape:
-            msg = (
-                f"{files[0]} holds an array of shape {stack.shape}; expected (K, H, W) or (K, C, H, W) with "
-                f"K = {depths} depths and C = {len(channels)} channels ({', '.join(channels)})"
+            raise InputError(
+                files[0],
+                f"holds an array of shape {stack.shape}; expected (K, H, W) or (K, C, H, W) with "
+                f"K = {depths} depths and C = {len(channels)} channels ({', '.join(channels)})",
             )
-            raise InputError(msg)
         yield from ((f"{files[0].name}[{k}]", image) for k, image in enumerate(stack))
         return
     if len(files) != depths:
-        msg = f"got {len(files)} PSF files for {depths} depths: give one file per depth, or one .npy with all of them"
-        raise InputError(msg)
+        raise InputError(
+            "", f"got {len(files)} PSF files for {depths} depths: give one file per depth, or one .npy with all of them"
+        )
     yield from ((file.name, read_measurement(file, channels)) for file in files)
 
 
@@ -190,8 +192,7 @@ def _clean(
     Binning comes before the clipping at zero, so that noise averages out instead of becoming light.
     """
     if min(image.shape[-2:]) < binning:
-        msg = f"{name} is {_size(image.shape)}, smaller than one block of binning {binning}: lower the binning"
-        raise InputError(msg)
+        raise InputError(name, f"{_size(image.shape)}, smaller than one block of binning {binning}: lower the binning")
     dark = background.of(image, name)
     levels = np.broadcast_to(dark, (image.shape[0], *dark.shape[1:])).mean(axis=(-2, -1), dtype=np.float64)
     light = _binned(image, binning) - (_binned(dark, binning) if dark.shape[-1] > 1 else dark)
@@ -242,17 +243,15 @@ def _warnings(centres: list[tuple[float, float]], shape: tuple[int, ...], depths
 
 def _check_numbers_given(pixel_pitch_m: float, throughput_m2: float, binning: int, frame: str) -> None:
     if not 1e-8 < pixel_pitch_m < 1e-2:
-        msg = f"pixel_pitch_m is {pixel_pitch_m}; expected metres (2.4 um is 2.4e-6)"
-        raise InputError(msg)
+        raise InputError("pixel_pitch_m", f"{pixel_pitch_m}; expected metres (2.4 um is 2.4e-6)")
     if not 0 < throughput_m2 < 1:
-        msg = f"throughput_m2 is {throughput_m2}; expected square metres above 0 (10 mm2 is 10e-6)"
-        raise InputError(msg)
+        raise InputError("throughput_m2", f"{throughput_m2}; expected square metres above 0 (10 mm2 is 10e-6)")
     if not isinstance(binning, int) or binning < 1:
-        msg = f"binning is {binning!r}; expected a whole number of pixels from 1 up"
-        raise InputError(msg)
+        raise InputError("binning", f"{binning!r}; expected a whole number of pixels from 1 up")
     if frame not in ("physical", "stored"):
-        msg = f"frame is {frame!r}; expected 'physical' (as read from the sensor) or 'stored' (rotated by 180 degrees)"
-        raise InputError(msg)
+        raise InputError(
+            "frame", f"{frame!r}; expected 'physical' (as read from the sensor) or 'stored' (rotated by 180 degrees)"
+        )
 
 
 def _sha256(path: Path) -> str:

@@ -107,8 +107,7 @@ def radial_mtf(image: NDArray[np.floating], pitch_m: float) -> tuple[NDArray[np.
     """
     light = _checked(image)
     if not light.sum() > 0:
-        msg = f"image: its sum is {light.sum():g}, but a PSF's is positive: remove less background"
-        raise InputError(msg)
+        raise InputError("image", f"its sum is {light.sum():g}, but a PSF's is positive: remove less background")
     _check_positive("pitch_m", pitch_m)
     longest = max(light.shape)
     modulus = np.abs(np.fft.rfft2(light)) / light.sum()
@@ -231,10 +230,10 @@ def light_off_sensor(
 def _share_caught(size: int, sensor: int, scene: int) -> NDArray[np.float64]:
     """Return, for every PSF sample along an axis, the share of scene pixels whose light it puts on the sensor."""
     if not 0 < scene <= sensor or (sensor - scene) % 2:
-        msg = (
-            f"scene_shape: {scene} on a sensor of {sensor}; expected at most the sensor's size, and even or odd like it"
+        raise InputError(
+            "scene_shape",
+            f"{scene} on a sensor of {sensor}; expected at most the sensor's size, and even or odd like it",
         )
-        raise InputError(msg)
     nearest = np.arange(size) - size // 2 + (sensor - scene) // 2  # where scene pixel 0 puts it
     first, last = np.maximum(nearest, 0), np.minimum(nearest + scene - 1, sensor - 1)
     return np.clip(last - first + 1, 0, None) / scene
@@ -246,12 +245,12 @@ def _share_caught(size: int, sensor: int, scene: int) -> NDArray[np.float64]:
 def _checked(image: NDArray[np.floating]) -> NDArray[np.float64]:
     light = np.asarray(image, np.float64)
     if light.ndim != 2 or 0 in light.shape or not np.all(np.isfinite(light)) or not np.any(light):
-        msg = f"image must be finite (H, W) and not zero everywhere, got {light.dtype} of shape {light.shape}"
-        raise InputError(msg)
+        raise InputError(
+            "image", f"expected finite (H, W) and not zero everywhere, got {light.dtype} of shape {light.shape}"
+        )
     return light
 
 
 def _check_positive(name: str, value: float) -> None:
     if not 0 < value < np.inf:
-        msg = f"{name}: got {value!r}, expected positive metres"
-        raise InputError(msg)
+        raise InputError(name, f"got {value!r}, expected positive metres")

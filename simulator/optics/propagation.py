@@ -78,8 +78,9 @@ def angular_spectrum_adjoint(field: Array, pitch_m: float, wavelength_m: float, 
 def _through_air(field: Array, pitch_m: float, wavelength_m: float, distance_m: float, *, adjoint: bool) -> Array:
     xp = namespace(field)
     if field.ndim < 2 or not xp.isdtype(field.dtype, "complex floating"):
-        msg = f"field must be complex (..., H, W), got {field.dtype} {tuple(field.shape)}; use field.astype(complex)"
-        raise InputError(msg)
+        raise InputError(
+            "field", f"expected complex (..., H, W), got {field.dtype} {tuple(field.shape)}; use field.astype(complex)"
+        )
     _check_lengths(pitch_m, wavelength_m, distance_m)
     window = (field.shape[-2], field.shape[-1])
     spread = spread_samples(pitch_m, wavelength_m, distance_m)
@@ -130,8 +131,7 @@ def _check_lengths(pitch_m: float, wavelength_m: float, distance_m: float) -> No
     ]
     for name, value, low, high, hint in limits:
         if not low <= value <= high:
-            msg = f"{name}: got {value:g}, expected metres from {low:g} to {high:g} ({hint})"
-            raise InputError(msg)
+            raise InputError(name, f"got {value:g}, expected metres from {low:g} to {high:g} ({hint})")
 
 
 # ---- transfer functions
@@ -438,8 +438,9 @@ def fan(strata: Strata, rho_squared: Array) -> Fan:
         inverse = 1 / r
         return Fan(rho_squared / (r + d), inverse, inverse**2 * d)
     if is_torch(rho_squared):
-        msg = "gap, window: rays through several layers are traced on NumPy only; use xp='numpy', or a gap of air"
-        raise InputError(msg)
+        raise InputError(
+            "gap, window", "rays through several layers are traced on NumPy only; use xp='numpy', or a gap of air"
+        )
     from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
     thickness = np.array([number(t) for t, _ in strata])[:, None]
@@ -452,8 +453,9 @@ def fan(strata: Strata, rho_squared: Array) -> Fan:
     slope = np.sum(thickness * index**2 / cosine**3, axis=0)  # d(rho) / ds
     rho, wanted = sine * per_sine, np.sqrt(rho_squared)
     if np.max(wanted) > rho[-1]:
-        msg = f"rays to {np.max(wanted):g} m sideways are steeper than the layers' {rho[-1]:g} m; use a narrower mask"
-        raise InputError(msg)
+        raise InputError(
+            "", f"rays to {np.max(wanted):g} m sideways are steeper than the layers' {rho[-1]:g} m; use a narrower mask"
+        )
     return Fan(
         CubicHermiteSpline(rho, path, sine)(wanted),
         CubicSpline(rho, 1 / per_sine)(wanted),

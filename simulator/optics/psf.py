@@ -104,8 +104,7 @@ class PsfConfig:
         check_depths(np.asarray(self.depths_m))
         object.__setattr__(self, "depths_m", tuple(float(depth) for depth in self.depths_m))
         if self.model not in get_args(Model):
-            msg = f"model: got {self.model!r}, expected one of {', '.join(get_args(Model))}"
-            raise InputError(msg)
+            raise InputError("model", f"got {self.model!r}, expected one of {', '.join(get_args(Model))}")
 
 
 def compute_psf_stack(
@@ -205,8 +204,9 @@ def depth_images(
     if psf_config.model == "exact":
         return exact_images(mask, camera, sources, size, **settings)
     if not sources[0].on_axis:
-        msg = f"direction: got {direction}, but model {psf_config.model!r} shifts the on-axis PSF; use model 'exact'"
-        raise InputError(msg)
+        raise InputError(
+            "direction", f"got {direction}, but model {psf_config.model!r} shifts the on-axis PSF; use model 'exact'"
+        )
     return scaled_images(mask, camera, sources, size, diffracted=psf_config.model == "scaled_distance", **settings)
 
 
@@ -264,8 +264,10 @@ def _sources(
     camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float, direction: tuple[float, float]
 ) -> list[Source]:
     if not camera.mask_to_sensor_m > 0:
-        msg = f"mask_to_sensor_m: got {camera.mask_to_sensor_m:g}; the mask lies in front of the sensor, so it is positive"
-        raise InputError(msg)
+        raise InputError(
+            "mask_to_sensor_m",
+            f"got {camera.mask_to_sensor_m:g}; the mask lies in front of the sensor, so it is positive",
+        )
     window = tuple((layer.thickness_m, layer.material.index(wavelength_m)) for layer in camera.window)
     return [Source(wavelength_m, float(depth), direction, window) for depth in psf_config.depths_m]
 

@@ -39,15 +39,12 @@ def rayleigh_sommerfeld(
         InputError: when shapes or lengths are not plausible.
     """
     if field.ndim != 2:
-        msg = f"field must be 2-D (H, W), got shape {field.shape}"
-        raise InputError(msg)
+        raise InputError("field", f"expected 2-D (H, W), got shape {field.shape}")
     points = np.asarray(points_m, np.float64)
     if points.ndim != 2 or points.shape[1] != 2:
-        msg = f"points_m must be (N, 2) as x, y in metres, got shape {points.shape}"
-        raise InputError(msg)
+        raise InputError("points_m", f"expected (N, 2) as x, y in metres, got shape {points.shape}")
     if not distance_m > 0:
-        msg = f"distance_m: got {distance_m!r}, expected positive metres"
-        raise InputError(msg)
+        raise InputError("distance_m", f"got {distance_m!r}, expected positive metres")
     y, x = (((np.arange(n) - (n - 1) / 2) * pitch_m) for n in field.shape)
     k = 2 * np.pi / wavelength_m
     band = max(1, _CHUNK // field.shape[1])

@@ -35,8 +35,9 @@ class Source:
     def __post_init__(self) -> None:
         if not self._air_m > 0:
             inside = sum(thickness_m for thickness_m, _ in self.window)
-            msg = f"depth_m: got {self.depth_m:g} m, inside the {inside:g} m of glass in front of the mask; move it out"
-            raise InputError(msg)
+            raise InputError(
+                "depth_m", f"got {self.depth_m:g} m, inside the {inside:g} m of glass in front of the mask; move it out"
+            )
 
     @property
     def on_axis(self) -> bool:

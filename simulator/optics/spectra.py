@@ -115,8 +115,7 @@ def illuminant_curve(light: str | Sequence[Led], base_dir: Path | None = None) -
     if path is not None:
         curve = read_curves(path)
         if len(curve.channels) != 1:
-            msg = f"{path}: {len(curve.channels)} columns; the spectrum of a light is one"
-            raise InputError(msg)
+            raise InputError(path, f"{len(curve.channels)} columns; the spectrum of a light is one")
         return curve
     from colour import SDS_ILLUMINANTS, SpectralShape
 
@@ -145,8 +144,7 @@ def _leds(leds: Sequence[Led]) -> SpectralCurves:
 def _expect_known(argument: str, name: str, known: object) -> None:
     names = sorted(known)  # pyright: ignore[reportArgumentType]
     if name not in names:
-        msg = f"{argument}: got {name!r}, expected one of {', '.join(names)}, or a file .csv or .json"
-        raise InputError(msg)
+        raise InputError(argument, f"got {name!r}, expected one of {', '.join(names)}, or a file .csv or .json")
 
 
 # ---- curves from files
@@ -177,8 +175,7 @@ def read_curves(path: Path) -> SpectralCurves:
     channels, columns = _in_order(path, names, columns)
     peak = columns.max()
     if not peak > 0 or columns.min() < -_FORGIVEN * peak:
-        msg = f"{path}: values from {columns.min():g} to {peak:g}; a spectral curve is positive"
-        raise InputError(msg)
+        raise InputError(path, f"values from {columns.min():g} to {peak:g}; a spectral curve is positive")
     scale = 0.01 if re.search(r"percent|%", said) else 1.0
     return SpectralCurves(wavelengths_m, np.clip(columns.T, 0, None) * scale, channels, path.name)
 
@@ -195,11 +192,11 @@ def _read_json(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], tu
             msg = f"{len(rows)} rows for the columns {', '.join(names)}"
             raise ValueError(msg)
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        msg = (
-            f"{path}: not a rawtoaces file ({type(error).__name__}: {error}); expected spectral_data with index.main (names) "
-            "and data.main (wavelength in nm: values), or write a .csv"
-        )
-        raise InputError(msg) from error
+        raise InputError(
+            path,
+            f"not a rawtoaces file ({type(error).__name__}: {error}); expected spectral_data with index.main (names) "
+            "and data.main (wavelength in nm: values), or write a .csv",
+        ) from error
     return *ordered(path, table[:, 0] * NM, table[:, 1:]), names
 
 
@@ -210,8 +207,9 @@ def _in_order(
         return MONOCHROME, columns
     found = [_NAMES.get(re.split(r"[^a-z]", name.lower())[0], name) for name in names or COLOURS]
     if columns.shape[1] != 3 or sorted(found) != sorted(COLOURS):
-        msg = f"{path}: columns {', '.join(found)}; expected one (a monochrome sensor, a light), or red, green and blue"
-        raise InputError(msg)
+        raise InputError(
+            path, f"columns {', '.join(found)}; expected one (a monochrome sensor, a light), or red, green and blue"
+        )
     return COLOURS, columns[:, [found.index(colour) for colour in COLOURS]]
 
 
@@ -243,11 +241,11 @@ def spectral_response(
     high = min(curves.wavelengths_m[-1], light.wavelengths_m[-1])
     label = f"{curves.label} under {light.label}" + (", nominal" if camera == NOMINAL_CAMERA else "")
     if not low < high:
-        msg = (
-            f"{label}: the camera's curves go from {_span(curves.wavelengths_m)}, the light's from "
-            f"{_span(light.wavelengths_m)}; they have no wavelength in common (does a header say the right unit?)"
+        raise InputError(
+            label,
+            f"the camera's curves go from {_span(curves.wavelengths_m)}, the light's from "
+            f"{_span(light.wavelengths_m)}; they have no wavelength in common (does a header say the right unit?)",
         )
-        raise InputError(msg)
     step_m = min(NM, max(_FINEST_M, float(np.diff(light.wavelengths_m).min())))
     wavelengths_m = np.linspace(low, high, int(np.ceil((high - low) / step_m - 1e-6)) + 1)
     weights = curves.at(wavelengths_m) * light.at(wavelengths_m) * wavelengths_m
@@ -284,15 +282,11 @@ def quantile_lines(response: SpectralResponse, per_channel: int) -> list[Line]:
         InputError: when a channel has no weight or ``per_channel`` is below 1.
     """
     if per_channel < 1:
-        msg = f"wavelengths_per_channel: got {per_channel}, expected a whole number from 1"
-        raise InputError(msg)
+        raise InputError("wavelengths_per_channel", f"got {per_channel}, expected a whole number from 1")
     lines = []
     for channel, weights in enumerate(response.weights):
         if not weights.sum() > 0:
-            msg = (
-                f"channel {response.channels[channel]!r} of the spectral response {response.label!r} is zero everywhere"
-            )
-            raise InputError(msg)
+            raise InputError(f"{response.label}, channel {response.channels[channel]!r}", "zero everywhere")
         for wavelength_m in _centroids(response.wavelengths_m, weights, per_channel):
             lines.append(Line(channel, float(wavelength_m), 1 / per_channel))
     return lines
@@ -327,11 +321,11 @@ def check_materials(response: SpectralResponse, lines: Iterable[Line], materials
             try:
                 material.index(line.wavelength_m)
             except InputError as error:
-                msg = (
+                raise InputError(
+                    "",
                     f"channel {response.channels[line.channel]!r} of {response.label} needs {line.wavelength_m / NM:.1f} nm "
-                    f"(fewer psf.wavelengths_per_channel lie closer together): {error}"
-                )
-                raise InputError(msg) from error
+                    f"(fewer psf.wavelengths_per_channel lie closer together): {error}",
+                ) from error
 
 
 # ---- electrons per lux
@@ -365,11 +359,11 @@ def electron_rates(camera: str, illuminant: str | Sequence[Led], base_dir: Path 
     response, light = spectral_response(camera, illuminant, base_dir), illuminant_curve(illuminant, base_dir)
     lumens = LUMENS_PER_WATT * _seen_by_the_eye(light)
     if not lumens > 0:
-        msg = (
-            f"camera.exposure.illuminance_lux: the eye sees nothing of the light {light.label}, which therefore has no lux; "
-            "give camera.exposure.full_scale"
+        raise InputError(
+            "camera.exposure.illuminance_lux",
+            f"the eye sees nothing of the light {light.label}, which therefore has no lux; "
+            "give camera.exposure.full_scale",
         )
-        raise InputError(msg)
     electrons = np.trapezoid(response.weights, response.wavelengths_m) / (h * c)
     peak = camera_curves(camera, base_dir).values.max()
     return dict(zip(response.channels, (electrons / peak / lumens / np.pi).tolist(), strict=True))

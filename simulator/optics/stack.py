@@ -43,28 +43,26 @@ class PsfStack:
 
     def __post_init__(self) -> None:
         if self.values.ndim != 4:
-            msg = f"values must be (K, C, H, W), got shape {tuple(self.values.shape)}"
-            raise InputError(msg)
+            raise InputError("values", f"expected (K, C, H, W), got shape {tuple(self.values.shape)}")
         depths, channels = self.values.shape[:2]
         check_depths(self.depths_m)
         if len(self.depths_m) != depths or len(self.channels) != channels:
-            msg = (
+            raise InputError(
+                "",
                 f"values of shape {tuple(self.values.shape)} need {depths} depths and {channels} channel names, got "
-                f"{len(self.depths_m)} and {len(self.channels)}"
+                f"{len(self.depths_m)} and {len(self.channels)}",
             )
-            raise InputError(msg)
         energy = self.energy_m2()
         if not np.all(np.isfinite(energy)) or to_numpy(self.values).min() < 0:
-            msg = "values must be finite and not negative: a PSF is an intensity"
-            raise InputError(msg)
+            raise InputError("values", "expected finite and not negative: a PSF is an intensity")
         dark = np.argwhere(energy <= 0)
         if len(dark):
             k, c = dark[0]
-            msg = (
+            raise InputError(
+                "",
                 f"the PSF at depth {self.depths_m[k]:g} m, channel {self.channels[c]!r} is zero everywhere: no light reaches "
-                "the sensor; check the mask's amplitude or the measured image"
+                "the sensor; check the mask's amplitude or the measured image",
             )
-            raise InputError(msg)
 
     def energy_m2(self) -> np.ndarray:
         """Return the power per unit irradiance, ``(K, C)`` float64 square metres."""
@@ -80,15 +78,14 @@ def check_depths(depths_m: np.ndarray) -> None:
     """
     depths = np.asarray(depths_m, np.float64)
     if depths.ndim != 1 or depths.size == 0:
-        msg = f"depths_m must be a list of at least one depth, got {depths_m!r}"
-        raise InputError(msg)
+        raise InputError("depths_m", f"expected a list of at least one depth, got {depths_m!r}")
     if not np.all(depths > 0):
         bad = depths[~(depths > 0)][0]
-        msg = f"depths_m: got {bad:g} m; depth is z from the mask plane into the scene, so it must be positive"
-        raise InputError(msg)
+        raise InputError(
+            "depths_m", f"got {bad:g} m; depth is z from the mask plane into the scene, so it must be positive"
+        )
     if not np.all(depths[1:] > depths[:-1]):
-        msg = f"depths_m must increase strictly from near to far, got {depths.tolist()}"
-        raise InputError(msg)
+        raise InputError("depths_m", f"must increase strictly from near to far, got {depths.tolist()}")
 
 
 def depth_planes(near_m: float, far_m: float, count: int, spacing: str = "disparity") -> np.ndarray:
@@ -109,14 +106,14 @@ def depth_planes(near_m: float, far_m: float, count: int, spacing: str = "dispar
         "linear": (float, float),
     }
     if spacing not in forms:
-        msg = f"spacing: got {spacing!r}, expected one of {', '.join(forms)}"
-        raise InputError(msg)
+        raise InputError("spacing", f"got {spacing!r}, expected one of {', '.join(forms)}")
     if count < 1 or not 0 < near_m < far_m:
-        msg = f"got {count} depths from near {near_m:g} m to far {far_m:g} m, expected at least one with 0 < near < far"
-        raise InputError(msg)
+        raise InputError(
+            "",
+            f"got {count} depths from near {near_m:g} m to far {far_m:g} m, expected at least one with 0 < near < far",
+        )
     if np.isinf(far_m) and spacing != "disparity":
-        msg = f"far is infinite, which spacing {spacing!r} cannot divide; use spacing 'disparity'"
-        raise InputError(msg)
+        raise InputError("far", f"infinite, which spacing {spacing!r} cannot divide; use spacing 'disparity'")
     to_scale, to_depth = forms[spacing]
     first, last = to_scale(near_m), to_scale(far_m)
     steps = np.linspace(first, last, count) if count > 1 else np.array([(first + last) / 2])

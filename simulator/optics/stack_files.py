@@ -111,14 +111,14 @@ def check_replaceable(folder: Path) -> None:
     if not folder.exists():
         return
     if not folder.is_dir():
-        msg = f"{folder} is a file; a PSF stack is a folder: choose another name"
-        raise InputError(msg)
+        raise InputError(folder, "a file; a PSF stack is a folder: choose another name")
     foreign = [
         path.name for path in sorted(folder.iterdir()) if path.name != DESCRIPTION and not path.match("depth_*.exr")
     ]
     if foreign:
-        msg = f"{folder} holds other files than a PSF stack ({foreign[0]}, ...) and would be replaced: choose another name"
-        raise InputError(msg)
+        raise InputError(
+            folder, f"holds other files than a PSF stack ({foreign[0]}, ...) and would be replaced: choose another name"
+        )
 
 
 @dataclass(frozen=True)
@@ -150,14 +150,14 @@ def _description(folder: Path) -> _Description:
             msg = f"{len(files)} files for {depths} depths"
             raise ValueError(msg)
     except FileNotFoundError as error:
-        msg = f"no PSF stack in {folder}: it has no {DESCRIPTION}; `flatlight psf --output FOLDER` writes one"
-        raise InputError(msg) from error
+        raise InputError(
+            folder, f"no PSF stack : it has no {DESCRIPTION}; `flatlight psf --output FOLDER` writes one"
+        ) from error
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         reason = f"{type(error).__name__}: {error}"
-        msg = (
-            f"{path} is unreadable or damaged ({reason}); restore it, or delete its folder and compute the stack again"
-        )
-        raise InputError(msg) from error
+        raise InputError(
+            path, f"unreadable or damaged ({reason}); restore it, or delete its folder and compute the stack again"
+        ) from error
     return description
 
 
@@ -170,13 +170,14 @@ def _read_planes(file: Path, digest: str, channels: tuple[str, ...]) -> NDArray[
     try:
         data = file.read_bytes()
     except OSError as error:
-        msg = f"cannot read {file}: {error.strerror or error}; delete {file.parent} and compute the stack again"
-        raise InputError(msg) from error
+        raise InputError(
+            file, f"cannot be read: {error.strerror or error}; delete {file.parent} and compute the stack again"
+        ) from error
     if sha256_bytes(data) != digest:
-        msg = f"{file} is damaged: its hash differs from {DESCRIPTION}; delete {file.parent} and compute it again"
-        raise InputError(msg)
+        raise InputError(
+            file, f"damaged: its hash differs from {DESCRIPTION}; delete {file.parent} and compute it again"
+        )
     found, _ = decode_exr(data, file)
     if set(found) != set(channels):
-        msg = f"{file} has the channels {sorted(found)}, {DESCRIPTION} says {sorted(channels)}: restore both"
-        raise InputError(msg)
+        raise InputError(file, f"has the channels {sorted(found)}, {DESCRIPTION} says {sorted(channels)}: restore both")
     return np.stack([found[name] for name in channels])

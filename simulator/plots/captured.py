@@ -49,8 +49,9 @@ def captured_differences(nominal: PsfStack, captured: PsfStack) -> list[DepthDif
         InputError: when the second was not captured from the first.
     """
     if captured.provenance.get("nominal_fingerprint") != nominal.fingerprint:
-        msg = "captured: this stack was not captured from the nominal one (its provenance names another, or none)"
-        raise InputError(msg)
+        raise InputError(
+            "captured", "this stack was not captured from the nominal one (its provenance names another, or none)"
+        )
     records = captured.provenance["recordings"]
     differences = []
     for k, depth in enumerate(nominal.depths_m):

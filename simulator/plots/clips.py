@@ -297,8 +297,9 @@ def animation(clips: Sequence[Clip], captions: Sequence[str], title: str, suffix
     """
     count = max(len(clip.rgb) for clip in clips)
     if count < 2:
-        msg = "these scenes are stills, of one frame each, and nothing moves; write a contact sheet (.png) instead"
-        raise InputError(msg)
+        raise InputError(
+            "", "these scenes are stills, of one frame each, and nothing moves; write a contact sheet (.png) instead"
+        )
     frames = [range(len(clip.rgb)) for clip in clips]
     scales = common_scales(clips, frames, frames)
     shown_ms = frame_milliseconds(count)

@@ -59,8 +59,7 @@ def contact_sheet(dataset_path: Path | str, out_png: Path | str, count: int = 8,
     from PIL import Image, ImageDraw
 
     if count < 1:
-        msg = f"count must be at least 1, got {count}"
-        raise InputError(msg)
+        raise InputError("count", f"expected at least 1, got {count}")
     dataset = _chosen_split(Path(dataset_path), split)
     positions = sorted(set(np.linspace(0, len(dataset) - 1, min(count, len(dataset))).round().astype(int).tolist()))
     rows = [_Row.of(dataset.stored(position)) for position in positions]
@@ -151,8 +150,7 @@ def _chosen_split(path: Path, split: str | None) -> Dataset:
         dataset = open_dataset(path, name)
         if len(dataset):
             return dataset
-    msg = f"{path} has no finished sample in {', '.join(splits) or 'any split'}; nothing to draw"
-    raise InputError(msg)
+    raise InputError(path, f"has no finished sample in {', '.join(splits) or 'any split'}; nothing to draw")
 
 
 def _depth_range(frames: list[SceneFrame]) -> tuple[float, float]:

@@ -36,8 +36,7 @@ def preset_text(name: str) -> str:
     """
     names = preset_names(others=True)
     if name not in names:
-        msg = f"--preset: got {name!r}, expected one of {', '.join(names)}{nearest(name, names)}"
-        raise InputError(msg)
+        raise InputError("--preset", f"got {name!r}, expected one of {', '.join(names)}{nearest(name, names)}")
     if name == DEFAULT:
         return default_config_text()
     places = [_files(package) for package in (__name__, *preset_packages())]

@@ -100,8 +100,7 @@ def choose_backend(requested: Request = "auto", spectral: bool = False) -> Backe
         'scalar_rgb'
     """
     if requested not in get_args(Request):
-        msg = f"render.backend: got {requested!r}, expected one of auto, llvm, scalar"
-        raise InputError(msg)
+        raise InputError("render.backend", f"got {requested!r}, expected one of auto, llvm, scalar")
     llvm, scalar = (LLVM_SPECTRAL, SCALAR_SPECTRAL) if spectral else (LLVM_VARIANT, SCALAR_VARIANT)
     if requested == "scalar":
         return Backend(scalar, None, f"{scalar}, as asked")
@@ -111,10 +110,10 @@ def choose_backend(requested: Request = "auto", spectral: bool = False) -> Backe
         return Backend(llvm, proof.version, f"{llvm}, proven with libLLVM {proof.version}")
     advice = _how_to_get_llvm(library)
     if requested == "llvm":
-        msg = (
-            f"render.backend: llvm was asked for but {proof.problem}. {advice}, or set render.backend to auto or scalar"
+        raise InputError(
+            "render.backend",
+            f"llvm was asked for but {proof.problem}. {advice}, or set render.backend to auto or scalar",
         )
-        raise InputError(msg)
     return Backend(scalar, None, f"{scalar}, because {proof.problem}", f"To render faster: {advice}")
 
 
@@ -132,11 +131,9 @@ def activate(variant: str, threads: int | None = None) -> None:
     """
     global _activated
     if variant not in VARIANTS:
-        msg = f"variant: got {variant!r}, expected one of {', '.join(VARIANTS)} (see choose_backend)"
-        raise InputError(msg)
+        raise InputError("variant", f"got {variant!r}, expected one of {', '.join(VARIANTS)} (see choose_backend)")
     if threads is not None and threads < 1:
-        msg = f"threads: got {threads}, expected at least 1"
-        raise InputError(msg)
+        raise InputError("threads", f"got {threads}, expected at least 1")
     with home_for_kernels(), _quiet_stderr():
         import drjit as dr
         import mitsuba as mi
@@ -154,8 +151,9 @@ def activate(variant: str, threads: int | None = None) -> None:
             mi.set_variant(variant)
         except ImportError as error:
             advice = _how_to_get_llvm(os.environ.get("DRJIT_LIBLLVM_PATH"))
-            msg = f"variant: {variant} does not start in this process ({error}). {advice}, or use {SCALAR_VARIANT}"
-            raise InputError(msg) from error
+            raise InputError(
+                "variant", f"{variant} does not start in this process ({error}). {advice}, or use {SCALAR_VARIANT}"
+            ) from error
         mi.set_log_level(mi.LogLevel.Error)
         if threads is None:
             threads = 1

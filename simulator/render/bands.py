@@ -42,14 +42,15 @@ def check_edges(edges_nm: tuple[float, ...]) -> None:
         InputError: fewer than two, not increasing, nearer than 1 nm, or beyond what Mitsuba knows light of.
     """
     if len(edges_nm) < 2 or any(not second - first >= 1 for first, second in pairwise(edges_nm)):
-        msg = f"render.bands: got edges {list(edges_nm)} nm, expected two or more that increase by at least 1 nm"
-        raise InputError(msg)
-    if edges_nm[0] < SHORTEST_NM or edges_nm[-1] > LONGEST_NM:
-        msg = (
-            f"render.bands: got {edges_nm[0]:g} to {edges_nm[-1]:g} nm, expected bands within {SHORTEST_NM:g} to "
-            f"{LONGEST_NM:g} nm, where lights and colours are known"
+        raise InputError(
+            "render.bands", f"got edges {list(edges_nm)} nm, expected two or more that increase by at least 1 nm"
         )
-        raise InputError(msg)
+    if edges_nm[0] < SHORTEST_NM or edges_nm[-1] > LONGEST_NM:
+        raise InputError(
+            "render.bands",
+            f"got {edges_nm[0]:g} to {edges_nm[-1]:g} nm, expected bands within {SHORTEST_NM:g} to "
+            f"{LONGEST_NM:g} nm, where lights and colours are known",
+        )
 
 
 def band_film(edges_nm: tuple[float, ...]) -> dict[str, Any]:

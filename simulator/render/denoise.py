@@ -32,8 +32,9 @@ def check_denoiser() -> None:
         InputError: when ``pyoidn`` is absent.
     """
     if importlib.util.find_spec("pyoidn") is None:
-        msg = "render.denoise: needs the package pyoidn, which is not installed; pip install 'flatlight[denoise]'"
-        raise InputError(msg)
+        raise InputError(
+            "render.denoise", "needs the package pyoidn, which is not installed; pip install 'flatlight[denoise]'"
+        )
 
 
 def denoiser_name() -> str:

@@ -38,11 +38,9 @@ def check_outputs(outputs: Sequence[str]) -> None:
     """
     for name in outputs:
         if name not in OUTPUTS:
-            msg = f"render.outputs: got {name!r}, expected some of {', '.join(OUTPUTS)}"
-            raise InputError(msg)
+            raise InputError("render.outputs", f"got {name!r}, expected some of {', '.join(OUTPUTS)}")
     if len(set(outputs)) != len(outputs):
-        msg = f"render.outputs: got {list(outputs)}, in which a name comes twice; name each once"
-        raise InputError(msg)
+        raise InputError("render.outputs", f"got {list(outputs)}, in which a name comes twice; name each once")
 
 
 # More broken pixels than this mean a broken scene, not a path tracer's rare accident.

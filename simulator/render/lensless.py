@@ -97,11 +97,11 @@ def _activate_llvm() -> None:
     """Make this process render with LLVM, in which alone a sensor may be written in Python."""
     running = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
     if running not in (None, LLVM_VARIANT):
-        msg = (
+        raise InputError(
+            "variant",
             f"the ray-traced lensless camera needs {LLVM_VARIANT}, and this process renders with {running}; one process has "
-            f"one variant: call it in a process that has not rendered, or call activate({LLVM_VARIANT!r}) first"
+            f"one variant: call it in a process that has not rendered, or call activate({LLVM_VARIANT!r}) first",
         )
-        raise InputError(msg)
     activate(LLVM_VARIANT)
 
 
@@ -114,20 +114,19 @@ def _check(
 ) -> None:
     if amplitude.ndim != 2 or not np.all((amplitude >= 0) & (amplitude <= 1)) or not np.any(amplitude):
         values = f"{amplitude.min():g} to {amplitude.max():g}" if amplitude.size else "nothing"
-        msg = (
-            f"mask_amplitude: got an array {amplitude.shape} of {values}, expected (rows, columns) of 0..1 with at least "
-            "one opening; divide by its maximum first"
+        raise InputError(
+            "mask_amplitude",
+            f"got an array {amplitude.shape} of {values}, expected (rows, columns) of 0..1 with at least "
+            "one opening; divide by its maximum first",
         )
-        raise InputError(msg)
     if not 1e-8 <= mask_pitch_m <= 1e-2:
-        msg = f"mask_pitch_m: got {mask_pitch_m!r}, expected metres from 1e-8 to 1e-2 (30 um is 30e-6)"
-        raise InputError(msg)
-    if min(sensor_shape) < 1 or samples_per_pixel < 1:
-        msg = f"got sensor_shape {sensor_shape} and samples_per_pixel {samples_per_pixel}, expected numbers from 1"
-        raise InputError(msg)
+        raise InputError("mask_pitch_m", f"got {mask_pitch_m!r}, expected metres from 1e-8 to 1e-2 (30 um is 30e-6)")
+    if min(sensor_shape) < 1:
+        raise InputError("sensor_shape", f"got {sensor_shape}, expected at least 1 x 1")
+    if samples_per_pixel < 1:
+        raise InputError("samples_per_pixel", f"got {samples_per_pixel}, expected at least 1")
     if not len(seeds) or not all(0 <= seed < 2**32 for seed in seeds):
-        msg = f"seeds: got {list(seeds)}, expected at least one, each 0 <= seed < 2**32"
-        raise InputError(msg)
+        raise InputError("seeds", f"got {list(seeds)}, expected at least one, each 0 <= seed < 2**32")
 
 
 @dataclass(frozen=True)
@@ -255,8 +254,7 @@ def shadow_psfs(
         InputError: for another word than these.
     """
     if source not in get_args(Source):
-        msg = f"source: got {source!r}, expected one of {', '.join(get_args(Source))}"
-        raise InputError(msg)
+        raise InputError("source", f"got {source!r}, expected one of {', '.join(get_args(Source))}")
     depths = np.asarray(depths_m, np.float64)
     magnifications = 1 + distance_m / depths
     half_width = 0.5 * max(mask_amplitude.shape) * mask_pitch_m * magnifications.max() / pixel_pitch_m

@@ -264,14 +264,15 @@ class Stage:
                 self._keys[key.partition(".")[0]].append(key)
         old = self.scene
         if len(old.shapes) != len(scene.shapes) or len(old.lights) != len(scene.lights):
-            msg = (
-                f"frames: one has {len(old.shapes)} shapes and {len(old.lights)} lights, the next {len(scene.shapes)} and "
-                f"{len(scene.lights)}; frames of a clip share their slots: park what is unused out of view"
+            raise InputError(
+                "frames",
+                f"one has {len(old.shapes)} shapes and {len(old.lights)} lights, the next {len(scene.shapes)} and "
+                f"{len(scene.lights)}; frames of a clip share their slots: park what is unused out of view",
             )
-            raise InputError(msg)
         if old.hide_lights != scene.hide_lights:
-            msg = "frames: hide_lights changes within a clip; it belongs to the compiled path tracer, so keep it"
-            raise InputError(msg)
+            raise InputError(
+                "frames", "hide_lights changes within a clip; it belongs to the compiled path tracer, so keep it"
+            )
         for number, (before, after) in enumerate(zip(old.shapes, scene.shapes, strict=True)):
             if before is not after:
                 self._replace_shape(number, before, after)
@@ -290,10 +291,10 @@ class Stage:
     def _replace_shape(self, number: int, before: Shape, after: Shape) -> None:
         slot = shape_name(number)
         if _kind(before) != _kind(after):
-            msg = (
-                f"frames: shape {number} changes from {_kind(before)} to {_kind(after)}; a slot keeps its kind and size"
+            raise InputError(
+                "frames",
+                f"shape {number} changes from {_kind(before)} to {_kind(after)}; a slot keeps its kind and size",
             )
-            raise InputError(msg)
         if isinstance(after, Sphere):
             self._set(slot, ".to_world", placement(after.centre_m, after.radius_m, after.rotation))
         else:
@@ -310,13 +311,12 @@ class Stage:
     def _replace_light(self, number: int, before: Light, after: Light) -> None:
         slot = light_name(number)
         if type(before) is not type(after):
-            msg = f"frames: light {number} changes from {type(before).__name__} to {type(after).__name__}"
-            raise InputError(msg)
+            raise InputError("frames", f"light {number} changes from {type(before).__name__} to {type(after).__name__}")
         if isinstance(after, EnvironmentMap):
-            msg = (
-                f"frames: light {number} is an EnvironmentMap, which cannot change within a clip; keep the same object"
+            raise InputError(
+                "frames",
+                f"light {number} is an EnvironmentMap, which cannot change within a clip; keep the same object",
             )
-            raise InputError(msg)
         for name, value in _radiance_parameters(after.radiance).items():
             self._set(slot, f".{name}", value)
         if isinstance(after, SphereLight):

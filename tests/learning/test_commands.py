@@ -98,9 +98,9 @@ def test_an_unknown_parameter_is_refused(tiny_dataset: Path, tmp_path: Path) -> 
     path = tmp_path / "tune.yaml"
     data = {"validation": str(tiny_dataset), "scenes": 4, "allow_few_scenes": True}
     path.write_text(json.dumps({"data": data, "methods": ["cls"]}), encoding="utf-8")
-    with pytest.raises(InputError, match=r"search\.cls: got 'tau', expected one of regularisation_lambda"):
+    with pytest.raises(InputError, match=r"^search\.cls: "):
         tune(path, ["search.cls.tau.values=[1.0]"])
-    with pytest.raises(InputError, match=r"search\.cls\.regularisation_lambda: values: got \[1\.0, 0\.1\], expected"):
+    with pytest.raises(InputError, match=r"^search\.cls\.regularisation_lambda: "):
         tune(path, ["search.cls.regularisation_lambda.values=[1.0, 0.1]"])
 
 
@@ -191,16 +191,14 @@ def test_no_result_takes_the_place_of_another_by_default(
     assert len(list(tmp_path.iterdir())) == 3
 
 
-@pytest.mark.parametrize(
-    ("set_", "message"), [(["regularisation_lambda"], "expected KEY=VALUE"), (["=1"], "expected KEY=VALUE")]
-)
+@pytest.mark.parametrize(("set_", "message"), [(["regularisation_lambda"], "^--set: "), (["=1"], "^--set: ")])
 def test_changes_need_a_key_and_a_value(tiny_dataset: Path, tmp_path: Path, set_: list[str], message: str) -> None:
     sample = open_dataset(tiny_dataset, "test").folder(0)
     with pytest.raises(InputError, match=message):
         reconstruct(sample, method="cls", set_=set_, output=tmp_path / "out")
-    with pytest.raises(InputError, match="--white: got -1, expected a positive"):
+    with pytest.raises(InputError, match=r"^--white: "):
         reconstruct(sample, method="cls", white=-1, output=tmp_path / "out")
-    with pytest.raises(InputError, match="--scene: got '16', expected ROWSxCOLUMNS"):
+    with pytest.raises(InputError, match=r"^--scene: "):
         reconstruct(sample, method="cls", scene="16", output=tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

@@ -60,7 +60,7 @@ def test_batch_norm_of_one_is_torchs(affine: bool) -> None:
 
 def test_cuda_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(InputError, match="device: got cuda, but torch finds no CUDA device"), processes("cuda"):
+    with pytest.raises(InputError, match=r"^device: "), processes("cuda"):
         pass
 
 

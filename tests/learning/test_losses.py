@@ -103,19 +103,19 @@ def test_nonsense_is_refused(
     scenes: tuple[Estimate, Tensor, Tensor, Tensor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     estimate, image, disparity, valid = scenes
-    with pytest.raises(InputError, match="intensity: got 'l2', expected one of mse, l1"):
+    with pytest.raises(InputError, match=r"^intensity: "):
         ReconstructionLoss("l2")  # pyright: ignore[reportArgumentType]
-    with pytest.raises(InputError, match="perceptual: got 'lpips', expected one of none, vgg, random_vgg"):
+    with pytest.raises(InputError, match=r"^perceptual: "):
         ReconstructionLoss(perceptual="lpips")  # pyright: ignore[reportArgumentType]
     for weight in (-1.0, math.nan, math.inf):
-        with pytest.raises(InputError, match="depth_weight"):
+        with pytest.raises(InputError, match=r"^depth_weight: "):
             ReconstructionLoss(depth_weight=weight)
-    with pytest.raises(InputError, match="nothing to learn"):
+    with pytest.raises(InputError, match=r"^intensity_weight, depth_weight: "):
         ReconstructionLoss(intensity_weight=0, depth_weight=0)
-    with pytest.raises(InputError, match="disparity: got shape"):
+    with pytest.raises(InputError, match=r"^disparity: "):
         ReconstructionLoss()(estimate, image, disparity[:, 0], valid)
-    with pytest.raises(InputError, match="valid: got shape"):
+    with pytest.raises(InputError, match=r"^valid: "):
         ReconstructionLoss()(estimate, image, disparity, valid[:2])
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    with pytest.raises(InputError, match=r"vgg19-dcbb9e9d\.pth"):
+    with pytest.raises(InputError, match=r"^weights of vgg19: "):
         ReconstructionLoss(perceptual="vgg")

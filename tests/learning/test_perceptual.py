@@ -127,7 +127,7 @@ def test_missing_weights_are_an_error_with_file_folder_and_choices(
     monkeypatch.setattr("urllib.request.urlopen", refuse)
     monkeypatch.setattr("torch.hub.load_state_dict_from_url", refuse)
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    with pytest.raises(InputError, match=r"none.*random_vgg") as caught:
+    with pytest.raises(InputError, match=r"^weights of vgg19: ") as caught:
         PerceptualLoss("vgg")
     assert "vgg19-dcbb9e9d.pth" in str(caught.value)
     assert str(tmp_path / "hub" / "checkpoints") in str(caught.value)
@@ -137,10 +137,10 @@ def test_missing_weights_are_an_error_with_file_folder_and_choices(
 
 def test_a_file_that_is_not_what_its_name_says_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = put_weights(tmp_path, monkeypatch, {"features.0.weight": torch.zeros(64, 3, 3, 3)})
-    with pytest.raises(InputError, match=r"not the weights of torchvision's vgg19"):
+    with pytest.raises(InputError, match=r"^vgg19-4df172aa\.pth: "):
         PerceptualLoss("vgg")
     path.write_bytes(path.read_bytes() + b"x")
-    with pytest.raises(InputError, match=r"SHA-256 begins with [0-9a-f]{8}, its name says [0-9a-f]{8}"):
+    with pytest.raises(InputError, match=r"vgg19-4df172aa\.pth: "):
         PerceptualLoss("vgg")
 
 
@@ -154,7 +154,7 @@ class Unwelcome:
 def test_nothing_is_unpickled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     put_weights(tmp_path, monkeypatch, {"features.0.weight": Unwelcome()})
-    with pytest.raises(InputError, match="cannot read"):
+    with pytest.raises(InputError, match=r"vgg19-0fbe5e48\.pth: "):
         PerceptualLoss("vgg")
     assert not (tmp_path / "unpickled").exists()
 
@@ -225,11 +225,11 @@ def test_vgg16_adds_both_of_its_layers(images: Tensor) -> None:
 
 
 def test_small_or_odd_images_and_unknown_names_are_refused(random_loss: PerceptualLoss, images: Tensor) -> None:
-    with pytest.raises(InputError, match=r"at least 32 x 32.*perceptual: none"):
+    with pytest.raises(InputError, match=r"^images: "):
         random_loss(images[..., :31], images[..., :31])
-    with pytest.raises(InputError, match="shapes"):
+    with pytest.raises(InputError, match=r"^images: "):
         random_loss(images, images[:1])
-    with pytest.raises(InputError, match="'alexnet', expected one of vgg, random_vgg"):
+    with pytest.raises(InputError, match=r"^perceptual: "):
         PerceptualLoss("alexnet")  # pyright: ignore[reportArgumentType]
 
 
@@ -248,10 +248,10 @@ def test_without_weights_there_is_a_reason_or_an_error(tmp_path: Path, monkeypat
     assert lpips is None
     for words in ("alexnet-owt-7be5be79.pth", "vgg16-397923af.pth", str(tmp_path / "hub" / "checkpoints")):
         assert words in reason
-    with pytest.raises(InputError, match=r"vgg16-397923af\.pth is not in .*leave LPIPS out"):
+    with pytest.raises(InputError, match=r"^weights of vgg16: "):
         LpipsDistance("vgg")
     for ask in (LpipsDistance, available_lpips):
-        with pytest.raises(InputError, match="'squeeze', expected one of alex, vgg"):
+        with pytest.raises(InputError, match=r"^lpips: "):
             ask("squeeze")
 
 

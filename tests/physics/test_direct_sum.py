@@ -109,44 +109,6 @@ def test_a_disc_on_axis():
         assert found[0] == pytest.approx(expected, abs=2 * np.sqrt(expected) * weaker + 1e-4)
 
 
-@pytest.mark.shared
-def test_a_rectangle(shared_oracle):
-    """Cells of 1.33 and 0.44 um tile the opening without a rest, so only their curved wavefront is left."""
-    oracle = np.load(shared_oracle / "c_rectangle.npz")
-    wide, high, z = (float(oracle[key]) for key in ("width_x", "width_y", "z"))
-    pitch = 4e-6 / 3
-    mask = Mask(
-        np.zeros((round(high / pitch), round(wide / pitch))), np.ones((round(high / pitch), round(wide / pitch))), pitch
-    )
-    x = oracle["x"][::50]
-    for cut, points in (("x", np.stack([x, 0 * x], 1)), ("y", np.stack([0 * x, x], 1))):
-        truth = np.abs(oracle[f"U_rs_{cut}cut"][::50]) ** 2
-        found, uncertainty = true_intensity(mask, float(oracle["wavelength"]), z, math.inf, points)
-        assert np.linalg.norm(found - truth) < 1e-6 * np.linalg.norm(truth)
-        assert np.linalg.norm(uncertainty) < 1e-4 * np.linalg.norm(truth)
-
-
-@pytest.mark.shared
-def test_a_smooth_mask_of_four_hundred_modes(shared_oracle):
-    """The mask as it lies on its 2 um grid, cubic between: interpolation of its finest modes is what is left (2e-3)."""
-    oracle = np.load(shared_oracle / "e2_smooth_aperture_truth.npz")
-    wavelength, d, n = float(oracle["wavelength"]), float(oracle["z"]), int(oracle["n"])
-    pitch = float(oracle["pitch"])
-    x = (np.arange(n) - (n - 1) / 2) * pitch
-    rows = np.exp(2j * np.pi * np.outer(x, oracle["mode_fy"])) * (
-        oracle["mode_amp"] * np.exp(1j * oracle["mode_phase"])
-    )
-    height = (rows @ np.exp(2j * np.pi * np.outer(oracle["mode_fx"], x))).real
-    height *= float(oracle["delta_n"]) / (FUSED_SILICA.index(wavelength) - 1)
-    mask = Mask(height, np.clip(oracle["amplitude"], 0, 1), pitch, FUSED_SILICA, "smooth")
-    some = slice(0, 600, 150)
-    points = np.stack([oracle["px"], oracle["py"]], 1)[some]
-    found, uncertainty = true_intensity(mask, wavelength, d, math.inf, points)
-    truth = oracle["intensity"][1][some]
-    assert np.linalg.norm(found - truth) < 2e-3 * np.linalg.norm(truth)
-    assert np.linalg.norm(uncertainty) < 1e-3 * np.linalg.norm(truth)
-
-
 def test_smooth_cells_know_their_slope():
     """A prism's slope is the same in every cell; a staircase has none."""
     ramp = np.broadcast_to(np.arange(12) * 0.1e-6, (8, 12)).copy()
@@ -158,11 +120,11 @@ def test_smooth_cells_know_their_slope():
 
 def test_bad_input_is_named():
     mask = _mask("staircase")
-    with pytest.raises(InputError, match="points_m"):
+    with pytest.raises(InputError, match=r"^points_m: "):
         true_intensity(mask, WAVELENGTH_M, 1e-3, math.inf, np.zeros(2))
-    with pytest.raises(InputError, match="depth_m"):
+    with pytest.raises(InputError, match=r"^depth_m: "):
         true_intensity(mask, WAVELENGTH_M, 1e-3, -0.1, np.zeros((1, 2)))
-    with pytest.raises(InputError, match="distance_m"):
+    with pytest.raises(InputError, match=r"^distance_m: "):
         true_intensity(mask, WAVELENGTH_M, math.nan, 0.1, np.zeros((1, 2)))
 
 

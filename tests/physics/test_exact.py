@@ -260,7 +260,7 @@ def test_models_agree_for_a_plane_wave_and_part_with_the_angle_of_the_source():
 
 
 def test_only_exact_knows_oblique_sources():
-    with pytest.raises(InputError, match=r"direction: .*'exact'"):
+    with pytest.raises(InputError, match=r"^direction: "):
         depth_images(random_phase(), CAMERA, PsfConfig((1.0,)), 532e-9, 11, direction=(0.1, 0))
 
 

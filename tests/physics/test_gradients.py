@@ -1,6 +1,7 @@
 """Gradients of PSFs with respect to heights, distance and wavelength weights, in float64, against finite differences."""
 
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -90,9 +91,9 @@ def test_the_gradient_passes_straight_through_quantised_heights():
 
 def test_torch_and_numpy_give_the_same_stack():
     given = inputs()
-    for model in MODELS:
-        values = stack(**{k: v.double() for k, v in given.items()}, model=model, profile="staircase")
-        mask = Mask(given["height_um"].numpy() * 1e-6, np.ones((20, 22)), 2e-6, FUSED_SILICA)
+    for model, profile in product(MODELS, ("staircase", "smooth")):
+        values = stack(**{k: v.double() for k, v in given.items()}, model=model, profile=profile)
+        mask = Mask(given["height_um"].numpy() * 1e-6, np.ones((20, 22)), 2e-6, FUSED_SILICA, profile)
         lines = [Line(0, 500e-9, 0.3), Line(0, 600e-9, 0.7)]
         camera = CameraGeometry(0.25e-3, 7e-6, GREEN)
         again = compute_psf_stack(mask, camera, PsfConfig((0.0031,), model), lines=lines).values

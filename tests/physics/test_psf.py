@@ -1,7 +1,6 @@
 """PSF stacks against direct sums, energy balance, geometry and the pinhole camera."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -121,7 +120,7 @@ def test_psf_of_coarse_mask_pixels_equals_the_direct_sum(pixel_m, d):
     assert np.linalg.norm(stored - truth) / np.linalg.norm(truth) < 0.01
     assert 0.95 < stack.energy_m2()[0, 0] / mask.transmitted_area_m2 < 1
     # One sample per mask pixel is far too few here: the proof must say so.
-    with pytest.raises(InputError, match="oversampling"):
+    with pytest.raises(InputError, match=r"^oversampling: "):
         prove_sampling(mask, camera, PsfConfig((np.inf,), wavelengths_per_channel=1))
 
 
@@ -266,52 +265,6 @@ def test_default_field_darkens_as_stated():
     assert relative[0, 63] == pytest.approx(0.50, abs=0.01)
     assert relative[0, 0] == pytest.approx(0.30, abs=0.035)
     assert weights[63, 63] == pytest.approx((19.2e-6 / 1.9e-3) ** 2, rel=1e-3)
-
-
-@pytest.mark.parametrize("profile", ["smooth", "staircase"])
-def test_torch_equals_numpy_and_gradients_are_those_of_finite_differences(profile, request):
-    torch = pytest.importorskip("torch")
-    request.addfinalizer(partial(torch.set_num_threads, torch.get_num_threads()))
-    torch.set_num_threads(1)  # on a busy machine torch's threads wait for each other for minutes
-    mask = replace(_smooth_mask(dtype=np.float32), profile=profile)
-    camera, config = CameraGeometry(0.4e-3, 8e-6, GREEN), PsfConfig((0.01, np.inf), wavelengths_per_channel=1)
-    numpy_stack, torch_stack = (compute_psf_stack(mask, camera, config, xp=xp) for xp in ("numpy", "torch"))
-    # float32 phases of 1e2 rad are reduced in float64, so only the FFT's rounding is left.
-    np.testing.assert_allclose(torch_stack.values.numpy(), numpy_stack.values, atol=2e-6 * numpy_stack.values.max())
-
-    height = torch.from_numpy(_smooth_mask(10).height_m)
-    amplitude = torch.from_numpy(_smooth_mask(10).amplitude)
-    small = CameraGeometry(30e-6, 4e-6, GREEN)
-
-    def psf(height_um):
-        design = Mask(height_um * 1e-6, amplitude, 1e-6, FUSED_SILICA, profile)
-        return compute_psf_stack(design, small, PsfConfig((1e-3,), wavelengths_per_channel=1)).values
-
-    assert torch.autograd.gradcheck(psf, (height * 1e6).requires_grad_(), eps=1e-6, atol=1e-6)
-
-
-@pytest.mark.slow
-def test_the_default_sampling_of_a_phlatcam_errs_by_what_its_stack_says():
-    """One grid sample per mask pixel, 19.2 um pixels, against the direct sum over 4 x 4 points per mask pixel.
-
-    The stack's own figure compares oversampling 1 with 2 on all pixels; the truth here is exact but sees 12 pixels, and it
-    holds the orders that the stack leaves out (under 1 %): the true error may exceed the figure by half.
-    """
-    from psf_library.designs.phlatcam import phlatcam
-
-    mask = phlatcam(width_mm=0.2, iterations=10)
-    d, pitch, depth = 1.9e-3, 19.2e-6, 0.036
-    config = PsfConfig((depth,), wavelengths_per_channel=1)
-    stack = compute_psf_stack(mask, CameraGeometry(d, pitch, GREEN), config)
-    middle = stack.values.shape[-1] // 2
-    pixels = np.random.default_rng(1).integers(-5, 6, (12, 2))
-    truth = _direct_pixel_values(mask, 532e-9, d, depth, pitch, pixels, 4, nodes=16)
-    stored = stack.values[0, 0][middle - pixels[:, 0], middle - pixels[:, 1]]
-    error = np.linalg.norm(stored - truth) / np.linalg.norm(truth)
-    claimed = sampling_error(mask, CameraGeometry(d, pitch, GREEN), config)["error"]
-    print(f"claimed {claimed:.4f}, true {error:.4f}")
-    assert 1e-3 < claimed < 0.06
-    assert error < 1.5 * claimed
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import psf_library
 from psf_library import load_mask, load_psf_stack
 from simulator import arrays as memory
 from simulator.errors import InputError
@@ -62,29 +61,8 @@ def test_a_grid_that_exceeds_the_memory_is_refused_before_it_is_allocated(
     plugin = resolve("mask", design, tmp_path)
     arguments = plugin.bind(SMALL[design])
     monkeypatch.setattr(memory, "machine_bytes", lambda: 10_000)
-    with pytest.raises(InputError, match="pixel_um:"):
+    with pytest.raises(InputError, match=r"^pixel_um: "):
         plugin.function(**arguments)
-
-
-@pytest.mark.parametrize(
-    ("design", "params"),
-    [
-        ("phlatcam", {"width_mm": 20, "pixel_um": 0.2}),
-        ("diffusercam", {"width_mm": 20, "pixel_um": 0.2}),
-        ("random_lenslets", {"width_mm": 20, "pixel_um": 0.1}),
-        ("vortex", {"width_mm": 20, "pixel_um": 0.1}),
-        ("pinhole", {"diameter_um": 10000, "pixel_um": 0.05}),
-        ("flatcam", {"order": 10, "feature_um": 500, "pixel_um": 0.1}),
-        ("mura", {"rank": 997, "feature_um": 500, "pixel_um": 0.1}),
-    ],
-)
-def test_the_largest_masks_that_a_file_may_ask_for_end_with_a_cure(
-    design: str, params: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The leanest takes 400 GB; without the check these end in a MemoryError, or the system ends the process."""
-    monkeypatch.setattr(memory, "machine_bytes", lambda: 64 * 10**9)
-    with pytest.raises(InputError, match="GB"):
-        load_mask(design, **params)
 
 
 def test_memory_that_runs_out_within_a_design_is_told_with_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,30 +70,14 @@ def test_memory_that_runs_out_within_a_design_is_told_with_its_name(monkeypatch:
         raise MemoryError
 
     monkeypatch.setattr("psf_library.designs.flatcam.sequence", exhausted)
-    with pytest.raises(InputError, match="mask design 'flatcam' needs more memory than there is; use a coarser pixel"):
+    with pytest.raises(InputError, match="'flatcam' needs more memory"):
         load_mask("flatcam", order=3, feature_um=77, pixel_um=7)
 
 
 @pytest.mark.parametrize("design", ["diffusercam", "lens", "phlatcam", "random_lenslets", "spiral", "vortex"])
 def test_a_material_that_delays_no_light_is_refused(design: str) -> None:
-    with pytest.raises(InputError, match="material:"):
+    with pytest.raises(InputError, match=r"^material: "):
         load_mask(design, **SMALL[design], material="air")
-
-
-def test_mistakes_are_named() -> None:
-    with pytest.raises(InputError, match="did you mean 'pinhole'"):
-        load_mask("pinhol")
-    with pytest.raises(InputError, match=r"diametr_um.*did you mean 'diameter_um'"):
-        load_mask("pinhole", diametr_um=3)
-    with pytest.raises(InputError, match="diameter_um"):
-        load_mask("pinhole", diameter_um="wide")
-
-
-def test_a_mask_of_an_own_file(trial) -> None:
-    mask = load_mask("./plugins.py:corners", trial.folder, arm=20)
-    assert mask.name == "corners"
-    assert mask.amplitude[10, 29] == 1
-    assert mask.transmitted_area_m2 == pytest.approx(mask.amplitude.sum() * 16e-12)
 
 
 def test_a_stack_from_each_of_its_places(trial, flatlight) -> None:
@@ -133,10 +95,6 @@ def test_no_stack(tmp_path: Path) -> None:
     for place in (tmp_path, tmp_path / "nowhere", tmp_path / "none.yaml"):
         with pytest.raises(InputError, match=re.escape(str(place))):
             load_psf_stack(place)
-
-
-def test_only_what_is_promised() -> None:
-    assert psf_library.__all__ == ["load_mask", "load_psf_stack"]
 
 
 def test_the_readme_s_mask_works(trial) -> None:

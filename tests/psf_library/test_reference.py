@@ -24,12 +24,6 @@ def _changed(stack: PsfStack, place: tuple[int, int, int, int], by: float) -> Ps
     return replace(stack, values=values)
 
 
-def test_a_stack_is_like_itself(stack: PsfStack) -> None:
-    difference = compare_stacks(stack, stack)
-    assert difference.error == 0
-    assert difference.relative_l2.shape == (2, 3)
-
-
 def test_one_pixel_is_found_with_its_size(stack: PsfStack) -> None:
     """One pixel changed by e makes ||difference|| = e, in that plane alone."""
     place = (1, 0, 6, 2)
@@ -55,16 +49,16 @@ def test_the_worst_plane_is_the_worst_relative_to_its_light(stack: PsfStack) -> 
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "named"),
     [
-        ({"values": np.ones((2, 3, 8, 8))}, "size (K, C, H, W) is (2, 3, 8, 8), expected (2, 3, 8, 9)"),
+        ({"values": np.ones((2, 3, 8, 8))}, "size (K, C, H, W)"),
         ({"channels": ("R", "G", "X")}, "channels"),
         ({"pixel_pitch_m": 2e-5}, "pixel pitch"),
-        ({"depths_m": np.array([0.04, 3.0])}, "depths (m) is [0.04, 3.0], expected [0.04, inf]"),
+        ({"depths_m": np.array([0.04, 3.0])}, "depths (m)"),
     ],
 )
-def test_stacks_without_common_pixels_are_refused(stack: PsfStack, change: dict, words: str) -> None:
-    with pytest.raises(InputError, match=re.escape(words)):
+def test_stacks_without_common_pixels_are_refused(stack: PsfStack, change: dict, named: str) -> None:
+    with pytest.raises(InputError, match=f"^{re.escape(named)}"):
         compare_stacks(replace(stack, **change), stack)
 
 
@@ -87,5 +81,5 @@ def test_what_a_reference_was_made_from() -> None:
 
 @pytest.mark.parametrize("ask", [load, load_pinned_mask, compute])
 def test_unknown_names(ask) -> None:
-    with pytest.raises(InputError, match=r"name: got 'phlatcm', expected one of .*; did you mean 'phlatcam'\?"):
+    with pytest.raises(InputError, match=r"^name: .*'phlatcam'\?"):
         ask("phlatcm")

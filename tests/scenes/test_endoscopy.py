@@ -143,9 +143,9 @@ def test_a_moving_camera_sees_a_rigid_organ(speed: float) -> None:
 
 
 def test_views_that_cannot_hold_an_organ_are_refused_with_the_key_to_change() -> None:
-    with pytest.raises(InputError, match=r"scene\.near_cm:"):
+    with pytest.raises(InputError, match=r"^scene\.near_cm: "):
         endoscopy(dataclasses.replace(SMALL, near_m=0.036), renderer=SCALAR)
-    with pytest.raises(InputError, match=r"scene\.far_cm:"):
+    with pytest.raises(InputError, match=r"^scene\.far_cm: "):
         endoscopy(dataclasses.replace(SMALL, far_m=0.04), renderer=SCALAR)
     for view in VIEWS.values():
         check_view(view, tuple(ORGANS))
@@ -153,13 +153,13 @@ def test_views_that_cannot_hold_an_organ_are_refused_with_the_key_to_change() ->
 
 
 def test_contradictory_parameters_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="advance_mm_per_s:"):
+    with pytest.raises(InputError, match=r"^advance_mm_per_s: "):
         endoscopy(SMALL, frames=100, frames_per_second=30, renderer=SCALAR)
-    with pytest.raises(InputError, match="surface and path"):
+    with pytest.raises(InputError, match=r"^surface and path: "):
         endoscopy(SMALL, organ="colon", surface=tmp_path / "a.vtk", renderer=SCALAR)
-    with pytest.raises(InputError, match="organ:"):
+    with pytest.raises(InputError, match=r"^organ: "):
         endoscopy(SMALL, surface=tmp_path / "a.vtk", path=tmp_path / "p.json", renderer=SCALAR)
-    with pytest.raises(InputError, match=r"surface: .*a\.vtk"):
+    with pytest.raises(InputError, match=r"^surface: "):
         endoscopy(SMALL, organ="colon", surface=tmp_path / "a.vtk", path=tmp_path / "p.json", renderer=SCALAR)
 
 
@@ -196,21 +196,21 @@ def test_a_path_elsewhere_or_broken_is_refused(tmp_path: Path) -> None:
     surface, path = tube(tmp_path)
     far_away = tmp_path / "away.json"
     far_away.write_text(json.dumps({"points": [[0, 900, 0], [100, 900, 0]]}))
-    with pytest.raises(InputError, match="voxel_size_mm"):
+    with pytest.raises(InputError, match=r"^path: "):
         endoscopy(SMALL, organ="colon", surface=surface, path=far_away, renderer=SCALAR)
     for text in ("{", '{"line": []}', "[1]"):
         far_away.write_text(text)
-        with pytest.raises(InputError, match=r"path: .*away\.json"):
+        with pytest.raises(InputError, match=r"^path: "):
             endoscopy(SMALL, organ="colon", surface=surface, path=far_away, renderer=SCALAR)
     far_away.write_text('{"points": [[1, 2], [3, 4]]}')
-    with pytest.raises(InputError, match=r"points of shape \(2, 2\)"):
+    with pytest.raises(InputError, match=r"^path: "):
         endoscopy(SMALL, organ="colon", surface=surface, path=far_away, renderer=SCALAR)
     open_tube = trimesh.load(surface, force="mesh", process=False)
     assert isinstance(open_tube, trimesh.Trimesh)
     open_tube.update_faces(np.abs(open_tube.face_normals[:, 0]) < 0.5)
     open_tube.export(surface)
     source = endoscopy(SMALL, organ="colon", surface=surface, path=path, renderer=SCALAR)
-    with pytest.raises(InputError, match=r"scene\.near_cm"):
+    with pytest.raises(InputError, match=r"^surface: "):
         source.clip(0, np.random.default_rng(0))
 
 

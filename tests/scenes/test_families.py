@@ -16,7 +16,7 @@ from simulator.render import Renderer
 from simulator.types import SceneSource, View
 
 FAMILIES = ("flying_things", "endoscopy", "high_speed", "activity")
-WORKER = "scenes/families_worker.py"
+WORKER = "simulator/render/worker.py"
 # What a family takes, which of its clips is looked at, and what that clip says of itself.
 CLIPS: dict[str, tuple[dict[str, Any], int, dict[str, Any]]] = {
     "flying_things": ({"objects": 10, "samples_per_pixel": 4}, 3, {"objects": 10}),
@@ -59,7 +59,7 @@ def test_a_clip_keeps_the_contract(family: str) -> None:
 def test_order_and_threads_do_not_change_a_byte(family: str, variant: str, rendered, request) -> None:
     if variant == "llvm_ad_rgb":
         request.getfixturevalue("needs_llvm")
-    first, second = (rendered(WORKER, variant, *how) for how in (("1", "forwards"), ("2", "backwards")))
+    first, second = (rendered(WORKER, "families", variant, *how) for how in (("1", "forwards"), ("2", "backwards")))
     for name in ("rgb", "depth", "valid", "id"):
         assert first[f"{family}.{name}"].tobytes() == second[f"{family}.{name}"].tobytes(), name
 
@@ -68,7 +68,7 @@ def test_order_and_threads_do_not_change_a_byte(family: str, variant: str, rende
 @pytest.mark.usefixtures("needs_llvm")
 @pytest.mark.parametrize("family", FAMILIES)
 def test_the_backends_agree(family: str, rendered) -> None:
-    scalar, llvm = (rendered(WORKER, variant, "1", "forwards") for variant in ("scalar_rgb", "llvm_ad_rgb"))
+    scalar, llvm = (rendered(WORKER, "families", variant, "1", "forwards") for variant in ("scalar_rgb", "llvm_ad_rgb"))
     different = scalar[f"{family}.id"] != llvm[f"{family}.id"]
     # Two tracers may disagree where a ray meets an edge: one pixel in 200 of these coarse pictures.
     assert different.mean() <= 0.005

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from scenes.high_speed import Play, draw_play, event_of, high_speed, is_black
-from scenes.high_speed.actors import straight
 from scenes.high_speed.events import EVENTS, MOST_ACTORS, Event
 from scenes.layout import far_end
 from simulator.render import Renderer, Scene, TriangleMesh
@@ -266,8 +265,3 @@ def test_motion_vectors_lead_to_the_same_surface_in_the_next_frame(event: Event)
     # A curved surface leaves the plane between four pixels of 3 mm by a few thousandths of its depth.
     assert np.median(error) < 2.5e-3
     assert error.max() < 0.015
-
-
-def test_a_straight_course_is_even() -> None:
-    course = straight(np.array([0.0, 0, 1]), np.array([1.0, 2, 3]), 2.0)
-    np.testing.assert_allclose([course(0.5), course(2.0)], [(0.25, 0.5, 1.5), (1, 2, 3)])

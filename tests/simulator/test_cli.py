@@ -21,7 +21,7 @@ class TestStart:
         tell = f"atexit.register(lambda: print([name for name in {heavy} if name in sys.modules]))"
         done = command("--help", before=f"import atexit, sys\n{tell}")
         assert done.returncode == 0
-        for name in (
+        for name in [
             "init",
             "generate",
             "psf",
@@ -32,7 +32,7 @@ class TestStart:
             "verify",
             "schema",
             "doctor",
-        ):
+        ]:
             assert f" {name} " in done.stdout
         assert done.stdout.splitlines()[-1] == "[]"
 

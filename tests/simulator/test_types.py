@@ -24,14 +24,14 @@ def test_clip_accepts_infinite_depth():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"rgb": np.ones((1, 4, 6, 3))}, "float32"),
-        ({"rgb": np.full((1, 4, 6, 3), np.nan, np.float32)}, "finite"),
-        ({"rgb": np.full((1, 4, 6, 3), -1e-3, np.float32)}, "not negative"),
-        ({"depth_m": np.zeros((1, 4, 6), np.float32)}, "positive"),
-        ({"depth_m": np.full((1, 4, 6), np.nan, np.float32)}, "positive"),
-        ({"depth_m": np.ones((1, 6, 4), np.float32)}, "depth_m"),
-        ({"valid": np.ones((1, 4, 6), np.uint8)}, "valid"),
-        ({"frame_edges_s": np.array([1.0, 0.0])}, "increasing"),
+        ({"rgb": np.ones((1, 4, 6, 3))}, r"^Clip\.rgb: "),
+        ({"rgb": np.full((1, 4, 6, 3), np.nan, np.float32)}, r"^Clip\.rgb: "),
+        ({"rgb": np.full((1, 4, 6, 3), -1e-3, np.float32)}, r"^Clip\.rgb: "),
+        ({"depth_m": np.zeros((1, 4, 6), np.float32)}, r"^Clip\.depth_m: "),
+        ({"depth_m": np.full((1, 4, 6), np.nan, np.float32)}, r"^Clip\.depth_m: "),
+        ({"depth_m": np.ones((1, 6, 4), np.float32)}, r"^Clip\.depth_m: "),
+        ({"valid": np.ones((1, 4, 6), np.uint8)}, r"^Clip\.valid: "),
+        ({"frame_edges_s": np.array([1.0, 0.0])}, r"^Clip\.frame_edges_s: "),
     ],
 )
 def test_clip_refuses_bad_fields(changes, message):

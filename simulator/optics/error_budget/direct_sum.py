@@ -101,12 +101,10 @@ def true_intensity(
     """
     points = np.asarray(points_m, np.float64)
     if points.ndim != 2 or points.shape[1] != 2:
-        msg = f"points_m must be (N, 2) as x, y in metres, got shape {points.shape}"
-        raise InputError(msg)
+        raise InputError("points_m", f"expected (N, 2) as x, y in metres, got shape {points.shape}")
     for name, value in (("wavelength_m", wavelength_m), ("distance_m", distance_m), ("depth_m", depth_m)):
         if not value > 0:
-            msg = f"{name}: got {value!r}, expected positive metres"
-            raise InputError(msg)
+            raise InputError(name, f"got {value!r}, expected positive metres")
     points = points - np.asarray(direction) * distance_m
     factor = math.ceil(mask.pitch_m / (_STEP * FINEST_CELL_M) - 1e-9)
 

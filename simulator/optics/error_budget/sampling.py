@@ -96,12 +96,12 @@ def prove_sampling(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
     limit = REFUSE if psf_config.accept_error is None else psf_config.accept_error
     if report["error"] > limit:
         cure = _cure(report["oversampling"][1])
-        msg = (
-            f"oversampling: {psf_config.oversampling} gives a sampling error of {report['error']:.3f} (PSF on the sensor's "
+        raise InputError(
+            "oversampling",
+            f"{psf_config.oversampling} gives a sampling error of {report['error']:.3f} (PSF on the sensor's "
             f"pixels against {report['oversampling'][1]}), above the limit of {limit:g}; {cure}, or set "
-            "accept_error to allow it"
+            "accept_error to allow it",
         )
-        raise InputError(msg)
     if report["error"] > WARN:
         warnings.warn(
             f"the PSF's sampling error is {report['error']:.3f} (oversampling {psf_config.oversampling} against "
@@ -118,11 +118,11 @@ def _refuse_steep_phase(mask: Mask, camera: CameraGeometry, psf_config: PsfConfi
     turns = steepest_frequency(mask, shortest) * mask.pitch_m / psf_config.oversampling
     if turns > 0.5:
         needed = int(np.ceil(2 * turns * psf_config.oversampling))
-        msg = (
-            f"oversampling: the smooth mask's phase turns by up to {turns:.2f} turns per sample at {shortest * 1e9:.0f} nm, "
-            f"more than the 0.5 that a grid can hold; {_cure(needed)}, or profile 'staircase' for a fabricated mask"
+        raise InputError(
+            "oversampling",
+            f"the smooth mask's phase turns by up to {turns:.2f} turns per sample at {shortest * 1e9:.0f} nm, "
+            f"more than the 0.5 that a grid can hold; {_cure(needed)}, or profile 'staircase' for a fabricated mask",
         )
-        raise InputError(msg)
 
 
 def _cure(oversampling: int) -> str:

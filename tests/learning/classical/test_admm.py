@@ -173,11 +173,11 @@ def test_light_of_two_points_lies_in_their_planes() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"tv": -0.1}, "tv: got -0.1, expected a finite number"),
-        ({"sparsity": np.inf}, "sparsity: got inf"),
-        ({"weights": (1.0, 0.0, 1.0)}, "expected three positive numbers"),
-        ({"iterations": 0}, "iterations: got 0, expected at least 1"),
-        ({"light": "dark"}, "light: got 'dark'"),
+        ({"tv": -0.1}, "^tv: "),
+        ({"sparsity": np.inf}, "^sparsity: "),
+        ({"weights": (1.0, 0.0, 1.0)}, "^weights: "),
+        ({"iterations": 0}, "^iterations: "),
+        ({"light": "dark"}, "^light: "),
     ],
 )
 def test_bad_settings_are_refused(settings: dict[str, Any], message: str) -> None:
@@ -186,7 +186,7 @@ def test_bad_settings_are_refused(settings: dict[str, Any], message: str) -> Non
 
 
 def test_a_measurement_of_another_shape_is_refused() -> None:
-    with pytest.raises(InputError, match=r"measurement: got .*\(1, 13, 12\)"):
+    with pytest.raises(InputError, match=r"^measurement: "):
         Admm(camera(1), tv=TV, sparsity=SPARSITY, iterations=3)(torch.zeros(1, 1, 12, 12))
 
 

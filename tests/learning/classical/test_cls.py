@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from learning.camera import CaptureModel, plain_capture
-from learning.classical.cls import ConstrainedLeastSquares
+from learning.classical.method import ConstrainedLeastSquares
 from simulator.camera.forward import ForwardModel
 from simulator.optics.stack import PsfStack
 

@@ -12,7 +12,7 @@ import torch
 
 from learning.camera import CaptureModel, plain_capture, typical_white
 from learning.classical.admm import Admm
-from learning.classical.cls import ConstrainedLeastSquares
+from learning.classical.method import ConstrainedLeastSquares
 from simulator.optics.stack import PsfStack
 
 pytestmark = pytest.mark.shared

@@ -100,11 +100,11 @@ def test_black_costs_the_same_everywhere_and_nan_stays_nan(cost):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"contrast": 0}, "contrast: got 0, expected a positive number"),
-        ({"window_px": -1}, "window_px: got -1"),
-        ({"steps_between_planes": 0}, "steps_between_planes: got 0, expected 1"),
-        ({"measure": "edges"}, "measure: got 'edges', expected one of gradient, laplacian, light"),
-        ({"cost": "best"}, "cost: got 'best', expected one of defocus, spread"),
+        ({"contrast": 0}, "^contrast: "),
+        ({"window_px": -1}, "^window_px: "),
+        ({"steps_between_planes": 0}, "^steps_between_planes: "),
+        ({"measure": "edges"}, "^measure: "),
+        ({"cost": "best"}, "^cost: "),
     ],
 )
 def test_refuses_what_makes_no_sense(volume, changes, message):
@@ -113,7 +113,7 @@ def test_refuses_what_makes_no_sense(volume, changes, message):
 
 
 def test_refuses_another_shape():
-    with pytest.raises(InputError, match=r"volume: got shape \(3, 4, 4\), expected \(B, K, C, h, w\)"):
+    with pytest.raises(InputError, match=r"^volume: "):
         sharpness(torch.zeros(3, 4, 4))
 
 
@@ -165,13 +165,13 @@ def test_sum_adds_up_the_planes(tiny_capture, scene, labels):
 
 def test_refuses_what_does_not_fit(tiny_capture, scene, labels):
     volume = volume_of(scene, tiny_capture)
-    with pytest.raises(InputError, match=r"volume, places: got shapes .* with K = 3"):
+    with pytest.raises(InputError, match=r"^volume, places: "):
         assemble(volume[:, :2], labels, tiny_capture, "label")
-    with pytest.raises(InputError, match="volume, places: got shapes"):
+    with pytest.raises(InputError, match=r"^volume, places: "):
         assemble(volume, labels[:1], tiny_capture, "label")
     for wrong in (2.25, -0.5, float("nan")):
         outside = torch.zeros(labels.shape).index_fill_(1, torch.tensor([0]), wrong)
-        with pytest.raises(InputError, match=r"places: got .*, expected 0 to 2, from the first plane to the last"):
+        with pytest.raises(InputError, match=r"^places: "):
             assemble(volume, outside, tiny_capture, "label")
-    with pytest.raises(InputError, match="light: got 'all', expected one of label, sum"):
+    with pytest.raises(InputError, match=r"^light: "):
         assemble(volume, labels, tiny_capture, "all")

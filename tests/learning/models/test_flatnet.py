@@ -64,8 +64,8 @@ def test_sizes_are_the_theses_and_smaller(tiny_capture):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("flatnet4d",), "network: got 'flatnet4d', expected one of flatnet3d"),
-        (("flatnet3d", "huge"), "size: got 'huge'"),
+        (("flatnet4d",), "^network: "),
+        (("flatnet3d", "huge"), "^size: "),
     ],
 )
 def test_refuses_unknown_names(tiny_capture, arguments, message):
@@ -74,7 +74,7 @@ def test_refuses_unknown_names(tiny_capture, arguments, message):
 
 
 def test_refuses_unknown_changes(tiny_capture):
-    with pytest.raises(InputError, match=r"width: .*flatnet3d has filters, levels"):
+    with pytest.raises(InputError, match=r"^width: "):
         build_network(tiny_capture, "flatnet3d", "tiny", width=3)
 
 
@@ -131,7 +131,7 @@ def test_method_works_the_inversion_out_once_and_again_when_weights_change(tiny_
 
 def test_method_keeps_the_mode_when_it_fails(tiny_capture):
     network = build_network(tiny_capture, "flatnet2d", "tiny")
-    with pytest.raises(InputError, match="measurement: got shape"):
+    with pytest.raises(InputError, match=r"^measurement: "):
         LearnedMethod("ours", network, tiny_capture).reconstruct(torch.rand(1, 3, 48, 50))
     assert network.training
 

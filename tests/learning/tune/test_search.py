@@ -53,7 +53,7 @@ def test_neighbours_are_listed_or_follow_by_the_same_ratio_up_to_the_limit(
 
 @pytest.mark.parametrize("values", [(), (2.0, 1.0), (1.0, 1.0), (1.0, "much"), (-1.0, 1.0), (1.0, 300.0)])
 def test_senseless_candidates_are_refused(values: tuple[float, ...]) -> None:
-    with pytest.raises(InputError, match=r"values: got .* expected"):
+    with pytest.raises(InputError, match=r"^values: "):
         Axis(values, high=100)
 
 
@@ -127,7 +127,7 @@ def test_the_search_begins_at_the_better_start_also_off_the_grid_and_avoids_nan(
 
     found = coordinate_search({"a": Axis((1e-2, 1e-1))}, [{"a": 10.0}, {"a": 3.0}], score)
     assert found.parameters == {"a": 3.0}
-    with pytest.raises(InputError, match=r"starts: got .* expected one whose score is a finite number"):
+    with pytest.raises(InputError, match=r"^starts: "):
         coordinate_search({"a": Axis((1.0,))}, [{"a": 10.0}], score)
 
 

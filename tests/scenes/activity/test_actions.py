@@ -10,7 +10,7 @@ import pytest
 from scenes.activity import draw_parameters
 from scenes.activity.actions import ACTIONS, GRAINS, Cast, Course, course
 from scenes.activity.hand import PAD_M, HandLook, pose_bones
-from scenes.activity.holds import GRAVITY_M_S2, HandState, Pose, bounce_height, keyed, minimum_jerk
+from scenes.activity.holds import GRAVITY_M_S2, HandState, Pose, bounce_height, keyed
 from scenes.activity.things import KINDS, draw_thing, grains_mesh
 from simulator.render import Material
 from simulator.types import View
@@ -295,14 +295,3 @@ def test_grains_are_as_large_and_where_they_are_asked_to_be() -> None:
     a, b, c = (mesh.vertices[mesh.faces[:, side]] for side in range(3))
     piece = mesh.faces[:, 0] // 6
     assert np.all(np.einsum("fi,fi->f", np.cross(b - a, c - a), a - centres[piece]) > 0), "seen from outside"
-
-
-def test_a_reach_starts_and_ends_at_rest_with_the_least_jerk() -> None:
-    share = np.linspace(0, 1, 2001)
-    way = minimum_jerk(share)
-    speed = np.gradient(way, share)
-    assert (way[0], way[-1]) == (0, 1)
-    assert speed.max() == pytest.approx(1.875, abs=1e-4), "Flash and Hogan: the peak is 1.875 times the mean speed"
-    np.testing.assert_allclose(speed[[0, -1]], 0, atol=1e-5)
-    np.testing.assert_allclose(way + way[::-1], 1, atol=1e-12)
-    np.testing.assert_array_equal(minimum_jerk([-0.5, 1.5]), [0, 1])

@@ -163,7 +163,7 @@ def test_a_ball_thrown_up_lands_when_gravity_says() -> None:
 
 def test_endless_bouncing_is_refused() -> None:
     start = balls([(0, -1.1, 0)], [(0, 0, 0)], [0.1], [1])
-    with pytest.raises(InputError, match="more than 1000 impacts"):
+    with pytest.raises(InputError, match=r"^collide: "):
         collide(
             start,
             duration_s=100,

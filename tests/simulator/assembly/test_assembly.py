@@ -160,7 +160,7 @@ class TestStacks:
             if limit == 1:
                 _ = Assembly(config).psf_stack
             else:
-                with pytest.raises(InputError, match="accept_error"):
+                with pytest.raises(InputError, match=r"^oversampling: "):
                     _ = Assembly(config).psf_stack
 
     def test_a_measured_stack(self, trial) -> None:
@@ -281,7 +281,7 @@ def test_a_scene_may_have_depths_of_its_own(trial) -> None:
     assert 0.05 < clip.depth_m.min() < clip.depth_m.max() <= 0.3
     for nowhere in ({"near_cm": None, "far_cm": None}, {"near_cm": 5, "far_cm": 5.1}):
         config = load_config(trial.write(psf={"depths_cm": [float("inf")]}, scene=_without_none(scene | nowhere)))
-        with pytest.raises(InputError, match=r"scene\.near_cm .*scene\.far_cm"):
+        with pytest.raises(InputError, match=r"^scene: "):
             Assembly(config, "scalar_rgb").source.clip(0, np.random.default_rng(0))
     with pytest.raises(InputError, match=r"scene\.near_cm: .*far_cm"):
         load_config(trial.write(scene=scene | {"near_cm": 40}))
@@ -294,7 +294,7 @@ def test_a_measurement_that_was_not_binned_is_refused(trial) -> None:
     np.save(trial.folder / "psf.npy", picture)
     psf = {"measured": ["psf.npy"], "depths_cm": [10], "frame": "physical", "throughput_mm2": 1.0}
     camera = {"mask": None, "sensor": {"binning": 8, "shape": [48, 60]}}
-    with pytest.raises(InputError, match=r"psf\.binning: .*899 rows.* 456"):
+    with pytest.raises(InputError, match=r"^psf\.binning: "):
         _ = Assembly(load_config(trial.write(psf=psf, camera=camera))).psf_stack
     fine = load_config(trial.write(psf=psf | {"binning": 2}, camera=camera))
     assert Assembly(fine).psf_stack.values.shape[-2:] == (449, 349)

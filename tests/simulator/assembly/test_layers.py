@@ -59,7 +59,7 @@ def test_a_material_file_lies_beside_the_yaml_file_and_is_an_input(trial):
     source = Assembly(config, "none").source
     assert [path.name for path in Assembly(config).having(source=source).input_files].count("glue.csv") == 1
     (trial.folder / "glue.csv").write_text("wavelength_nm,n\n300,1.6\n")
-    with pytest.raises(InputError, match=r"trial\.yaml:\d+:\d+: camera\.gap\[1\]\.material: .*glue\.csv: 1 rows"):
+    with pytest.raises(InputError, match=r"trial\.yaml:\d+:\d+: camera\.gap\[1\]\.material: .*glue\.csv: "):
         load_config(trial.path)
     # A data set that somebody else made is read without its files.
     config_from_dict(dump(config), trial.folder, check_plugins=False)

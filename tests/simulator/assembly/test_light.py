@@ -40,7 +40,7 @@ def test_curves_lie_beside_the_yaml_file_and_are_inputs(trial):
     names = [path.name for path in Assembly(config).having(source=source).input_files]
     assert names.count("sensor.csv") == names.count("lamp.csv") == 1
     (trial.folder / "lamp.csv").unlink()
-    with pytest.raises(InputError, match=r"lamp\.csv"):
+    with pytest.raises(InputError, match=r"lamp\.csv: "):
         _ = Assembly(config).geometry
 
 
@@ -71,10 +71,10 @@ class TestSceneColours:
 
     def test_a_row_for_each_channel(self, trial):
         config = _config(trial, scene_to_camera=[[0.2, 0.7, 0.1]])
-        with pytest.raises(InputError, match=r"scene_to_camera: .*1 rows.* R, G, B"):
+        with pytest.raises(InputError, match=r"^camera\.scene_to_camera: "):
             Assembly(config).camera_colour(("R", "G", "B"))
         config = _config(trial, scene_to_camera="identity")
-        with pytest.raises(InputError, match=r"scene_to_camera: identity .* Y;"):
+        with pytest.raises(InputError, match=r"^camera\.scene_to_camera: "):
             Assembly(config).camera_colour(("Y",))
 
     def test_a_data_set_records_the_matrix(self, trial):

@@ -102,18 +102,18 @@ def test_what_has_no_three_colours_is_no_mosaic():
     assert replace(sensor, readout="binned_rgb").channels(("Y",)) == ("Y",)
     assert replace(sensor, readout="binned_rgb").stored_cfa is None
     for names in (("Y",), ("B", "G", "R"), ("R", "G", "B", "N")):
-        with pytest.raises(InputError, match=r"readout: 'bayer' .*R, G, B"):
+        with pytest.raises(InputError, match=r"^camera\.sensor\.readout: "):
             sensor.channels(names)
-    with pytest.raises(InputError, match="R, G, B, got 1 "):
+    with pytest.raises(InputError, match=r"^camera\.sensor\.readout: "):
         sensor.expose(np.zeros((1, 6, 6), np.float32), None)
-    with pytest.raises(InputError, match=r"cfa: got 'RGBG'.*RGGB"):
+    with pytest.raises(InputError, match=r"^cfa: "):
         replace(sensor, cfa="RGBG")
-    with pytest.raises(InputError, match="readout: got 'foveon'"):
+    with pytest.raises(InputError, match=r"^readout: "):
         replace(sensor, readout="foveon")
 
 
 def test_an_odd_number_of_mosaic_bins_reaches_further():
     """Two bins of one colour interleave; the last of an odd number has gaps that nothing fills."""
     assert [BayerReadout(4, "RGGB", (3, 3)).extent(n) for n in (2, 3, 4)] == [8, 15, 16]
-    with pytest.raises(InputError, match=r"shape: 3 .*15 "):
+    with pytest.raises(InputError, match=r"^shape: "):
         _sensor((3, 2), binning=4, physical_shape=(12, 8))

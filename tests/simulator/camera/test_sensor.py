@@ -235,22 +235,22 @@ def test_auto_exposure_puts_the_bright_end_at_80_percent():
     full_scale = full_scale_from_pilots(pilots)
     everything = np.concatenate(pilots) / full_scale
     assert np.mean(everything > 0.8) == pytest.approx(1e-3, rel=0.1)
-    with pytest.raises(InputError, match="no light"):
+    with pytest.raises(InputError, match=r"^camera\.exposure\.full_scale: "):
         full_scale_from_pilots([np.zeros(4)])
 
 
 def test_bad_sensors_are_refused_with_the_reason():
-    with pytest.raises(InputError, match="456"):
+    with pytest.raises(InputError, match=r"^shape: "):
         _sensor(binning=8, shape=(457, 684))
-    with pytest.raises(InputError, match="full_scale"):
+    with pytest.raises(InputError, match=r"^full_scale: "):
         _sensor(full_scale=0.0)
-    with pytest.raises(InputError, match="irradiance"):
+    with pytest.raises(InputError, match=r"^irradiance: "):
         _sensor().expose(np.zeros((3, 4, 4), np.float32), None)
-    with pytest.raises(InputError, match=r"exposure_s: .*600"):
+    with pytest.raises(InputError, match=r"^exposure_s: "):
         _sensor(exposure_s=(0.1, 0.2))
-    with pytest.raises(InputError, match="responsivity"):
+    with pytest.raises(InputError, match=r"^responsivity: "):
         _sensor(responsivity=(1.0, 1.2, 0.5))
-    with pytest.raises(InputError, match=r"irradiance .*responsivity"):
+    with pytest.raises(InputError, match=r"^irradiance: "):
         _sensor(responsivity=(1.0,)).expose(_ramp(), None)
     with pytest.raises(InputError, match="std and psnr_db"):
         GaussianNoise(std=0.1, psnr_db=40)

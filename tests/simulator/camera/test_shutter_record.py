@@ -73,7 +73,7 @@ class OwnShutter(GlobalShutter):
 
 
 def test_a_shutter_of_another_class_is_refused() -> None:
-    with pytest.raises(InputError, match=r"OwnShutter.*RowShutter\(shutter\.physical_windows_s"):
+    with pytest.raises(InputError, match=r"^shutter: "):
         shutter_record(OwnShutter(0.01))
 
 

@@ -40,13 +40,6 @@ class TestInit:
         assert f"flatlight generate {tmp_path / 'mine.yaml'}" in out
         assert (tmp_path / "mine.yaml").read_text() == default_config_text()
 
-    def test_by_default_into_the_current_folder(
-        self, flatlight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.chdir(tmp_path)
-        assert flatlight("init")[0] == 0
-        assert (tmp_path / "sim_config.yaml").read_text() == default_config_text()
-
     def test_does_not_overwrite(self, one_error, flatlight, tmp_path: Path) -> None:
         path = tmp_path / "mine.yaml"
         path.write_text("years: of work")
@@ -55,12 +48,11 @@ class TestInit:
         assert flatlight("init", path, "--force")[0] == 0
         assert path.read_text() == default_config_text()
 
-    def test_where_there_is_no_folder(self, one_error, flatlight, tmp_path: Path) -> None:
-        one_error(flatlight("init", tmp_path / "a" / "b.yaml"), "b.yaml")
-        assert list(tmp_path.iterdir()) == []
-
     def test_presets(self, flatlight, one_error, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.chdir(tmp_path)
+        assert flatlight("init")[0] == 0
+        assert (tmp_path / "sim_config.yaml").read_text() == default_config_text()
+        one_error(flatlight("init", tmp_path / "a" / "b.yaml"), "b.yaml")
         code, out, _ = flatlight("init", "--preset", "flying_things_64")
         assert code == 0
         assert "flatlight render flying_things_64.yaml" in out
@@ -139,7 +131,7 @@ class Films(Boxes):
 
     def clip(self, index, rng):
         if index == 1:
-            raise InputError("1.webm is truncated")
+            raise InputError("1.webm", "truncated")
         return super().clip(index, rng)
 
 def films(view):
@@ -154,7 +146,7 @@ def films(view):
         assert f"of the source was left out what {trial.folder / 'out' / 'source_problems.txt'} lists: 1 in all" in out
         assert f"1 samples were left out: {trial.folder / 'out' / 'skipped.jsonl'}" in err
         assert "train/s00000001: " in err
-        assert "1.webm is truncated" in err
+        assert "1.webm: " in err
 
     @pytest.mark.slow
     def test_the_swap_of_the_mask_by_one_line(self, one_error, flatlight, trial) -> None:
@@ -201,6 +193,6 @@ def test_a_disk_that_is_full_before_the_first_sample(command, one_error, trial) 
         resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
 
     done = command("generate", trial.write(), preexec_fn=limit_files)
-    one_error((done.returncode, done.stdout, done.stderr), "cannot write")
+    one_error((done.returncode, done.stdout, done.stderr), "psf", "depth_0000.exr: ")
     assert not (trial.folder / "out").exists()
     assert verify(trial.generate()).ok

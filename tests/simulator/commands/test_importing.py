@@ -29,10 +29,6 @@ def davis_root(tmp_path) -> Path:
     return root
 
 
-def spoil(root: Path) -> None:
-    (root / "JPEGImages" / "480p" / "dog" / "00001.jpg").write_bytes(b"no picture")
-
-
 def test_a_good_folder(flatlight, davis_root) -> None:
     code, out, err = flatlight("import", "--check", davis_root)
     assert code == 0
@@ -61,22 +57,19 @@ def test_the_line_to_use_is_yaml_that_loads(flatlight, davis_root, tmp_path, mak
 
 
 def test_problems_fail_unless_they_are_skipped(flatlight, davis_root, one_error) -> None:
-    spoil(davis_root)
+    (davis_root / "JPEGImages" / "480p" / "dog" / "00001.jpg").write_bytes(b"no picture")
     result = flatlight("import", "--check", davis_root)
     one_error(result, "--skip-bad")
-    assert "problem: JPEGImages/480p/dog/00001.jpg: is not a picture that can be read" in result[1]
+    assert "problem: JPEGImages/480p/dog/00001.jpg: " in result[1]
     assert "scene:" not in result[1]
     code, out, _ = flatlight("import", "--check", davis_root, "--skip-bad")
     assert code == 0
     assert "davis, 1 usable" in out
     assert "problem: JPEGImages/480p/dog/00001.jpg" in out
     assert "scene: {source: davis" in out
-
-
-def test_skipping_all_leaves_nothing(flatlight, davis_root, one_error) -> None:
     for mask in davis_root.rglob("*.png"):
         mask.write_bytes(b"no picture")
-    one_error(flatlight("import", "--check", davis_root, "--skip-bad"), "nothing can be used")
+    one_error(flatlight("import", "--check", davis_root, "--skip-bad"), f"{davis_root}: ")
 
 
 def test_options_are_those_of_the_survey(flatlight, davis_root, one_error) -> None:
@@ -105,12 +98,7 @@ def test_videos_too_short_for_a_clip_are_problems_once_its_length_is_known(flatl
 def test_what_no_importer_knows(flatlight, tmp_path, one_error) -> None:
     (tmp_path / "empty").mkdir()
     result = flatlight("import", "--check", tmp_path / "empty")
-    one_error(
-        result,
-        "--source",
-        "davis: DAVIS 2016 and 2017",
-        "path: the folder that holds",
-    )
+    one_error(result, "--source", "davis: DAVIS 2016 and 2017", "path: the folder that holds")
     one_error(flatlight("import", "--check", tmp_path / "no"), str(tmp_path / "no"))
     one_error(flatlight("import", "--check", tmp_path, "--source", "davs"), "'davs'", "'davis'")
     one_error(flatlight("import", "--check", tmp_path / "empty", "--source", "davis"), "JPEGImages/480p")
@@ -229,12 +217,15 @@ def test_folders_of_pictures_of_a_known_data_set(tmp_path, names, folder, source
     assert film.recognises(tmp_path / folder)  # it alone would take them for films
 
 
-def test_films_step_aside_where_another_source_knows_the_folder(install, tmp_path) -> None:
+def test_films_step_aside_where_another_source_knows_the_folder(flatlight, install, tmp_path) -> None:
     install("layouts", boxes_of_frames="return (path / 'known').is_file()")
     pictures = tmp_path / "pictures"
     (pictures / "a").mkdir(parents=True)
-    (pictures / "a" / "0.png").touch()
+    Image.fromarray(np.full((8, 12, 3), 90, np.uint8)).save(pictures / "a" / "0.png")
     assert choose(pictures, find_candidates(pictures)).name == "film"
+    _, out, _ = flatlight("import", "--check", pictures)
+    assert "frames: ..., frames_per_second: ...}" in out
+    assert "where frames_per_second is: " in out
     (pictures / "a" / "known").touch()
     inside = find_candidates(pictures / "a")
     assert choose(pictures / "a", inside).name == "boxes_of_frames"
@@ -258,14 +249,6 @@ def test_a_survey_that_meets_a_closed_door_says_where(flatlight, install, rocks,
     fault = "raise PermissionError(13, 'Permission denied', str(path / 'cave'))"
     path.write_text(path.read_text(encoding="utf-8").replace("progress(1, 1)", fault), encoding="utf-8")
     one_error(flatlight("import", "--check", rocks), f"path: {rocks / 'cave'} ")
-
-
-def test_pictures_are_used_with_a_rate(flatlight, tmp_path) -> None:
-    for number in range(3):
-        Image.fromarray(np.full((8, 12, 3), 90, np.uint8)).save(tmp_path / f"{number}.png")
-    _, out, _ = flatlight("import", "--check", tmp_path)
-    assert "frames: ..., frames_per_second: ...}" in out
-    assert "where frames_per_second is: " in out
 
 
 def test_many_problems_are_counted() -> None:

@@ -83,26 +83,19 @@ def test_nothing_is_overwritten_unasked(flatlight, one_error, phase, tmp_path) -
     one_error(flatlight("export-mask", phase, "--stl", folder, "--force"), "m.stl")
 
 
-def test_mistakes(flatlight, one_error, phase, trial, tmp_path) -> None:
-    one_error(flatlight("export-mask", phase), "--stl")
-    one_error(flatlight("export-mask", phase, "--tiff", tmp_path / "a" / "m.tif"), "--tiff")
-    smooth = trial.write(camera={"mask": {"design": "diffusercam", "width_mm": 0.06}})
-    one_error(flatlight("export-mask", smooth, "--layers", tmp_path / "m"), "step_um")
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        ((), "--stl"),
+        (("--tiff", "a/m.tif"), "--tiff"),
+        (("--layers", "m"), "step_um"),
         (("--stl", "m.x"), "--stl: "),
         (("--tiff", "m.stl"), "--tiff: "),
         (("--stl", "m.stl", "--layers", "m.stl"), "--layers: "),
         (("--layers", "phase.yaml/m"), "phase.yaml"),
         (("--stl", "m.stl", "--base-um", "inf"), "--base-um: "),
         (("--tiff", "m.tif", "--crop-mm", "inf"), "--crop-mm: "),
-        (
-            ("--tiff", "m.tif", "--crop-mm", "9"),
-            "--crop-mm: ",
-        ),
+        (("--tiff", "m.tif", "--crop-mm", "9"), "--crop-mm: "),
         (("--tiff", "m.tif", "--crop-mm", "0.06001"), None),
     ],
 )

@@ -5,17 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from psf_library import load_psf_stack
+from simulator.assembly import Assembly
+from simulator.config import load_config
+from simulator.optics.stack_files import read_psf_stack
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 
 
-def test_writes_and_describes_the_stack(flatlight, trial, tmp_path: Path) -> None:
-    from simulator.assembly import Assembly
-    from simulator.config import load_config
-    from simulator.optics.stack_files import read_psf_stack
-
+def test_writes_and_describes_the_stack(flatlight, one_error, trial, tmp_path: Path) -> None:
     path = trial.write()
     code, out, err = flatlight("psf", path, "--output", tmp_path / "stack")
     assert code == 0, err
@@ -25,11 +25,8 @@ def test_writes_and_describes_the_stack(flatlight, trial, tmp_path: Path) -> Non
     assert not (tmp_path / "stack_captured").exists()
     stack = Assembly(load_config(path)).psf_stack
     assert np.array_equal(read_psf_stack(tmp_path / "stack").values, stack.values)
-    assert flatlight("psf", path, "--output", tmp_path / "stack")[0] == 0  # an older stack is replaced
-
-
-def test_replaces_nothing_else(one_error, flatlight, trial, tmp_path: Path) -> None:
-    one_error(flatlight("psf", trial.write(), "--output", tmp_path), "plugins.py")
+    assert flatlight("psf", path, "--output", tmp_path / "stack")[0] == 0  # an older stack is replaced, nothing else
+    one_error(flatlight("psf", path, "--output", tmp_path), "plugins.py")
     assert trial.plugins.exists()
 
 
@@ -59,8 +56,6 @@ def test_places_are_looked_at_before_anything_is_computed(
 
 
 def test_true_and_captured_side_by_side(flatlight, trial, tmp_path: Path) -> None:
-    from PIL import Image
-
     place, picture = tmp_path / "stack", tmp_path / "psf.png"
     code, out, err = flatlight("psf", trial.write(), "--as-captured", "--output", place, "--plot", picture)
     assert code == 0, err

@@ -42,7 +42,7 @@ def panes(view, *, frames: int = 3, renderer=None):
 
 
 def deep(view, *, renderer=None):
-    raise InputError("far_m: got 0.2, expected 1; go farther")
+    raise InputError("far_m", "got 0.2, expected 1; go farther")
 
 
 def from_file(view, *, picture: str, renderer=None):

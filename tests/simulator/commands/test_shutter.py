@@ -35,12 +35,9 @@ def test_one_depth_is_no_figure_of_two(flatlight, trial, tmp_path) -> None:
     assert "points_at_two_depths.png" not in {file.name for file in tmp_path.glob("*.png")}
 
 
-def test_looks_at_the_folder_first(one_error, flatlight, trial) -> None:
+def test_mistakes_are_one_line_before_anything_is_drawn(one_error, flatlight, trial) -> None:
     result = flatlight("shutter", trial.write(), "--figures", trial.plugins / "x")
     one_error(result, "--figures", "plugins.py")
     assert result[1] == ""
-
-
-def test_a_mistake_is_one_line(one_error, flatlight, trial) -> None:
     path = trial.write(camera={"shutter": {"type": "windows", "file": "none.csv"}})
     one_error(flatlight("shutter", path), f"{path}:", "camera.shutter.file", "none.csv")

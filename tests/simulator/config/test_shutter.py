@@ -213,9 +213,9 @@ def test_an_array_of_another_kind_is_refused(write, tmp_path: Path, array: np.nd
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("short", "./shutters.py:short returned: got windows of 3 rows, expected 256"),
-        ("words", "./shutters.py:words returned: got str, expected opening and closing"),
-        ("backwards", "./shutters.py:backwards returned: row 255"),
+        ("short", "(./shutters.py:short): got windows of 3 rows, expected 256"),
+        ("words", "(./shutters.py:words): got str"),
+        ("backwards", "(./shutters.py:backwards): row 255"),
         ("broken", "shutters.py:29: ZeroDivisionError"),
     ],
 )

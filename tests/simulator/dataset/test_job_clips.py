@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import fftconvolve
 
 from simulator.dataset import generate, open_dataset, verify
 from simulator.dataset.manifest import load_manifest, load_skipped
 from simulator.errors import InputError
-from simulator.io.exr import decode_exr
 from simulator.plugins import import_file
 from simulator.types import Clip, View
 
@@ -48,29 +46,6 @@ def redrawn(source: ModuleType, place: int, split: str, index: int, frames: int 
     rng = np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=(SPLITS.index(split), index, 0)))
     view = View((16, 20), PITCH_M, DISTANCE_M, 0.036, 0.2)
     return source.squares(view, frames=frames).clip(place, rng)
-
-
-def irradiance(root: Path, rgb: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
-    """What one frame gives on the sensor ``(C, H, W)``, by one full convolution per plane and channel, in float64."""
-    described = json.loads((root / "psf/psf.json").read_text())
-    depths_m = np.array([float(depth) for depth in described["depths_m"]])
-    matrix = np.array(json.loads((root / "dataset.json").read_text())["scene_to_camera"]["matrix"])
-    (h, w), sensor = depth_m.shape, (48, 60)
-    y, x = ((np.arange(n) - (n - 1) / 2) * PITCH_M for n in (h, w))
-    cosine = DISTANCE_M / np.sqrt(DISTANCE_M**2 + y[:, None] ** 2 + x**2)
-    light = np.maximum(rgb @ matrix.T, 0) * ((PITCH_M / DISTANCE_M) ** 2 * cosine**4)[..., None]
-    total = np.zeros((3, *sensor))
-    for k, name in enumerate(described["files"]):
-        channels, _ = decode_exr((root / "psf" / name).read_bytes(), Path(name))
-        share = np.interp(1 / depth_m, (1 / depths_m)[::-1], np.eye(len(depths_m))[k][::-1])
-        for c, letter in enumerate("RGB"):
-            psf = channels[letter].astype(np.float64)
-            # The middle of the PSF falls on the scene's pixel, the middle of the scene on that of the sensor.
-            canvas = np.pad(light[..., c] * share, [((s - n) // 2,) * 2 for s, n in zip(sensor, (h, w), strict=True)])
-            full = fftconvolve(canvas, psf)
-            top, left = (n // 2 for n in psf.shape)
-            total[c] += full[top : top + sensor[0], left : left + sensor[1]]
-    return total
 
 
 def seconds_open(frames: int) -> np.ndarray:
@@ -123,7 +98,7 @@ def test_the_truth_of_a_sliver_is_the_mean_of_its_frames(
 
 @pytest.mark.parametrize(("split", "index", "place"), CASES[1:3])
 def test_a_measurement_is_the_sum_over_frames_and_rows(
-    made: Path, source: ModuleType, split: str, index: int, place: int
+    made: Path, source: ModuleType, irradiance: Callable[..., np.ndarray], split: str, index: int, place: int
 ) -> None:
     sample, clip = open_dataset(made, split)[index], redrawn(source, place, split, index)
     frames = np.stack([irradiance(made, rgb, depth) for rgb, depth in zip(clip.rgb, clip.depth_m, strict=True)])
@@ -156,13 +131,14 @@ def test_no_video_is_in_two_splits(made: Path) -> None:
     assert videos == {"train": {"video_0", "video_1"}, "validation": {"video_5"}, "test": {"video_4"}}
 
 
-def test_numbers_about_colour_look_at_all_frames_seen(trial: Any, source: ModuleType) -> None:
+ONE = {"train": 1, "validation": 0, "test": 0}
+
+
+def test_numbers_about_colour_look_at_all_frames_seen(trial: Any) -> None:
     """Saturated colours are clipped in frames 1 to 11 only; those after the shutter has closed do not count."""
     text = SOURCE.read_text().replace("colour = rng.random(3)", "colour = [1, 0, 0]")
-    text = text.replace(
-        "        valid = np.ones", "        rgb[0] = 0.05\n        rgb[12:] = 9\n        valid = np.ones"
-    )
-    write(trial, {"train": 1, "validation": 0, "test": 0}, frames=15)
+    text = text.replace("        valid = np", "        rgb[0] = 0.05\n        rgb[12:] = 9\n        valid = np")
+    write(trial, ONE, frames=15)
     (trial.folder / SOURCE.name).write_text(text)
     root = generate(trial.path).path
     sample = open_dataset(root)[0]
@@ -175,10 +151,9 @@ def test_numbers_about_colour_look_at_all_frames_seen(trial: Any, source: Module
 
 def test_depths_of_all_frames_count(trial: Any) -> None:
     """Half of the last frame's depths lie before the nearest plane, those of the first within: 20 of 12 x 320 pixels."""
-    text = SOURCE.read_text().replace(
-        "        valid = np.ones", "        depth[11, :2, :10] = self.view.near_m / 2\n        valid = np.ones"
-    )
-    write(trial, {"train": 1, "validation": 0, "test": 0})
+    nearer = "        depth[11, :2, :10] = self.view.near_m / 2\n        valid = np"
+    text = SOURCE.read_text().replace("        valid = np", nearer)
+    write(trial, ONE)
     (trial.folder / SOURCE.name).write_text(text)
     (sample,) = open_dataset(generate(trial.path, ["forward.max_clamped=1"]).path)
     valid = 12 * (16 * 20 - 1)
@@ -186,7 +161,7 @@ def test_depths_of_all_frames_count(trial: Any) -> None:
 
 
 def test_a_capture_of_one_sliver_keeps_its_times_and_its_global_measurement_is_noiseless(trial: Any) -> None:
-    chosen = {"slivers": 1, "train": 1, "validation": 0, "test": 0, "global_measurements": True}
+    chosen = ONE | {"slivers": 1, "global_measurements": True}
     root = generate(write(trial, chosen), ["camera.noise={type: gaussian, std: 0.02}"]).path
     data = open_dataset(root)
     sample = data[0]
@@ -197,15 +172,13 @@ def test_a_capture_of_one_sliver_keeps_its_times_and_its_global_measurement_is_n
     assert sample.global_measurements is not None
     assert sample.global_measurements.shape == (1, 3, 48, 60)
     assert np.std(sample.measurement - sample.noiseless) == pytest.approx(0.02, rel=0.05)
-    rough = np.abs(np.diff(sample.global_measurements[0], axis=-1))[
-        :, :, -3:
-    ]  # far from the light: smooth if noiseless
-    assert rough.max() < 0.002
+    far_from_the_light = sample.global_measurements[0][..., -4:]
+    assert np.abs(np.diff(far_from_the_light)).max() < 0.002, "smooth if noiseless"
 
 
 def test_every_frame_may_be_the_truth(trial: Any, source: ModuleType) -> None:
     """The frames that the shutter sees; those after it has closed are dropped."""
-    root = make(trial, {"ground_truth": "frames", "train": 1, "validation": 0, "test": 0}, frames=20)
+    root = make(trial, ONE | {"ground_truth": "frames"}, frames=20)
     sample, clip = open_dataset(root)[0], redrawn(source, 0, "train", 0, 20)
     assert sample.rgb.shape == (12, 16, 20, 3)
     assert np.array_equal(sample.rgb, clip.rgb[:12])
@@ -215,8 +188,7 @@ def test_every_frame_may_be_the_truth(trial: Any, source: ModuleType) -> None:
 
 
 def test_without_a_number_of_slivers_every_frame_is_one(trial: Any, source: ModuleType) -> None:
-    changes = {"slivers": None, "global_measurements": True, "train": 1, "validation": 0, "test": 0}
-    sample = open_dataset(make(trial, changes))[0]
+    sample = open_dataset(make(trial, ONE | {"slivers": None, "global_measurements": True}))[0]
     assert np.array_equal(sample.rgb, redrawn(source, 0, "train", 0).rgb)
     assert sample.metadata["slivers"] == 12
     assert sample.global_measurements is not None
@@ -237,12 +209,10 @@ class TestSkipping:
         path = write(trial, {"global_measurements": True}, bad=[0, 5], marker=str(marker))
         result = generate(path, skip_bad=True)
         assert (result.made, result.kept, result.failed) == (2, 0, ())
-        reasons = [line.split(": ", 2)[0::2] for line in result.skipped]
-        assert [where for where, _ in reasons] == [f"train/s0000000{i}" for i in (0, 1)] + [
-            f"validation/s0000000{i}" for i in (0, 1)
-        ]
-        assert "video_0.webm is truncated" in result.skipped[0]
-        assert "video_5.webm is truncated" in load_skipped(result.path)["validation", "s00000001"]
+        skipped = [f"{split}/s0000000{index}" for split in ("train", "validation") for index in (0, 1)]
+        assert [line.partition(": ")[0] for line in result.skipped] == skipped
+        assert "video_0.webm: " in result.skipped[0]
+        assert "video_5.webm: " in load_skipped(result.path)["validation", "s00000001"]
         own = files(result.path)
         for name in ("train/0000/s00000002/measurement.exr", "test/0000/s00000000/sample.json"):
             assert own[name] == files(made)[name], "a sample that is left out moves no other"
@@ -255,14 +225,14 @@ class TestSkipping:
     def test_pilots_that_cannot_be_made(self, trial: Any) -> None:
         path = write(trial, bad=[1])
         automatic = ["camera.exposure.full_scale=auto"]
-        with pytest.raises(InputError, match=r"video_1\.webm"):
+        with pytest.raises(InputError, match=r"video_1\.webm: "):
             generate(path, automatic)
         said: list[str] = []
         root = generate(path, automatic, skip_bad=True, say=said.append).path
         assert json.loads((root / "dataset.json").read_text())["exposure"]["pilots"] == 12  # of 16: clips 2, 3, 14, 15
         assert any("4 of 16 exposure pilots" in line for line in said)
         write(trial, bad=[0, 1, 2, 3, 4, 5])
-        with pytest.raises(InputError, match=r"video_0\.webm"):
+        with pytest.raises(InputError, match=r"video_0\.webm: "):
             generate(path, [*automatic, f"dataset.output={trial.folder / 'dark'}"], skip_bad=True)
 
     def test_problems_of_the_source(self, trial: Any) -> None:
@@ -298,24 +268,21 @@ class TestTimes:
         family = {"family": "high_speed", "size": [16, 20], "frames": 20, "frames_per_second": 2000}
         path = trial.write(camera=CAMERA, scene=family, dataset=DATASET)
         message = self.refused(trial, path)
-        assert (
-            "scene.frames: got 20 at 2000 per second, which last 10 ms, but the shutter is open for 11.575 ms"
-            in message
-        )
-        assert "expected at least 24" in message
+        assert message.startswith("scene.frames: ")
+        assert "11.575 ms" in message
+        assert "at least 24" in message
         # The 24th frame begins at 11.5 ms, before the last row closes: 24 are seen, of which 5 slivers cannot be made.
         message = self.refused(trial, path, "scene.frames=30", "dataset.slivers=5")
-        assert "dataset.slivers: got 5, but the shutter sees 24 of the 30 frames" in message
-        assert "expected one of 1, 2, 3, 4, 6, 8, 12, 24" in message
-        message = self.refused(trial, path, "scene.frames=1")
-        assert "dataset.slivers: got 4, but the scenes stand still" in message
+        assert message.startswith("dataset.slivers: ")
+        assert "24 of the 30 frames" in message
+        assert "1, 2, 3, 4, 6, 8, 12, 24" in message
+        assert self.refused(trial, path, "scene.frames=1").startswith("dataset.slivers: ")
 
     def test_known_from_a_clip_only(self, trial: Any) -> None:
         message = self.refused(trial, write(trial, frames=11))
-        assert "a clip of 11 frames lasts 11 ms, but the shutter is open for 11.575 ms; take 12 frames" in message
+        assert "take 12 frames" in message
         assert "'video': 'video_0'" in message
-        message = self.refused(trial, write(trial), "dataset.slivers=5")
-        assert "the shutter sees all 12 frames" in message
+        assert "all 12 frames" in self.refused(trial, write(trial), "dataset.slivers=5")
         assert "a clip of 11 frames" in self.refused(trial, write(trial, frames=11), "camera.exposure.full_scale=auto")
 
     def test_stills_suit_every_shutter(self, trial: Any) -> None:
@@ -335,7 +302,7 @@ class TestTimes:
         root = generate(path, alone).path
         scenes = [sample.metadata["scene"]["clip"] for sample in open_dataset(root)]
         assert scenes == [*range(12), 0]
-        with pytest.raises(InputError, match="split"):
+        with pytest.raises(InputError, match=r"^dataset: "):
             generate(path, [*alone, "dataset.test=1"])
         said: list[str] = []
         generate(path, ["dataset.share_videos=true", f"dataset.output={trial.folder / 'shared'}"], say=said.append)

@@ -67,11 +67,7 @@ def test_a_line_torn_anywhere_costs_only_itself(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        b"",
-        b"hello",
-        b"[]",
-        b"{}",
-        b'{"id": "s1"}',
+        *(b"", b"hello", b"[]", b"{}", b'{"id": "s1"}'),
         b'{"id":"x","split":"train","digest":"' + b"a" * 64 + b'","seed":7,"label":null,"seconds":1}',
         b'{"id":"s00000001","split":"pilot","digest":"' + b"a" * 64 + b'","seed":7,"label":null,"seconds":1}',
         b'{"id":"s00000001","split":"train","digest":3,"seed":7,"label":null,"seconds":1}',
@@ -80,7 +76,7 @@ def test_a_line_torn_anywhere_costs_only_itself(tmp_path: Path) -> None:
 def test_bad_lines_before_the_end_are_named(tmp_path: Path, line: bytes) -> None:
     whole = write(tmp_path, record(0))
     (tmp_path / MANIFEST).write_bytes(whole + line + b"\n" + whole)
-    with pytest.raises(InputError, match=r"manifest\.jsonl:2:"):
+    with pytest.raises(InputError, match=r"manifest\.jsonl:2: "):
         load_manifest(tmp_path)
 
 
@@ -122,5 +118,5 @@ def test_a_list_of_skipped_samples_that_was_torn_or_spoilt(tmp_path: Path) -> No
     path.write_text('{"id":"s00000003","split":"train","reason":"bad"}\n{"id":"s0000')
     assert load_skipped(tmp_path) == {("train", "s00000003"): "bad"}
     path.write_text('{"id":"s00000003","split":"all","reason":"bad"}\n')
-    with pytest.raises(InputError, match=r"skipped\.jsonl:1:"):
+    with pytest.raises(InputError, match=r"skipped\.jsonl:1: "):
         load_skipped(tmp_path)

@@ -54,16 +54,8 @@ def test_what_the_data_set_says_of_itself(dataset: Path) -> None:
     assert "3 samples" in repr(train)
 
 
-def test_it_is_lazy_and_small_to_send(dataset: Path) -> None:
-    train = open_dataset(dataset)
-    assert len(pickle.dumps(train)) < 2000
-    shutil.rmtree(dataset / "train/0000/s00000001")
-    assert train[0].label == "class 0"
-    with pytest.raises(InputError, match="s00000001"):
-        train[1]
-
-
 def test_other_processes_read_it(dataset: Path) -> None:
+    assert len(pickle.dumps(open_dataset(dataset))) < 2000
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         labels = pool.map(open_dataset(dataset).__getitem__, [2, 0])
     assert [sample.label for sample in labels] == ["class 2", "class 0"]
@@ -88,12 +80,12 @@ def test_nothing_heavy_or_foreign_is_imported(samples: ModuleType, tmp_path: Pat
 
 
 def test_clear_refusals(dataset: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="gone"):
+    with pytest.raises(InputError, match="gone: "):
         open_dataset(tmp_path / "gone")
     with pytest.raises(InputError, match=r"dataset\.json"):
         open_dataset(tmp_path)
     for split in ("training", "pilot", ""):
-        with pytest.raises(InputError, match=r"split .*train, validation, test"):
+        with pytest.raises(InputError, match=r"^split: "):
             open_dataset(dataset, split)
 
 
@@ -172,23 +164,25 @@ def test_clips_are_read_in_part(clips: Path) -> None:
     train = open_dataset(clips)
     for path in clips.glob("train/*/*/frames/*.exr"):
         path.unlink()
-    labels = [train.stored(position).label for position in range(3)]
-    assert labels == ["class 0", "class 1", "class 2"]
+    shutil.rmtree(clips / "train/0000/s00000001")
+    assert [train.stored(position).label for position in (0, 2)] == ["class 0", "class 2"]
     assert train.stored(-1).measurement()[0].shape == (3, 24, 36)
-    with pytest.raises(InputError, match=r"frames/ground_truth\.0000\.exr"):
+    with pytest.raises(InputError, match=r"ground_truth\.0000\.exr: "):
         train[0]
+    with pytest.raises(InputError, match="s00000001: "):
+        train.stored(1)
 
 
 def test_refusals_of_clips(clips: Path, samples: ModuleType, tmp_path: Path) -> None:
     train = open_dataset(clips)
-    with pytest.raises(InputError, match=r"dataset\.json .*shutter"):
+    with pytest.raises(InputError, match=r"dataset\.json: "):
         train.sliver_weights(train[0])
     short, sample = opened(tmp_path / "short", samples, GlobalShutter(0.02), np.linspace(0, 0.01, 4))
     with pytest.raises(InputError, match=r"0 to 0\.01 s"):
         short.sliver_weights(sample)
     content = json.loads((clips / "dataset.json").read_text())
-    for time, words in (({"shutter": {"type": "curtain"}}, "time.shutter: .*'curtain'"), ([], "time must be a dict")):
+    for time in ({"shutter": {"type": "curtain"}}, []):
         (clips / "dataset.json").write_text(json.dumps(content | {"time": time}))
         assert any("dataset.json" in line and "time" in line for line in verify(clips).problems)
-        with pytest.raises(InputError, match=rf"dataset\.json.*{words}"):
+        with pytest.raises(InputError, match=r"dataset\.json: time"):
             _ = open_dataset(clips).shutter

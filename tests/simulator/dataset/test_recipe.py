@@ -8,17 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import fftconvolve
 
 from simulator.dataset import open_dataset
 from simulator.dataset.recipe import scene_clip
-from simulator.io.exr import decode_exr
 from simulator.plugins import import_file
 from simulator.types import Clip, View
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 
 SEED, EXPOSURE_S, PITCH_M, DISTANCE_M = 11, 5e-3, 8 * 2.4e-6, 1.9e-3
+Truth = Callable[..., np.ndarray]
 SPLIT, PURPOSE = {"train": 0, "validation": 1, "test": 2, "pilot": 3}, {"scene": 0, "noise": 1}
 CASES = [("train", 0), ("train", 2), ("validation", 0), ("test", 0)]
 
@@ -29,51 +28,10 @@ def stream(split: str, index: int, purpose: str) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(SEED, spawn_key=key))
 
 
-def stack_on_disk(root: Path) -> tuple[np.ndarray, np.ndarray]:
-    """PSFs ``(K, C, N, N)`` float64 and their depths, from the data set's own files."""
-    described = json.loads((root / "psf/psf.json").read_text())
-    planes = []
-    for name in described["files"]:
-        channels, _ = decode_exr((root / "psf" / name).read_bytes(), Path(name))
-        planes.append(np.stack([channels[c] for c in "RGB"]))
-    return np.stack(planes).astype(np.float64), np.array([float(depth) for depth in described["depths_m"]])
-
-
 def redrawn(plugins: ModuleType, split: str, index: int) -> Clip:
     """The clip of a sample, drawn anew from the documented stream."""
     view = View((16, 20), PITCH_M, DISTANCE_M, 0.036, 0.2)
     return plugins.boxes(view).clip(index, stream(split, index, "scene"))
-
-
-def matrix_on_disk(root: Path) -> np.ndarray:
-    """The rows that take linear sRGB to the camera's channels."""
-    matrix = np.array(json.loads((root / "dataset.json").read_text())["scene_to_camera"]["matrix"])
-    assert not np.array_equal(matrix, np.eye(3))
-    return matrix
-
-
-def exposed(
-    clip: Clip, values: np.ndarray, depths_m: np.ndarray, matrix: np.ndarray, sensor: tuple[int, int]
-) -> np.ndarray:
-    """Exposure ``(C, H, W)`` by one full convolution per plane and channel, in float64."""
-    radiance = np.maximum(clip.rgb[0].astype(np.float64) @ matrix.T, 0)
-    depth = clip.depth_m[0].astype(np.float64)
-    h, w = depth.shape
-    y, x = ((np.arange(n) - (n - 1) / 2) * PITCH_M for n in (h, w))
-    cosine = DISTANCE_M / np.sqrt(DISTANCE_M**2 + y[:, None] ** 2 + x**2)
-    light = radiance * ((PITCH_M / DISTANCE_M) ** 2 * cosine**4)[..., None]
-    total = np.zeros((values.shape[1], *sensor))
-    for k in range(len(depths_m)):
-        hat = np.eye(len(depths_m))[k][::-1]  # 1 at this plane's disparity, 0 at its neighbours', straight between
-        share = np.interp(1 / depth, (1 / depths_m)[::-1], hat)
-        for c in range(values.shape[1]):
-            full = fftconvolve(light[..., c] * share, values[k, c])
-            rows, columns = (
-                np.arange(s) - (s - n) // 2 + m // 2 for s, n, m in zip(sensor, (h, w), values.shape[2:], strict=True)
-            )
-            inside = [(i >= 0) & (i < n) for i, n in zip((rows, columns), full.shape, strict=True)]
-            total[c][np.ix_(*inside)] += full[np.ix_(rows[inside[0]], columns[inside[1]])]
-    return total * EXPOSURE_S
 
 
 @pytest.fixture(scope="module")
@@ -97,13 +55,13 @@ def test_ground_truth_is_the_scene_of_the_documented_stream(made: Any, split: st
 
 
 @pytest.mark.parametrize(("split", "index"), CASES)
-def test_noiseless_measurement_is_the_brute_force_convolution(made: Any, split: str, index: int) -> None:
+def test_noiseless_measurement_is_the_brute_force_convolution(
+    made: Any, irradiance: Truth, split: str, index: int
+) -> None:
     root, plugins = made
-    sample = open_dataset(root, split)[index]
+    sample, clip = open_dataset(root, split)[index], redrawn(plugins, split, index)
     full_scale = json.loads((root / "dataset.json").read_text())["exposure"]["full_scale"]
-    expected = (
-        exposed(redrawn(plugins, split, index), *stack_on_disk(root), matrix_on_disk(root), (48, 60)) / full_scale
-    )
+    expected = irradiance(root, clip.rgb[0], clip.depth_m[0]) * EXPOSURE_S / full_scale
     # float32 FFTs of a few thousand points: some 1e-7 of the maximum.
     assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
     assert expected.max() > 0.1  # the exposure put the picture into the sensor's range
@@ -118,12 +76,10 @@ def test_noise_is_that_of_the_documented_stream(made: Any, split: str, index: in
     assert sample.metadata["noise_std"] == pytest.approx(std, rel=1e-6)
 
 
-def test_automatic_exposure_is_the_pilots_percentile(made: Any) -> None:
+def test_automatic_exposure_is_the_pilots_percentile(made: Any, irradiance: Truth) -> None:
     root, plugins = made
-    values, depths_m = stack_on_disk(root)
-    pilots = [
-        exposed(redrawn(plugins, "pilot", i), values, depths_m, matrix_on_disk(root), (48, 60)) for i in range(16)
-    ]
+    clips = [redrawn(plugins, "pilot", i) for i in range(16)]
+    pilots = [irradiance(root, clip.rgb[0], clip.depth_m[0]) * EXPOSURE_S for clip in clips]
     exposure = json.loads((root / "dataset.json").read_text())["exposure"]
     assert exposure["full_scale"] == pytest.approx(np.percentile(pilots, 99.9) / 0.8, rel=1e-5)
 
@@ -137,15 +93,13 @@ def test_metadata_count_saturated_values(trial) -> None:
     assert sample.metadata["saturated_share"] == pytest.approx(saturated, abs=2 / sample.noiseless.size)
 
 
-def test_depths_beyond_the_stack_are_clamped_and_counted(trial) -> None:
+def test_depths_beyond_the_stack_are_clamped_and_counted(trial, irradiance: Truth) -> None:
     scene = {"family": "./plugins.py:boxes", "size": [16, 20], "depth_m": 0.5}
     root = trial.generate("forward.max_clamped=1", scene=scene, dataset={"train": 1})
     sample = open_dataset(root)[0]
     assert sample.metadata["clamped_depth_share"] == 1
     assert np.all(sample.depth_m == 0.5)  # ground truth stays the truth
-    values, depths_m = stack_on_disk(root)
-    clip = Clip(sample.rgb, np.full_like(sample.depth_m, 0.2), sample.valid, np.array([0.0, 1.0]))
-    expected = exposed(clip, values, depths_m, matrix_on_disk(root), (48, 60)) / 3e-6
+    expected = irradiance(root, sample.rgb[0], np.full_like(sample.depth_m[0], 0.2)) * EXPOSURE_S / 3e-6
     assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
 
 
@@ -163,16 +117,14 @@ def test_physical_noise_is_quantised_and_drawn_from_its_stream(trial) -> None:
     assert np.array_equal(sample.measurement, again.measurement)
 
 
-def test_infinite_depths_are_stored_as_finite_ones(trial) -> None:
+def test_infinite_depths_are_stored_as_finite_ones(trial, irradiance: Truth) -> None:
     psf = {"depths_cm": [4, 20, float("inf")], "wavelengths_per_channel": 1, "accept_error": 1}
     scene = {"family": "./plugins.py:boxes", "size": [16, 20], "depth_m": float("inf")}
     sample = open_dataset(trial.generate(psf=psf, scene=scene, dataset={"train": 1}))[0]
     assert np.all(sample.depth_m == np.float32(1e6))
     assert sample.metadata["clamped_depth_share"] == 0
-    values, depths_m = stack_on_disk(trial.folder / "out")
-    assert depths_m[-1] == np.inf
-    clip = Clip(sample.rgb, np.full_like(sample.depth_m, np.inf), sample.valid, np.array([0.0, 1.0]))
-    expected = exposed(clip, values[-1:], np.array([1.0]), matrix_on_disk(trial.folder / "out"), (48, 60)) / 3e-6
+    infinite = np.full_like(sample.depth_m[0], np.inf)
+    expected = irradiance(trial.folder / "out", sample.rgb[0], infinite) * EXPOSURE_S / 3e-6
     assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
 
 

@@ -42,12 +42,6 @@ def tear(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-10])
 
 
-def resize(root: Path, samples: ModuleType) -> None:
-    sample = samples.make_sample(0, sensor=(20, 30), scene=(6, 8))
-    with ManifestWriter(root) as manifest:
-        manifest.append(write_sample(root, "train", 0, sample), 0.1)
-
-
 FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "flipped bit": (lambda root: flip(root / FIRST / "measurement.exr"), "measurement.exr"),
     "no measurement": (lambda root: (root / FIRST / "measurement.exr").unlink(), "measurement.exr"),
@@ -90,6 +84,10 @@ def test_every_fault_is_named(dataset: Path, fault: str) -> None:
     report = verify(dataset)
     assert not report.ok
     assert any(re.search(words, line) for line in report.problems), report
+    if fault == "flipped bit":
+        assert report.counts == {"train": 2, "validation": 1, "test": 0}
+        assert all("s00000000" in line for line in report.problems)
+        assert "train: 2 of 3 intact" in str(report)
 
 
 def exchange(one: Path, other: Path) -> None:
@@ -100,22 +98,16 @@ def exchange(one: Path, other: Path) -> None:
 
 FRAMES = FIRST / "frames"
 CLIP_FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
-    "flipped bit": (
-        lambda root: flip(root / FRAMES / "global.0002.exr"),
-        r"frames/global\.0002\.exr",
-    ),
+    "flipped bit": (lambda root: flip(root / FRAMES / "global.0002.exr"), r"frames/global\.0002\.exr"),
     "exchanged": (
         lambda root: exchange(root / FRAMES / "ground_truth.0001.exr", root / FRAMES / "ground_truth.0002.exr"),
-        r"ground_truth\.0001\.exr .*frame 2 .*frame 1",
+        r"ground_truth\.0001\.exr: .*frame 2 .*frame 1",
     ),
     "one more": (
         lambda root: shutil.copy(root / FRAMES / "global.0002.exr", root / FRAMES / "global.0003.exr"),
         r"frames/global\.0003\.exr",
     ),
-    "other folder": (
-        lambda root: shutil.copytree(root / FRAMES, root / FRAMES / "old"),
-        r"frames/old$",
-    ),
+    "other folder": (lambda root: shutil.copytree(root / FRAMES, root / FRAMES / "old"), r"frames/old$"),
     "a still's truth": (lambda root: (root / FIRST / "ground_truth.exr").touch(), r"ground_truth\.exr"),
 }
 
@@ -140,18 +132,16 @@ DUAL = {"type": "dual_rolling", "exposure_s": 2e-3, "line_time_s": 25e-6, "order
 WINDOWS = {"type": "windows", "table_s": [[0.0, 2e-3]] * 24, "binning": 1}
 STILL = {"type": "global", "exposure_s": 2e-3, "binning": 1}
 OTHER_RECORDS = [
+    *((one, other, f"type: {one['type']} -> {other['type']}") for one, other in ((STILL, WINDOWS), (WINDOWS, STILL))),
+    (ROLLING, DUAL, "type: rolling -> dual_rolling"),
     (STILL, {"exposure_s": 5e-4}, "exposure_s: 0.002 -> 0.0005"),
     (STILL, {"binning": 2}, "binning: 1 -> 2"),
     (ROLLING, {"line_time_s": 1e-6}, "line_time_s: 2.5e-05 -> 1e-06"),
     (ROLLING, {"direction": "up"}, "direction: down -> up"),
     (DUAL, {"order": "outside_in"}, "order: centre_out -> outside_in"),
     (WINDOWS, {"table_s": [[0.0, 2e-3]] * 48, "binning": 2}, "binning: 1 -> 2"),
-    (WINDOWS, {"table_s": [[0.0, 2e-3]] * 23}, "table_s: "),
-    (
-        STILL,
-        {"binning": 10**12},
-        "24000000000000",
-    ),
+    (WINDOWS, {"table_s": [[0.0, 2e-3]] * 23}, "23 rows"),
+    (STILL, {"binning": 10**12}, "24000000000000"),
 ]
 
 
@@ -161,18 +151,10 @@ def test_a_recorded_shutter_agrees_with_the_configuration(
 ) -> None:
     root = samples.make_dataset(tmp_path / "set", samples.make_clip_sample, time={"shutter": record})
     assert verify(root).problems == ()
-    edit(root / "dataset.json", time={"shutter": record | changes})
+    edit(root / "dataset.json", time={"shutter": changes if "type" in changes else record | changes})
     (problem,) = verify(root).problems
     assert problem.startswith("dataset.json: time.shutter")
     assert words in problem
-
-
-def test_another_kind_of_shutter_is_another_shutter(samples: ModuleType, tmp_path: Path) -> None:
-    for number, (record, other) in enumerate([(STILL, WINDOWS), (WINDOWS, STILL), (ROLLING, DUAL)]):
-        root = samples.make_dataset(tmp_path / str(number), samples.make_clip_sample, time={"shutter": record})
-        edit(root / "dataset.json", time={"shutter": other})
-        (problem,) = verify(root).problems
-        assert f"type: {record['type']} -> {other['type']}" in problem
 
 
 def test_frames_cover_the_shutter(samples: ModuleType, tmp_path: Path) -> None:
@@ -209,14 +191,6 @@ def test_what_was_hashed_belongs_to_the_fingerprint_and_to_the_configuration(dat
     assert "fingerprint is 000000000000, but its parts make " + before["fingerprint"][:12] in problem
 
 
-def test_only_the_damaged_sample_is_counted_out(dataset: Path) -> None:
-    flip(dataset / FIRST / "measurement.exr")
-    report = verify(dataset)
-    assert report.counts == {"train": 2, "validation": 1, "test": 0}
-    assert all("s00000000" in line for line in report.problems)
-    assert "train: 2 of 3 intact" in str(report)
-
-
 def test_skipped_samples_are_counted_and_no_fault(dataset: Path) -> None:
     edit(dataset / "dataset.json", counts={"train": 5, "validation": 1, "test": 0})
     with SkippedWriter(dataset) as skipped:
@@ -235,7 +209,9 @@ def test_skipped_samples_are_counted_and_no_fault(dataset: Path) -> None:
 
 
 def test_a_sample_of_another_size_is_noticed(dataset: Path, samples: ModuleType) -> None:
-    resize(dataset, samples)
+    with ManifestWriter(dataset) as manifest:
+        sample = samples.make_sample(0, sensor=(20, 30), scene=(6, 8))
+        manifest.append(write_sample(dataset, "train", 0, sample), 0.1)
     assert [line.split(": ", 1)[1] for line in verify(dataset).problems] == [
         "measurement is (20, 30), dataset.json says (24, 36)",
         "ground truth is (6, 8), dataset.json says (10, 12)",
@@ -243,5 +219,5 @@ def test_a_sample_of_another_size_is_noticed(dataset: Path, samples: ModuleType)
 
 
 def test_no_such_folder(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such folder"):
+    with pytest.raises(InputError, match="gone: "):
         verify(tmp_path / "gone")

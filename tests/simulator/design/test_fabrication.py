@@ -135,10 +135,10 @@ def test_amplitudes_stay_sharp():
 @pytest.mark.parametrize(
     ("tolerance", "words"),
     [
-        ({"step_m": -1e-7}, "step_m:"),
-        ({"roughness_m": -1e-9}, "roughness_m:"),
-        ({"rounding_m": np.nan}, "rounding_m:"),
-        ({"height_error": -1.0}, "height_error:"),
+        ({"step_m": -1e-7}, "^step_m: "),
+        ({"roughness_m": -1e-9}, "^roughness_m: "),
+        ({"rounding_m": np.nan}, "^rounding_m: "),
+        ({"height_error": -1.0}, "^height_error: "),
     ],
 )
 def test_senseless_tolerances_are_refused(tolerance, words):

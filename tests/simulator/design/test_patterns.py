@@ -70,7 +70,7 @@ def test_poisson_discs_follow_their_seed():
 
 def test_a_lattice_that_exceeds_the_memory_is_refused(monkeypatch):
     monkeypatch.setattr(memory, "machine_bytes", lambda: 10**6)
-    with pytest.raises(InputError, match=r"spacing_um: .*2400 x 2400"):
+    with pytest.raises(InputError, match=r"^spacing_um: "):
         poisson_disc(100, 1)
 
 

@@ -121,11 +121,11 @@ def test_the_target_is_not_changed(target):
 @pytest.mark.parametrize(
     ("target", "iterations", "words"),
     [
-        (np.zeros((8, 8), np.float32), 3, "not dark"),
-        (np.full((8, 8), -1, np.float32), 3, "not negative"),
-        (np.full((8, 8), np.nan, np.float32), 3, "finite"),
-        (np.ones(8, np.float32), 3, r"2-D image, got shape \(8,\)"),
-        (np.ones((8, 8), np.float32), 0, "iterations:"),
+        (np.zeros((8, 8), np.float32), 3, "^target: "),
+        (np.full((8, 8), -1, np.float32), 3, "^target: "),
+        (np.full((8, 8), np.nan, np.float32), 3, "^target: "),
+        (np.ones(8, np.float32), 3, "^target: "),
+        (np.ones((8, 8), np.float32), 0, "^iterations: "),
     ],
 )
 def test_senseless_requests_are_refused(target, iterations, words):
@@ -136,10 +136,10 @@ def test_senseless_requests_are_refused(target, iterations, words):
 def test_a_grid_that_exceeds_the_memory_is_refused(target, monkeypatch):
     """Light that spreads far doubles both sides of the grid."""
     monkeypatch.setattr(memory, "machine_bytes", lambda: 10**6)
-    with pytest.raises(InputError, match=r"pixel_um: .*400 x 400"):
+    with pytest.raises(InputError, match=r"^pixel_um: "):
         retrieve_phase(target, PITCH, GREEN, 1.0, 1)
 
 
 def test_a_negative_tolerance_is_refused(target):
-    with pytest.raises(InputError, match="tolerance"):
+    with pytest.raises(InputError, match=r"^tolerance: "):
         retrieve_phase(target, PITCH, GREEN, D, 2, tolerance=-0.1)

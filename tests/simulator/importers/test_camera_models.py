@@ -76,7 +76,7 @@ def test_rays_beyond_the_turning_point_are_not_seen():
 def test_a_camera_matrix():
     rows = np.array([[156.0, 0, 178.5], [0, 155.7, 181.8], [0, 0, 1]])
     assert pinhole_of(rows, "cam.txt") == Pinhole(fx=156.0, fy=155.7, cx=178.5, cy=181.8)
-    with pytest.raises(InputError, match=r"cam\.txt"):
+    with pytest.raises(InputError, match=r"^cam\.txt: "):
         pinhole_of(rows.T, "cam.txt")
-    with pytest.raises(InputError, match=r"cam\.txt"):
+    with pytest.raises(InputError, match=r"^cam\.txt: "):
         pinhole_of(rows - 1, "cam.txt")

@@ -142,8 +142,9 @@ class TestDepth:
         codes = np.linspace(100, 255, 256).astype(np.uint8).reshape(SHAPE)
         unity(tmp_path, codes=codes)
         choice = {"depth_scale_cm": 51.0, "field": "angles"}
-        message = r"Pixelwise Depths/aov_image_0000\.png .*no pixel is valid \(depths of 20 to 51 cm, with max_cm 10\)"
-        with pytest.raises(InputError, match=message + r".*depth_scale_cm \(51\).*depth_code \(linear\)"):
+        with pytest.raises(
+            InputError, match=r"Pixelwise Depths/aov_image_0000\.png: .*depths of 20 to 51 cm.*max_cm 10"
+        ):
             clip_of(tmp_path, **choice)
         codes[0] = 25  # 5 cm
         unity(tmp_path, (1,), codes=codes)
@@ -157,7 +158,7 @@ class TestDepth:
         codes = np.zeros(SHAPE, np.uint8)
         codes[0, 0] = 9  # outside the circle
         unity(tmp_path, codes=codes)
-        with pytest.raises(InputError, match=r"aov_image_0000\.png"):
+        with pytest.raises(InputError, match=r"aov_image_0000\.png: "):
             clip_of(tmp_path, border=[8, 8, 5], field="angles")
 
     @pytest.mark.parametrize(("rows", "warned"), [(8, 0), (9, 1)])
@@ -246,7 +247,7 @@ class TestPictures:
             barred[black] = 0
             save(tmp_path / f"Frames/image_{number:04}.png", barred)
             save(tmp_path / f"Pixelwise Depths/aov_image_{number:04}.png", np.full((64, 64), 60, np.uint8))
-        with pytest.raises(InputError, match="border:"):
+        with pytest.raises(InputError, match=r"^border: "):
             source_of(tmp_path, border="auto")
         assert source_of(tmp_path, border="none").circle is None
         assert source_of(tmp_path, border=[31.5, 30, 20]).circle == (31.5, 30.0, 20.0)
@@ -315,7 +316,7 @@ class TestMistakes:
         chart = root / "UnityCam/Colon/Pixelwise Depths/aov_image_0000.png"
         chart.unlink()
         save(chart.with_suffix(".TIF"), np.full(SHAPE, 3e38, np.float32))
-        with pytest.raises(InputError, match=r"aov_image_0000\.TIF"):
+        with pytest.raises(InputError, match=r"aov_image_0000\.TIF: "):
             clip_of(root)
 
     def test_parameters_that_must_be_there(self, tmp_path):
@@ -328,12 +329,12 @@ class TestMistakes:
         root = unity(tmp_path)
         (tmp_path / "cam.txt").write_text("20 0 7.5 0 20 7.5 0 0 1")
         for choice, message in [
-            ({"intrinsics_file": tmp_path / "cam.txt"}, "intrinsics and intrinsics_file are both given"),
-            ({"intrinsics": None, "field": "angles"}, "field: angles needs the directions"),
-            ({"intrinsics": None, "depth_along": "ray"}, "depth_along: ray needs the directions"),
-            ({"depth_at_zero_cm": 20.0}, "depth_at_zero_cm and depth_scale_cm are both 20"),
-            ({"frames": 2}, "frames_per_second is missing"),
-            ({"frames": 4, "frames_per_second": 30.0}, "frames is 4, .*UnityCam/Colon/Frames', has 3"),
+            ({"intrinsics_file": tmp_path / "cam.txt"}, "^intrinsics, intrinsics_file: "),
+            ({"intrinsics": None, "field": "angles"}, "^field: angles: "),
+            ({"intrinsics": None, "depth_along": "ray"}, "^depth_along: ray: "),
+            ({"depth_at_zero_cm": 20.0}, "^depth_at_zero_cm, depth_scale_cm: "),
+            ({"frames": 2}, "^frames_per_second: "),
+            ({"frames": 4, "frames_per_second": 30.0}, "^frames: .*UnityCam/Colon/Frames', has 3"),
         ]:
             with pytest.raises(InputError, match=message):
                 source_of(root, **choice)
@@ -344,16 +345,16 @@ class TestMistakes:
 
     def test_files_with_intrinsics(self, tmp_path):
         root, file = unity(tmp_path), tmp_path / "camera.yaml"
-        for name, text, message in [
-            ("cam.txt", "20 0 7.5", r"cam\.txt holds '20 0 7\.5'; expected nine numbers"),
-            ("cam.txt", "20 0 0 0 20 0 7.5 7.5 1", r"cam\.txt holds MATLAB's transposed"),
-            ("camera.yaml", "model: [", r"camera\.yaml is not valid YAML"),
-            ("camera.yaml", "{type: pinhole, fx: 20, fy: 20, cx: 7}", r"camera\.yaml: .*cy"),
-            ("camera.yaml", "3", r"camera\.yaml: "),
+        for name, text, named in [
+            ("cam.txt", "20 0 7.5", "'20 0 7.5'"),
+            ("cam.txt", "20 0 0 0 20 0 7.5 7.5 1", "MATLAB"),
+            ("camera.yaml", "model: [", ""),
+            ("camera.yaml", "{type: pinhole, fx: 20, fy: 20, cx: 7}", "cy"),
+            ("camera.yaml", "3", ""),
         ]:
             file = tmp_path / name
             file.write_text(text)
-            with pytest.raises(InputError, match=message):
+            with pytest.raises(InputError, match=f"{name}: .*{named}"):
                 source_of(root, intrinsics=None, intrinsics_file=file)
         with pytest.raises(InputError, match=r"nowhere\.txt"):
             source_of(root, intrinsics=None, intrinsics_file=tmp_path / "nowhere.txt")
@@ -363,13 +364,9 @@ class TestMistakes:
         chart = tmp_path / "UnityCam/Colon/Pixelwise Depths/aov_image_0000.png"
         coloured = chart_rgba(np.full(SHAPE, 9, np.uint8))
         coloured[3, 4, 1] = 8
-        for array, message in [
-            (coloured, r"aov_image_0000\.png has coloured pixels"),
-            (chart_rgba(np.zeros(SHAPE, np.uint8)), r"aov_image_0000\.png is zero everywhere"),
-            (np.full((8, 16), 9, np.uint8), r"aov_image_0000\.png is 8 x 16; expected a depth chart of 16 x 16"),
-        ]:
+        for array in (coloured, chart_rgba(np.zeros(SHAPE, np.uint8)), np.full((8, 16), 9, np.uint8)):
             save(chart, array)
-            with pytest.raises(InputError, match=message):
+            with pytest.raises(InputError, match=r"aov_image_0000\.png: "):
                 clip_of(root)
         save(chart, picture(0)[..., 0])
         chart.write_bytes(chart.read_bytes()[:150])
@@ -382,20 +379,20 @@ class TestMistakes:
         broken.write_bytes(b"no picture")
         source = source_of(tmp_path, border="auto")
         assert source.clip(1, RNG).valid.any()
-        with pytest.raises(InputError, match=r"image_0000\.png"):
+        with pytest.raises(InputError, match=r"image_0000\.png: "):
             source.clip(0, RNG)
         for number in (1, 2):
             (tmp_path / f"UnityCam/Colon/Frames/image_{number:04}.png").write_bytes(b"no picture")
-        with pytest.raises(InputError, match=r"image_0000\.png"):
+        with pytest.raises(InputError, match=r"image_0000\.png: "):
             source_of(tmp_path)
 
     def test_folders(self, tmp_path):
-        with pytest.raises(InputError, match=r"there is no folder .*nowhere"):
+        with pytest.raises(InputError, match=r"^path: "):
             source_of(tmp_path / "nowhere")
-        with pytest.raises(InputError, match="no images"):
+        with pytest.raises(InputError, match=r"^path: "):
             source_of(tmp_path)
         save(tmp_path / "Frames/image_0000.png", picture())
-        with pytest.raises(InputError, match=r"holds images without any depth chart \(1\)"):
+        with pytest.raises(InputError, match=r"^path: "):
             source_of(tmp_path)
         assert not recognises(tmp_path)
         assert not recognises(tmp_path / "nowhere")
@@ -445,7 +442,7 @@ class TestSurvey:
         assert rays.facts["depths"].endswith("beyond max_cm (10), along each ray")
         assert (rays.usable, rays.problems) == (2, ()), "10.1 cm along a slanting ray may be less in depth"
         assert "depths" not in survey(tmp_path).facts
-        with pytest.raises(InputError, match="depth_code"):
+        with pytest.raises(InputError, match=r"^depth_code: "):
             survey(tmp_path, depth_scale_cm=20.0)
 
     @pytest.mark.shared

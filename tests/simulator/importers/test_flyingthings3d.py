@@ -131,7 +131,7 @@ class TestClip:
         clip = flyingthings3d(view, path=root).clip(0, np.random.default_rng(0))
         assert np.argwhere(np.isinf(clip.depth_m[0])).tolist() == [list(np.unravel_index(disparity.argmin(), SHAPE))]
         assert clip.valid.all()
-        with pytest.raises(InputError, match="affine_depth"):
+        with pytest.raises(InputError, match=r"^depth_scaling: "):
             flyingthings3d(view, path=root, depth_scaling="affine_depth")
 
 
@@ -236,19 +236,19 @@ class TestMistakes:
         return flyingthings3d(VIEW, **{"path": root, **changes})
 
     def test_missing_folders(self, tmp_path):
-        with pytest.raises(InputError, match=r"there is no folder .*nowhere"):
+        with pytest.raises(InputError, match=r"^path: "):
             self.make(tmp_path / "nowhere")
         (tmp_path / "pictures").mkdir()
-        with pytest.raises(InputError, match="frames_cleanpass"):
+        with pytest.raises(InputError, match=r"^path: "):
             self.make(tmp_path)
         (tmp_path / "frames_cleanpass").mkdir()
-        with pytest.raises(InputError, match=r"holds no left image"):
+        with pytest.raises(InputError, match=r"^path: "):
             self.make(tmp_path)
 
     def test_two_data_sets_side_by_side(self, tmp_path, rgb, disparity):
         for name in "ab":
             write(tmp_path / name, "TRAIN/A/0032/left/0006", rgb=rgb, disparity=disparity)
-        with pytest.raises(InputError, match=r"several data sets in it \(a, b\)"):
+        with pytest.raises(InputError, match=r"^path: "):
             self.make(tmp_path)
 
     def test_a_picture_without_disparity(self, root, rgb, disparity):
@@ -264,13 +264,13 @@ class TestMistakes:
 
     def test_subset_needs_the_original_layout(self, tmp_path, rgb, disparity):
         write(tmp_path, "left/A-0032-0006", rgb=rgb, disparity=disparity, folder="RGB_cleanpass")
-        with pytest.raises(InputError, match="TRAIN"):
+        with pytest.raises(InputError, match=r"^subset: "):
             self.make(tmp_path, subset="TEST")
 
     def test_contradicting_parameters(self, root):
-        with pytest.raises(InputError, match="metres_per_unit"):
+        with pytest.raises(InputError, match=r"^depth_scaling: "):
             self.make(root, depth_scaling="fixed")
-        with pytest.raises(InputError, match="metres_per_unit"):
+        with pytest.raises(InputError, match=r"^metres_per_unit: "):
             self.make(root, metres_per_unit=2.0)
 
     def test_sizes_that_do_not_fit(self, root, rgb, disparity):
@@ -280,7 +280,7 @@ class TestMistakes:
         with pytest.raises(InputError, match="24 x 32"):
             flyingthings3d(large, path=root).clip(0, np.random.default_rng(0))
         write(root, "TRAIN/A/0032/left/0006", rgb=rgb, disparity=disparity[1:])
-        with pytest.raises(InputError, match=r"0006\.pfm"):
+        with pytest.raises(InputError, match=r"0006\.png: "):
             self.make(root).clip(0, np.random.default_rng(0))
 
     def test_useless_disparities(self, root, rgb, disparity):
@@ -300,7 +300,7 @@ class TestMistakes:
     def test_broken_files_are_named(self, root):
         picture = root / "frames_cleanpass/TRAIN/A/0032/left/0006.png"
         picture.write_bytes(picture.read_bytes()[:200])
-        with pytest.raises(InputError, match=r"0006\.png"):
+        with pytest.raises(InputError, match=r"0006\.png: "):
             self.make(root).clip(0, np.random.default_rng(0))
 
 
@@ -387,7 +387,7 @@ class TestSequences:
         source = clips_of(sequences, per="set")
         assert len(source) == 2
         broken, short = source.problems
-        assert broken.startswith(f"{sequences}/disparity/TRAIN/A/0001/left/0007.pfm: is zero everywhere")
+        assert broken.startswith(f"{sequences}/disparity/TRAIN/A/0001/left/0007.pfm: ")
         assert short.startswith("TRAIN/A/0001: has 1 consecutive frames, but a clip takes 2")
 
 
@@ -474,17 +474,17 @@ class TestMistakesInSequences:
         rows = np.full(SHAPE, value, np.float32)
         write(sequences, "TRAIN/A/0000/left/0007", 1, disparity=rows)
         scale = 1e6 if value < 1 else 1e-12
-        with pytest.raises(InputError, match=r"left/0007\.pfm"):
+        with pytest.raises(InputError, match=r"0007\.pfm: "):
             clips_of(sequences, depth_scaling="fixed", metres_per_unit=scale).clip(0, np.random.default_rng(0))
 
     def test_clips_need_a_rate_and_stills_take_none(self, sequences):
-        with pytest.raises(InputError, match="frames_per_second"):
+        with pytest.raises(InputError, match=r"^frames_per_second: "):
             flyingthings3d(VIEW, path=sequences, frames=2)
-        with pytest.raises(InputError, match="frames_per_second"):
+        with pytest.raises(InputError, match=r"^frames_per_second: "):
             flyingthings3d(VIEW, path=sequences, frames_per_second=24.0)
 
     def test_no_sequence_is_long_enough(self, sequences):
-        with pytest.raises(InputError, match="frames is"):
+        with pytest.raises(InputError, match=r"^frames: "):
             clips_of(sequences, frames=5)
         assert clips_of(sequences, frames=3).problems == (
             "TRAIN/A/0001: has 2 consecutive frames, but a clip takes 3: ask for fewer frames",
@@ -494,7 +494,7 @@ class TestMistakesInSequences:
         rgb, disparity = frame(0)
         write(sequences, "TRAIN/A/0001/left/0007", disparity=disparity[:-1])
         Image.fromarray(rgb[:-1]).save(sequences / "frames_cleanpass/TRAIN/A/0001/left/0007.png")
-        with pytest.raises(InputError, match=r"0001/left/0007\.png"):
+        with pytest.raises(InputError, match=r"0007\.png: "):
             clips_of(sequences).clip(2, np.random.default_rng(0))
 
 
@@ -515,8 +515,8 @@ class TestSurvey:
         assert found.notes == ("gaps in the numbering: 1, which no clip crosses",)
         unpaired, damaged, empty = found.problems
         assert "0007.png: has no .pfm" in unpaired
-        assert damaged.startswith(f"{cut}: is damaged")
-        assert empty.startswith(f"{zero}: is zero everywhere")
+        assert damaged.startswith(f"{cut}: ")
+        assert empty.startswith(f"{zero}: ")
 
     def test_recognises_by_names(self, sequences, tmp_path_factory):
         assert recognises(sequences)

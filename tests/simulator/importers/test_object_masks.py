@@ -50,8 +50,8 @@ def test_what_cannot_be_told_is_refused_by_name(tmp_path) -> None:
     colours = np.zeros((2, 3, 3), np.uint8)
     colours[0, 1] = 128, 0, 0
     for values, words in (
-        (colours, "holds colours (kind 'RGB') instead of object numbers"),
-        (np.array([[0, 3], [7, 0]], np.uint8), "is a grey image with the values 0, 3, 7: expected 0 and 255"),
+        (colours, "kind 'RGB'"),
+        (np.array([[0, 3], [7, 0]], np.uint8), "values 0, 3, 7:"),
         (np.arange(6, dtype=np.uint8).reshape(2, 3), "values 0, 1, 2, 3, 4, ...:"),
         (np.array([[0, 1], [255, 0]], np.uint8), "values 0, 1, 255:"),
         (np.array([[0, 256]], np.uint16), "kind 'I;16'"),
@@ -82,5 +82,5 @@ def test_resizing_by_a_pixel_is_nearest_neighbour(tmp_path, shape) -> None:
 
 
 def test_two_pixels_are_too_many(tmp_path) -> None:
-    with pytest.raises(InputError, match=r"m\.png.*p\.jpg"):
+    with pytest.raises(InputError, match=r"m\.png: "):
         fit_mask(np.zeros((8, 10), np.uint8), (8, 12), tmp_path / "m.png", tmp_path / "p.jpg")

@@ -115,41 +115,35 @@ def test_a_table_groups_templates_and_leaves_out_the_others(root):
     assert labels_of(source) == ["shut", "hold"]
     quoted = '"Putting something, something and something on the table","put, all"'
     assert labels_of(clips(root, classes=table(root, f"template,class\n{quoted}\n"))) == ["put, all"]
+    unmarked = "template,class\nPushing something from left to right,x\n"
+    assert labels_of(clips(root, classes=table(root, unmarked))) == ["x"]
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "place"),
     [
-        ("template,class\nClosing somethin,shut\n", r"table.csv:2 .*'Closing somethin'.*mean 'Closing something'"),
-        ("# a\n\ntemplate,class\nClosing something,\n", r"table.csv:4 holds Closing something,"),
-        (
-            "template,class\nClosing something,a\nClosing [something],b\n",
-            r"table.csv:3 lists 'Closing something' a second",
-        ),
-        ("template,class\nPutting something, something and something on the table,put\n", r"table.csv:2 .*in quotes"),
-        ("label,class\nClosing something,a\n", "begins with label,class; expected the line template,class"),
-        ("", "begins with nothing"),
-        ("template,class\n", "expected the line template,class and a line per template"),
-        ('template,class\n"Closing something,a\n', "table.csv:2 is not a line of a CSV file"),
-        ("template,class\nPushing something from left to right,x\n", None),
+        ("template,class\nClosing somethin,shut\n", ":2"),
+        ("# a\n\ntemplate,class\nClosing something,\n", ":4"),
+        ("template,class\nClosing something,a\nClosing [something],b\n", ":3"),
+        ("template,class\nPutting something, something and something on the table,put\n", ":2"),
+        ("label,class\nClosing something,a\n", ""),
+        ("", ""),
+        ("template,class\n", ""),
+        ('template,class\n"Closing something,a\n', ":2"),
     ],
 )
-def test_a_wrong_table_is_told_with_its_line(root, text, message):
-    place = table(root, text)
-    if message is None:
-        assert labels_of(clips(root, classes=place)) == ["x"]
-        return
-    with pytest.raises(InputError, match=message):
-        clips(root, classes=place)
+def test_a_wrong_table_is_told_with_its_line(root, text, place):
+    with pytest.raises(InputError, match=rf"table\.csv{place}: "):
+        clips(root, classes=table(root, text))
 
 
 def test_a_table_that_is_not_there_or_fits_no_clip_is_told(root):
-    with pytest.raises(InputError, match="classes:"):
+    with pytest.raises(InputError, match=r"^classes: "):
         clips(root, classes=root / "coarze")
     for identity in ("30", "4", "100"):
         (root / "20bn-something-something-v2" / f"{identity}.webm").unlink()
     place = table(root, "template,class\nClosing something,shut\n")
-    with pytest.raises(InputError, match=r"table\.csv"):
+    with pytest.raises(InputError, match=r"^classes: "):
         clips(root, classes=place)
 
 
@@ -167,9 +161,7 @@ def test_an_unknown_label_is_a_problem_with_the_nearest_one(root):
     assert found.facts["subset"] == "validation, 3 clips listed, 2 in the folder"
     assert found.notes == (f"1 of the 3 clips in {name} are not in the folder",)
     write_json(root / name, entries[:1])
-    with pytest.raises(
-        InputError, match=rf"no clip whose template is known:\n  {name}: clip 30 has the unknown template"
-    ):
+    with pytest.raises(InputError, match=r"^path: "):
         clips(root)
 
 
@@ -187,35 +179,35 @@ def test_an_unknown_label_is_a_problem_with_the_nearest_one(root):
 )
 def test_a_broken_subset_file_is_named(root, content, message):
     write_json(root / "something-something-v2-validation.json", content)
-    with pytest.raises(InputError, match=f"something-something-v2-validation.json.*{message}"):
+    with pytest.raises(InputError, match=r"something-something-v2-validation\.json: "):
         clips(root)
 
 
 def test_broken_json_and_labels_are_named(root):
     labels = root / "something-something-v2-labels.json"
     labels.write_text('{"Closing something": ')
-    with pytest.raises(InputError, match=r"v2-labels\.json"):
+    with pytest.raises(InputError, match=r"something-something-v2-labels\.json: "):
         clips(root)
     write_json(labels, ["Closing something"])
-    with pytest.raises(InputError, match=r"v2-labels\.json"):
+    with pytest.raises(InputError, match=r"something-something-v2-labels\.json: "):
         clips(root)
 
 
 def test_missing_parts_are_named(root, tmp_path):
-    with pytest.raises(InputError, match=r"something-something-v2-train\.json.*train\.json"):
+    with pytest.raises(InputError, match=r"^path: "):
         clips(root, subset="train")
     shutil.rmtree(root / "20bn-something-something-v2")
-    with pytest.raises(InputError, match=r"74225\.webm"):
+    with pytest.raises(InputError, match=r"^path: "):
         clips(root)
     (root / "clips").mkdir()
     (root / "clips" / "12345.webm").write_bytes(b"")
-    with pytest.raises(InputError, match=r"validation\.json"):
+    with pytest.raises(InputError, match=r"^path: "):
         clips(root)
     (root / "something-something-v2-labels.json").unlink()
-    with pytest.raises(InputError, match=r"something-something-v2-labels\.json"):
+    with pytest.raises(InputError, match=r"^path: "):
         clips(root)
     assert not recognises(root)
-    with pytest.raises(InputError, match="nowhere is not a folder"):
+    with pytest.raises(InputError, match=r"^path: "):
         clips(tmp_path / "nowhere")
 
 

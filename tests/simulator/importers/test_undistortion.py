@@ -91,7 +91,7 @@ class TestLookup:
         assert (lookup.nearest == nearest).mean() > 0.999  # float32 maps round a tie or two the other way
 
     def test_an_axis_outside_the_picture_is_refused(self):
-        with pytest.raises(InputError, match=r"column 200, row 4.*9 x 12"):
+        with pytest.raises(InputError, match=r"^intrinsics: "):
             build_lookup(Pinhole(fx=9.0, fy=9.0, cx=200.0, cy=4.0), (9, 12), view_of((3, 4), 9.0), "fill", None)
 
 

@@ -135,7 +135,7 @@ def test_a_video_in_which_clips_would_repeat_is_listed_with_how_many_fit():
 
 def test_a_video_without_a_rate_needs_one():
     clips = source([Numbers("a", 5, None)], ClipPlan(4))
-    with pytest.raises(InputError, match="frames_per_second:"):
+    with pytest.raises(InputError, match=r"^frames_per_second: "):
         clips.clip(0, np.random.default_rng(0))
     clip = source([Numbers("a", 5, None)], ClipPlan(4, frames_per_second=10)).clip(0, np.random.default_rng(0))
     assert "own_frames_per_second" not in clip.source
@@ -172,7 +172,7 @@ def test_short_videos_are_listed_and_left_out():
 
 
 def test_no_usable_video_is_an_error_that_lists_why():
-    with pytest.raises(InputError, match=r"no video that can be used:\n  v0: has 1 frames(.|\n)*and 2 more"):
+    with pytest.raises(InputError, match=r"^source: "):
         source([Numbers(f"v{number}", 1) for number in range(12)], ClipPlan(4))
 
 
@@ -181,7 +181,7 @@ def test_a_video_that_gives_fewer_frames_than_it_promised_is_named():
         def read(self, start, stop):
             return list(super().read(start, stop))[:-1]
 
-    with pytest.raises(InputError, match="a gave 3 of the 4 frames"):
+    with pytest.raises(InputError, match=r"^a: "):
         source([Lying("a", 4)], ClipPlan(4)).clip(0, np.random.default_rng(0))
 
 
@@ -192,18 +192,18 @@ def test_plane_lies_far_away_unless_it_is_said_where():
     assert plane_m(VIEW, None) == 0.2
     assert plane_m(VIEW, 5) == 0.05
     assert plane_m(replace(VIEW, far_m=float("inf")), None) == FARTHEST_M
-    with pytest.raises(InputError, match="plane_cm"):
+    with pytest.raises(InputError, match=r"^plane_cm: "):
         plane_m(VIEW, 21)
 
 
 @pytest.mark.parametrize(
     ("by", "way", "checkpoint", "key"),
     [
-        (1, "superslomo", "w.ckpt", "superslomo_checkpoint"),
-        (1, "superslomo", None, "interpolate_with"),
-        (2, "optical_flow", "w.ckpt", "superslomo_checkpoint"),
-        (2, "superslomo", None, "superslomo_checkpoint"),
-        (2, "superslomo", "nowhere.ckpt", r"superslomo_checkpoint: nowhere\.ckpt"),
+        (1, "superslomo", "w.ckpt", "^superslomo_checkpoint: "),
+        (1, "superslomo", None, "^interpolate_with: "),
+        (2, "optical_flow", "w.ckpt", "^superslomo_checkpoint: "),
+        (2, "superslomo", None, "^superslomo_checkpoint: "),
+        (2, "superslomo", "nowhere.ckpt", "^superslomo_checkpoint: "),
     ],
 )
 def test_a_checkpoint_that_does_not_fit_is_refused(by, way, checkpoint, key):
@@ -322,9 +322,9 @@ def test_all_frames_of_a_clip_go_through_one_window(rng):
 
 
 def test_changing_size_and_no_frames_are_refused(rng):
-    with pytest.raises(InputError, match=r"my\.mp4"):
+    with pytest.raises(InputError, match=r"^my\.mp4: "):
         fit_frames([np.zeros((8, 8, 3), np.float32), np.zeros((8, 9, 3), np.float32)], "my.mp4", (4, 4), "centre", rng)
-    with pytest.raises(InputError, match=r"my\.mp4"):
+    with pytest.raises(InputError, match=r"^my\.mp4: "):
         fit_frames([], "my.mp4", (4, 4), "centre", rng)
 
 

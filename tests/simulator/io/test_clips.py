@@ -76,10 +76,10 @@ def test_type_and_shape_come_back(values: np.ndarray) -> None:
 @pytest.mark.parametrize(
     ("extras", "words"),
     [
-        ({"a": np.zeros((1, *SHAPE))}, "float64"),
-        ({"a": np.full((1, *SHAPE), 2**24 + 1, np.int32)}, "up to 16777217"),
-        ({"Z": np.zeros((1, *SHAPE), np.float32)}, "channel 'Z' is that of the scene"),
-        ({"shape_id": np.zeros((1, *SHAPE), bool), "id": np.zeros((1, *SHAPE), bool)}, "that of shape_id"),
+        ({"a": np.zeros((1, *SHAPE))}, r"^extras\['a'\]: "),
+        ({"a": np.full((1, *SHAPE), 2**24 + 1, np.int32)}, r"^extras\['a'\]: "),
+        ({"Z": np.zeros((1, *SHAPE), np.float32)}, r"^extras\['Z'\]: "),
+        ({"shape_id": np.zeros((1, *SHAPE), bool), "id": np.zeros((1, *SHAPE), bool)}, r"^extras\['id'\]: "),
     ],
 )
 def test_what_channels_cannot_hold(extras: dict[str, np.ndarray], words: str) -> None:
@@ -104,7 +104,7 @@ def test_what_channels_cannot_hold(extras: dict[str, np.ndarray], words: str) ->
     ],
 )
 def test_foreign_layouts_are_refused(layout: object) -> None:
-    with pytest.raises(InputError, match="components"):
+    with pytest.raises(InputError, match=r"^extras: "):
         layout_channels(layout)
 
 
@@ -121,21 +121,14 @@ def random_clip(frames: int) -> Clip:
     return Clip(rgb, depth, depth < 1, np.arange(frames + 1) * 1e-3, "waving", {"family": "own"}, extras)
 
 
-def test_a_still_is_one_file(tmp_path: Path) -> None:
-    clip = random_clip(1)
-    assert write_linear(tmp_path / "a.exr", clip) == [tmp_path / "a.exr"]
-    channels, metadata = read_exr(tmp_path / "a.exr")
-    assert sorted(channels) == sorted(["R", "G", "B", "Z", "valid", "id", "N.X", "N.Y", "N.Z"])
-    np.testing.assert_array_equal(channels["G"], clip.rgb[0, ..., 1])
-    np.testing.assert_array_equal(channels["id"], clip.extras["shape_id"][0])
-    assert channels["Z"][0, 0] == 1e6  # what stands for infinity on disk
-    assert (metadata["label"], metadata["frames"], metadata["source"]) == ("waving", 1, {"family": "own"})
-
-
 def test_another_program_reads_the_same(tmp_path: Path) -> None:
     clip = random_clip(3)
     paths = write_linear(tmp_path / "a.exr", clip)
     assert [path.name for path in paths] == ["a.0000.exr", "a.0001.exr", "a.0002.exr"]
+    assert write_linear(tmp_path / "b.exr", random_clip(1)) == [tmp_path / "b.exr"]
+    channels, metadata = read_exr(tmp_path / "b.exr")
+    assert channels["Z"][0, 0] == 1e6  # what stands for infinity on disk
+    assert (metadata["label"], metadata["frames"], metadata["source"]) == ("waving", 1, {"family": "own"})
     picture = OpenImageIO.ImageBuf(str(paths[2]))
     names = list(picture.spec().channelnames)
     pixels = picture.get_pixels(OpenImageIO.FLOAT)
@@ -148,6 +141,6 @@ def test_another_program_reads_the_same(tmp_path: Path) -> None:
 def test_frames_of_a_longer_clip_are_not_left_beside(tmp_path: Path) -> None:
     write_linear(tmp_path / "a.exr", random_clip(3))
     write_linear(tmp_path / "a.exr", random_clip(3))  # the same again is no matter
-    with pytest.raises(InputError, match=r"a\.0002\.exr"):
+    with pytest.raises(InputError, match=r"^--output: "):
         write_linear(tmp_path / "a.exr", random_clip(2))
     write_linear(tmp_path / "ab.exr", random_clip(2))

@@ -78,17 +78,14 @@ def test_same_input_same_bytes(tmp_path: Path) -> None:
 
 def test_openimageio_reads_the_same(tmp_path: Path) -> None:
     oiio = pytest.importorskip("OpenImageIO", reason="group dev has it")
-    channels = {
-        f"{prefix}{name}": values for prefix in ("", "noiseless.") for name, values in example((33, 20)).items()
-    }
-    channels["noiseless.R"] = channels["R"][::-1, ::-1]
-    channels["Z"] = np.asfortranarray(channels["G"] * 3)
+    channels = example((33, 20))
+    channels |= {"noiseless.R": channels["R"][::-1, ::-1], "Z": np.asfortranarray(channels["G"] * 3)}
     write_exr(tmp_path / "x.exr", channels, {"exact": 0.1, "name": "ü"})
     image = oiio.ImageInput.open(str(tmp_path / "x.exr"))
     spec = image.spec()
     pixels = image.read_image(oiio.FLOAT)
     attribute = spec.getattribute(ATTRIBUTE)
-    assert (spec.height, spec.width, spec.nchannels) == (33, 20, 7)
+    assert (spec.height, spec.width, spec.nchannels) == (33, 20, 5)
     assert set(spec.channelnames) == set(channels)
     assert str(spec.format) == "float"
     assert spec.getattribute("compression") == "zip"
@@ -142,10 +139,10 @@ def test_truncations_are_detected(tmp_path: Path, capfd: pytest.CaptureFixture[s
     path = tmp_path / "x.exr"
     data = write_exr(path, example((40, 16)), {})
     for length in [*range(0, 1000, 3), *range(1000, len(data) - 50, 17), *range(len(data) - 50, len(data))]:
-        with pytest.raises(InputError, match=r"x\.exr"):
+        with pytest.raises(InputError, match=r"x\.exr: "):
             decode_exr(data[:length], path)
     path.write_bytes(data[:-1])
-    with pytest.raises(InputError, match=r"x\.exr"):
+    with pytest.raises(InputError, match=r"x\.exr: "):
         read_exr(path)
     assert capfd.readouterr() == ("", "")
 
@@ -154,11 +151,11 @@ def test_truncations_are_detected(tmp_path: Path, capfd: pytest.CaptureFixture[s
 def test_other_files_are_refused_by_name(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "other.exr").write_bytes(content)
     for reader in (read_exr, read_header):
-        with pytest.raises(InputError, match=r"other\.exr"):
+        with pytest.raises(InputError, match=r"other\.exr: "):
             reader(tmp_path / "other.exr")
-    with pytest.raises(InputError, match=r"gone\.exr"):
+    with pytest.raises(InputError, match=r"gone\.exr: "):
         read_exr(tmp_path / "gone.exr")
-    with pytest.raises(InputError, match="cannot read"):
+    with pytest.raises(InputError, match=str(tmp_path)):
         read_exr(tmp_path)
 
 
@@ -170,10 +167,10 @@ def test_a_tiny_file_that_claims_huge_images_is_not_decoded(tmp_path: Path) -> N
         data[start + 8 : start + 16] = np.array([59999, 59999], "<i4").tobytes()
     path.write_bytes(data)
     assert read_header(path).shape == (60000, 60000)
-    with pytest.raises(InputError, match=r"60000 x 60000 .*max_pixels"):
+    with pytest.raises(InputError, match=r"bomb\.exr: "):
         read_exr(path)
     write_exr(path, example((40, 24)), {})
-    with pytest.raises(InputError, match="2879"):
+    with pytest.raises(InputError, match=r"bomb\.exr: "):
         read_exr(path, max_pixels=40 * 24 * 3 - 1)
     assert len(read_exr(path, max_pixels=40 * 24 * 3)[0]) == 3
 
@@ -188,34 +185,25 @@ GOOD = np.ones((4, 5), np.float32)
 
 
 @pytest.mark.parametrize(
-    ("channels", "words"),
+    "channels",
     [
-        ({}, "no channels"),
-        ({"R": GOOD.astype(np.float64)}, "float32 array, got float64"),
-        ({"R": GOOD.astype(np.float16)}, "float32 array, got float16"),
-        ({"R": GOOD.astype(np.complex64)}, "got complex64"),
-        ({"R": GOOD > 0}, "got bool"),
-        ({"R": GOOD.tolist()}, "got list"),
-        ({"R": GOOD * np.float32(np.nan)}, "NaN or inf"),
-        ({"R": GOOD * np.float32(np.inf)}, "NaN or inf"),
-        ({"R": GOOD, "G": GOOD[:3]}, "'G' is \\(3, 5\\), the others \\(4, 5\\)"),
-        ({"R": GOOD[None]}, "got \\(1, 4, 5\\)"),
-        ({"R": GOOD[:0]}, "not empty"),
-        ({"": GOOD}, "channel name"),
-        ({"x" * 256: GOOD}, "channel name"),
-        ({"a\0b": GOOD}, "channel name"),
-        ({1: GOOD}, "channel name"),
+        {},
+        *({"R": GOOD.astype(kind)} for kind in (np.float64, np.float16, np.complex64, bool)),
+        *({"R": values} for values in (GOOD.tolist(), GOOD * np.float32(np.nan), GOOD * np.float32(np.inf))),
+        *({"R": values} for values in (GOOD[None], GOOD[:0])),
+        *({name: GOOD} for name in ("", "x" * 256, "a\0b", 1)),
+        {"R": GOOD, "G": GOOD[:3]},
     ],
 )
-def test_what_cannot_be_stored_exactly_is_refused(tmp_path: Path, channels: dict, words: str) -> None:
-    with pytest.raises(InputError, match=rf"x\.exr.*{words}"):
+def test_what_cannot_be_stored_exactly_is_refused(tmp_path: Path, channels: dict) -> None:
+    with pytest.raises(InputError, match=r"x\.exr: "):
         write_exr(tmp_path / "x.exr", channels, {})
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("bad", [{"a": float("nan")}, {"a": (1, 2)}, {1: 2}, {"a": np.float32(1)}, {"a": Path("x")}])
 def test_metadata_that_would_change_are_refused(tmp_path: Path, bad: dict) -> None:
-    with pytest.raises(InputError, match="metadata"):
+    with pytest.raises(InputError, match=r"x\.exr: "):
         write_exr(tmp_path / "x.exr", {"R": GOOD}, bad)
 
 

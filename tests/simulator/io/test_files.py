@@ -57,14 +57,15 @@ def test_short_writes_of_the_system_are_continued(tmp_path: Path, monkeypatch: p
 
 
 @pytest.mark.parametrize(
-    ("number", "words"), [(errno.ENOSPC, "full"), (errno.EDQUOT, "quota"), (errno.EFBIG, "bigger"), (errno.EIO, "disk")]
+    ("name", "words"),
+    [("ENOSPC", "full"), ("EDQUOT", "quota"), ("EFBIG", "bigger"), ("EIO", "disk"), ("EACCES", "permission")],
 )
 def test_full_disk_keeps_the_old_file_and_says_how_to_resume(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, words: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, words: str
 ) -> None:
     path = tmp_path / "x"
     path.write_bytes(b"old")
-    refuse_writes(monkeypatch, number, after=5)
+    refuse_writes(monkeypatch, getattr(errno, name), after=5)
     with pytest.raises(StorageError, match=words) as caught:
         write_atomic(path, b"0123456789")
     assert str(path) in str(caught.value)
@@ -76,9 +77,9 @@ def test_a_refused_check_leaves_nothing(tmp_path: Path) -> None:
     def check(path: Path) -> None:
         assert path.read_bytes() == b"data"  # the check sees the whole file, under a temporary name
         assert path.name != "x"
-        raise InputError("no")
+        raise InputError("x", "refused")
 
-    with pytest.raises(InputError, match="no"):
+    with pytest.raises(InputError, match=r"^x: "):
         write_atomic(tmp_path / "x", b"data", check)
     assert list(tmp_path.iterdir()) == []
 
@@ -89,12 +90,6 @@ def test_missing_folder_and_file_in_the_way(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(StorageError, match="file, not a folder"), committed_folder(tmp_path / "file" / "s1"):
         pass
-
-
-def test_permission_refusals_are_met_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    refuse_writes(monkeypatch, errno.EACCES)
-    with pytest.raises(StorageError, match="no permission to write"):
-        write_atomic(tmp_path / "x", b"data")
 
 
 def test_committed_folder_appears_at_once_and_replaces(tmp_path: Path) -> None:
@@ -130,5 +125,5 @@ def test_leftovers_of_a_killed_writer_are_found_and_removed(tmp_path: Path) -> N
 def test_sha256_of_a_published_example(tmp_path: Path) -> None:
     (tmp_path / "abc").write_bytes(b"abc")
     assert sha256_file(tmp_path / "abc") == sha256_bytes(b"abc") == SHA256_ABC
-    with pytest.raises(InputError, match="gone"):
+    with pytest.raises(InputError, match="gone: "):
         sha256_file(tmp_path / "gone")

@@ -27,31 +27,12 @@ def test_8_bit_colour_is_exact_and_alpha_is_ignored(tmp_path, rng):
     assert picture_shape(tmp_path / "a.png") == (5, 7)
 
 
-def test_lossless_webp_is_exact(tmp_path, rng):
-    rgb = rng.integers(0, 255, (5, 7, 3), dtype=np.uint8, endpoint=True)
-    Image.fromarray(rgb).save(tmp_path / "a.webp", lossless=True)
-    assert np.array_equal(read_picture(tmp_path / "a.webp"), rgb)
-
-
-def test_palette_becomes_its_colours(tmp_path):
-    image = Image.fromarray(np.array([[0, 1], [1, 0]], np.uint8), "L").convert("P")
-    image.putpalette([10, 20, 30, 200, 100, 50])
-    image.save(tmp_path / "a.png")
-    assert read_picture(tmp_path / "a.png").tolist() == [[[10, 20, 30], [200, 100, 50]], [[200, 100, 50], [10, 20, 30]]]
-
-
 def test_16_bit_grey_keeps_all_bits(tmp_path, rng):
     grey = rng.integers(0, 65535, (6, 4), dtype=np.uint16, endpoint=True)
     cv2.imwrite(str(tmp_path / "a.png"), grey)  # an independent writer
     found = read_picture(tmp_path / "a.png")
     assert found.dtype == np.uint16
     assert np.array_equal(found, grey)
-
-
-def test_16_bit_colour_is_refused_rather_than_halved(tmp_path, rng):
-    cv2.imwrite(str(tmp_path / "deep.png"), rng.integers(0, 65535, (6, 4, 3), dtype=np.uint16))
-    with pytest.raises(InputError, match=r"deep\.png .*16 bit.*TIFF"):
-        read_picture(tmp_path / "deep.png")
 
 
 @pytest.mark.parametrize("suffix", [".png", ".webp"])
@@ -81,7 +62,7 @@ def test_a_colour_of_a_palette_or_of_8_bits_may_be_transparent_and_16_bits_are_u
     codes, alpha = read_shown_picture(tmp_path / "a.png")
     assert alpha is not None
     assert alpha.tolist() == [[255, 0], [0, 255]]
-    assert codes[0, 0].tolist() == [10, 20, 30]
+    assert codes[0].tolist() == [[10, 20, 30], [200, 100, 50]]
     Image.fromarray(np.array([[[9, 9, 9], [1, 2, 3]]], np.uint8)).save(tmp_path / "b.png", transparency=(1, 2, 3))
     assert np.array_equal(np.asarray(read_shown_picture(tmp_path / "b.png")[1]), [[255, 0]])
     grey = rng.integers(0, 65535, (6, 4), dtype=np.uint16, endpoint=True)
@@ -92,26 +73,25 @@ def test_a_colour_of_a_palette_or_of_8_bits_may_be_transparent_and_16_bits_are_u
     assert alpha is None
     assert np.array_equal(codes, np.rot90(grey, -1))
     Image.fromarray(grey).save(tmp_path / "d.png", transparency=5)
-    with pytest.raises(InputError, match=r"d\.png"):
+    with pytest.raises(InputError, match=r"d\.png: "):
         read_shown_picture(tmp_path / "d.png")
 
 
-def test_unknown_pixel_kinds_are_refused(tmp_path):
+def test_files_that_are_broken_or_would_lose_bits_are_named(tmp_path, rng):
+    cv2.imwrite(str(tmp_path / "deep.png"), rng.integers(0, 65535, (6, 4, 3), dtype=np.uint16))
     Image.new("CMYK", (3, 3)).save(tmp_path / "print.jpg")
-    with pytest.raises(InputError, match=r"print\.jpg .*'CMYK'"):
-        read_picture(tmp_path / "print.jpg")
-
-
-def test_broken_files_are_named(tmp_path, rng):
+    for name in ("deep.png", "print.jpg"):
+        with pytest.raises(InputError, match=f"{name}: "):
+            read_picture(tmp_path / name)
     path = tmp_path / "a.png"
-    with pytest.raises(InputError, match=r"a\.png"):
+    with pytest.raises(InputError, match=r"a\.png: "):
         read_picture(path)
     path.write_bytes(b"no picture")
-    with pytest.raises(InputError, match=r"a\.png"):
+    with pytest.raises(InputError, match=r"a\.png: "):
         read_picture(path)
     Image.fromarray(rng.integers(0, 255, (50, 70, 3), dtype=np.uint8)).save(path)
     path.write_bytes(path.read_bytes()[:3000])
-    with pytest.raises(InputError, match=r"a\.png"):
+    with pytest.raises(InputError, match=r"a\.png: "):
         read_picture(path)
 
 
@@ -129,7 +109,7 @@ def claim(path, rows: int, columns: int) -> None:
 @pytest.mark.parametrize(("rows", "columns"), [(60_000,) * 2, (2_000_000_000,) * 2, (13_500,) * 2, (1, MAX_PIXELS + 1)])
 def test_a_tiny_file_that_claims_a_huge_picture_is_refused(tmp_path, rows, columns):
     claim(tmp_path / "bomb.png", rows, columns)
-    with pytest.raises(InputError, match=r"bomb\.png"):
+    with pytest.raises(InputError, match=r"bomb\.png: "):
         read_picture(tmp_path / "bomb.png")
 
 
@@ -215,21 +195,18 @@ def test_integers_are_codes_and_floating_point_is_light(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "options", "message"),
+    ("values", "options"),
     [
-        (np.array([[[0.5, -1, 0]]], np.float32), {}, "1 of its values are negative or NaN"),
-        (np.array([[[0.5, np.nan, 0]]], np.float32), {}, "holds NaN or inf"),
-        (np.zeros((1, 1, 3), np.int32), {}, "holds int32; expected 8 or 16 bit sRGB"),
-        (np.array([[[9, 9, 9, 1], [9, 9, 9, 2]]], np.uint8), {"extrasamples": ["assocalpha"]}, "no straight alpha"),
+        (np.array([[[0.5, -1, 0]]], np.float32), {}),
+        (np.array([[[0.5, np.nan, 0]]], np.float32), {}),
+        (np.zeros((1, 1, 3), np.int32), {}),
+        (np.array([[[9, 9, 9, 1], [9, 9, 9, 2]]], np.uint8), {"extrasamples": ["assocalpha"]}),
     ],
 )
-def test_what_is_no_light_is_refused(tmp_path: Path, values: np.ndarray, options: dict, message: str) -> None:
+def test_what_is_not_light_is_refused(tmp_path: Path, values: np.ndarray, options: dict) -> None:
     tifffile.imwrite(tmp_path / "bad.tif", values, photometric="rgb", **options)
-    with pytest.raises(InputError, match=rf"bad\.tif.*{message}"):
+    with pytest.raises(InputError, match=r"bad\.tif: "):
         read_light(tmp_path / "bad.tif")
-
-
-def test_an_exr_without_colours_is_refused(tmp_path: Path) -> None:
     write_exr(tmp_path / "depth.exr", {"Z": np.ones((2, 2), np.float32)}, {})
-    with pytest.raises(InputError, match=r"depth\.exr: .*Z; "):
+    with pytest.raises(InputError, match=r"depth\.exr: "):
         read_light(tmp_path / "depth.exr")

@@ -13,10 +13,10 @@ from simulator.io.json import canonical_json, plain, readable_json
 SIMPLE = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
 
 
-@given(
-    st.recursive(SIMPLE, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)),
-    st.recursive(SIMPLE, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)),
-)
+NESTED = st.recursive(SIMPLE, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner))
+
+
+@given(NESTED, NESTED)
 def test_canonical_json_tells_values_apart_and_loads_back(one: object, other: object) -> None:
     assert plain(one) == one
     assert json.loads(canonical_json(one)) == json.loads(readable_json(one)) == one
@@ -27,10 +27,10 @@ def test_canonical_json_tells_values_apart_and_loads_back(one: object, other: ob
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        ({"a": [1, float("nan")]}, r"config\.a\[1\] is NaN"),
-        ({"a": {1: 2}}, r"config\.a has the key 1"),
-        ({"a": {"b": {3}}}, r"config\.a\.b is a set"),
-        ({"a": np.array([1.0, np.nan])}, r"config\.a\[1\] is NaN"),
+        ({"a": [1, float("nan")]}, r"^config\.a\[1\]: "),
+        ({"a": {1: 2}}, r"^config\.a: "),
+        ({"a": {"b": {3}}}, r"^config\.a\.b: "),
+        ({"a": np.array([1.0, np.nan])}, r"^config\.a\[1\]: "),
     ],
 )
 def test_values_without_json_form_are_named(value: object, words: str) -> None:

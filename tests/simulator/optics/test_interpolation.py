@@ -121,7 +121,7 @@ class TestStatedError:
 class TestOutside:
     def test_it_is_refused_unless_asked_for(self) -> None:
         stack = spots([0.05, 0.2])
-        with pytest.raises(InputError, match=r"4 cm, ∞.* 5 cm to 20 cm.*extrapolate"):
+        with pytest.raises(InputError, match=r"^depths_m: "):
             interpolate_stack(stack, [0.04, 0.1, np.inf], D)
         found = interpolate_stack(stack, [0.04, 0.1, np.inf], D, extrapolate=True)
         # The spots only magnify, so the outermost plane magnified is right.
@@ -130,9 +130,9 @@ class TestOutside:
         assert marks == [True, False, True]
 
     def test_mistakes_are_named(self) -> None:
-        with pytest.raises(InputError, match="depths_m"):
+        with pytest.raises(InputError, match=r"^depths_m: "):
             interpolate_stack(spots([0.05, 0.2]), [0.1, 0.07], D)
-        with pytest.raises(InputError, match="mask_to_sensor_m"):
+        with pytest.raises(InputError, match=r"^mask_to_sensor_m: "):
             interpolate_stack(spots([0.05, 0.2]), [0.1], 0)
 
 
@@ -186,7 +186,7 @@ def test_the_real_diffuser_has_one_plane_and_says_so(shared_data) -> None:
     stack = load_measured_psf([file], [0.2], 24e-6, frame="physical", binning=8, throughput_m2=1e-5)
     own = interpolate_stack(stack, [0.2], 10e-3)
     np.testing.assert_array_equal(own.values, stack.values)
-    with pytest.raises(InputError, match=r"30 cm.* 20 cm"):
+    with pytest.raises(InputError, match=r"^depths_m: "):
         interpolate_stack(stack, [0.3], 10e-3)
     far = interpolate_stack(stack, [0.3], 10e-3, extrapolate=True)  # smaller: m falls from 1.05 to 1.033
     np.testing.assert_allclose(far.energy_m2(), stack.energy_m2(), rtol=1e-5)  # float32

@@ -251,7 +251,7 @@ class TestMistakes:
         with pytest.raises(InputError, match="1 PSF files for 2 depths"):
             load([file], DEPTHS)
         np.save(tmp_path / "stack.npy", np.ones((3, 9, 13)))
-        with pytest.raises(InputError, match=r"stack\.npy .*\(3, 1, 9, 13\).*K = 2"):
+        with pytest.raises(InputError, match=r"stack\.npy: "):
             load([tmp_path / "stack.npy"], DEPTHS)
         with pytest.raises(InputError, match="depths_m"):
             load([file, file], DEPTHS[::-1])
@@ -260,10 +260,10 @@ class TestMistakes:
 
     def test_files_that_differ(self, tmp_path, grey):
         files = [save(tmp_path / "a.tif", grey), save(tmp_path / "b.tif", grey[1:])]
-        with pytest.raises(InputError, match=r"b\.tif .*8 x 13.* 9 x 13"):
+        with pytest.raises(InputError, match=r"^b\.tif: "):
             load(files, DEPTHS)
         files[1] = save(tmp_path / "c.png", np.stack([grey] * 3, -1))
-        with pytest.raises(InputError, match=r"c\.png .*9 x 13 with 3 channels.* 9 x 13:"):
+        with pytest.raises(InputError, match=r"^c\.png: .* 3 channels"):
             load(files, DEPTHS)
 
     def test_a_dark_psf_is_named(self, tmp_path, grey):
@@ -274,10 +274,10 @@ class TestMistakes:
     def test_values_that_are_no_light(self, tmp_path, grey):
         image = grey.astype(np.float32)
         image[2, 2] = np.nan
-        with pytest.raises(InputError, match=r"psf\.tif holds 1 "):
+        with pytest.raises(InputError, match=r"psf\.tif: "):
             load([save(tmp_path / "psf.tif", image)])
         np.save(tmp_path / "wave.npy", grey + 1j)
-        with pytest.raises(InputError, match=r"wave\.npy .*complex128"):
+        with pytest.raises(InputError, match=r"wave\.npy: .*complex128"):
             load([tmp_path / "wave.npy"])
 
     @pytest.mark.parametrize("suffix", [".tif", ".png", ".npy", ".exr"])
@@ -295,19 +295,19 @@ class TestMistakes:
 
     def test_pickles_and_archives_are_not_opened(self, tmp_path, grey):
         np.save(tmp_path / "objects.npy", np.array([{}], object), allow_pickle=True)
-        with pytest.raises(InputError, match=r"objects\.npy"):
+        with pytest.raises(InputError, match=r"objects\.npy: "):
             load([tmp_path / "objects.npy"])
         with (tmp_path / "many.npy").open("wb") as file:
             np.savez(file, grey)
-        with pytest.raises(InputError, match=r"many\.npy"):
+        with pytest.raises(InputError, match=r"many\.npy: "):
             load([tmp_path / "many.npy"])
 
     def test_shapes_and_kinds_that_are_not_expected(self, tmp_path, grey):
         tifffile.imwrite(tmp_path / "pages.tif", np.stack([grey, grey]), photometric="minisblack")
-        with pytest.raises(InputError, match=r"pages\.tif .*2 pages"):
+        with pytest.raises(InputError, match=r"pages\.tif: "):
             load([tmp_path / "pages.tif"])
         np.save(tmp_path / "a.npy", np.ones((2, 9, 13)))
-        with pytest.raises(InputError, match=r"a\.npy .*\(2, 9, 13\)"):
+        with pytest.raises(InputError, match=r"a\.npy: .*\(2, 9, 13\)"):
             load([tmp_path / "a.npy", tmp_path / "a.npy"], DEPTHS)
         Image.fromarray(grey).save(tmp_path / "psf.jpg")
         with pytest.raises(InputError, match=r"psf\.jpg"):
@@ -315,7 +315,7 @@ class TestMistakes:
 
     def test_a_background_that_does_not_fit(self, tmp_path, grey):
         file = save(tmp_path / "psf.tif", grey)
-        with pytest.raises(InputError, match=r"dark\.tif .*8 x 13.*psf\.tif .*9 x 13"):
+        with pytest.raises(InputError, match=r"^background dark\.tif: "):
             load([file], background=save(tmp_path / "dark.tif", grey[1:]))
         for level in (-1.0, np.nan):
             with pytest.raises(InputError, match="background"):
@@ -324,11 +324,11 @@ class TestMistakes:
     @pytest.mark.parametrize(
         ("change", "message"),
         [
-            ({"frame": "upright"}, "frame is 'upright'"),
-            ({"binning": 0}, "binning is 0"),
-            ({"binning": 10}, "smaller than one block of binning 10"),
-            ({"throughput_m2": 0.0}, "throughput_m2"),
-            ({"throughput_m2": 10.0}, "10 mm2 is 10e-6"),
+            ({"frame": "upright"}, "^frame: "),
+            ({"binning": 0}, "^binning: "),
+            ({"binning": 10}, r"^psf\.tif: "),
+            ({"throughput_m2": 0.0}, "^throughput_m2: "),
+            ({"throughput_m2": 10.0}, "^throughput_m2: "),
         ],
     )
     def test_numbers_out_of_range(self, tmp_path, grey, change, message):
@@ -336,5 +336,5 @@ class TestMistakes:
             load([save(tmp_path / "psf.tif", grey)], **change)
 
     def test_pitch_in_micrometres(self, tmp_path, grey):
-        with pytest.raises(InputError, match=r"2\.4e-6"):
+        with pytest.raises(InputError, match=r"^pixel_pitch_m: "):
             load_measured_psf([save(tmp_path / "psf.tif", grey)], [0.1], 2.4, frame="stored", throughput_m2=AREA)

@@ -122,20 +122,20 @@ def test_bad_curves_are_refused(tmp_path, text, words):
 )
 def test_other_json_is_refused(tmp_path, content):
     (tmp_path / "sensor.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"sensor\.json: .*spectral_data .*index\.main"):
+    with pytest.raises(InputError, match=r"sensor\.json: "):
         camera_curves("sensor.json", tmp_path)
 
 
 def test_a_light_of_three_columns_is_refused(tmp_path):
     (tmp_path / "light.csv").write_text("400,1,2,3\n500,1,2,3\n")
-    with pytest.raises(InputError, match=r"light\.csv: 3 columns"):
+    with pytest.raises(InputError, match=r"light\.csv: "):
         illuminant_curve("light.csv", tmp_path)
 
 
 def test_curves_without_a_common_wavelength_are_refused(tmp_path):
     (tmp_path / "infrared.csv").write_text("1000,1\n1700,1\n")
     (tmp_path / "light.csv").write_text("400,1\n700,1\n")
-    with pytest.raises(InputError, match=r"1000 to 1700 nm.* 400 to 700 nm"):
+    with pytest.raises(InputError, match=r"^infrared\.csv under light\.csv: "):
         spectral_response("infrared.csv", "light.csv", tmp_path)
 
 
@@ -284,12 +284,12 @@ def test_the_lines_of_a_camera_integrate_ever_better():
 
 @pytest.mark.parametrize("count", [0, -1])
 def test_no_lines_are_refused(count):
-    with pytest.raises(InputError, match="wavelengths_per_channel"):
+    with pytest.raises(InputError, match=r"^wavelengths_per_channel: "):
         quantile_lines(spectral_response(), count)
 
 
 def test_a_dark_channel_is_refused():
-    with pytest.raises(InputError, match=r"'G' .*'test'"):
+    with pytest.raises(InputError, match=r"^test, channel 'G': "):
         quantile_lines(_response([500, 510, 520], [1, 2, 1], [0, 0, 0]), 3)
 
 
@@ -349,8 +349,8 @@ def test_equal_energy_leaves_sensitivity_times_wavelength():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"camera": "Nikon 5100"}, "spectral_response:"),
-        ({"illuminant": "D66"}, "illuminant:"),
+        ({"camera": "Nikon 5100"}, "^spectral_response: "),
+        ({"illuminant": "D66"}, "^illuminant: "),
     ],
 )
 def test_unknown_names_are_refused_with_the_known_ones(arguments, words):
@@ -400,5 +400,5 @@ def test_equal_energy_has_the_eyes_known_integral(flat):
 
 def test_invisible_light_has_no_lux(flat):
     (flat[1] / "uv.csv").write_text("250,1\n830,1\n")
-    with pytest.raises(InputError, match="LED 300 nm"):
+    with pytest.raises(InputError, match=r"^camera\.exposure\.illuminance_lux: "):
         electron_rates("uv.csv", (Led(300e-9, 5e-9),), flat[1])

@@ -67,5 +67,5 @@ def test_the_picture_is_drawn(stacks, tmp_path) -> None:
 
 def test_another_stack_is_refused(stacks) -> None:
     nominal, captured = stacks
-    with pytest.raises(InputError, match="captured"):
+    with pytest.raises(InputError, match=r"^captured: "):
         captured_differences(replace(nominal, fingerprint="other"), captured)

@@ -190,5 +190,5 @@ def test_the_depth_limit_follows_the_open_part_of_the_mask():
 
 def test_facts_need_scene_and_sensor_that_fit():
     stack = PsfStack(np.ones((1, 1, 5, 5)), np.array([1.0]), 1e-5, ("Y",), "f")
-    with pytest.raises(InputError, match="scene_shape"):
+    with pytest.raises(InputError, match=r"^scene_shape: "):
         psf_facts(stack, None, (11, 10), (10, 10))

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from simulator.plugins import import_file
 
-# Scripts that other processes run, with their own folder on the path; doctest need not import them.
-collect_ignore_glob = ["*worker.py"]
+# A script that other processes run; doctest need not import it.
+collect_ignore_glob = ["worker.py"]
 
 HERE = Path(__file__).parent
 VARIANTS = ("scalar_rgb", "llvm_ad_rgb")
@@ -24,10 +24,10 @@ Pictures = Mapping[str, NDArray[Any]]
 
 @pytest.fixture(params=VARIANTS)
 def pictures(request: pytest.FixtureRequest, rendered: Callable[..., Pictures]) -> Pictures:
-    """The arrays of worker.py, once for each variant."""
+    """The stills of worker.py, once for each variant."""
     if request.param == "llvm_ad_rgb":
         request.getfixturevalue("needs_llvm")
-    return rendered("simulator/render/worker.py", request.param, "1")
+    return rendered("simulator/render/worker.py", "stills", request.param, "1")
 
 
 @pytest.fixture(scope="session")
@@ -38,5 +38,5 @@ def analytic() -> Any:
 
 @pytest.fixture(scope="session")
 def geometry() -> Any:
-    """The module geometry_cases.py: the scenes that worker.py renders."""
-    return import_file(HERE / "geometry_cases.py", "geometry_cases")
+    """The module worker.py: the scenes that it renders in processes of their own."""
+    return import_file(HERE / "worker.py", "worker")

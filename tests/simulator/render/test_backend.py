@@ -24,7 +24,7 @@ def test_scalar_is_chosen_without_looking_for_llvm(monkeypatch: pytest.MonkeyPat
 
 
 def test_unknown_words_are_refused() -> None:
-    with pytest.raises(InputError, match=r"render\.backend:"):
+    with pytest.raises(InputError, match=r"^render\.backend: "):
         choose_backend("cuda")  # pyright: ignore[reportArgumentType]
 
 
@@ -45,9 +45,7 @@ def test_without_llvm_auto_falls_back_and_says_what_to_do(monkeypatch: pytest.Mo
     assert "no usable libLLVM was found" in backend.message
     assert "/nonexistent/libLLVM.so" in backend.advice
     assert "unset" in backend.advice
-    with pytest.raises(
-        InputError, match=r"render\.backend: llvm was asked for but no usable libLLVM was found\. .*auto"
-    ):
+    with pytest.raises(InputError, match=r"^render\.backend: "):
         choose_backend("llvm")
 
 
@@ -133,8 +131,11 @@ def test_a_forked_worker_is_refused(python: Python) -> None:
 
 
 def test_importing_the_package_stays_light(python: Python) -> None:
-    code = "import sys, simulator.render, scenes.flying_things; print([m for m in ('mitsuba', 'drjit') if m in sys.modules])"
-    assert python("-c", code).stdout.strip() == "[]"
+    code = (
+        "import sys, simulator.render.denoise, scenes.flying_things; simulator.render.Renderer('scalar_rgb'); "
+        "print({'mitsuba', 'drjit', 'pyoidn', 'torch'} & set(sys.modules))"
+    )
+    assert python("-c", code).stdout.strip() == "set()"
 
 
 @pytest.mark.usefixtures("needs_llvm")

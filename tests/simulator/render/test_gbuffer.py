@@ -210,7 +210,7 @@ def test_the_last_frame_goes_nowhere(pictures: Pictures) -> None:
 
 
 def test_a_still_has_no_motion(geometry: Any) -> None:
-    with pytest.raises(InputError, match=r"render\.outputs:"):
+    with pytest.raises(InputError, match=r"^render\.outputs: "):
         Renderer("scalar_rgb", ("motion",)).still(
             geometry.away(), geometry.VIEW, samples_per_pixel=1, seed=0, source={}
         )

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -115,20 +113,12 @@ def test_which_shapes_are_open(geometry: Any) -> None:
     assert not is_open(cuboid(box)), "its sides meet, though no two share a vertex"
 
 
-@pytest.fixture(scope="session")
-def hidden_cases() -> Any:
-    """The module hidden_worker.py: the scenes that it renders."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(Path(__file__).parent))
-        return importlib.import_module("hidden_worker")
-
-
 @pytest.fixture(params=["scalar_rgb", "llvm_ad_rgb"])
 def light(request: pytest.FixtureRequest, rendered: Callable[..., Pictures]) -> Pictures:
-    """The arrays of hidden_worker.py, once for each variant."""
+    """The hidden layers of worker.py, once for each variant."""
     if request.param == "llvm_ad_rgb":
         request.getfixturevalue("needs_llvm")
-    return rendered("simulator/render/hidden_worker.py", request.param)
+    return rendered("simulator/render/worker.py", "hidden", request.param)
 
 
 @pytest.mark.parametrize("layer", [1, 2])
@@ -159,35 +149,36 @@ def test_layers_have_noise_of_their_own(light: Pictures) -> None:
 
 @pytest.mark.parametrize("max_depth", [2, 5])
 def test_light_in_a_round_room_takes_as_many_bounces_as_are_asked_for(
-    light: Pictures, analytic: Any, hidden_cases: Any, max_depth: int
+    light: Pictures, analytic: Any, geometry: Any, max_depth: int
 ) -> None:
     """An integrating sphere: whatever a lamp's place, each bounce lights all of its wall alike, rho times as bright.
 
     A lamp of radiance L and radius r at distance d gives the irradiance ``pi L (r / d)^2 cos``, and its flux
     ``4 pi r^2 pi L`` the mean ``pi L (r / R)^2``, rho times which is what the first bounce adds.
     """
-    cases = hidden_cases
     valid = light["room.valid"]
     assert valid.sum() > 30
-    points = (analytic.directions(cases.VIEW).reshape(*valid.shape, 3) * light["room.depth_m"][..., np.newaxis])[valid]
-    inwards = (cases.ROOM_CENTRE_M - points) / cases.ROOM_RADIUS_M
+    points = (
+        analytic.directions(geometry.ROOM_VIEW).reshape(*valid.shape, 3) * light["room.depth_m"][..., np.newaxis]
+    )[valid]
+    inwards = (geometry.ROOM_CENTRE_M - points) / geometry.ROOM_RADIUS_M
     np.testing.assert_allclose(np.linalg.norm(inwards, axis=1), 1, atol=2e-3)  # the chords of 96 sides
-    towards = cases.ROOM_LAMP.centre_m - points
+    towards = geometry.ROOM_LAMP.centre_m - points
     distance = np.linalg.norm(towards, axis=1)
     cosine = np.sum(inwards * towards, axis=1) / distance
-    rho, radius = cases.ROOM_REFLECTANCE, cases.ROOM_LAMP.radius_m
+    rho, radius = geometry.ROOM_REFLECTANCE, geometry.ROOM_LAMP.radius_m
     direct = (radius / distance) ** 2 * cosine
-    bounced = (radius / cases.ROOM_RADIUS_M) ** 2 * sum(rho**bounce for bounce in range(1, max_depth - 1))
-    expected = rho * np.outer(direct + bounced, cases.ROOM_LAMP.radiance).mean(axis=0)
+    bounced = (radius / geometry.ROOM_RADIUS_M) ** 2 * sum(rho**bounce for bounce in range(1, max_depth - 1))
+    expected = rho * np.outer(direct + bounced, geometry.ROOM_LAMP.radiance).mean(axis=0)
     # 700 paths scatter by 0.7 %, and the ball's dim back is 1.4 % of what the wall behind it sees. One bounce more or less
     # would be 10 % of all.
     np.testing.assert_allclose(light[f"room.rgb{max_depth}"][valid].mean(axis=0), expected, rtol=0.03)
 
 
-def test_a_lamp_behind_something_shines_unless_lights_are_hidden(light: Pictures, hidden_cases: Any) -> None:
+def test_a_lamp_behind_something_shines_unless_lights_are_hidden(light: Pictures, geometry: Any) -> None:
     seen = light["shown.valid"]
     assert seen.sum() > 10
-    np.testing.assert_allclose(light["shown.rgb"][seen], np.tile(hidden_cases.GLOW, (seen.sum(), 1)), rtol=1e-5)
+    np.testing.assert_allclose(light["shown.rgb"][seen], np.tile(geometry.GLOW, (seen.sum(), 1)), rtol=1e-5)
     assert not light["unseen.rgb"].any()
 
 

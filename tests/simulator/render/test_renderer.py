@@ -19,53 +19,6 @@ Pictures = Mapping[str, NDArray[Any]]
 VIEW = View((48, 64), 19.2e-6, 1.9e-3, 0.036, 0.2)  # as in worker.py
 
 
-def tangents() -> tuple[NDArray[Any], NDArray[Any]]:
-    """tan(theta) of every pixel's centre, right and down: PHYSICS section 1, written out anew."""
-    rows, columns = VIEW.shape
-    right = (np.arange(columns) - (columns - 1) / 2) * VIEW.pixel_pitch_m / VIEW.distance_m
-    down = (np.arange(rows) - (rows - 1) / 2) * VIEW.pixel_pitch_m / VIEW.distance_m
-    return np.broadcast_to(right, VIEW.shape), np.broadcast_to(down[:, np.newaxis], VIEW.shape)
-
-
-def test_depth_of_a_slanted_plane_is_z_and_nothing_is_seen_beside_it(pictures: Pictures) -> None:
-    right, down = tangents()
-    inside = np.maximum(np.abs(right), np.abs(down)) < 0.2
-    assert 0 < inside.sum() < inside.size
-    np.testing.assert_array_equal(pictures["plane.valid"], inside)
-    expected = np.where(inside, 1 / (8 + 2 * right - 3 * down), VIEW.far_m)
-    # float32 rays and triangles: about 1e-7 each; ray length instead of z would be off by up to 4 %.
-    np.testing.assert_allclose(pictures["plane.depth"], expected, rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("name", "centre", "radius"), [("ball", (0.012, -0.006, 0.1), 0.02), ("far_ball", (1.2, -0.6, 10.0), 2.0)]
-)
-def test_depth_of_a_ball(pictures: Pictures, name: str, centre: tuple[float, ...], radius: float) -> None:
-    direction = np.stack([*tangents(), np.ones(VIEW.shape)], axis=-1)
-    half_b = direction @ np.array(centre)
-    a = np.sum(direction**2, axis=-1)
-    root = half_b**2 - a * (np.dot(centre, centre) - radius**2)
-    inside = root > 0
-    expected = np.where(inside, (half_b - np.sqrt(np.maximum(root, 0))) / a, VIEW.far_m)
-    # float32 cannot tell whether a ray that grazes the outline hits; these few pixels are not judged.
-    clear = np.abs(root) > 1e-5 * np.max(half_b**2)
-    assert np.sum(~clear) <= 3
-    np.testing.assert_array_equal(pictures[f"{name}.valid"][clear], inside[clear])
-    # Towards the outline the surface turns along the ray, and the same rounding moves the hit further.
-    np.testing.assert_allclose(pictures[f"{name}.depth"][clear], expected[clear], rtol=1e-4)
-    steep = np.abs(root) > 1e-3 * np.max(half_b**2)
-    np.testing.assert_allclose(pictures[f"{name}.depth"][steep], expected[steep], rtol=1e-5)
-
-
-def test_depth_of_a_box_with_given_half_edges(pictures: Pictures) -> None:
-    right, down = tangents()
-    front = 0.095  # centre at 0.1 m, half depth 5 mm
-    face = (np.abs(right * front - 0.01) < 0.01) & (np.abs(down * front) < 0.02)
-    np.testing.assert_allclose(pictures["box.depth"][face], front, rtol=1e-6)
-    # Its left side is seen edge on (x = 0 is on the axis), the right one is hidden: beside the face there is nothing.
-    assert not pictures["box.valid"][~face & (right > 0)].any()
-
-
 def test_the_picture_is_upright_and_on_the_right_half_pixel(pictures: Pictures) -> None:
     # A black wall, right of x = 3.25 pixels and below y = -5.375 pixels, before a white environment.
     red = np.asarray(pictures["edge.rgb"])[..., 0]
@@ -104,7 +57,7 @@ def test_threads_and_order_do_not_change_a_byte(
     pictures: Pictures, rendered: Callable[..., Pictures], request: pytest.FixtureRequest
 ) -> None:
     variant = request.node.callspec.params["pictures"]
-    other = rendered("simulator/render/worker.py", variant, "2")
+    other = rendered("simulator/render/worker.py", "stills", variant, "2")
     assert pictures.keys() == other.keys()
     for name, picture in pictures.items():
         assert picture.tobytes() == other[name].tobytes(), name
@@ -114,7 +67,9 @@ def test_threads_and_order_do_not_change_a_byte(
 
 @pytest.mark.usefixtures("needs_llvm")
 def test_both_variants_agree(rendered: Callable[..., Pictures]) -> None:
-    scalar, llvm = (rendered("simulator/render/worker.py", variant, "1") for variant in ("scalar_rgb", "llvm_ad_rgb"))
+    scalar, llvm = (
+        rendered("simulator/render/worker.py", "stills", variant, "1") for variant in ("scalar_rgb", "llvm_ad_rgb")
+    )
     for name in ("plane", "ball", "box", "edge", "things0", "things1", "things2"):
         np.testing.assert_array_equal(scalar[f"{name}.valid"], llvm[f"{name}.valid"])
         different = ~np.isclose(scalar[f"{name}.depth"], llvm[f"{name}.depth"], rtol=1e-5)
@@ -134,7 +89,7 @@ def test_both_variants_agree(rendered: Callable[..., Pictures]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("samples", "seed", "named"), [(0, 0, "samples_per_pixel"), (1, -1, "seed"), (1, 2**32, "seed")]
+    ("samples", "seed", "named"), [(0, 0, "^samples_per_pixel: "), (1, -1, "^seed: "), (1, 2**32, "^seed: ")]
 )
 def test_bad_numbers_are_refused(samples: int, seed: int, named: str) -> None:
     scene = Scene((), (Environment(np.ones(3)),))
@@ -226,35 +181,21 @@ def test_slots_must_stay(geometry: Any) -> None:
         normals=np.vstack([sheet.normals, sheet.normals[:1]]),
         uv=np.vstack([sheet.uv, sheet.uv[:1]]),
     )
-    for other, words in (
-        (Scene((ball,), (light, lamp)), "2 shapes and 2 lights, the next 1 and 2"),
-        (Scene((ball, sheet), (light,)), "2 shapes and 2 lights, the next 2 and 1"),
-        (Scene((sheet, sheet), (light, lamp)), "shape 0 changes from Sphere"),
-        (Scene((ball, longer), (light, lamp)), "shape 1 changes from TriangleMesh of 4 vertices and 2 faces"),
-        (Scene((replace(ball, material=plain(0.5, 3)), sheet), (light, lamp)), "texture of 2 x 2 to .* 3 x 3"),
-        (Scene((replace(ball, material=plain(0.5, 2, 0.3)), sheet), (light, lamp)), "matt.* to .*coated"),
-        (Scene((ball, sheet), (lamp, light)), "light 0 changes from Environment to SphereLight"),
+    for other in (
+        Scene((ball,), (light, lamp)),
+        Scene((ball, sheet), (light,)),
+        Scene((sheet, sheet), (light, lamp)),
+        Scene((ball, longer), (light, lamp)),
+        Scene((replace(ball, material=plain(0.5, 3)), sheet), (light, lamp)),
+        Scene((replace(ball, material=plain(0.5, 2, 0.3)), sheet), (light, lamp)),
+        Scene((ball, sheet), (lamp, light)),
     ):
-        with pytest.raises(InputError, match=f"frames: .*{words}"):
+        with pytest.raises(InputError, match=r"^frames: "):
             clip([one, other])
-    with pytest.raises(InputError, match="light 0"):
+    with pytest.raises(InputError, match=r"^frames: "):
         clip([Scene((ball,), (around,)), Scene((ball,), (EnvironmentMap(np.ones((4, 8, 3), np.float32)),))])
-    with pytest.raises(InputError, match="frames:"):
+    with pytest.raises(InputError, match=r"^frames: "):
         clip([])
-
-
-def test_lights_and_materials_are_replaced(geometry: Any) -> None:
-    """In light of 1 from everywhere, a wall around the view has the radiance of its reflectance."""
-    wall = geometry.upright(-0.3, -0.3, 0.3, 0.3, 0.1, plain(0.5))
-    first = Scene((wall,), (Environment(np.array([1.0, 1, 1])),))
-    second = Scene((replace(wall, material=plain(0.25)),), (Environment(np.array([1.0, 2, 4])),))
-    means = (
-        Renderer("scalar_rgb")
-        .clip([first, second, first], FEW, frames_per_second=30, samples_per_pixel=64, seed=1, source={})
-        .rgb.mean(axis=(1, 2))
-    )
-    # 80 pixels x 64 paths, each with a deviation below its value.
-    np.testing.assert_allclose(means, [(0.5, 0.5, 0.5), (0.25, 0.5, 1), (0.5, 0.5, 0.5)], rtol=0.03)
 
 
 def test_a_map_of_the_surroundings_stands_upright() -> None:

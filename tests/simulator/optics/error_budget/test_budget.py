@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from simulator.errors import InputError
 from simulator.optics.error_budget import budget as check
 from simulator.optics.error_budget.budget import full_errors, quick_errors
 from simulator.optics.error_budget.field import field_angle_error
@@ -89,10 +90,7 @@ def test_wavelengths_without_material_data_are_left_out():
 
         def index(self, wavelength_m):
             if wavelength_m > 600e-9:
-                from simulator.errors import InputError
-
-                msg = "no data"
-                raise InputError(msg)
+                raise InputError("material", "no data")
             return 1.5
 
     green = replace(CAMERA, response=SpectralResponse(AT, BAND.weights[:1], ("G",), "one band"))

@@ -1,0 +1,49 @@
+"""The light path once more, by its definition: what the data sets' tests hold measurements to."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import fftconvolve
+
+from simulator.io.exr import decode_exr
+
+PITCH_M, DISTANCE_M, SENSOR = 8 * 2.4e-6, 1.9e-3, (48, 60)  # of the tests' tiny configuration
+
+
+def _irradiance(root: Path, rgb: NDArray, depth_m: NDArray) -> NDArray[np.float64]:
+    described = json.loads((root / "psf/psf.json").read_text())
+    nearness = np.array([1 / float(depth) for depth in described["depths_m"]])
+    matrix = np.array(json.loads((root / "dataset.json").read_text())["scene_to_camera"]["matrix"])
+    assert not np.array_equal(matrix, np.eye(3))
+    h, w = depth_m.shape
+    y, x = ((np.arange(n) - (n - 1) / 2) * PITCH_M for n in (h, w))
+    cosine = DISTANCE_M / np.sqrt(DISTANCE_M**2 + y[:, None] ** 2 + x**2)
+    radiance = np.maximum(rgb.astype(np.float64) @ matrix.T, 0)
+    light = radiance * ((PITCH_M / DISTANCE_M) ** 2 * cosine**4)[..., None]
+    total = np.zeros((3, *SENSOR))
+    for k, name in enumerate(described["files"]):
+        channels, _ = decode_exr((root / "psf" / name).read_bytes(), Path(name))
+        hat = np.eye(len(nearness))[k][::-1]  # 1 at this plane's disparity, 0 at its neighbours', straight between
+        share = np.interp(1 / depth_m.astype(np.float64), nearness[::-1], hat)
+        for c, letter in enumerate("RGB"):
+            psf = channels[letter].astype(np.float64)
+            full = fftconvolve(light[..., c] * share, psf)
+            rows, columns = (
+                np.arange(s) - (s - n) // 2 + m // 2 for s, n, m in zip(SENSOR, (h, w), psf.shape, strict=True)
+            )
+            inside = [(i >= 0) & (i < n) for i, n in zip((rows, columns), full.shape, strict=True)]
+            total[c][np.ix_(*inside)] += full[np.ix_(rows[inside[0]], columns[inside[1]])]
+    return total
+
+
+@pytest.fixture(scope="session")
+def irradiance() -> Callable[..., NDArray[np.float64]]:
+    """Return ``(root, rgb, depth_m) ->`` what one frame gives on the sensor ``(C, H, W)``.
+
+    By one full convolution per plane and channel, in float64, with the PSFs and the colours of a data set's own files.
+    """
+    return _irradiance
