@@ -12,7 +12,8 @@ from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 from learning.provenance import RENAMED
 from simulator.config import sections
 from simulator.config.load import load_model
-from simulator.config.sections import Range, refusal
+from simulator.config.sections import refusal
+from simulator.settings import Range
 from simulator.validation import Problem
 
 

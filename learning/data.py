@@ -22,11 +22,9 @@ from torch.utils.data import Dataset as TorchDataset
 
 from learning.camera import recorded_sensor
 from learning.provenance import sample_digests
-from simulator.camera.noise import GaussianNoise, add_gaussian
+from simulator.camera.noise import GaussianNoise, PhysicalNoise, add_gaussian
 from simulator.camera.sensor import Sensor
 from simulator.config import config_from_dict
-from simulator.config.camera import GaussianNoise as GaussianConfig
-from simulator.config.camera import PhysicalNoise as PhysicalConfig
 from simulator.dataset.reader import Dataset
 from simulator.dataset.sample import SPLITS, sample_index
 from simulator.errors import InputError
@@ -128,9 +126,9 @@ def _converter(dataset: Dataset) -> tuple[Sensor, bool, bool]:
         raise InputError(dataset.root, reason)
     sensor = recorded_sensor(dataset.info, config)
     noise = config.camera.noise
-    if isinstance(noise, GaussianConfig):
+    if isinstance(noise, GaussianNoise):
         return sensor, noise.clip, noise.quantise
-    physical = isinstance(noise, PhysicalConfig)  # whose converter always does both
+    physical = isinstance(noise, PhysicalNoise)  # whose converter always does both
     return sensor, physical, physical
 
 

@@ -14,19 +14,11 @@ import numpy as np
 
 from simulator.camera.colour import CameraColour, fit_camera_colour
 from simulator.camera.forward import DepthRule, ForwardModel
-from simulator.camera.noise import GaussianNoise, Noise, NoNoise, PhysicalNoise
 from simulator.camera.planes import mask_irradiance
 from simulator.camera.sensor import MODELS, Sensor
-from simulator.camera.shutter import (
-    DualRollingShutter,
-    GlobalShutter,
-    RollingShutter,
-    Shutter,
-    read_row_shutter,
-    row_shutter,
-)
+from simulator.camera.shutter import Shutter, read_row_shutter, row_shutter
 from simulator.config import Config
-from simulator.config import camera as sections
+from simulator.config.camera import GapLayer, RowWindows
 from simulator.config.psf import ComputedPsf
 from simulator.design.load import load_mask, mask_arguments
 from simulator.errors import InputError
@@ -292,13 +284,8 @@ class Assembly:
     def shutter(self) -> Shutter:
         """The shutter; a user's function is called for its windows once."""
         chosen, binning = self.config.camera.shutter, self.config.camera.sensor.binning
-        if not isinstance(chosen, sections.RowWindows):
-            exposure_s = chosen.exposure_ms * 1e-3
-            if isinstance(chosen, sections.RollingShutter):
-                return RollingShutter(exposure_s, chosen.line_time_us * 1e-6, chosen.direction, binning)
-            if isinstance(chosen, sections.DualRollingShutter):
-                return DualRollingShutter(exposure_s, chosen.line_time_us * 1e-6, chosen.order, binning)
-            return GlobalShutter(exposure_s, binning)
+        if not isinstance(chosen, RowWindows):
+            return replace(chosen, binning=binning)
         rows, plugin = self.config.camera.sensor.shape[0], self._shutter_plugin
         if plugin is None:
             assert chosen.file is not None
@@ -322,11 +309,11 @@ class Assembly:
         if camera.exposure.illuminance_lux is not None:
             responsivity = tuple(rate / max(self.electron_rates.values()) for rate in self.electron_rates.values())
         exposure_s: float | tuple[float, ...]
-        if isinstance(camera.shutter, sections.RowWindows):
+        if isinstance(camera.shutter, RowWindows):
             # The stored picture is the physical one rotated by 180 degrees.
             exposure_s = tuple(self.shutter.exposures_s(camera.sensor.shape[0])[::-1].tolist())
         else:
-            exposure_s = camera.shutter.exposure_ms * 1e-3
+            exposure_s = camera.shutter.exposure_s
         return replace(self._bare_sensor, exposure_s=exposure_s, responsivity=responsivity)
 
     @cached_property
@@ -417,10 +404,10 @@ class Assembly:
             file for name in dict.fromkeys(materials) if (file := material_file(name, config.base_dir)) is not None
         ]
         files += self._light_files
-        if (shutter := self._shutter_plugin) is not None and isinstance(camera.shutter, sections.RowWindows):
+        if (shutter := self._shutter_plugin) is not None and isinstance(camera.shutter, RowWindows):
             files += [value for value in shutter.bind(camera.shutter.params).values() if isinstance(value, Path)]
             files += _own_code(shutter)
-        elif isinstance(camera.shutter, sections.RowWindows) and camera.shutter.file is not None:
+        elif isinstance(camera.shutter, RowWindows) and camera.shutter.file is not None:
             files.append(config.resolve_path(camera.shutter.file))
         if camera.mask is not None:
             plugin = resolve("mask", camera.mask.design, config.base_dir)
@@ -449,21 +436,14 @@ class Assembly:
             readout=chosen.readout,
             cfa=chosen.cfa or _CFA,
             pattern_seed=chosen.pattern_seed,
-            noise=self._noise,
+            noise=self.config.camera.noise,
             **MODELS[chosen.model] | own,
         )
-
-    @property
-    def _noise(self) -> Noise:
-        chosen = self.config.camera.noise
-        if isinstance(chosen, sections.GaussianNoise):
-            return GaussianNoise(chosen.std, chosen.psnr_db, chosen.peak, chosen.clip, chosen.quantise)
-        return PhysicalNoise() if isinstance(chosen, sections.PhysicalNoise) else NoNoise()
 
     @cached_property
     def _shutter_plugin(self) -> Plugin | None:
         chosen = self.config.camera.shutter
-        if not isinstance(chosen, sections.RowWindows) or chosen.function is None:
+        if not isinstance(chosen, RowWindows) or chosen.function is None:
             return None
         return resolve("shutter", chosen.function, self.config.base_dir)
 
@@ -474,7 +454,7 @@ class Assembly:
             return ()
         return (Layer(plate.mm * 1e-3, load_material(plate.material, self.config.base_dir)),)
 
-    def _medium(self, layer: sections.GapLayer) -> Material:
+    def _medium(self, layer: GapLayer) -> Material:
         if layer.material is not None:
             return load_material(layer.material, self.config.base_dir)
         assert layer.n is not None
@@ -491,8 +471,7 @@ class Assembly:
         chosen = self.config.camera.illuminant
         if isinstance(chosen, str):
             return chosen
-        leds = chosen if isinstance(chosen, tuple) else (chosen,)
-        return tuple(Led(led.led_nm * 1e-9, led.fwhm_nm * 1e-9, led.power) for led in leds)
+        return chosen if isinstance(chosen, tuple) else (chosen,)
 
     @property
     def _light_files(self) -> list[Path]:

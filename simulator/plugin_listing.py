@@ -15,6 +15,7 @@ from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin
 
 from simulator.plugins import Plugin, available, resolve
+from simulator.text import documented
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -96,33 +97,11 @@ def summary(plugin: Plugin) -> str:
 
 def parameter_lines(plugin: Plugin) -> Iterator[ParameterLine]:
     """Yield a plugin's parameters in the order of its signature."""
-    meanings = documented_arguments(inspect.getdoc(plugin.function) or "")
+    meanings = documented(inspect.getdoc(plugin.function) or "", "Args")
     for name, field in plugin.parameters.model_fields.items():
         default = "required" if field.is_required() else _as_yaml(field.default)
         expected = _expected(field.annotation, field.metadata)
         yield ParameterLine(name, default, expected, meanings.get(name, ""))
-
-
-def documented_arguments(docstring: str) -> dict[str, str]:
-    """Return the meaning of each argument in a Google-style docstring, in one line each.
-
-    Example:
-        >>> documented_arguments('''Do it.
-        ...
-        ... Args:
-        ...     width_mm: side of the mask,
-        ...         without its frame.
-        ...     seed: of the noise.
-        ...
-        ... Raises:
-        ...     InputError: never.''')
-        {'width_mm': 'side of the mask, without its frame', 'seed': 'of the noise'}
-    """
-    section = re.search(r"^Args:\n((?:[ \t]+.*\n?|\n)+)", docstring, re.MULTILINE)
-    if section is None:
-        return {}
-    entries = re.findall(r"^ {4}(\w+):((?:.*\n?)(?: {5,}.*\n?|\n)*)", section[1], re.MULTILINE)
-    return {name: " ".join(text.split()).removesuffix(".").replace("``", "") for name, text in entries}
 
 
 def _as_yaml(value: Any) -> str:

@@ -1,9 +1,10 @@
-"""Words for messages: paths of keys, values, near misses, lengths and shares."""
+"""Words for messages: paths of keys, values, near misses, lengths and shares; and what docstrings say."""
 
 from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -61,3 +62,25 @@ def share(value: float) -> str:
     """
     percent = 100 * value if value > 1e-9 else 0.0  # rounding is not light
     return f"{float(f'{percent:.3g}' if percent >= 10 else f'{percent:.2g}'):g} %"
+
+
+def documented(docstring: str, section: str) -> dict[str, str]:
+    """Return the meaning of each entry of a section (``Args``, ``Attributes``) of a Google-style docstring, in one line each.
+
+    Example:
+        >>> documented('''Do it.
+        ...
+        ... Args:
+        ...     width_mm: side of the mask,
+        ...         without its frame.
+        ...     seed: of the noise.
+        ...
+        ... Raises:
+        ...     InputError: never.''', "Args")
+        {'width_mm': 'side of the mask, without its frame', 'seed': 'of the noise'}
+    """
+    found = re.search(rf"^{section}:\n((?:[ \t]+.*\n?|\n)+)", docstring, re.MULTILINE)
+    if found is None:
+        return {}
+    entries = re.findall(r"^ {4}(\w+):((?:.*\n?)(?: {5,}.*\n?|\n)*)", found[1], re.MULTILINE)
+    return {name: " ".join(text.split()).removesuffix(".").replace("``", "") for name, text in entries}

@@ -13,11 +13,14 @@ from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, Tag, ValidationError
+from pydantic.fields import FieldInfo
 
 from simulator.errors import InputError
+from simulator.settings import Key, Settings, keys_of
 from simulator.text import KeyPath, dotted, nearest, show
 
 Model = TypeVar("Model", bound=BaseModel)
+SectionType = type[BaseModel] | type[Settings]
 
 _INFINITIES = {sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in ("inf", ".inf")}
 _RENAMED = {"raise_by": "interpolate_by", "raise_with": "interpolate_with"}  # keys of earlier versions
@@ -32,6 +35,7 @@ _EXPECTED = {
     "dict_type": "a mapping of keys to values",
     "model_type": "a mapping of keys to values",
     "model_attributes_type": "a mapping of keys to values",
+    "dataclass_type": "a mapping of keys to values",
     "none_required": "null",
 }
 
@@ -97,7 +101,7 @@ def find_problems(error: ValidationError, model: type[BaseModel], data: Any, als
         if kind == "too_short" and len(item["input"]) >= context["min_length"]:
             continue  # long enough: its entries are wrong, which has a message of its own
         path = strip_tags(loc, data)
-        if kind == "extra_forbidden":
+        if kind in ("extra_forbidden", "unexpected_keyword_argument"):
             unknown[path] = Problem(path, _unknown_key(model, loc, item["input"], also), on_key=True)
         elif kind == "missing" and isinstance(loc[-1], int):
             got = show(_get(data, path[:-1]))
@@ -106,6 +110,10 @@ def find_problems(error: ValidationError, model: type[BaseModel], data: Any, als
             missing[path] = Problem(path, f"missing{_description(model, loc)}")
         elif kind in ("union_tag_invalid", "union_tag_not_found"):
             others.append(_wrong_tag(path, item["input"], context, model, loc))
+        elif isinstance(fault := context.get("error"), InputError):  # a part's own, about one key or several together
+            section = _get(data, path)
+            at = (fault.path,) if isinstance(section, Mapping) and fault.path in section else ()
+            others.append(Problem((*path, *at), fault.reason, not at))
         elif kind == "sense":
             others.append(Problem((*path, *context["at"]), context["text"], context["on_key"]))
         else:
@@ -182,12 +190,12 @@ def _unknown_key(model: type[BaseModel], loc: KeyPath, value: Any, also: Iterabl
     text = f"unknown key, got {show(value)}"
     if tag not in options:
         return text
-    if _RENAMED.get(key) in options[tag].model_fields:
+    if _RENAMED.get(key) in _keys(options[tag]):
         return f"got {show(value)}; this key is now called {_RENAMED[key]}"
     for other, section in options.items():
-        if other != tag and key in section.model_fields:
+        if other != tag and key in _keys(section):
             return f"got {show(value)}; this key belongs to {other}, but this is {tag}: keep one of the two"
-    known = [*(also if len(loc) == 1 else ()), *options[tag].model_fields]
+    known = [*(also if len(loc) == 1 else ()), *_keys(options[tag])]
     elsewhere = [place for place in _all_keys(model) if place.rpartition(".")[2] == key]
     hint = f"; did you mean {' or '.join(elsewhere[:3])}?" if elsewhere else nearest(key, known)
     return f"{text}; expected one of {', '.join(known)}{hint}"
@@ -195,7 +203,7 @@ def _unknown_key(model: type[BaseModel], loc: KeyPath, value: Any, also: Iterabl
 
 def _description(model: type[BaseModel], loc: KeyPath) -> str:
     options, tag = _section(model, loc[:-1])
-    field = options[tag].model_fields.get(str(loc[-1])) if tag in options else None
+    field = _keys(options[tag]).get(str(loc[-1])) if tag in options else None
     return f"; expected {field.description}" if field is not None and field.description else ", and has no default"
 
 
@@ -208,23 +216,23 @@ def _wrong_tag(path: KeyPath, value: Any, context: dict[str, Any], model: type[B
     return Problem((*path, key), f"got {context['tag']!r}; expected {choice}{nearest(context['tag'], names)}")
 
 
-def _section(model: type[BaseModel], loc: KeyPath) -> tuple[dict[str | None, type[BaseModel]], str | None]:
+def _section(model: type[BaseModel], loc: KeyPath) -> tuple[dict[str | None, SectionType], str | None]:
     """Return the models that may stand at a location, by union tag, and the tag that was chosen."""
-    options: dict[str | None, type[BaseModel]] = {None: model}
+    options: dict[str | None, SectionType] = {None: model}
     tag: str | None = None
     for step in loc:
         if len(options) > 1 and step in options:
             tag = str(step)
             continue
         section = options.get(tag)
-        if section is None or step not in section.model_fields:
+        if section is None or step not in _keys(section):
             return {}, None
-        options = _members(section.model_fields[str(step)].annotation)
+        options = _members(_keys(section)[str(step)].annotation)
         tag = next(iter(options), None) if len(options) == 1 else None
     return options, tag
 
 
-def _members(annotation: Any) -> dict[str | None, type[BaseModel]]:
+def _members(annotation: Any) -> dict[str | None, SectionType]:
     origin = get_origin(annotation)
     if origin is Annotated:
         base, *metadata = get_args(annotation)
@@ -232,16 +240,20 @@ def _members(annotation: Any) -> dict[str | None, type[BaseModel]]:
         return {tags[0] if tags else tag: member for tag, member in _members(base).items()}
     if origin in (Union, UnionType):
         return {tag: member for part in get_args(annotation) for tag, member in _members(part).items()}
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        kind = annotation.model_fields.get("type")
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel | Settings):
+        kind = _keys(annotation).get("type")
         return {kind.default if kind is not None else None: annotation}
     return {}
 
 
-def _all_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
-    """Return every dotted key of a model, shallow ones first."""
-    keys = [prefix + name for name in model.model_fields]
-    for name, info in model.model_fields.items():
+def _keys(section: SectionType) -> Mapping[str, FieldInfo | Key]:
+    return section.model_fields if issubclass(section, BaseModel) else keys_of(section)
+
+
+def _all_keys(model: SectionType, prefix: str = "") -> list[str]:
+    """Return every dotted key of a section, shallow ones first."""
+    keys = [prefix + name for name in _keys(model)]
+    for name, info in _keys(model).items():
         for member in _members(info.annotation).values():
             keys += [key for key in _all_keys(member, f"{prefix}{name}.") if key not in keys]
     return sorted(keys, key=lambda key: key.count("."))
@@ -249,7 +261,7 @@ def _all_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
 
 def _knows(model: type[BaseModel], path: KeyPath) -> bool:
     options, tag = _section(model, path[:-1])
-    return tag not in options or str(path[-1]) in options[tag].model_fields
+    return tag not in options or str(path[-1]) in _keys(options[tag])
 
 
 def _get(data: Any, path: KeyPath) -> Any:

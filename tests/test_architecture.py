@@ -16,6 +16,7 @@ GROUND = {
     "errors",
     "seeds",
     "text",
+    "settings",
     "colour",
     "validation",
     "plugins",

@@ -2,43 +2,48 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
 
 from simulator.arrays import Array, namespace, normal, number, poisson
 from simulator.errors import InputError
+from simulator.settings import Range, Settings
 
 _SURELY_FULL = 1e6
 """Times the full well beyond which nothing changes, where Poisson numbers still fit 64 bits."""
 
 
 @dataclass(frozen=True)
-class NoNoise:
+class NoNoise(Settings):
     """The perfect sensor: the signal itself, neither clipped nor quantised."""
+
+    type: Literal["none"] = field(default="none", repr=False)
 
 
 @dataclass(frozen=True)
-class GaussianNoise:
+class GaussianNoise(Settings):
     """White Gaussian noise, as the literature's simulations add it; black level zero, the same in all channels.
 
     Attributes:
-        std: standard deviation as a share of full scale, or None.
-        psnr_db: measurement PSNR, 20 log10(peak / std), or None. Exactly one of the two is given.
+        std: standard deviation, share of full scale; or
+        psnr_db: PSNR of the measurement against the noiseless one, 20 log10(peak / std), dB. Exactly one of the two is given.
         peak: ``sample``: the maximum of this sample's noiseless measurement over all channels; ``full_scale``: 1.
         clip: whether to clip to the converter's range, 0 to (2^bits - 1) / 2^bits.
         quantise: whether to round to the sensor's digital numbers.
     """
 
-    std: float | None = None
-    psnr_db: float | None = None
+    std: Annotated[float, Range(1e-9, 1)] | None = None
+    psnr_db: Annotated[float, Range(0, 120, "dB")] | None = None
     peak: Literal["sample", "full_scale"] = "sample"
     clip: bool = False
     quantise: bool = False
+    type: Literal["gaussian"] = field(default="gaussian", repr=False)
 
     def __post_init__(self) -> None:
         if (self.std is None) == (self.psnr_db is None):
+            key, came = ("", "neither") if self.std is None else ("std", "both")
             raise InputError(
-                "noise", f"give exactly one of std and psnr_db, got std={self.std} and psnr_db={self.psnr_db}"
+                key, f"needs exactly one of psnr_db and std, got {came}; they set the same standard deviation"
             )
 
     def standard_deviation(self, signal: Array) -> float:
@@ -51,8 +56,10 @@ class GaussianNoise:
 
 
 @dataclass(frozen=True)
-class PhysicalNoise:
+class PhysicalNoise(Settings):
     """Photons, dark current, pixel and row errors, read noise and quantisation of the sensor: see `Sensor.expose`."""
+
+    type: Literal["physical"] = field(default="physical", repr=False)
 
 
 Noise = NoNoise | GaussianNoise | PhysicalNoise

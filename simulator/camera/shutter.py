@@ -6,9 +6,9 @@ import csv
 import io
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.io.files import read_text
 from simulator.io.measurements import read_npy
+from simulator.settings import NO_KEY, Quantity, Settings
 
 ROUNDING = 1e-9
 """Share of a capture's time that rounding of its edges may take."""
 
 
-class Shutter(ABC):
+class Shutter(Settings, ABC):
     """A shutter: the window of time in which each row is open.
 
     Attributes:
@@ -112,17 +113,27 @@ class Shutter(ABC):
         return np.clip(np.diff(open_until, axis=0) / np.diff(edges)[:, None], 0, 1)
 
 
+Exposure = Annotated[
+    float,
+    Quantity(1e-4, 1e5, "ms", key="exposure_ms", default=10.0, below="without exposure time there is no light"),
+]
+LineTime = Annotated[
+    float, Quantity(1e-3, 1e6, "us", key="line_time_us", below="rows that open together are a global shutter")
+]
+
+
 @dataclass(frozen=True)
 class GlobalShutter(Shutter):
     """All rows are exposed together, from time zero.
 
     Attributes:
-        exposure_s: seconds.
+        exposure_s: exposure time.
         binning: physical rows that a stored row averages.
     """
 
-    exposure_s: float
-    binning: int = 1
+    exposure_s: Exposure
+    binning: int = field(default=1, metadata=NO_KEY)
+    type: Literal["global"] = field(default="global", repr=False)
 
     def __post_init__(self) -> None:
         _check_times(self.binning, exposure_s=self.exposure_s)
@@ -137,16 +148,17 @@ class RollingShutter(Shutter):
     """One row after another: row r opens at r times the line time.
 
     Attributes:
-        exposure_s: seconds that each row is open.
-        line_time_s: seconds from one physical row's opening to the next.
+        exposure_s: exposure time of each row.
+        line_time_s: time from one physical row's opening to the next.
         direction: ``down`` begins with the physical sensor's top row, ``up`` with its bottom row.
         binning: physical rows that a stored row averages.
     """
 
-    exposure_s: float
-    line_time_s: float
+    exposure_s: Exposure
+    line_time_s: LineTime
     direction: Literal["down", "up"] = "down"
-    binning: int = 1
+    binning: int = field(default=1, metadata=NO_KEY)
+    type: Literal["rolling"] = field(default="rolling", repr=False)
 
     def __post_init__(self) -> None:
         _check_times(self.binning, exposure_s=self.exposure_s, line_time_s=self.line_time_s)
@@ -163,16 +175,17 @@ class DualRollingShutter(Shutter):
     """Two halves, read at once: two rows, mirrored at the sensor's middle, open together.
 
     Attributes:
-        exposure_s: seconds that each row is open.
-        line_time_s: seconds from one pair of physical rows to the next.
+        exposure_s: exposure time of each row.
+        line_time_s: time from one pair of physical rows to the next.
         order: ``outside_in`` begins with the top and bottom rows (pco.edge), ``centre_out`` with the middle (Zyla).
         binning: physical rows that a stored row averages.
     """
 
-    exposure_s: float
-    line_time_s: float
+    exposure_s: Exposure
+    line_time_s: LineTime
     order: Literal["outside_in", "centre_out"] = "outside_in"
-    binning: int = 1
+    binning: int = field(default=1, metadata=NO_KEY)
+    type: Literal["dual_rolling"] = field(default="dual_rolling", repr=False)
 
     def __post_init__(self) -> None:
         _check_times(self.binning, exposure_s=self.exposure_s, line_time_s=self.line_time_s)
@@ -196,7 +209,8 @@ class RowShutter(Shutter):
     """
 
     table_s: NDArray[np.float64]
-    binning: int = 1
+    binning: int = field(default=1, metadata=NO_KEY)
+    type: Literal["windows"] = field(default="windows", repr=False)
 
     def __post_init__(self) -> None:
         _check_times(self.binning)
@@ -373,12 +387,10 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-_KINDS: dict[str, type] = {
-    "global": GlobalShutter,
-    "rolling": RollingShutter,
-    "dual_rolling": DualRollingShutter,
-    "windows": RowShutter,
+KINDS: dict[str, type[Shutter]] = {
+    kind.type: kind for kind in (GlobalShutter, RollingShutter, DualRollingShutter, RowShutter)
 }
+"""The shutters that can be recorded, by what the configuration calls them."""
 
 
 def shutter_record(shutter: Shutter) -> dict[str, Any]:
@@ -391,15 +403,13 @@ def shutter_record(shutter: Shutter) -> dict[str, Any]:
         >>> shutter_record(GlobalShutter(0.01))
         {'type': 'global', 'exposure_s': 0.01, 'binning': 1}
     """
-    for kind, known in _KINDS.items():
-        if type(shutter) is known:
-            values = {entry.name: getattr(shutter, entry.name) for entry in fields(known)}
-            return {"type": kind} | {name: _plain(value) for name, value in values.items()}
-    raise InputError(
-        "shutter",
-        f"got a {type(shutter).__name__}, which has no record; expected one of simulator.camera.shutter; put its "
-        "windows into a RowShutter(shutter.physical_windows_s(rows))",
-    )
+    if type(shutter) not in KINDS.values():
+        raise InputError(
+            "shutter",
+            f"got a {type(shutter).__name__}, which has no record; expected one of simulator.camera.shutter; put its "
+            "windows into a RowShutter(shutter.physical_windows_s(rows))",
+        )
+    return {name: _plain(getattr(shutter, name)) for name in ("type", *_recorded(type(shutter)))}
 
 
 def shutter_from_record(record: object) -> Shutter:
@@ -414,14 +424,14 @@ def shutter_from_record(record: object) -> Shutter:
     """
     values = dict(record) if isinstance(record, Mapping) else {}
     kind = values.pop("type", None)
-    known = _KINDS.get(kind) if isinstance(kind, str) else None
+    known = KINDS.get(kind) if isinstance(kind, str) else None
     if known is None:
         shown = repr(kind) if isinstance(record, Mapping) else type(record).__name__
         raise InputError(
             "shutter record",
-            f"got {shown}, expected a type of {', '.join(_KINDS)}; another version may have written it",
+            f"got {shown}, expected a type of {', '.join(KINDS)}; another version may have written it",
         )
-    wanted = [entry.name for entry in fields(known)]
+    wanted = _recorded(known)
     if set(values) != set(wanted):
         raise InputError(
             "shutter record", f"got the fields {sorted(map(str, values))} for {kind!r}, expected {sorted(wanted)}"
@@ -429,6 +439,10 @@ def shutter_from_record(record: object) -> Shutter:
     for name, value in values.items():
         values[name] = _read(name, value)
     return known(**values)
+
+
+def _recorded(kind: type[Shutter]) -> list[str]:
+    return [entry.name for entry in fields(kind) if entry.name != "type"]  # pyright: ignore[reportArgumentType]
 
 
 def _plain(value: Any) -> Any:

@@ -6,7 +6,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from simulator.config.sections import PluginSection, Range, Section, refusal
+from simulator.camera.noise import GaussianNoise, NoNoise, PhysicalNoise
+from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter
+from simulator.config.sections import PluginSection, Section, refusal
+from simulator.optics.spectra import Led
+from simulator.settings import Range
 from simulator.text import nearest, show
 
 _THICK = Range(0.0001, 100, "mm", below="a layer has a thickness")
@@ -43,18 +47,6 @@ class Substrate(Section):
     )
 
 
-class Led(Section):
-    """A light-emitting diode: a Gaussian spectrum."""
-
-    led_nm: Annotated[float, Range(200, 2000, "nm")] = Field(description="centre wavelength, nanometres")
-    fwhm_nm: Annotated[float, Range(1, 300, "nm", below="narrower lines look the same to a camera")] = Field(
-        description="full width at half maximum, nanometres"
-    )
-    power: Annotated[float, Range(1e-6, 1e6)] = Field(
-        default=1.0, description="radiant power relative to the other LEDs"
-    )
-
-
 def _illuminant_kind(data: Any) -> str:
     if isinstance(data, dict | Led):
         return "one LED"
@@ -75,41 +67,6 @@ SceneToCamera = Annotated[
     | Annotated[tuple[tuple[Number, Number, Number], ...], Field(min_length=1, max_length=16), Tag("a matrix")],
     Discriminator(lambda data: "a matrix" if isinstance(data, list | tuple) else "a word"),
 ]
-
-
-ExposureMs = Annotated[float, Range(1e-4, 1e5, "ms", below="without exposure time there is no light")]
-LineTimeUs = Annotated[float, Range(1e-3, 1e6, "us", below="rows that open together are a global shutter")]
-_EXPOSURE = "exposure time of each row, milliseconds"
-
-
-class GlobalShutter(Section):
-    """All rows are exposed at once."""
-
-    type: Literal["global"] = "global"
-    exposure_ms: ExposureMs = Field(default=10.0, description="exposure time, milliseconds")
-
-
-class RollingShutter(Section):
-    """One physical row after another."""
-
-    type: Literal["rolling"] = "rolling"
-    exposure_ms: ExposureMs = Field(default=10.0, description=_EXPOSURE)
-    line_time_us: LineTimeUs = Field(description="time from one physical row's opening to the next, microseconds")
-    direction: Literal["down", "up"] = Field(
-        default="down",
-        description="from the physical sensor's top row down (the stored picture's bottom row up), or up",
-    )
-
-
-class DualRollingShutter(Section):
-    """Two halves at once: a pair of physical rows after another."""
-
-    type: Literal["dual_rolling"] = "dual_rolling"
-    exposure_ms: ExposureMs = Field(default=10.0, description=_EXPOSURE)
-    line_time_us: LineTimeUs = Field(description="time from one pair of physical rows to the next, microseconds")
-    order: Literal["outside_in", "centre_out"] = Field(
-        default="outside_in", description="begin with the top and bottom rows (pco.edge) or in the middle (Zyla)"
-    )
 
 
 class RowWindows(PluginSection):
@@ -248,43 +205,6 @@ class ExposureConfig(Section):
         return self
 
 
-class NoNoise(Section):
-    """No noise."""
-
-    type: Literal["none"] = "none"
-
-
-class GaussianNoise(Section):
-    """Additive Gaussian noise, by standard deviation or to a measurement PSNR."""
-
-    type: Literal["gaussian"] = "gaussian"
-    psnr_db: Annotated[float, Range(0, 120, "dB")] | None = Field(
-        default=None, description="PSNR of the measurement against the noiseless one, dB"
-    )
-    std: Annotated[float, Range(1e-9, 1)] | None = Field(
-        default=None, description="standard deviation, share of full scale"
-    )
-    peak: Literal["sample", "full_scale"] = Field(
-        default="sample", description="what the PSNR's peak is: the sample's greatest noiseless value, or full scale"
-    )
-    clip: bool = Field(default=False, description="clip the measurement to the converter's range")
-    quantise: bool = Field(default=False, description="round the measurement to the sensor's bits")
-
-    @model_validator(mode="after")
-    def _one_strength(self) -> Self:
-        if (self.psnr_db is None) == (self.std is None):
-            came = "neither" if self.std is None else "both"
-            text = f"needs exactly one of psnr_db and std, got {came}; they set the same strength"
-            raise refusal(text, *([] if self.std is None else ["std"]))
-        return self
-
-
-class PhysicalNoise(Section):
-    """Photons, dark current, non-uniformity, read noise and quantisation of the sensor."""
-
-    type: Literal["physical"] = "physical"
-
-
 NoiseConfig = Annotated[NoNoise | GaussianNoise | PhysicalNoise, Field(discriminator="type")]
 
 
@@ -313,7 +233,9 @@ class CameraConfig(Section):
         default="auto",
         description="rows of the matrix from linear sRGB to the camera's channels; auto fits it to their curves and light",
     )
-    shutter: ShutterConfig = Field(default_factory=GlobalShutter, description="when the sensor's rows are open")
+    shutter: ShutterConfig = Field(
+        default_factory=lambda: GlobalShutter(0.01), description="when the sensor's rows are open"
+    )
     exposure: ExposureConfig = Field(default_factory=ExposureConfig)
     noise: NoiseConfig = Field(default_factory=NoNoise)
 

@@ -11,10 +11,13 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from simulator import plugins
+from simulator.camera.shutter import read_row_shutter
 from simulator.config.camera import RowWindows
 from simulator.config.schema import Config
 from simulator.config.yaml import Origins, apply_overrides, read_yaml
 from simulator.errors import InputError
+from simulator.optics.materials import load_material
+from simulator.optics.spectra import camera_curves, illuminant_curve
 from simulator.text import KeyPath, show
 from simulator.validation import Problem, find_problems, validate
 
@@ -206,21 +209,14 @@ def _file_problems(config: Config) -> list[Problem]:
     }
     if (captured := getattr(config.psf, "as_captured", None)) is not None:
         curves["psf", "as_captured", "illuminant"] = captured.illuminant
-    # What reads them imports NumPy, which a plain camera does not need.
     checks: dict[KeyPath, Callable[[], object]] = {}
     for path, name in materials.items():
         if isinstance(name, str):
-            from simulator.optics.materials import load_material
-
             checks[path] = partial(load_material, name, base_dir)
     for path, name in curves.items():
         if isinstance(name, str) and name.lower().endswith((".csv", ".json")):
-            from simulator.optics.spectra import camera_curves, illuminant_curve
-
             checks[path] = partial(illuminant_curve if path[-1] == "illuminant" else camera_curves, name, base_dir)
     if isinstance(camera.shutter, RowWindows) and camera.shutter.file is not None:
-        from simulator.camera.shutter import read_row_shutter
-
         file, sensor = config.resolve_path(camera.shutter.file), camera.sensor
         checks["camera", "shutter", "file"] = partial(read_row_shutter, file, sensor.shape[0], sensor.binning)
     problems = []

@@ -9,8 +9,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from simulator.config.camera import IlluminantConfig, Led
-from simulator.config.sections import Range, Section, refusal
+from simulator.config.camera import IlluminantConfig
+from simulator.config.sections import Section, refusal
+from simulator.optics.spectra import Led
+from simulator.optics.stack import depth_planes
+from simulator.settings import Range
 
 _IN_FRONT = "depths are measured from the mask into the scene, so they are positive"
 Depth = Annotated[float, Range(0.01, 1e7, "cm", infinite=True, below=_IN_FRONT)]
@@ -66,8 +69,6 @@ class Planes(Section):
     @property
     def depths_m(self) -> tuple[float, ...]:
         """The planes, metres from the mask, nearest first; the last may be ``inf``."""
-        from simulator.optics.stack import depth_planes  # imports NumPy, which checking a configuration does not need
-
         if self.depths_cm is not None:
             return tuple(depth * 1e-2 for depth in self.depths_cm)
         assert self.far_cm is not None
@@ -105,7 +106,7 @@ class AsCaptured(Section):
         default=25.0, description="diameter of the point source (a pinhole before a light), micrometres"
     )
     illuminant: IlluminantConfig = Field(
-        default=(Led(led_nm=630, fwhm_nm=18), Led(led_nm=530, fwhm_nm=33), Led(led_nm=465, fwhm_nm=22)),
+        default_factory=lambda: (Led(630e-9, 18e-9), Led(530e-9, 33e-9), Led(465e-9, 22e-9)),
         description="light of the source, as in camera.illuminant, or the word camera for the same as there",
     )
     depth_offset_mm: Annotated[float, Range(-1e3, 1e3, "mm")] = Field(

@@ -8,12 +8,13 @@ from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from simulator.camera.shutter import Shutter, shutter_from_record, shutter_record
+from simulator.camera.shutter import KINDS, Shutter, shutter_from_record, shutter_record
 from simulator.dataset.fingerprint import deciding, difference, hash_parts
 from simulator.dataset.sample import SPLITS
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
 from simulator.io.json import plain, readable_json
+from simulator.settings import fields_from
 
 FILE = "dataset.json"
 _SHUTTER = f"{FILE}: time.shutter"
@@ -148,7 +149,6 @@ def _expect(name: str, fits: bool, wanted: str, value: object) -> None:
 
 
 _CURE = "restore it from a copy"
-_SECONDS = {"exposure_ms": ("exposure_s", 1e-3), "line_time_us": ("line_time_s", 1e-6)}
 _MOST_ROWS = 1 << 20  # of a sensor, physical: more are a damaged number
 
 
@@ -208,8 +208,5 @@ def _of_configuration(config: Mapping[str, Any]) -> dict[str, Any]:
     chosen, binning = dict(camera["shutter"]), camera.get("sensor", {}).get("binning", 1)
     if chosen["type"] == "windows":
         return {"type": "windows", "binning": binning}
-    record = {"binning": binning}
-    for name, value in chosen.items():
-        field, scale = _SECONDS.get(name, (name, None))
-        record[field] = value if scale is None else value * scale
+    record = fields_from(KINDS[chosen["type"]], chosen) | {"binning": binning}
     return shutter_record(shutter_from_record(record))

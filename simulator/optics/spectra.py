@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.io.files import read_text
 from simulator.io.tables import NM, ordered, read_wavelength_table
+from simulator.settings import Quantity, Range, Settings
 from simulator.types import Refractive, SpectralResponse
 
 COLOURS = ("R", "G", "B")
@@ -57,18 +58,18 @@ class SpectralCurves:
 
 
 @dataclass(frozen=True)
-class Led:
+class Led(Settings):
     """A light-emitting diode, its spectrum taken as a Gaussian in wavelength.
 
     Attributes:
-        centre_m: wavelength of the peak, metres.
-        fwhm_m: full width at half maximum, metres.
-        power: radiant power relative to other LEDs of the same light.
+        centre_m: wavelength of the peak.
+        fwhm_m: full width at half maximum.
+        power: radiant power relative to the other LEDs.
     """
 
-    centre_m: float
-    fwhm_m: float
-    power: float = 1.0
+    centre_m: Annotated[float, Quantity(200, 2000, "nm", key="led_nm")]
+    fwhm_m: Annotated[float, Quantity(1, 300, "nm", key="fwhm_nm", below="narrower lines look the same to a camera")]
+    power: Annotated[float, Range(1e-6, 1e6)] = 1.0
 
 
 def curve_file(name: str, base_dir: Path | None = None) -> Path | None:

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from simulator.plugin_listing import documented_arguments, parameter_lines, plugin_lines, plugin_table
+from simulator.plugin_listing import parameter_lines, plugin_lines, plugin_table
 from simulator.plugins import available, resolve
+from simulator.text import documented
 
 DESIGN = '''
 """A design of the tests (Nobody, J. Test. 1, 1, 2001).
@@ -98,7 +99,7 @@ def test_the_table_of_a_terminal_holds_the_same(plugin) -> None:
 
 def test_every_parameter_of_every_shipped_design_has_a_meaning() -> None:
     for docstring in ("", "Do it.", "Do it.\n\nReturns:\n    args: none."):
-        assert documented_arguments(docstring) == {}
+        assert documented(docstring, "Args") == {}
     for name in available("mask"):
         for line in parameter_lines(resolve("mask", name)):
             assert line.meaning, f"{name}: {line.name}"
