@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -59,6 +60,12 @@ _REPLACEABLE = (
     "peak_quantum_efficiency",
 )
 _OWN_PACKAGES = ("simulator", "scenes", "psf_library")
+_KEYS = {  # of arguments that parts refuse
+    "illuminant": "camera.illuminant",
+    "spectral_response": "camera.sensor.spectral_response",
+    "shape": "camera.sensor.shape",
+    "black_level_dn": "camera.sensor.black_level_dn",
+}
 _CHECKS = {"model": "exact PSFs", "direct_sum": "direct sums", "field_angle": "field angles"}
 
 Progress = Callable[[str, int, int], None]  # (what, done, total)
@@ -147,7 +154,8 @@ class Assembly:
     @cached_property
     def response(self) -> SpectralResponse:
         """The relative photon weights of the camera's channels under the configuration's light."""
-        return spectral_response(self._camera, self._illuminant, self.config.base_dir)
+        with _named_keys():
+            return spectral_response(self._camera, self._illuminant, self.config.base_dir)
 
     @cached_property
     def electron_rates(self) -> dict[str, float]:
@@ -429,16 +437,17 @@ class Assembly:
             own["pixel_pitch_m"] = chosen.pixel_pitch_um * 1e-6
         if chosen.prnu_percent is not None:
             own["prnu"] = chosen.prnu_percent * 1e-2
-        return Sensor(
-            name=chosen.model,
-            binning=chosen.binning,
-            shape=chosen.shape,
-            readout=chosen.readout,
-            cfa=chosen.cfa or _CFA,
-            pattern_seed=chosen.pattern_seed,
-            noise=self.config.camera.noise,
-            **MODELS[chosen.model] | own,
-        )
+        with _named_keys():
+            return Sensor(
+                name=chosen.model,
+                binning=chosen.binning,
+                shape=chosen.shape,
+                readout=chosen.readout,
+                cfa=chosen.cfa or _CFA,
+                pattern_seed=chosen.pattern_seed,
+                noise=self.config.camera.noise,
+                **MODELS[chosen.model] | own,
+            )
 
     @cached_property
     def _shutter_plugin(self) -> Plugin | None:
@@ -487,6 +496,17 @@ class Assembly:
         return hashlib.sha256(
             repr((self._camera, self._illuminant, hashes, code_digest(*modules))).encode()
         ).hexdigest()
+
+
+@contextmanager
+def _named_keys() -> Iterator[None]:
+    """Name the configuration's key in the refusal of a part's argument."""
+    try:
+        yield
+    except InputError as error:
+        if error.path not in _KEYS:
+            raise
+        raise InputError(_KEYS[error.path], error.reason) from error
 
 
 def _own_code(plugin: Plugin) -> list[Path]:

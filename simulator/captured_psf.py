@@ -152,6 +152,6 @@ def _lit(assembly: Assembly, chosen: AsCaptured) -> tuple[CameraGeometry, list[L
         check_materials(lit.response, lines, [layer.material for layer in (*lit.gap, *lit.window)])
     except InputError as error:
         raise InputError(
-            "psf.as_captured.illuminant", error.reason if error.path == "illuminant" else str(error)
+            "psf.as_captured.illuminant", error.reason if error.path == "camera.illuminant" else str(error)
         ) from error
     return lit, lines
