@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from typing import Any
 
 import numpy as np
@@ -97,9 +97,9 @@ def clip_order(source: SceneSource) -> ClipOrder | None:
     Raises:
         InputError: the source has no clip, or its ``groups`` do not fit.
     """
-    if not hasattr(source, "__len__"):
+    if not isinstance(source, Sized):
         return None
-    length: int = len(source)  # type: ignore[arg-type]
+    length = len(source)
     groups = getattr(source, "groups", None)
     if groups is None:
         return ClipOrder(length)
