@@ -16,7 +16,7 @@ import numpy as np
 from simulator.camera.colour import CameraColour, fit_camera_colour
 from simulator.camera.forward import DepthRule, ForwardModel
 from simulator.camera.planes import mask_irradiance
-from simulator.camera.sensor import MODELS, Sensor
+from simulator.camera.sensor import Sensor
 from simulator.camera.shutter import Shutter, read_row_shutter, row_shutter
 from simulator.config import Config
 from simulator.config.camera import GapLayer, RowWindows
@@ -48,23 +48,10 @@ from simulator.types import CameraGeometry, Layer, SceneSource, SpectralResponse
 EQUIVALENT_WAVELENGTH_M = 550e-9
 """Where a layer's thickness becomes a distance in air: the middle of the visible."""
 
-_CFA = "RGGB"
-_REPLACEABLE = (
-    "full_well_e",
-    "read_noise_e",
-    "row_noise_e",
-    "dark_current_e_per_s",
-    "dsnu_e",
-    "black_level_dn",
-    "bit_depth",
-    "peak_quantum_efficiency",
-)
 _OWN_PACKAGES = ("simulator", "scenes", "psf_library")
 _KEYS = {  # of arguments that parts refuse
     "illuminant": "camera.illuminant",
     "spectral_response": "camera.sensor.spectral_response",
-    "shape": "camera.sensor.shape",
-    "black_level_dn": "camera.sensor.black_level_dn",
 }
 _CHECKS = {"model": "exact PSFs", "direct_sum": "direct sums", "field_angle": "field angles"}
 
@@ -107,7 +94,7 @@ class Assembly:
     @cached_property
     def pixel_pitch_m(self) -> float:
         """Pitch of the stored (binned) values, metres."""
-        return self._bare_sensor.binned_pitch_m
+        return self.config.camera.sensor.binned_pitch_m
 
     @cached_property
     def gap(self) -> tuple[Layer, ...]:
@@ -228,7 +215,9 @@ class Assembly:
     def psf_stack(self) -> PsfStack:
         """The PSF stack: computed (and cached on disk), or measured."""
         if not isinstance(self.config.psf, ComputedPsf):
-            return measured_stack(self.config, self.config.psf, self._bare_sensor, self.mask_to_sensor_m, self.gap)
+            return measured_stack(
+                self.config, self.config.psf, self.config.camera.sensor.sensor(), self.mask_to_sensor_m, self.gap
+            )
         mask, geometry, psf_config = self.mask, self.geometry, self.psf_config
         assert mask is not None
         lines = quantile_lines(geometry.response, psf_config.wavelengths_per_channel)
@@ -322,7 +311,8 @@ class Assembly:
             exposure_s = tuple(self.shutter.exposures_s(camera.sensor.shape[0])[::-1].tolist())
         else:
             exposure_s = camera.shutter.exposure_s
-        return replace(self._bare_sensor, exposure_s=exposure_s, responsivity=responsivity)
+        bare = camera.sensor.sensor(camera.noise)
+        return replace(bare, exposure_s=exposure_s, responsivity=responsivity)
 
     @cached_property
     def fixed_exposure(self) -> dict[str, Any] | None:
@@ -425,29 +415,6 @@ class Assembly:
         return [*files, *self.source.inputs]
 
     # ---- what the parts share
-
-    @cached_property
-    def _bare_sensor(self) -> Sensor:
-        """The sensor without what the shutter and the light decide: the model's numbers, some replaced."""
-        chosen = self.config.camera.sensor
-        if chosen.model not in MODELS:
-            raise InputError("camera.sensor.model", f"got {chosen.model!r}, expected one of {', '.join(MODELS)}")
-        own = {name: value for name in _REPLACEABLE if (value := getattr(chosen, name)) is not None}
-        if chosen.pixel_pitch_um is not None:
-            own["pixel_pitch_m"] = chosen.pixel_pitch_um * 1e-6
-        if chosen.prnu_percent is not None:
-            own["prnu"] = chosen.prnu_percent * 1e-2
-        with _named_keys():
-            return Sensor(
-                name=chosen.model,
-                binning=chosen.binning,
-                shape=chosen.shape,
-                readout=chosen.readout,
-                cfa=chosen.cfa or _CFA,
-                pattern_seed=chosen.pattern_seed,
-                noise=self.config.camera.noise,
-                **MODELS[chosen.model] | own,
-            )
 
     @cached_property
     def _shutter_plugin(self) -> Plugin | None:

@@ -6,9 +6,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
-from simulator.camera.noise import GaussianNoise, NoNoise, PhysicalNoise
+from simulator.camera.noise import GaussianNoise, Noise, NoNoise, PhysicalNoise
+from simulator.camera.sensor import MODELS, Sensor
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter
 from simulator.config.sections import PluginSection, Section, refusal
+from simulator.errors import InputError
 from simulator.optics.spectra import Led
 from simulator.settings import Range
 from simulator.text import nearest, show
@@ -112,6 +114,7 @@ ShutterConfig = Annotated[
 
 Pixels = Annotated[int, Range(1, 32768, below="a picture has at least one pixel on each side")]
 Shape = tuple[Pixels, Pixels]
+_CFA = "RGGB"
 _NEAREST_MM = 0.05  # from the mask to the sensor
 
 
@@ -174,13 +177,41 @@ class SensorConfig(Section):
     )
 
     @model_validator(mode="after")
-    def _pattern_of_a_mosaic(self) -> Self:
+    def _a_sensor_that_can_be(self) -> Self:
         if self.cfa is not None and self.readout != "bayer":
             text = (
                 f"got {self.cfa} with readout {self.readout}, whose values have all colours; leave it out, or set bayer"
             )
             raise refusal(text, "cfa", on_key=True)
+        if self.model not in MODELS:
+            raise refusal(f"got {self.model!r}, expected one of {', '.join(MODELS)}", "model")
+        try:
+            self.sensor()
+        except InputError as error:
+            raise refusal(error.reason, error.path) from error
         return self
+
+    @property
+    def binned_pitch_m(self) -> float:
+        """Pitch of the stored (binned) values, metres."""
+        physical_m = MODELS[self.model]["pixel_pitch_m"] if self.pixel_pitch_um is None else self.pixel_pitch_um * 1e-6
+        return physical_m * self.binning
+
+    def sensor(self, noise: Noise = NoNoise()) -> Sensor:  # noqa: B008 (frozen)
+        """Return the sensor: the model's numbers, with those that are given in their place."""
+        own = {name: getattr(self, name) for name in MODELS[self.model].keys() & type(self).model_fields.keys()}
+        own["pixel_pitch_m"] = None if self.pixel_pitch_um is None else self.pixel_pitch_um * 1e-6
+        own["prnu"] = None if self.prnu_percent is None else self.prnu_percent * 1e-2
+        return Sensor(
+            name=self.model,
+            binning=self.binning,
+            shape=self.shape,
+            readout=self.readout,
+            cfa=self.cfa or _CFA,
+            pattern_seed=self.pattern_seed,
+            noise=noise,
+            **MODELS[self.model] | {name: value for name, value in own.items() if value is not None},
+        )
 
 
 class ExposureConfig(Section):

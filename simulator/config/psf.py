@@ -71,11 +71,12 @@ class Planes(Section):
         """The planes, metres from the mask, nearest first; the last may be ``inf``."""
         if self.depths_cm is not None:
             return tuple(depth * 1e-2 for depth in self.depths_cm)
+        assert self.near_cm is not None
         assert self.far_cm is not None
         assert self.depths is not None
         if self.depths == 1:
-            return (self.nearest_cm * 1e-2,)
-        planes = depth_planes(self.nearest_cm * 1e-2, self.far_cm * 1e-2, self.depths, self.spacing)
+            return (self.near_cm * 1e-2,)
+        planes = depth_planes(self.near_cm * 1e-2, self.far_cm * 1e-2, self.depths, self.spacing)
         return tuple(float(depth) for depth in planes)
 
 

@@ -229,8 +229,6 @@ class TestSources:
     [
         ({"illuminant": "Bengal"}, "camera.illuminant"),
         ({"sensor": {"shape": [48, 60], "spectral_response": "eye"}}, "camera.sensor.spectral_response"),
-        ({"sensor": {"shape": [48, 60], "model": "imx999"}}, "camera.sensor.model"),
-        ({"sensor": {"shape": [480, 600], "binning": 10}}, "camera.sensor.shape"),
     ],
 )
 def test_unknown_names_list_the_known_ones(trial, camera: dict, key: str) -> None:

@@ -53,3 +53,16 @@ def test_one_line_of_each(write):
     assert (bayer.camera.sensor.readout, bayer.camera.sensor.cfa) == ("bayer", None)
     thesis = load_config(write("noise: {type: gaussian, psnr_db: 40}", "noise: {type: gaussian, std: 0.005}"))
     assert thesis.camera.noise.type == "gaussian"
+
+
+@pytest.mark.parametrize(
+    ("sensor", "key"),
+    [
+        ({"shape": [48, 60], "model": "imx999"}, "camera.sensor.model"),
+        ({"shape": [480, 600], "binning": 10}, "camera.sensor.shape"),
+        ({"shape": [48, 60], "bit_depth": 4, "black_level_dn": 15}, "camera.sensor.black_level_dn"),
+    ],
+)
+def test_a_sensor_that_cannot_be_is_refused_in_the_file(trial, sensor: dict, key: str) -> None:
+    with pytest.raises(InputError, match=rf"trial\.yaml:\d+:\d+: {key}: "):
+        load_config(trial.write(camera={"sensor": sensor}))
