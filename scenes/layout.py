@@ -35,10 +35,8 @@ def far_end(view: View) -> float:
         InputError: when near and far are too close for solids to fit in between.
     """
     if math.isinf(view.near_m):
-        raise InputError(
-            "scene",
-            "the PSF's only plane lies at infinity, where solids have no size; set scene.near_cm and scene.far_cm",
-        )
+        reason = "the PSF's only plane lies at infinity, where solids have no size; set scene.near_cm and scene.far_cm"
+        raise InputError("scene", reason)
     if math.isinf(view.far_m):
         return _DEPTHS_OF_INFINITY * view.near_m
     if not view.far_m >= _LEAST_RATIO * view.near_m:
@@ -53,13 +51,9 @@ def far_end(view: View) -> float:
 def place_balls(view: View, count: int, rng: np.random.Generator) -> list[Ball]:
     """Draw ``count`` balls, each wholly between near and far, with centres in view; they seldom overlap.
 
-    The nearest points of the balls are uniform in disparity (1/z). A ball of relative size s = radius / centre depth
-    has its nearest point at (1 - s) and its farthest at (1 + s) of the centre's depth, which bounds s.
-
-    Args:
-        view: the frustum.
-        count: how many balls; their size in the image falls with its square root, so that coverage stays about the same.
-        rng: decides everything.
+    The nearest points of the balls are uniform in disparity (1/z). A ball of relative size s = radius / centre depth has
+    its nearest point at (1 - s) and its farthest at (1 + s) of the centre's depth, which bounds s. Sizes in the image
+    fall with the square root of the count, so that coverage stays about the same.
     """
     near, far = view.near_m * (1 + _MARGIN), far_end(view) * (1 - _MARGIN)
     half = np.array([view.tan_half_width, view.tan_half_height])

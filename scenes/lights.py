@@ -14,12 +14,10 @@ _MOST_WINDOWS = 3
 
 
 def draw_room(rng: np.random.Generator, radiance: float, warmth: float) -> EnvironmentMap:
-    """Draw a room around a scene.
+    """Draw a room around a scene: contrast of ceiling and floor; number, place, size and strength of the windows.
 
-    Args:
-        rng: decides contrast of ceiling and floor, number, place, size and strength of the windows.
-        radiance: of a white matt surface that faces the camera, if nothing stood in the light's way.
-        warmth: of the whole room, see `tint`.
+    ``radiance`` is that of a white matt surface that faces the camera if nothing stood in the light's way; for ``warmth`` see
+    `tint`.
     """
     down, across, weight = _grid()
     ceiling, floor = rng.uniform(0.8, 1.5), rng.uniform(0.3, 0.9)

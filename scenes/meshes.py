@@ -84,14 +84,9 @@ class UnitMesh:
 
 
 def placed(mesh: UnitMesh, material: Material, centre_m: ArrayLike, size_m: ArrayLike, turn: Array) -> TriangleMesh:
-    """Return a unit mesh as a thing of a scene.
+    """Return a unit mesh as a thing of a scene: its origin at ``centre_m``, turned by a rotation matrix to the world's axes.
 
-    Args:
-        mesh: inside the unit ball.
-        material: of its surface.
-        centre_m: where its origin goes, metres.
-        size_m: metres per unit, one number or one for each of its own axes.
-        turn: rotation matrix from its own axes to the world's.
+    ``size_m`` is metres per unit, one number or one for each of the mesh's own axes.
     """
     scale = np.broadcast_to(np.asarray(size_m, dtype=float), 3)
     normals = mesh.normals / scale

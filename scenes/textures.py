@@ -213,14 +213,10 @@ _GRAINS = 4
 
 @functools.cache
 def pattern_pool(size: int) -> NDArray[np.uint8]:
-    """Return ``(N, size, size)`` tileable patterns, 0..255; the same in every process.
-
-    Args:
-        size: pixels along an edge.
-    """
+    """Return ``(N, size, size)`` tileable patterns, 0..255; the same in every process."""
     rng = np.random.default_rng(_POOL_SEED)
-    pool = [_as_bytes(pattern(size, rng)) for _ in range(_VARIANTS) for pattern in PATTERNS]
-    return np.stack(pool)
+    pool = [np.clip(pattern(size, rng), 0, 1) for _ in range(_VARIANTS) for pattern in PATTERNS]
+    return np.rint(255 * np.stack(pool)).astype(np.uint8)
 
 
 @functools.cache
@@ -232,12 +228,11 @@ def _grain_pool(size: int) -> NDArray[np.float32]:
 
 
 def draw_reflectance(rng: np.random.Generator, colours: NDArray[np.float32], size: int) -> NDArray[np.float32]:
-    """Draw a pattern and paint it: linear RGB ``(size, size, 3)``, within 0.01..0.92, tileable.
+    """Draw a pattern, its offset and grain, and whether its colours blend or step.
 
-    Args:
-        rng: decides pattern, offset, grain, and whether the colours blend or step.
-        colours: ``(n, 3)`` linear RGB, n >= 2, from the pattern's dark end to its light end.
-        size: pixels along an edge.
+    Returns:
+        Tileable linear RGB ``(size, size, 3)`` in 0.01..0.92, of ``colours`` ``(n, 3)``, n >= 2, from its dark end to its
+        light end.
     """
     pool, grains = pattern_pool(size), _grain_pool(size)
     pattern = pool[rng.integers(len(pool))]
@@ -264,7 +259,3 @@ def _colour_table(colours: NDArray[np.float32], *, stepped: bool) -> NDArray[np.
         return colours[np.minimum((level * len(colours)).astype(int), len(colours) - 1)]
     stops = np.linspace(0.0, 1.0, len(colours))
     return np.stack([np.interp(level, stops, colours[:, channel]) for channel in range(3)], axis=1).astype(np.float32)
-
-
-def _as_bytes(pattern: NDArray[np.float64]) -> NDArray[np.uint8]:
-    return np.rint(255 * np.clip(pattern, 0, 1)).astype(np.uint8)

@@ -116,14 +116,7 @@ class Parameters:
 
 
 def draw_parameters(action: str, view: View, rng: np.random.Generator, *, duration_s: float = 5 / 3) -> Parameters:
-    """Draw everything of a clip, without rendering; the action takes no part in any draw.
-
-    Args:
-        action: one of `ACTIONS`.
-        view: image shape, pinhole geometry and depth range.
-        rng: decides everything but the action.
-        duration_s: of the clip, in the set's time.
-    """
+    """Draw everything of a clip of a duration in the set's time, without rendering; the action takes no part in any draw."""
     viewpoint = draw_viewpoint(view, rng)
     light, lights = draw_lights(viewpoint, rng)
     thing = draw_thing(rng)

@@ -378,13 +378,9 @@ class HandLook:
 
 
 def posed_hand(look: HandLook, bones: Bones, frame: Array, wrist_m: Array) -> TriangleMesh:
-    """Return the hand in a pose.
+    """Return the hand in a pose, given by the bones of a right hand of size 1, with its wrist at a place in metres.
 
-    Args:
-        look: material, size and side.
-        bones: the pose of a right hand of size 1; a left hand mirrors it.
-        frame: ``(3, 3)``: columns are the hand's x, y and z axes; left-handed axes for a left hand.
-        wrist_m: where the wrist is, metres.
+    Columns of ``frame`` (3, 3) are the hand's x, y and z axes: left-handed axes for a left hand, which mirrors the bones.
     """
     surface = hand_surface()
     rest = surface.mesh.vertices * (1, 1, look.slim)

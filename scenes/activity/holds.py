@@ -164,13 +164,10 @@ class Actor:
         return np.array([place[0], -self.elbow_m, place[2]])
 
     def gripping(self, point_m: Array, width_m: float, shoulder_m: Array, turn: Array | None = None) -> HandState:
-        """Return the hand that grips what is ``width_m`` wide at a point.
+        """Return the hand whose thumb's and fingers' pads, ``width_m`` apart, have their middle at a point.
 
-        Args:
-            point_m: middle between the thumb's and the fingers' pads.
-            width_m: between the pads.
-            shoulder_m: of `shoulder`, for a fixed point of the action.
-            turn: by which hand and thing are turned about the point.
+        The arm comes from ``shoulder_m`` (of `shoulder`, for a fixed point of the action); hand and thing are turned
+        about the point.
         """
         held = grip(width_m / self.size)
         approach = math.cos(self.elevation_rad) * self.forwards - math.sin(self.elevation_rad) * _UP

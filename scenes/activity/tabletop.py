@@ -122,11 +122,7 @@ def _too_thin(view: View, needed_m: float) -> InputError:
 
 
 def check_range(view: View) -> None:
-    """Refuse a view in whose depth range some viewpoints do not fit.
-
-    Raises:
-        InputError: naming the far depth that is needed.
-    """
+    """Refuse a view in whose depth range some viewpoints do not fit (InputError with the far depth that is needed)."""
     reach, needed = far_end(view), 0.0
     for pitch in np.linspace(*_PITCH_RAD, 9):
         for roll in (-_ROLL_RAD, _ROLL_RAD):

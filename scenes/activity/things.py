@@ -141,12 +141,7 @@ _OCTAHEDRON_FACES = np.array([(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0,
 
 
 def grains_mesh(centres_m: Array, radii_m: Array) -> UnitMesh:
-    """Return many small pieces as one mesh, in metres.
-
-    Args:
-        centres_m: ``(N, 3)``.
-        radii_m: ``(N,)``.
-    """
+    """Return many small pieces as one mesh in metres, from centres ``(N, 3)`` and radii ``(N,)``."""
     count = len(centres_m)
     vertices = centres_m[:, np.newaxis] + radii_m[:, np.newaxis, np.newaxis] * _OCTAHEDRON
     faces = _OCTAHEDRON_FACES + 6 * np.arange(count)[:, np.newaxis, np.newaxis]

@@ -175,11 +175,7 @@ class Endoscopy:
 
 
 def check_view(view: View, organs: tuple[str, ...]) -> None:
-    """Refuse a view whose depth range cannot hold an organ.
-
-    Raises:
-        InputError: naming the key of the configuration and the value that would do.
-    """
+    """Refuse a view whose depth range cannot hold an organ (InputError with the key and the value that would do)."""
     corner = math.hypot(view.tan_half_width, view.tan_half_height)
     for name in organs:
         organ = ORGANS[name]
@@ -205,12 +201,8 @@ def draw_shot(
 ) -> tuple[Wall, list[Pose]]:
     """Draw an organ, and poses inside it at which all that is seen lies within near..far.
 
-    Args:
-        view: the camera's view.
-        organ: a key of `scenes.endoscopy.organs.ORGANS`.
-        travel_m: ``(T,)`` how far the camera has moved along the organ in each frame.
-        seconds: ``(T,)`` time of each frame.
-        rng: decides everything.
+    ``travel_m`` ``(T,)`` is how far the camera has moved along the organ in each frame, ``seconds`` ``(T,)`` the frame's
+    time.
     """
     kind = ORGANS[organ]
     deepest = min(_DEEPEST * view.far_m, kind.longest_m)

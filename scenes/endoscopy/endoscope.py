@@ -44,16 +44,10 @@ def draw_poses(
     bend: float,
     rng: np.random.Generator,
 ) -> list[Pose]:
-    """Draw how the tip goes along a course: beside its middle, tilted, rolled, and swaying a little.
+    """Draw how the tip goes along a centreline: beside it by ``loose_m`` at most, tilted, rolled, and swaying a little.
 
-    Args:
-        course: the organ's centreline.
-        arcs_m: ``(T,)`` arc length of the camera in each frame.
-        seconds: ``(T,)`` time of each frame.
-        loose_m: farthest from the centreline.
-        widest_rad: largest tilt.
-        bend: 0 looks straight along the centreline from its middle, 1 as freely as ever.
-        rng: decides everything.
+    ``arcs_m`` ``(T,)`` are the camera's arc lengths, ``seconds`` ``(T,)`` the frames' times, ``widest_rad`` the largest
+    tilt; with ``bend`` 0 it looks straight along the centreline from its middle, with 1 as freely as ever.
     """
     side, roll = rng.uniform(0, 2 * math.pi, 2)
     away = bend * loose_m * math.sqrt(rng.uniform(0, 1))
@@ -155,13 +149,9 @@ class Glance:
 def glance(view: View, vertices_m: Array, faces: NDArray[np.integer]) -> Glance:
     """Follow 9 x 9 rays, evenly over the image and to its very edges, to the nearest face that looks at the camera.
 
-    A ray r meets the triangle (a, b, c) where the triple products r.(a x b), r.(b x c), r.(c x a) agree in sign; their sum is
-    r.n with the normal n, and the depth is a.n / r.n (homogeneous rasterisation, Olano and Greer, 1997).
-
-    Args:
-        view: the camera's view.
-        vertices_m: ``(V, 3)`` in the camera's coordinates.
-        faces: ``(F, 3)``.
+    A ray r meets the triangle (a, b, c) where the triple products r.(a x b), r.(b x c), r.(c x a) agree in sign; their
+    sum is r.n with the normal n, and the depth is a.n / r.n (homogeneous rasterisation, Olano and Greer, 1997). Vertices
+    ``(V, 3)`` are in the camera's coordinates.
     """
     columns = np.linspace(-1, 1, _RAYS) * view.tan_half_width
     points, met = [np.empty((0, 3))], [np.empty(0, np.int64)]

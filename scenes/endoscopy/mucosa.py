@@ -53,12 +53,7 @@ LININGS = {
 
 
 def draw_mucosa(organ: str, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Draw the lining of one patient: linear RGB ``(SIZE, SIZE, 3)`` within 0.01..0.9, tileable.
-
-    Args:
-        organ: a key of `LININGS`.
-        rng: decides hue, strength of the vessels, which patterns are taken and where.
-    """
+    """Draw the lining of a patient's organ (a key of `LININGS`): linear RGB ``(SIZE, SIZE, 3)`` in 0.01..0.9, tileable."""
     lining = LININGS[organ]
     vessels = vessel_pool()[rng.integers(_VARIANTS)]
     slow, fast = _cloud_pool()
@@ -98,15 +93,10 @@ def _cloud_pool() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
 
 
 def draw_vessels(trees: int, calibre_px: float, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Draw branching vessels on a torus, ``(SIZE, SIZE)``, 0..255.
+    """Draw branching vessels on a torus, ``(SIZE, SIZE)``, 0..255, from some trunks of a radius in pixels.
 
     A vessel wanders, and forks into two with r0^3 = r1^3 + r2^3 (Murray's law) until it is finer than a third of a pixel;
     each fork is as likely in any stretch of the same length, and thin vessels fork and wander more.
-
-    Args:
-        trees: how many start.
-        calibre_px: radius of the trunks.
-        rng: decides everything.
     """
     density = np.zeros((SIZE, SIZE))
     place, heading = rng.uniform(0, SIZE, (trees, 2)), rng.uniform(0, 2 * math.pi, trees)

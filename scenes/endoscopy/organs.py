@@ -71,12 +71,8 @@ class Wall:
 def draw_course(start_m: float, end_m: float, tightest_m: float, bend: float, rng: np.random.Generator) -> Course:
     """Draw a centreline from gentle random bends and one sharper turn (a flexure) in its farther half.
 
-    Args:
-        start_m: arc length of its beginning, not positive.
-        end_m: arc length of its end.
-        tightest_m: least radius of curvature; above the organ's own radius, so that the wall never crosses itself.
-        bend: 0 is straight along z, 1 the liveliest.
-        rng: decides everything.
+    It runs from the arc length ``start_m``, not positive, to ``end_m``; its least radius of curvature ``tightest_m`` is
+    above the organ's own radius, so that the wall never crosses itself. ``bend`` 0 is straight along z, 1 the liveliest.
     """
     nodes = math.ceil((end_m - start_m) / _NODE_M) + 1
     step = (end_m - start_m) / (nodes - 1)
@@ -133,14 +129,9 @@ def fold_rows(folds_m: Array, rows: int) -> tuple[NDArray[np.int64], Array, Arra
 
 
 def sweep(course: Course, arc_m: Array, radius_m: Array, *, tile_m: float, tiles_around: int) -> Wall:
-    """Sweep a wall around a course.
+    """Sweep a wall around a centreline, from the arc length and the distance of each of its points, both ``(R, C)``.
 
-    Args:
-        course: the centreline.
-        arc_m: ``(R, C)`` arc length of each point of the wall, increasing from row to row.
-        radius_m: ``(R, C)`` its distance from the centreline; column c lies at the angle 2 pi c / C.
-        tile_m: length of wall that one texture covers.
-        tiles_around: how many textures fit around.
+    Arc lengths increase from row to row; column c lies at the angle 2 pi c / C. One texture covers ``tile_m`` along the wall.
     """
     rows, columns = arc_m.shape
     angle = 2 * math.pi * np.arange(columns) / columns
@@ -164,29 +155,19 @@ def sweep(course: Course, arc_m: Array, radius_m: Array, *, tile_m: float, tiles
         points[:, again].reshape(-1, 3),
         normals[:, again].reshape(-1, 3),
         uv.reshape(-1, 2),
-        _wall_faces(rows, columns + 1),
+        grid_faces(rows, columns + 1)[:, ::-1],  # counter-clockwise seen from inside
     )
 
 
 def closing(arc_m: Array, end_m: float, cap_m: float) -> Array:
-    """Return the factor by which a wall's radius shrinks to nothing at its end, as an ellipsoid's does.
-
-    Args:
-        arc_m: arc lengths.
-        end_m: where it is closed.
-        cap_m: length over which it closes.
-    """
+    """Return the factor by which a wall that ends at ``end_m`` shrinks to nothing over ``cap_m``, as an ellipsoid does."""
     return np.sqrt(np.clip(1 - ((np.clip(arc_m, end_m - cap_m, end_m) - end_m + cap_m) / cap_m) ** 2, 0, 1))
 
 
 def relief(arc_m: Array, period_m: float, rng: np.random.Generator, *, fine: bool = False) -> Array:
     """Return bumps in -0.5..0.5 for the points ``(R, C)`` of a wall: clouds that repeat after ``period_m`` and a turn.
 
-    Args:
-        arc_m: arc length of each point.
-        period_m: length of wall after which they repeat.
-        rng: decides where the clouds begin.
-        fine: small bumps all alike, instead of large ones with small ones on them.
+    Fine ones are small and all alike, the others large with small ones on them.
     """
     rows = arc_m[:, 0] / period_m * _RELIEF_SIZE + rng.uniform(0, _RELIEF_SIZE)
     columns = np.arange(arc_m.shape[1]) / arc_m.shape[1] * _RELIEF_SIZE + rng.uniform(0, _RELIEF_SIZE)
@@ -197,11 +178,6 @@ def relief(arc_m: Array, period_m: float, rng: np.random.Generator, *, fine: boo
 @functools.cache
 def _clouds(slope: float) -> Array:
     return clouds(_RELIEF_SIZE, np.random.default_rng(_RELIEF_SEED), slope=slope) - 0.5
-
-
-def _wall_faces(rows: int, columns: int) -> NDArray[np.int64]:
-    """Triangles that run counter-clockwise seen from inside."""
-    return grid_faces(rows, columns)[:, ::-1]
 
 
 BEHIND_M = -2e-3

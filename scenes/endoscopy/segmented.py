@@ -51,12 +51,9 @@ class Segment:
 
 
 def read_segment(surface: Path, path: Path, voxel_size_mm: tuple[float, float, float]) -> Segment:
-    """Return a surface and its path, metres; read once per process unless a file changes.
+    """Return a surface (see `read_surface`) and the path along it, metres; read once per process unless a file changes.
 
-    Args:
-        surface: a file for `scenes.endoscopy.vtk_polydata.read_surface`.
-        path: JSON ``{"points": [[x, y, z], ...]}`` in the same units.
-        voxel_size_mm: millimetres per unit of x, y, z.
+    The path is JSON ``{"points": [[x, y, z], ...]}`` in the surface's units, of ``voxel_size_mm`` millimetres along x, y, z.
 
     Raises:
         InputError: when a file is missing or broken, or the path does not run along the surface.
@@ -97,12 +94,7 @@ def find_shot(
 ) -> tuple[Wall, list[Pose]]:
     """Draw poses on the way through a segment at which the wall in view lies within near..far; return what is ahead of them.
 
-    Args:
-        view: the camera's view.
-        segment: where.
-        travel_m: ``(T,)`` how far the camera has moved in each frame.
-        seconds: ``(T,)`` time of each frame.
-        rng: decides everything.
+    ``travel_m`` and ``seconds`` are those of `scenes.endoscopy.draw_shot`.
 
     Raises:
         InputError: when no pose is found.
@@ -170,13 +162,10 @@ def _read_path(path: Path) -> Array:
     try:
         points = np.asarray(json.loads(path.read_text(encoding="utf-8"))["points"], dtype=float)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(
-            "path", f'{path} is not {{"points": [[x, y, z], ...]}} in JSON ({type(error).__name__}: {error})'
-        ) from error
+        expected = '{"points": [[x, y, z], ...]} in JSON'
+        raise InputError("path", f"{path}: expected {expected}, got {type(error).__name__}: {error}") from error
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or not np.isfinite(points).all():
-        raise InputError(
-            "path", f"{path} holds points of shape {points.shape}, expected at least two of three finite numbers"
-        )
+        raise InputError("path", f"{path}: got points {points.shape}, expected at least two of three finite numbers")
     return points
 
 

@@ -50,15 +50,11 @@ def read_surface(path: Path) -> Surface:
         raise InputError("surface", f"there is no file {path}; expected a legacy .vtk or a mesh that trimesh reads")
     points, faces = read_vtk_polydata(path) if path.suffix.lower() == ".vtk" else _through_trimesh(path)
     if len(faces) == 0:
-        raise InputError(
-            "surface",
-            f"{path} has no faces, expected a surface of polygons; export it as a mesh, not as points or lines",
-        )
+        raise InputError("surface", f"{path} has no faces; export it as a mesh of polygons, not as points or lines")
     if not np.isfinite(points).all():
         number = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise InputError(
-            "surface", f"{path}: point {number} is {points[number].tolist()}, expected finite numbers; repair the mesh"
-        )
+        found = f"point {number} is {points[number].tolist()}"
+        raise InputError("surface", f"{path}: {found}, expected finite numbers; repair the mesh")
     return points, faces
 
 
@@ -93,9 +89,7 @@ class _Reader:
 
     def surface(self) -> Surface:
         if not self._line().startswith("# vtk DataFile"):
-            self._refuse(
-                "does not begin with '# vtk DataFile', so it is not legacy VTK; save it as legacy .vtk or .ply"
-            )
+            self._refuse("does not begin with '# vtk DataFile' as legacy VTK does; save it as legacy .vtk or .ply")
         self._line()  # a title
         kind, dataset = self._line().strip().upper(), self._words()
         if kind not in ("ASCII", "BINARY"):

@@ -168,7 +168,7 @@ class OwnFiles:
         if self.pose == "as_is":
             seen = clip.depth_m[clip.valid]
             self._check_seen(path, seen)
-            check_depths(str(path), seen, clip.valid.size, self.view)
+            check_depths(path, seen, clip.valid.size, self.view)
         return clip
 
     def _check_seen(self, path: Path, depth_m: np.ndarray) -> None:

@@ -46,22 +46,16 @@ def mesh_inputs(path: Path) -> list[Path]:
     """
     if not path.is_file():
         raise InputError(path, "no such file; expected a mesh (OBJ, PLY, STL, glTF or GLB)")
-    names = {".obj": _of_obj, ".ply": _of_ply, ".gltf": _of_gltf, ".glb": _of_gltf}.get(path.suffix.lower(), _nothing)
+    names = {".obj": _of_obj, ".ply": _of_ply, ".gltf": _of_gltf, ".glb": _of_gltf}.get(path.suffix.lower())
     found = [path]
-    for user, name in names(path):
+    for user, name in names(path) if names else ():
         file = user.parent / name
         if not file.is_file():
-            raise InputError(
-                user, f"it needs the file {name!r}, and there is none at {file}; put it there, or mend the name"
-            )
+            raise InputError(user, f"it needs {name!r}, and there is no file {file}; put it there, or mend the name")
         if file.suffix.lower() in _PICTURES:
             picture_shape(file)
         found.append(file)
     return list(dict.fromkeys(found))
-
-
-def _nothing(path: Path) -> Iterator[tuple[Path, str]]:
-    return iter(())
 
 
 def _of_obj(path: Path) -> Iterator[tuple[Path, str]]:
@@ -76,9 +70,7 @@ def _of_obj(path: Path) -> Iterator[tuple[Path, str]]:
         key, _, name = line.strip().partition(" ")
         if key.lower() == "map_kd":
             if name.strip().startswith("-"):
-                raise InputError(
-                    materials, f"its texture {line.strip()!r} has options, which are not read; remove them"
-                )
+                raise InputError(materials, f"options of the texture {line.strip()!r} are not read; remove them")
             yield path, name.strip()  # beside the OBJ file, even if its material file is elsewhere
 
 
@@ -110,7 +102,7 @@ def _gltf_tree(path: Path) -> dict[str, Any]:
         if path.suffix.lower() == ".glb":
             magic, _, _, length, kind = struct.unpack_from("<5I", content)
             if (magic, kind) != (_GLB_MAGIC, _GLB_JSON):
-                raise ValueError("wrong first bytes")
+                raise struct.error("wrong first bytes")
             content = content[20 : 20 + length]
         tree = json.loads(content)
     except (ValueError, struct.error) as error:
@@ -152,12 +144,7 @@ class Surface:
 
 
 def surface_of(mesh: Any, kept: NDArray[np.bool_], path: Path) -> Surface:
-    """Return how a ``trimesh.Trimesh`` looks.
-
-    Args:
-        mesh: the geometry.
-        kept: ``(F,)`` which of its faces count.
-        path: its file, which says whether vertex colours are sRGB (not in glTF).
+    """Return how the kept faces ``(F,)`` of a ``trimesh.Trimesh`` look; vertex colours are sRGB but in glTF files.
 
     Raises:
         InputError: when its texture is damaged.
@@ -206,7 +193,8 @@ def baked(colours: Array) -> tuple[Array, NDArray[np.float32]]:
 def _material(material: Any) -> tuple[Array, Any, float | None]:
     """Return a material's linear colour factor, its image or None, and its roughness."""
     if hasattr(material, "baseColorFactor"):  # glTF
-        factor = _scaled(material.baseColorFactor, 1.0)
+        factor = np.ones(3) if material.baseColorFactor is None else np.asarray(material.baseColorFactor)[:3]
+        factor = factor / (255.0 if factor.dtype == np.uint8 else 1.0)  # trimesh keeps factors as bytes
         given = material.roughnessFactor
         return factor, material.baseColorTexture, _coat(1.0 if given is None else float(given))
     image = material.image
@@ -220,14 +208,6 @@ def _material(material: Any) -> tuple[Array, Any, float | None]:
     # Blinn's exponent n is as wide as a microfacet coat of alpha^2 = 2 / (n + 2), and alpha = roughness^2 (Walter, 2007).
     roughness = (2 / (float(np.max(shine)) + 2)) ** 0.25 if strength > 0 else 1.0
     return factor, image, _coat(roughness)
-
-
-def _scaled(values: Any, default: float) -> Array:
-    """Return R, G, B as floats; trimesh keeps factors as bytes."""
-    if values is None:
-        return np.full(3, default)
-    array = np.asarray(values)
-    return array[:3] / (255.0 if array.dtype == np.uint8 else 1.0)
 
 
 def _coat(roughness: float) -> float | None:
@@ -301,10 +281,8 @@ class Model:
 def load_model(path: Path, up: Up = "auto", turn_degrees: float = 0.0) -> Model:
     """Return the mesh of a file; a process keeps the latest few.
 
-    Args:
-        path: the file.
-        up: which of its axes points up; ``auto`` is z for STL and y for all others.
-        turn_degrees: about the upright, to the right as seen from above.
+    ``up`` is the axis that points up: ``auto`` is z for STL and y for all others; ``turn_degrees`` turns about the
+    upright, to the right as seen from above.
 
     Raises:
         InputError: when it cannot be read, or has no faces, no size, or vertices that are not finite.
@@ -353,9 +331,8 @@ def _nodes(path: Path) -> list[tuple[Any, Array]]:
             scene = trimesh.load_scene(path, process=False)
     except Exception as error:  # trimesh raises whatever the broken bytes lead to
         _refuse_cut_stl(path)
-        raise InputError(
-            path, f"cannot be read as a mesh ({type(error).__name__}: {error}); export it again"
-        ) from error
+        reason = f"cannot be read as a mesh ({type(error).__name__}: {error}); export it again"
+        raise InputError(path, reason) from error
     placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
     found = [(scene.geometry[name], np.asarray(matrix, dtype=np.float64)) for matrix, name in placed]
     return [(mesh, matrix) for mesh, matrix in found if len(getattr(mesh, "faces", ()))]
@@ -374,9 +351,7 @@ def _triangles(path: Path, mesh: Any, matrix: Array, to_ours: Array) -> tuple[Ar
     cross = face_cross(places, faces)
     length = np.linalg.norm(cross, axis=1)
     if not length.max() > 0:
-        raise InputError(
-            path, "all its vertices lie on one line or point, so it has no size; check its unit and export it again"
-        )
+        raise InputError(path, "all its vertices lie on one line or point; check its unit and export it again")
     kept = length > 1e-12 * length.max()
     surface = surface_of(mesh, kept, path)
     faces, cross = faces[kept], cross[kept]
@@ -409,9 +384,8 @@ def _merged(pieces: list[tuple[Array, Array, Surface]]) -> list[Part]:
     groups: dict[tuple[Any, ...], list[tuple[Array, Array, Surface]]] = {}
     for piece in pieces:
         surface = piece[2]
-        groups.setdefault((id(surface.texture) if surface.texture is not None else None, surface.roughness), []).append(
-            piece
-        )
+        key = (None if surface.texture is None else id(surface.texture), surface.roughness)
+        groups.setdefault(key, []).append(piece)
     parts = []
     for (_, roughness), group in groups.items():
         corners = np.concatenate([corners for corners, _, _ in group])

@@ -72,22 +72,16 @@ def plane_depth(view: View, plane_cm: float | None) -> float:
 def picture_clip(path: Path, view: View, depth_m: float, outputs: tuple[str, ...], source: dict[str, Any]) -> Clip:
     """Return an image that fills the view, at one depth: one frame of 1 s.
 
-    The largest centred part of the view's proportions is taken, and averaged to the view's pixels.
-
-    Args:
-        path: the image.
-        view: image shape.
-        depth_m: of the plane.
-        outputs: of the renderer; the plane is shape 0, faces the camera and reflects nothing.
-        source: noted with the clip.
+    The largest centred part of the view's proportions is taken, and averaged to the view's pixels. Of the renderer's
+    ``outputs``, the plane is shape 0, faces the camera and reflects nothing.
 
     Raises:
-        InputError: when it cannot be read, or ``motion`` is asked of it.
+        InputError: when it cannot be read, or motion or hidden layers are asked of it.
     """
     if "motion" in outputs:
-        raise InputError(
-            "render.outputs", f"motion needs clips of at least 2 frames, and {path} is a still; leave it out"
-        )
+        raise InputError("render.outputs", f"motion needs at least 2 frames, and the image {path} is one; leave it out")
+    if "hidden" in outputs:
+        raise InputError("render.outputs", f"nothing is hidden behind the image {path}; leave hidden out")
     light = read_light(path)
     factor = min(have / want for have, want in zip(light.shape, view.shape, strict=False))
     margins = [(have - factor * want) / 2 for have, want in zip(light.shape, view.shape, strict=False)]
@@ -101,8 +95,6 @@ def picture_clip(path: Path, view: View, depth_m: float, outputs: tuple[str, ...
         extras["normal"] = np.broadcast_to(np.array([0, 0, -1], np.float32), (*frame, 3)).copy()
     if "albedo" in outputs:
         extras["albedo"] = np.zeros((*frame, 3), np.float32)
-    if "hidden" in outputs:
-        raise InputError("render.outputs", f"nothing is hidden behind the image {path}; leave hidden out")
     return Clip(
         rgb=rgb[np.newaxis],
         depth_m=np.full(frame, depth_m, np.float32),

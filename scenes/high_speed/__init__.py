@@ -150,15 +150,7 @@ class Play:
 
 
 def draw_play(view: View, event: Event, black: bool, duration_s: float, rng: np.random.Generator) -> Play:
-    """Draw all that a clip shows.
-
-    Args:
-        view: the frustum.
-        event: the kind of motion.
-        black: whether wall and floor are left out.
-        duration_s: length of the clip.
-        rng: decides everything.
-    """
+    """Draw all that a clip of an event shows; a black one has no wall and floor."""
     theme = draw_theme(rng)
     room = draw_room(view, rng)
     act = Act(room, duration_s, rng)

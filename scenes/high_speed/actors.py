@@ -53,13 +53,7 @@ class Actor:
 
 @dataclass(frozen=True)
 class Act:
-    """What all events are told.
-
-    Attributes:
-        room: the space.
-        duration_s: length of the clip.
-        rng: decides everything.
-    """
+    """What all events are told: the space, the length of the clip, and the generator that decides everything."""
 
     room: Room
     duration_s: float
@@ -92,11 +86,8 @@ class Act:
 def cast(act: Act, count: int, propose: Callable[[float, int], Sequence[Actor]]) -> list[Actor]:
     """Cast up to ``count`` actors or groups of actors, at least one; those who find no room are left out.
 
-    Args:
-        act: the stage.
-        count: how many times to propose.
-        propose: from a factor of size that shrinks with every refusal, and how many proposals came before, to a group; an
-            empty one is a refusal.
+    ``propose`` makes a group from a factor of size that shrinks with every refusal and the number of proposals before; an
+    empty group is a refusal.
     """
     chosen: list[Actor] = []
     for number in range(count):
@@ -122,21 +113,14 @@ def rigid(name: str, mesh: UnitMesh, size_m: Array | float, centre: Course, turn
     return Actor(name, float(size.max()), centre, shape, **more)
 
 
-def soft(name: str, body: Soft, size_m: float, centre: Course, turn: Course, phase: Phase, **more: Any) -> Actor:
-    """Return a soft body whose farthest reach over all phases is ``size_m``."""
-    scale = size_m / body.reach()
+def moving(
+    name: str, body: Soft | Figure, size_m: float, centre: Course, turn: Course, phase: Phase, **more: Any
+) -> Actor:
+    """Return a soft body or a figure of links whose farthest reach over all phases is ``size_m``."""
+    scale = size_m / body.reach() if isinstance(body, Soft) else size_m  # figures fit into the unit ball
 
     def shape(time: float, material: Material) -> TriangleMesh:
         return body.placed(phase(time), material, centre(time), scale, turn(time))
-
-    return Actor(name, size_m, centre, shape, **more)
-
-
-def jointed(name: str, figure: Figure, size_m: float, centre: Course, turn: Course, phase: Phase, **more: Any) -> Actor:
-    """Return a figure of links that fits into a ball of radius ``size_m``."""
-
-    def shape(time: float, material: Material) -> TriangleMesh:
-        return figure.placed(phase(time), material, centre(time), size_m, turn(time))
 
     return Actor(name, size_m, centre, shape, **more)
 
@@ -152,11 +136,8 @@ def draw_depth(
 ) -> tuple[float, float]:
     """Draw a ball of a salient size: its radius and the depth of its centre, metres.
 
-    Args:
-        act: the stage.
-        size: range of the radius in the image, as a share of half of its shorter edge.
-        shrink: a factor of it.
-        depths: part of the room's disparities that is used: 0 is at the wall, 1 is nearest.
+    ``size`` is the range of its radius in the image, as a share of half of the shorter edge; ``depths`` the part of the
+    room's disparities that is used: 0 is at the wall, 1 is nearest.
     """
     room = act.room
     # A ball of relative size s reaches from (1 - s) to (1 + s) of its depth; at most half of the room goes to one ball.
@@ -171,13 +152,8 @@ def draw_depth(
 def draw_line(act: Act, depth_m: float, radius_m: float, share: tuple[float, float]) -> tuple[Array, Array]:
     """Draw a straight way across the image that stays above the floor if it can: its first and last point.
 
-    Three ways in four are about level, the others have any slope.
-
-    Args:
-        act: the stage.
-        depth_m: about the depth of its middle.
-        radius_m: of what moves.
-        share: range of its length in the image, as a share of the width.
+    Three ways in four are about level, the others have any slope. ``share`` is the range of its length in the image, as a
+    share of the width.
     """
     room, rng = act.room, act.rng
     length = rng.uniform(*share)
@@ -205,12 +181,7 @@ def draw_spot(act: Act, depth_m: float, radius_m: float, *, spread: float = 0.8)
 
 
 def floor_depth(act: Act, radius_m_per_m: float) -> float:
-    """Draw a depth in which a ball that stands on the floor is wholly in the image, if the room has one.
-
-    Args:
-        act: the stage.
-        radius_m_per_m: radius of the ball over its depth.
-    """
+    """Draw a depth in which a ball on the floor, of this radius per depth, is wholly in the image, if there is one."""
     room = act.room
     farthest = room.wall_m / (1 + radius_m_per_m) * (1 - _ROUNDING)
     nearest = min(max(1.15 * room.floor_begins_m, room.near_m / (1 - radius_m_per_m)), farthest)
@@ -232,12 +203,6 @@ def swaying(act: Act, spot_m: Array, share: float) -> Course:
 
 
 def tumbling(act: Act, turns: tuple[float, float], inertia_ratio: float = 1.0) -> Tumble:
-    """Draw a tumble about any axis, of so many turns in the clip.
-
-    Args:
-        act: the stage.
-        turns: range of the precession's turns.
-        inertia_ratio: of the body, see `Tumble`.
-    """
+    """Draw a tumble about any axis, whose precession makes so many turns in the clip; for ``inertia_ratio`` see `Tumble`."""
     rate = 2 * math.pi * act.rng.uniform(*turns) / act.duration_s
     return Tumble(random_rotation(act.rng), random_rotation(act.rng)[0], rate, inertia_ratio)

@@ -45,7 +45,11 @@ _TOP = ((0, 0.8), (0.1, 0.78), (0.1, 0.35), (0.75, 0.15), (0.8, 0), (0.5, -0.35)
 def round_bodies() -> tuple[UnitMesh, ...]:
     """Return balls of which every vertex is within 10 % of the unit sphere: they touch where a ball would."""
     rng = np.random.default_rng(_SEED)
-    return (_ball(_no_lumps), *(_ball(lumps(rng, 4, 2.2, 0.045)) for _ in range(2)), _ball(_ribs(8, 0.05)))
+    return (
+        _ball(lambda direction: np.ones(direction.shape[:-1])),
+        *(_ball(lumps(rng, 4, 2.2, 0.045)) for _ in range(2)),
+        _ball(_ribs(8, 0.05)),
+    )
 
 
 @functools.cache
@@ -61,10 +65,6 @@ def body_library() -> tuple[UnitMesh, ...]:
         _tube(_trefoil(48), 0.24),
         *(mesh for mesh in mesh_library() if len(mesh.faces) <= _MOST_FACES),
     )
-
-
-def _no_lumps(direction: Array) -> Array:
-    return np.ones(direction.shape[:-1])
 
 
 def _ribs(count: int, depth: float) -> Radius:
@@ -139,9 +139,8 @@ def pulsing(strength: float) -> Bend:
 def jelly(directions: Array, strength: float) -> Bend:
     """Return a body through which waves run: a shear and a bulge, as of jelly that was knocked.
 
-    Args:
-        directions: ``(2, 3)`` unit vectors, along which the waves run and in which they push, at right angles.
-        strength: how far points move, in radii.
+    ``directions`` are two unit vectors at right angles, ``(2, 3)``: along which the waves run, and in which they push; points
+    move by ``strength`` radii.
     """
     along, push = directions
 
@@ -185,10 +184,8 @@ def bowing(strength: float) -> Bend:
 def flapping(strength: float, waves: float, slope: float) -> Bend:
     """Return a flag on a pole along its edge x = -1: waves run to the free edge and grow on their way.
 
-    Args:
-        strength: amplitude at the free edge, in half widths.
-        waves: how many wavelengths fit on the flag.
-        slope: how far the crests lean, in radians of phase per unit of height.
+    ``strength`` is the amplitude at the free edge in half widths, ``waves`` how many wavelengths fit on the flag,
+    ``slope`` how far the crests lean, in radians of phase per unit of height.
     """
 
     def bend(points: Array, phase: float) -> Array:

@@ -156,7 +156,7 @@ def collide(
         acceleration_m_s2: the same for all balls, so that seen from each other they fly straight.
 
     Raises:
-        InputError: when there are more than 1000 impacts, as under a ball that comes to rest by bouncing.
+        InputError: after 1000 impacts, as under a ball that comes to rest by bouncing.
     """
     pull = np.asarray(acceleration_m_s2, dtype=float)
     starts, states = [0.0], [balls]
@@ -165,10 +165,7 @@ def collide(
         if impact is None or starts[-1] + wait > duration_s:
             return Billiard(np.array(starts), tuple(states), pull)
         if len(starts) > _MOST_IMPACTS:
-            raise InputError(
-                "collide",
-                f"got more than {_MOST_IMPACTS} impacts, expected fewer; shorten the duration or drop the pull",
-            )
+            raise InputError("collide", f"got over {_MOST_IMPACTS} impacts; shorten the duration or drop the pull")
         starts.append(starts[-1] + wait)
         states.append(_parted(_flown(states[-1], pull, wait), impact, restitution))
 
@@ -186,7 +183,8 @@ def _next_impact(balls: Balls, planes: Sequence[Plane], pull: Array) -> tuple[fl
             if wait < first:
                 first = wait
                 apart = _flown(balls, pull, wait).centres_m
-                found = (one, _direction(apart[one] - apart[other]), other)
+                offset = apart[one] - apart[other]
+                found = (one, offset / np.linalg.norm(offset), other)
         for plane in planes:
             gap = float(plane.normal @ balls.centres_m[one]) - plane.offset_m - float(balls.radii_m[one])
             wait = _landing(gap, float(plane.normal @ balls.velocities_m_s[one]), float(plane.normal @ pull))
@@ -238,7 +236,3 @@ def _flown(balls: Balls, pull: Array, seconds: float) -> Balls:
     """Return the balls after a free flight."""
     centres = balls.centres_m + balls.velocities_m_s * seconds + 0.5 * pull * seconds**2
     return replace(balls, centres_m=centres, velocities_m_s=balls.velocities_m_s + pull * seconds)
-
-
-def _direction(offset: Array) -> Array:
-    return offset / np.linalg.norm(offset)

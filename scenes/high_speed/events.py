@@ -16,15 +16,13 @@ from numpy.typing import NDArray
 from scenes.high_speed.actors import (
     Act,
     Actor,
-    Course,
     cast,
     draw_depth,
     draw_line,
     draw_spot,
     floor_depth,
-    jointed,
+    moving,
     rigid,
-    soft,
     straight,
     swaying,
     tumbling,
@@ -202,10 +200,6 @@ def _pick(rng: np.random.Generator, meshes: Sequence[UnitMesh]) -> UnitMesh:
     return meshes[int(rng.integers(len(meshes)))]
 
 
-def _fixed(turn: Array) -> Course:
-    return lambda _: turn
-
-
 def _beats(act: Act, least: float, most: float) -> tuple[Callable[[float], float], float]:
     """Return a phase that runs evenly through some beats in the clip, and its beats per second."""
     rate = act.rng.uniform(least, most) / act.duration_s
@@ -292,7 +286,7 @@ def _articulation(act: Act) -> list[Actor]:
             return rotation([0, 0, 1], 2 * math.pi * turns_per_s * time) @ turn
 
         facts = {"speed_m_s": act.mean_speed(course), "beats_per_s": rate, "turns_per_s": turns_per_s}
-        return [jointed(kind, figure, radius, course, turned, phase, facts=facts, grounded=grounded)]
+        return [moving(kind, figure, radius, course, turned, phase, facts=facts, grounded=grounded)]
 
     return cast(act, len(figures), propose)
 
@@ -313,7 +307,7 @@ def _deformation(act: Act) -> list[Actor]:
         course = swaying(act, draw_spot(act, depth, radius), rng.uniform(0.0, 0.35))
         tumble = tumbling(act, (0.0, 0.15))
         facts = {"speed_m_s": act.mean_speed(course), "beats_per_s": rate}
-        return [soft(name, Soft(mesh, bend), radius, course, tumble.turn, phase, facts=facts)]
+        return [moving(name, Soft(mesh, bend), radius, course, tumble.turn, phase, facts=facts)]
 
     return cast(act, flags + int(act.rng.integers(1 - flags, 4 - flags)), propose)
 
@@ -347,7 +341,7 @@ def _cloth(act: Act, shrink: float) -> Actor:
         turn = rotation([0, 0, 1], rng.uniform(-0.8, 0.8)) @ turn @ rotation([1, 0, 0], rng.uniform(-1.1, 1.1))
         name = "sheet"
     facts = {"speed_m_s": act.mean_speed(course), "beats_per_s": rate}
-    return soft(name, Soft(mesh, bend), radius, course, _fixed(turn), phase, facts=facts)
+    return moving(name, Soft(mesh, bend), radius, course, lambda _: turn, phase, facts=facts)
 
 
 def _occlusion(act: Act) -> list[Actor]:

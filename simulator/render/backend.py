@@ -75,12 +75,8 @@ class Backend:
     advice: str = ""
 
 
-@dataclass(frozen=True)
-class _Proof:
-    """Result of trying LLVM: its version if one was found, and what is wrong with it (empty when it works)."""
-
-    version: str | None
-    problem: str
+# What trying LLVM says: its version if one was found, and what is wrong with it (empty when it works).
+_Proof = tuple[str | None, str]
 
 
 def choose_backend(requested: Request = "auto", spectral: bool = False) -> Backend:
@@ -105,16 +101,13 @@ def choose_backend(requested: Request = "auto", spectral: bool = False) -> Backe
     if requested == "scalar":
         return Backend(scalar, None, f"{scalar}, as asked")
     library = os.environ.get("DRJIT_LIBLLVM_PATH")
-    proof = _prove_llvm(library)
-    if not proof.problem:
-        return Backend(llvm, proof.version, f"{llvm}, proven with libLLVM {proof.version}")
+    version, problem = _prove_llvm(library)
+    if not problem:
+        return Backend(llvm, version, f"{llvm}, proven with libLLVM {version}")
     advice = _how_to_get_llvm(library)
     if requested == "llvm":
-        raise InputError(
-            "render.backend",
-            f"llvm was asked for but {proof.problem}. {advice}, or set render.backend to auto or scalar",
-        )
-    return Backend(scalar, None, f"{scalar}, because {proof.problem}", f"To render faster: {advice}")
+        raise InputError("render.backend", f"got llvm, but {problem}; {advice}, or set it to auto or scalar")
+    return Backend(scalar, None, f"{scalar}, because {problem}", f"To render faster: {advice}")
 
 
 def activate(variant: str, threads: int | None = None) -> None:
@@ -151,9 +144,8 @@ def activate(variant: str, threads: int | None = None) -> None:
             mi.set_variant(variant)
         except ImportError as error:
             advice = _how_to_get_llvm(os.environ.get("DRJIT_LIBLLVM_PATH"))
-            raise InputError(
-                "variant", f"{variant} does not start in this process ({error}). {advice}, or use {SCALAR_VARIANT}"
-            ) from error
+            reason = f"{variant} does not start in this process ({error}); {advice}, or use {SCALAR_VARIANT}"
+            raise InputError("variant", reason) from error
         mi.set_log_level(mi.LogLevel.Error)
         if threads is None:
             threads = 1
@@ -188,9 +180,9 @@ def _prove_llvm(library: str | None) -> _Proof:
                 check=False,
             )
     except subprocess.TimeoutExpired:
-        return _Proof(None, f"a test render with LLVM did not end within {_PROOF_TIMEOUT_S:.0f} s")
+        return None, f"a test render with LLVM did not end within {_PROOF_TIMEOUT_S:.0f} s"
     except OSError as error:
-        return _Proof(None, f"the test render with LLVM could not be started ({error})")
+        return None, f"the test render with LLVM could not be started ({error})"
     return _judge(done)
 
 
@@ -206,20 +198,18 @@ def _judge(done: subprocess.CompletedProcess[str]) -> _Proof:
     version = ".".join(map(str, numbers)) if found and isinstance(numbers, list) else None
     mean = facts.get("mean")
     if "found" not in facts:
-        return _Proof(None, f"Mitsuba could not be imported in a fresh process ({last_words})")
+        return None, f"Mitsuba could not be imported in a fresh process ({last_words})"
     if not found:
-        return _Proof(
-            None, "too old a libLLVM was found" if "too old" in done.stderr else "no usable libLLVM was found"
-        )
+        return None, "too old a libLLVM was found" if "too old" in done.stderr else "no usable libLLVM was found"
     if isinstance(numbers, list) and numbers[0] not in _LLVM_VERSIONS:
-        return _Proof(version, f"libLLVM {version} is not one of {_LLVM_VERSIONS.start} to {_LLVM_VERSIONS.stop - 1}")
+        return version, f"libLLVM {version} is not one of {_LLVM_VERSIONS.start} to {_LLVM_VERSIONS.stop - 1}"
     if done.returncode != 0:
         end = f"was killed by {signal.Signals(-done.returncode).name}" if done.returncode < 0 else "failed"
-        return _Proof(version, f"a test render with libLLVM {version} {end} ({last_words})")
+        return version, f"a test render with libLLVM {version} {end} ({last_words})"
     # 16 pixels x 16 paths of a wall of 0.5 leave noise of about 0.01: this tells a working backend from a broken one.
     if not isinstance(mean, float) or abs(mean - 0.5) > 0.1:
-        return _Proof(version, f"a test render with libLLVM {version} came out wrong (mean {mean}, expected 0.5)")
-    return _Proof(version, "")
+        return version, f"a test render with libLLVM {version} came out wrong (mean {mean}, expected 0.5)"
+    return version, ""
 
 
 def _how_to_get_llvm(library: str | None) -> str:
@@ -263,8 +253,12 @@ def home_for_kernels() -> Iterator[None]:
     Dr.Jit 1.4 aborts the process on import when it cannot create that folder (containers, read-only homes) and knows no
     other setting. The borrowed folder is private and is removed at exit: cached kernels are code that will be run.
     """
+
+    def can_hold_cache(folder: Path) -> bool:
+        return (folder / ".drjit").is_dir() or (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK))
+
     home = os.environ.get("HOME")
-    if os.name == "nt" or "drjit" in sys.modules or (home is not None and _can_hold_cache(Path(home))):
+    if os.name == "nt" or "drjit" in sys.modules or (home is not None and can_hold_cache(Path(home))):
         yield
         return
     os.environ["HOME"] = _borrowed_home().name
@@ -275,11 +269,6 @@ def home_for_kernels() -> Iterator[None]:
             del os.environ["HOME"]
         else:
             os.environ["HOME"] = home
-
-
-def _can_hold_cache(home: Path) -> bool:
-    cache = home / ".drjit"
-    return cache.is_dir() or (home.is_dir() and os.access(home, os.W_OK | os.X_OK))
 
 
 @functools.cache

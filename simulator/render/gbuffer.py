@@ -47,11 +47,7 @@ class GBuffer:
 
 
 def centre_depth(scene: Any) -> NDArray[np.float64]:
-    """Return z in metres ``(H, W)`` of what each pixel's centre sees; ``inf`` where it sees nothing.
-
-    Args:
-        scene: a ``mitsuba.Scene`` of `load_scene`, of either variant.
-    """
+    """Return z in metres ``(H, W)`` of what the pixels' centres see in a ``mitsuba.Scene``; ``inf`` where nothing is seen."""
     rows, columns = film_shape(scene)
     if is_scalar():
         z = np.full(rows * columns, np.inf)
@@ -68,11 +64,7 @@ def centre_depth(scene: Any) -> NDArray[np.float64]:
 
 
 def centre_gbuffer(scene: Any) -> GBuffer:
-    """Return all that is known of what each pixel's centre sees.
-
-    Args:
-        scene: a ``mitsuba.Scene`` of `load_scene`, of either variant.
-    """
+    """Return all that is known of what each pixel's centre sees in a ``mitsuba.Scene`` of `load_scene`, of either variant."""
     rows, columns = film_shape(scene)
     found = _look_one_by_one(scene) if is_scalar() else _look_at_all(scene)
     shaped = {name: values.reshape(rows, columns, *values.shape[1:]) for name, values in found.items()}
@@ -200,14 +192,10 @@ _GLOW = Material(np.zeros((1, 1, 3), np.float32))  # lamps reflect nothing
 
 
 def moved_points(hits: GBuffer, before: Scene, after: Scene) -> NDArray[np.float64]:
-    """Return where the points that a frame sees will be: metres ``(H, W, 3)``; NaN where nothing is seen.
+    """Return where the points that a frame sees will be in the next one: metres ``(H, W, 3)``; NaN where nothing is seen.
 
-    A triangle's point keeps its weights of the triangle's vertices, a ball's its place on the ball.
-
-    Args:
-        hits: what the frame sees.
-        before: the frame's scene.
-        after: the next frame's scene, with the same slots.
+    A triangle's point keeps its weights of the triangle's vertices, a ball's its place on the ball. Both scenes have the same
+    slots.
     """
     points = np.full((*hits.shape_id.shape, 3), np.nan)
     for number in np.unique(hits.shape_id[hits.shape_id >= 0]):
@@ -228,12 +216,9 @@ def moved_points(hits: GBuffer, before: Scene, after: Scene) -> NDArray[np.float
 
 
 def motion_vectors(points_m: NDArray[np.float64], hits: GBuffer, view: View) -> NDArray[np.float32]:
-    """Return the motion ``(H, W, 3)``: pixels to the right, pixels down, metres away; zero where nothing is seen.
+    """Return the motion ``(H, W, 3)`` of what a frame sees to `moved_points`.
 
-    Args:
-        points_m: of `moved_points`.
-        hits: what the frame sees.
-        view: the pinhole.
+    Pixels to the right, pixels down, metres away; zero where nothing is seen.
     """
     rows, columns = hits.shape_id.shape
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
@@ -251,13 +236,7 @@ def project(points_m: NDArray[np.float64], view: View) -> NDArray[np.float64]:
 
 
 def seen_points(scene: Any, points_m: NDArray[np.float64], view: View) -> NDArray[np.bool_]:
-    """Return which points ``(H, W, 3)`` are in the image of a loaded scene, with no surface before them.
-
-    Args:
-        scene: the ``mitsuba.Scene``.
-        points_m: metres; NaN is not seen.
-        view: the pinhole.
-    """
+    """Return which points ``(H, W, 3)``, metres or NaN, are in the image of a loaded scene with no surface before them."""
     with np.errstate(invalid="ignore", divide="ignore"):
         place = project(points_m, view)
         inside = np.all((place > -0.5) & (place < np.array(view.shape)[::-1] - 0.5), axis=-1) & (points_m[..., 2] > 0)

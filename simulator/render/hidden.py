@@ -16,7 +16,7 @@ from simulator.render.gbuffer import NOTHING, centre_rays, film_shape, is_scalar
 from simulator.render.mitsuba_scene import UNITS_PER_M, path_tracer
 from simulator.render.scene import Scene, TriangleMesh
 
-# A ray that has crossed so many surfaces without finding another shape sees nothing more.
+# A ray that has crossed this many surfaces without finding another shape sees nothing more.
 _MOST_SURFACES = 64
 # A second hit of the same shape no further than this is the same place, met once more at an edge between triangles.
 _CLEARANCE = 1 + 1e-3
@@ -29,12 +29,10 @@ class HiddenLayer:
     Attributes:
         rgb: ``(H, W, 3)`` float32, linear radiance towards the camera if nothing stood before it; zero where there is none.
         depth_m: ``(H, W)`` float64, z of its surface; ``inf`` where there is none.
-        shape_id: ``(H, W)`` int32.
     """
 
     rgb: NDArray[np.float32]
     depth_m: NDArray[np.float64]
-    shape_id: NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -56,14 +54,8 @@ def hidden_layers(
     side of a ring, the wall behind a fold). Backs do not count, for they are inside of something, unless they are another
     shape's that is open, such as a sheet of paper. All samples of a pixel go through its centre, so that colour and depth
     belong to the same surface.
-
-    Args:
-        loaded: the ``mitsuba.Scene`` of ``scene``.
-        scene: says which shapes are open.
-        layers: how many, at least 1.
-        samples: light paths per pixel.
-        seed: of the light paths.
-        max_depth: longest light path, in segments.
+    ``loaded`` is the ``mitsuba.Scene`` of ``scene``; each pixel of a layer gets ``samples`` light paths of at most
+    ``max_depth`` segments.
     """
     mi = mitsuba()
     open_shapes = {number for number, shape in enumerate(scene.shapes) if is_open(shape)}
@@ -77,7 +69,7 @@ def hidden_layers(
         valid = shape_id != NOTHING
         depth = np.where(valid, z / UNITS_PER_M, np.inf).reshape(rows, columns)
         light = np.where(valid[:, np.newaxis], rgb, 0).astype(np.float32).reshape(rows, columns, 3)
-        result.append(HiddenLayer(light, depth, shape_id.astype(np.int32).reshape(rows, columns)))
+        result.append(HiddenLayer(light, depth))
     return result
 
 

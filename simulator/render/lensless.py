@@ -28,7 +28,6 @@ from __future__ import annotations
 import functools
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -78,31 +77,26 @@ def lensless_render(
     """
     amplitude = np.asarray(mask_amplitude, np.float64)
     _check(amplitude, mask_pitch_m, sensor_shape, samples_per_pixel, seeds)
-    _activate_llvm()
-    mi = mitsuba()
-    loaded = load_scene(scene, view, max_depth)
-    camera = _MaskedSensor(
-        transmittance=amplitude**2,
-        cell=mask_pitch_m * UNITS_PER_M,
-        distance=view.distance_m * UNITS_PER_M,
-        pixel=view.pixel_pitch_m * UNITS_PER_M,
-        shape=sensor_shape,
-    )
-    sensor = _mitsuba_sensor(camera)
-    images = [np.array(mi.render(loaded, sensor=sensor, spp=samples_per_pixel, seed=seed)) for seed in seeds]
-    return np.stack(images).astype(np.float32)
-
-
-def _activate_llvm() -> None:
-    """Make this process render with LLVM, in which alone a sensor may be written in Python."""
     running = sys.modules["mitsuba"].variant() if "mitsuba" in sys.modules else None
-    if running not in (None, LLVM_VARIANT):
+    if running not in (None, LLVM_VARIANT):  # only with LLVM may a sensor be written in Python
         raise InputError(
             "variant",
             f"the ray-traced lensless camera needs {LLVM_VARIANT}, and this process renders with {running}; one process has "
             f"one variant: call it in a process that has not rendered, or call activate({LLVM_VARIANT!r}) first",
         )
     activate(LLVM_VARIANT)
+    mi = mitsuba()
+    loaded = load_scene(scene, view, max_depth)
+    rows, columns = sensor_shape
+    size = {"width": columns, "height": rows}
+    box = {"rfilter": {"type": "box"}, "pixel_format": "rgb", "component_format": "float32"}
+    properties = mi.Properties()
+    properties["film"] = mi.load_dict({"type": "hdrfilm"} | size | box)
+    properties["sampler"] = mi.load_dict({"type": "multijitter"})
+    lengths = (UNITS_PER_M * metres for metres in (mask_pitch_m, view.distance_m, view.pixel_pitch_m))
+    sensor = _sensor_class()(properties, amplitude**2, sensor_shape, *lengths)
+    images = [np.array(mi.render(loaded, sensor=sensor, spp=samples_per_pixel, seed=seed)) for seed in seeds]
+    return np.stack(images).astype(np.float32)
 
 
 def _check(
@@ -129,64 +123,37 @@ def _check(
         raise InputError("seeds", f"got {list(seeds)}, expected at least one, each 0 <= seed < 2**32")
 
 
-@dataclass(frozen=True)
-class _MaskedSensor:
-    """A sensor and its mask, in Mitsuba's world units.
-
-    Attributes:
-        transmittance: ``(rows, columns)`` of the mask's cells, 0..1, in world axes (x right, y down).
-        cell: pitch of the cells.
-        distance: mask to sensor.
-        pixel: pitch of the pixels.
-        shape: rows and columns of the sensor.
-    """
-
-    transmittance: NDArray[np.float64]
-    cell: float
-    distance: float
-    pixel: float
-    shape: tuple[int, int]
-
-
-def _mitsuba_sensor(camera: _MaskedSensor) -> Any:
-    """Return the ``mitsuba.Sensor`` of a camera; needs an active LLVM variant."""
-    mi = mitsuba()
-    properties = mi.Properties()
-    rows, columns = camera.shape
-    film = {
-        "type": "hdrfilm",
-        "width": columns,
-        "height": rows,
-        "rfilter": {"type": "box"},
-        "pixel_format": "rgb",
-        "component_format": "float32",
-    }
-    properties["film"] = mi.load_dict(film)
-    properties["sampler"] = mi.load_dict({"type": "multijitter"})
-    return _sensor_class()(properties, camera)
-
-
 @functools.cache
 def _sensor_class() -> Any:
     """Return the class of the sensor; ``mitsuba.Sensor`` is another class in each variant, and exists only in one."""
     dr, mi = drjit(), mitsuba()
 
     class LenslessSensor(mi.Sensor):
-        """Rays from a point in a pixel through a point in an opening, which is drawn with the transmittance's weight."""
+        """Rays from a point in a pixel through a point in an opening, which is drawn with the transmittance's weight.
 
-        def __init__(self, properties: Any, camera: _MaskedSensor) -> None:
+        The mask's cells ``(rows, columns)`` lie in world axes (x right, y down); lengths are in Mitsuba's units.
+        """
+
+        def __init__(
+            self,
+            properties: Any,
+            transmittance: Any,
+            shape: tuple[int, int],
+            cell: float,
+            distance: float,
+            pixel: float,
+        ) -> None:
             super().__init__(properties)
-            openings = camera.transmittance > 0
+            openings = transmittance > 0
             row, column = np.nonzero(openings)
-            rows, columns = camera.transmittance.shape
-            self._left = mi.Float((column - 0.5 * columns) * camera.cell)
-            self._top = mi.Float((row - 0.5 * rows) * camera.cell)
-            weights = camera.transmittance[openings]
+            rows, columns = transmittance.shape
+            self._left = mi.Float((column - 0.5 * columns) * cell)
+            self._top = mi.Float((row - 0.5 * rows) * cell)
+            weights = transmittance[openings]
             self._openings = mi.DiscreteDistribution(mi.Float(weights))
-            self._open_area = mi.Float(float(weights.sum()) * camera.cell**2)
-            self._cell, self._distance = mi.Float(camera.cell), mi.Float(camera.distance)
-            height, width = camera.shape
-            self._width, self._height = mi.Float(width * camera.pixel), mi.Float(height * camera.pixel)
+            self._open_area = mi.Float(float(weights.sum()) * cell**2)
+            self._cell, self._distance = mi.Float(cell), mi.Float(distance)
+            self._width, self._height = mi.Float(shape[1] * pixel), mi.Float(shape[0] * pixel)
 
         def sample_ray(
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True

@@ -39,11 +39,8 @@ BLOCK_SIZE = 16
 def load_scene(scene: Scene, view: View, max_depth: int, bands_nm: tuple[float, ...] = ()) -> Any:
     """Return a ``mitsuba.Scene`` with a path tracer and the view's pinhole camera; needs an active variant.
 
-    Args:
-        scene: shapes and lights.
-        view: image shape, pinhole geometry and depth range.
-        max_depth: longest light path, in segments.
-        bands_nm: edges of wavelength bands; needs a spectral variant (see `simulator.render.bands`).
+    Light paths have at most ``max_depth`` segments. Edges of wavelength bands need a spectral variant (see
+    `simulator.render.bands`).
     """
     return mitsuba().load_dict(scene_parts(scene, view, max_depth, bands_nm))
 
@@ -74,12 +71,7 @@ def scene_order(loaded: Any) -> list[int]:
 
 
 def path_tracer(max_depth: int, hide_lights: bool = False) -> dict[str, Any]:
-    """Return the integrator as a Mitsuba dictionary.
-
-    Args:
-        max_depth: longest light path, in segments.
-        hide_lights: whether lamps and surroundings are invisible to the camera.
-    """
+    """Return the integrator as a Mitsuba dictionary; hidden lights (lamps and surroundings) are invisible to the camera."""
     return {"type": "path", "max_depth": max_depth, "hide_emitters": hide_lights, "block_size": BLOCK_SIZE}
 
 
@@ -252,15 +244,12 @@ class Stage:
     def show(self, scene: Scene) -> None:
         """Replace what differs from the scene that is shown; what is the same object (``is``) counts as equal.
 
-        Args:
-            scene: the same kinds of shapes, materials and lights in the same order, meshes with as many vertices and faces.
-
         Raises:
-            InputError: when it has other slots.
+            InputError: when the scene has other slots: kinds of shapes, materials and lights in order, sizes of meshes.
         """
         if self._parameters is None:
             self._parameters = mitsuba().traverse(self.loaded)
-            for key in self._parameters.keys():  # noqa: SIM118 (not a dictionary)
+            for key in list(self._parameters.keys()):
                 self._keys[key.partition(".")[0]].append(key)
         old = self.scene
         if len(old.shapes) != len(scene.shapes) or len(old.lights) != len(scene.lights):
@@ -270,9 +259,7 @@ class Stage:
                 f"{len(scene.lights)}; frames of a clip share their slots: park what is unused out of view",
             )
         if old.hide_lights != scene.hide_lights:
-            raise InputError(
-                "frames", "hide_lights changes within a clip; it belongs to the compiled path tracer, so keep it"
-            )
+            raise InputError("frames", "hide_lights changes, which is part of the compiled path tracer; keep it")
         for number, (before, after) in enumerate(zip(old.shapes, scene.shapes, strict=True)):
             if before is not after:
                 self._replace_shape(number, before, after)
@@ -314,8 +301,7 @@ class Stage:
             raise InputError("frames", f"light {number} changes from {type(before).__name__} to {type(after).__name__}")
         if isinstance(after, EnvironmentMap):
             raise InputError(
-                "frames",
-                f"light {number} is an EnvironmentMap, which cannot change within a clip; keep the same object",
+                "frames", f"light {number}, an EnvironmentMap, cannot change within a clip; keep the object"
             )
         for name, value in _radiance_parameters(after.radiance).items():
             self._set(slot, f".{name}", value)

@@ -51,10 +51,8 @@ class OwnScene:
     def look(self, view: View, metres_per_unit: float | None) -> tuple[GBuffer, float]:
         """Return what the pixels' centres see, in metres and camera axes, and the metres that one unit stands for.
 
-        Args:
-            view: the depths that it must fit.
-            metres_per_unit: None scales the scene about its camera, so that its depths lie in the middle (in log z) of the
-                view's.
+        ``metres_per_unit`` None scales the scene about its camera, so that its depths lie in the middle (in log z) of the
+        view's.
 
         Raises:
             InputError: when nothing is seen, or depths lie outside near..far.
@@ -63,14 +61,12 @@ class OwnScene:
         points = (hits.point_m * UNITS_PER_M - self.to_world[:3, 3]) @ self.to_world[:3, :3]
         seen = np.isfinite(hits.depth_m)
         if not seen.any():
-            raise InputError(
-                self.path,
-                "its camera sees no surface: the scene lies behind it or beside the view "
-                f"({_degrees(view.tan_half_width)} x {_degrees(view.tan_half_height)} degrees); turn its sensor's to_world",
-            )
+            wide, high = (2 * math.degrees(math.atan(half)) for half in (view.tan_half_width, view.tan_half_height))
+            place = f"the scene lies behind it or beside the view ({wide:.3g} x {high:.3g} degrees)"
+            raise InputError(self.path, f"its camera sees no surface: {place}; turn its sensor's to_world")
         depth = points[seen, 2]
         scale = _fitting_scale(self.path, depth, view) if metres_per_unit is None else metres_per_unit
-        check_depths(str(self.path), depth * scale, seen.size, view)
+        check_depths(self.path, depth * scale, seen.size, view)
         local = replace(
             hits,
             depth_m=np.where(seen, points[..., 2] * scale, np.inf),
@@ -84,11 +80,6 @@ def load_own_scene(path: Path, view: View, max_depth: int) -> OwnScene:
     """Load a Mitsuba XML file with the active variant, a path tracer and the view's pinhole at its first sensor's place.
 
     A scene without a sensor is seen from its origin, along its z axis, with its y axis pointing down.
-
-    Args:
-        path: the XML file.
-        view: image shape and pinhole geometry.
-        max_depth: longest light path, in segments.
 
     Raises:
         InputError: when Mitsuba rejects the file, a file that it names is missing, nothing shines, or it holds what has no
@@ -132,14 +123,8 @@ def own_scene_files(path: Path) -> list[Path]:
     return _parsed(path)[1]
 
 
-def check_depths(name: str, depth_m: NDArray[np.floating], pixels: int, view: View) -> None:
-    """Refuse depths outside of the view's range.
-
-    Args:
-        name: of the file, for the message.
-        depth_m: depths that are seen, metres.
-        pixels: of the whole image.
-        view: near and far.
+def check_depths(path: Path, depth_m: NDArray[np.floating], pixels: int, view: View) -> None:
+    """Refuse a file of which an image of so many pixels shows depths (metres) outside of the view's near..far.
 
     Raises:
         InputError: with the share of the pixels, the range that was found and the cure.
@@ -147,7 +132,7 @@ def check_depths(name: str, depth_m: NDArray[np.floating], pixels: int, view: Vi
     outside = (depth_m < view.near_m * (1 - _ROUNDING)) | (depth_m > view.far_m * (1 + _ROUNDING))
     if outside.any():
         raise InputError(
-            name,
+            path,
             f"{np.count_nonzero(outside) / pixels:.1%} of the pixels see a depth outside near..far = "
             f"{view.near_m * 100:.4g}..{view.far_m * 100:.4g} cm; the depths seen are "
             f"{depth_m.min() * 100:.4g}..{depth_m.max() * 100:.4g} cm: change length_of_unit_cm (leave it out to fit), move "
@@ -166,10 +151,6 @@ def _fitting_scale(path: Path, depth: NDArray[np.float64], view: View) -> float:
             "widen scene.near_cm and scene.far_cm, or bring its back wall nearer to its camera",
         )
     return math.sqrt(near * far / (nearest * farthest))
-
-
-def _degrees(tan_half: float) -> str:
-    return f"{2 * math.degrees(math.atan(tan_half)):.3g}"
 
 
 def _parsed(path: Path) -> tuple[Any, list[Path]]:
@@ -193,7 +174,7 @@ def _parsed(path: Path) -> tuple[Any, list[Path]]:
             files.append(_beside(resolver, folder, str(name)))
             _check_part(path, "an <include>", str(name), files[-1])
         for node in state.nodes:
-            for key in node.props.keys():  # noqa: SIM118 (not a dictionary)
+            for key in list(node.props.keys()):
                 # Only these are looked at: Mitsuba takes what was looked at for known, and would keep misspelt names quiet.
                 if key.endswith("filename") and node.props.type(key) == mi.Properties.Type.String:
                     value = str(node.props[key])
@@ -236,10 +217,9 @@ def _refuse_what_has_no_depth(path: Path, state: Any) -> None:
 def _children(state: Any) -> list[tuple[str, Any]]:
     """Return the scene's own parts and the names of their properties, in the file's order."""
     mi = mitsuba()
-    references = [(key, value) for key, value in state.root.props.items()]
     return [
         (key, state.nodes[value.index()])
-        for key, value in references
+        for key, value in state.root.props.items()
         if isinstance(value, mi.Properties.ResolvedReference)
     ]
 

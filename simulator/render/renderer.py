@@ -71,29 +71,10 @@ class Renderer:
             if wanted:
                 raise InputError(name, "cannot be combined with render.bands; leave one of them out")
 
-    def still(
-        self,
-        scene: Scene,
-        view: View,
-        *,
-        samples_per_pixel: int,
-        seed: int,
-        source: dict[str, Any],
-        label: str | None = None,
-    ) -> Clip:
-        """Render one image: a clip of a single frame that lasts from 0 to 1 s.
-
-        The arguments and errors are those of `clip`.
-        """
-        return self.clip(
-            [scene],
-            view,
-            frames_per_second=1,
-            samples_per_pixel=samples_per_pixel,
-            seed=seed,
-            source=source,
-            label=label,
-        )
+    def still(self, scene: Scene, view: View, *, samples_per_pixel: int, seed: int, source: dict[str, Any]) -> Clip:
+        """Render one image: a clip of a single frame that lasts from 0 to 1 s; arguments and errors as in `clip`."""
+        named: dict[str, Any] = {"samples_per_pixel": samples_per_pixel, "seed": seed, "source": source}
+        return self.clip([scene], view, frames_per_second=1, **named)
 
     def clip(
         self,
@@ -160,13 +141,8 @@ class Renderer:
     ) -> Clip:
         """Render a user's own Mitsuba scene from where its camera stands, through the pinhole of a view: one frame of 1 s.
 
-        Args:
-            path: its XML file.
-            view: image shape, pinhole geometry and depth range.
-            metres_per_unit: what one unit of the scene stands for; None scales it about its camera into the depth range.
-            samples_per_pixel: as in `clip`.
-            seed: as in `clip`.
-            source: as in `clip`; the scale and the shapes' own names are added too.
+        One unit of the scene stands for ``metres_per_unit``; None scales it about its camera into the depth range. The scale
+        and the shapes' own names are added to ``source``; the other arguments are those of `clip`.
 
         Raises:
             InputError: as `clip`, and for all that `simulator.render.own_scene` refuses.
@@ -194,7 +170,6 @@ class Renderer:
         return join_frames([frame], view, 1, facts | self._facts(seed), None)
 
     def _facts(self, seed: int) -> dict[str, Any]:
-        """What a clip's source says of its rendering."""
         facts: dict[str, Any] = {"render_seed": seed, "variant": self.backend}
         if self.denoise:
             facts["denoised"] = denoiser_name()
@@ -206,12 +181,15 @@ class Renderer:
         """Yield the frames one by one; on return no Mitsuba object is left, else the next clip would recompile."""
         stage: Stage | None = None
         before: tuple[GBuffer, Scene] | None = None
+        frame_seed = seed
         for number, scene in enumerate(frames):
             if stage is None:
                 stage = Stage(scene, view, self.max_depth, self.bands_nm)
             else:
                 stage.show(scene)
-            frame = self._frame(stage, samples_per_pixel, _frame_seed(seed, number))
+            if number:  # the first frame's noise is that of a still with the same seed; the others' are unrelated to it
+                frame_seed = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
+            frame = self._frame(stage, samples_per_pixel, frame_seed)
             if before is not None and "motion" in self.outputs:
                 points = moved_points(before[0], before[1], scene)
                 frame.came_from = (motion_vectors(points, before[0], view), seen_points(stage.loaded, points, view))
@@ -223,11 +201,11 @@ class Renderer:
         mi = mitsuba()
         loaded = stage.loaded
         image = mi.render(loaded, spp=samples_per_pixel, seed=seed)
-        picture = np.array(image, dtype=np.float32)
+        film = np.array(image, dtype=np.float32)
         if self.bands_nm:
-            picture = np.concatenate(split_film(picture), axis=-1)
-        picture, repaired = repair(picture)
-        rgb, bands = picture[..., :3], picture[..., 3:] if self.bands_nm else None
+            film = np.concatenate(split_film(film), axis=-1)
+        film, repaired = repair(film)
+        rgb, bands = film[..., :3], film[..., 3:] if self.bands_nm else None
         samples = int(loaded.sensors()[0].sampler().sample_count())
         if self.denoise:
             rgb = denoise(rgb, *guides(loaded, seed))
@@ -240,11 +218,6 @@ class Renderer:
                 loaded, stage.scene, self.hidden, samples=samples, seed=seed, max_depth=self.max_depth
             )
         return Frame(rgb, depth, samples, repaired, self.outputs, hits, layers, bands)
-
-
-def _frame_seed(seed: int, number: int) -> int:
-    """The first frame's noise is that of a still with the same seed; the others' are unrelated to it."""
-    return seed if number == 0 else int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
 
 
 def _check_numbers(samples_per_pixel: int, seed: int, frames_per_second: float) -> None:

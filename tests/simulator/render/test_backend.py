@@ -63,10 +63,10 @@ def test_without_llvm_auto_falls_back_and_says_what_to_do(monkeypatch: pytest.Mo
 def test_the_proof_tells_how_llvm_failed(
     returncode: int, stdout: str, stderr: str, version: str | None, problem: str
 ) -> None:
-    proof = _judge(subprocess.CompletedProcess([], returncode, stdout, stderr))
-    assert proof.version == version
-    assert problem in proof.problem
-    assert bool(proof.problem) == bool(problem)
+    found = _judge(subprocess.CompletedProcess([], returncode, stdout, stderr))
+    assert found[0] == version
+    assert problem in found[1]
+    assert bool(found[1]) == bool(problem)
 
 
 def test_activation_is_quiet_without_llvm_and_refuses_a_second_variant(python: Python) -> None:
