@@ -87,15 +87,6 @@ def planes_found(capture, name, parameters, light):
 
 
 @pytest.mark.parametrize(("name", "parameters"), METHODS)
-@pytest.mark.parametrize(("near", "far"), [(0, 2), (1, 3), (3, 0)])
-def test_two_points_are_found_at_their_planes(capture, name, parameters, near, far):
-    light = np.zeros((PLANES, *SCENE))
-    light[near, 6, 7], light[far, 16, 20] = 1, 1
-    labels = planes_found(capture, name, parameters | {"pairwise": 0.3}, light)
-    assert (labels[6, 7], labels[16, 20]) == (near, far)
-
-
-@pytest.mark.parametrize(("name", "parameters"), METHODS)
 def test_two_patches_are_found_at_their_planes(capture, name, parameters):
     rng = np.random.default_rng(1)
     light = np.zeros((PLANES, *SCENE))

@@ -102,29 +102,6 @@ def test_the_wave_equals_the_direct_sum_on_and_off_axis(make, wavelength_m, dept
         assert error(found, truth) < (1e-9 if dtype == np.float64 else 5e-6), direction
 
 
-@pytest.mark.slow
-@pytest.mark.shared
-@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-9), (np.float32, 5e-6)])
-def test_the_wave_equals_the_oracle_from_one_centimetre_and_infinity(shared_oracle, dtype, tolerance):
-    """150 points of an independently computed sum; the mask from its cosine modes on the 2/3 um grid."""
-    with np.load(shared_oracle / "e2_smooth_aperture_truth.npz", allow_pickle=False) as file:
-        oracle = {key: file[key] for key in file.files}
-    samples, pitch_m, wavelength_m = 1536, 2e-6 / 3, 532e-9
-    x = (np.arange(samples) - (samples - 1) / 2) * pitch_m
-    across = np.exp(2j * np.pi * np.outer(oracle["mode_fx"], x))
-    down = oracle["mode_amp"][:, None] * np.exp(
-        1j * (2 * np.pi * np.outer(oracle["mode_fy"], x) + oracle["mode_phase"][:, None])
-    )
-    height = (down.T @ across).real * float(oracle["delta_n"]) / (FUSED_SILICA.index(wavelength_m) - 1)
-    aperture = np.exp(-((np.hypot(x[:, None], x[None, :]) / 0.36e-3) ** 12))
-    mask = Mask(height.astype(dtype), aperture.astype(dtype), pitch_m, FUSED_SILICA, "smooth")
-    points = (np.stack([oracle["index_row"], oracle["index_col"]], 1) - (512 - 1) / 2) * 2e-6
-    some = slice(None, None, 4)
-    for depth_m, truth in zip(oracle["depths"], oracle["intensity"], strict=True):
-        (wave,) = waves(mask, CameraGeometry(1.9e-3, 4e-6, GREEN), [Source(wavelength_m, float(depth_m))])
-        assert error(np.abs(at(wave, points[some])) ** 2, truth[some]) < tolerance
-
-
 def at(wave: Wave, points_m: np.ndarray) -> np.ndarray:
     """The field at any points (y, x), by the Fourier series that the grid stands for."""
     n, pitch_m = wave.grid.samples, wave.grid.pitch_m

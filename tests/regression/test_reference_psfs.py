@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from psf_library import reference
 from psf_library.reference import CASES, build_mask, compare_stacks, compute, draw_difference, load, load_pinned_mask
@@ -97,30 +96,13 @@ class TestTheTestItself:
         write(SUBJECT, load_pinned_mask(SUBJECT, folder), replace(stack, values=values), folder)
         return folder
 
-    def test_a_change_fails_with_its_place_and_its_picture(self, bent: Path, tmp_path: Path) -> None:
-        with pytest.raises(pytest.fail.Exception) as failure:
-            test_the_pinned_mask_casts_the_pinned_psf(SUBJECT, bent, tmp_path)
-        message = str(failure.value)
-        for words in (f"{SUBJECT} changed", "depth 20 cm, channel B", "row 11, column 13", "--regen-psf"):
-            assert words in message
-        (line,) = [line for line in message.splitlines() if line.startswith("look at ")]
-        with Image.open(line.removeprefix("look at ")) as picture:
-            assert Path(line.removeprefix("look at ")).parent == tmp_path
-            assert picture.width > 1000
-        test_the_design_makes_the_pinned_mask(SUBJECT, bent)  # the mask is as it was
-
     @pytest.mark.slow
     def test_a_change_is_accepted_on_request(self, bent: Path) -> None:
         """In a process of its own, because the option belongs to a whole run."""
         root = Path(__file__).parents[2]
         words = [
             sys.executable,
-            "-m",
-            "pytest",
-            "-n0",
-            "-p",
-            "no:cacheprovider",
-            "-k",
+            *["-m", "pytest", "-n0", "-p", "no:cacheprovider", "-k"],
             f"casts and {SUBJECT}",
             __file__,
         ]

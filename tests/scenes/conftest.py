@@ -1,11 +1,14 @@
-"""What tests of scenes share: rays cast by trimesh, to check geometry by something that is not ours."""
+"""What tests of scenes share: frusta, and rays cast by trimesh, to check geometry by something that is not ours."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
+
+from simulator.types import View
 
 Array = NDArray[np.float64]
 
@@ -35,6 +38,21 @@ def _cast_rays(vertices: Array, faces: NDArray[np.integer], rays: Array) -> tupl
             first = inside[places[inside, 2].argmin()]
             depths[number], met[number] = 1e-3 * places[first, 2], numbers[np.flatnonzero(valid)[first]]
     return depths, met
+
+
+VIEWS = {
+    "default": View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2),
+    "wide": View((64, 128), 60e-6, 1.9e-3, 0.01, 0.2),
+    "narrow": View((384, 320), 2.4e-6, 1.0e-2, 0.1, 0.5),
+    "infinite": View((128, 128), 19.2e-6, 1.9e-3, 0.036, math.inf),
+    "thin": View((128, 128), 19.2e-6, 1.9e-3, 0.1, 0.115),
+}
+
+
+@pytest.fixture(params=VIEWS.values(), ids=VIEWS.keys())
+def view(request: pytest.FixtureRequest) -> View:
+    """Return each of some very different frusta."""
+    return request.param
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,7 @@ from PIL import Image
 
 from scenes.files import OwnFiles, files
 from scenes.files.pictures import area_mean
+from simulator.colour import srgb_to_linear
 from simulator.errors import InputError
 from simulator.plugin_listing import parameter_lines
 from simulator.plugins import ParameterError, resolve
@@ -41,12 +42,6 @@ def picture(path: Path, shape: tuple[int, int] = VIEW.shape, seed: int = 0) -> n
     codes = np.random.default_rng(seed).integers(0, 256, (*shape, 3), dtype=np.uint8)
     Image.fromarray(codes).save(path)
     return codes
-
-
-def linear(codes: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1 once more."""
-    encoded = codes / 255
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def test_a_folder_gives_its_scenes_and_models_in_order(tmp_path: Path) -> None:
@@ -144,7 +139,7 @@ def test_a_picture_fills_the_view_pixel_by_pixel(tmp_path: Path) -> None:
     family = source(tmp_path / "a.png", "shape_id", "normal", plane_cm=7.5)
     assert len(family) == 1  # type: ignore[arg-type]
     clip = family.clip(0, np.random.default_rng(0))
-    np.testing.assert_allclose(clip.rgb[0], linear(codes), rtol=1e-6)
+    np.testing.assert_allclose(clip.rgb[0], srgb_to_linear(codes / 255), rtol=1e-6)
     assert np.all(clip.depth_m == np.float32(0.075))
     assert clip.valid.all()
     assert not clip.extras["shape_id"].any()
@@ -154,7 +149,7 @@ def test_a_picture_fills_the_view_pixel_by_pixel(tmp_path: Path) -> None:
 def test_a_larger_picture_is_cut_to_the_middle_and_averaged(tmp_path: Path) -> None:
     codes = picture(tmp_path / "a.png", (36, 60))  # three times the view, and six columns too many on either side
     clip = source(tmp_path / "a.png").clip(0, np.random.default_rng(0))
-    expected = linear(codes)[:, 6:54].reshape(12, 3, 16, 3, 3).mean(axis=(1, 3))
+    expected = srgb_to_linear(codes / 255)[:, 6:54].reshape(12, 3, 16, 3, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(clip.rgb[0], expected, rtol=1e-5)
     middle = 2 / (1 / VIEW.near_m + 1 / VIEW.far_m)
     np.testing.assert_allclose(clip.depth_m, middle, rtol=1e-6)

@@ -10,21 +10,13 @@ import pytest
 from scenes.flying_things import draw_scene, flying_things
 from scenes.layout import far_end, place_balls
 from simulator.errors import InputError
-from simulator.render import Box, EnvironmentMap, Renderer, Scene, Sphere, SphereLight, TriangleMesh
+from simulator.render import EnvironmentMap, Renderer, Scene, Sphere, SphereLight, TriangleMesh
 from simulator.types import View
 
 DEFAULT = View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2)
 SMALL = View((24, 24), 102.4e-6, 1.9e-3, 0.036, 0.2)
-VIEWS = {
-    "default": DEFAULT,
-    "wide": View((64, 128), 60e-6, 1.9e-3, 0.01, 0.2),
-    "narrow": View((384, 320), 2.4e-6, 1.0e-2, 0.1, 0.5),
-    "infinite": View((128, 128), 19.2e-6, 1.9e-3, 0.036, math.inf),
-    "thin": View((128, 128), 19.2e-6, 1.9e-3, 0.1, 0.115),
-}
 
 
-@pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS.keys())
 @pytest.mark.parametrize("count", [1, 30, 200])
 def test_balls_lie_between_near_and_far_with_centres_about_in_view(view: View, count: int) -> None:
     balls = place_balls(view, count, np.random.default_rng(count))
@@ -49,7 +41,6 @@ def test_nearest_points_are_even_in_disparity() -> None:
     assert np.abs(counts / counts.mean() - 1).max() < 0.13
 
 
-@pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS.keys())
 def test_every_vertex_of_a_scene_is_in_the_depth_range_and_the_wall_fills_the_view(view: View) -> None:
     for seed in range(5):
         scene = draw_scene(view, 30, np.random.default_rng(seed))
@@ -119,14 +110,4 @@ def test_a_depth_range_too_thin_for_solids_is_refused(far_m: float) -> None:
 
 
 def test_an_infinite_far_depth_is_filled_to_the_last_disparities() -> None:
-    assert far_end(VIEWS["infinite"]) == pytest.approx(1.8)
-
-
-def test_boxes_are_rigid_and_of_sane_proportions() -> None:
-    scene = draw_scene(DEFAULT, 30, np.random.default_rng(0))
-    boxes = [shape for shape in scene.shapes if isinstance(shape, Box)]
-    assert len(boxes) == 5
-    for box in boxes:
-        np.testing.assert_allclose(box.rotation @ box.rotation.T, np.eye(3), atol=1e-12)
-        assert np.linalg.det(box.rotation) == pytest.approx(1)
-        assert box.half_size_m.max() / box.half_size_m.min() < 1 / 0.45 + 1e-9
+    assert far_end(View((128, 128), 19.2e-6, 1.9e-3, 0.036, math.inf)) == pytest.approx(1.8)

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from scenes.high_speed.bodies import body_library
+from scenes.high_speed.bodies import body_library, round_bodies
 from scenes.layout import random_rotation
 from scenes.meshes import UnitMesh, face_cross, mesh_library, placed
 from simulator.render import Material
 
+BODIES = [mesh for mesh in body_library() if not any(mesh is other for other in mesh_library())]
 
-@pytest.mark.parametrize("mesh", mesh_library(), ids=[str(number) for number in range(len(mesh_library()))])
+
+@pytest.mark.parametrize("mesh", [*mesh_library(), *BODIES], ids=lambda mesh: f"{len(mesh.faces)} faces")
 def test_a_mesh_is_closed_turned_outwards_and_fills_the_unit_ball(mesh: UnitMesh) -> None:
     surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     assert surface.faces.max() < len(mesh.vertices)
@@ -26,7 +28,7 @@ def test_a_mesh_is_closed_turned_outwards_and_fills_the_unit_ball(mesh: UnitMesh
     assert mesh.uv.max() <= 1
 
 
-@pytest.mark.parametrize("mesh", mesh_library(), ids=[str(number) for number in range(len(mesh_library()))])
+@pytest.mark.parametrize("mesh", mesh_library(), ids=lambda mesh: f"{len(mesh.faces)} faces")
 def test_normals_are_unit_and_point_out_of_their_faces(mesh: UnitMesh) -> None:
     used = np.unique(mesh.faces)
     np.testing.assert_allclose(np.linalg.norm(mesh.normals[used], axis=1), 1, atol=1e-9)
@@ -47,6 +49,9 @@ def test_the_library_is_varied_and_cheap() -> None:
     assert max(len(mesh.faces) for mesh in library) < 1100, "loading a scene takes time by the triangle"
     assert np.mean([len(mesh.faces) for mesh in library]) < 600
     assert mesh_library() is library
+    assert max(len(mesh.faces) for mesh in body_library()) <= 700
+    for ball in round_bodies():
+        assert np.linalg.norm(ball.vertices, axis=1).min() > 0.9 - 1e-6
 
 
 def test_a_stretched_mesh_has_the_normals_of_its_surface() -> None:

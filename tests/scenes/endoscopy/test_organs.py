@@ -33,13 +33,6 @@ def test_courses_start_at_the_camera_along_z_and_never_bend_tighter_than_asked()
         assert np.abs(twist).max() < 2e-3
 
 
-def test_a_course_without_bend_is_the_z_axis() -> None:
-    course = draw_course(-0.002, 0.08, 0.03, 0.0, np.random.default_rng(1))
-    np.testing.assert_allclose(course.points_m[:, :2], 0, atol=1e-15)
-    points, _ = course.at(np.array([0.0, 0.0123, 0.08]))
-    np.testing.assert_allclose(points[:, 2], [0, 0.0123, 0.08], atol=1e-12)
-
-
 def test_a_plain_tube_has_the_area_normals_and_texture_of_its_prism() -> None:
     rows, columns, radius, length = 11, 24, 0.02, 0.05
     course = draw_course(0.0, length, 0.03, 0.0, np.random.default_rng(0))

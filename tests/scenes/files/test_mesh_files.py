@@ -37,6 +37,11 @@ def ply(vertices: np.ndarray, faces: list[tuple[int, ...]], extra: str = "") -> 
     return head + "\n".join([*rows, *(f"{len(face)} {' '.join(map(str, face))}" for face in faces)]) + "\n"
 
 
+def stl(vertices: np.ndarray) -> bytes:
+    facets = [struct.pack("<12f", 0, 0, 0, *vertices[list(t)].ravel()) + b"\0\0" for t in TRIANGLES]
+    return b"\0" * 80 + struct.pack("<I", len(TRIANGLES)) + b"".join(facets)
+
+
 def write_cube(folder: Path, suffix: str) -> Path:
     path = folder / f"cube{suffix}"
     if suffix == ".obj":
@@ -45,10 +50,7 @@ def write_cube(folder: Path, suffix: str) -> Path:
     elif suffix == ".ply":
         path.write_text(ply(CORNERS, TRIANGLES))
     elif suffix == ".stl":
-        content = b"\0" * 80 + struct.pack("<I", len(TRIANGLES))
-        for triangle in TRIANGLES:
-            content += struct.pack("<12f", 0, 0, 0, *CORNERS[list(triangle)].ravel()) + b"\0\0"
-        path.write_bytes(content)
+        path.write_bytes(stl(CORNERS))
     else:
         path.write_bytes(glb(CORNERS - MIDDLE, np.array(TRIANGLES), {"translation": MIDDLE.tolist()}))
     return path
@@ -136,10 +138,7 @@ def test_a_turned_cube_shows_three_flat_sides(tmp_path: Path) -> None:
 def test_stl_has_z_up_and_a_mirrored_node_stays_right_side_out(tmp_path: Path) -> None:
     turned = CORNERS[:, (0, 2, 1)] * (1, -1, 1)  # the same cube with z up: what was -z is ahead, +y
     path = tmp_path / "cube.stl"
-    content = b"\0" * 80 + struct.pack("<I", len(TRIANGLES))
-    for triangle in TRIANGLES:
-        content += struct.pack("<12f", 0, 0, 0, *turned[list(triangle)].ravel()) + b"\0\0"
-    path.write_bytes(content)
+    path.write_bytes(stl(turned))
     np.testing.assert_allclose(show(path, up="auto").depth_m, show(write_cube(tmp_path, ".obj")).depth_m, rtol=1e-6)
     mirrored = tmp_path / "mirrored.glb"
     node: dict[str, object] = {"translation": [0.0, 0, -3], "scale": [-1.0, 1, 1]}

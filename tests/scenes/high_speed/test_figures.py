@@ -1,13 +1,12 @@
-"""Figures of links: rigid bars, inside the unit ball, on joints that stay together; and the coarse bodies."""
+"""Figures of links: rigid bars, inside the unit ball, on joints that stay together."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from scenes.high_speed.bodies import body_library, round_bodies
 from scenes.high_speed.figures import FIGURES, draw_figure
-from scenes.meshes import face_cross, welded
+from scenes.meshes import face_cross
 from simulator.render import Material
 
 PHASES = np.linspace(0, 2 * np.pi, 25)
@@ -42,18 +41,3 @@ def test_every_link_is_a_rigid_piece_of_the_mesh_with_outward_normals(kind: str)
     flat = face_cross(second.vertices_m, second.faces)
     agreement = np.einsum("fi,fi->f", flat, second.normals[second.faces].mean(axis=1))
     assert np.all(agreement > 0)
-
-
-def test_bodies_are_closed_coarse_and_of_unit_size() -> None:
-    for mesh in body_library():
-        assert len(mesh.faces) <= 700
-        assert np.linalg.norm(mesh.vertices, axis=1).max() == pytest.approx(1)
-        corners = welded(mesh.vertices)[mesh.faces]
-        edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-        forwards = set(map(tuple, edges.tolist()))
-        assert forwards == {(b, a) for a, b in forwards}, "every edge has a triangle on either side"
-        flat = face_cross(mesh.vertices, mesh.faces)
-        assert np.einsum("fi,fi->", mesh.vertices[mesh.faces[:, 0]], flat) > 0
-        assert np.einsum("fi,fi->f", flat, mesh.normals[mesh.faces].mean(axis=1)).min() > 0
-    for ball in round_bodies():
-        assert np.linalg.norm(ball.vertices, axis=1).min() > 0.9 - 1e-6

@@ -5,13 +5,14 @@ from __future__ import annotations
 import importlib.util
 import subprocess
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.render import Environment, Material, Renderer, Scene, Sphere, SphereLight, TriangleMesh, activate
+from simulator.render import Environment, Material, Renderer, Scene, Sphere, SphereLight, activate
 from simulator.render.denoise import check_denoiser, denoise, guides
 from simulator.render.mitsuba_scene import load_scene
 from simulator.types import Clip, View
@@ -85,17 +86,11 @@ def test_the_same_bytes_for_every_run_and_number_of_threads() -> None:
     assert denoise(noisy[:, ::-1], albedo[:, ::-1], normal).tobytes() == mirrored.tobytes()
 
 
-def test_guides_are_means_over_the_pixel() -> None:
-    tangent = VIEW.pixel_pitch_m / VIEW.distance_m
-    left, z = 0.25 * tangent, 0.1  # a quarter pixel right of the middle: 0.75 of pixel 12 is covered
-    corners = np.array([(left, -9), (9, -9), (9, 9), (left, 9)]) * z
-    wall = TriangleMesh(
-        np.column_stack([corners, np.full(4, z)]),
-        np.tile((0.0, 0, -1), (4, 1)),
-        np.zeros((4, 2)),
-        np.array([(0, 2, 1), (0, 3, 2)]),
-        Material(np.full((2, 2, 3), (0.8, 0.4, 0.2), np.float32)),
-    )
+def test_guides_are_means_over_the_pixel(geometry: Any) -> None:
+    left = (
+        0.1 * 0.25 * VIEW.pixel_pitch_m / VIEW.distance_m
+    )  # a quarter pixel off the middle: 0.75 of pixel 12 is covered
+    wall = geometry.upright(left, -0.9, 0.9, 0.9, 0.1, geometry.plain(0.8, 0.4, 0.2))
     activate("scalar_rgb")
     albedo, normal = guides(load_scene(Scene((wall,), (Environment(np.ones(3)),)), VIEW, 5), seed=4)
     # 4 x 4 strata give the share of a quarter exactly.

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -32,25 +31,15 @@ def slow(needs_llvm: None, rendered: Callable[..., Arrays]) -> Arrays:
     return rendered("simulator/render/worker.py", "lensless", "slow")
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """How two sets of runs compare.
+class Agreement(NamedTuple):
+    """How two sets of runs compare."""
 
-    Attributes:
-        ratio: of the sums, second over first.
-        p_value: smallest of all pixels and channels, Welch's t-test.
-        sidak: all p-values stay above it with probability 0.99 if both sets have the same means.
-        spread: mean square of the scores over what it should be.
-        noise: median standard error of the difference, relative.
-        error: relative L2 of the difference with the noise taken out.
-    """
-
-    ratio: float
-    p_value: float
-    sidak: float
-    spread: float
-    noise: float
-    error: float
+    ratio: float  # of the sums, second over first
+    p_value: float  # smallest of all pixels and channels, Welch's t-test
+    sidak: float  # all p-values stay above it with probability 0.99 if both sets have the same means
+    spread: float  # mean square of the scores over what it should be
+    noise: float  # median standard error of the difference, relative
+    error: float  # relative L2 of the difference with the noise taken out
 
 
 def agreement(measured: NDArray[Any], modelled: NDArray[Any]) -> Agreement:

@@ -183,7 +183,6 @@ def cases() -> dict[str, Scene]:
         "ball": Scene((Sphere(np.array([0.012, -0.006, 0.1]), 0.02, grey(0.5), EYE),), (UNIFORM,)),
         "box": Scene((Box(np.array([0.01, 0.0, 0.1]), np.array([0.01, 0.02, 0.005]), grey(0.5), EYE),), (UNIFORM,)),
         "edge": Scene((wall(EDGE_X, EDGE_Y, 200, 200, 0.07, grey(0.0)),), (UNIFORM,)),
-        "grey": Scene((wall(-200, -200, 200, 200, 0.07, grey(0.5)),), (UNIFORM,)),
         "lamp": Scene((wall(-40, -30, 40, 30, 0.05, grey(0.8)),), (lamp,)),
     }
 
