@@ -1,4 +1,4 @@
-"""Where solids go in a view's frustum (balls, even in disparity, of sizes that fit the image), and how they are turned."""
+"""Where solids go in a view's frustum (balls, even in disparity, of sizes that fit the image), and how they are rotated."""
 
 from __future__ import annotations
 

@@ -145,9 +145,9 @@ def arcs(size: int, rng: np.random.Generator) -> Pattern:
 
 
 def collage(size: int, rng: np.random.Generator) -> Pattern:
-    """Overlapping paper scraps, turned rectangles and ellipses of flat tones."""
+    """Overlapping paper scraps, rotated rectangles and ellipses of flat tones."""
     row, column = _unit_square(size)
-    picture = np.full((size, size), rng.random())
+    tones = np.full((size, size), rng.random())
     for _ in range(int(rng.integers(15, 40))):
         v = (row - rng.random() + 0.5) % 1 - 0.5
         u = (column - rng.random() + 0.5) % 1 - 0.5
@@ -156,8 +156,8 @@ def collage(size: int, rng: np.random.Generator) -> Pattern:
         half_a, half_b = rng.uniform(0.05, 0.22, 2)
         rectangle = np.maximum(np.abs(a) / half_a, np.abs(b) / half_b)
         inside = (rectangle if rng.random() < 0.6 else np.hypot(a / half_a, b / half_b)) < 1
-        picture[inside] = rng.random()
-    return picture
+        tones[inside] = rng.random()
+    return tones
 
 
 PATTERNS: tuple[Callable[[int, np.random.Generator], Pattern], ...] = (

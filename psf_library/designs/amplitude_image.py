@@ -1,4 +1,4 @@
-"""An amplitude mask of one's own, from a picture (PNG, TIFF, EXR) or an array (npy)."""
+"""Your own amplitude mask, from an image (PNG, TIFF, EXR) or an array (npy)."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ def amplitude_image(
     values: Literal["transmittance", "amplitude"] = "transmittance",
     threshold: Annotated[float, Field(gt=0, lt=1)] | None = None,
 ) -> Mask:
-    """Return the mask of a picture, seen from behind the sensor: row 0 is the top, black is opaque, white is open.
+    """Return the mask of an image, seen from behind the sensor: row 0 is the top, black is opaque, white is open.
 
     Args:
-        file: the picture; a relative path starts at the YAML file's folder.
-        feature_um: side of the square that one pixel of the picture becomes.
+        file: the image; a relative path starts at the YAML file's folder.
+        feature_um: side of the square that one pixel of the image becomes.
         pixel_um: sample of the mask's grid, of which a feature is a whole number; left out, at most 2 um.
-        values: what the picture holds: transmittance (the square of the amplitude) or the amplitude itself.
-        threshold: makes the picture binary: open from this value on; left out, greys stay.
+        values: what the image holds: transmittance (the square of the amplitude) or the amplitude itself.
+        threshold: makes the image binary: open from this value on; left out, greys stay.
     """
-    picture = read_unit_map(file)
+    image = read_unit_map(file)
     if threshold is not None:
-        picture = (picture >= threshold).astype(np.float32)
-    amplitude = np.sqrt(picture) if values == "transmittance" else picture
+        image = (image >= threshold).astype(np.float32)
+    amplitude = np.sqrt(image) if values == "transmittance" else image
     sample_um = feature_um / math.ceil(feature_um / FINE_UM) if pixel_um is None else pixel_um
     return amplitude_mask(amplitude, feature_um * 1e-6, sample_um * 1e-6, "amplitude_image")

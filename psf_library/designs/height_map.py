@@ -1,4 +1,4 @@
-"""A height map of one's own, from a picture (PNG, TIFF, EXR), an array (npy) or a body (STL)."""
+"""Your own height map, from an image (PNG, TIFF, EXR), an array (npy) or a body (STL)."""
 
 from __future__ import annotations
 

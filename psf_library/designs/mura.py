@@ -47,7 +47,7 @@ def coded_array(rank: int) -> NDArray[np.int64]:
                [1, 1, 0, 0, 1]])
 
     Raises:
-        InputError: when the rank is no odd prime.
+        InputError: when the rank is not an odd prime.
     """
     if rank < 3 or any(rank % divisor == 0 for divisor in range(2, int(rank**0.5) + 1)):
         raise InputError("rank", f"got {rank}, expected an odd prime (for example 31, 61, 101, 127 or 251)")
@@ -63,7 +63,7 @@ def decoding_array(rank: int) -> NDArray[np.int64]:
     """Return what to correlate with, +1 and -1, ``(rank, rank)``; Gottesman and Fenimore, eq. 6.
 
     Raises:
-        InputError: when the rank is no odd prime.
+        InputError: when the rank is not an odd prime.
     """
     array = 2 * coded_array(rank) - 1
     array[0, 0] = 1

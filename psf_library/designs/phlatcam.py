@@ -39,7 +39,7 @@ def phlatcam(
     """Return the published recipe's mask: Perlin noise, Canny edges, near-field phase retrieval, quantised heights.
 
     Its PSF is a net of sharp contour lines as large as the mask, seen at the design distance and blurred within about 0.1
-    mm of it. With ``image`` the lines are the picture's own: a picture of two grey levels is the pattern itself, any other
+    mm of it. With ``image`` the lines are those of the image: one of two grey levels is the pattern itself, any other
     gives its edges.
 
     The profile is a staircase of mask pixels. The tolerances (see ``simulator.design.fabrication``) are those of one
@@ -50,7 +50,7 @@ def phlatcam(
         width_mm: side of the square mask.
         pixel_um: mask pixel.
         distance_um: mask to sensor in the design, where the contours are sharp.
-        image: square picture (PNG, TIFF, EXR, npy) whose lines take the place of Perlin noise.
+        image: square image file (PNG, TIFF, EXR, npy) whose lines take the place of Perlin noise.
         cell_um: cell of the Perlin noise: the scale of the contours.
         line_um: width of the contour lines.
         iterations: most passes of the phase retrieval; published masks use 20 to 100.

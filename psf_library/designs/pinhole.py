@@ -1,4 +1,4 @@
-"""A pinhole: one small round hole, the camera whose picture needs no computation."""
+"""A pinhole: one small round hole, the camera whose image needs no computation."""
 
 from __future__ import annotations
 

@@ -49,10 +49,10 @@ def spiral(
     pitch_m, wavelength_m, glass = pixel_um * 1e-6, wavelength_nm * 1e-9, load_material(material)
     x = sample_positions_m(samples, pitch_m)
     winding = np.log(np.hypot(x[:, None], x[None, :]) / pitch_m) / np.tan(np.radians(pitch_degrees))
-    # Half the plane is computed and turned by rule: rounding on an edge must not break the symmetry.
+    # Half the plane is computed and rotated by rule: rounding on an edge must not break the symmetry.
     half = samples // 2
     raised = np.sin(arms * (np.arctan2(x[:half, None], x[None, :]) - winding[:half])) >= 0
-    turned = raised[::-1, ::-1]
-    raised = np.concatenate([raised, ~turned if arms % 2 else turned])
+    rotated = raised[::-1, ::-1]
+    raised = np.concatenate([raised, ~rotated if arms % 2 else rotated])
     height_m = (raised * (wavelength_m / 2 / glass.refractivity(wavelength_m))).astype(np.float32)
     return Mask(height_m, np.ones_like(height_m), pitch_m, glass, profile="staircase", name="spiral")

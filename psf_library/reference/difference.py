@@ -141,7 +141,7 @@ def draw_difference(found: PsfStack, expected: PsfStack, path: Path) -> Path:
         )
         axes.set(title=title, xlabel="column", ylabel="row")
         figure.colorbar(drawn, ax=axes, shrink=0.85)
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", metadata={"Software": "flatlight"})
-    write_atomic(path, picture.getvalue())
+    png = io.BytesIO()
+    figure.savefig(png, format="png", metadata={"Software": "flatlight"})
+    write_atomic(path, png.getvalue())
     return path

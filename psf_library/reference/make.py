@@ -17,8 +17,8 @@ from simulator.errors import InputError
 from simulator.optics.mask import Mask
 
 PSF_TOLERANCE = 2e-6
-"""Relative L2 difference that is no change: exp, sin and BLAS round differently on other CPUs. From AVX-512 down to SSE4
-the references move by up to 2.2e-7; other releases of the FFT may round a few times worse."""
+"""Relative L2 difference that counts as unchanged: exp, sin and BLAS round differently on other CPUs. From AVX-512 down to
+SSE4 the references move by up to 2.2e-7; other releases of the FFT may round a few times worse."""
 
 HEIGHT_TOLERANCE_M, AMPLITUDE_TOLERANCE = 1e-9, 1e-4
 """A mask sample that differs by less is the same: a nanometre turns green light's phase by 0.006 rad."""

@@ -22,8 +22,8 @@ from scenes.endoscopy.endoscope import (
     direct_light,
     draw_lamps,
     draw_poses,
+    first_hits,
     fits,
-    glance,
     pressed,
 )
 from scenes.endoscopy.mucosa import draw_mucosa
@@ -245,13 +245,13 @@ def exposed(
 ) -> tuple[SphereLight, ...]:
     """Return the lamps so bright that direct light gives the walls in view a mean radiance of ``exposure``.
 
-    The mean is over the 9 x 9 rays of `scenes.endoscopy.endoscope.glance` and over the meshes (frames of a clip):
+    The mean is over the 9 x 9 rays of `scenes.endoscopy.endoscope.first_hits` and over the meshes (frames of a clip):
     albedo x lamp intensity x mean(cos / distance^2) = exposure. It is known before anything is rendered, like the automatic
     exposure of an endoscope, and holds for a whole clip.
     """
     means = []
     for mesh in meshes:
-        seen = glance(view, mesh.vertices_m, mesh.faces)
+        seen = first_hits(view, mesh.vertices_m, mesh.faces)
         light = direct_light(lamps, seen.points_m, unit(mesh.normals[mesh.faces[seen.face]].mean(axis=1)))
         means.append(float(light.mean()) * float(mesh.material.reflectance.mean()))
     return brightened(lamps, exposure / float(np.mean(means)))

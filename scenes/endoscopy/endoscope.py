@@ -132,7 +132,7 @@ _RAYS = 9
 
 
 @dataclass(frozen=True)
-class Glance:
+class Hits:
     """Where rays through the middles and edges of an image meet a surface first.
 
     Attributes:
@@ -146,7 +146,7 @@ class Glance:
     missed: int
 
 
-def glance(view: View, vertices_m: Array, faces: NDArray[np.integer]) -> Glance:
+def first_hits(view: View, vertices_m: Array, faces: NDArray[np.integer]) -> Hits:
     """Follow 9 x 9 rays, evenly over the image and to its very edges, to the nearest face that looks at the camera.
 
     A ray r meets the triangle (a, b, c) where the triple products r.(a x b), r.(b x c), r.(c x a) agree in sign; their
@@ -174,4 +174,4 @@ def glance(view: View, vertices_m: Array, faces: NDArray[np.integer]) -> Glance:
         points.append((rays[:, nearest > 0] / nearest[nearest > 0]).T)
         met.append(crossed[inverse_depth.argmax(axis=0)[nearest > 0]])
     found = np.concatenate(met)
-    return Glance(np.concatenate(points), found, _RAYS**2 - len(found))
+    return Hits(np.concatenate(points), found, _RAYS**2 - len(found))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import KDTree
 
-from scenes.endoscopy.endoscope import Pose, clears, draw_poses, glance
+from scenes.endoscopy.endoscope import Pose, clears, draw_poses, first_hits
 from scenes.endoscopy.organs import Course, Wall
 from scenes.endoscopy.vtk_polydata import read_surface
 from scenes.meshes import smooth_normals, unit
@@ -120,7 +120,7 @@ def find_shot(
 
 def _encloses(view: View, pose: Pose, wall: Wall) -> bool:
     """Whether there is wall in every part of the image, nearer than far."""
-    seen = glance(view, pose.seen(wall.vertices_m), wall.faces)
+    seen = first_hits(view, pose.seen(wall.vertices_m), wall.faces)
     return seen.missed == 0 and bool(seen.points_m[:, 2].max() < 0.9 * view.far_m)
 
 

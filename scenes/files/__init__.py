@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from scenes.files.images import image_clip, plane_depth
 from scenes.files.mesh_files import MESH_SUFFIXES, Up, load_model, mesh_inputs
 from scenes.files.model_scene import Pose, back_m, model_scene, model_shapes, place_model
-from scenes.files.pictures import picture_clip, plane_depth
 from scenes.layout import far_end
 from simulator.errors import InputError
 from simulator.render import Renderer
@@ -19,7 +19,7 @@ from simulator.render.own_scene import check_depths, own_scene_files
 from simulator.types import Clip, View
 
 _SCENES = (".xml",)
-_PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr")
+_IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".exr")
 
 
 def files(
@@ -41,7 +41,7 @@ def files(
     Args:
         view: image shape, pinhole geometry and depth range.
         path: a file, a list of files, or a folder, of which the scenes and meshes are taken in the order of their names, or
-            its images if it has neither; images are turned as their EXIF data say, and what is transparent is seen before
+            its images if it has neither; images are rotated as their EXIF data say, and what is transparent is seen before
             black.
         samples_per_pixel: light paths per pixel; noise falls with the square root.
         length_of_unit_cm: what one unit of an XML scene or a mesh stands for; without it, scenes are scaled about their
@@ -64,7 +64,7 @@ def files(
             "pose", "as_is takes the file's coordinates for the camera's, which needs length_of_unit_cm; give it too"
         )
     for key, value, suffixes in (
-        ("plane_cm", plane_cm, _PICTURES),
+        ("plane_cm", plane_cm, _IMAGES),
         ("length_of_unit_cm", length_of_unit_cm, (*_SCENES, *MESH_SUFFIXES)),
     ):
         if value is not None and not any(_is(file, suffixes) for file in found):
@@ -146,7 +146,7 @@ class OwnFiles:
             )
         if _is(path, MESH_SUFFIXES):
             return self._mesh(path, source, rng)
-        return picture_clip(path, self.view, self.plane_m, self.renderer.outputs, source)
+        return image_clip(path, self.view, self.plane_m, self.renderer.outputs, source)
 
     def _mesh(self, path: Path, source: dict[str, Any], rng: np.random.Generator) -> Clip:
         mesh_inputs(path)  # trimesh keeps quiet about what is missing
@@ -193,20 +193,20 @@ def _list_files(path: Path | list[Path]) -> tuple[Path, ...]:
     given = path if isinstance(path, list) else [path]
     if not given:
         raise InputError("path", "got an empty list, expected at least one file")
-    known = f"Mitsuba scenes (.xml), meshes ({', '.join(MESH_SUFFIXES)}) and images ({', '.join(_PICTURES)})"
+    known = f"Mitsuba scenes (.xml), meshes ({', '.join(MESH_SUFFIXES)}) and images ({', '.join(_IMAGES)})"
     found: list[Path] = []
     for one in map(Path, given):
         if one.is_dir():
             inside = sorted(file for file in one.iterdir() if file.is_file() and not file.name.startswith("."))
             # Images beside meshes are their textures.
             shown = [file for file in inside if _is(file, (*_SCENES, *MESH_SUFFIXES))]
-            shown = shown or [file for file in inside if _is(file, _PICTURES)]
+            shown = shown or [file for file in inside if _is(file, _IMAGES)]
             if not shown:
                 raise InputError("path", f"the folder {one} holds nothing that can be shown; expected {known}")
             found += shown
         elif not one.is_file():
             raise InputError("path", f"there is no file {one}; a relative path is taken from the YAML file's folder")
-        elif not _is(one, (*_SCENES, *MESH_SUFFIXES, *_PICTURES)):
+        elif not _is(one, (*_SCENES, *MESH_SUFFIXES, *_IMAGES)):
             raise InputError("path", f"got {one}, whose suffix {one.suffix!r} is unknown; expected {known}")
         else:
             found.append(one)

@@ -20,7 +20,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.files.pictures import area_mean
+from scenes.files.images import area_mean
 from scenes.layout import rotation
 from scenes.meshes import face_cross, unit, welded
 from simulator.colour import decode_srgb_picture, srgb_to_linear
@@ -33,7 +33,7 @@ MESH_SUFFIXES = (".obj", ".ply", ".stl", ".gltf", ".glb")
 
 _PLY_HEADER = 2**16
 _GLB_MAGIC, _GLB_JSON = 0x46546C67, 0x4E4F534A
-_PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".tif", ".tiff", ".gif")
+_IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".tif", ".tiff", ".gif")
 # Ways to pack a glTF file that would need decoders of their own.
 _PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu")
 
@@ -52,7 +52,7 @@ def mesh_inputs(path: Path) -> list[Path]:
         file = user.parent / name
         if not file.is_file():
             raise InputError(user, f"it needs {name!r}, and there is no file {file}; put it there, or mend the name")
-        if file.suffix.lower() in _PICTURES:
+        if file.suffix.lower() in _IMAGES:
             picture_shape(file)
         found.append(file)
     return list(dict.fromkeys(found))

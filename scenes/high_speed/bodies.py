@@ -132,7 +132,7 @@ def squash(points: Array, stretch: float) -> Array:
 
 
 def pulsing(strength: float) -> Bend:
-    """Return a body that turns long and flat by turns, at constant volume; ``strength`` is the logarithm of the stretch."""
+    """Return a body that is stretched and flattened in turn, volume kept; ``strength`` is the logarithm of the stretch."""
     return lambda points, phase: squash(points, math.exp(strength * math.sin(phase)))
 
 

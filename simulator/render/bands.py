@@ -23,7 +23,7 @@ from simulator.errors import InputError
 from simulator.render.backend import mitsuba
 
 SHORTEST_NM, LONGEST_NM = 360.0, 830.0
-"""Where Mitsuba's colour matching functions and its D65 end: there is no light beyond."""
+"""Where Mitsuba's colour matching functions and its D65 end: beyond them nothing shines."""
 _RAMP_NM = 0.25  # half the width of a band's flanks, which overlap their neighbours' so that the sum stays flat
 _CIE_Y_NM = 106.856895  # integral of the luminous efficiency, as in Mitsuba
 # Linear sRGB (ITU-R BT.709, D65) from CIE XYZ, as in Mitsuba.

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from scenes.files import OwnFiles, files
-from scenes.files.pictures import area_mean
+from scenes.files.images import area_mean
 from simulator.colour import srgb_to_linear
 from simulator.errors import InputError
 from simulator.plugin_listing import parameter_lines

@@ -196,6 +196,9 @@ def test_black_is_exactly_black_and_a_room_fills_the_picture() -> None:
     away = ~binary_dilation(empty.valid, np.ones((1, 5, 5)))
     assert away.mean() > 0.2
     assert np.all(empty.rgb[away] == 0)
+    slots = draw_play(SMALL, "rotation", True, 3 / 2000, np.random.default_rng(11)).slots
+    used = {slot + 2 for slot, (_, actor) in enumerate(slots) if actor is not None}
+    assert set(np.unique(empty.extras["shape_id"]).tolist()) <= {-1} | used, "what is parked is out of view"
     assert empty.rgb[empty.valid].mean() > 0.05
     full = clip("rotation", "room", outputs=("shape_id",))
     assert full.valid.all()

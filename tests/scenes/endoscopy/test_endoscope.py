@@ -1,4 +1,4 @@
-"""A glance at a surface agrees with trimesh's own ray casting."""
+"""A first_hits at a surface agrees with trimesh's own ray casting."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from scenes.endoscopy.endoscope import draw_poses, glance
+from scenes.endoscopy.endoscope import draw_poses, first_hits
 from scenes.endoscopy.organs import ORGANS
 from simulator.types import View
 
@@ -18,7 +18,7 @@ def test_points_and_faces_are_those_of_an_independent_ray_caster(cast_rays: Call
     wall = ORGANS["small_intestine"].draw(0.05, 1.0, np.random.default_rng(3))
     pose = draw_poses(wall.course, np.zeros(1), np.zeros(1), 0.003, 0.3, 1.0, np.random.default_rng(4))[0]
     points = pose.seen(wall.vertices_m)
-    seen = glance(VIEW, points, wall.faces)
+    seen = first_hits(VIEW, points, wall.faces)
     assert seen.missed == 0
     assert len(seen.points_m) == len(seen.face) == 81
     slopes = seen.points_m[:, :2] / seen.points_m[:, 2:]
@@ -33,8 +33,8 @@ def test_rays_past_the_surface_are_counted_and_backs_are_not_seen() -> None:
     left = np.array([(0.0, -1, 1), (0, 1, 1), (-2, 0, 1)]) - (1e-6, 0, 0)
     faces = np.array([(0, 1, 2)])
     normal = np.cross(left[1] - left[0], left[2] - left[0])
-    seen = glance(VIEW, left, faces if normal[2] < 0 else faces[:, ::-1])
+    seen = first_hits(VIEW, left, faces if normal[2] < 0 else faces[:, ::-1])
     assert seen.missed == 5 * 9
     np.testing.assert_allclose(seen.points_m[:, 2], 1)
-    assert glance(VIEW, left, faces[:, ::-1] if normal[2] < 0 else faces).missed == 81
-    assert glance(VIEW, left * (1, 1, -1), faces).missed == 81
+    assert first_hits(VIEW, left, faces[:, ::-1] if normal[2] < 0 else faces).missed == 81
+    assert first_hits(VIEW, left * (1, 1, -1), faces).missed == 81

@@ -69,7 +69,7 @@ def plane_depth(view: View, plane_cm: float | None) -> float:
     return plane_cm * 1e-2
 
 
-def picture_clip(path: Path, view: View, depth_m: float, outputs: tuple[str, ...], source: dict[str, Any]) -> Clip:
+def image_clip(path: Path, view: View, depth_m: float, outputs: tuple[str, ...], source: dict[str, Any]) -> Clip:
     """Return an image that fills the view, at one depth: one frame of 1 s.
 
     The largest centred part of the view's proportions is taken, and averaged to the view's pixels. Of the renderer's
