@@ -39,12 +39,7 @@ DEPTHS_M = (6e-3, 0.2)  # near enough to magnify by a twelfth, and far enough to
 
 @dataclass(frozen=True)
 class Case:
-    """How one design is pinned.
-
-    Attributes:
-        parameters: of the design, as in YAML.
-        mask_to_sensor_m: metres.
-    """
+    """How one design is pinned: its parameters, as in YAML, and the distance from mask to sensor."""
 
     parameters: Mapping[str, Any] = field(default_factory=dict)
     mask_to_sensor_m: float = 5e-4
@@ -68,9 +63,6 @@ CASES: dict[str, Case] = {
 
 def build_mask(name: str) -> Mask:
     """Design a case's mask anew, in float32, whatever a cache holds.
-
-    Args:
-        name: a key of ``CASES``.
 
     Raises:
         InputError: for a name without a case.
@@ -118,17 +110,12 @@ PINNED = Path(__file__).parent / "pinned"
 
 
 def load(name: str, folder: Path = PINNED) -> PsfStack:
-    """Return the pinned PSFs of a design.
+    """Return the pinned PSFs of a design: two depths, three channels, float32.
 
-    Args:
-        name: the design's name.
-        folder: where the references lie; the shipped ones when left out.
-
-    Returns:
-        Two depths, three channels, float32; ``provenance["reference"]`` says from what it was made.
+    ``provenance["reference"]`` says from what they were made.
 
     Raises:
-        InputError: no such reference, or a damaged one.
+        InputError: no such reference in the folder, or a damaged one.
 
     Example:
         >>> stack = load("pinhole")

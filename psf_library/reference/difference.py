@@ -54,11 +54,7 @@ class StackDifference:
 
 
 def compare_stacks(found: PsfStack, expected: PsfStack) -> StackDifference:
-    """Compare two stacks of the same depths, channels and pixels.
-
-    Args:
-        found: the stack to judge.
-        expected: the stack that it should be.
+    """Compare a stack with the one that it should be, of the same depths, channels and pixels.
 
     Raises:
         InputError: when their sizes, pixel pitches, channels or depths differ, so that no pixel has a counterpart.
@@ -94,18 +90,10 @@ def compare_stacks(found: PsfStack, expected: PsfStack) -> StackDifference:
 
 
 def draw_difference(found: PsfStack, expected: PsfStack, path: Path) -> Path:
-    """Draw the plane that differs most: expected, found and their difference, each with its scale, as one PNG.
+    """Draw the plane that differs most as one PNG, and return its path: expected, found and difference, each with its scale.
 
     Expected and found share one scale with a square-root stretch; the difference is linear about zero. A ring marks the
-    pixel that differs most.
-
-    Args:
-        found: the stack to judge.
-        expected: the stack that it should be.
-        path: the image to write; its folder must exist.
-
-    Returns:
-        The path of the image.
+    pixel that differs most. The folder must exist.
 
     Raises:
         InputError: when the stacks cannot be compared.

@@ -31,12 +31,7 @@ iterations and 10 in 50; from AVX-512 down to SSE4 none flips."""
 
 @dataclass(frozen=True)
 class Change:
-    """What became of a reference.
-
-    Attributes:
-        rewritten: whether new files were written.
-        note: which one, and by how much it changed.
-    """
+    """What became of a reference: whether new files were written, and a note of which one and by how much it changed."""
 
     rewritten: bool
     note: str
@@ -52,11 +47,7 @@ def changed_samples(found: Mask, pinned: Mask) -> float:
 
 
 def remake(name: str, folder: Path = PINNED) -> Change:
-    """Compute a reference again, and write it where it is missing or no longer reproduced.
-
-    Args:
-        name: a key of ``CASES``.
-        folder: where the references lie.
+    """Compute a reference again, and write it into the folder where it is missing or no longer reproduced.
 
     Raises:
         InputError: for a name without a case.

@@ -10,7 +10,7 @@ from simulator.optics.exact import ORDERS, Wave, exact_images, waves
 from simulator.optics.fine_mask import TAPER
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA
-from simulator.optics.psf import PsfConfig, compute_psf_stack, depth_images, sampled_intensity
+from simulator.optics.psf import PsfConfig, depth_images, sampled_intensity
 from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
 from simulator.optics.sources import Source
 from simulator.types import CameraGeometry, SpectralResponse
@@ -249,13 +249,3 @@ def test_many_depths_share_grids_and_equal_each_alone():
     for source, image in zip(sources, together, strict=True):
         (alone,) = exact_images(mask, CAMERA, [source], 121)
         assert error(image, alone) < 5e-3  # 4 um pixels over a grid of 1 um
-
-
-def test_a_stack_of_exact_psfs():
-    """The stack holds what the model yields; from 2 cm the mask of 60 um loses (r0 / r)^2 of its rim's light: 1e-5."""
-    config, mask = PsfConfig((0.02, np.inf), "exact", wavelengths_per_channel=1), random_phase()
-    stack = compute_psf_stack(mask, CAMERA, config)
-    images = np.stack(list(depth_images(mask, CAMERA, config, 532e-9, stack.values.shape[-1])))
-    assert error(stack.values[:, 0], images) < 1e-9
-    assert stack.provenance["model"] == "exact"
-    np.testing.assert_allclose(stack.energy_m2(), mask.transmitted_area_m2, rtol=1e-5)

@@ -10,7 +10,7 @@ from simulator.camera.planes import mask_irradiance
 from simulator.errors import InputError
 from simulator.optics.error_budget.sampling import prove_sampling, sampling_error
 from simulator.optics.kernel import ORDERS
-from simulator.optics.mask import Mask
+from simulator.optics.mask import Mask, steepest_frequency
 from simulator.optics.materials import FUSED_SILICA
 from simulator.optics.psf import PsfConfig, compute_psf_stack, depth_images, plain_psf, sampled_intensity
 from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
@@ -286,3 +286,43 @@ def test_the_fast_models_give_what_the_plain_formula_gives(mask, depth_m, oversa
     for model, allowed in tolerance.items():
         (fast,) = depth_images(mask, camera, PsfConfig((depth_m,), model), 532e-9, 31)
         assert np.linalg.norm(plain - fast) / np.linalg.norm(fast) < allowed, model
+
+
+# --- smooth masks whose phase is steeper than their own samples can tell: what the refusal advises must be right
+
+STEEP_PITCH_M, STEEP_SAMPLES = 2e-6, 160
+HEIGHT_PER_TURN_M = 532e-9 / (FUSED_SILICA.index(532e-9) - 1)
+
+
+def _steep_lens(turns: float) -> Mask:
+    """A lens whose phase turns by ``turns`` per sample at 80 % of its half-width, where its soft aperture ends."""
+    x = (np.arange(STEEP_SAMPLES) - (STEEP_SAMPLES - 1) / 2) * STEEP_PITCH_M
+    radius = np.hypot(x[:, None], x[None, :])
+    rim = 0.8 * STEEP_SAMPLES * STEEP_PITCH_M / 2
+    height = -(radius**2) * turns * HEIGHT_PER_TURN_M / (2 * STEEP_PITCH_M * rim)
+    return Mask(height - height.min(), np.exp(-((radius / rim) ** 12)), STEEP_PITCH_M, FUSED_SILICA, "smooth")
+
+
+@pytest.mark.parametrize("model", ["scaled_distance", "exact"])
+@pytest.mark.parametrize("turns", [0.3, 0.6, 0.8])
+def test_oversampling_two_of_a_steep_mask_equals_the_direct_sum(turns, model):
+    """All the light arrives, at the right places. Truth: the same cubic surface at six samples per mask sample, 2e-3."""
+    camera, config = CameraGeometry(1e-3, 19.2e-6, GREEN), PsfConfig((np.inf,), model, oversampling=2)
+    mask, rng = _steep_lens(turns), np.random.default_rng(0)
+    points, found = sampled_intensity(mask, camera, config, 532e-9, np.inf, 8, rng)
+    truth = np.abs(rayleigh_sommerfeld(mask.transmission(532e-9, 6), STEEP_PITCH_M / 6, 532e-9, 1e-3, points)) ** 2
+    assert np.linalg.norm(found - truth) / np.linalg.norm(truth) < 0.01
+    stack = compute_psf_stack(mask, camera, replace(config, wavelengths_per_channel=1))
+    assert stack.energy_m2()[0, 0] == pytest.approx(mask.transmitted_area_m2, rel=2e-3)
+
+
+def test_only_open_samples_are_steep():
+    """A prism of 0.4 turns per sample; a step of ten turns where no light passes does not count."""
+    height = np.broadcast_to(np.arange(40) * 0.4 * HEIGHT_PER_TURN_M, (40, 40)).copy()
+    amplitude = np.ones((40, 40))
+    height[:, 30:] += 10 * HEIGHT_PER_TURN_M
+    amplitude[:, 30] = 0
+    mask = Mask(height, amplitude, STEEP_PITCH_M, FUSED_SILICA, "smooth")
+    assert steepest_frequency(mask, 532e-9) * STEEP_PITCH_M == pytest.approx(0.4, rel=1e-9)
+    open_ = replace(mask, amplitude=np.ones((40, 40)))
+    assert steepest_frequency(open_, 532e-9) * STEEP_PITCH_M == pytest.approx(10.4, rel=1e-9)

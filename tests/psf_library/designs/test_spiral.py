@@ -86,10 +86,3 @@ def test_its_psf_is_symmetric_under_a_half_turn(psf_at_infinity):
     psf = psf_at_infinity(spiral(width_mm=0.4), 1e-3, 4e-6)
     np.testing.assert_allclose(psf, psf[::-1, ::-1], atol=1e-5 * psf.max())
     assert not np.allclose(psf, psf[::-1], atol=0.1 * psf.max())
-
-
-def test_it_is_a_fabricable_pair_of_levels():
-    mask = spiral()
-    assert mask.profile == "staircase"
-    assert len(np.unique(mask.height_m)) == 2
-    assert mask.height_m.max() == pytest.approx(GREEN / 2 / (mask.material.index(GREEN) - 1), rel=1e-6)

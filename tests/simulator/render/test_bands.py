@@ -146,10 +146,7 @@ def test_bands_are_given_by_range_or_edges() -> None:
             edges(**keys)
 
 
+@pytest.mark.usefixtures("needs_llvm")
 def test_the_backend_for_bands_is_spectral() -> None:
     assert choose_backend("scalar", spectral=True).variant == "scalar_spectral"
-
-
-@pytest.mark.usefixtures("needs_llvm")
-def test_the_backend_for_bands_is_llvm_where_that_works() -> None:
     assert choose_backend("auto", spectral=True).variant == "llvm_ad_spectral"

@@ -151,13 +151,6 @@ def test_occlusion_is_the_layered_models_error_and_hidden_layers_make_it_worse(q
     assert with_hidden.error > 5 * found.error
 
 
-@pytest.mark.slow
-def test_occlusion_is_seen_by_the_z_test(slow: Arrays) -> None:
-    found = case(slow, "occlusion")
-    assert found.p_value < found.sidak
-    assert found.error == pytest.approx(0.023, abs=0.004)
-
-
 @pytest.mark.parametrize("depth_m", [0.01, 0.05, np.inf])
 def test_shadows_are_those_of_many_rays(depth_m: float) -> None:
     # 200 x 200 rays per cell to where they land: each cell's edges are known to 1/200 of it.
