@@ -87,9 +87,8 @@ def vessel_pool() -> NDArray[np.uint8]:
 def _cloud_pool() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Return slow and fine patterns, ``(N, SIZE, SIZE)`` each."""
     rng = np.random.default_rng(_POOL_SEED + 1)
-    slow = [clouds(SIZE, rng, slope=1.7) for _ in range(_CLOUDS)]
-    fast = [clouds(SIZE, rng, slope=0.55) for _ in range(_CLOUDS)]
-    return tuple(np.rint(255 * np.stack(pool)).astype(np.uint8) for pool in (slow, fast))  # pyright: ignore[reportReturnType]
+    slow, fast = (np.stack([clouds(SIZE, rng, slope=slope) for _ in range(_CLOUDS)]) for slope in (1.7, 0.55))
+    return np.rint(255 * slow).astype(np.uint8), np.rint(255 * fast).astype(np.uint8)
 
 
 def draw_vessels(trees: int, calibre_px: float, rng: np.random.Generator) -> NDArray[np.uint8]:

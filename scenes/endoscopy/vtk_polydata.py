@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,8 +71,8 @@ def _through_trimesh(path: Path) -> Surface:
     import trimesh
 
     try:
-        mesh = trimesh.load(path, force="mesh", process=False)
-        points, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)  # pyright: ignore[reportAttributeAccessIssue]
+        mesh: Any = trimesh.load(path, force="mesh", process=False)
+        points, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces, np.int64)
     except Exception as error:  # its loaders raise anything
         raise InputError(
             "surface",

@@ -111,11 +111,12 @@ def _device(threads: int) -> Any:
 @functools.cache
 def _library() -> Any:
     """Import ``pyoidn`` without its torch half, which would cost every worker 3 CPU-s and 500 MB where torch is installed."""
-    torch_is_here = "torch" in sys.modules
+    modules: dict[str, Any] = sys.modules
+    torch_is_here = "torch" in modules
     if not torch_is_here:
-        sys.modules["torch"] = None  # pyright: ignore[reportArgumentType]  (Python's own way to say: not importable)
+        modules["torch"] = None  # Python's own way to say: not importable
     try:
         return importlib.import_module("pyoidn")
     finally:
         if not torch_is_here:
-            del sys.modules["torch"]
+            del modules["torch"]

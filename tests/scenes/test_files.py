@@ -61,7 +61,7 @@ def test_a_folder_gives_its_scenes_and_models_in_order(tmp_path: Path) -> None:
     assert [path.name for path in source(tmp_path / "pictures").paths] == ["a.jpg", "b.png"]
     finite = source([tmp_path / "tetra.obj"], pose="upright")
     assert isinstance(finite, OwnFiles)
-    assert len(finite) == 1  # type: ignore[arg-type]
+    assert len(finite) == 1
 
 
 def test_the_same_index_and_generator_give_the_same_bytes(tmp_path: Path) -> None:
@@ -136,7 +136,7 @@ def test_light_of_the_studio_is_the_same_every_time_and_varied_is_not(tmp_path: 
 def test_a_picture_fills_the_view_pixel_by_pixel(tmp_path: Path) -> None:
     codes = picture(tmp_path / "a.png")
     family = source(tmp_path / "a.png", "shape_id", "normal", plane_cm=7.5)
-    assert len(family) == 1  # type: ignore[arg-type]
+    assert len(family) == 1
     clip = family.clip(0, np.random.default_rng(0))
     np.testing.assert_allclose(clip.rgb[0], srgb_to_linear(codes / 255), rtol=1e-6)
     assert np.all(clip.depth_m == np.float32(0.075))

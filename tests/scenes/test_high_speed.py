@@ -180,7 +180,7 @@ def clip(event: Event, background: str, *, view: View = SMALL, outputs: tuple[st
         frames=frames,
         samples_per_pixel=1,
         event=event,
-        background=background,  # pyright: ignore[reportArgumentType]
+        background=background,
         renderer=Renderer("scalar_rgb", outputs=outputs),
     )
     return source.clip(0, np.random.default_rng(11))

@@ -86,7 +86,7 @@ def glb(vertices: np.ndarray, faces: np.ndarray, node: dict[str, object]) -> byt
 def show(path: Path, *outputs: str, samples: int = 1, **keywords: object) -> Clip:
     """Render a file as it is, two centimetres a unit, before black."""
     given = {"pose": "as_is", "length_of_unit_cm": UNIT_CM, "background": "black", "up": "y"} | keywords
-    source = files(VIEW, path=path, samples_per_pixel=samples, renderer=Renderer("scalar_rgb", outputs), **given)  # type: ignore[arg-type]
+    source = files(VIEW, path=path, samples_per_pixel=samples, renderer=Renderer("scalar_rgb", outputs), **given)
     return source.clip(0, np.random.default_rng(0))
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from simulator.errors import InputError
 from simulator.render import choose_backend
-from simulator.render.backend import _judge  # pyright: ignore[reportPrivateUsage]
+from simulator.render.backend import _judge
 
 Python = Callable[..., subprocess.CompletedProcess[str]]
 NO_LLVM = {"DRJIT_LIBLLVM_PATH": "/nonexistent/libLLVM.so"}
@@ -25,7 +25,7 @@ def test_scalar_is_chosen_without_looking_for_llvm(monkeypatch: pytest.MonkeyPat
 
 def test_unknown_words_are_refused() -> None:
     with pytest.raises(InputError, match=r"^render\.backend: "):
-        choose_backend("cuda")  # pyright: ignore[reportArgumentType]
+        choose_backend("cuda")
 
 
 @pytest.mark.usefixtures("needs_llvm")

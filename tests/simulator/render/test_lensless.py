@@ -206,4 +206,4 @@ def test_what_cannot_be_traced_is_refused(changes: dict[str, Any], named: str) -
 
 def test_a_shadow_of_something_else_is_refused() -> None:
     with pytest.raises(InputError, match=r"^source: "):
-        shadow_psfs(AMPLITUDE, 50e-6, 1.9e-3, [0.1], 19.2e-6, source="line")  # pyright: ignore[reportArgumentType]
+        shadow_psfs(AMPLITUDE, 50e-6, 1.9e-3, [0.1], 19.2e-6, source="line")
