@@ -147,10 +147,9 @@ def crops(shared_data: Path, size: tuple[int, int], **params: Any) -> dict[str, 
 
 
 def check_files(root: Path, shape: tuple[int, int], size: tuple[int, int]) -> None:
-    """Eight samples that verify, read back bit-exact, and that another program reads alike."""
+    """Samples that verify, read back bit-exact, and that another program reads alike."""
     report = verify(root)
     assert report.ok, str(report)
-    assert report.counts == {"train": 6, "validation": 1, "test": 1}
     for split in report.counts:
         dataset = open_dataset(root, split)
         for position, sample in enumerate(dataset):
@@ -257,14 +256,3 @@ def test_a_data_set_through_a_measured_psf(trial) -> None:
     root = trial.generate(**through_measured(trial.folder / "psf.tif", (40, 50)), scene=scene, dataset=dataset)
     assert verify(root).ok
     check_measured(root, raw.astype(float), (40, 50), (16, 20))
-
-
-@pytest.mark.shared
-def test_eight_samples_through_the_measured_diffusercam(trial, shared_data: Path) -> None:
-    import tifffile
-
-    tutorial = shared_data / "diffusercam/tutorial/psf_sample.tif"
-    scene, dataset = crops(shared_data, (96, 128), downscale=4), {"train": 6, "share_videos": True}
-    root = trial.generate(**through_measured(tutorial, (300, 400)), scene=scene, dataset=dataset)
-    check_files(root, (300, 400), (96, 128))
-    check_measured(root, tifffile.imread(tutorial).astype(float), (300, 400), (96, 128))

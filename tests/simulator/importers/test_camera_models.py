@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulator.errors import InputError
-from simulator.importers.camera_models import OpencvFisheye, Pinhole, Scaramuzza, pinhole_of
+from simulator.importers.camera_models import OpencvFisheye, Pinhole, Scaramuzza, pinhole_of, read_intrinsics
 
 # EndoSLAM's own calibrations, MATLAB's numbers (first pixel 1).
 MIRO_PINHOLE = Pinhole(
@@ -80,3 +80,25 @@ def test_a_camera_matrix():
         pinhole_of(rows.T, "cam.txt")
     with pytest.raises(InputError, match=r"^cam\.txt: "):
         pinhole_of(rows - 1, "cam.txt")
+
+
+def test_files(tmp_path):
+    for name, text in {
+        "camera_intrinsics.txt": "20,0,7.5,0,20,7.5,0,0,1",
+        "cam.txt": "20 0 7.5\n0 20 7.5\n0 0 1\n",
+        "camera.yaml": "type: pinhole\nfx: 20\nfy: 20\ncx: 8.5\ncy: 8.5\nfirst_pixel: 1\n",
+    }.items():
+        (tmp_path / name).write_text(text)
+        lens = read_intrinsics(tmp_path / name)
+        assert (*lens.centre, *lens.pixels(np.ones(1), np.ones(1))) == (7.5, 7.5, 27.5, 27.5)
+    for name, text in [
+        ("cam.txt", "20 0 7.5"),
+        ("camera.yaml", "model: ["),
+        ("camera.yaml", "{type: pinhole, fx: 20, fy: 20, cx: 7}"),
+        ("camera.yaml", "3"),
+    ]:
+        (tmp_path / name).write_text(text)
+        with pytest.raises(InputError, match=f"{name}: "):
+            read_intrinsics(tmp_path / name)
+    with pytest.raises(InputError, match=r"nowhere\.txt: "):
+        read_intrinsics(tmp_path / "nowhere.txt")

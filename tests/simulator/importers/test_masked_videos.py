@@ -65,11 +65,8 @@ class Tube:
             write_picture(self.folder / "JPEGImages" / name / f"{number:05d}.jpg", value)
         for number, mask in masks.items():
             write_mask(self.folder / "Annotations" / name / f"{number:05d}.png", mask)
-        listed = {}
-        for number, category in objects:
-            listed[number] = {"frames": [f"{frame:05d}" for frame in masks]} | (
-                {"category": category} if category else {}
-            )
+        found = {"frames": [f"{frame:05d}" for frame in masks]}
+        listed = {number: found | ({"category": category} if category else {}) for number, category in objects}
         self.videos[name] = {"objects": listed}
         self.folder.mkdir(parents=True, exist_ok=True)
         self.meta()
@@ -112,23 +109,18 @@ def test_gamma_is_removed_and_so_is_the_background(tube, rng) -> None:
     assert set(clip.depth_m.ravel().tolist()) == {np.float32(0.2)}
 
 
-def test_the_union_of_all_objects_stays(tmp_path, rng) -> None:
+def test_the_union_of_all_objects_stays_and_void_is_background(tmp_path, rng) -> None:
     tube = Tube(tmp_path)
     draw = np.random.default_rng(8)
     masks = {number: draw.integers(0, 4, SHAPE, dtype=np.uint8) for number in (0, 5)}
     tube.video("many", masks, masks, objects=(("1", "ape"), ("2", "owl"), ("3", "ape")))
     clip = tube.source().clip(0, rng)
     for frame, mask in zip(clip.rgb, masks.values(), strict=True):
-        for row, column in np.ndindex(SHAPE):
-            expected = linear(188) if mask[row, column] in (1, 2, 3) else 0
-            np.testing.assert_allclose(frame[row, column], expected, **ROUNDING)
+        expected = np.where(np.isin(mask, (1, 2, 3)), linear(188), 0)[..., None]
+        np.testing.assert_allclose(frame, np.broadcast_to(expected, frame.shape), **ROUNDING)
     assert clip.source["objects"] == [1, 2, 3]
-
-
-def test_void_is_background(tmp_path, rng) -> None:
-    tube = Tube(tmp_path)
     mask = LEFT + box(slice(None), slice(6, 9), 255)
-    tube.video("void", (0, 5), {0: mask, 5: LEFT})
+    tube.video("a_void", (0, 5), {0: mask, 5: LEFT})
     clip = tube.source().clip(0, rng)
     assert (clip.rgb[0] > 0).any(axis=-1).sum() == 8 * 6
     assert clip.source["masks_with_void"] == ["00000"]
@@ -222,16 +214,6 @@ def test_a_mask_that_differs_by_a_pixel_is_resized_warned_of_and_recorded(tube, 
     assert "resized: 1 (Annotations/a1b2/00005.png)" in str(youtube_vos_module.survey(tube.root))
 
 
-def test_a_mask_that_differs_by_more_is_refused_with_both_names(tube, rng) -> None:
-    write_mask(tube.folder / "Annotations" / "a1b2" / "00005.png", np.zeros((8, 14)))
-    message = error_of(tube.source(frames=4).clip, 0, rng)
-    for words in ("Annotations/a1b2/00005.png: ", "8 x 14", "JPEGImages/a1b2/00005.jpg"):
-        assert words in message
-    survey = youtube_vos_module.survey(tube.root)
-    assert survey.usable == 0
-    assert survey.problems[0].startswith("Annotations/a1b2/00005.png: ")
-
-
 def test_a_mask_without_object_gives_a_black_frame_that_is_counted(tube, rng) -> None:
     write_mask(tube.folder / "Annotations" / "a1b2" / "00005.png", np.zeros(SHAPE))
     clip = tube.source(frames=4).clip(0, rng)
@@ -294,22 +276,11 @@ def test_videos_that_cannot_be_used_are_problems(tube) -> None:
     source = tube.source()
     assert [video.name for video in source.videos] == ["a1b2"]
     lines = dict(line.split(": ", 1) for line in source.problems)
-    assert lines["bare"].startswith("no mask in Annotations for any image")
-    assert lines["gone"].startswith("no images in JPEGImages")
-    assert lines["unlisted"].startswith("meta.json lists no object of it")
-    assert lines["short"].startswith("fewer frames with a mask than the 2 that a clip of 2 takes")
-    assert lines["twice"].startswith("00005.jpg and 0005.jpg are both frame 5")
-    assert "cover.jpg" in lines["nameless"]
     assert len(lines) == len(source.problems) == 6
-
-
-def test_one_reason_for_many_videos_makes_one_line(tube) -> None:
-    for number in range(12):
-        tube.video(f"v{number:02d}", (0, 5), {0: LEFT})
-    (line,) = tube.source().problems
-    assert line.startswith("v00, v01, v02 and 9 more: fewer frames with a mask than the 2")
-    assert "videos here have 1 to 4" in line
-    assert "no video that can be used" in error_of(tube.source, frames=5)
+    words = {"bare": "Annotations", "gone": "JPEGImages", "unlisted": "meta.json", "nameless": "cover.jpg"}
+    for name, word in (words | {"short": "than the 2", "twice": "00005.jpg and 0005.jpg"}).items():
+        assert word in lines[name]
+    assert error_of(tube.source, frames=5).startswith("source: ")
 
 
 def test_damaged_files_are_named(tube, rng) -> None:
@@ -324,10 +295,8 @@ def test_damaged_files_are_named(tube, rng) -> None:
     picture.write_bytes(b"GIF, perhaps")
     survey = youtube_vos_module.survey(tube.root)
     assert survey.usable == 0
-    assert [line.split(": ")[0] for line in survey.problems] == [
-        "JPEGImages/a1b2/00005.jpg",
-        "Annotations/a1b2/00010.png",
-    ]
+    places = [line.partition(": ")[0] for line in survey.problems]
+    assert places == ["JPEGImages/a1b2/00005.jpg", "Annotations/a1b2/00010.png"]
 
 
 def test_frames_of_another_size_are_named(tube, rng) -> None:
@@ -341,20 +310,12 @@ def test_frames_of_another_size_are_named(tube, rng) -> None:
 def test_the_folder_may_be_the_set_or_its_subset(tube) -> None:
     valid = Tube(tube.root, "valid")
     valid.video("v9", (0, 5), dict.fromkeys((0, 5), LEFT))
-    cases: list[tuple[Path, Any]] = [
-        (tube.root, None),
-        (tube.root, "train"),
-        (tube.root, "valid"),
-        (tube.folder, None),
-        (tube.folder, "train"),
-        (valid.folder, None),
-    ]
+    cases: list[tuple[Path, Any]] = [(tube.root, subset) for subset in (None, "train", "valid")]
+    cases += [(tube.folder, None), (tube.folder, "train"), (valid.folder, None)]
     names = [youtube_vos(VIEW, path=path, frames=1, subset=subset).videos[0].name for path, subset in cases]
     assert names == ["a1b2", "a1b2", "v9", "a1b2", "a1b2", "v9"]
-    assert "subset: valid has no folder JPEGImages" in error_of(
-        youtube_vos, VIEW, path=tube.folder, frames=1, subset="valid"
-    )
-    assert "it does not exist" in error_of(youtube_vos, VIEW, path=tube.root / "no", frames=1)
+    for path, subset in ((tube.folder, "valid"), (tube.root / "no", None)):
+        assert error_of(youtube_vos, VIEW, path=path, frames=1, subset=subset).startswith("path: ")
 
 
 @pytest.mark.parametrize("text", [None, "{", '{"videos": []}', '{"videos": {"a1b2": {"objects": {"one": {}}}}}'])
@@ -370,10 +331,7 @@ def test_a_source_names_its_files_and_survives_pickling(tube, rng) -> None:
         "meta.json",
         *(f"{number:05d}{suffix}" for number in (0, 5, 10, 15) for suffix in (".jpg", ".png")),
     }
-    copy = pickle.loads(pickle.dumps(source))
-    np.testing.assert_array_equal(
-        copy.clip(0, np.random.default_rng(1)).rgb, source.clip(0, np.random.default_rng(1)).rgb
-    )
+    assert pickle.loads(pickle.dumps(source)) == source
     assert json.loads(json.dumps(source.clip(0, rng).source))["video"] == "a1b2"
 
 
@@ -406,41 +364,28 @@ def test_lists_of_davis(davis_root) -> None:
     (line,) = davis(VIEW, path=davis_root, frames=3, subset="val").problems
     assert line.startswith("elephant: no images in JPEGImages/480p")
     message = error_of(names, "test-dev")
-    assert "expected one of the lists in" in message
+    assert message.startswith("subset: ")
     assert "2016/train, 2017/train" in message
+    (davis_root / "ImageSets" / "2017" / "train.txt").write_bytes(b"camel\xff\n")
+    assert "2017/train.txt: " in error_of(names, "train")
 
 
 def test_resolutions_of_davis(davis_root) -> None:
     message = error_of(davis, VIEW, path=davis_root, frames=1, resolution="Full-Resolution")
-    assert "no folder JPEGImages/Full-Resolution (resolutions there: 480p)" in message
+    assert "(resolutions there: 480p)" in message
     (davis_root / "JPEGImages" / "480p").rename(davis_root / "JPEGImages" / "Full-Resolution")
     (davis_root / "Annotations" / "480p").rename(davis_root / "Annotations" / "Full-Resolution")
     assert len(davis(VIEW, path=davis_root, frames=1, resolution="Full-Resolution")) == 3
-
-
-def test_binary_masks_of_davis_2016(tmp_path, rng) -> None:
-    for number in range(2):
-        write_picture(tmp_path / "images" / "x" / f"{number:05d}.jpg", 188)
-        (tmp_path / "masks" / "x").mkdir(parents=True, exist_ok=True)
-        Image.fromarray(LEFT * 255).save(tmp_path / "masks" / "x" / f"{number:05d}.png")
-    clip = davis(VIEW, path=tmp_path, frames=2).clip(0, rng)
-    assert clip.rgb.mean() == pytest.approx(linear(188) / 2, rel=1e-6)
-    assert clip.source["objects"] == [1]
-    assert "leave subset out" in error_of(davis, VIEW, path=tmp_path, frames=2, subset="train")
 
 
 def test_images_without_masks_are_told_so(tmp_path, rng) -> None:
     for number in range(2):
         write_picture(tmp_path / "images" / "x" / f"{number:05d}.jpg", 188)
     for call in (lambda: davis(VIEW, path=tmp_path, frames=2), lambda: davis_module.survey(tmp_path)):
-        assert "has a folder images, but none called masks: fetch the masks" in error_of(call)
+        assert error_of(call).startswith("path: ")
+    assert error_of(davis, VIEW, path=tmp_path, frames=2, subset="train").startswith("subset: ")
     clip = davis(VIEW, path=tmp_path, frames=2, keep_background=True).clip(0, rng)
     np.testing.assert_allclose(clip.rgb, linear(188), **ROUNDING)
-
-
-def test_a_damaged_list_of_davis_is_named(davis_root) -> None:
-    (davis_root / "ImageSets" / "2017" / "train.txt").write_bytes(b"camel\xff\n")
-    assert "2017/train.txt: " in error_of(davis, VIEW, path=davis_root, frames=1, subset="train")
 
 
 def test_layouts_are_told_apart(tube, davis_root, tmp_path) -> None:
@@ -458,10 +403,8 @@ def test_the_real_judo_and_bike(shared_data, monkeypatch) -> None:
     root = shared_data / "davis"
     view = replace(VIEW, shape=(240, 427))
     source = davis(view, path=root, frames=4)
-    assert source.problems == (
-        "bike: fewer frames with a mask than the 4 that a clip of 4 takes (videos here have 1 to 4): ask for fewer, or a "
-        "larger interpolate_by",
-    )
+    (problem,) = source.problems
+    assert problem.startswith("bike: fewer frames with a mask than the 4")
     with pytest.warns(UserWarning, match=r"judo/00005\.png"):
         clip = source.clip(0, np.random.default_rng(0))
     assert clip.source["frames"] == ["00000", "00005", "00008", "00013"]
@@ -469,9 +412,8 @@ def test_the_real_judo_and_bike(shared_data, monkeypatch) -> None:
     assert clip.source["masks_resized_by_a_pixel"] == ["00005"]
     for frame, name in zip(clip.rgb, clip.source["frames"], strict=True):
         picture = np.asarray(Image.open(root / "images" / "judo" / f"{name}.jpg")) / 255
-        mask = np.asarray(
-            Image.open(root / "masks" / "judo" / f"{name}.png").resize((854, 480), Image.Resampling.NEAREST)
-        )
+        numbers = Image.open(root / "masks" / "judo" / f"{name}.png")
+        mask = np.asarray(numbers.resize((854, 480), Image.Resampling.NEAREST))
         lit = np.where(picture > 0.04045, ((picture + 0.055) / 1.055) ** 2.4, picture / 12.92) * (mask > 0)[..., None]
         halved = lit.reshape(240, 2, 427, 2, 3).mean(axis=(1, 3))
         np.testing.assert_allclose(frame, halved, rtol=0, atol=1e-6)  # OpenCV's float32 sums of four

@@ -49,27 +49,16 @@ def test_binary_masks(tmp_path, kind) -> None:
 def test_what_cannot_be_told_is_refused_by_name(tmp_path) -> None:
     colours = np.zeros((2, 3, 3), np.uint8)
     colours[0, 1] = 128, 0, 0
-    for values, words in (
-        (colours, "kind 'RGB'"),
-        (np.array([[0, 3], [7, 0]], np.uint8), "values 0, 3, 7:"),
-        (np.arange(6, dtype=np.uint8).reshape(2, 3), "values 0, 1, 2, 3, 4, ...:"),
-        (np.array([[0, 1], [255, 0]], np.uint8), "values 0, 1, 255:"),
-        (np.array([[0, 256]], np.uint16), "kind 'I;16'"),
-    ):
-        with pytest.raises(InputError) as caught:
+    greys = [np.array(rows, np.uint8) for rows in ([[0, 3], [7, 0]], [[0, 1, 2], [3, 4, 5]], [[0, 1], [255, 0]])]
+    for values in (colours, *greys, np.array([[0, 256]], np.uint16)):
+        with pytest.raises(InputError, match=r"m\.png: "):
             read_object_numbers(save(tmp_path / "m.png", values))
-        assert str(tmp_path / "m.png") in str(caught.value)
-        assert words in str(caught.value)
-
-
-def test_damaged_masks_are_named(tmp_path) -> None:
     draw = np.random.default_rng(3).integers(0, 2, (40, 40), dtype=np.uint8)
     path = save(tmp_path / "m.png", draw, "P", [0, 0, 0, 9, 9, 9])
     path.write_bytes(path.read_bytes()[:-60])
-    for file, words in ((path, "damaged or cut short"), (tmp_path / "no.png", "cannot be read")):
-        with pytest.raises(InputError, match=words) as caught:
+    for file in (path, tmp_path / "no.png"):
+        with pytest.raises(InputError, match=f"{file.name}: "):
             read_object_numbers(file)
-        assert str(file) in str(caught.value)
 
 
 @pytest.mark.parametrize("shape", [(8, 11), (8, 13), (7, 12), (9, 13)])
@@ -79,8 +68,5 @@ def test_resizing_by_a_pixel_is_nearest_neighbour(tmp_path, shape) -> None:
     np.testing.assert_array_equal(
         fitted, np.asarray(Image.fromarray(numbers).resize((12, 8), Image.Resampling.NEAREST))
     )
-
-
-def test_two_pixels_are_too_many(tmp_path) -> None:
     with pytest.raises(InputError, match=r"m\.png: "):
         fit_mask(np.zeros((8, 10), np.uint8), (8, 12), tmp_path / "m.png", tmp_path / "p.jpg")

@@ -64,26 +64,15 @@ def labels_of(source):
 
 def test_clips_carry_their_templates_in_the_files_order(root, films):
     source = clips(root, frames=8)
-    assert [video.name for video in source.videos] == [
-        f"20bn-something-something-v2/{identity}.webm" for identity in (30, 4, 100, 55)
-    ]
-    assert labels_of(source) == [
-        "Closing something",
-        "Pushing something from left to right",
-        "Putting something, something and something on the table",
-        "Holding something",
-    ]
+    names = [f"20bn-something-something-v2/{identity}.webm" for identity in (30, 4, 100, 55)]
+    assert [video.name for video in source.videos] == names
+    assert labels_of(source) == [list(LABELS)[number] for number in (0, 2, 3, 1)]
     clip = source.clip(0, np.random.default_rng(0))
     assert clip.label == "Closing something"
     assert [films.number_of(frame) for frame in clip.rgb] == list(range(8))
     assert source.problems == ()
-
-
-def test_label_files_count_as_inputs(root):
-    names = {path.name for path in clips(root).inputs}
+    names = {path.name for path in source.inputs}
     assert {"something-something-v2-labels.json", "something-something-v2-validation.json", "30.webm"} <= names
-    names = {path.name for path in clips(root, classes=table(root)).inputs}
-    assert "table.csv" in names
 
 
 def table(root, text="template,class\nClosing something,shut\nHolding [something],hold\n"):
@@ -109,10 +98,10 @@ def test_short_names_and_a_folder_of_labels_do_as_well(root):
 
 
 def test_a_table_groups_templates_and_leaves_out_the_others(root):
-    source = clips(
-        root, classes=table(root, "# mine\ntemplate,class\n\nClosing [something],shut\nHolding something,hold\n")
-    )
+    text = "# mine\ntemplate,class\n\nClosing [something],shut\nHolding something,hold\n"
+    source = clips(root, classes=table(root, text))
     assert labels_of(source) == ["shut", "hold"]
+    assert root / "table.csv" in source.inputs
     quoted = '"Putting something, something and something on the table","put, all"'
     assert labels_of(clips(root, classes=table(root, f"template,class\n{quoted}\n"))) == ["put, all"]
     unmarked = "template,class\nPushing something from left to right,x\n"
@@ -142,9 +131,8 @@ def test_a_table_that_is_not_there_or_fits_no_clip_is_told(root):
         clips(root, classes=root / "coarze")
     for identity in ("30", "4", "100"):
         (root / "20bn-something-something-v2" / f"{identity}.webm").unlink()
-    place = table(root, "template,class\nClosing something,shut\n")
     with pytest.raises(InputError, match=r"^classes: "):
-        clips(root, classes=place)
+        clips(root, classes=table(root, "template,class\nClosing something,shut\n"))
 
 
 def test_an_unknown_label_is_a_problem_with_the_nearest_one(root):
@@ -166,18 +154,16 @@ def test_an_unknown_label_is_a_problem_with_the_nearest_one(root):
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    "content",
     [
-        ([{"id": "30"}], "clip 30 has no template; the file of the test subset has none"),
-        ([{"template": "Closing [something]"}], "entry 0 has no id of digits"),
-        ([{"id": "../x", "template": "Closing [something]"}], "entry 0 has no id of digits"),
-        ([entry("30", "Closing [something]")] * 2, "lists clip 30 twice"),
-        ({}, "holds no list of clips"),
-        ([], "holds no list of clips"),
-        ("[", "holds no list of clips"),
+        [{"id": "30"}],
+        [{"template": "Closing [something]"}],
+        [{"id": "../x", "template": "Closing [something]"}],
+        [entry("30", "Closing [something]")] * 2,
+        *({}, [], "["),
     ],
 )
-def test_a_broken_subset_file_is_named(root, content, message):
+def test_a_broken_subset_file_is_named(root, content):
     write_json(root / "something-something-v2-validation.json", content)
     with pytest.raises(InputError, match=r"something-something-v2-validation\.json: "):
         clips(root)
@@ -228,11 +214,10 @@ def test_survey_counts_classes_and_notes_what_is_absent(root):
     assert any("has 8 frames, but a clip of 9 takes 9" in problem for problem in found.problems)
 
 
-def test_the_coarse_table_says_that_it_is_reconstructed_and_has_41_templates_in_10_classes():
-    text = COARSE_TABLE.read_text(encoding="utf-8")
-    assert "RECONSTRUCTED" in text.partition("template,class")[0]
-    lines = [line for line in text.splitlines() if not line.startswith("#")]
-    assert len(lines) == 42
+def test_the_coarse_table_says_that_it_is_reconstructed_and_has_41_templates():
+    head, _, rows = COARSE_TABLE.read_text(encoding="utf-8").partition("template,class\n")
+    assert "RECONSTRUCTED" in head
+    assert len(rows.splitlines()) == 41
 
 
 @pytest.mark.shared
@@ -259,11 +244,6 @@ def test_real_clips_and_label_files(shared_data, tmp_path):
         shutil.copy(samples / "clips" / f"{name}.webm", tmp_path / "clips" / f"{identity}.webm")
     source = something_something_v2(VIEW, path=tmp_path, frames=49)
     assert {video.label: len(video) for video in source.videos} == {"Closing something": 52, "Picking something up": 49}
-    assert labels_of(something_something_v2(VIEW, path=tmp_path, frames=49, classes="coarse")) == [
-        "Picking something up"
-    ]
-    assert survey(tmp_path).notes == (
-        "398 of the 400 clips in something-something-v2-validation.json are not in the folder",
-    )
-    clip = source.clip(0, np.random.default_rng(0))
-    assert clip.rgb.shape == (49, 16, 16, 3)
+    coarse = something_something_v2(VIEW, path=tmp_path, frames=49, classes="coarse")
+    assert labels_of(coarse) == ["Picking something up"]
+    assert source.clip(0, np.random.default_rng(0)).rgb.shape == (49, 16, 16, 3)

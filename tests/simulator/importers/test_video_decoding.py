@@ -4,7 +4,6 @@ import shutil
 import socket
 import struct
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -102,26 +101,16 @@ def test_grey_codes_become_linear_light_in_either_range(written):
         np.testing.assert_allclose(encode(frame[40, 40]), 20, atol=2.5)  # rounded Y, Cb and Cr, and the codecs' loss
 
 
-@pytest.mark.parametrize(("matrix", "name"), [(1, "BT.709"), (5, "BT.601")])
-def test_colours_come_back_through_the_films_own_matrix(films, tmp_path, matrix, name):
-    colour = np.array([200, 40, 30], np.uint8)
-    picture = np.broadcast_to(colour, (32, 32, 3)).copy()
-    options = {"codec": "libx264", "pixels": "yuv444p", "options": {"crf": "0"}, "colour": {"colorspace": matrix}}
-    path = films.write(tmp_path / f"{name}.mkv", [picture] * 2, **options)
-    (frame,) = read_film(path, 0, 1)
-    # Rounding to integer Y, Cb and Cr; the other matrix would be wrong by some 10 codes.
-    np.testing.assert_allclose(encode(frame[16, 16]), colour, atol=2)
-
-
 @pytest.mark.parametrize(
     ("size", "colour", "matrix", "luma"),
     [
         ((720, 960), None, "BT.709 (untagged)", (0.2126, 0.7152, 0.0722)),
         ((480, 640), None, "BT.601 (untagged)", (0.299, 0.587, 0.114)),
         ((720, 960), {"colorspace": 5}, "BT.601", (0.299, 0.587, 0.114)),
+        ((480, 640), {"colorspace": 1}, "BT.709", (0.2126, 0.7152, 0.0722)),
     ],
 )
-def test_untagged_films_of_high_definition_have_the_matrix_of_its_standard(films, tmp_path, size, colour, matrix, luma):
+def test_films_have_their_own_matrix_and_untagged_ones_that_of_their_size(films, tmp_path, size, colour, matrix, luma):
     """A grey of Y 120, Cb 90, Cr 170 by the formulas of BT.709 and BT.601, limited range."""
     planes = np.concatenate([np.full(size[0] * size[1], 120), np.full(size[0] * size[1] // 4, 90)])
     codes = np.concatenate([planes, np.full(size[0] * size[1] // 4, 170)]).astype(np.uint8)
@@ -238,12 +227,11 @@ def test_a_film_cut_short_is_told(written, tmp_path, name, kept):
     [("a.webm", "libvpx-vp9", "libopus"), ("b.webm", "libvpx", "libopus"), ("c.mkv", "mpeg4", "pcm_s16le")],
 )
 def test_a_film_with_sound_cut_short_is_told(films, tmp_path, name, codec, sound):
-    path = with_sound(
-        films.write(tmp_path / f"mute_{name}", films.numbered(COUNT), codec=codec), tmp_path / name, sound
-    )
+    mute = films.write(tmp_path / f"mute_{name}", films.numbered(COUNT), codec=codec)
+    path = with_sound(mute, tmp_path / name, sound)
     assert index_film(path).frames == COUNT
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(InputError, match=rf"{name}: ends after \d\.\d+ s of the \d\.\d+ s that its header promises"):
+    with pytest.raises(InputError, match=rf"{name}: ends after \d\.\d+ s of the \d\.\d+ s "):
         index_film(path)
 
 
@@ -291,40 +279,24 @@ def test_overwritten_bytes_are_told(films, written, tmp_path):
 
 
 def test_high_dynamic_range_other_files_and_missing_ones_are_refused(films, tmp_path):
-    path = films.write(tmp_path / "hdr.mkv", films.numbered(3), codec="libx264", colour={"color_trc": 16})
-    with pytest.raises(InputError, match=r"hdr\.mkv: "):
-        index_film(path)
-    path = films.write(tmp_path / "ycgco.mkv", films.numbered(3), codec="libx264", colour={"colorspace": 8})
-    with pytest.raises(InputError, match=r"ycgco\.mkv: "):
-        index_film(path)
-    text = tmp_path / "text.mp4"
-    text.write_text("no film at all, but some text in a file with a film's name")
-    with pytest.raises(InputError, match=r"text\.mp4: "):
-        index_film(text)
-    with pytest.raises(InputError, match=r"none\.mp4: "):
-        index_film(tmp_path / "none.mp4")
+    films.write(tmp_path / "hdr.mkv", films.numbered(3), codec="libx264", colour={"color_trc": 16})
+    films.write(tmp_path / "ycgco.mkv", films.numbered(3), codec="libx264", colour={"colorspace": 8})
+    (tmp_path / "text.mp4").write_text("no film at all, but some text in a file with a film's name")
+    for name in ("hdr.mkv", "ycgco.mkv", "text.mp4", "none.mp4"):
+        with pytest.raises(InputError, match=f"{name}: "):
+            index_film(tmp_path / name)
 
 
 def test_a_playlist_sends_nobody_into_the_network(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as server:
-        server.settimeout(0.2)
+        server.settimeout(0)
         playlist = tmp_path / "list.m3u8"
         address = f"http://127.0.0.1:{server.getsockname()[1]}/a.ts"
         playlist.write_text(f"#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{address}\n#EXT-X-ENDLIST\n")
-        with ThreadPoolExecutor(1) as pool:
-            asked = pool.submit(answer_once, server)
-            with pytest.raises(InputError, match=r"list\.m3u8: "):
-                index_film(playlist)
-            assert not asked.result()
-
-
-def answer_once(server):
-    """Whether somebody connects; the connection is closed at once."""
-    try:
-        server.accept()[0].close()
-    except TimeoutError:
-        return False
-    return True
+        with pytest.raises(InputError, match=r"list\.m3u8: "):
+            index_film(playlist)
+        with pytest.raises(BlockingIOError):  # nobody has connected
+            server.accept()
 
 
 def test_a_sound_file_is_no_video(tmp_path):

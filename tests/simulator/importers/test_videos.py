@@ -121,15 +121,15 @@ def test_several_clips_per_video_are_evenly_spread_and_grouped():
     made = [clips.clip(index, np.random.default_rng(index)) for index in range(9)]
     assert [clip.source["video"] for clip in made] == list("aaabbbccc")
     assert [first_frame(clip) for clip in made] == [0, 3, 6, 0, 1, 2, 0, 4, 8]
+    assert clips.clip(-1, np.random.default_rng(0)).source == made[8].source  # modulo their number
 
 
 def test_a_video_in_which_clips_would_repeat_is_listed_with_how_many_fit():
     clips = source([Numbers("a", 5), Numbers("b", 6)], ClipPlan(4, clips_per_video=3))
     assert [video.name for video in clips.videos] == ["b"]
-    assert clips.problems == (
-        "a: has 5 frames, in which no more than 2 different clips of 4 begin, but clips_per_video is 3: ask for fewer",
-    )
-    with pytest.raises(InputError, match="no more than 2 different clips"):
+    (problem,) = clips.problems
+    assert problem.startswith("a: has 5 frames, in which no more than 2 ")
+    with pytest.raises(InputError, match=r"^frames: "):
         ClipPlan(4, clips_per_video=3).start(5, 0, np.random.default_rng(0))
 
 
@@ -139,12 +139,6 @@ def test_a_video_without_a_rate_needs_one():
         clips.clip(0, np.random.default_rng(0))
     clip = source([Numbers("a", 5, None)], ClipPlan(4, frames_per_second=10)).clip(0, np.random.default_rng(0))
     assert "own_frames_per_second" not in clip.source
-
-
-def test_index_is_taken_modulo_the_number_of_clips():
-    clips = source([Numbers("a", 4), Numbers("b", 4), Numbers("c", 4)], ClipPlan(4))
-    names = [clips.clip(index, np.random.default_rng(0)).source["video"] for index in (-1, -3, 3, 5)]
-    assert names == ["c", "a", "a", "c"]
 
 
 def test_interpolated_clips_take_fewer_frames_and_run_faster():
@@ -160,13 +154,11 @@ def test_interpolated_clips_take_fewer_frames_and_run_faster():
 
 
 def test_short_videos_are_listed_and_left_out():
-    clips = source(
-        [Numbers("a", 3), Numbers("b", 4)], ClipPlan(4), problems=["c: broken"], other_inputs=[Path("labels")]
-    )
-    assert clips.problems == (
-        "c: broken",
-        "a: has 3 frames, but a clip of 4 takes 4: ask for fewer, or a larger interpolate_by",
-    )
+    options = {"problems": ["c: broken"], "other_inputs": [Path("labels")]}
+    clips = source([Numbers("a", 3), Numbers("b", 4)], ClipPlan(4), **options)
+    broken, short = clips.problems
+    assert broken == "c: broken"
+    assert short.startswith("a: has 3 frames, ")
     assert [video.name for video in clips.videos] == ["b"]
     assert clips.inputs == [Path("b"), Path("labels")]
 
@@ -225,17 +217,15 @@ def test_what_interpolates_is_chosen_by_name():
     assert choose_interpolator(1, "optical_flow", None) is None
     interpolator = choose_interpolator(2, "optical_flow", None)
     assert interpolator is not None
-    assert interpolator.record()["name"] == "optical_flow"
+    assert pickle.loads(pickle.dumps(interpolator)).record()["name"] == "optical_flow"
+    assert interpolator.inputs == ()
 
 
 def test_thirty_thousand_videos_travel_to_a_worker_in_little_time():
     from simulator.importers.film_files import Film
 
-    root = Path("/data/20bn")
-    clips = source(
-        [Film(root, f"clips/{number}.webm", 50, 12.0, "BT.601", label="Closing something") for number in range(30_000)],
-        ClipPlan(4),
-    )
+    names = (f"clips/{number}.webm" for number in range(30_000))
+    clips = source([Film(Path("/data/20bn"), name, 50, 12.0, "BT.601", label="Closing") for name in names], ClipPlan(4))
     packed = pickle.dumps(clips)
     assert len(packed) < 4_000_000  # about 100 bytes each, and no frame
     assert pickle.loads(packed) == clips
@@ -273,18 +263,13 @@ def test_enlarging_interpolates_between_neighbours_and_never_beyond(rng):
     # Centres of the new pixels in the old one's coordinates; the edge pixels reach outwards.
     expected = np.clip((np.arange(40) + 0.5) / 4 - 0.5, 0, 9)
     np.testing.assert_allclose(large[:, 7, 1], expected, atol=1e-6)
+    result = fit(large, Window(0, 0, 40, 40), (40, 40))
+    assert np.array_equal(result, large)
+    assert not np.shares_memory(result, large)
     noise = rng.random((9, 9, 3), dtype=np.float32)
     large = fit(noise, Window(0, 0, 9, 9), (31, 31))
     assert large.min() >= noise.min()
     assert large.max() <= noise.max()
-
-
-def test_same_size_is_a_copy(rng):
-    image = rng.random((8, 9, 3), dtype=np.float32)
-    result = fit(image, Window(0, 0, 8, 9), (8, 9))
-    np.testing.assert_array_equal(result, image)
-    result[:] = 0
-    assert image.any()
 
 
 sizes = st.tuples(st.integers(4, 2000), st.integers(4, 2000))
@@ -305,12 +290,6 @@ def test_window_lies_inside_is_as_large_as_can_be_and_keeps_proportions(size, sh
     if crop == "centre":
         assert abs(size[0] - window.rows - 2 * window.row) <= 1
         assert abs(size[1] - window.columns - 2 * window.column) <= 1
-
-
-def test_random_window_takes_every_place():
-    rng = np.random.default_rng(0)
-    columns = {largest_window((10, 14), (5, 5), "random", rng).column for _ in range(200)}
-    assert columns == {0, 1, 2, 3, 4}
 
 
 def test_all_frames_of_a_clip_go_through_one_window(rng):
