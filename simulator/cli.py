@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from simulator import __version__
-from simulator.commands import about, compare, datasets, importing, masks, psf, render, scenes, shutter
+from simulator.commands import compare, datasets, importing, masks, psf, render, scenes, shutter
 from simulator.errors import InputError
 
 app = typer.Typer(
@@ -19,6 +19,24 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def schema() -> None:
+    """Print the JSON schema of sim_config.yaml, for editors."""
+    import json
+
+    from simulator.config import json_schema
+
+    print(json.dumps(json_schema(), indent=2))
+
+
+def doctor() -> None:
+    """Say what this machine offers, and what to install to go faster."""
+    from simulator.console import print_checks
+    from simulator.doctor import diagnose
+
+    print_checks(diagnose())
+
 
 for command in (
     datasets.init,
@@ -32,8 +50,8 @@ for command in (
     scenes.scenes,
     masks.materials,
     datasets.verify,
-    about.schema,
-    about.doctor,
+    schema,
+    doctor,
 ):
     app.command()(command)
 app.command("import")(importing.import_check)  # a word that no function can be called

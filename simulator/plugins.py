@@ -120,24 +120,13 @@ def describe_failure(error: BaseException, path: Path | None = None) -> str:
     return f"{where}{type(error).__name__}: {reason}"
 
 
-# What messages call each kind, its entry-point group, and the packages that need no entry point.
+# What messages call each kind; the group of its entry points is flatlight.masks and so on.
 _LABELS = {"mask": "mask design", "scene": "scene family", "source": "imported source", "shutter": "shutter function"}
-_GROUPS = {
-    "mask": "flatlight.masks",
-    "scene": "flatlight.scenes",
-    "source": "flatlight.sources",
-    "shutter": "flatlight.shutters",
-}
-_BUILT_IN = {"mask": (), "scene": (), "source": ("simulator.importers",), "shutter": ()}
 
 # Keys of the section beside the plugin's parameters, which a parameter therefore cannot be called.
 _SCENE_KEYS = ("family", "source", "size", "near_cm", "far_cm")
-SECTION_KEYS = {
-    "mask": ("design",),
-    "scene": _SCENE_KEYS,
-    "source": _SCENE_KEYS,
-    "shutter": ("type", "file", "function"),
-}
+_SHUTTER_KEYS = ("type", "file", "function")
+SECTION_KEYS = {"mask": ("design",), "scene": _SCENE_KEYS, "source": _SCENE_KEYS, "shutter": _SHUTTER_KEYS}
 _INJECTED = "renderer"
 
 
@@ -267,7 +256,8 @@ def plugin_errors(plugin: Plugin) -> Iterator[None]:
 
 
 def _packages(kind: str) -> list[str]:
-    return list(dict.fromkeys([*_BUILT_IN[kind], *(entry.value for entry in entry_points(_GROUPS[kind]))]))
+    built_in = ("simulator.importers",) if kind == "source" else ()
+    return list(dict.fromkeys([*built_in, *(entry.value for entry in entry_points(f"flatlight.{kind}s"))]))
 
 
 def _module_of(kind: str, name: str) -> str:
@@ -275,15 +265,12 @@ def _module_of(kind: str, name: str) -> str:
     found = [package for package in _packages(kind) if name in modules_defining(package, kind)]
     if len(found) > 1:
         places = " and ".join(f"{package}.{name}" for package in found)
-        raise InputError(
-            f"{_LABELS[kind]} {name!r}", f"defined by both {places}; write the one you mean as package.module:name"
-        )
+        raise InputError(f"{_LABELS[kind]} {name!r}", f"defined by both {places}; write package.module:name")
     if not found:
         known = available(kind)
         raise InputError(
             _LABELS[kind],
-            f"got {name!r}, expected one of {', '.join(known) or '(none is installed)'}, "
-            f"./file.py:name or package.module:name{nearest(name, known)}",
+            f"got {name!r}, expected one of {', '.join(known)}, ./file.py:name or package.module:name{nearest(name, known)}",
         )
     return f"{found[0]}.{name}"
 
@@ -295,9 +282,7 @@ def _import_module(kind: str, name: str, module: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
             raise InputError(label, describe_failure(error)) from error
-        raise InputError(
-            label, f"no module {error.name!r} is installed; a file beside the YAML file is written ./file.py:name"
-        ) from error
+        raise InputError(label, f"no module {error.name!r} is installed; a file is written ./file.py:name") from error
     except (Exception, SystemExit) as error:
         raise InputError(label, describe_failure(error)) from error
 
@@ -312,21 +297,15 @@ def _model_of(kind: str, name: str, function: Callable[..., Any]) -> tuple[type[
         target = function.__init__ if inspect.isclass(function) else function
         hints = get_type_hints(target, include_extras=True)
     except (NameError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(
-            label, f"its annotations cannot be read ({error}); import their names at the top of its module"
-        ) from error
+        raise InputError(label, f"cannot read its annotations ({error}); import their names in its module") from error
     for parameter in parameters:
         if parameter.name == _INJECTED:
             takes_renderer = True
         elif parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
-            raise InputError(
-                label, f"its parameters cannot be checked because of '{parameter}'; name each one after a '*'"
-            )
+            raise InputError(label, f"'{parameter}' cannot be checked; name each parameter after a '*'")
         elif parameter.kind is parameter.KEYWORD_ONLY:
             if parameter.name.startswith("_"):
-                raise InputError(
-                    label, f"the parameter {parameter.name!r} begins with an underscore, so no key can name it"
-                )
+                raise InputError(label, f"the parameter {parameter.name!r} begins with an underscore; rename it")
             if parameter.name in SECTION_KEYS[kind]:
                 raise InputError(label, f"the parameter {parameter.name!r} is a key of its section already; rename it")
             if parameter.name not in hints:
@@ -347,9 +326,7 @@ def _model_of(kind: str, name: str, function: Callable[..., Any]) -> tuple[type[
             return create_model(f"{name} parameters", __config__=config, **fields), takes_renderer
     except (PydanticUserError, NameError, TypeError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError(
-            label, f"its parameters cannot come from YAML ({reason}); use plain types such as float, str or Path"
-        ) from error
+        raise InputError(label, f"its parameters cannot come from YAML ({reason}); use float, str or Path") from error
 
 
 def _absolute(value: Any, base_dir: Path) -> Any:

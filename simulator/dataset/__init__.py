@@ -11,11 +11,7 @@ if TYPE_CHECKING:
 
 __all__ = ["generate", "open_dataset", "verify"]
 
-_HOMES = {
-    "generate": "simulator.dataset.job",
-    "open_dataset": "simulator.dataset.reader",
-    "verify": "simulator.dataset.verification",
-}
+_HOMES = {"generate": "job", "open_dataset": "reader", "verify": "verification"}
 
 
 def __getattr__(name: str) -> Any:
@@ -25,6 +21,6 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(msg)
     import importlib
 
-    value = getattr(importlib.import_module(_HOMES[name]), name)
+    value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
     globals()[name] = value
     return value

@@ -207,7 +207,7 @@ def _check_slivers(seen: int, frames: int, slivers: int | None) -> None:
         return
     if frames == 1:
         raise ClipTimesError(
-            "dataset.slivers", f"got {slivers}, but the scenes stand still (scene.frames is 1); leave it out"
+            "dataset.slivers", f"got {slivers}, but the scenes stand still (scene.frames: 1); leave it out"
         )
     fitting = ", ".join(str(number) for number in range(1, seen + 1) if seen % number == 0)
     of = f"{seen} of the {frames}" if seen < frames else f"all {seen}"

@@ -247,9 +247,7 @@ def run(
     try:
         pickle.dumps(function)
     except Exception as error:
-        raise InputError(
-            repr(function), f"cannot be sent to worker processes: it must be importable by name ({error})"
-        ) from error
+        raise InputError(repr(function), f"cannot be sent to workers: must be importable by name ({error})") from error
     count = available_cpus() if isinstance(workers, str) else workers
     return _Local(function, tasks, count, initializer, initargs, timeout_s, max_tasks).outcomes()
 

@@ -16,19 +16,9 @@ from simulator.io.files import sha256_file
 from simulator.io.json import canonical_json, plain
 
 PACKAGES = (
-    "flatlight",
-    "numpy",
-    "scipy",
-    "scikit-image",
-    "array-api-compat",
-    "mitsuba",
-    "drjit",
-    "OpenEXR",
-    "colour-science",
-    "pillow",
-    "tifffile",
-    "trimesh",
-)
+    "flatlight", "numpy", "scipy", "scikit-image", "array-api-compat", "mitsuba", "drjit", "OpenEXR", "colour-science",
+    "pillow", "tifffile", "trimesh",
+)  # fmt: skip
 """Packages whose version may change a sample's bytes."""
 _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless")
 _FREE_IN_PSF = ("check",)  # how closely errors are looked at changes no value
@@ -40,13 +30,7 @@ _LISTED_INPUTS = 100  # more input files than this count as one: dataset.json st
 
 def package_versions() -> dict[str, str]:
     """Return the installed version of every package in ``PACKAGES``, ``absent`` where there is none."""
-    versions: dict[str, str] = {}
-    for name in PACKAGES:
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            versions[name] = "absent"
-    return versions
+    return {name: version for package in PACKAGES for name, version in _versions_of(package).items()}
 
 
 def build_fingerprint(

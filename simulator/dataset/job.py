@@ -68,26 +68,20 @@ def existing_info(
     if not (root / FILE).exists():
         foreign = [path.name for path in sorted(root.iterdir()) if not _left_by_a_start(path)]
         if foreign:
-            raise InputError(
-                "dataset.output",
-                f"{root} is not empty and holds no data set ({foreign[0]}, ...); choose another "
-                "folder, or empty this one",
-            )
+            raise InputError("dataset.output", f"{root} holds other files ({foreign[0]}, ...); choose another folder")
         return None
     info = read_info(root)
     if info.fingerprint != fingerprint:
         raise InputError(
             "dataset.output",
-            f"{root} holds a data set of another configuration; choose another folder, or undo "
-            f"the change:\n{difference(info.fingerprint_parts, parts)}",
+            f"{root} holds another data set; choose another folder, or undo:\n{difference(info.fingerprint_parts, parts)}",
         )
     _refuse_other_windows(root, info, shutter, parts["config"]["camera"]["shutter"].get("function"))
     for split, count in counts.items():
         if count < info.counts.get(split, 0):
             raise InputError(
                 f"dataset.{split}",
-                f"got {count}, but the data set in {root} already has {info.counts[split]}; counts "
-                "can grow later, not shrink: choose another folder for a smaller one",
+                f"got {count}, but {root} already has {info.counts[split]}; choose another folder for fewer",
             )
     return info
 

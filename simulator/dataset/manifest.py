@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any, TypeVar
 
 from simulator.dataset.sample import SPLITS, SampleRecord, sample_id, sample_index
 from simulator.errors import InputError
 from simulator.io.files import AppendedLines, read_lines, write_atomic
 
 MANIFEST = "manifest.jsonl"
+Key = tuple[str, str]  # split and id
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -43,37 +46,37 @@ class Manifest:
 def load_manifest(root: Path | str) -> Manifest:
     """Load a data set's manifest; a missing file is an empty one.
 
-    Args:
-        root: the data set's folder.
-
     Raises:
         InputError: unreadable file, or a bad line before the last.
     """
-    path = Path(root) / MANIFEST
-    lines, torn = read_lines(path)
-    entries: dict[tuple[str, str], Entry] = {}
+    lines, torn = read_lines(Path(root) / MANIFEST)
+    expected = f"{', '.join(field.name for field in fields(Entry))}; delete the line, and its sample is made again"
+    entries = _by_sample(Path(root) / MANIFEST, lines, _entry, expected)
+    return Manifest(entries, torn, duplicates=len(lines) - len(entries))
+
+
+def _entry(content: dict[str, Any]) -> Entry | None:
+    entry = Entry(**content)
+    typed = isinstance(entry.seed, int) and isinstance(entry.label, str | None)
+    return entry if typed and len(entry.digest) == 64 and isinstance(entry.seconds, int | float) else None
+
+
+def _by_sample(
+    path: Path, lines: list[bytes], read: Callable[[Any], Result | None], expected: str
+) -> dict[Key, Result]:
+    """Return what ``read`` makes of each line by (split, id), in order; the last line of a sample wins."""
+    found: dict[Key, Result] = {}
     for number, line in enumerate(lines, start=1):
-        entry = _parse(path, number, line)
-        entries[entry.split, entry.id] = entry
-    ordered = sorted(entries.values(), key=lambda entry: (SPLITS.index(entry.split), entry.id))
-    return Manifest({(entry.split, entry.id): entry for entry in ordered}, torn, duplicates=len(lines) - len(entries))
-
-
-def _parse(path: Path, number: int, line: bytes) -> Entry:
-    try:
-        content = json.loads(line)
-        entry = Entry(**content)
-        sample_index(entry.id)
-        valid = entry.split in SPLITS and len(entry.digest) == 64 and isinstance(entry.seed, int)
-        valid = valid and isinstance(entry.label, str | None) and isinstance(entry.seconds, int | float)
-    except (ValueError, TypeError, AttributeError, RecursionError):
-        valid, entry = False, None
-    if not valid or entry is None:
-        names = ", ".join(field.name for field in fields(Entry))
-        raise InputError(
-            f"{path}:{number}", f"not a manifest line ({names}); delete the line, and its sample is made again"
-        )
-    return entry
+        try:
+            content = json.loads(line)
+            value, key = read(content), (content["split"], content["id"])
+            valid = value is not None and key[0] in SPLITS and sample_index(key[1]) >= 0
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            value, key, valid = None, ("", ""), False
+        if value is None or not valid:
+            raise InputError(f"{path}:{number}", f"expected {expected}")
+        found[key] = value
+    return dict(sorted(found.items(), key=lambda item: (SPLITS.index(item[0][0]), item[0][1])))
 
 
 class ManifestWriter(AppendedLines):
@@ -93,15 +96,8 @@ class ManifestWriter(AppendedLines):
         super().__init__(Path(root) / MANIFEST)
 
     def append(self, record: SampleRecord, seconds: float) -> None:
-        """Add one line and wait until it is on the disk.
-
-        Raises:
-            StorageError: the disk is full; the manifest stays as it was before.
-        """
+        """Add one line; see `AppendedLines.append_line`."""
         self.append_line(asdict(record) | {"seconds": round(float(seconds), 4)})
-
-    def __enter__(self) -> ManifestWriter:
-        return self
 
 
 SKIPPED = "skipped.jsonl"
@@ -126,48 +122,23 @@ class SkippedWriter(AppendedLines):
         super().__init__(Path(root) / SKIPPED)
 
     def append(self, split: str, index: int, reason: str) -> None:
-        """Add one line and wait until it is on the disk.
-
-        Args:
-            split: of the sample.
-            index: its number within the split.
-            reason: why it cannot be made, naming the file.
-
-        Raises:
-            StorageError: the disk is full; the list stays as it was before.
-        """
+        """Add why a sample cannot be made; see `AppendedLines.append_line`."""
         self.append_line({"id": sample_id(index), "split": split, "reason": reason})
 
-    def __enter__(self) -> SkippedWriter:
-        return self
 
-
-def load_skipped(root: Path | str) -> dict[tuple[str, str], str]:
+def load_skipped(root: Path | str) -> dict[Key, str]:
     """Return why samples were left out, by (split, id) in order; empty without a list.
-
-    Args:
-        root: the data set's folder.
 
     Raises:
         InputError: unreadable file, or a bad line before the last.
     """
     path = Path(root) / SKIPPED
-    lines, _ = read_lines(path)
-    reasons: dict[tuple[str, str], str] = {}
-    for number, line in enumerate(lines, start=1):
-        try:
-            content = json.loads(line)
-            split, identifier, reason = content["split"], content["id"], content["reason"]
-            valid = split in SPLITS and isinstance(reason, str) and sample_index(identifier) >= 0
-        except (ValueError, TypeError, KeyError, RecursionError):
-            valid = False
-        if not valid:
-            raise InputError(
-                f"{path}:{number}",
-                "not a line of skipped samples (id, split, reason); delete it, and its sample is tried",
-            )
-        reasons[split, identifier] = reason
-    return dict(sorted(reasons.items(), key=lambda item: (SPLITS.index(item[0][0]), item[0][1])))
+    expected = "id, split, reason; delete the line, and its sample is tried"
+    return _by_sample(path, read_lines(path)[0], _reason, expected)
+
+
+def _reason(content: dict[str, Any]) -> str | None:
+    return content["reason"] if isinstance(content["reason"], str) else None
 
 
 def shortened(lines: Sequence[str]) -> str:

@@ -121,9 +121,7 @@ class Dataset(Sequence[Sample]):
         if sample.frame_edges_s is None:
             return np.ones((1, rows))
         if (shutter := self.shutter) is None:
-            raise InputError(
-                self.root / FILE, "records no shutter (time.shutter), which slivers need; make the data set again"
-            )
+            raise InputError(self.root / FILE, "time.shutter is missing, which slivers need; make the data set again")
         # Shutter rows are physical; the stored image is turned by 180 degrees.
         return shutter.weights(rows, sample.frame_edges_s)[:, ::-1]
 

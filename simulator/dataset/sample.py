@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.io.clips import TRUTH, describe_extras, frame_channels, frame_extras, layout_channels
 from simulator.io.exr import decode_exr, write_exr
-from simulator.io.files import committed_folder, sha256_bytes, write_atomic
+from simulator.io.files import committed_folder, read_errors, sha256_bytes, write_atomic
 from simulator.io.json import plain, readable_json
 
 MEASUREMENT, GROUND_TRUTH, DESCRIPTION = "measurement.exr", "ground_truth.exr", "sample.json"
@@ -68,15 +68,14 @@ def read_description(folder: Path) -> tuple[dict[str, Any], bytes]:
     """
     path = Path(folder) / DESCRIPTION
     cure = "make the sample again or restore it from a copy"
-    try:
+    with read_errors(path):
         data = path.read_bytes()
+    try:
         description = json.loads(data)
         complete = set(description) >= _FIELDS and _files_fit(description)
         complete = complete and all(isinstance(name, str) for name in description["channels"])
         complete = complete and isinstance(description["metadata"], dict)
         layout_channels(description.get("extras", {}) if complete else {})
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}; is {folder} a sample?") from error
     except (ValueError, TypeError, RecursionError) as error:
         raise InputError(path, f"not a sample description ({error}); {cure}") from error
     if not complete:
@@ -149,17 +148,13 @@ class Sample:
         names = self.channels
         if len(names) != shape[0] or len(set(names)) != len(names) or any(name.startswith(NOISELESS) for name in names):
             raise InputError(
-                "Sample.channels", f"expected {shape[0]} different names, none starting with {NOISELESS!r}; got {names}"
+                "Sample.channels", f"got {names}, expected {shape[0]} different names, none of {NOISELESS!r}"
             )
         if not isinstance(self.seed, int) or not isinstance(self.label, str | None):
-            raise InputError(
-                "Sample.seed", f"expected a whole number and label text or None, got {self.seed!r} and {self.label!r}"
-            )
+            raise InputError("Sample.seed", f"got {self.seed!r} and label {self.label!r}, expected an int and text")
         for name, values in self.extras.items():
             if values.ndim not in (3, 4) or values.shape[:3] != frames:
-                raise InputError(
-                    f"Sample.extras[{name!r}]", f"expected {frames} or {(*frames, 'n')} like rgb, got {values.shape}"
-                )
+                raise InputError(f"Sample.extras[{name!r}]", f"got {values.shape}, expected {frames} (+ n)")
         _check_edges(frames[0], self.frame_edges_s)
         if (measured := self.global_measurements) is not None:
             every = (frames[0], *shape)
@@ -254,8 +249,7 @@ def _describe(sample: Sample, split: str, index: int) -> dict[str, Any]:
     if frames > MOST_FRAMES:
         raise InputError(
             f"sample {identifier}",
-            f"has {frames} frames, more than the {MOST_FRAMES} that can be stored; give it fewer frames, "
-            "or only its slivers (dataset.slivers)",
+            f"got {frames} frames, expected at most {MOST_FRAMES}; store fewer, or only slivers (dataset.slivers)",
         )
     description: dict[str, Any] = {
         "channels": sample.channels,
@@ -297,9 +291,7 @@ def _files(folder: Path, sample: Sample) -> Iterator[tuple[str, int | None, dict
 
 def _check_edges(frames: int, edges_s: NDArray[np.float64] | None) -> None:
     if edges_s is None and frames > 1:
-        raise InputError(
-            "Sample.frame_edges_s", f"must hold the {frames + 1} times that {frames} frames begin and end at, got None"
-        )
+        raise InputError("Sample.frame_edges_s", f"got None, expected the {frames + 1} edges of {frames} frames")
     if edges_s is not None:
         _expect("frame_edges_s", edges_s, np.float64, f"({frames + 1},)", edges_s.shape == (frames + 1,))
         if not np.all(np.isfinite(edges_s)) or not np.all(np.diff(edges_s) > 0):
@@ -385,9 +377,7 @@ class StoredSample:
             InputError: the sample has none, or the file is missing, damaged, or belongs elsewhere; it is named.
         """
         if not self.has_global_measurements:
-            raise InputError(
-                self.folder, "has no global measurements; make the data set with dataset.global_measurements=true"
-            )
+            raise InputError(self.folder, "has no global measurements; make it with dataset.global_measurements=true")
         return self._stacked(self._read(global_file(number), number, list(self.channels)))
 
     def sample(self) -> Sample:
@@ -422,10 +412,8 @@ class StoredSample:
 
     def _read(self, name: str, frame: int | None, expected: list[str]) -> dict[str, NDArray[np.float32]]:
         path = self.folder / name
-        try:
+        with read_errors(path):
             data = path.read_bytes() if self._files is None else self._files[name]
-        except OSError as error:
-            raise InputError(path, f"cannot be read: {error.strerror or error}") from error
         planes, metadata = decode_exr(data, path, require_checksums=True)
         wanted = file_metadata(self.description, frame)
         if metadata != wanted:
@@ -445,15 +433,4 @@ class StoredSample:
         names = [path.name for path in folder.iterdir() if re.fullmatch(r"(ground_truth|global)\.\d+\.exr", path.name)]
         unknown = sorted(f"{FRAMES}/{name}" for name in names if f"{FRAMES}/{name}" not in self.description["files"])
         if unknown:
-            raise InputError(
-                self.folder / unknown[0], f"not a file of this sample, which has {self.frames} frames; remove it"
-            )
-
-
-def read_sample(folder: Path | str) -> Sample:
-    """Read a sample's folder.
-
-    Raises:
-        InputError: a file is missing, damaged, of no use, or belongs elsewhere; it is named.
-    """
-    return StoredSample(folder).sample()
+            raise InputError(self.folder / unknown[0], f"not one of this sample's {self.frames} frames; remove it")

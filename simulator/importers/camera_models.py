@@ -212,9 +212,7 @@ def read_intrinsics(path: Path) -> Lens:
         except ValueError:
             numbers = np.zeros(0)
         if numbers.size != 9:
-            raise InputError(
-                path, f"holds {text[:60]!r}; expected nine numbers, the camera matrix fx, 0, cx, 0, fy, cy, 0, 0, 1"
-            )
+            raise InputError(path, f"got {text[:60]!r}, expected nine numbers: fx, 0, cx, 0, fy, cy, 0, 0, 1")
         return pinhole_of(numbers.reshape(3, 3), str(path))
     import yaml
 

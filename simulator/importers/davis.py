@@ -102,23 +102,17 @@ def find(path: Path, subset: str | None, resolution: Resolution, keep_background
     """
     if is_folder(path / _FLAT[0]) and not is_folder(path / "JPEGImages"):
         if subset is not None:
-            raise InputError(
-                "subset", f"got {subset!r}, but {path} holds images and masks without ImageSets: leave subset out"
-            )
+            raise InputError("subset", f"got {subset!r}, but {path} has no ImageSets: leave subset out")
         images, masks = (path / name for name in _FLAT)
         if not (is_folder(masks) or keep_background):
-            raise InputError(
-                "path",
-                f"{path} has a folder images, but none called masks: fetch the masks, or use keep_background: true",
-            )
+            raise InputError("path", f"{path} has no folder masks: fetch it, or use keep_background: true")
         return find_videos("davis", path, images, masks, FILMED_AT, keep_background=keep_background)
     images = path / "JPEGImages" / resolution
     if not is_folder(images):
         there = ", ".join(list_folder(path / "JPEGImages")[0]) or "none"
         raise InputError(
             "path",
-            f"{path} has no folder JPEGImages/{resolution} (resolutions there: {there}): name the folder that holds "
-            "JPEGImages and Annotations, or another resolution",
+            f"{path} has no folder JPEGImages/{resolution} (resolutions there: {there}): name another",
         )
     annotations = next((name for name in ("Annotations", "Annotations_unsupervised") if is_folder(path / name)), None)
     masks = path / (annotations or "Annotations") / resolution
@@ -142,9 +136,7 @@ def read_image_set(folder: Path, subset: str, resolution: str) -> list[str]:
     wanted = [f"2017/{subset}", f"2016/{subset}", f"{resolution}/{subset}", subset]
     name = next((name for name in wanted if name in files), None)
     if name is None:
-        raise InputError(
-            "subset", f"got {subset!r}, expected one of the lists in {folder}: {', '.join(files) or 'there are none'}"
-        )
+        raise InputError("subset", f"got {subset!r}, expected a list of {folder}: {', '.join(files) or 'none'}")
     try:
         text = files[name].read_text(encoding="utf-8")
     except (OSError, ValueError) as error:

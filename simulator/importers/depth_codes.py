@@ -106,9 +106,7 @@ def check_depths(root: Path, chart: Path, seen_m: NDArray[np.float64], decoding:
     """
     known_m = seen_m[np.isfinite(seen_m)]
     if known_m.size == 0:
-        raise InputError(
-            root / chart, "gives no depth where its image is seen: check border and field, or leave this clip out"
-        )
+        raise InputError(root / chart, "no depth where its image is seen: check border and field, or leave it out")
     beyond = float((known_m > max_m).sum() / seen_m.size)
     if beyond <= MOSTLY and known_m.min() <= max_m:
         return

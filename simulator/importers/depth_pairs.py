@@ -34,9 +34,7 @@ def list_pairs(root: Path) -> tuple[tuple[Pair, ...], tuple[Fault, ...]]:
         InputError: when there is no such folder, one cannot be read, or none holds a pair.
     """
     if not is_folder(root):
-        raise InputError(
-            "path", f"there is no folder {root}; expected one with images and depth charts somewhere below it"
-        )
+        raise InputError("path", f"{root} does not exist; expected a folder with images and depth charts")
     images: dict[tuple[Path, str, str], dict[int, Path]] = {}
     depths: dict[tuple[Path, str, str], dict[int, Path]] = {}
     faults: list[Fault] = []
@@ -66,11 +64,7 @@ def list_pairs(root: Path) -> tuple[tuple[Pair, ...], tuple[Fault, ...]]:
         faults.append((str(root / folder), reason))
     if not pairs:
         found = f"; {': '.join(faults[0])}" if faults else ""
-        raise InputError(
-            "path",
-            f"{root} holds no images with depth charts (such as image_0000.png with aov_image_0000.png, or "
-            f"FrameBuffer_0000.png with Depth_0000.png){found}",
-        )
+        raise InputError("path", f"{root} holds no image_0000.png with aov_image_0000.png or the like{found}")
     return tuple(pairs), tuple(faults)
 
 

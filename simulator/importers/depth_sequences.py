@@ -115,8 +115,7 @@ def find_runs(pairs: Sequence[Pair], length: int) -> tuple[tuple[int, ...], tupl
     if not starts:
         raise InputError(
             "frames",
-            f"got {length}, but no sequence has so many with consecutive numbers: the longest, {longest[1]!r}, "
-            f"has {longest[0]}; ask for fewer",
+            f"got {length}, but the longest run, in {longest[1]!r}, has {longest[0]}: ask for fewer",
         )
     return tuple(starts), tuple(groups), grouped(faults)
 
@@ -134,15 +133,9 @@ def check_rate(frames: int, frames_per_second: float | None) -> None:
         InputError: for either.
     """
     if frames > 1 and frames_per_second is None:
-        raise InputError(
-            "frames_per_second", f"missing: a clip of {frames} frames needs the rate at which they were taken"
-        )
+        raise InputError("frames_per_second", f"missing: a clip of {frames} frames needs its rate")
     if frames == 1 and frames_per_second is not None:
-        raise InputError(
-            "frames_per_second",
-            f"got {frames_per_second:g}, but frames: 1 gives stills, which stand still for as long as the "
-            "shutter is open: leave it out or ask for more frames",
-        )
+        raise InputError("frames_per_second", f"got {frames_per_second:g}, but frames: 1 gives stills: leave it out")
 
 
 def read_pairs(

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
+from simulator.io.files import read_errors
 
 MAX_PIXELS = 200_000_000
 """Largest map that is read; the header is judged before anything is allocated."""
@@ -41,26 +42,20 @@ def read_pfm(path: Path) -> NDArray[np.float32]:
         InputError: naming the file, when it is missing, not a PFM file, has a bad header, the wrong length or non-finite
             values.
     """
-    try:
-        with path.open("rb") as file:
-            (height, width, channels, order), start = _parse_header(file.read(_HEADER_BYTES), path)
-            size, expected = path.stat().st_size - start, 4 * height * width * channels
-            if size != expected:
-                raise InputError(
-                    path,
-                    f"{'cut short' if size < expected else 'too long'}: {size} bytes of data for {height} x "
-                    f"{width} x {channels} values, expected {expected}: fetch it again",
-                )
-            file.seek(start)
-            data = file.read(expected)
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+    with read_errors(path), path.open("rb") as file:
+        (height, width, channels, order), start = _parse_header(file.read(_HEADER_BYTES), path)
+        size, expected = path.stat().st_size - start, 4 * height * width * channels
+        if size != expected:
+            raise InputError(
+                path,
+                f"got {size} bytes of data for {height} x {width} x {channels}, expected {expected}",
+            )
+        file.seek(start)
+        data = file.read(expected)
     values = np.frombuffer(data, dtype=f"{order}f4").astype(np.float32).reshape(height, width, channels)
     if not np.all(np.isfinite(values)):
         bad = int(np.count_nonzero(~np.isfinite(values)))
-        raise InputError(
-            path, f"holds {bad} values that are NaN or infinite; expected finite numbers: leave this frame out"
-        )
+        raise InputError(path, f"holds {bad} non-finite values: leave this frame out")
     upright = np.ascontiguousarray(values[::-1])
     return upright[..., 0] if channels == 1 else upright
 
@@ -69,24 +64,16 @@ def _parse_header(head: bytes, path: Path) -> tuple[tuple[int, int, int, str], i
     """``(height, width, channels, byte order)`` and the offset of the data."""
     match = _HEADER.match(head)
     if match is None:
-        raise InputError(
-            path, f"not a PFM file: expected 'Pf' or 'PF', a width, a height and a scale, got {head[:24]!r}"
-        )
+        raise InputError(path, f"not a PFM file: got {head[:24]!r}, expected 'Pf' or 'PF', width, height and scale")
     magic, *numbers = (part.decode("ascii", "replace") for part in match.groups())
     try:
         width, height, scale = int(numbers[0]), int(numbers[1]), float(numbers[2])
     except ValueError:
-        raise InputError(
-            path, f"has a bad PFM header: expected width, height and scale as numbers, got {' '.join(numbers)!r}"
-        ) from None
+        raise InputError(path, f"bad PFM header {' '.join(numbers)!r}: expected width, height and scale") from None
     if width <= 0 or height <= 0 or width * height > MAX_PIXELS:
-        raise InputError(
-            path, f"claims {height} x {width} pixels; expected positive sizes of at most {MAX_PIXELS} pixels together"
-        )
+        raise InputError(path, f"claims {height} x {width} pixels; expected 1 to {MAX_PIXELS}")
     if scale == 0 or not math.isfinite(scale):
-        raise InputError(
-            path, f"has a PFM scale of {numbers[2]}; expected a finite number, not zero (its sign is the byte order)"
-        )
+        raise InputError(path, f"got a PFM scale of {numbers[2]}; expected a finite number, not 0")
     return (height, width, 3 if magic == "PF" else 1, "<" if scale < 0 else ">"), match.end()
 
 
@@ -103,9 +90,7 @@ def read_disparity(path: Path) -> NDArray[np.float32]:
     if disparity.ndim != 2:
         raise InputError(path, "has three channels ('PF'); expected a disparity map with one ('Pf')")
     if disparity.min() < 0 < disparity.max():
-        raise InputError(
-            path, f"mixes disparities of both signs ({disparity.min():g}..{disparity.max():g} px): expected one sign"
-        )
+        raise InputError(path, f"mixes both signs ({disparity.min():g}..{disparity.max():g} px): expected one")
     return np.abs(disparity)
 
 
@@ -174,8 +159,7 @@ class AffineMap:
         if not highest > lowest:
             raise InputError(
                 name,
-                f"has one single disparity ({lowest:g} px), which cannot be spread over {near_m:g}..{far_m:g} m: "
-                "use depth_scaling: fixed, or per: set",
+                f"has one single disparity ({lowest:g} px): use depth_scaling: fixed, or per: set",
             )
         return cls(kind, lowest, highest, near_m, far_m)
 
@@ -223,6 +207,5 @@ def check_fixed_depths(depth_m: NDArray[np.float64], disparity: NDArray[np.float
     if bad.any():
         raise InputError(
             path,
-            f"has a disparity of {disparity[bad][0]:g} px, that is a depth of {depth_m[bad][0]:g} m, which cannot be "
-            "used: fetch it again, or check metres_per_unit",
+            f"got a disparity of {disparity[bad][0]:g} px, a depth of {depth_m[bad][0]:g} m: check metres_per_unit",
         )

@@ -105,10 +105,7 @@ def endoslam(
         what = "field: angles" if field == "angles" else "depth_along: ray"
         raise InputError(what, "needs the directions of the images' rays: give intrinsics or intrinsics_file")
     if depth_at_zero_cm == depth_scale_cm:
-        raise InputError(
-            "depth_at_zero_cm, depth_scale_cm",
-            f"both are {depth_scale_cm:g}, so that every code would mean the same depth",
-        )
+        raise InputError("depth_at_zero_cm, depth_scale_cm", f"both are {depth_scale_cm:g}: they must differ")
     root = Path(path)
     pairs, faults = list_pairs(root)
     starts, groups, short = find_runs(pairs, frames)
@@ -199,8 +196,7 @@ class EndoSlam(DepthClips):
             kind = "RGB image" if dimensions == 3 else "depth chart"
             raise InputError(
                 self.root / name,
-                f"got {what}; expected a {kind} of {self.shape[0]} x {self.shape[1]} pixels like "
-                f"{self.pairs[0].image}: name a path that holds one camera's images",
+                f"got {what}; expected a {kind} of {self.shape[0]} x {self.shape[1]}, like {self.pairs[0].image}",
             )
         return image
 
@@ -277,9 +273,7 @@ def survey(
     if any(value is not None for value in (depth_scale_cm, depth_code, depth_at_zero_cm, depth_full_code)):
         if depth_scale_cm is None or depth_code is None:
             missing = "depth_scale_cm" if depth_scale_cm is None else "depth_code"
-            raise InputError(
-                missing, "missing: depths follow from depth_scale_cm and depth_code together; give both or neither"
-            )
+            raise InputError(missing, "missing: give both depth_scale_cm and depth_code, or neither")
         decoding = DepthDecoding.of_cm(depth_code, depth_scale_cm, depth_at_zero_cm, depth_full_code)
     root = Path(path)
     pairs, unpaired = list_pairs(root)

@@ -58,11 +58,7 @@ def film(
     plan = ClipPlan.of(view, frames, frames_per_second, clips_per_video, crop, plane_cm, *interpolation)
     root, film_names, sequences = _list(Path(path))
     if sequences and frames_per_second is None:
-        raise InputError(
-            "frames_per_second",
-            f"images such as those in {root / next(iter(sequences))} have no frame rate; say at "
-            "which rate a clip is taken to have been filmed",
-        )
+        raise InputError("frames_per_second", f"missing: {root / next(iter(sequences))} has images, which have none")
     films, problems = open_films(root, [(name, None) for name in film_names])
     videos: list[Film | ImageSequence] = [*films]
     for name, images in sequences.items():
@@ -114,15 +110,11 @@ def _list(path: Path) -> tuple[Path, list[str], dict[str, tuple[str, ...]]]:
         if not path.is_file():
             raise InputError("path", f"{path} does not exist; expected a film, or a folder of films or images")
         if path.suffix.lower() in IMAGE_SUFFIXES:
-            raise InputError(
-                "path", f"{path} is one image; expected a film or a folder of images: give the folder that it lies in"
-            )
+            raise InputError("path", f"{path} is one image; expected a film or a folder of images: give its folder")
         return path.parent, [path.name], {}
     films, images = _look(path)
     if films and images:
-        raise InputError(
-            "path", f"{path} holds both films ({films[0]}) and images ({images[0]}): put them into separate folders"
-        )
+        raise InputError("path", f"{path} holds films ({films[0]}) and images ({images[0]}): separate them")
     if images:
         return path.parent, [], {path.name or ".": images}
     sequences: dict[str, tuple[str, ...]] = {}
@@ -134,8 +126,7 @@ def _list(path: Path) -> tuple[Path, list[str], dict[str, tuple[str, ...]]]:
     if not films and not sequences:
         raise InputError(
             "path",
-            f"{path} holds no films ({', '.join(sorted(FILM_SUFFIXES))}) and no images "
-            f"({', '.join(sorted(IMAGE_SUFFIXES))}), nor do the folders in it",
+            f"{path} and its folders hold nothing that ends in {' '.join(sorted(FILM_SUFFIXES | IMAGE_SUFFIXES))}",
         )
     return path, list(films), sequences
 

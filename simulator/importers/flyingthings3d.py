@@ -88,19 +88,14 @@ def flyingthings3d(
     root, pairs, faults = list_frames(Path(path), picture_pass, eye, subset)
     if depth_scaling != "fixed" and metres_per_unit is not None:
         raise InputError(
-            "metres_per_unit",
-            f"got {metres_per_unit}, but depth_scaling: {depth_scaling} fills near..far: leave it out or use fixed",
+            "metres_per_unit", f"got {metres_per_unit}, but depth_scaling is {depth_scaling}: leave it out"
         )
     if depth_scaling == "affine_depth" and not np.isfinite(view.far_m):
-        raise InputError(
-            "depth_scaling", "affine_depth cannot reach far = inf: use affine_disparity, or give a finite far depth"
-        )
+        raise InputError("depth_scaling", "affine_depth cannot reach far = inf: use affine_disparity or a finite depth")
     depth: float | AffineMap | AffineKind
     if depth_scaling == "fixed":
         if metres_per_unit is None:
-            raise InputError(
-                "depth_scaling", "fixed needs metres_per_unit (the metres that one unit of the data set stands for)"
-            )
+            raise InputError("depth_scaling", "fixed needs metres_per_unit: the metres of one unit of the data set")
         depth = metres_per_unit
     elif per == "set":
         pairs, ranges, broken = _usable(root, pairs)
@@ -201,8 +196,7 @@ class FlyingThings3D(DepthClips):
             if disparity.shape != shape:
                 raise InputError(
                     self.root / pair.image,
-                    f"got {disparity.shape[0]} x {disparity.shape[1]}, but the clip's first frame is "
-                    f"{shape[0]} x {shape[1]}: expected one size in a sequence, fetch it again",
+                    f"got {disparity.shape}, but the first frame is {shape}: fetch it again",
                 )
             rgb[t] = _box_mean(decode_srgb_picture(image[window]), factor)
         cut = np.stack([disparity[window][centres] for disparity in disparities]).astype(np.float64)
@@ -238,8 +232,7 @@ class FlyingThings3D(DepthClips):
             cure = f"downscale at most {largest}" if largest else f"a scene of at most {shape[0]} x {shape[1]}"
             raise InputError(
                 "downscale",
-                f"the scene's {self.view.shape[0]} x {self.view.shape[1]} pixels at downscale {factor} are more than "
-                f"{pair.image} has ({shape[0]} x {shape[1]}): use {cure}",
+                f"{factor} x {self.view.shape} is more than {pair.image} has ({shape[0]} x {shape[1]}): use {cure}",
             )
         return factor
 
@@ -250,8 +243,7 @@ def _read_image(root: Path, pair: Pair, shape: tuple[int, ...]) -> NDArray[np.ui
     if image.shape != (*shape, 3):
         raise InputError(
             root / pair.image,
-            f"got {' x '.join(map(str, image.shape))}, but its disparity {pair.depth} is "
-            f"{' x '.join(map(str, shape))}: expected an RGB image of the same size, fetch both again",
+            f"got {image.shape}, but its disparity {pair.depth} is {shape}: fetch both again",
         )
     return image
 
@@ -272,9 +264,7 @@ def _usable(
         else:
             usable.append(pair)
     if not usable:
-        raise InputError(
-            "path", f"none of the {len(pairs)} disparities in {root} can be used; the first: {': '.join(faults[0])}"
-        )
+        raise InputError("path", f"{root} has no disparity that can be used; the first: {': '.join(faults[0])}")
     return tuple(usable), ranges, tuple(faults)
 
 

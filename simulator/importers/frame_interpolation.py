@@ -62,18 +62,11 @@ def interpolate_pairs(frames: NDArray[np.float32], factor: int, between: Between
         InputError: when shape, type, values or the factor break these rules.
     """
     if isinstance(factor, bool) or not isinstance(factor, int | np.integer) or factor < 1:
-        raise InputError(
-            "factor", f"got {factor!r}, expected a whole number, 1 or more (1 leaves the frames as they are)"
-        )
+        raise InputError("factor", f"got {factor!r}, expected a whole number from 1, which changes nothing")
     if frames.ndim != 4 or frames.shape[-1] != 3 or 0 in frames.shape or frames.dtype != np.float32:
-        raise InputError(
-            "frames",
-            f"got {frames.dtype} {frames.shape}, expected float32 (T, H, W, 3) with at least one frame and pixel",
-        )
+        raise InputError("frames", f"got {frames.dtype} {frames.shape}, expected float32 (T, H, W, 3), not empty")
     if not np.all(np.isfinite(frames)) or frames.min() < 0:
-        raise InputError(
-            "frames", "got NaN, inf or negative values, expected linear light: mend the film or leave the clip out"
-        )
+        raise InputError("frames", "got NaN, inf or negative values, expected linear light: leave the clip out")
     count, height, width, _ = frames.shape
     interpolated = np.empty(((count - 1) * factor + 1, height, width, 3), np.float32)
     interpolated[::factor] = frames

@@ -152,17 +152,14 @@ def run_survey(plugin: Plugin, path: Path, options: Mapping[str, Any], progress:
     if not callable(survey):
         raise InputError(
             "--source",
-            f"{plugin.name!r} has no survey(path, progress) in its module, so nothing can be checked before use; "
-            f"`flatlight render` shows what it makes of {path}",
+            f"{plugin.name!r} has no survey(path, progress); look with `flatlight render`",
         )
     values = _options(plugin, survey, options)
     with plugin_errors(plugin):
         try:
             result = survey(path, progress, **values)
         except PermissionError as error:
-            raise InputError(
-                "path", f"{error.filename or path} cannot be read: {error.strerror or error}; check who may read it"
-            ) from error
+            raise InputError("path", f"{error.filename or path} cannot be read: {error.strerror or error}") from error
     if not isinstance(result, Survey):
         raise InputError(f"source {plugin.name!r}", f"its survey returned {type(result).__name__}, expected a Survey")
     return result
@@ -181,9 +178,7 @@ def _options(plugin: Plugin, survey: Any, options: Mapping[str, Any]) -> dict[st
     """
     for key in options:
         if key in SECTION_KEYS["source"]:
-            raise InputError(
-                "--set", f"{key} is a key of scene, which decides nothing about what is read here; leave it out"
-            )
+            raise InputError("--set", f"{key} decides nothing about what is read here; leave it out")
     taken = inspect.signature(survey).parameters.values()
     anything = any(parameter.kind is parameter.VAR_KEYWORD for parameter in taken)
     named = [parameter for parameter in taken if parameter.kind is parameter.KEYWORD_ONLY]

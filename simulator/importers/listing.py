@@ -89,9 +89,7 @@ def is_folder(path: Path) -> bool:
 
 def refuse_unreadable(path: Path, error: OSError) -> NoReturn:
     """Refuse a place that the system does not let us read."""
-    raise InputError(
-        "path", f"{path} cannot be read: {error.strerror or error}; check who may read it, or name a path without it"
-    ) from error
+    raise InputError("path", f"{path} cannot be read: {error.strerror or error}; name a path without it") from error
 
 
 def natural(name: str) -> list[tuple[int, str]]:

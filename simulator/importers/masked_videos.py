@@ -131,8 +131,7 @@ class MaskedVideo:
             if frame.shape != size:
                 raise InputError(
                     self.images / name,
-                    f"got {frame.shape[0]} x {frame.shape[1]} pixels, but {self.frames[start]} "
-                    f"before it is {size[0]} x {size[1]}: expected frames of one size; fetch the video again",
+                    f"got {frame.shape[:2]}, but {self.frames[start]} before it is {size[:2]}: fetch the video again",
                 )
             yield frame
 
@@ -187,8 +186,7 @@ class MaskedVideo:
         if self.categories and unknown:
             raise InputError(
                 self.mask(frame),
-                f"has object {', '.join(map(str, unknown))}, but meta.json gives video {self.name} only "
-                f"{', '.join(map(str, self.categories))}: fetch masks and meta.json from the same release",
+                f"has objects {unknown}, which meta.json does not list for {self.name}: fetch both again",
             )
         return numbers
 
@@ -294,21 +292,15 @@ def find_videos(
         try:
             annotated = _masks(masks / name)
             if categories is not None and not categories.get(name):
-                raise InputError(
-                    "", "meta.json lists no object of it: fetch images and meta.json from the same release"
-                )
+                raise InputError(name, "meta.json lists no object of it: fetch images and meta.json of one release")
             frames = _frames(images / name)
             matched = tuple(frame for frame in frames if Path(frame).stem in annotated)
             if not frames:
-                raise InputError(
-                    "", f"no images in {images.relative_to(root)}: fetch them, or take its name off the list"
-                )
+                raise InputError(name, f"no images in {images.relative_to(root)}: fetch them")
             if not (matched or keep_background):
-                raise InputError(
-                    "", f"no mask in {masks.relative_to(root)} for any image: fetch them, or use keep_background: true"
-                )
+                raise InputError(name, f"no mask in {masks.relative_to(root)}: use keep_background: true")
         except InputError as error:
-            faults.append((name, str(error)))
+            faults.append((name, error.reason if error.path == name else str(error)))
             continue
         unannotated += len(frames) - len(matched)
         stray += len(annotated) - len(matched)
@@ -329,9 +321,7 @@ def _masks(folder: Path) -> dict[str, str]:
         if path.suffix.lower() != _MASK:
             continue
         if path.stem in found:
-            raise InputError(
-                "", f"{found[path.stem]} and {name} are both the mask of frame {path.stem}: take one of them away"
-            )
+            raise InputError(folder.name, f"{found[path.stem]} and {name} are both the mask of a frame: remove one")
         found[path.stem] = name
     return found
 
@@ -342,7 +332,7 @@ def _frames(folder: Path) -> tuple[str, ...]:
     numbered = sorted((frame_number(name), name) for name in found)
     for (number, name), (following, other) in pairwise(numbered):
         if number == following:
-            raise InputError("", f"{name} and {other} are both frame {number}: take one of them away")
+            raise InputError(folder.name, f"{name} and {other} are both frame {number}: remove one")
     return tuple(name for _, name in numbered)
 
 

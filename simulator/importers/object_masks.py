@@ -49,8 +49,7 @@ def read_object_numbers(path: Path) -> NDArray[np.uint8]:
         return _binary(values[..., 0], path)
     raise InputError(
         path,
-        f"holds colours (kind {mode!r}) instead of object numbers, which they do not tell: expected a palette PNG "
-        "(8 bit, kind 'P') as the data set ships it, or a grey one with 0 and 255; fetch the original masks",
+        f"got colours (kind {mode!r}), expected a palette PNG or a grey one with 0 and 255: fetch the originals",
     )
 
 
@@ -71,8 +70,7 @@ def fit_mask(numbers: NDArray[np.uint8], shape: tuple[int, int], mask: Path, ima
     if max(abs(found[0] - shape[0]), abs(found[1] - shape[1])) > 1:
         raise InputError(
             mask,
-            f"got {found[0]} x {found[1]} pixels, but its image {image} is {shape[0]} x {shape[1]}: expected the "
-            "same size (one pixel more or less is mended); fetch both again, in the same resolution",
+            f"got {found}, but its image {image} is {shape}; at most one pixel off is mended: fetch both again",
         )
     rows, columns = (
         ((np.arange(wanted) + 0.5) * had / wanted).astype(int) for wanted, had in zip(shape, found, strict=True)
@@ -86,7 +84,6 @@ def _binary(values: NDArray[np.uint8], path: Path) -> NDArray[np.uint8]:
         shown = ", ".join(map(str, found[:5])) + (", ..." if len(found) > 5 else "")
         raise InputError(
             path,
-            f"got a grey image with the values {shown}: expected 0 and 255 (a binary mask), or a palette PNG whose "
-            "indices are the objects' numbers; save it as one of these, without smoothing",
+            f"got grey values {shown}, expected 0 and 255, or a palette PNG with the objects' numbers; save it so",
         )
     return (values != 0).astype(np.uint8)

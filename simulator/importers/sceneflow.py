@@ -58,16 +58,12 @@ def list_frames(
     root, images = find_root(path, (picture_pass,))
     flattened = images.name.startswith("RGB_")
     if flattened and subset != "all":
-        raise InputError(
-            "subset", f"got {subset!r}, but {root} has the flattened layout without TRAIN and TEST: leave subset out"
-        )
+        raise InputError("subset", f"got {subset!r}, but {root} is flattened, without TRAIN and TEST: leave it out")
     top = images if subset == "all" else images / subset
     eyes = ((folder.relative_to(images), files) for folder, files in walk(top) if folder.name == eye)
     found = sorted(folder / file for folder, files in eyes for file in files if Path(file).suffix.lower() in _IMAGES)
     if not found:
-        raise InputError(
-            "path", f"{top} holds no {eye} image (.png or .webp in a folder named {eye!r}): check path, eye and subset"
-        )
+        raise InputError("path", f"{top} holds no .png or .webp in a folder {eye!r}: check path, eye and subset")
     sequences: dict[str, list[Pair]] = {}
     faults: list[Fault] = []
     disparities = cache(_disparities)
@@ -81,10 +77,7 @@ def list_frames(
             faults.append((str(root / image), _WITHOUT_DISPARITY))
     if not sequences:
         wanted = Path("disparity") / found[0].with_suffix(_DISPARITY)
-        raise InputError(
-            "path",
-            f"none of the {len(found)} images in {top} has a disparity; the first wants {root / wanted}: fetch them",
-        )
+        raise InputError("path", f"no image in {top} has a disparity; the first wants {root / wanted}: fetch them")
     frames = [frame for held in sequences.values() for frame in sorted(held, key=lambda frame: frame.number)]
     return root, tuple(frames), tuple(faults)
 
@@ -111,21 +104,17 @@ def find_root(path: Path, passes: tuple[PicturePass, ...]) -> tuple[Path, Path]:
     """
     names = tuple(name for each in passes for name in (f"frames_{each}", f"frames_{each}_webp", f"RGB_{each}"))
     if not is_folder(path):
-        raise InputError(
-            "path", f"there is no folder {path}; expected the one that holds {names[0]} (or {names[2]}) and disparity"
-        )
+        raise InputError("path", f"{path} does not exist; expected the folder of {names[0]} and disparity")
     parent = [path.parent] if path.name in (*names, "disparity") else []
     children = [path / name for name in list_folder(path)[0]]
     for candidates in ([path, *parent], children):
         # A neighbour that cannot be read is no reason to refuse the data set beside it.
         roots = [root for root in candidates if any(os.path.isdir(root / name) for name in names)]
         if len(roots) > 1:
-            raise InputError(
-                "path", f"{path} has several data sets in it ({roots[0].name}, {roots[1].name}): name one of them"
-            )
+            raise InputError("path", f"{path} holds several data sets ({roots[0].name}, {roots[1].name}): name one")
         if roots:
             return roots[0], next(roots[0] / name for name in names if is_folder(roots[0] / name))
     here = ", ".join(child.name for child in children[:6]) or "no folders"
     raise InputError(
-        "path", f"{path} has none of {', '.join(names)} (it has {here}): name the data set's root, check picture_pass"
+        "path", f"{path} has none of {', '.join(names)} (it has {here}): name the root, check picture_pass"
     )

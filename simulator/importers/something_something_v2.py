@@ -148,16 +148,12 @@ class _Found:
 
 def _list(root: Path, subset: Subset | None, classes: Classes) -> _Found:
     if not is_folder(root):
-        raise InputError(
-            "path", f"{root} is not a folder; expected the one that holds the clips' folder and the label files"
-        )
+        raise InputError("path", f"{root} is not a folder; expected that of the clips' folder and the label files")
     chosen: Subset = subset or ("train" if find_labels(root, "train") else "validation")
     places = {name: find_labels(root, name) for name in ("labels", chosen)}
     for name, place in places.items():
         if place is None:
-            raise InputError(
-                "path", f"{root} holds no something-something-v2-{name}.json (or {name}.json), there or in labels"
-            )
+            raise InputError("path", f"{root} holds no something-something-v2-{name}.json, there or in labels")
     labels, entries_file = filter(None, places.values())
     templates = read_templates(labels)
     entries, unknown = read_entries(entries_file, templates, labels)
@@ -171,9 +167,7 @@ def _list(root: Path, subset: Subset | None, classes: Classes) -> _Found:
     listings = ((name, [f for f in list_folder(root / name)[1] if f.endswith(".webm")]) for name in _CLIP_FOLDERS)
     folder, clips = next((found for found in listings if found[1]), (None, []))
     if folder is None:
-        raise InputError(
-            "path", f"{root} holds no clips: expected 74225.webm and so on in {' or '.join(_CLIP_FOLDERS[:2])}"
-        )
+        raise InputError("path", f"{root} holds no clips: expected 74225.webm and so on in {_CLIP_FOLDERS[0]}")
     there = {name.removesuffix(".webm") for name in clips}
     present = {identity: template for identity, template in entries.items() if identity in there}
     problems = tuple(line for identity, line in unknown.items() if identity in there)
@@ -184,8 +178,7 @@ def _list(root: Path, subset: Subset | None, classes: Classes) -> _Found:
         first = next(iter((*entries, *unknown)))
         raise InputError(
             "path",
-            f"none of the {len(there)} clips in {root / folder} is listed in {entries_file.name} (of {listed}, the "
-            f"first {first}): expected files named by their id",
+            f"{entries_file.name} lists no clip in {root / folder} (of {listed}, the first {first})",
         )
     films = [
         ((Path(folder) / f"{identity}.webm").as_posix(), table[template])
@@ -193,9 +186,7 @@ def _list(root: Path, subset: Subset | None, classes: Classes) -> _Found:
         if template in table
     ]
     if not films:
-        raise InputError(
-            "classes", f"none of the {len(present)} clips in {root / folder} is of a template that {files[-1]} lists"
-        )
+        raise InputError("classes", f"{files[-1]} lists the template of no clip in {root / folder}")
     return _Found(
         root=root,
         subset=chosen,
@@ -246,9 +237,7 @@ def read_entries(path: Path, templates: Collection[str], labels: Path) -> tuple[
     """
     content = _read_json(path)
     if not isinstance(content, list) or not content:
-        raise InputError(
-            path, 'holds no list of clips: expected [{"id": "74225", "template": "Closing [something]", ...}, ...]'
-        )
+        raise InputError(path, 'not a list of clips: expected [{"id": "74225", "template": "Closing [something]"}]')
     entries: dict[str, str] = {}
     unknown: dict[str, str] = {}
     for place, item in enumerate(content):
@@ -256,9 +245,7 @@ def read_entries(path: Path, templates: Collection[str], labels: Path) -> tuple[
             raise InputError(path, f"entry {place} has no id of digits, got {str(item)[:80]}")
         identity, written = str(item["id"]), item.get("template")
         if not isinstance(written, str):
-            raise InputError(
-                path, f"clip {identity} has no template; the file of the test subset has none, use train or validation"
-            )
+            raise InputError(path, f"clip {identity} has no template, as in the test subset; use train or validation")
         template = _bare(written)
         if template not in templates:
             text = f"clip {identity} has the unknown template {written!r}, not in {labels.name}"
@@ -282,9 +269,7 @@ def read_table(path: Path, templates: Collection[str], labels: Path) -> dict[str
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            "classes", f"{path} cannot be read as a table of classes ({error}); expected all, coarse or a CSV file"
-        ) from error
+        raise InputError("classes", f"{path} cannot be read ({error}); expected all, coarse or a CSV file") from error
     # Comments become empty lines, so that lines keep their numbers.
     reader = csv.reader(("" if line.startswith("#") else line for line in lines), strict=True)
     try:
@@ -293,16 +278,12 @@ def read_table(path: Path, templates: Collection[str], labels: Path) -> dict[str
         raise InputError(f"{path}:{reader.line_num}", f"not a line of a CSV file ({error})") from error
     columns = [name.strip() for name in rows[0][1]] if rows else []
     if columns != ["template", "class"] or len(rows) == 1:
-        raise InputError(
-            path,
-            f"begins with {','.join(columns) or 'nothing'}; expected the line template,class and a line per template",
-        )
+        raise InputError(path, f"got {','.join(columns)!r}, expected the line template,class and a line per template")
     table: dict[str, str] = {}
     for number, row in rows[1:]:
         if len(row) != 2 or not row[1].strip():
             raise InputError(
-                f"{path}:{number}",
-                f"holds {','.join(row)}; expected a template and its class, in quotes if they hold commas",
+                f"{path}:{number}", f"got {','.join(row)}, expected template,class; quote what holds commas"
             )
         template = _bare(row[0]).strip()
         if template not in templates:

@@ -46,6 +46,7 @@ _UP = ((512, 512), (512, 256), (256, 128), (128, 64), (64, 32))
 NETWORKS = {"state_dictFC": (6, 4), "state_dictAT": (20, 5)}
 """The checkpoint's two networks, by its keys, with their channels in and out: flow computation, then flow interpolation."""
 
+_OPTION = "superslomo_checkpoint"
 _CURE = "give the public SuperSloMo.ckpt (A. Paliwal's), or its tensors named state_dictFC.conv1.weight and so on"
 
 
@@ -180,9 +181,7 @@ def _networks(checkpoint: Path, sha256: str) -> dict[str, dict[str, Any]]:
         InputError: when the file has changed since the source was made.
     """
     if sha256_file(checkpoint) != sha256:
-        raise InputError(
-            "superslomo_checkpoint", f"{checkpoint} has changed while the job ran; start again with one checkpoint"
-        )
+        raise InputError(_OPTION, f"{checkpoint} has changed while the job ran; start again")
     return read_checkpoint(checkpoint)
 
 
@@ -241,7 +240,7 @@ def read_checkpoint(path: Path) -> dict[str, dict[str, Any]]:
         InputError: naming the file, when it is missing, not a checkpoint, or holds other tensors than the two networks need.
     """
     if not path.is_file():
-        raise InputError("superslomo_checkpoint", f"{path} is not a file; {_CURE}")
+        raise InputError(_OPTION, f"{path} is not a file; {_CURE}")
     flat = path.suffix == ".safetensors"
     try:
         # A date holds numbers alone; without it the public file, which notes when it was saved, would not be read.
@@ -250,7 +249,7 @@ def read_checkpoint(path: Path) -> dict[str, dict[str, Any]]:
     except Exception as error:  # torch.load meets a foreign file with almost any exception
         # Torch's own words may end in the advice to let the file run its code.
         kind = f"as safetensors: {error}" if flat else f"as weights of torch ({type(error).__name__})"
-        raise InputError("superslomo_checkpoint", f"cannot read {path} {kind}; {_CURE}") from error
+        raise InputError(_OPTION, f"cannot read {path} {kind}; {_CURE}") from error
     if flat:
         content = {
             key: {name.removeprefix(f"{key}."): content[name] for name in content if name.startswith(f"{key}.")}
@@ -263,24 +262,15 @@ def _network(path: Path, content: Any, key: str) -> dict[str, Any]:
     found = content.get(key) if isinstance(content, dict) else None
     if not isinstance(found, dict) or not found:
         keys = ", ".join(map(str, content)) if isinstance(content, dict) else type(content).__name__
-        raise InputError(
-            "superslomo_checkpoint", f"{path} holds {keys[:200]}, expected {' and '.join(NETWORKS)}; {_CURE}"
-        )
+        raise InputError(_OPTION, f"{path} holds {keys[:200]}, not {' and '.join(NETWORKS)}; {_CURE}")
     expected = tensor_shapes(*NETWORKS[key])
     for name, shape in expected.items():
         tensor = found.get(name)
         if not isinstance(tensor, torch.Tensor) or tuple(tensor.shape) != shape or not tensor.is_floating_point():
             got = f"{tensor.dtype} {tuple(tensor.shape)}" if isinstance(tensor, torch.Tensor) else "nothing"
-            raise InputError(
-                "superslomo_checkpoint", f"{path}: {key}: {name} is {got}, expected float32 {shape}; {_CURE}"
-            )
+            raise InputError(_OPTION, f"{path}: {key}: {name} is {got}, expected float32 {shape}; {_CURE}")
         if not torch.isfinite(tensor).all():
-            raise InputError(
-                "superslomo_checkpoint", f"{path}: {key}: {name} holds NaN or inf, the file is damaged; {_CURE}"
-            )
+            raise InputError(_OPTION, f"{path}: {key}: {name} holds NaN or inf, the file is damaged; {_CURE}")
     if unknown := sorted(set(found) - set(expected)):
-        raise InputError(
-            "superslomo_checkpoint",
-            f"{path}: {key} also holds {', '.join(map(str, unknown[:5]))}: another network; {_CURE}",
-        )
+        raise InputError(_OPTION, f"{path}: {key} also holds {', '.join(map(str, unknown[:5]))}; {_CURE}")
     return {name: found[name].float() for name in expected}

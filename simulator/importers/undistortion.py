@@ -74,8 +74,7 @@ def build_lookup(lens: Lens, shape: tuple[int, int], view: View, field: Field, c
         column, row = lens.centre
         raise InputError(
             "intrinsics",
-            f"the optical axis is at column {column:g}, row {row:g}, outside what the {shape[0]} x {shape[1]} "
-            "image shows; check that they belong to images of this size",
+            f"the axis, column {column:g}, row {row:g}, is outside the image of {shape}",
         )
     scale = 1.0 if field == "angles" else _fill_scale(lens, shape, view, circle)
     x, y = (scale * tangents for tangents in _tangents(view, 1))
@@ -204,8 +203,7 @@ def find_circle(images: Sequence[NDArray[np.uint8] | NDArray[np.uint16]], name: 
             return column, row, radius - _MARGIN_PX
     raise InputError(
         "border",
-        f"the black rim of {name}'s images ({100 * border.mean():.1f} % of them) is not bounded by a circle: give "
-        "border: [column, row, radius] in pixels, or border: none",
+        f"the black rim of {name} is not bounded by a circle: give [column, row, radius] in pixels, or none",
     )
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
+from simulator.io.files import read_errors
 
 
 class MissingPackageError(InputError):
@@ -89,10 +90,8 @@ def index_film(path: Path) -> FilmIndex:
     Raises:
         InputError: naming the file, when it is missing, not a film, damaged, cut short or of high dynamic range.
     """
-    try:
+    with read_errors(path):
         state = path.stat()
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
     return _index(path, state.st_mtime_ns, state.st_size)
 
 
@@ -158,10 +157,7 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
     with _opened(path) as (container, stream):
         transfer = stream.codec_context.color_trc
         if transfer in _HDR:
-            raise InputError(
-                path,
-                f"got a film of high dynamic range, {_HDR[transfer]}; convert it to standard range (BT.709 or sRGB)",
-            )
+            raise InputError(path, f"got high dynamic range, {_HDR[transfer]}; convert it to BT.709 or sRGB")
         avi = container.format.name == "avi"
         vp8 = stream.codec_context.name == "vp8"
         first_s, last_s = 0.0, 0.0
@@ -203,9 +199,7 @@ def _index(path: Path, _changed_ns: int, _size: int) -> FilmIndex:
         if not alone:
             ends_s, late_s = max(ends_s, last_s) - first_s, late_s + _SOUND_S
         if duration_s is not None and duration_s - ends_s > late_s:
-            raise InputError(
-                path, f"ends after {ends_s:.2f} s of the {duration_s:.2f} s that its header promises: fetch it again"
-            )
+            raise InputError(path, f"ends after {ends_s:.2f} s of the {duration_s:.2f} s in its header: fetch it again")
     if not rate:
         raise InputError(path, "does not say how many frames per second it has: convert it to a film that does")
     rows = [] if times is None else [(int(np.searchsorted(times, pts)), pts, min(pts, dts)) for pts, dts in keys]
@@ -221,8 +215,7 @@ def _matrix(codec: Any, path: Path) -> str:
     if codec.colorspace != _UNSPECIFIED:
         raise InputError(
             path,
-            f"has colours by matrix {int(codec.colorspace)} of ITU-T H.273, which is not converted here: convert the "
-            "film to BT.709",
+            f"unsupported colour matrix {int(codec.colorspace)} (ITU-T H.273): convert to BT.709",
         )
     return _HD_UNTAGGED if codec.height >= 720 or codec.width >= 1280 else _SD_UNTAGGED
 
@@ -230,9 +223,7 @@ def _matrix(codec: Any, path: Path) -> str:
 def _frames(path: Path, index: FilmIndex, start: int, stop: int) -> Iterator[Any]:
     """Decode frames by number: after seeking where every time fits, else counted from the start."""
     if not 0 <= start < stop <= index.frames:
-        raise InputError(
-            path, f"frames {start} to {stop - 1} were asked of {index.frames}: the file has changed, or is another one"
-        )
+        raise InputError(path, f"frames {start} to {stop - 1} were asked of {index.frames}: the file has changed")
     wanted = start
     before = index.keys[index.keys[:, 0] <= start]
     if index.times is not None and len(before) and before[-1, 0] > 0:
@@ -255,18 +246,14 @@ def _frames(path: Path, index: FilmIndex, start: int, stop: int) -> Iterator[Any
         number = -1
         for number, frame in enumerate(container.decode(stream)):
             if index.times is not None and (number >= index.frames or frame.pts != index.times[number]):
-                raise InputError(
-                    path, f"does not give its frame {number} at the time it should: it is damaged, fetch it again"
-                )
+                raise InputError(path, f"frame {number} comes at another time: it is damaged, fetch it again")
             if number == wanted:
                 _refuse_corrupt(frame, number, path)
                 yield frame
                 wanted += 1
                 if wanted == stop:
                     return
-    raise InputError(
-        path, f"gives only {number + 1} of its {index.frames} frames: it is damaged, fetch or convert it again"
-    )
+    raise InputError(path, f"gives only {number + 1} of its {index.frames} frames: it is damaged, fetch it again")
 
 
 def _refuse_corrupt(frame: Any, number: int, path: Path) -> None:

@@ -116,9 +116,7 @@ class ClipPlan:
         plane_m = min(view.far_m, FARTHEST_M) if plane_cm is None else plane_cm * 1e-2
         if plane_cm is not None and not view.near_m <= plane_m <= view.far_m:
             raise InputError(
-                "plane_cm",
-                f"got {plane_cm:g}, which is outside near..far = {view.near_m * 100:.4g}..{view.far_m * 100:.4g} "
-                "cm; choose a depth inside, or set scene.near_cm and scene.far_cm",
+                "plane_cm", f"got {plane_cm:g}, expected {view.near_m * 100:.4g} to {view.far_m * 100:.4g} cm"
             )
         interpolator = choose_interpolator(interpolate_by, interpolate_with, superslomo_checkpoint)
         return cls(frames, frames_per_second, interpolate_by, clips_per_video, crop, plane_m, interpolator)
@@ -182,30 +180,21 @@ def choose_interpolator(
     """
     if interpolate_by == 1:
         if checkpoint is not None:
-            raise InputError(
-                "superslomo_checkpoint", f"got {checkpoint}, but interpolate_by is 1: leave it out or take more"
-            )
+            raise InputError("superslomo_checkpoint", f"got {checkpoint}, but interpolate_by is 1: leave it out")
         if interpolate_with != "optical_flow":
-            raise InputError(
-                "interpolate_with", f"got {interpolate_with}, but interpolate_by is 1: leave it out or take more"
-            )
+            raise InputError("interpolate_with", f"got {interpolate_with}, but interpolate_by is 1: leave it out")
         return None
     # OpenCV or torch, which nobody needs who interpolates nothing.
     if interpolate_with == "optical_flow":
         if checkpoint is not None:
-            raise InputError(
-                "superslomo_checkpoint",
-                f"got {checkpoint}, but interpolate_with is optical_flow, which takes no weights; "
-                "set interpolate_with: superslomo, or leave the checkpoint out",
-            )
+            raise InputError("superslomo_checkpoint", f"got {checkpoint}, but optical_flow takes none: leave it out")
         from simulator.importers.optical_flow import OpticalFlow
 
         return OpticalFlow()
     if checkpoint is None:
         raise InputError(
             "superslomo_checkpoint",
-            "got none, but interpolate_with is superslomo, whose weights are not part of Flatlight; "
-            "give the path of SuperSloMo.ckpt, or set interpolate_with: optical_flow",
+            "missing: give the path of SuperSloMo.ckpt, not part of Flatlight",
         )
     load_extra("torch", "torch", "learn")
     from simulator.importers.superslomo import SuperSloMo
@@ -307,9 +296,7 @@ class FlatVideos:
         own_rate = video.frames_per_second
         rate = plan.frames_per_second or (None if own_rate is None else own_rate * plan.interpolate_by)
         if rate is None:
-            raise InputError(
-                "frames_per_second", f"{video.name} has no frame rate; say at which a clip is taken to have been filmed"
-            )
+            raise InputError("frames_per_second", f"{video.name} has no frame rate; say one")
         shape = rgb.shape[:3]
         source = {
             "importer": self.importer,
@@ -409,11 +396,7 @@ def fit_frames(
             size = frame.shape[:2]
             window = largest_window(size, shape, crop, rng)
         elif frame.shape[:2] != size:
-            raise InputError(
-                name,
-                f"changes its size from {size[0]} x {size[1]} to {frame.shape[0]} x {frame.shape[1]} pixels: "
-                "split it where that happens",
-            )
+            raise InputError(name, f"changes its size from {size} to {frame.shape[:2]}: split it where that happens")
         fitted.append(fit(frame, window, shape))
     if not fitted:
         raise InputError(name, "gave no frames")

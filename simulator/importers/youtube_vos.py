@@ -111,9 +111,7 @@ def read_categories(path: Path) -> dict[str, Categories]:
     try:
         meta = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise InputError(
-            path, "it is missing, and lists the videos' objects and categories: fetch it from the data set's release"
-        ) from None
+        raise InputError(path, "missing: fetch it from the data set's release") from None
     except (OSError, ValueError) as error:
         raise InputError(path, f"cannot be read as JSON ({error}): fetch it again") from error
     try:
@@ -121,8 +119,7 @@ def read_categories(path: Path) -> dict[str, Categories]:
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(
             path,
-            f"not laid out like YouTube-VOS ({type(error).__name__}: {error}): expected "
-            '{"videos": {name: {"objects": {"1": {"category": ..., "frames": [...]}}}}}',
+            f'{error!r}; expected {{"videos": {{name: {{"objects": {{"1": {{...}}}}}}}}}}',
         ) from error
 
 
@@ -144,7 +141,6 @@ def _root(path: Path, subset: Subset | None) -> Path:
         here = f"it holds {held}" if is_folder(path) else "it does not exist"
         raise InputError(
             "path",
-            f"{path} with subset: {subset or 'null'} has no folder {_IMAGES}; {here}: name the folder that holds "
-            f"train or valid, or one of these, with {_IMAGES}, {_MASKS} and {_META} in it",
+            f"{path} with subset: {subset or 'null'} has no folder {_IMAGES}; {here}: name that of train or valid",
         )
     return root

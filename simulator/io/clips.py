@@ -76,8 +76,7 @@ def describe_extras(extras: Mapping[str, NDArray[Any]]) -> Layout:
             most = f", up to {np.abs(values).max()}" if values.dtype.kind in "iu" else ""
             raise InputError(
                 f"extras[{name!r}]",
-                f"got {values.dtype}{most}; expected one of {', '.join(_DTYPES)} with whole numbers up to "
-                "2^24, which 32-bit channels hold exactly; convert it knowingly",
+                f"got {values.dtype}{most}; expected {', '.join(_DTYPES)}, whole numbers up to 2^24; convert it knowingly",
             )
         components = values.shape[3] if values.ndim == 4 else None
         channels = extra_channels(name, components)
@@ -179,7 +178,4 @@ def _check_no_others(path: Path, paths: list[Path]) -> None:
     own = {file.name for file in paths}
     others = sorted(file.name for file in path.absolute().parent.iterdir() if numbered.fullmatch(file.name))
     if foreign := [name for name in others if name not in own]:
-        raise InputError(
-            "--output",
-            f"{foreign[0]} lies there already and is no frame of this clip; remove it, or choose another name",
-        )
+        raise InputError("--output", f"{foreign[0]} is no frame of this clip; remove it, or choose another name")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.io.files import StorageError, write_atomic
+from simulator.io.files import StorageError, read_errors, write_atomic
 
 _LOCK = threading.RLock()  # two threads that swap descriptors at once would leave the wrong one in place
 
@@ -122,16 +122,10 @@ def read_exr(
     Raises:
         InputError: missing, truncated, corrupt, too big, not OpenEXR, not single-part, or with NaN or inf.
     """
-    return decode_exr(_bytes_of(Path(path)), Path(path), max_pixels=max_pixels, require_checksums=require_checksums)
-
-
-def read_header(path: Path | str) -> Header:
-    """Read size, channel names and metadata of an OpenEXR file, and no pixel.
-
-    Raises:
-        InputError: missing, not OpenEXR, not single-part, or a corrupt header.
-    """
-    return _header(_bytes_of(Path(path)), Path(path))
+    path = Path(path)
+    with read_errors(path):
+        data = path.read_bytes()
+    return decode_exr(data, path, max_pixels=max_pixels, require_checksums=require_checksums)
 
 
 def decode_exr(
@@ -146,13 +140,10 @@ def decode_exr(
     if values > max_pixels:
         raise InputError(
             path,
-            f"claims {rows} x {columns} pixels x {len(header.channels)} channels = {values} values, more than "
-            f"the limit of {max_pixels}; if that is right, raise max_pixels",
+            f"claims {rows} x {columns} x {len(header.channels)} values, more than max_pixels = {max_pixels}",
         )
     if require_checksums and header.checksums is None:
-        raise InputError(
-            path, f"has no {ATTRIBUTE!r} attribute: it was not written by flatlight, or its header is damaged"
-        )
+        raise InputError(path, f"no attribute {ATTRIBUTE!r}: not written by flatlight, or its header is damaged")
     with quiet():
         try:
             parts = OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=0).parts
@@ -172,28 +163,16 @@ def _checked_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) -
     shape: tuple[int, ...] | None = None
     for name, values in channels.items():
         if not isinstance(name, str) or not name or "\0" in name or len(name.encode()) > _MAX_NAME_BYTES:
-            raise InputError(
-                path, f"cannot be written: channel name must be text of 1 to {_MAX_NAME_BYTES} bytes, got {name!r}"
-            )
+            raise InputError(path, f"got the channel name {name!r}, expected text of 1 to {_MAX_NAME_BYTES} bytes")
         if not isinstance(values, np.ndarray) or values.dtype != np.float32:
             kind = values.dtype if isinstance(values, np.ndarray) else type(values).__name__
-            raise InputError(
-                path, f"cannot be written: channel {name!r} must be a float32 array, got {kind}; convert it knowingly"
-            )
+            raise InputError(path, f"channel {name!r}: got {kind}, expected a float32 array; convert it knowingly")
         if values.ndim != 2 or values.size == 0:
-            raise InputError(
-                path, f"cannot be written: channel {name!r} must be (rows, columns) and not empty, got {values.shape}"
-            )
+            raise InputError(path, f"channel {name!r}: got {values.shape}, expected (rows, columns), not empty")
         if shape is not None and values.shape != shape:
-            raise InputError(
-                path,
-                f"cannot be written: channel {name!r} is {values.shape}, the others {shape}; one file has one size",
-            )
+            raise InputError(path, f"channel {name!r} is {values.shape}, the others {shape}; one file has one size")
         if not np.isfinite(values).all():
-            raise InputError(
-                path,
-                f"cannot be written: channel {name!r} holds NaN or inf; store a validity channel and finite values",
-            )
+            raise InputError(path, f"channel {name!r} holds NaN or inf; store finite values and a validity channel")
         shape = values.shape
         clean[name] = np.ascontiguousarray(values, dtype="<f4")  # other layouts are written WRONG, silently
     return clean
@@ -203,13 +182,9 @@ def _attribute(path: Path, channels: Mapping[str, NDArray[np.float32]], metadata
     try:
         text = json.dumps(dict(metadata), sort_keys=True, allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise InputError(
-            path, f"cannot be written: metadata must be plain JSON (text, numbers, lists, dicts; no NaN): {error}"
-        ) from error
+        raise InputError(path, f"metadata must be plain JSON (text, numbers, lists, dicts; no NaN): {error}") from error
     if json.loads(text) != dict(metadata):
-        raise InputError(
-            path, "cannot be written: metadata would not come back as given; use lists for tuples and text for keys"
-        )
+        raise InputError(path, "metadata would not come back as given; use lists for tuples and text for keys")
     checksums = {name: zlib.crc32(values.data) for name, values in channels.items()}
     content = {"crc32": checksums, "metadata": text, "metadata_crc32": zlib.crc32(text.encode())}
     return json.dumps(content, sort_keys=True)
@@ -222,13 +197,6 @@ def _encode(channels: Mapping[str, NDArray[np.float32]], attribute: str) -> byte
     stream = io.BytesIO()
     OpenEXR.File(header, dict(channels), num_threads=0).write(stream)  # both dicts are ours: it changes them
     return stream.getvalue()
-
-
-def _bytes_of(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
 
 
 def _header(data: bytes, path: Path) -> Header:

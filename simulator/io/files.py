@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 from simulator.errors import InputError
 
@@ -64,6 +64,15 @@ def storage_errors(path: Path) -> Iterator[None]:
         else:
             reason = f"{error.strerror or error}. Check the disk. {kept}."
         raise StorageError(path, f"cannot be written: {reason}") from error
+
+
+@contextmanager
+def read_errors(path: Path) -> Iterator[None]:
+    """Turn the operating system's refusals to read ``path`` into an ``InputError``."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
 
 
 def sync_folder(folder: Path) -> None:
@@ -187,11 +196,8 @@ def sha256_file(path: Path) -> str:
     Raises:
         InputError: the file cannot be read.
     """
-    try:
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+    with read_errors(path), open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 MAX_BYTES = 16 << 20
@@ -208,14 +214,12 @@ def read_text(path: Path, holds: str, max_bytes: int = MAX_BYTES) -> str:
     Raises:
         InputError: when it cannot be read, is no UTF-8 text or too large.
     """
+    with read_errors(path), path.open("rb") as file:
+        raw = file.read(max_bytes + 1)
+    if len(raw) > max_bytes:
+        raise InputError(path, f"larger than {max_bytes >> 10} KiB, expected {holds}; is this the right file?")
     try:
-        with path.open("rb") as file:
-            raw = file.read(max_bytes + 1)
-        if len(raw) > max_bytes:
-            raise InputError(path, f"larger than {max_bytes >> 10} KiB, expected {holds}; is this the right file?")
         return raw.decode("utf-8-sig")
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise InputError(path, f"not UTF-8 text (byte 0x{error.object[error.start]:02x}); expected {holds}") from error
 
@@ -237,9 +241,7 @@ class AppendedLines:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             os.close(self._descriptor)
-            raise InputError(
-                path.parent, "another process is writing to the data set; wait for it or choose another dataset.output"
-            ) from error
+            raise InputError(path.parent, "another process is writing; wait, or change dataset.output") from error
         except OSError:
             pass  # a file system without locks
         with storage_errors(path):
@@ -262,6 +264,9 @@ class AppendedLines:
                     os.ftruncate(self._descriptor, self._size)
                 raise
         self._size += len(line)
+
+    def __enter__(self) -> Self:
+        return self
 
     def close(self) -> None:
         """Release the file and its lock; may be called twice."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from simulator.colour import decode_srgb_picture
 from simulator.errors import InputError
 from simulator.io.exr import read_exr
+from simulator.io.files import read_errors
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -24,17 +25,7 @@ MAX_PIXELS = 178_956_970
 _BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)
 _ORIENTATION = 274  # the tag of EXIF and of TIFF
 # Pillow's modes whose pixels are exactly what the file holds, or a palette's colours; alpha is dropped.
-_CONVERT = {
-    "1": "L",
-    "L": "L",
-    "LA": "L",
-    "La": "L",
-    "RGB": "RGB",
-    "RGBA": "RGB",
-    "RGBX": "RGB",
-    "P": "RGB",
-    "PA": "RGB",
-}
+_CONVERT = dict.fromkeys(("1", "L", "LA", "La"), "L") | dict.fromkeys(("RGB", "RGBA", "RGBX", "P", "PA"), "RGB")
 
 
 def read_picture(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
@@ -54,9 +45,7 @@ def read_picture(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
         if mode.startswith("I;16"):
             return np.asarray(_load(image, path)).astype(np.uint16)
         if mode not in _CONVERT:
-            raise InputError(
-                path, f"has pixels of kind {mode!r}; expected 8 bit grey or RGB, or 16 bit grey: convert it"
-            )
+            raise InputError(path, f"got pixels of kind {mode!r}; expected 8 bit grey or RGB, or 16 bit grey")
         loaded = _load(image, path)
         return np.asarray(loaded if loaded.mode == _CONVERT[mode] else loaded.convert(_CONVERT[mode]))
 
@@ -80,9 +69,7 @@ def read_shown_picture(path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint1
         loaded = _load(image, path)
         if loaded.has_transparency_data:
             if values.dtype == np.uint16:
-                raise InputError(
-                    path, "has 16 bit grey with a transparent value, which is not read; save it without transparency"
-                )
+                raise InputError(path, "got 16 bit grey with a transparent value; save it without transparency")
             alpha = np.asarray(loaded.convert("RGBA"))[..., 3]
         try:
             orientation = loaded.getexif().get(_ORIENTATION, 1)
@@ -125,9 +112,7 @@ def _open(path: Path) -> Image:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # from half the limit on
             image = Image.open(path)
     except UnidentifiedImageError:
-        raise InputError(
-            path, "not a picture that can be read (PNG, WebP, JPEG): check the file or fetch it again"
-        ) from None
+        raise InputError(path, "not an image that can be read (PNG, WebP, JPEG): fetch it again") from None
     except Image.DecompressionBombError as error:
         raise InputError(path, f"claims too many pixels; at most {MAX_PIXELS} are read") from error
     except _BROKEN as error:
@@ -148,18 +133,11 @@ def _load(image: Image, path: Path) -> Image:
 
 def _refuse_deep_colour(path: Path) -> None:
     """Pillow silently keeps the upper byte of 16 bit colour; better to refuse than to lose half of the bits."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(26)
-    except OSError as error:
-        raise InputError(path, f"cannot be read: {error.strerror or error}") from error
+    with read_errors(path), path.open("rb") as file:
+        head = file.read(26)
     grey = 0
     if head[:8] == b"\x89PNG\r\n\x1a\n" and len(head) == 26 and head[24] == 16 and head[25] != grey:
-        raise InputError(
-            path,
-            "got a 16 bit colour PNG, which cannot be read here without losing bits: "
-            "save it as a TIFF, an .npy or one grey 16 bit PNG per channel",
-        )
+        raise InputError(path, "got a 16 bit colour PNG, which would lose bits here: save it as TIFF or .npy")
 
 
 def read_light(path: Path) -> NDArray[np.float32]:
@@ -182,10 +160,7 @@ def read_light(path: Path) -> NDArray[np.float32]:
     if light.ndim == 2:
         light = np.repeat(light[..., np.newaxis], 3, axis=2)
     if not np.all(light >= 0):  # also catches NaN
-        raise InputError(
-            path,
-            f"{np.count_nonzero(~(light >= 0))} of its values are negative or NaN, and light is not; set them to 0",
-        )
+        raise InputError(path, f"holds {np.count_nonzero(~(light >= 0))} negative values or NaN; set them to 0")
     return light
 
 
@@ -216,20 +191,14 @@ def _tiff_light(path: Path) -> NDArray[np.float32]:
             orientation = page.tags.valueof(_ORIENTATION, 1)
             straight = tuple(page.extrasamples) == (tifffile.EXTRASAMPLE.UNASSALPHA,)
     except Exception as error:  # tifffile raises whatever the broken bytes lead to
-        raise InputError(
-            path, f"cannot be read as a TIFF picture ({error}): check the file or fetch it again"
-        ) from error
+        raise InputError(path, f"cannot be read as a TIFF image ({error}): fetch it again") from error
     if values.ndim != 2 and not (values.ndim == 3 and values.shape[2] in (3, 4)):
-        raise InputError(
-            path, f"has an array of {' x '.join(map(str, values.shape))}; expected one picture, grey or RGB"
-        )
+        raise InputError(path, f"got an array {values.shape}; expected one image, grey or RGB")
     values, alpha = upright(values, orientation), None
     if values.ndim == 3 and values.shape[2] == 4:
         values, alpha = values[..., :3], values[..., 3]
         if not straight and np.ptp(alpha):
-            raise InputError(
-                path, "has a fourth channel that is no straight alpha (its ExtraSamples are not 2); save it as RGB"
-            )
+            raise InputError(path, "its fourth channel is not straight alpha (ExtraSamples 2); save it as RGB")
         alpha = alpha if straight else None
     if values.dtype in (np.uint8, np.uint16):
         return _before_black(decode_srgb_picture(values), alpha)

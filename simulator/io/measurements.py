@@ -42,11 +42,7 @@ def read_measurement(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
         raise InputError(path, "expected .tif, .tiff, .png, .exr or .npy (linear, without loss)")
     image = image[None] if image.ndim == 2 else image
     if image.ndim != 3 or image.shape[0] not in (1, len(channels)) or 0 in image.shape:
-        raise InputError(
-            path,
-            f"holds an array of shape {image.shape}; expected one grey image or {len(channels)} channels "
-            f"({', '.join(channels)})",
-        )
+        raise InputError(path, f"got an array {image.shape}; expected one grey image or {', '.join(channels)}")
     return check_numbers(image, path)
 
 
@@ -80,9 +76,7 @@ def check_numbers(image: NDArray[Any], path: Path) -> NDArray[Any]:
         raise InputError(path, f"holds values of type {image.dtype}; expected integers or floats")
     if image.dtype.kind == "f" and not np.all(np.isfinite(image)):
         bad = int(np.count_nonzero(~np.isfinite(image)))
-        raise InputError(
-            path, f"holds {bad} values that are NaN or infinite; expected finite numbers: repair these pixels first"
-        )
+        raise InputError(path, f"holds {bad} non-finite values: repair these pixels first")
     return image
 
 
@@ -94,9 +88,7 @@ def _read_tiff(path: Path) -> NDArray[Any]:
         with tifffile.TiffFile(path) as file:
             pages = len(file.pages)
             if pages != 1:
-                raise InputError(
-                    path, f"has {pages} pages; expected one image per file: save one TIFF per depth, or one .npy"
-                )
+                raise InputError(path, f"got {pages} pages; expected one image: save one TIFF per depth, or one .npy")
             page = file.pages.first
             _check_size(page.shape, path)
             image, axes = page.asarray(), page.axes
@@ -119,9 +111,7 @@ def _read_exr(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
         return np.stack([found[name] for name in channels])
     if len(found) == 1:
         return next(iter(found.values()))
-    raise InputError(
-        path, f"has the channels {', '.join(sorted(found))}; expected {', '.join(channels)}, or a single one"
-    )
+    raise InputError(path, f"got the channels {', '.join(sorted(found))}; expected {', '.join(channels)}")
 
 
 def _check_size(shape: tuple[int, ...], path: Path) -> None:

@@ -83,8 +83,7 @@ def ordered(
     if wavelengths_m[0] < _SHORTEST_M or wavelengths_m[-1] > _LONGEST_M:
         raise InputError(
             path,
-            f"got wavelengths from {wavelengths_m[0]:g} to {wavelengths_m[-1]:g} m, which are not optical; does the header "
-            "name their unit (wavelength_nm, wavelength_um, wavelength_angstrom)?",
+            f"got wavelengths of {wavelengths_m[0]:g} to {wavelengths_m[-1]:g} m; does the header name their unit?",
         )
     twice = np.flatnonzero(np.diff(wavelengths_m) <= 0)
     if len(twice):
@@ -111,9 +110,5 @@ def _unit_m(path: Path, label: str, default: float | None) -> float:
         if re.search(pattern, words):
             return metres
     if default is None:
-        raise InputError(
-            path,
-            "the unit of the wavelengths is not said; give the table a header, such as wavelength_nm,n or "
-            "wavelength_um,n,k",
-        )
+        raise InputError(path, "the wavelengths have no unit; name it in the header, as in wavelength_nm,n")
     return default

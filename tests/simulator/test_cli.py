@@ -1,11 +1,15 @@
 """The command itself: its start, its help, its exit codes, and commands that other packages add."""
 
+import json
 import sys
 from pathlib import Path
 
+import jsonschema
 import pytest
+import yaml
 
 from simulator import cli
+from simulator.config import default_config_text
 
 
 @pytest.fixture
@@ -90,3 +94,13 @@ def _install(folder: Path, name: str, entry: str) -> None:
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(f"[flatlight.commands]\n{entry}\n")
+
+
+def test_schema_describes_the_shipped_configuration(flatlight) -> None:
+    schema = json.loads(flatlight("schema")[1])
+    validator = jsonschema.validators.validator_for(schema)
+    validator.check_schema(schema)
+    config = yaml.safe_load(default_config_text())
+    validator(schema).validate(config)
+    config["camera"]["sensr"] = {}
+    assert not validator(schema).is_valid(config)

@@ -10,7 +10,7 @@ import pytest
 from simulator.assembly import Assembly
 from simulator.config import load_config
 from simulator.dataset import open_dataset, verify
-from simulator.dataset.sample import read_sample, sample_folder, sample_id, sample_index, write_sample
+from simulator.dataset.sample import StoredSample, sample_folder, sample_id, sample_index, write_sample
 from simulator.errors import InputError
 from simulator.io.exr import read_exr
 from simulator.io.files import sha256_bytes, sha256_file
@@ -24,7 +24,7 @@ def test_a_still_comes_back_from_its_folder(samples: ModuleType, tmp_path: Path)
     folder = tmp_path / "validation" / "0012" / "s00012345"
     assert (record.id, record.split, record.seed, record.label) == ("s00012345", "validation", 7, "class 2")
     assert sorted(path.name for path in folder.iterdir()) == ["ground_truth.exr", "measurement.exr", "sample.json"]
-    back = read_sample(folder)
+    back = StoredSample(folder).sample()
     assert (back.seed, back.label, back.channels, back.metadata) == (7, "class 2", ("R", "G", "B"), sample.metadata)
 
 
@@ -67,7 +67,7 @@ def test_same_sample_same_bytes_and_digest(samples: ModuleType, tmp_path: Path) 
 def test_metadata_become_plain(samples: ModuleType, tmp_path: Path) -> None:
     metadata = {"far_m": float("inf"), "shape": (1, 2), "path": Path("a/b"), "count": np.int64(3), "f": np.float32(0.5)}
     write_sample(tmp_path, "train", 0, samples.make_sample(0, metadata=metadata))
-    back = read_sample(sample_folder(tmp_path, "train", 0)).metadata
+    back = StoredSample(sample_folder(tmp_path, "train", 0)).sample().metadata
     assert back == {"far_m": "inf", "shape": [1, 2], "path": "a/b", "count": 3, "f": 0.5}
 
 
@@ -79,10 +79,10 @@ def test_missing_files_and_those_of_another_sample_are_named(samples: ModuleType
     if name != "sample.json":
         (first / name).write_bytes((second / name).read_bytes())
         with pytest.raises(InputError, match=name):
-            read_sample(first)
+            StoredSample(first).sample()
     (first / name).unlink()
     with pytest.raises(InputError, match=name):
-        read_sample(first)
+        StoredSample(first).sample()
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_unusable_descriptions(samples: ModuleType, tmp_path: Path, content: byt
     changed = content if isinstance(content, bytes) else json.dumps(json.loads(path.read_text()) | content).encode()
     path.write_bytes(changed)
     with pytest.raises(InputError, match=r"sample\.json: "):
-        read_sample(path.parent)
+        StoredSample(path.parent).sample()
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,6 @@ from simulator.dataset.sample import (
     Sample,
     StoredSample,
     file_names,
-    read_sample,
     sample_folder,
     write_sample,
 )
@@ -104,7 +103,7 @@ def test_any_clip_comes_back_bit_by_bit(tmp_path_factory: pytest.TempPathFactory
     root = tmp_path_factory.getbasetemp() / "clips"
     write_sample(root, "train", 1, sample)
     folder = sample_folder(root, "train", 1)
-    back = read_sample(folder)
+    back = StoredSample(folder).sample()
     for name in ARRAYS:
         assert_same_bits(getattr(back, name), getattr(sample, name))
     assert set(back.extras) == set(sample.extras)
@@ -237,7 +236,7 @@ def test_every_fault_is_named(samples: ModuleType, tmp_path: Path, fault: str) -
     spoil, words = FAULTS[fault]
     spoil(folder)
     with pytest.raises(InputError, match=words):
-        read_sample(folder)
+        StoredSample(folder).sample()
 
 
 @pytest.mark.parametrize("full_at", range(8))

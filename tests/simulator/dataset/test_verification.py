@@ -205,7 +205,7 @@ def test_skipped_samples_are_counted_and_no_fault(dataset: Path) -> None:
     assert (report.counts["train"], report.skipped, report.wanted["train"]) == (3, {"train": 2}, 5)
     assert str(report).startswith("train: 3 of 5 intact, 2 skipped (skipped.jsonl), validation: 1 of 1 intact, ")
     (dataset / "skipped.jsonl").write_text("{}\n")
-    assert any("skipped.jsonl:1: not a line" in line for line in verify(dataset).problems)
+    assert any("skipped.jsonl:1: " in line for line in verify(dataset).problems)
 
 
 def test_a_sample_of_another_size_is_noticed(dataset: Path, samples: ModuleType) -> None:

@@ -244,7 +244,7 @@ def test_suffixes_may_be_in_capitals(tube, rng) -> None:
     np.testing.assert_array_equal(source.clip(0, rng).rgb, expected.rgb)
     assert tube.folder / "Annotations" / "a1b2" / "00005.PNG" in source.inputs
     write_mask(tube.folder / "Annotations" / "a1b2" / "00005.png", LEFT)
-    assert "00005.PNG and 00005.png are both the mask of frame 00005" in error_of(tube.source)
+    assert "a1b2: 00005.PNG and 00005.png" in error_of(tube.source)
 
 
 @pytest.mark.parametrize(("numbers", "step"), [((0, 5, 15), 5), ((0, 10, 15), 5), ((0, 10, 15, 25), 10)])
@@ -258,7 +258,7 @@ def test_of_several_commonest_steps_the_smallest_gives_the_rate(tmp_path, rng, n
 def test_an_object_that_meta_json_does_not_list_is_refused(tube, rng) -> None:
     write_mask(tube.folder / "Annotations" / "a1b2" / "00005.png", LEFT * 3)
     message = error_of(tube.source(frames=4).clip, 0, rng)
-    assert "00005.png: has object 3" in message
+    assert "00005.png: has objects [3]" in message
     assert youtube_vos_module.survey(tube.root).usable == 0
 
 
