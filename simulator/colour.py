@@ -49,7 +49,7 @@ def linear_to_srgb(linear: NDArray[np.floating]) -> NDArray[np.float32]:
     return np.where(values <= 0.0031308, values * 12.92, curved).astype(np.float32)
 
 
-def decode_srgb_picture(picture: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.float32]:
+def decode_srgb_image(picture: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.float32]:
     """Linear light of an 8 or 16 bit sRGB picture, 1.0 at its full scale.
 
     Args:

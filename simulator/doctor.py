@@ -167,12 +167,8 @@ def _torch() -> Check:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return Check(
-            "torch",
-            "note",
-            f"installed, but not imported within {_TORCH_TIMEOUT_S:.0f} s",
-            "try again: a disk warms up",
-        )
+        what = f"installed, but not imported within {_TORCH_TIMEOUT_S:.0f} s"
+        return Check("torch", "note", what, "try again: a disk warms up")
     if done.returncode != 0:
         words = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1][:200]
         return Check("torch", "problem", f"installed, but it does not start ({words})", "install torch again")
@@ -181,15 +177,14 @@ def _torch() -> Check:
     what = f"{facts['version']}, device {device}"
     if facts["device"] == "cpu" and shutil.which("nvidia-smi"):
         build = "its CUDA build does not fit the driver" if facts["cuda"] else "it was built for CPUs only"
-        return Check(
-            "torch", "note", f"{what}, although there is an NVIDIA GPU: {build}", "install a torch for your CUDA driver"
-        )
+        what += f", although there is an NVIDIA GPU: {build}"
+        return Check("torch", "note", what, "install a torch for your CUDA driver")
     return Check("torch", "ok", what)
 
 
 def _cache() -> Check:
     found = _disk(
-        "disk, cache", cache_folder(), "set FLATLIGHT_CACHE_DIR to a folder that can be written to, with space"
+        "disk, cache", cache_folder(), "set FLATLIGHT_CACHE_DIR to a folder with space that may be written to"
     )
     # Without the cache everything works, only slower.
     return Check(found.name, "note" if found.status == "problem" else found.status, found.what, found.advice)
@@ -216,9 +211,7 @@ def _extras() -> Check:
     try:
         required = importlib.metadata.requires("flatlight") or []
     except importlib.metadata.PackageNotFoundError:
-        return Check(
-            "extras", "note", "unknown, because flatlight itself is not installed", "install it: pip install ."
-        )
+        return Check("extras", "note", "unknown: flatlight itself is not installed", "install it: pip install .")
     packages: dict[str, list[str]] = {}
     for line in required:
         marked = re.search(r"""extra\s*==\s*['"]([\w-]+)""", line)

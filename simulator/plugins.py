@@ -31,10 +31,6 @@ from simulator.validation import Problem, find_problems, validate
 def modules_defining(package: str, kind: str) -> frozenset[str]:
     """Return the modules of a package that define something of their own name, without importing them.
 
-    Args:
-        package: dotted name; only the package itself is imported.
-        kind: for the message.
-
     Raises:
         InputError: when the package cannot be imported.
     """
@@ -107,9 +103,7 @@ def _import_version(path: Path, mtime_ns: int, size: int) -> ModuleType:
 def describe_failure(error: BaseException, path: Path | None = None) -> str:
     """Return one line that names the file and line where importing a plugin failed.
 
-    Args:
-        error: what was raised.
-        path: the plugin's file; the deepest line in it is named. None names the deepest line of all.
+    ``path``: the plugin's file; the deepest line in it is named. None names the deepest line of all.
     """
     reason = " ".join(str(error).split())
     if isinstance(error, SyntaxError) and error.filename:
@@ -166,9 +160,6 @@ class Plugin:
 
     def bind(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Return validated keyword arguments, defaults filled in, relative paths taken from ``base_dir``.
-
-        Args:
-            params: plain data, as in YAML.
 
         Raises:
             ParameterError: for unknown and missing parameters and for values of the wrong type or size.
@@ -227,11 +218,7 @@ def resolve(kind: str, name: str, base_dir: Path | None = None) -> Plugin:
 
 
 def available(kind: str) -> list[str]:
-    """Return the sorted bare names of a kind, without importing their modules.
-
-    Args:
-        kind: ``mask``, ``scene``, ``source`` or ``shutter``.
-    """
+    """Return the sorted bare names of a kind, without importing their modules."""
     return sorted({name for package in _packages(kind) for name in modules_defining(package, kind)})
 
 

@@ -200,7 +200,7 @@ def test_eight_samples_of_the_real_frame_through_phlatcam(trial, shared_data: Pa
 
 
 def check_measured(root: Path, raw: NDArray[Any], sensor: tuple[int, int], size: tuple[int, int]) -> None:
-    """The first measurement is the scene convolved with the picture of the PSF turned by 180 degrees, worked out anew."""
+    """The first measurement is the scene convolved with the image of the PSF rotated by 180 degrees, worked out anew."""
     from scipy.signal import fftconvolve
 
     stack = load_psf_stack(root)

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from scenes.files.images import area_mean
 from scenes.layout import rotation
 from scenes.meshes import face_cross, unit, welded
-from simulator.colour import decode_srgb_picture, srgb_to_linear
+from simulator.colour import decode_srgb_image, srgb_to_linear
 from simulator.errors import InputError
-from simulator.io.images import picture_shape
+from simulator.io.images import image_shape
 
 Array = NDArray[np.float64]
 Up = Literal["auto", "y", "z"]
@@ -53,7 +53,7 @@ def mesh_inputs(path: Path) -> list[Path]:
         if not file.is_file():
             raise InputError(user, f"it needs {name!r}, and there is no file {file}; put it there, or mend the name")
         if file.suffix.lower() in _IMAGES:
-            picture_shape(file)
+            image_shape(file)
         found.append(file)
     return list(dict.fromkeys(found))
 
@@ -226,7 +226,7 @@ def _texture(image: Any, factor: tuple[float, ...], path: Path) -> NDArray[np.fl
 @functools.lru_cache(maxsize=16)
 def _decoded(pixels: bytes, shape: tuple[int, ...], factor: tuple[float, ...]) -> NDArray[np.float32]:
     """Return one object for equal images, so that their triangles are joined."""
-    light = decode_srgb_picture(np.frombuffer(pixels, np.uint8).reshape(shape))
+    light = decode_srgb_image(np.frombuffer(pixels, np.uint8).reshape(shape))
     light = area_mean(light, [min(size, _LARGEST_TEXTURE) for size in shape[:2]])
     return np.clip(light * np.array(factor), 0, 1).astype(np.float32)
 

@@ -53,9 +53,7 @@ def import_check(
         raise InputError(survey.path, "nothing can be used; mend the problems above, or check the path")
     if survey.problems and not skip_bad:
         raise InputError(
-            survey.path,
-            f"problems above: {len(survey.problems)}; mend them, or go on without what is bad: --skip-bad, "
-            "here and in flatlight generate",
+            survey.path, f"{len(survey.problems)} problems, see above; mend them, or go on with --skip-bad"
         )
     print(_usage(plugin, check, options, survey.needed))
 

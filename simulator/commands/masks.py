@@ -60,7 +60,8 @@ def export_mask(
     for option, path, suffixes in (("--stl", stl, (".stl",)), ("--tiff", tiff, (".tif", ".tiff"))):
         if path is not None:
             check_output_file(option, path, suffixes)
-            _check_overwriting(option, path, force)
+            if path.exists() and not force:
+                raise InputError(option, f"{path} exists already; choose another name, or --force to overwrite it")
     _check_folder(layers, force)
     check_distinct({"--stl": stl, "--tiff": tiff, "--layers": layers})
     loaded = load_config(config, set_ or [])
@@ -96,16 +97,9 @@ def _cropped(mask: Mask, crop_mm: float) -> Mask:
     if not 1 <= side <= min(mask.shape):
         rows, columns = (n * pixel_mm for n in mask.shape)
         raise InputError(
-            "--crop-mm",
-            f"got {crop_mm:g}, but the mask is {columns:.4g} x {rows:.4g} mm of pixels of {pixel_mm:g} mm; "
-            f"expected {pixel_mm:g} to {min(rows, columns):.4g}, or none for the whole mask",
+            "--crop-mm", f"got {crop_mm:g}, expected {pixel_mm:g} to {min(rows, columns):.4g}, the mask's size"
         )
     return mask.crop((side, side))
-
-
-def _check_overwriting(option: str, path: Path, force: bool) -> None:
-    if path.exists() and not force:
-        raise InputError(option, f"{path} exists already; choose another name, or --force to overwrite it")
 
 
 def _check_folder(folder: Path | None, force: bool) -> None:

@@ -35,10 +35,8 @@ def captured_picture(plot: Path) -> Path:
 def show_captured(assembly: Assembly, output: Path | None, plot: Path | None) -> None:
     """Compute the stack as captured, print how it differs from the true one, write and draw both side by side.
 
-    Args:
-        assembly: whose ``psf_stack`` is the true one.
-        output: folder of the true stack; the captured one goes into ``<output>_captured``.
-        plot: picture of the true stack; the comparison goes into ``<plot>_captured.png``.
+    ``output``: folder of the true stack; the captured one goes into ``<output>_captured``.
+    ``plot``: picture of the true stack; the comparison goes into ``<plot>_captured.png``.
     """
     from simulator.captured_psf import captured_stack
     from simulator.console import Bar

@@ -11,6 +11,7 @@ import typer
 
 from simulator.commands.shared import ConfigPath, Overrides, check_output_file
 from simulator.errors import InputError
+from simulator.text import nearest
 
 if TYPE_CHECKING:
     from simulator.config import Config
@@ -50,6 +51,7 @@ def render(
     """Render scenes as `generate` would see them: a contact sheet, an animation, or OpenEXR."""
     from simulator.config import load_config
     from simulator.console import Bar
+    from simulator.dataset.sample import SPLITS
     from simulator.io.clips import write_linear
     from simulator.io.files import write_atomic
     from simulator.plots.clips import ANIMATIONS, animation, clip_sheet
@@ -59,7 +61,8 @@ def render(
     check_output_file("--output", path, tuple(_SAMPLES))
     kind = path.suffix.lower()
     count = _count(kind, samples)
-    _check_split(split)
+    if split not in SPLITS:
+        raise InputError("--split", f"got {split!r}, expected one of {', '.join(SPLITS)}{nearest(split, list(SPLITS))}")
     asked = [] if outputs is None else [f"render.outputs={json.dumps(_renderer_names(outputs))}"]
     loaded = load_config(config, [*(set_ or []), *asked])
     with Bar() as bar:
@@ -70,7 +73,8 @@ def render(
             written = write_linear(path, clips[0])
         else:
             title = _title(loaded, split, numbers, clips)
-            captions = [_caption(split, number, clip) for number, clip in zip(numbers, clips, strict=True)]
+            labels = (f": {clip.label}" if clip.label else "" for clip in clips)
+            captions = [f"{split} {number}{label}" for number, label in zip(numbers, labels, strict=True)]
             if kind in ANIMATIONS:
                 bar.say("drawing the animation")
                 content = animation(clips, captions, title, kind)
@@ -84,12 +88,7 @@ def render(
 def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) -> tuple[range, list[Clip]]:
     """Return the clips of samples, and their numbers: a source with an end gives none twice.
 
-    Args:
-        config: the configuration.
-        split: of the samples.
-        numbers: of the samples within their split.
-        bar: shows progress.
-        free: nobody said what to show, so that moving scenes may also show their motion.
+    ``free``: nobody said what to show, so that moving scenes may also show their motion.
     """
     from simulator.assembly import Assembly
     from simulator.dataset.engines import available_cpus
@@ -107,10 +106,7 @@ def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) 
         activate(variant, threads=available_cpus())
     elif config.render.outputs:
         wanted = ", ".join(config.render.outputs)
-        raise InputError(
-            "render.outputs",
-            f"got {wanted}, but {plugin.name} is not rendered: it holds colour and depth; leave them out",
-        )
+        raise InputError("render.outputs", f"got {wanted}, but {plugin.name} holds colour and depth only; leave it out")
     clips: list[Clip] = []
     with plugin_errors(plugin):
         source = Assembly(config, variant).source
@@ -141,33 +137,15 @@ def _title(config: Config, split: str, numbers: range, clips: list[Clip]) -> str
     return f"{config.scene.family or config.scene.source}: {which}, {rows} x {columns} pixels{several}{paths}"
 
 
-def _caption(split: str, number: int, clip: Clip) -> str:
-    return f"{split} {number}" + (f": {clip.label}" if clip.label else "")
-
-
 def _renderer_names(text: str) -> list[str]:
-    from simulator.text import nearest
-
     names = [word.strip() for word in text.split(",") if word.strip()]
     for name in names:
         if name not in _OUTPUTS:
-            raise InputError(
-                "--outputs", f"got {name!r}, expected some of {','.join(_OUTPUTS)}{nearest(name, list(_OUTPUTS))}"
-            )
+            raise InputError("--outputs", f"got {name!r}, expected {','.join(_OUTPUTS)}{nearest(name, list(_OUTPUTS))}")
     return [_OUTPUTS[name] for name in dict.fromkeys(names)]
 
 
 def _count(kind: str, samples: int | None) -> int:
     if kind == ".exr" and samples not in (None, 1):
-        raise InputError(
-            "--samples", f"got {samples}, but an EXR holds the values of one sample; choose it with --index"
-        )
+        raise InputError("--samples", f"got {samples}, but an EXR holds one sample; choose it with --index")
     return _SAMPLES[kind] if samples is None else samples
-
-
-def _check_split(split: str) -> None:
-    from simulator.dataset.sample import SPLITS
-    from simulator.text import nearest
-
-    if split not in SPLITS:
-        raise InputError("--split", f"got {split!r}, expected one of {', '.join(SPLITS)}{nearest(split, list(SPLITS))}")

@@ -24,11 +24,6 @@ _SIDE = 96  # pixels; the field of view is the preset's
 def draw_thumbnails(plugins: Sequence[Plugin], path: Path, bar: Bar) -> list[str]:
     """Render samples of each family with its defaults, seen by the camera of its preset, and draw the middle of each.
 
-    Args:
-        plugins: families and sources.
-        path: the picture to write (PNG).
-        bar: shows progress.
-
     Returns:
         What was left out, each with the reason.
 

@@ -19,10 +19,7 @@ Overrides = Annotated[
 def check_output_file(option: str, path: Path, suffixes: tuple[str, ...]) -> None:
     """Refuse a file that could not be written, or whose name says that it is of another kind.
 
-    Args:
-        option: how the user gave it, for the message.
-        path: the file.
-        suffixes: what its name may end in, in lower case.
+    ``suffixes``: what its name may end in, in lower case.
 
     Raises:
         InputError: another suffix, a folder of that name, or no folder to write into.
@@ -48,9 +45,6 @@ def check_output_folder(option: str, folder: Path) -> None:
 
 def check_distinct(places: Mapping[str, Path | None]) -> None:
     """Refuse two outputs at one place.
-
-    Args:
-        places: by their option; None where it was not given.
 
     Raises:
         InputError: naming both options.

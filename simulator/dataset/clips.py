@@ -47,21 +47,13 @@ class ClipOrder:
         self._walks: dict[str, NDArray[np.intp]] = {}
 
     def place(self, split: str, index: int) -> int:
-        """Return which clip of the source a sample shows, from 0; after the last clip the walk begins anew.
-
-        Args:
-            split: ``train``, ``validation``, ``test`` or ``pilot``.
-            index: the sample's number within its split.
-        """
+        """Return which clip of the source a sample shows, from 0; after the last clip the walk begins anew."""
         return int(self._walk(split)[index % self.clips])
 
     def shortage(self, counts: Mapping[str, int]) -> str | None:
         """Say why so many samples would make two splits share a video; None where none is shared.
 
         One split alone may show clips again.
-
-        Args:
-            counts: samples per split.
         """
         asked = {split: count for split, count in counts.items() if count > 0}
         taken = {split: np.unique(self._video[self._walk(split)[:count]]) for split, count in asked.items()}
@@ -128,11 +120,7 @@ class ClipTimesError(InputError):
 def check_parameters(params: Mapping[str, Any], shutter: Shutter, rows: int, chosen: DatasetConfig) -> bool:
     """Refuse, before any work, scenes whose parameters say that their clips do not suit the shutter.
 
-    Args:
-        params: parameters of the scenes; clips last ``frames / frames_per_second``, and one frame stands still.
-        shutter: the camera's.
-        rows: stored rows of the sensor.
-        chosen: how many slivers are wanted.
+    ``params``: parameters of the scenes; clips last ``frames / frames_per_second``, and one frame stands still.
 
     Returns:
         Whether the parameters say how long clips last.

@@ -51,13 +51,6 @@ def existing_info(
 ) -> DatasetInfo | None:
     """Return the description of a data set that is begun in a folder already; None where there is none.
 
-    Args:
-        root: the folder.
-        counts: samples that are wanted per split.
-        fingerprint: of what is to be made.
-        parts: what was hashed for it.
-        shutter: through which it is to be exposed.
-
     Raises:
         InputError: the folder holds something else, another data set, or one with more samples.
     """
@@ -143,11 +136,6 @@ def data_set_stack(assembly: Assembly, root: Path, say: Callable[[str], None]) -
     """Return the true stack; it and the captured one are written on the first run and kept on later ones.
 
     A stack that was deleted from a data set is made again.
-
-    Args:
-        assembly: of the data set's configuration.
-        root: the data set's folder.
-        say: called with lines worth reading.
     """
     config, begun = assembly.config, (root / FILE).exists()
     folder, captured_folder = root / PSF_FOLDER, root / CAPTURED_FOLDER

@@ -122,7 +122,7 @@ class Dataset(Sequence[Sample]):
             return np.ones((1, rows))
         if (shutter := self.shutter) is None:
             raise InputError(self.root / FILE, "time.shutter is missing, which slivers need; make the data set again")
-        # Shutter rows are physical; the stored image is turned by 180 degrees.
+        # Shutter rows are physical; the stored image is rotated by 180 degrees.
         return shutter.weights(rows, sample.frame_edges_s)[:, ::-1]
 
     def __iter__(self) -> Iterator[Sample]:

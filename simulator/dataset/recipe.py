@@ -131,13 +131,6 @@ def scene_clip(source: SceneSource, seed: int, split: str, index: int, order: Cl
     Splits of a source with a length share no video (see `simulator.dataset.clips`). A source without end is asked for 0, 1,
     2 and so on in every split: what it takes in turn, such as its classes, comes in equal parts; the generator makes the
     splits differ.
-
-    Args:
-        source: the scene source.
-        seed: the data set's root seed.
-        split: ``train``, ``validation``, ``test`` or ``pilot``.
-        index: the sample's number within its split.
-        order: ``clip_order(source)``, where it is at hand.
     """
     order = order or clip_order(source)
     place = index if order is None else order.place(split, index)

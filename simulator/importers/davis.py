@@ -123,10 +123,8 @@ def find(path: Path, subset: str | None, resolution: Resolution, keep_background
 def read_image_set(folder: Path, subset: str, resolution: str) -> list[str]:
     """Return the names of the videos that a list holds.
 
-    Args:
-        folder: ``ImageSets``.
-        subset: a list's name, looked for in ``2017``, ``2016`` and the resolution's folder, or with its folder in front.
-        resolution: names the folder of the original release of 2016, whose lists name each frame's image and mask.
+    ``subset``: a list's name, looked for in ``2017``, ``2016`` and the resolution's folder, or with its folder in front.
+    ``resolution``: names the folder of the original release of 2016, whose lists name each frame's image and mask.
 
     Raises:
         InputError: there is no such list, or it names no video.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.io.images import read_picture
+from simulator.io.images import read_image
 
 DepthCode: TypeAlias = Literal["linear", "inverse"]
 DepthAlong: TypeAlias = Literal["axis", "ray"]
@@ -29,7 +29,7 @@ def read_codes(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
     Raises:
         InputError: naming the file, when it is broken, is zero everywhere, or its channels differ.
     """
-    codes = read_picture(path)
+    codes = read_image(path)
     if codes.ndim == 3:
         if not np.array_equal(codes[..., 0], codes[..., 1]) or not np.array_equal(codes[..., 0], codes[..., 2]):
             raise InputError(path, "it has coloured pixels; expected a depth chart in grey, with red = green = blue")
@@ -94,12 +94,7 @@ _WARNED: set[Path] = set()  # data sets that were warned of: once for each, not 
 def check_depths(root: Path, chart: Path, seen_m: NDArray[np.float64], decoding: DepthDecoding, max_m: float) -> None:
     """Refuse a clip without any valid depth, and warn, once for each data set, of one that mostly lies beyond the limit.
 
-    Args:
-        root: the data set's folder.
-        chart: the clip's first chart, relative to ``root``.
-        seen_m: metres of the clip's pixels that are seen, any shape; infinite where there is no depth.
-        decoding: for the message.
-        max_m: deepest valid depth.
+    ``seen_m``: metres of the clip's pixels that are seen, any shape; infinite where there is no depth.
 
     Raises:
         InputError: naming the chart, when no depth is at most ``max_m``.
@@ -130,10 +125,7 @@ class DepthCounts:
     def __init__(self, decoding: DepthDecoding | None, max_m: float, along: DepthAlong) -> None:
         """Begin with no chart.
 
-        Args:
-            decoding: what codes mean; None counts codes alone.
-            max_m: deepest valid depth, metres.
-            along: whether charts hold depths or distances along rays, which may lie beyond the limit while depths do not.
+        ``along``: whether charts hold depths or distances along rays, which may lie beyond the limit while depths do not.
         """
         self._decoding, self._max_m, self._along = decoding, max_m, along
         self._counts: dict[np.dtype[np.unsignedinteger], NDArray[np.int64]] = {}

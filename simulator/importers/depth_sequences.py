@@ -80,9 +80,7 @@ class DepthClips:
 def find_runs(pairs: Sequence[Pair], length: int) -> tuple[tuple[int, ...], tuple[int, ...], tuple[str, ...]]:
     """Cut sequences into clips of consecutive numbers that lie one after the other and share no frame.
 
-    Args:
-        pairs: those of one sequence stand together, in the order of their numbers.
-        length: frames of a clip.
+    ``pairs``: those of one sequence stand together, in the order of their numbers.
 
     Returns:
         The index of each clip's first pair, and the number of the sequence that it comes from. What is left over at the end

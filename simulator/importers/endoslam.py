@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from simulator.colour import decode_srgb_picture
+from simulator.colour import decode_srgb_image
 from simulator.errors import InputError
 from simulator.importers.camera_models import Intrinsics, Lens, Pinhole, nearest_file, read_intrinsics
 from simulator.importers.depth_codes import DepthAlong, DepthCode, DepthCounts, DepthDecoding, check_depths, read_codes
@@ -26,7 +26,7 @@ from simulator.importers.inspection import Progress, Survey
 from simulator.importers.listing import grouped
 from simulator.importers.undistortion import Circle, Lookup, build_lookup, find_circle
 from simulator.importers.videos import Count, Positive
-from simulator.io.images import picture_shape, read_picture
+from simulator.io.images import image_shape, read_image
 from simulator.types import Clip, View
 
 __all__ = ["EndoSlam", "endoslam", "recognises", "survey"]
@@ -173,7 +173,7 @@ class EndoSlam(DepthClips):
         rgb = np.empty((self.length, *self.view.shape, 3), np.float32)
         depth = np.empty((self.length, *self.view.shape))
         for t, pair in enumerate(pairs):
-            rgb[t] = lookup.colour(decode_srgb_picture(self._read(pair.image, read_picture, 3)))
+            rgb[t] = lookup.colour(decode_srgb_image(self._read(pair.image, read_image, 3)))
             codes = self._read(pair.depth, read_codes, 2)
             depth[t] = self.decoding.depth_m(codes.reshape(-1)[lookup.nearest])
             if self.along == "ray":
@@ -231,7 +231,7 @@ def _first_shape(root: Path, pairs: tuple[Pair, ...]) -> tuple[int, int]:
     first: InputError | None = None
     for pair in pairs:
         try:
-            return picture_shape(root / pair.image)
+            return image_shape(root / pair.image)
         except InputError as error:
             first = first or error
     assert first is not None
@@ -244,7 +244,7 @@ def _find_border(root: Path, pairs: tuple[Pair, ...], shape: tuple[int, int]) ->
     images = []
     for k in chosen:
         with suppress(InputError):
-            images.append(read_picture(root / pairs[k].image))
+            images.append(read_image(root / pairs[k].image))
     alike = [image for image in images if image.shape == (*shape, 3)]
     return find_circle(alike, str(root)) if alike else None
 
@@ -281,7 +281,7 @@ def survey(
     images: list[NDArray[Any]] = []
 
     def read(pair: Pair) -> tuple[int, ...]:
-        image, codes = read_picture(root / pair.image), read_codes(root / pair.depth)
+        image, codes = read_image(root / pair.image), read_codes(root / pair.depth)
         if image.shape != (*codes.shape, 3):
             texts = (" x ".join(map(str, array.shape)) for array in (image, codes))
             raise InputError(root / pair.image, f"got {', but its depth chart is '.join(texts)}: fetch both again")

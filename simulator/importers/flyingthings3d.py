@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.colour import decode_srgb_picture
+from simulator.colour import decode_srgb_image
 from simulator.errors import InputError
 from simulator.importers.depth_sequences import DepthClips, Pair, check_rate, find_runs, read_pairs
 from simulator.importers.disparity import (
@@ -29,7 +29,7 @@ from simulator.importers.inspection import Progress, Survey
 from simulator.importers.listing import Fault, fault_of, grouped
 from simulator.importers.sceneflow import PASSES, Eye, PicturePass, Subset, find_root, focal_px, list_frames
 from simulator.importers.videos import Count, Crop, Positive
-from simulator.io.images import read_picture
+from simulator.io.images import read_image
 from simulator.types import Clip, View
 
 BASELINE_UNITS = 1.0
@@ -198,7 +198,7 @@ class FlyingThings3D(DepthClips):
                     self.root / pair.image,
                     f"got {disparity.shape}, but the first frame is {shape}: fetch it again",
                 )
-            rgb[t] = _box_mean(decode_srgb_picture(image[window]), factor)
+            rgb[t] = _box_mean(decode_srgb_image(image[window]), factor)
         cut = np.stack([disparity[window][centres] for disparity in disparities]).astype(np.float64)
         valid = cut > 0
         depth = np.full(cut.shape, self.view.far_m)
@@ -239,7 +239,7 @@ class FlyingThings3D(DepthClips):
 
 def _read_image(root: Path, pair: Pair, shape: tuple[int, ...]) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Read the image of a disparity map of this size."""
-    image = read_picture(root / pair.image)
+    image = read_image(root / pair.image)
     if image.shape != (*shape, 3):
         raise InputError(
             root / pair.image,

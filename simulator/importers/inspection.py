@@ -139,11 +139,7 @@ def choose(path: Path, candidates: Candidates) -> Plugin:
 def run_survey(plugin: Plugin, path: Path, options: Mapping[str, Any], progress: Progress | None = None) -> Survey:
     """Survey a folder by one source.
 
-    Args:
-        plugin: the source.
-        path: folder or file.
-        options: of the source's parameters, plain data, those that decide what is read (such as ``subset``).
-        progress: called as the survey goes on.
+    ``options``: of the source's parameters, plain data, those that decide what is read (such as ``subset``).
 
     Raises:
         InputError: the source has no survey, an option is unknown or wrong, or as the survey does.

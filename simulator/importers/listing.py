@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import NoReturn, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 
 from simulator.errors import InputError
 
@@ -90,6 +91,18 @@ def is_folder(path: Path) -> bool:
 def refuse_unreadable(path: Path, error: OSError) -> NoReturn:
     """Refuse a place that the system does not let us read."""
     raise InputError("path", f"{path} cannot be read: {error.strerror or error}; name a path without it") from error
+
+
+def read_json(path: Path) -> Any:
+    """Return the content of a data set's JSON file.
+
+    Raises:
+        InputError: naming the file.
+    """
+    try:
+        return json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(path, f"cannot be read as JSON ({error}): fetch it again") from error
 
 
 def natural(name: str) -> list[tuple[int, str]]:

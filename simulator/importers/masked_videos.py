@@ -20,13 +20,13 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.colour import decode_srgb_picture
+from simulator.colour import decode_srgb_image
 from simulator.errors import InputError
 from simulator.importers.inspection import Progress, Survey, told
 from simulator.importers.listing import Fault, examples, fault_of, grouped, list_folder
 from simulator.importers.object_masks import VOID, fit_mask, object_pixels, read_object_numbers
 from simulator.importers.videos import ClipPlan, FlatVideos
-from simulator.io.images import picture_shape, read_picture
+from simulator.io.images import image_shape, read_image
 from simulator.types import View
 
 Categories: TypeAlias = Mapping[int, str | None]
@@ -118,7 +118,7 @@ class MaskedVideo:
         """
         size: tuple[int, ...] = ()
         for name in self.frames[start:stop]:
-            frame = decode_srgb_picture(read_picture(self.images / name))
+            frame = decode_srgb_image(read_image(self.images / name))
             if frame.ndim == 2:
                 frame = np.repeat(frame[..., None], 3, axis=-1)
             if not self.keep_background:
@@ -176,7 +176,7 @@ class MaskedVideo:
             InputError: as for :meth:`read`, for the mask.
         """
         numbers, image = self._numbers(frame), self.images / frame
-        shape = picture_shape(image)
+        shape = image_shape(image)
         fit_mask(numbers, shape, self.mask(frame), image)
         return MaskFacts(_objects(numbers), numbers.shape != shape, bool(np.any(numbers == VOID)))
 
@@ -268,15 +268,8 @@ def find_videos(
 ) -> MaskedVideos:
     """List videos and match masks with images, by name; no file is opened.
 
-    Args:
-        importer: its name.
-        root: the data set's folder.
-        images: folder with a folder of images per video.
-        masks: folder with a folder of masks per video.
-        filmed_at: rate at which images are numbered, 1/s.
-        names: the videos wanted; None takes all.
-        categories: of each video's objects, by the video's name; None when the data set lists none.
-        keep_background: use images without a mask too.
+    ``filmed_at``: rate at which images are numbered, 1/s.
+    ``categories``: of each video's objects, by the video's name; None when the data set lists none.
 
     Raises:
         InputError: when there is no folder of images at all.
@@ -386,7 +379,7 @@ class _Read:
         """Read a frame and its mask."""
         files = [self.video.images / frame, *([] if self.video.keep_background else [self.video.mask(frame)])]
         try:
-            self.sizes[read_picture(files[0]).shape[:2]] += 1
+            self.sizes[read_image(files[0]).shape[:2]] += 1
             if not self.video.keep_background:
                 facts, where = self.video.mask_facts(frame), files[1].relative_to(self.root).as_posix()
                 self.objects.update(facts.objects)

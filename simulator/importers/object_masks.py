@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.io.images import picture_shape
+from simulator.io.images import image_shape
 
 VOID = 255
 """The palette index of pixels that nobody has judged, such as an object's blurred edge."""
@@ -35,7 +35,7 @@ def read_object_numbers(path: Path) -> NDArray[np.uint8]:
     """
     from PIL import Image
 
-    picture_shape(path)  # a file that is not an image, or claims too many pixels, is refused by its header
+    image_shape(path)  # a file that is not an image, or claims too many pixels, is refused by its header
     try:
         with Image.open(path) as image:
             mode, values = image.mode, np.asarray(image)

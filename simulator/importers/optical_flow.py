@@ -153,9 +153,6 @@ class Motion:
     def at(self, time: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the velocity at each pixel of the frame at a time, and how visible what is there is in both frames.
 
-        Args:
-            time: between 0 and 1.
-
         Returns:
             Velocity ``(H, W, 2)`` in pixels per frame, and visibility ``(H, W, 2)`` in the first and in the second frame.
         """

@@ -7,7 +7,6 @@ Source: Goyal et al., The "something something" video database for learning and 
 from __future__ import annotations
 
 import csv
-import json
 from collections import Counter
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from typing import Any, Literal
 from simulator.errors import InputError
 from simulator.importers.film_files import VideoSurvey, open_films
 from simulator.importers.inspection import Progress, Survey, told
-from simulator.importers.listing import first_lines, is_folder, list_folder, refuse_unreadable
+from simulator.importers.listing import first_lines, is_folder, list_folder, read_json, refuse_unreadable
 from simulator.importers.videos import ClipPlan, Count, Crop, FlatVideos, InterpolateWith, Positive
 from simulator.text import nearest
 from simulator.types import View
@@ -219,7 +218,7 @@ def read_templates(path: Path) -> dict[str, Any]:
     Raises:
         InputError: naming the file, when it is something else.
     """
-    content = _read_json(path)
+    content = read_json(path)
     if not isinstance(content, dict) or not content or not all(str(value).isdecimal() for value in content.values()):
         raise InputError(path, 'not a file of labels: expected {"Approaching something with your camera": "0", ...}')
     return content
@@ -235,7 +234,7 @@ def read_entries(path: Path, templates: Collection[str], labels: Path) -> tuple[
     Raises:
         InputError: naming the file and the clip, when an entry is broken.
     """
-    content = _read_json(path)
+    content = read_json(path)
     if not isinstance(content, list) or not content:
         raise InputError(path, 'not a list of clips: expected [{"id": "74225", "template": "Closing [something]"}]')
     entries: dict[str, str] = {}
@@ -305,10 +304,3 @@ def _nearest(template: str, templates: Collection[str]) -> str:
     for lower, known in by_lower.items():
         hint = hint.replace(repr(lower), repr(known))
     return hint
-
-
-def _read_json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(path, f"cannot be read as JSON ({error}): fetch it again") from error

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.colour import decode_srgb_picture
+from simulator.colour import decode_srgb_image
 from simulator.errors import InputError
 from simulator.io.files import read_errors
 
@@ -30,11 +30,6 @@ class MissingPackageError(InputError):
 
 def load_extra(module: str, package: str, extra: str = "import") -> ModuleType:
     """Import a package of an extra.
-
-    Args:
-        module: as Python imports it, such as ``cv2``.
-        package: as people know it, such as ``OpenCV``.
-        extra: which one.
 
     Raises:
         MissingPackageError: when it is not installed.
@@ -115,7 +110,7 @@ def read_film(path: Path, start: int, stop: int) -> Iterator[NDArray[np.float32]
         deep = max(component.bits for component in frame.format.components) > 8
         shown = converter.reformat(frame, format="rgb48le" if deep else "rgb24", src_colorspace=matrix)
         image = shown.to_ndarray()
-        yield decode_srgb_picture(_upright(image, frame.rotation, path))
+        yield decode_srgb_image(_upright(image, frame.rotation, path))
 
 
 def count_decodable(path: Path) -> tuple[int, set[tuple[int, int]]]:

@@ -129,11 +129,6 @@ class ClipPlan:
     def start(self, available: int, number: int, rng: np.random.Generator) -> int:
         """Return the first frame of a video's clip.
 
-        Args:
-            available: frames that the video has.
-            number: which of the video's clips, from 0.
-            rng: the sample's.
-
         Raises:
             InputError: the video is too short.
         """
@@ -170,10 +165,7 @@ def choose_interpolator(
 ) -> FrameInterpolator | None:
     """Return what interpolates frames, or None where nothing is to be interpolated.
 
-    Args:
-        interpolate_by: frames that one becomes.
-        interpolate_with: ``optical_flow`` or ``superslomo``.
-        checkpoint: the weights of ``superslomo``: the public ``SuperSloMo.ckpt``, or the same tensors as ``.safetensors``.
+    ``checkpoint``: the weights of ``superslomo``: the public ``SuperSloMo.ckpt``, or the same tensors as ``.safetensors``.
 
     Raises:
         InputError: the checkpoint is missing, broken, or meaningless for what was asked; or a package is not installed.

@@ -6,13 +6,12 @@ second, of which every fifth frame is annotated, hence six frames per second.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from simulator.errors import InputError
 from simulator.importers.inspection import Progress, Survey
-from simulator.importers.listing import is_folder, list_folder
+from simulator.importers.listing import is_folder, list_folder, read_json
 from simulator.importers.masked_videos import Categories, MaskedVideos, find_videos
 from simulator.importers.videos import ClipPlan, Count, Crop, FlatVideos, InterpolateWith, Positive
 from simulator.types import View
@@ -108,12 +107,7 @@ def read_categories(path: Path) -> dict[str, Categories]:
     Raises:
         InputError: naming the file, when it is missing or not such a file.
     """
-    try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(path, "missing: fetch it from the data set's release") from None
-    except (OSError, ValueError) as error:
-        raise InputError(path, f"cannot be read as JSON ({error}): fetch it again") from error
+    meta = read_json(path)
     try:
         return {name: _categories(video["objects"]) for name, video in meta["videos"].items()}
     except (KeyError, TypeError, AttributeError, ValueError) as error:

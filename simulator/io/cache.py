@@ -45,10 +45,8 @@ def cache_folder() -> Path:
 def cached(kind: str, key: str, compute: Callable[[], Entry]) -> Entry:
     """Return the entry of this key, computed only when the cache does not hold it.
 
-    Args:
-        kind: folder inside the cache, such as ``psf``.
-        key: hash of everything that decides the entry.
-        compute: makes the entry.
+    ``kind``: folder inside the cache, such as ``psf``.
+    ``key``: hash of everything that decides the entry.
 
     A cache that cannot be written to costs time, not results: it is warned about and left alone.
     """

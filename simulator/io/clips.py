@@ -91,14 +91,7 @@ def describe_extras(extras: Mapping[str, NDArray[Any]]) -> Layout:
 def frame_channels(
     rgb: NDArray[np.float32], depth_m: NDArray[np.float32], valid: NDArray[np.bool_], extras: Mapping[str, NDArray[Any]]
 ) -> dict[str, NDArray[np.float32]]:
-    """Return one frame as channels.
-
-    Args:
-        rgb: ``(H, W, 3)``.
-        depth_m: ``(H, W)``, finite.
-        valid: ``(H, W)``.
-        extras: ``(H, W)`` or ``(H, W, n)`` by name, as `describe_extras` accepts them.
-    """
+    """Return one frame as channels."""
     channels = {name: rgb[..., position] for position, name in enumerate("RGB")}
     channels |= {"Z": depth_m, "valid": valid.astype(np.float32)}
     for name, values in extras.items():

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.colour import decode_srgb_picture
+from simulator.colour import decode_srgb_image
 from simulator.errors import InputError
 from simulator.io.exr import read_exr
 from simulator.io.files import read_errors
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 MAX_PIXELS = 178_956_970
-"""Largest picture that is decoded, Pillow's own limit; a few bytes may claim any size, so headers are judged first."""
+"""Largest image that is decoded, Pillow's own limit; a few bytes may claim any size, so headers are judged first."""
 
 _BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)
 _ORIENTATION = 274  # the tag of EXIF and of TIFF
@@ -28,8 +28,8 @@ _ORIENTATION = 274  # the tag of EXIF and of TIFF
 _CONVERT = dict.fromkeys(("1", "L", "LA", "La"), "L") | dict.fromkeys(("RGB", "RGBA", "RGBX", "P", "PA"), "RGB")
 
 
-def read_picture(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Read one picture without loss; an alpha channel is ignored, not multiplied in.
+def read_image(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Read one image without loss; an alpha channel is ignored, not multiplied in.
 
     Args:
         path: a file that Pillow reads.
@@ -50,20 +50,20 @@ def read_picture(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
         return np.asarray(loaded if loaded.mode == _CONVERT[mode] else loaded.convert(_CONVERT[mode]))
 
 
-def read_shown_picture(path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint16], NDArray[np.uint8] | None]:
-    """Read one picture as it is meant to be seen: turned as its EXIF data say, and with its transparency.
+def read_shown_image(path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint16], NDArray[np.uint8] | None]:
+    """Read one image as it is meant to be seen: rotated as its EXIF data say, and with its transparency.
 
     Args:
         path: a file that Pillow reads.
 
     Returns:
-        The picture as :func:`read_picture` gives it, but upright; and its straight alpha ``(H, W)``, 255 for opaque, or None
+        The image as :func:`read_image` gives it, but upright; and its straight alpha ``(H, W)``, 255 for opaque, or None
         where it has none.
 
     Raises:
-        InputError: as for :func:`read_picture`; when its EXIF data are damaged, or 16 bit grey has a transparent value.
+        InputError: as for :func:`read_image`; when its EXIF data are damaged, or 16 bit grey has a transparent value.
     """
-    values = read_picture(path)
+    values = read_image(path)
     alpha = None
     with _open(path) as image:
         loaded = _load(image, path)
@@ -79,7 +79,7 @@ def read_shown_picture(path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint1
 
 
 def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """Return a picture ``(H, W)`` or ``(H, W, C)`` turned and mirrored as EXIF and TIFF number it; 1 is upright already.
+    """Return a image ``(H, W)`` or ``(H, W, C)`` rotated and mirrored as EXIF and TIFF number it; 1 is upright already.
 
     Example:
         >>> upright(np.array([[1, 2], [3, 4]]), 6).tolist()
@@ -92,11 +92,11 @@ def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
     return values[::-1] if orientation in (3, 4, 7, 8) else values
 
 
-def picture_shape(path: Path) -> tuple[int, int]:
-    """Rows and columns of a picture, from its header alone.
+def image_shape(path: Path) -> tuple[int, int]:
+    """Rows and columns of a image, from its header alone.
 
     Raises:
-        InputError: as for :func:`read_picture`.
+        InputError: as for :func:`read_image`.
     """
     with _open(path) as image:
         return image.height, image.width
@@ -116,7 +116,7 @@ def _open(path: Path) -> Image:
     except Image.DecompressionBombError as error:
         raise InputError(path, f"claims too many pixels; at most {MAX_PIXELS} are read") from error
     except _BROKEN as error:
-        raise InputError(path, f"cannot be opened as a picture: {error}") from error
+        raise InputError(path, f"cannot be opened as a image: {error}") from error
     if image.width * image.height > MAX_PIXELS:
         image.close()
         raise InputError(path, f"claims {image.height} x {image.width} pixels; at most {MAX_PIXELS} are read")
@@ -141,7 +141,7 @@ def _refuse_deep_colour(path: Path) -> None:
 
 
 def read_light(path: Path) -> NDArray[np.float32]:
-    """Return a picture's linear light ``(H, W, 3)``: integers are sRGB with full scale 1, floating point is linear already.
+    """Return a image's linear light ``(H, W, 3)``: integers are sRGB with full scale 1, floating point is linear already.
 
     It is upright (EXIF and TIFF orientation), and before black: what is transparent shines the less. The colours of EXR are
     before black by its standard, whatever its alpha.
@@ -155,8 +155,8 @@ def read_light(path: Path) -> NDArray[np.float32]:
     elif suffix in (".tif", ".tiff"):
         light = _tiff_light(path)
     else:
-        codes, alpha = read_shown_picture(path)
-        light = _before_black(decode_srgb_picture(codes), alpha)
+        codes, alpha = read_shown_image(path)
+        light = _before_black(decode_srgb_image(codes), alpha)
     if light.ndim == 2:
         light = np.repeat(light[..., np.newaxis], 3, axis=2)
     if not np.all(light >= 0):  # also catches NaN
@@ -201,7 +201,7 @@ def _tiff_light(path: Path) -> NDArray[np.float32]:
             raise InputError(path, "its fourth channel is not straight alpha (ExtraSamples 2); save it as RGB")
         alpha = alpha if straight else None
     if values.dtype in (np.uint8, np.uint16):
-        return _before_black(decode_srgb_picture(values), alpha)
+        return _before_black(decode_srgb_image(values), alpha)
     if values.dtype in (np.float16, np.float32, np.float64):
         if not np.isfinite(values).all():
             raise InputError(path, "holds NaN or inf; set them to finite values")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.io.images import MAX_PIXELS, read_picture
+from simulator.io.images import MAX_PIXELS, read_image
 
 MAX_VALUES = 2**31
 """Most values that are read from one file; a header may claim any size."""
@@ -31,7 +31,7 @@ def read_measurement(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
     Raises:
         InputError: naming the file, when it is unreadable or holds something else.
     """
-    readers = {".tif": _read_tiff, ".tiff": _read_tiff, ".png": read_picture, ".npy": read_npy}
+    readers = {".tif": _read_tiff, ".tiff": _read_tiff, ".png": read_image, ".npy": read_npy}
     if path.suffix.lower() == ".exr":
         image = _read_exr(path, channels)
     elif path.suffix.lower() in readers:
@@ -60,8 +60,6 @@ def read_npy(path: Path) -> NDArray[Any]:
         return np.array(mapped)
     except InputError:
         raise
-    except FileNotFoundError as error:
-        raise _missing(path, error) from error
     except (OSError, ValueError, EOFError) as error:
         raise _unreadable(path, error) from error
 
@@ -94,8 +92,6 @@ def _read_tiff(path: Path) -> NDArray[Any]:
             image, axes = page.asarray(), page.axes
     except InputError:
         raise
-    except FileNotFoundError as error:
-        raise _missing(path, error) from error
     # tifffile reports damage by many kinds of exceptions; whatever it is, the file cannot be used.
     except Exception as error:
         raise _unreadable(path, error) from error
@@ -123,7 +119,3 @@ def _check_size(shape: tuple[int, ...], path: Path) -> None:
 def _unreadable(path: Path, error: Exception) -> InputError:
     cure = "check the file or save it again, uncompressed"
     return InputError(path, f"cannot be read ({type(error).__name__}: {error}): {cure}")
-
-
-def _missing(path: Path, error: FileNotFoundError) -> InputError:
-    return InputError(path, f"cannot be read: {error.strerror}; check its name and folder")

@@ -4,7 +4,7 @@ import colour
 import numpy as np
 import pytest
 
-from simulator.colour import decode_srgb_picture, linear_to_srgb, srgb_to_linear
+from simulator.colour import decode_srgb_image, linear_to_srgb, srgb_to_linear
 from simulator.errors import InputError
 
 # Rounding to float32 once: half a unit in the last place at 1.0.
@@ -41,11 +41,11 @@ def test_pictures_are_decoded_alike_by_table_and_by_formula(dtype, size):
     full_scale = np.iinfo(dtype).max
     picture = rng.integers(0, full_scale, size, dtype=dtype, endpoint=True)
     expected = colour.models.eotf_sRGB(picture / full_scale)
-    np.testing.assert_allclose(decode_srgb_picture(picture), expected, rtol=0, atol=ONE_ROUNDING)
+    np.testing.assert_allclose(decode_srgb_image(picture), expected, rtol=0, atol=ONE_ROUNDING)
 
 
 def test_integers_are_refused_where_their_full_scale_is_unknown():
     with pytest.raises(InputError, match=r"^encoded: "):
         srgb_to_linear(np.zeros(3, np.uint8))
     with pytest.raises(InputError, match=r"^picture: "):
-        decode_srgb_picture(np.zeros(3, np.int32))
+        decode_srgb_image(np.zeros(3, np.int32))

@@ -248,7 +248,7 @@ def test_a_function_that_draws_windows_gives_all_samples_the_recorded_ones(trial
     )
     root = generate(path).path
     recorded = json.loads((root / "dataset.json").read_text())["time"]["shutter"]["table_s"]
-    opened_s = np.diff(recorded).reshape(48, 8).mean(axis=1)[::-1]  # the stored picture is turned by 180 degrees
+    opened_s = np.diff(recorded).reshape(48, 8).mean(axis=1)[::-1]  # the stored image is rotated by 180 degrees
     config = load_config(path)
     model = Assembly(config).having(psf_stack=read_psf_stack(root / "psf"), shutter=GlobalShutter(1.0, 8)).forward_model
     for sample in open_dataset(root):

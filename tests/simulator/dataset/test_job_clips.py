@@ -52,7 +52,7 @@ def seconds_open(frames: int) -> np.ndarray:
     """For how long each of the stored rows sees each frame, ``(T, H)``, row by row from the definition."""
     seen = np.zeros((frames, 48))
     for physical in range(384):
-        opens = physical * LINE_S  # from the top down; the stored picture is turned by 180 degrees
+        opens = physical * LINE_S  # from the top down; the stored image is rotated by 180 degrees
         stored = (383 - physical) // 8
         for frame in range(frames):
             begin, end = max(opens, frame * FRAME_S), min(opens + EXPOSURE_S, (frame + 1) * FRAME_S)

@@ -6,7 +6,7 @@ import pytest
 
 from simulator.errors import InputError
 from simulator.importers.disparity import read_pfm
-from simulator.io.images import read_picture
+from simulator.io.images import read_image
 
 
 def write_pfm(path, values, scale=-1.0):
@@ -51,7 +51,7 @@ def test_the_real_sample_has_the_noted_range_and_is_upright(shared_data):
     assert disparity.max() == pytest.approx(130.365, abs=5e-4)
     # The right picture, fetched at x - d, must be the left one where nothing hides it.
     left, right, hidden = (
-        read_picture(root / f"{folder}/A-0032-0006.png").astype(float)
+        read_image(root / f"{folder}/A-0032-0006.png").astype(float)
         for folder in ("RGB_cleanpass/left", "RGB_cleanpass/right", "occlusion/left")
     )
     columns = np.rint(np.arange(960) - disparity).astype(int)

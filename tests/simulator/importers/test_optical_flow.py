@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from simulator.colour import decode_srgb_picture, linear_to_srgb, srgb_to_linear
+from simulator.colour import decode_srgb_image, linear_to_srgb, srgb_to_linear
 from simulator.importers.optical_flow import Motion, OpticalFlow
 
 SIZE = 112
@@ -249,7 +249,7 @@ def test_left_out_frames_of_a_real_film_are_found_again(shared_data: Path) -> No
     files = sorted((shared_data / "davis/images/judo").glob("*.jpg"))[:5]
     # 428 x 240 of the film's 854 x 480, the middle of them.
     small = [np.asarray(Image.open(file).reduce(2))[40:200, 130:290] for file in files]
-    frames = decode_srgb_picture(np.stack(small))
+    frames = decode_srgb_image(np.stack(small))
     found = OpticalFlow().interpolate(frames[::2], 2)
     for index in (1, 3):
         faded = (frames[index - 1] + frames[index + 1]) / 2

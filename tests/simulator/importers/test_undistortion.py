@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from simulator.colour import decode_srgb_picture, linear_to_srgb
+from simulator.colour import decode_srgb_image, linear_to_srgb
 from simulator.errors import InputError
 from simulator.importers.camera_models import OpencvFisheye, Pinhole, Scaramuzza
 from simulator.importers.undistortion import build_lookup
@@ -104,7 +104,7 @@ def test_real_checkerboards_become_straight(shared_data, lens, number):
     folder = shared_data / "endoslam/calibration/Calibration/Camera/MiroCam"
     codes = np.asarray(Image.open(folder / f"pad_Mirocam_calib_2mm__{number}.jpg").convert("RGB"))
     lookup = build_lookup(lens, (320, 320), view_of((320, 320), 110.0), "angles", None)
-    linear = lookup.colour(decode_srgb_picture(codes))
+    linear = lookup.colour(decode_srgb_image(codes))
     straight = np.rint(255 * linear_to_srgb(linear)).astype(np.uint8)
 
     def residual(picture):

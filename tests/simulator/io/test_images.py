@@ -12,7 +12,7 @@ from PIL import Image, ImageOps
 
 from simulator.errors import InputError
 from simulator.io.exr import write_exr
-from simulator.io.images import MAX_PIXELS, picture_shape, read_light, read_picture, read_shown_picture
+from simulator.io.images import MAX_PIXELS, image_shape, read_image, read_light, read_shown_image
 
 
 @pytest.fixture
@@ -23,14 +23,14 @@ def rng():
 def test_8_bit_colour_is_exact_and_alpha_is_ignored(tmp_path, rng):
     rgba = rng.integers(0, 255, (5, 7, 4), dtype=np.uint8, endpoint=True)
     Image.fromarray(rgba).save(tmp_path / "a.png")
-    assert np.array_equal(read_picture(tmp_path / "a.png"), rgba[..., :3])
-    assert picture_shape(tmp_path / "a.png") == (5, 7)
+    assert np.array_equal(read_image(tmp_path / "a.png"), rgba[..., :3])
+    assert image_shape(tmp_path / "a.png") == (5, 7)
 
 
 def test_16_bit_grey_keeps_all_bits(tmp_path, rng):
     grey = rng.integers(0, 65535, (6, 4), dtype=np.uint16, endpoint=True)
     cv2.imwrite(str(tmp_path / "a.png"), grey)  # an independent writer
-    found = read_picture(tmp_path / "a.png")
+    found = read_image(tmp_path / "a.png")
     assert found.dtype == np.uint16
     assert np.array_equal(found, grey)
 
@@ -48,33 +48,33 @@ def test_a_shown_picture_is_upright_as_pillow_turns_it_and_a_read_one_as_it_is_s
     Image.fromarray(rgba).save(path, exif=exif, lossless=True)
     with Image.open(path) as image:
         expected = np.asarray(ImageOps.exif_transpose(image))
-    codes, alpha = read_shown_picture(path)
+    codes, alpha = read_shown_image(path)
     assert alpha is not None
     assert np.array_equal(codes, expected[..., :3])
     assert np.array_equal(alpha, expected[..., 3])
-    assert np.array_equal(read_picture(path), rgba[..., :3])
+    assert np.array_equal(read_image(path), rgba[..., :3])
 
 
 def test_a_colour_of_a_palette_or_of_8_bits_may_be_transparent_and_16_bits_are_upright(tmp_path, rng):
     image = Image.fromarray(np.array([[0, 1], [1, 0]], np.uint8), "L").convert("P")
     image.putpalette([10, 20, 30, 200, 100, 50])
     image.save(tmp_path / "a.png", transparency=1)
-    codes, alpha = read_shown_picture(tmp_path / "a.png")
+    codes, alpha = read_shown_image(tmp_path / "a.png")
     assert alpha is not None
     assert alpha.tolist() == [[255, 0], [0, 255]]
     assert codes[0].tolist() == [[10, 20, 30], [200, 100, 50]]
     Image.fromarray(np.array([[[9, 9, 9], [1, 2, 3]]], np.uint8)).save(tmp_path / "b.png", transparency=(1, 2, 3))
-    assert np.array_equal(np.asarray(read_shown_picture(tmp_path / "b.png")[1]), [[255, 0]])
+    assert np.array_equal(np.asarray(read_shown_image(tmp_path / "b.png")[1]), [[255, 0]])
     grey = rng.integers(0, 65535, (6, 4), dtype=np.uint16, endpoint=True)
     exif = Image.Exif()
     exif[274] = 6
     Image.fromarray(grey).save(tmp_path / "c.png", exif=exif)
-    codes, alpha = read_shown_picture(tmp_path / "c.png")
+    codes, alpha = read_shown_image(tmp_path / "c.png")
     assert alpha is None
     assert np.array_equal(codes, np.rot90(grey, -1))
     Image.fromarray(grey).save(tmp_path / "d.png", transparency=5)
     with pytest.raises(InputError, match=r"d\.png: "):
-        read_shown_picture(tmp_path / "d.png")
+        read_shown_image(tmp_path / "d.png")
 
 
 def test_files_that_are_broken_or_would_lose_bits_are_named(tmp_path, rng):
@@ -82,17 +82,17 @@ def test_files_that_are_broken_or_would_lose_bits_are_named(tmp_path, rng):
     Image.new("CMYK", (3, 3)).save(tmp_path / "print.jpg")
     for name in ("deep.png", "print.jpg"):
         with pytest.raises(InputError, match=f"{name}: "):
-            read_picture(tmp_path / name)
+            read_image(tmp_path / name)
     path = tmp_path / "a.png"
     with pytest.raises(InputError, match=r"a\.png: "):
-        read_picture(path)
+        read_image(path)
     path.write_bytes(b"no picture")
     with pytest.raises(InputError, match=r"a\.png: "):
-        read_picture(path)
+        read_image(path)
     Image.fromarray(rng.integers(0, 255, (50, 70, 3), dtype=np.uint8)).save(path)
     path.write_bytes(path.read_bytes()[:3000])
     with pytest.raises(InputError, match=r"a\.png: "):
-        read_picture(path)
+        read_image(path)
 
 
 def claim(path, rows: int, columns: int) -> None:
@@ -110,13 +110,13 @@ def claim(path, rows: int, columns: int) -> None:
 def test_a_tiny_file_that_claims_a_huge_picture_is_refused(tmp_path, rows, columns):
     claim(tmp_path / "bomb.png", rows, columns)
     with pytest.raises(InputError, match=r"bomb\.png: "):
-        read_picture(tmp_path / "bomb.png")
+        read_image(tmp_path / "bomb.png")
 
 
 @pytest.mark.filterwarnings("error")
 def test_the_limit_is_what_the_refusal_says_and_below_it_nothing_is_warned_of(tmp_path):
     claim(tmp_path / "large.png", 1, MAX_PIXELS)
-    assert picture_shape(tmp_path / "large.png") == (1, MAX_PIXELS)
+    assert image_shape(tmp_path / "large.png") == (1, MAX_PIXELS)
 
 
 # Pictures as linear light: codes, alpha and orientation, each by a picture whose light is known by hand.
