@@ -10,6 +10,8 @@ import yaml
 
 from simulator import cli
 from simulator.config import default_config_text
+from simulator.entry_points import commands
+from simulator.errors import InputError
 
 
 @pytest.fixture
@@ -58,6 +60,9 @@ class TestStart:
         _install(tmp_path, "others", "greet = others:greet")
         assert "Say hello." in flatlight("--help")[1]
         assert flatlight("greet", "Ada")[:2] == (0, "hello Ada\n")
+        _install(tmp_path, "rivals", "greet = rivals:greet")
+        with pytest.raises(InputError, match=r"'greet' .*(others|rivals):greet .*(others|rivals):greet"):
+            commands()
 
     @pytest.mark.usefixtures("own_commands")
     def test_a_command_that_does_not_import_stops_no_other(self, flatlight, tmp_path: Path) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from simulator.entry_points import commands
 from simulator.errors import InputError
 from simulator.plugins import ParameterError, available, resolve
 
@@ -298,17 +297,3 @@ def test_a_default_of_the_wrong_type_is_the_plugins_fault(tmp_path: Path) -> Non
     write(tmp_path, "def vortex(*, charge: int = 1.5): ...\n")
     with pytest.raises(ParameterError, match="charge:"):
         resolve("mask", "./my_mask.py:vortex", tmp_path).bind({})
-
-
-def test_commands_of_other_packages(install: Install) -> None:
-    install(
-        "trial_commands",
-        "[flatlight.commands]\ntrial-hello = trial_commands.hello:hello\n",
-        hello="def hello(): return 5\n",
-    )
-    found = commands()
-    assert "trial_commands.hello" not in sys.modules, "listing imports no command"
-    assert found["trial-hello"].load()() == 5
-    install("trial_rivals", "[flatlight.commands]\ntrial-hello = trial_rivals.hello:hello\n")
-    with pytest.raises(InputError, match=r"'trial-hello' .*trial_\w+\.hello:hello .*trial_\w+\.hello"):
-        commands()

@@ -11,7 +11,7 @@ import yaml
 from PIL import Image
 
 from simulator.importers import film
-from simulator.importers.inspection import Survey, choose, find_candidates
+from simulator.importers.inspection import choose, find_candidates
 
 
 @pytest.fixture
@@ -81,18 +81,6 @@ def test_options_are_those_of_the_survey(flatlight, davis_root, one_error) -> No
     assert "did you mean" not in flatlight(*run, "size=55")[2]
     one_error(flatlight(*run, "frames=0"), "frames: ")
     one_error(flatlight(*run, "keep_background=3"), "keep_background")
-
-
-def test_videos_too_short_for_a_clip_are_problems_once_its_length_is_known(flatlight, davis_root, one_error) -> None:
-    (davis_root / "Annotations" / "480p" / "dog" / "00001.png").unlink()
-    assert flatlight("import", "--check", davis_root)[0] == 0
-    run = "import", "--check", davis_root, "--set", "frames=3"
-    code, out, err = flatlight(*run)
-    one_error((code, out, err), "problems above: 1;")
-    assert "problem: dog: fewer frames with a mask than the 3 that a clip of 3 takes (videos here have 2 to 3)" in out
-    code, out, _ = flatlight(*run, "--set", "interpolate_by=2")
-    assert code == 0
-    assert "frames: 3, interpolate_by: 2}" in out
 
 
 def test_what_no_importer_knows(flatlight, tmp_path, one_error) -> None:
@@ -241,21 +229,6 @@ def test_a_folder_that_may_not_be_read_is_named(flatlight, davis_root, monkeypat
         one_error(flatlight("import", "--check", davis_root), f"path: {davis_root} ")
         run = "import", "--check", davis_root, "--source"
         one_error(flatlight(*run, "davis"), f"path: {davis_root}/")
-
-
-def test_a_survey_that_meets_a_closed_door_says_where(flatlight, install, rocks, one_error) -> None:
-    install("geology_four", closed=IS_ROCKS)
-    path = rocks.parent / "site" / "geology_four" / "closed.py"
-    fault = "raise PermissionError(13, 'Permission denied', str(path / 'cave'))"
-    path.write_text(path.read_text(encoding="utf-8").replace("progress(1, 1)", fault), encoding="utf-8")
-    one_error(flatlight("import", "--check", rocks), f"path: {rocks / 'cave'} ")
-
-
-def test_many_problems_are_counted() -> None:
-    survey = Survey("film", Path("here"), 1, {}, tuple(f"{number}.webm: cut short" for number in range(25)))
-    lines = str(survey).splitlines()
-    assert len(lines) == 22
-    assert lines[-2:] == ["  problem: 19.webm: cut short", "  problem: and 5 more"]
 
 
 def test_a_users_own_file(flatlight, rocks, tmp_path, monkeypatch) -> None:

@@ -1,8 +1,6 @@
 """The fingerprint changes with everything that decides a sample's bytes, and with nothing else."""
 
 import copy
-import subprocess
-import sys
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -75,16 +73,6 @@ def test_input_files_count_by_content_not_by_place(tmp_path: Path) -> None:
     assert list(build_fingerprint(CONFIG, "x", [a, c])[1]["inputs"]) == ["psf.tif", "psf.tif#2"]
     with pytest.raises(InputError, match="gone: "):
         build_fingerprint(CONFIG, "x", [tmp_path / "gone"])
-
-
-def test_same_in_another_process() -> None:
-    code = (
-        "from simulator.dataset.fingerprint import build_fingerprint\n"
-        "print(build_fingerprint({'b': {'x': 0.1}, 'a': 1}, 's')[0])"
-    )
-    environment = {"PYTHONHASHSEED": "1"}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
-    assert done.stdout.strip() == build_fingerprint({"a": 1, "b": {"x": 0.1}}, "s")[0]
 
 
 def test_versions_are_those_installed() -> None:

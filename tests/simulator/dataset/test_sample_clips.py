@@ -1,8 +1,6 @@
 """Samples of several frames: exact round trips of any clip, and no frame can go, come or change places unnoticed."""
 
-import errno
 import json
-import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,9 +22,8 @@ from simulator.dataset.sample import (
     write_sample,
 )
 from simulator.errors import InputError
-from simulator.io import files
 from simulator.io.exr import read_exr
-from simulator.io.files import StorageError, sha256_file
+from simulator.io.files import sha256_file
 
 ARRAYS = ("measurement", "noiseless", "rgb", "depth_m", "valid", "frame_edges_s", "global_measurements")
 DTYPES = ("bool", "uint8", "int16", "uint16", "int32", "float16", "float32")
@@ -237,27 +234,6 @@ def test_every_fault_is_named(samples: ModuleType, tmp_path: Path, fault: str) -
     spoil(folder)
     with pytest.raises(InputError, match=words):
         StoredSample(folder).sample()
-
-
-@pytest.mark.parametrize("full_at", range(8))
-def test_a_full_disk_leaves_nothing(
-    samples: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full_at: int
-) -> None:
-    """Whichever of the measurement, the frames, the global measurements and sample.json meets the end of the disk."""
-    write_all, written = files.write_all, []
-
-    def write(descriptor: int, data: bytes) -> None:
-        if len(written) == full_at:
-            write_all(descriptor, data[:100])
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        written.append(data)
-        write_all(descriptor, data)
-
-    monkeypatch.setattr(files, "write_all", write)
-    with pytest.raises(StorageError, match="disk is full"):
-        write_sample(tmp_path, "train", 0, samples.make_clip_sample(0))
-    assert len(written) == full_at
-    assert [path for path in tmp_path.rglob("*") if path.is_file() or path.name.startswith(("s0", ".tmp"))] == []
 
 
 def test_names_of_frames_sort_and_end(samples: ModuleType, tmp_path: Path) -> None:

@@ -125,12 +125,6 @@ class TestDepth:
         np.testing.assert_allclose(clip.depth_m[0], expected, rtol=2**-23)
         np.testing.assert_allclose(clip_of(root, field="angles").depth_m[0], 0.04, rtol=2**-23)
 
-    def test_depths_are_never_mixed(self, tmp_path):
-        codes = np.where(np.indices(SHAPE).sum(0) % 2, 10, 120).astype(np.uint8)
-        view = View((5, 5), 1e-6, FOCAL_PX * 0.3e-6, 0.01, 0.15)
-        clip = clip_of(unity(tmp_path, codes=codes), view=view)
-        assert np.unique(clip.depth_m).tolist() == [np.float32(0.2 * c / 255).item() for c in (10, 120)]
-
     def test_each_frame_has_its_own_depth(self, tmp_path):
         for number in range(4):
             unity(tmp_path, (number,), codes=np.full(SHAPE, 10 * (number + 1), np.uint8))
@@ -179,22 +173,6 @@ class TestPictures:
         # Bilinear weights differ from 0 and 1 by a few roundings of the coordinates.
         np.testing.assert_allclose(clip.rgb[0], ((encoded + 0.055) / 1.055) ** 2.4, rtol=0, atol=1e-6)
 
-    def test_distortion_moves_colour_and_depth_alike(self, tmp_path):
-        codes = np.zeros(SHAPE, np.uint8) + 10
-        codes[:, 8:] = 100
-        root = unity(tmp_path)
-        save(root / "UnityCam/Colon/Frames/image_0000.png", np.dstack([codes * 2] * 3))
-        save(root / "UnityCam/Colon/Pixelwise Depths/aov_image_0000.png", chart_rgba(codes))
-        # A step at 0.5 px right of the axis moves with the axis, 3 px to the left.
-        clip = clip_of(root, field="angles", intrinsics=CAMERA | {"cx": 10.5, "distortion": [-0.1, 0.0]})
-        assert np.unique(clip.depth_m[0, 8, 1:5]).size == 1
-        assert np.unique(clip.depth_m[0, 8, 5:13]).size == 1
-        assert clip.depth_m[0, 8, 4] < clip.depth_m[0, 8, 5]
-        assert clip.rgb[0, 8, 4, 0] < 0.02 < 0.5 < clip.rgb[0, 8, 5, 0] + 0.1
-        assert not clip.valid[0, :, 14:].any(), "the picture ends 5 px right of its axis"
-        assert not clip.rgb[0, :, 14:].any()
-        assert clip.source["unseen_share"] == pytest.approx(1 - clip.valid.mean())
-
     def test_without_intrinsics_the_picture_fills_the_view(self, tmp_path):
         clip = clip_of(unity(tmp_path), intrinsics=None)
         same = clip_of(unity(tmp_path), field="angles")
@@ -219,6 +197,7 @@ class TestPictures:
         clip = source.clip(0, RNG)
         assert np.array_equal(clip.valid[0], np.hypot(columns - column, rows - row) <= radius)
         assert not clip.rgb[~clip.valid].any()
+        assert clip.source["unseen_share"] == pytest.approx(1 - clip.valid.mean())
         filled = source_of(tmp_path, view=view, intrinsics=None, border="auto").clip(0, RNG)
         assert filled.valid.all()
 

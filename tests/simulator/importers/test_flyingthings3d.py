@@ -80,18 +80,19 @@ class TestClip:
         assert clip.valid.all()
         assert clip.frame_edges_s.tolist() == [0.0, 1.0]
 
-    def test_downscaling_averages_light_not_codes_and_never_mixes_depths(self, tmp_path):
-        rgb = np.zeros((12, 12, 3), np.uint8)
-        rgb[::3] = 255  # one row in three is white: a mean of codes, then linearised, would be 0.09
-        disparity = np.where(np.indices((12, 12)).sum(0) % 2, 10.0, 80.0).astype(np.float32)
+    @pytest.mark.parametrize("factor", [2, 3, 4])
+    def test_downscaling_averages_light_not_codes_and_takes_the_depth_of_the_middle(self, tmp_path, factor):
+        rgb = np.zeros((4 * factor, 4 * factor, 3), np.uint8)
+        rgb[::factor] = 255  # one row of a block is white: a mean of codes, then linearised, would be 0.09 for three
+        disparity = 10 + np.arange(16 * factor**2, dtype=np.float32).reshape(rgb.shape[:2])
         write(tmp_path, "TRAIN/A/0000/left/0006", rgb=rgb, disparity=disparity)
-        clip = clip_of(tmp_path, view=replace(VIEW, shape=(4, 4)), downscale="auto")
-        assert clip.source["downscale"] == 3
-        np.testing.assert_allclose(clip.rgb, 1 / 3, rtol=1e-7)
-        near_and_far = np.float32([VIEW.near_m, VIEW.far_m])
-        assert np.array_equal(np.unique(clip.depth_m), near_and_far)
-        expected = np.where(disparity[1::3, 1::3] == 80, *near_and_far)
-        assert np.array_equal(clip.depth_m[0], expected)
+        choice = {"downscale": "auto", "depth_scaling": "fixed", "metres_per_unit": 1.0}
+        clip = clip_of(tmp_path, view=replace(VIEW, shape=(4, 4)), **choice)
+        assert clip.source["downscale"] == factor
+        np.testing.assert_allclose(clip.rgb, 1 / factor, rtol=1e-7)
+        # Nearest to a block's middle, (factor - 1) / 2: another would move depth against colour by up to a block.
+        expected = 1050 / disparity[factor // 2 :: factor, factor // 2 :: factor].astype(float)
+        np.testing.assert_allclose(clip.depth_m[0], expected, **ROUNDING)
 
     def test_affine_maps_are_affine_in_one_over_z_or_in_z(self, root, disparity):
         wide = disparity.astype(float)
@@ -352,34 +353,6 @@ class TestSequences:
         broken, short = source.problems
         assert broken.startswith(f"{sequences}/disparity/TRAIN/A/0001/left/0007.pfm: ")
         assert short.startswith("TRAIN/A/0001: has 1 consecutive frames, but a clip takes 2")
-
-
-class TestRegistration:
-    @pytest.mark.parametrize("factor", [2, 3, 4])
-    def test_depth_is_that_of_the_middle_of_what_colour_averages(self, tmp_path, factor):
-        """A ramp of light and one of disparity that are each other's images stay so, to half a pixel of an even factor.
-
-        The mean of a linear ramp over a block is its value in the block's middle, (factor - 1) / 2; the sample nearest to it
-        is factor // 2. Another would move depth against colour by up to a block.
-        """
-        size = 8 * factor
-        rows, columns = np.indices((size, size))
-        disparity = (1 + columns + 100 * rows).astype(np.float32)
-        write(tmp_path, "TRAIN/A/0000/left/0006", disparity=disparity)
-        light = ((columns + rows) / (2 * size))[..., None].repeat(3, -1)
-        encoded = np.where(light > 0.0031308, 1.055 * light ** (1 / 2.4) - 0.055, 12.92 * light)
-        picture = tmp_path / "frames_cleanpass/TRAIN/A/0000/left/0006.png"
-        Image.fromarray((255 * encoded).round().astype(np.uint8)).save(picture)
-        clip = clip_of(tmp_path, downscale="auto", depth_scaling="fixed", metres_per_unit=1.0)
-        assert clip.source["downscale"] == factor
-        sampled = (1050 / clip.depth_m[0].astype(float)).round().astype(int) - 1
-        column, row = sampled % 100, sampled // 100
-        assert np.array_equal(column[0], factor * np.arange(8) + factor // 2)
-        assert np.array_equal(row[:, 0], factor * np.arange(8) + factor // 2)
-        # Colour by colour: the ramp's value at the sample, half a pixel on (of both axes) where the factor is even.
-        shift = factor // 2 - (factor - 1) / 2
-        expected = (column + row - 2 * shift) / (2 * size)
-        np.testing.assert_allclose(clip.rgb[0, ..., 0], expected, atol=0.005)  # 8 bit codes are 0.009 apart at white
 
 
 class TestOtherSets:

@@ -152,21 +152,12 @@ def test_only_annotated_frames_are_used_in_the_order_of_their_numbers(tmp_path, 
     assert "videos annotated at uneven steps, which are taken as even: 1 (x)" in survey
 
 
-def test_frame_rates_follow_from_the_numbers(tube, rng, tmp_path) -> None:
+def test_frame_rates_follow_from_the_numbers(tube, davis_root, rng) -> None:
     clip = tube.source(frames=4).clip(0, rng)  # every fifth of 30 per second
     np.testing.assert_allclose(clip.frame_edges_s, np.arange(5) / 6, rtol=1e-12)
-    root = tmp_path / "davis"
-    for number in range(3):
-        write_picture(root / "JPEGImages" / "480p" / "v" / f"{number:05d}.jpg", 50)
-        write_mask(root / "Annotations" / "480p" / "v" / f"{number:05d}.png", LEFT)
-    clip = davis(VIEW, path=root, frames=2).clip(0, rng)
-    np.testing.assert_allclose(clip.frame_edges_s, np.arange(3) / 24, rtol=1e-12)
-    clip = davis(VIEW, path=root, frames=2, frames_per_second=500).clip(0, rng)
-    np.testing.assert_allclose(clip.frame_edges_s, np.arange(3) / 500, rtol=1e-12)
-
-
-def test_interpolated_frames_come_faster(tube, rng) -> None:
-    pytest.importorskip("cv2")
+    for choice, rate in (({}, 24), ({"frames_per_second": 500}, 500)):
+        clip = davis(VIEW, path=davis_root, frames=2, **choice).clip(0, rng)
+        np.testing.assert_allclose(clip.frame_edges_s, np.arange(3) / rate, rtol=1e-12)
     clip = tube.source(frames=3, interpolate_by=2).clip(0, rng)
     np.testing.assert_allclose(clip.frame_edges_s, np.arange(4) / 12, rtol=1e-12)
     # The background went first, so nothing comes back between the frames.
@@ -281,6 +272,7 @@ def test_videos_that_cannot_be_used_are_problems(tube) -> None:
     for name, word in (words | {"short": "than the 2", "twice": "00005.jpg and 0005.jpg"}).items():
         assert word in lines[name]
     assert error_of(tube.source, frames=5).startswith("source: ")
+    assert youtube_vos_module.survey(tube.root, frames=5).usable == 0
 
 
 def test_damaged_files_are_named(tube, rng) -> None:
