@@ -29,11 +29,6 @@ def square(task: int) -> int:
     return task * task
 
 
-def slow_square(task: int) -> int:
-    time.sleep(0.05)
-    return task * task
-
-
 def threads(task: int) -> str:
     return ",".join(os.environ[f"{name}_NUM_THREADS"] for name in ("OMP", "OPENBLAS", "MKL"))
 

@@ -112,6 +112,9 @@ def test_results_and_functions_that_cannot_travel(tasks: ModuleType) -> None:
         assert "cannot be sent to a worker process" in str(outcome.error)
     with pytest.raises(InputError, match=r"<lambda>.*: "):
         run("local", lambda task: task, range(3))
+    for engine, workers, key in (("ray", 1, "engine"), ("local", 0, "workers")):
+        with pytest.raises(InputError, match=f"^{key}: "):
+            run(engine, tasks.square, range(3), workers=workers)
 
 
 def test_endless_tasks_are_taken_a_few_at_a_time_and_leaving_stops_the_workers(tasks: ModuleType) -> None:
@@ -120,12 +123,6 @@ def test_endless_tasks_are_taken_a_few_at_a_time_and_leaving_stops_the_workers(t
         pids = {next(outcomes).value[1] for _ in range(10)}
     assert next(taken) <= 10 + 2 * 2
     assert not [pid for pid in pids if alive(pid)]
-
-
-@pytest.mark.parametrize(("engine", "workers", "words"), [("ray", 1, "^engine: "), ("local", 0, "^workers: ")])
-def test_bad_arguments(engine: str, workers: int, words: str, tasks: ModuleType) -> None:
-    with pytest.raises(InputError, match=words):
-        run(engine, tasks.square, range(3), workers=workers)
 
 
 def test_available_cpus_and_quotas(tmp_path: Path) -> None:

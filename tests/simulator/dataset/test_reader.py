@@ -26,7 +26,7 @@ from simulator.dataset.verification import verify
 from simulator.errors import InputError
 
 
-def test_it_is_like_a_list(dataset: Path, samples: ModuleType) -> None:
+def test_it_is_like_a_list_and_says_what_it_is(dataset: Path, samples: ModuleType) -> None:
     train = open_dataset(dataset)
     assert len(train) == 3
     assert train.ids == ("s00000000", "s00000001", "s00000002")  # whatever the order they were finished in
@@ -43,14 +43,9 @@ def test_it_is_like_a_list(dataset: Path, samples: ModuleType) -> None:
     assert len(open_dataset(dataset, "validation")) == 1
     assert len(open_dataset(dataset, "test")) == 0
     assert list(open_dataset(dataset, "test")) == []
-
-
-def test_what_the_data_set_says_of_itself(dataset: Path) -> None:
-    train = open_dataset(str(dataset))
     assert train.config == {"seed": 7, "psf": {"far_cm": "inf"}}
     assert train.fingerprint == json.loads((dataset / "dataset.json").read_text())["fingerprint"]
-    assert train.metadata["exposure"] == {"full_scale": 0.5}
-    assert train.metadata["sensor_shape"] == (24, 36)
+    assert (train.metadata["exposure"], train.metadata["sensor_shape"]) == ({"full_scale": 0.5}, (24, 36))
     assert "3 samples" in repr(train)
 
 

@@ -16,9 +16,10 @@ from simulator.dataset.verification import verify
 from simulator.errors import InputError
 
 FIRST = Path("train/0000/s00000000")
+FRAMES = FIRST / "frames"
 
 
-def test_a_whole_data_set(dataset: Path) -> None:
+def test_a_whole_data_set_and_frames_beside_a_still(dataset: Path, clips: Path) -> None:
     steps: list[tuple[int, int]] = []
     for workers in (1, 2):
         report = verify(dataset, workers=workers, progress=lambda done, total: steps.append((done, total)))
@@ -26,6 +27,10 @@ def test_a_whole_data_set(dataset: Path) -> None:
         assert report.counts == report.wanted == {"train": 3, "validation": 1, "test": 0}
         assert str(report).splitlines()[-1] == "all is well"
     assert steps == [(number, 4) for number in (1, 2, 3, 4)] * 2
+    shutil.copytree(clips / FRAMES, dataset / FRAMES)
+    assert verify(dataset).problems == ("train/s00000000: unexpected file frames",)
+    with pytest.raises(InputError, match="gone: "):
+        verify(dataset / "gone")
 
 
 def flip(path: Path, position: int = -20) -> None:
@@ -96,7 +101,6 @@ def exchange(one: Path, other: Path) -> None:
     other.write_bytes(first)
 
 
-FRAMES = FIRST / "frames"
 CLIP_FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "flipped bit": (lambda root: flip(root / FRAMES / "global.0002.exr"), r"frames/global\.0002\.exr"),
     "exchanged": (
@@ -120,11 +124,6 @@ def test_every_fault_of_a_clip_is_named(clips: Path, fault: str) -> None:
     problems = verify(clips).problems
     assert all("train/s00000000: " in line for line in problems)
     assert any(re.search(words, line) for line in problems), problems
-
-
-def test_frames_beside_a_still_are_one_fault(dataset: Path, clips: Path) -> None:
-    shutil.copytree(clips / FRAMES, dataset / FRAMES)
-    assert verify(dataset).problems == ("train/s00000000: unexpected file frames",)
 
 
 ROLLING = {"type": "rolling", "exposure_s": 2e-3, "line_time_s": 25e-6, "direction": "down", "binning": 1}
@@ -216,8 +215,3 @@ def test_a_sample_of_another_size_is_noticed(dataset: Path, samples: ModuleType)
         "measurement is (20, 30), dataset.json says (24, 36)",
         "ground truth is (6, 8), dataset.json says (10, 12)",
     ]
-
-
-def test_no_such_folder(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="gone: "):
-        verify(tmp_path / "gone")

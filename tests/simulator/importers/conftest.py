@@ -41,7 +41,6 @@ def _write(
     times_ms: list[int] | None = None,
     options: dict[str, str] | None = None,
     container: str | None = None,
-    extra_packet: bytes | None = None,
     colour: dict[str, int] | None = None,
 ) -> Path:
     """Encode pictures ``(H, W, 3)`` with PyAV."""
@@ -68,12 +67,6 @@ def _write(
         if times_ms is not None:
             stream.codec_context.time_base = Fraction(1, 1000)
         packets += stream.encode()
-        if extra_packet is not None:
-            extra = av.Packet(extra_packet)
-            extra.stream, extra.time_base = stream, packets[-1].time_base
-            last = max(packet.pts for packet in packets)
-            extra.pts = extra.dts = last + (packets[-1].duration or 1)
-            packets.append(extra)
         for packet in packets:
             film.mux(packet)
     return path

@@ -16,11 +16,6 @@ def write_pfm(path, values, scale=-1.0):
     path.write_bytes(header + values[::-1].astype("<f4" if scale < 0 else ">f4").tobytes())
 
 
-@pytest.fixture
-def values():
-    return np.random.default_rng(1).normal(size=(4, 7)).astype(np.float32)
-
-
 @pytest.mark.parametrize("scale", [-1.0, 1.0])
 @pytest.mark.parametrize("channels", [None, 3])
 def test_agrees_with_opencv_in_both_byte_orders(tmp_path, scale, channels):
@@ -35,11 +30,8 @@ def test_agrees_with_opencv_in_both_byte_orders(tmp_path, scale, channels):
     assert found.flags.c_contiguous
     assert np.array_equal(found, original)
     assert np.array_equal(found, theirs if channels is None else theirs[..., ::-1])  # OpenCV has BGR
-
-
-def test_reads_what_opencv_writes(tmp_path, values):
-    assert cv2.imwrite(str(tmp_path / "a.pfm"), values)
-    assert np.array_equal(read_pfm(tmp_path / "a.pfm"), values)
+    assert cv2.imwrite(str(path), theirs)
+    assert np.array_equal(read_pfm(path), original)
 
 
 @pytest.mark.shared
@@ -77,14 +69,12 @@ def test_bad_headers_and_lengths_are_named(tmp_path, header):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_values_that_are_not_finite_are_refused(tmp_path, values, bad):
+def test_values_that_are_not_finite_and_missing_files_are_refused(tmp_path, bad):
+    values = np.zeros((4, 7), np.float32)
     values[2, 3] = bad
     write_pfm(tmp_path / "bad.pfm", values)
     with pytest.raises(InputError, match=r"bad\.pfm: "):
         read_pfm(tmp_path / "bad.pfm")
-
-
-def test_missing_file_and_folder_are_named(tmp_path):
     for path in (tmp_path / "none.pfm", tmp_path):
-        with pytest.raises(InputError, match="cannot be read"):
+        with pytest.raises(InputError, match=f"^{path}: "):
             read_pfm(path)

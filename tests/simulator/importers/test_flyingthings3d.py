@@ -183,6 +183,9 @@ class TestLayouts:
             clip = clip_of(path)
             assert np.array_equal(clip.rgb, expected.rgb)
             assert np.array_equal(clip.depth_m, expected.depth_m)
+            assert recognises(path)
+        for path in (tmp_path_factory.mktemp("empty"), root / "nowhere", root / "disparity/TRAIN/A/0032/left/0006.pfm"):
+            assert not recognises(path)
 
     def test_eye_pass_and_subset_choose(self, root, rgb, disparity):
         write(root, "TRAIN/A/0032/right/0006", rgb=255 - rgb, disparity=disparity)
@@ -439,10 +442,3 @@ class TestSurvey:
         assert "0007.png: has no .pfm" in unpaired
         assert damaged.startswith(f"{cut}: ")
         assert empty.startswith(f"{zero}: ")
-
-    def test_recognises_by_names(self, sequences, tmp_path_factory):
-        assert recognises(sequences)
-        assert recognises(sequences / "frames_cleanpass")
-        assert not recognises(tmp_path_factory.mktemp("empty"))
-        assert not recognises(sequences / "nowhere")
-        assert not recognises(sequences / "disparity/TRAIN/A/0000/left/0006.pfm")

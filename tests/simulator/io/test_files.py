@@ -50,12 +50,6 @@ def test_write_atomic_replaces_and_respects_the_umask(tmp_path: Path) -> None:
     assert [entry.name for entry in tmp_path.iterdir()] == ["x"]
 
 
-def test_short_writes_of_the_system_are_continued(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    refuse_writes(monkeypatch, errno.ENOSPC, after=10)
-    write_atomic(tmp_path / "x", b"0123456789")
-    assert (tmp_path / "x").read_bytes() == b"0123456789"
-
-
 @pytest.mark.parametrize(
     ("name", "words"),
     [("ENOSPC", "full"), ("EDQUOT", "quota"), ("EFBIG", "bigger"), ("EIO", "disk"), ("EACCES", "permission")],
@@ -64,8 +58,8 @@ def test_full_disk_keeps_the_old_file_and_says_how_to_resume(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, words: str
 ) -> None:
     path = tmp_path / "x"
-    path.write_bytes(b"old")
-    refuse_writes(monkeypatch, getattr(errno, name), after=5)
+    refuse_writes(monkeypatch, getattr(errno, name), after=8)
+    write_atomic(path, b"old")  # three bytes at a time: short writes are continued
     with pytest.raises(StorageError, match=words) as caught:
         write_atomic(path, b"0123456789")
     assert str(path) in str(caught.value)
