@@ -55,12 +55,6 @@ def sample_hashes(root: Path) -> dict[str, str]:
     return {str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
-def run_python(code: str, *arguments: object, **options: Any) -> None:
-    words = [sys.executable, "-c", code, *map(str, arguments)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False, **options)
-    assert done.returncode == 0, done.stderr
-
-
 def test_a_data_set_of_rendered_scenes(trial) -> None:
     changes = {"camera": {"mask": PHLATCAM, "exposure": {"full_scale": "auto"}}, "scene": RENDERED}
     root = trial.generate(**changes)
@@ -126,7 +120,10 @@ assert generate(sys.argv[1]).made == 1
 assert "torch" not in sys.modules
 """
     path = trial.write(camera={"mask": PHLATCAM}, dataset={"train": 1, "validation": 0, "test": 0})
-    run_python(code, path)
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
     assert verify(trial.folder / "out").ok
 
 
@@ -186,24 +183,22 @@ def check_measured(root: Path, raw: NDArray[Any], sensor: tuple[int, int], size:
     assert np.abs(sample.noiseless[1] - expected).max() < 2e-6 * expected.max()
 
 
-def through_measured(picture: Path, sensor: tuple[int, int]) -> dict[str, Any]:
-    """Changes of the configuration: the camera whose PSF is this picture."""
-    return {
-        "camera": {
-            "mask": None,
-            "mask_to_sensor_mm": 9,
-            "sensor": {"binning": 8, "shape": list(sensor)},
-            "exposure": {"full_scale": "auto"},
-        },
-        "psf": {
-            "measured": [str(picture)],
-            "depths_cm": [float("inf")],
-            "frame": "physical",
-            "binning": 4,
-            "background": "border",
-            "throughput_mm2": 20.0,
-        },
-    }
+MEASURED: dict[str, Any] = {
+    "camera": {
+        "mask": None,
+        "mask_to_sensor_mm": 9,
+        "sensor": {"binning": 8, "shape": [40, 50]},
+        "exposure": {"full_scale": "auto"},
+    },
+    "psf": {
+        "measured": ["psf.tif"],
+        "depths_cm": [float("inf")],
+        "frame": "physical",
+        "binning": 4,
+        "background": "border",
+        "throughput_mm2": 20.0,
+    },
+}
 
 
 def test_a_data_set_through_a_measured_psf(trial) -> None:
@@ -215,6 +210,6 @@ def test_a_data_set_through_a_measured_psf(trial) -> None:
     tifffile.imwrite(trial.folder / "psf.tif", raw)
     scene = {"family": "./plugins.py:boxes", "size": [16, 20], "near_cm": 10, "far_cm": 30}
     dataset = {"train": 1, "validation": 0, "test": 0}
-    root = trial.generate(**through_measured(trial.folder / "psf.tif", (40, 50)), scene=scene, dataset=dataset)
+    root = trial.generate(**MEASURED, scene=scene, dataset=dataset)
     assert verify(root).ok
     check_measured(root, raw.astype(float), (40, 50), (16, 20))

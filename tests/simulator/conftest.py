@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -21,6 +22,24 @@ def command() -> Callable[..., subprocess.CompletedProcess[str]]:
         return subprocess.run(words, capture_output=True, text=True, timeout=120, check=False, **options)
 
     return run
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Return a function that installs a package, its entry points declared as pip would leave them."""
+
+    def install_package(package: str, entry_points: str, **modules: str) -> None:
+        site = tmp_path / f"site_{package}"
+        (site / package).mkdir(parents=True)
+        for name, source in {"__init__": "", **modules}.items():
+            (site / package / f"{name}.py").write_text(textwrap.dedent(source), encoding="utf-8")
+        info = site / f"{package}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n", encoding="utf-8")
+        (info / "entry_points.txt").write_text(textwrap.dedent(entry_points), encoding="utf-8")
+        monkeypatch.syspath_prepend(str(site))
+
+    return install_package
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from pathlib import Path
 
 import jsonschema
 import pytest
@@ -15,9 +14,8 @@ from simulator.errors import InputError
 
 
 @pytest.fixture
-def own_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let packages in ``tmp_path`` add commands, for this test alone."""
-    monkeypatch.syspath_prepend(str(tmp_path))
+def own_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let packages add commands, for this test alone."""
     monkeypatch.setattr(cli.app, "registered_commands", list(cli.app.registered_commands))
 
 
@@ -27,19 +25,8 @@ class TestStart:
         tell = f"atexit.register(lambda: print([name for name in {heavy} if name in sys.modules]))"
         done = command("--help", before=f"import atexit, sys\n{tell}")
         assert done.returncode == 0
-        for name in [
-            "init",
-            "generate",
-            "psf",
-            "compare",
-            "masks",
-            "export-mask",
-            "scenes",
-            "verify",
-            "schema",
-            "doctor",
-        ]:
-            assert f" {name} " in done.stdout
+        names = {"init", "generate", "psf", "compare", "masks", "export-mask", "scenes", "verify", "schema", "doctor"}
+        assert names <= set(done.stdout.split())
         assert done.stdout.splitlines()[-1] == "[]"
 
     def test_version(self, flatlight) -> None:
@@ -55,18 +42,18 @@ class TestStart:
         assert "Traceback" not in out + err
 
     @pytest.mark.usefixtures("own_commands")
-    def test_a_command_of_another_package(self, flatlight, tmp_path: Path) -> None:
-        (tmp_path / "others.py").write_text("def greet(name: str):\n    '''Say hello.'''\n    print('hello', name)\n")
-        _install(tmp_path, "others", "greet = others:greet")
+    def test_a_command_of_another_package(self, flatlight, install) -> None:
+        code = "def greet(name: str):\n    '''Say hello.'''\n    print('hello', name)\n"
+        install("others", "[flatlight.commands]\ngreet = others:greet\n", __init__=code)
         assert "Say hello." in flatlight("--help")[1]
         assert flatlight("greet", "Ada")[:2] == (0, "hello Ada\n")
-        _install(tmp_path, "rivals", "greet = rivals:greet")
+        install("rivals", "[flatlight.commands]\ngreet = rivals:greet\n")
         with pytest.raises(InputError, match=r"'greet' .*(others|rivals):greet .*(others|rivals):greet"):
             commands()
 
     @pytest.mark.usefixtures("own_commands")
-    def test_a_command_that_does_not_import_stops_no_other(self, flatlight, tmp_path: Path) -> None:
-        _install(tmp_path, "broken", "greet = broken_module:greet")
+    def test_a_command_that_does_not_import_stops_no_other(self, flatlight, install) -> None:
+        install("broken", "[flatlight.commands]\ngreet = broken_module:greet\n")
         code, out, err = flatlight("masks", "pinhole")
         assert code == 0
         assert "pinhole" in out
@@ -91,14 +78,6 @@ class TestStart:
         monkeypatch.setattr(sys, "argv", ["flatlight", "schema"])
         with pytest.raises(ZeroDivisionError):
             cli.main()
-
-
-def _install(folder: Path, name: str, entry: str) -> None:
-    """Let a folder on the path look like an installed package that adds a command."""
-    info = folder / f"{name}-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[flatlight.commands]\n{entry}\n")
 
 
 def test_schema_describes_the_shipped_configuration(flatlight) -> None:

@@ -24,24 +24,6 @@ def forget_modules() -> Iterator[None]:
             del sys.modules[name]
 
 
-@pytest.fixture
-def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
-    """Return a function that installs a package, its entry points declared as pip would leave them."""
-
-    def install_package(package: str, entry_points: str, **modules: str) -> None:
-        site = tmp_path / f"site_{package}"
-        (site / package).mkdir(parents=True)
-        for name, source in {"__init__": "", **modules}.items():
-            (site / package / f"{name}.py").write_text(textwrap.dedent(source), encoding="utf-8")
-        info = site / f"{package}-1.0.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n", encoding="utf-8")
-        (info / "entry_points.txt").write_text(textwrap.dedent(entry_points), encoding="utf-8")
-        monkeypatch.syspath_prepend(str(site))
-
-    return install_package
-
-
 def write(folder: Path, source: str, name: str = "my_mask.py") -> Path:
     path = folder / name
     path.write_text(textwrap.dedent(source), encoding="utf-8")

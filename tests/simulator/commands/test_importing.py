@@ -1,7 +1,7 @@
 """``import --check``: which importer, what it found, and what a user is told to do next."""
 
 import os
-import textwrap
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -127,25 +127,21 @@ def survey(path, progress=None, *, kind="flint"):
 
 
 @pytest.fixture
-def install(tmp_path, monkeypatch):
-    """Install a package of sources as pip would leave it."""
+def install_sources(install) -> Callable[..., None]:
+    """Install a package of sources, each with what its ``recognises`` does, or None for neither that nor a survey."""
 
     def install_package(package: str, **sources: str | None) -> None:
-        site = tmp_path / "site"
-        (site / package).mkdir(parents=True)
-        (site / package / "__init__.py").touch()
-        for name, recognises in sources.items():
-            imports = "" if recognises is None else "from simulator.importers import Survey\n"
-            code = SOURCE.format(name=name, imports=imports)
-            code += "" if recognises is None else SURVEY.format(name=name, recognises=recognises)
-            (site / package / f"{name}.py").write_text(textwrap.dedent(code), encoding="utf-8")
-        info = site / f"{package}-1.0.dist-info"
-        info.mkdir()
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.0\n", encoding="utf-8")
-        (info / "entry_points.txt").write_text(f"[flatlight.sources]\n{package} = {package}\n", encoding="utf-8")
-        monkeypatch.syspath_prepend(str(site))
+        code = {name: source(name, recognises) for name, recognises in sources.items()}
+        install(package, f"[flatlight.sources]\n{package} = {package}\n", **code)
 
     return install_package
+
+
+def source(name: str, recognises: str | None) -> str:
+    if recognises is None:
+        return SOURCE.format(name=name, imports="")
+    imports = "from simulator.importers import Survey\n"
+    return SOURCE.format(name=name, imports=imports) + SURVEY.format(name=name, recognises=recognises)
 
 
 IS_ROCKS = "return (path / 'rocks.txt').is_file()"
@@ -158,8 +154,8 @@ def rocks(tmp_path) -> Path:
     return tmp_path / "rocks"
 
 
-def test_a_source_of_another_package(flatlight, install, rocks) -> None:
-    install("geology_one", pebbles=IS_ROCKS)
+def test_a_source_of_another_package(flatlight, install_sources, rocks) -> None:
+    install_sources("geology_one", pebbles=IS_ROCKS)
     code, out, _ = flatlight("import", "--check", rocks, "--set", "kind=chalk")
     assert code == 0
     assert f"{rocks}: pebbles, 3 usable" in out
@@ -168,8 +164,8 @@ def test_a_source_of_another_package(flatlight, install, rocks) -> None:
     assert "where weight is: number; of each, grams" in out
 
 
-def test_two_that_recognise_the_same(flatlight, install, rocks, one_error) -> None:
-    install("geology_two", boulders=IS_ROCKS, gravel=IS_ROCKS)
+def test_two_that_recognise_the_same(flatlight, install_sources, rocks, one_error) -> None:
+    install_sources("geology_two", boulders=IS_ROCKS, gravel=IS_ROCKS)
     result = flatlight("import", "--check", rocks)
     one_error(result, "--source", "boulders: Boxes of rocks.", "gravel: Boxes of rocks.")
     assert "davis" not in result[2]
@@ -177,9 +173,9 @@ def test_two_that_recognise_the_same(flatlight, install, rocks, one_error) -> No
 
 
 def test_sources_that_cannot_tell_or_fail_do_not_stand_in_the_way(
-    flatlight, install, davis_root, rocks, one_error
+    flatlight, install_sources, davis_root, rocks, one_error
 ) -> None:
-    install("geology_three", mute=None, faulty="return 1 / 0")
+    install_sources("geology_three", mute=None, faulty="return 1 / 0")
     code, out, err = flatlight("import", "--check", davis_root)
     assert code == 0
     assert "davis, 2 usable" in out
@@ -205,8 +201,8 @@ def test_folders_of_pictures_of_a_known_data_set(tmp_path, names, folder, source
     assert film.recognises(tmp_path / folder)  # it alone would take them for films
 
 
-def test_films_step_aside_where_another_source_knows_the_folder(flatlight, install, tmp_path) -> None:
-    install("layouts", boxes_of_frames="return (path / 'known').is_file()")
+def test_films_step_aside_where_another_source_knows_the_folder(flatlight, install_sources, tmp_path) -> None:
+    install_sources("layouts", boxes_of_frames="return (path / 'known').is_file()")
     pictures = tmp_path / "pictures"
     (pictures / "a").mkdir(parents=True)
     Image.fromarray(np.full((8, 12, 3), 90, np.uint8)).save(pictures / "a" / "0.png")
@@ -232,8 +228,7 @@ def test_a_folder_that_may_not_be_read_is_named(flatlight, davis_root, monkeypat
 
 
 def test_a_users_own_file(flatlight, rocks, tmp_path, monkeypatch) -> None:
-    code = SOURCE.format(name="mine", imports="from simulator.importers import Survey\n")
-    (tmp_path / "mine.py").write_text(code + SURVEY.format(name="mine", recognises="return False"), encoding="utf-8")
+    (tmp_path / "mine.py").write_text(source("mine", "return False"), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     code, out, _ = flatlight("import", "--check", rocks, "--source", "./mine.py:mine")
     assert code == 0

@@ -105,20 +105,14 @@ def test_unusable_descriptions(samples: ModuleType, tmp_path: Path, content: byt
 @pytest.mark.parametrize(
     "changes",
     [
-        {"measurement": np.zeros((24, 36), np.float32)},
-        {"measurement": np.zeros((3, 24, 36))},
+        *({"measurement": values} for values in (np.zeros((24, 36), np.float32), np.zeros((3, 24, 36)))),
         {"noiseless": np.zeros((3, 24, 35), np.float32)},
         {"rgb": np.zeros((10, 12, 3), np.float32)},
         {"depth_m": np.zeros((1, 10, 11), np.float32)},
         {"valid": np.zeros((1, 10, 12), np.float32)},
-        {"channels": ("R", "G")},
-        {"channels": ("R", "R", "G")},
-        {"channels": ("noiseless.R", "G", "B")},
+        *({"channels": names} for names in (("R", "G"), ("R", "R", "G"), ("noiseless.R", "G", "B"))),
         {"label": 3},
-        {"frame_edges_s": np.arange(3.0)},
-        {"frame_edges_s": np.arange(2)},
-        {"frame_edges_s": np.array([1.0, 1.0])},
-        {"frame_edges_s": np.array([0.0, np.inf])},
+        *({"frame_edges_s": np.array(edges)} for edges in ([0.0, 1, 2], [0, 1], [1.0, 1.0], [0.0, np.inf])),
         {"global_measurements": np.zeros((2, 3, 24, 36), np.float32)},
     ],
 )

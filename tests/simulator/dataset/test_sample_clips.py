@@ -13,14 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulator.dataset.sample import (
-    MOST_FRAMES,
-    Sample,
-    StoredSample,
-    file_names,
-    sample_folder,
-    write_sample,
-)
+from simulator.dataset.sample import MOST_FRAMES, Sample, StoredSample, file_names, sample_folder, write_sample
 from simulator.errors import InputError
 from simulator.io.exr import read_exr
 from simulator.io.files import sha256_file

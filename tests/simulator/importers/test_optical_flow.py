@@ -202,6 +202,13 @@ def test_where_nothing_comes_to_lie_both_flows_are_mixed() -> None:
     assert found[12, 12:14].tolist() == [[0.5 * 16 - 0.5 * 12, 0]] * 2
 
 
+def test_edges_do_not_overshoot() -> None:
+    frames = np.full((2, 64, 64, 3), 0.1, np.float32)
+    frames[0, 20:40, 20:40] = frames[1, 20:40, 23:43] = 1
+    found = OpticalFlow().interpolate(frames, 2)
+    assert found.max() == 1  # bicubic look-up alone overshoots beside the edge
+
+
 def test_what_is_hidden_in_one_frame_is_found_out() -> None:
     motion = Motion.of(drawn(occluding, 0), drawn(occluding, 1))
     visible = motion.visible.reshape(2, SIZE, SIZE, 2)
