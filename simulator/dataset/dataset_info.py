@@ -202,7 +202,7 @@ def _of_configuration(config: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: the configuration has no shutter of a known kind.
         KeyError: a value is missing.
-        TypeError, ValueError, AttributeError: a value is no number, or a section no mapping.
+        TypeError, ValueError, AttributeError: a value is not a number, or a section not a mapping.
     """
     camera = config["camera"]
     chosen, binning = dict(camera["shutter"]), camera.get("sensor", {}).get("binning", 1)

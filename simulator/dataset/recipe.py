@@ -81,7 +81,7 @@ class SampleMaker:
             "split": split,
             "index": index,
             "scene": clip.source,
-            # One picture of all frames' rows: the share is that of all values.
+            # One image of all frames' rows: the share is that of all values.
             "clipped_colour_share": clipped_share(
                 clip.rgb.reshape(-1, *clip.rgb.shape[2:]), self._model.scene_to_camera
             ),

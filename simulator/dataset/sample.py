@@ -154,7 +154,7 @@ class Sample:
             raise InputError("Sample.seed", f"got {self.seed!r} and label {self.label!r}, expected an int and text")
         for name, values in self.extras.items():
             if values.ndim not in (3, 4) or values.shape[:3] != frames:
-                raise InputError(f"Sample.extras[{name!r}]", f"got {values.shape}, expected {frames} (+ n)")
+                raise InputError(f"Sample.extras[{name!r}]", f"got {values.shape}, expected {frames}, or one axis more")
         _check_edges(frames[0], self.frame_edges_s)
         if (measured := self.global_measurements) is not None:
             every = (frames[0], *shape)

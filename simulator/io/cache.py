@@ -1,6 +1,6 @@
 """A disk cache of arrays that cost seconds to compute: mask designs and PSF stacks.
 
-Safe against two writers and against dying ones: an entry is written under a name of its own and renamed into place, so
+Safe against two writers and against dying ones: an entry is written under a temporary name and renamed into place, so
 readers meet whole entries only; a damaged one is computed again. The folder is ``$FLATLIGHT_CACHE_DIR`` or the user's cache
 folder; deleting it is always safe.
 

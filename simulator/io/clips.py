@@ -116,7 +116,7 @@ def layout_channels(layout: object) -> list[str]:
     """Return all channels of a layout that somebody else may have written.
 
     Raises:
-        InputError: it is no layout.
+        InputError: it is not a layout.
     """
     entries = layout.items() if isinstance(layout, dict) else [("", None)]
     channels = [channel for name, entry in entries for channel in _listed(name, entry)]
@@ -171,4 +171,4 @@ def _check_no_others(path: Path, paths: list[Path]) -> None:
     own = {file.name for file in paths}
     others = sorted(file.name for file in path.absolute().parent.iterdir() if numbered.fullmatch(file.name))
     if foreign := [name for name in others if name not in own]:
-        raise InputError("--output", f"{foreign[0]} is no frame of this clip; remove it, or choose another name")
+        raise InputError("--output", f"{foreign[0]} is not a frame of this clip; remove it, or choose another name")

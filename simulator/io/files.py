@@ -212,7 +212,7 @@ def read_text(path: Path, holds: str, max_bytes: int = MAX_BYTES) -> str:
         max_bytes: more than this is another file.
 
     Raises:
-        InputError: when it cannot be read, is no UTF-8 text or too large.
+        InputError: when it cannot be read, is not UTF-8 text or too large.
     """
     with read_errors(path), path.open("rb") as file:
         raw = file.read(max_bytes + 1)

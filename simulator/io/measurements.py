@@ -50,7 +50,7 @@ def read_npy(path: Path) -> NDArray[Any]:
     """Read an array of any shape; pickled objects are never loaded.
 
     Raises:
-        InputError: naming the file, when it is no such file, is cut short or too large.
+        InputError: naming the file, when it is not such a file, is cut short or too large.
     """
     try:
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)

@@ -107,6 +107,9 @@ def test_a_file_beside_the_configuration(tmp_path: Path, monkeypatch: pytest.Mon
     assert resolve("mask", "./my_mask.py:vortex", tmp_path).function is plugin.function, "imported once"
     assert not (tmp_path / "__pycache__").exists()
     assert f"there is no file {tmp_path / 'none.py'}" in refused("scene", "./none.py:room", tmp_path)
+    write(tmp_path, "def vortex(*, charge: int = 1.5): ...\n")
+    with pytest.raises(ParameterError, match="charge:"):
+        resolve("mask", "./my_mask.py:vortex", tmp_path).bind({})
 
 
 def test_a_file_that_changed_is_read_again(tmp_path: Path) -> None:
@@ -273,9 +276,3 @@ def test_refused_parameters(
         assert problem.path == path
         assert all(word in problem.text for word in words), problem.text
         assert str(caught.value) == f"mask design './my_mask.py:vortex': {problem}"
-
-
-def test_a_default_of_the_wrong_type_is_the_plugins_fault(tmp_path: Path) -> None:
-    write(tmp_path, "def vortex(*, charge: int = 1.5): ...\n")
-    with pytest.raises(ParameterError, match="charge:"):
-        resolve("mask", "./my_mask.py:vortex", tmp_path).bind({})

@@ -234,3 +234,12 @@ def test_a_users_own_file(flatlight, rocks, tmp_path, monkeypatch) -> None:
     assert code == 0
     assert "mine, 3 usable" in out
     assert "source: ./mine.py:mine" in out
+
+
+def test_a_survey_that_meets_a_closed_door_says_where(
+    flatlight, install_sources, rocks, monkeypatch, one_error
+) -> None:
+    fault = "raise PermissionError(13, 'Permission denied', str(path / 'cave'))"
+    monkeypatch.setitem(globals(), "SURVEY", SURVEY.replace("progress(1, 1)", fault))
+    install_sources("geology_four", closed=IS_ROCKS)
+    one_error(flatlight("import", "--check", rocks), f"path: {rocks / 'cave'} ")

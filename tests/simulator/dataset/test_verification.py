@@ -10,8 +10,7 @@ from types import ModuleType
 import pytest
 
 from simulator.dataset.fingerprint import hash_parts
-from simulator.dataset.manifest import ManifestWriter, SkippedWriter
-from simulator.dataset.sample import write_sample
+from simulator.dataset.manifest import SkippedWriter
 from simulator.dataset.verification import verify
 from simulator.errors import InputError
 
@@ -74,6 +73,7 @@ FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "fewer wanted": (lambda root: edit(root / "dataset.json", counts={"train": 2, "validation": 1}), "says 2"),
     "split not wanted": (lambda root: edit(root / "dataset.json", counts={"train": 3}), "split"),
     "other size": (lambda root: edit(root / "dataset.json", sensor_shape=[24, 35]), r"measurement is \(24, 36\)"),
+    "other truth": (lambda root: edit(root / "dataset.json", scene_shape=[10, 11]), r"ground truth is \(10, 12\)"),
     "other channels": (lambda root: edit(root / "dataset.json", channels=["G"]), "channels"),
     "damaged PSF": (lambda root: flip(root / "psf/depth_0000.exr"), "depth_0000.exr"),
     "no PSF": (lambda root: shutil.rmtree(root / "psf"), "psf"),
@@ -205,13 +205,3 @@ def test_skipped_samples_are_counted_and_no_fault(dataset: Path) -> None:
     assert str(report).startswith("train: 3 of 5 intact, 2 skipped (skipped.jsonl), validation: 1 of 1 intact, ")
     (dataset / "skipped.jsonl").write_text("{}\n")
     assert any("skipped.jsonl:1: " in line for line in verify(dataset).problems)
-
-
-def test_a_sample_of_another_size_is_noticed(dataset: Path, samples: ModuleType) -> None:
-    with ManifestWriter(dataset) as manifest:
-        sample = samples.make_sample(0, sensor=(20, 30), scene=(6, 8))
-        manifest.append(write_sample(dataset, "train", 0, sample), 0.1)
-    assert [line.split(": ", 1)[1] for line in verify(dataset).problems] == [
-        "measurement is (20, 30), dataset.json says (24, 36)",
-        "ground truth is (6, 8), dataset.json says (10, 12)",
-    ]

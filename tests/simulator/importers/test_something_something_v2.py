@@ -167,16 +167,11 @@ def test_a_broken_subset_file_is_named(root, content):
     write_json(root / "something-something-v2-validation.json", content)
     with pytest.raises(InputError, match=r"something-something-v2-validation\.json: "):
         clips(root)
-
-
-def test_broken_json_and_labels_are_named(root):
     labels = root / "something-something-v2-labels.json"
-    labels.write_text('{"Closing something": ')
-    with pytest.raises(InputError, match=r"something-something-v2-labels\.json: "):
-        clips(root)
-    write_json(labels, ["Closing something"])
-    with pytest.raises(InputError, match=r"something-something-v2-labels\.json: "):
-        clips(root)
+    for text in ('{"Closing something": ', '["Closing something"]'):
+        labels.write_text(text)
+        with pytest.raises(InputError, match=r"something-something-v2-labels\.json: "):
+            clips(root)
 
 
 def test_missing_parts_are_named(root, tmp_path):
