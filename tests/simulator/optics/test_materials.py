@@ -219,9 +219,9 @@ def test_a_table_survives_json(tmp_path):
     [
         (
             "400,1.5\n500,1.4\n",
-            "the unit of the wavelengths is not said; give the table a header, such as wavelength_nm,n",
+            "the wavelengths have no unit",
         ),
-        ("wavelength,n\n400,1.5\n500,1.4\n", "the unit of the wavelengths is not said"),
+        ("wavelength,n\n400,1.5\n500,1.4\n", "the wavelengths have no unit"),
         ("nm,index\n400,1.5\n500,1.4\n", "got the columns index after the wavelength; expected n, or n and k"),
         ("nm,n\n400,1.5\n", "1 rows of numbers"),
         ("nm,n\n400,1.5\n400,1.4\n", "the wavelength 4e-07 m comes twice"),
