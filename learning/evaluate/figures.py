@@ -40,7 +40,10 @@ PANELS = (("psnr", "PSNR of images, dB"), ("depth_rmse_cm", "depth RMSE, cm"))
 
 def method_colours(names: Sequence[str]) -> dict[str, str]:
     """Return a colour for each method, the same in every figure."""
-    return {name: _colour(at) for at, name in enumerate(names)}
+    extra = range(max(0, len(names) - len(_COLOURS)))
+    channels = (colorsys.hsv_to_rgb((0.78 + at * _GOLDEN) % 1, 0.75, 0.38 + 0.15 * (at % 2)) for at in extra)
+    more = ("#" + "".join(f"{round(255 * channel):02x}" for channel in each) for each in channels)
+    return dict(zip(names, [*_COLOURS, *more], strict=False))
 
 
 def noise_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], naive: Sequence[Outcome]) -> bytes:
@@ -49,31 +52,28 @@ def noise_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], naive: Se
     Points are hollow where parameters are used that were tuned at another level.
     """
 
-    def draw(figure: Figure) -> None:
-        for axes, (score, label) in zip(figure.subplots(1, 2), PANELS, strict=True):
-            for at, (name, colour) in enumerate(colours.items()):
-                of_it = [one for one in outcomes if one.method == name and one.noise_db is not None]
-                points = sorted((one for one in of_it if score in one.scores), key=lambda one: one.noise_db or 0)
-                if points:
-                    levels = [one.noise_db for one in points]
-                    means = [one.scores[score].mean for one in points]
-                    errors = [one.scores[score].over_seeds or 0.0 for one in points]
-                    axes.errorbar(levels, means, errors, color=colour, capsize=3, lw=1.8)
-                    mark = _MARKS[at % len(_MARKS)]
-                    axes.plot([], [], color=colour, marker=mark, lw=1.8, label=name)
-                    for one, level, mean in zip(points, levels, means, strict=True):
-                        face = "white" if one.tuned_elsewhere else colour
-                        axes.plot(level, mean, color=colour, marker=mark, mfc=face, mew=1.6)
-            if any(one.tuned_elsewhere for one in outcomes):
-                hollow = "hollow: parameters tuned at another level"
-                axes.plot([], [], color=FAINT, marker="o", mfc="white", ls="", label=hollow)
-            _naive_lines(axes, score, naive)
-            style(axes, "PSNR of measurements, dB", label)
-            axes.set_xticks(sorted({one.noise_db for one in outcomes if one.noise_db is not None}))
-            axes.grid(color=GRID)
-        _legend(figure)
+    def draw(axes: Axes, score: str) -> str:
+        for at, (name, colour) in enumerate(colours.items()):
+            of_it = [one for one in outcomes if one.method == name and one.noise_db is not None]
+            points = sorted((one for one in of_it if score in one.scores), key=lambda one: one.noise_db or 0)
+            if points:
+                levels = [one.noise_db for one in points]
+                means = [one.scores[score].mean for one in points]
+                errors = [one.scores[score].over_seeds or 0.0 for one in points]
+                axes.errorbar(levels, means, errors, color=colour, capsize=3, lw=1.8)
+                mark = _MARKS[at % len(_MARKS)]
+                axes.plot([], [], color=colour, marker=mark, lw=1.8, label=name)
+                for one, level, mean in zip(points, levels, means, strict=True):
+                    face = "white" if one.tuned_elsewhere else colour
+                    axes.plot(level, mean, color=colour, marker=mark, mfc=face, mew=1.6)
+        if any(one.tuned_elsewhere for one in outcomes):
+            hollow = "hollow: parameters tuned at another level"
+            axes.plot([], [], color=FAINT, marker="o", mfc="white", ls="", label=hollow)
+        axes.set_xticks(sorted({one.noise_db for one in outcomes if one.noise_db is not None}))
+        axes.grid(color=GRID)
+        return "PSNR of measurements, dB"
 
-    return _png(11, 4.4, draw)
+    return _two_panels(11, naive, draw)
 
 
 def depth_png(
@@ -106,30 +106,27 @@ def stacks_png(
 ) -> bytes:
     """Return PSNR and depth RMSE of every method with each of several PSFs; whiskers are the spread over seeds."""
 
-    def draw(figure: Figure) -> None:
+    def draw(axes: Axes, score: str) -> str:
         width = 0.8 / len(stacks)
-        for axes, (score, label) in zip(figure.subplots(1, 2), PANELS, strict=True):
-            for at, stack in enumerate(stacks):
-                places, means, errors, fills = [], [], [], []
-                for place, (name, colour) in enumerate(colours.items()):
-                    of_it = [one for one in outcomes if one.method == name and one.stack == stack]
-                    if of_it and score in of_it[0].scores:
-                        places.append(place + (at - (len(stacks) - 1) / 2) * width)
-                        means.append(of_it[0].scores[score].mean)
-                        errors.append(of_it[0].scores[score].over_seeds or np.nan)
-                        fills.append(colour)
-                alpha = 1 - 0.6 * at / max(1, len(stacks) - 1)
-                bars = axes.bar(places, means, width * 0.94, color=fills, alpha=alpha, yerr=errors, capsize=3)
-                axes.bar_label(bars, [f"{mean:.3g}" for mean in means], fontsize=SMALL, color=INK, padding=2)
-                axes.bar(0, 0, color=INK, alpha=alpha, label=stack)
-            axes.set_xlim(-0.6, len(colours) + 0.9)  # room at the right for the words of the lines
-            _naive_lines(axes, score, naive)
-            style(axes, "", label)
-            axes.set_xticks(range(len(colours)), [_broken(name) for name in colours])
-            axes.margins(y=0.12)
-        _legend(figure)
+        for at, stack in enumerate(stacks):
+            places, means, errors, fills = [], [], [], []
+            for place, (name, colour) in enumerate(colours.items()):
+                of_it = [one for one in outcomes if one.method == name and one.stack == stack]
+                if of_it and score in of_it[0].scores:
+                    places.append(place + (at - (len(stacks) - 1) / 2) * width)
+                    means.append(of_it[0].scores[score].mean)
+                    errors.append(of_it[0].scores[score].over_seeds or np.nan)
+                    fills.append(colour)
+            alpha = 1 - 0.6 * at / max(1, len(stacks) - 1)
+            bars = axes.bar(places, means, width * 0.94, color=fills, alpha=alpha, yerr=errors, capsize=3)
+            axes.bar_label(bars, [f"{mean:.3g}" for mean in means], fontsize=SMALL, color=INK, padding=2)
+            axes.bar(0, 0, color=INK, alpha=alpha, label=stack)
+        axes.set_xlim(-0.6, len(colours) + 0.9)  # room at the right for the words of the lines
+        axes.set_xticks(range(len(colours)), [_broken(name) for name in colours])
+        axes.margins(y=0.12)
+        return ""
 
-    return _png(2.4 * max(4, len(colours)), 4.4, draw)
+    return _two_panels(2.4 * max(4, len(colours)), naive, draw)
 
 
 def times_png(times: Sequence[Times], colours: Mapping[str, str], where: str) -> bytes:
@@ -145,9 +142,8 @@ def times_png(times: Sequence[Times], colours: Mapping[str, str], where: str) ->
                 mark = _MARKS[stages.index(stage) % len(_MARKS)]
                 axes.scatter(seconds, place, marker=mark, s=70, color=colour, alpha=0.65, zorder=2)
             axes.scatter(one.total, place, marker="|", s=700, color=INK, zorder=3)
-            axes.annotate(
-                _seconds(one.total), (one.total, place), (8, 8), textcoords="offset points", fontsize=NORMAL, color=INK
-            )
+            shown = f"{one.total:.3g} s" if one.total >= 1 else f"{one.total * 1e3:.3g} ms"
+            axes.annotate(shown, (one.total, place), (8, 8), textcoords="offset points", fontsize=NORMAL, color=INK)
         for at, stage in enumerate(stages):
             axes.scatter([], [], marker=_MARKS[at % len(_MARKS)], s=70, color=FAINT, label=stage)
         axes.scatter([], [], marker="|", s=300, color=INK, label="all")
@@ -163,25 +159,22 @@ def times_png(times: Sequence[Times], colours: Mapping[str, str], where: str) ->
     return _png(9, 1.8 + 0.6 * len(times), draw)
 
 
-def _seconds(seconds: float) -> str:
-    return f"{seconds:.3g} s" if seconds >= 1 else f"{seconds * 1e3:.3g} ms"
+def _two_panels(width_inch: float, naive: Sequence[Outcome], draw: Callable[[Axes, str], str]) -> bytes:
+    """Return a panel for each score of `PANELS`, with the naive baselines as lines; ``draw`` gives the label of x."""
 
+    def both(figure: Figure) -> None:
+        where: Any = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "ha": "right"}
+        for axes, (score, label) in zip(figure.subplots(1, 2), PANELS, strict=True):
+            x_label = draw(axes, score)
+            for one in naive:
+                if score in one.scores:
+                    mean = one.scores[score].mean
+                    axes.axhline(mean, color=_NAIVE, ls="--", lw=1.2)
+                    axes.annotate(one.method, (1.0, mean), (-2, 3), **where, fontsize=SMALL, color=FAINT)
+            style(axes, x_label, label)
+        _legend(figure)
 
-def _colour(at: int) -> str:
-    if at < len(_COLOURS):
-        return _COLOURS[at]
-    extra = at - len(_COLOURS)
-    channels = colorsys.hsv_to_rgb((0.78 + extra * _GOLDEN) % 1, 0.75, 0.38 + 0.15 * (extra % 2))
-    return "#" + "".join(f"{round(255 * channel):02x}" for channel in channels)
-
-
-def _naive_lines(axes: Axes, score: str, naive: Sequence[Outcome]) -> None:
-    where: Any = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "ha": "right"}
-    for one in naive:
-        if score in one.scores:
-            mean = one.scores[score].mean
-            axes.axhline(mean, color=_NAIVE, ls="--", lw=1.2)
-            axes.annotate(one.method, (1.0, mean), (-2, 3), **where, fontsize=SMALL, color=FAINT)
+    return _png(width_inch, 4.4, both)
 
 
 def _broken(name: str) -> str:
