@@ -54,16 +54,16 @@ def noise_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], naive: Se
 
     def draw(axes: Axes, score: str) -> str:
         for at, (name, colour) in enumerate(colours.items()):
-            of_it = [one for one in outcomes if one.method == name and one.noise_db is not None]
-            points = sorted((one for one in of_it if score in one.scores), key=lambda one: one.noise_db or 0)
+            of_it = [one for one in outcomes if one.method == name and score in one.scores]
+            points = sorted((one.noise_db, at) for at, one in enumerate(of_it) if one.noise_db is not None)
             if points:
-                levels = [one.noise_db for one in points]
-                means = [one.scores[score].mean for one in points]
-                errors = [one.scores[score].over_seeds or 0.0 for one in points]
+                levels, found = [level for level, _ in points], [of_it[at] for _, at in points]
+                means = [one.scores[score].mean for one in found]
+                errors = [one.scores[score].over_seeds or 0.0 for one in found]
                 axes.errorbar(levels, means, errors, color=colour, capsize=3, lw=1.8)
                 mark = _MARKS[at % len(_MARKS)]
                 axes.plot([], [], color=colour, marker=mark, lw=1.8, label=name)
-                for one, level, mean in zip(points, levels, means, strict=True):
+                for one, level, mean in zip(found, levels, means, strict=True):
                     face = "white" if one.tuned_elsewhere else colour
                     axes.plot(level, mean, color=colour, marker=mark, mfc=face, mew=1.6)
         if any(one.tuned_elsewhere for one in outcomes):

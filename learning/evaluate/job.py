@@ -32,15 +32,9 @@ Progress = Callable[[str, int, int], None]
 def evaluate(
     config: EvaluateConfig, *, progress: Progress = lambda *_: None, say: Callable[[str], None] = lambda _: None
 ) -> tuple[Findings, list[Path]]:
-    """Evaluate as a file says, and write results, tables and figures to its folder.
+    """Evaluate as a file says, write results, tables and figures to its folder, and return findings and files, report first.
 
-    Args:
-        config: the file.
-        progress: called with a stage, what is done and how much there is in all.
-        say: called with a line on what takes place.
-
-    Returns:
-        What was found, and the files, the report first.
+    ``progress`` is called with a stage, what is done and how much there is in all; ``say`` with lines for a person.
 
     Raises:
         InputError: data without scenes or depth, methods of other cameras, missing files, a non-finite estimate, scenes

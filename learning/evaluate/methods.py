@@ -109,21 +109,15 @@ def read_methods(config: EvaluateConfig, test: Dataset) -> list[list[Entry]]:
         InputError: a file that is missing, damaged or of another kind; a network that learned from the test scenes or was
             chosen by them, parameters that were tuned on them.
     """
-    return [
-        _classical(config, method, test) if method.checkpoints is None else _learned(config, method, test)
-        for method in config.methods
-    ]
+    return [_read_method(config, method, test) for method in config.methods]
 
 
-def _classical(config: EvaluateConfig, method: MethodConfig, test: Dataset) -> list[Entry]:
-    assert method.classical is not None
-    tuned = None if method.tuned is None else config.resolve_path(method.tuned)
-    if tuned is not None:
-        check_tuned(method.name, tuned, test)
-    return [ClassicalEntry(method.name, method.classical, tuned, method.parameters)]
-
-
-def _learned(config: EvaluateConfig, method: MethodConfig, test: Dataset) -> list[Entry]:
+def _read_method(config: EvaluateConfig, method: MethodConfig, test: Dataset) -> list[Entry]:
+    if method.classical is not None:
+        tuned = None if method.tuned is None else config.resolve_path(method.tuned)
+        if tuned is not None:
+            check_tuned(method.name, tuned, test)
+        return [ClassicalEntry(method.name, method.classical, tuned, method.parameters)]
     entries: list[Entry] = []
     for path in map(config.resolve_path, method.checkpoints or ()):
         one = load_checkpoint(path)
@@ -138,10 +132,8 @@ _USED = {"train": "learned from", "validation": "was chosen among its own steps 
 def check_learned(name: str, path: Path, record: Mapping[str, Any], test: Dataset) -> None:
     """Refuse a network that knows the test scenes, be it from the training of the checkpoint that it began with.
 
-    ``data sets`` in the checkpoint's record, at any depth, hold fingerprints by split.
-
-    Raises:
-        InputError: the scenes are those of its train split, or of the validation split by which its best step was chosen.
+    They may be those of its train split, or of the validation split by which its best step was chosen: ``data sets`` in the
+    checkpoint's record, at any depth, hold fingerprints by split.
     """
     for used in _data_sets(record):
         for split, words in _USED.items():
@@ -153,11 +145,7 @@ def check_learned(name: str, path: Path, record: Mapping[str, Any], test: Datase
 
 
 def check_tuned(name: str, tuned: Path, test: Dataset) -> None:
-    """Refuse parameters of a method that `flatlight tune` found on the test scenes.
-
-    Raises:
-        InputError: the scenes are those that were tuned on, or the file cannot be read.
-    """
+    """Refuse parameters of a method that `flatlight tune` found on the test scenes."""
     content = load_tuned(tuned).content["identity"]
     if (content.get("data"), content.get("split")) == (test.fingerprint, test.split):
         scenes = f"the scenes that decide here, split {test.split!r}"

@@ -13,14 +13,10 @@ from numpy.typing import ArrayLike
 
 @dataclass(frozen=True)
 class Summary:
-    """One score of one method.
+    """One score of one method: its mean over all scenes and seeds, and standard deviations (n - 1).
 
-    Attributes:
-        mean: over all scenes and seeds.
-        over_scenes: standard deviation (n - 1) over scenes of the seeds' mean; None for one scene, or without finite values.
-        over_seeds: standard deviation (n - 1) over seeds of the scenes' mean; None for one seed.
-        seeds: the scenes' mean of each seed.
-        left_out: scenes that have no such score.
+    ``over_scenes`` is that of the seeds' mean, None for one scene or without finite values; ``over_seeds`` that of the
+    scenes' mean, None for one seed; ``seeds`` are the scenes' means, ``left_out`` counts the scenes that have no such score.
     """
 
     mean: float
@@ -47,11 +43,7 @@ def summarise(values: ArrayLike) -> Summary:
 
 
 def pooled_rms(squares: ArrayLike, counts: ArrayLike) -> tuple[float | None, ...]:
-    """Return the root mean square error of each bin over all scenes and seeds; None where a bin has no pixel.
-
-    Args:
-        squares: ``(..., bins)``, sums of squared errors.
-        counts: ``(..., bins)``, pixels.
+    """Return the root mean square error of each bin from sums of squares and numbers of pixels, both ``(..., bins)``.
 
     Example:
         >>> pooled_rms([[4.0, 0.0], [14.0, 0.0]], [[1, 0], [1, 0]])
@@ -126,10 +118,9 @@ def outcome(
     details: Mapping[str, Any] | None = None,
     only: Sequence[str] | None = None,
 ) -> Outcome:
-    """Return the outcome of what `learning.evaluate.scoring.score` found for each seed.
+    """Return the outcome of what `learning.evaluate.scoring.score` found for each seed, on the same scenes.
 
-    ``seeds`` are one result each, of the same scenes; ``only`` names the scores that mean anything, None keeps all. The rest
-    see `Outcome`.
+    ``only`` names the scores that mean anything, None keeps all; the rest see `Outcome`.
     """
     names = [name for name in seeds[0]["scores"][0] if only is None or name in only]
     tables = {name: np.array([[scene[name] for scene in seed["scores"]] for seed in seeds]) for name in names}

@@ -44,12 +44,7 @@ _WHISKERS = "Whiskers are the standard deviation over seeds."
 
 
 def claim_folder(folder: Path, name: str) -> None:
-    """See that a folder is new, empty, or of the evaluation of this name; make it and say whose it is.
-
-    Raises:
-        InputError: a file, a data set, a training, anything else, or an evaluation of another name.
-        StorageError: the folder cannot be written to.
-    """
+    """See that a folder is new, empty, or of the evaluation of this name; make it and say whose it is."""
     path = folder / DESCRIPTION
     if is_own_folder(folder, DESCRIPTION, "evaluation"):
         content = read_description(path, "evaluation")
@@ -213,15 +208,10 @@ def markdown_times(times: Sequence[Times]) -> str:
     """Return seconds per stage, and how many times slower each method is than the fastest one."""
     stages = list(dict.fromkeys(stage for one in times for stage in one.stages))
     least = min(one.total for one in times)
-    rows = (
-        [
-            one.method,
-            *(_or_dash(one.stages.get(s), ".3g") for s in stages),
-            f"{one.total:.3g}",
-            f"{one.total / least:.3g}",
-        ]
-        for one in times
-    )
+    rows = []
+    for one in times:
+        cells = [_or_dash(one.stages.get(stage), ".3g") for stage in stages]
+        rows.append([one.method, *cells, f"{one.total:.3g}", f"{one.total / least:.3g}"])
     return markdown(["method", *(f"{stage} s" for stage in stages), "all s", "times the fastest"], rows)
 
 
@@ -237,9 +227,8 @@ def csv_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     about = ["method", "kind", "stack", "noise_db", "tuned_db", "scenes"]
-    columns = [
-        (name, s) for name in _measured(SCORES, outcomes) for s in ("mean", "over_scenes", "over_seeds", "left_out")
-    ]
+    spreads = ("mean", "over_scenes", "over_seeds", "left_out")
+    columns = [(name, spread) for name in _measured(SCORES, outcomes) for spread in spreads]
     head = [f"{name}_{spread}" for name, spread in columns]
     writer.writerow([*about, "seeds", *head, "pooled_depth_rmse_cm", "seconds_per_scene"])
     for one in outcomes:
@@ -365,13 +354,9 @@ def left_out(outcomes: Sequence[Outcome]) -> str:
 def write_results(folder: Path, findings: Findings) -> list[Path]:
     """Write everything, and delete what an earlier run left; returns the files, the report first."""
     times = {one.method: one for one in findings.times}
-    images = _figures(findings)
-    files: dict[str, bytes] = {
-        REPORT: _report(findings, times).encode(),
-        TABLE: csv_table([*findings.outcomes, *findings.naive], times).encode(),
-        RESULTS: readable_json(findings.plain()),
-        **images,
-    }
+    table = csv_table([*findings.outcomes, *findings.naive], times)
+    files = {REPORT: _report(findings, times).encode(), TABLE: table.encode(), RESULTS: readable_json(findings.plain())}
+    files |= _figures(findings)
     for name, content in files.items():
         write_atomic(folder / name, content)
     remove_stale(folder, files)

@@ -45,20 +45,15 @@ _DECIDING = (
 class Cameras:
     """Which camera each method is told of: the numbers of the one that saw the test scenes, the PSFs that it assumes.
 
-    Attributes:
-        test: the camera of the test data set with its own PSFs, and the evaluation's reference white.
+    ``test`` is the camera of the test data set with its own PSFs, and the reference white that all methods share.
     """
 
     def __init__(
         self, test: Dataset, training: Path | None, entries: Sequence[Entry], folder: Callable[[str], Path] = Path
     ) -> None:
-        """Find the reference white that all methods share.
+        """Find the white; ``training`` is the data set that methods were trained or tuned on, None where none needs it.
 
-        Args:
-            test: the split that decides.
-            training: folder of the data set that methods were trained or tuned on; None only where none needs it.
-            entries: all methods.
-            folder: makes a path of the name of a stack's folder.
+        ``folder`` makes a path of the name of a stack's folder.
         """
         self._training, self._folder = training, folder
         self._stacks: dict[str, PsfStack] = {}
@@ -93,8 +88,8 @@ class Cameras:
         one, first = next(iter(whites.items()))
         for name, white in whites.items():
             if abs(white - first) > _WHITES_ALIKE * first:
-                whites_differ = f"the images of {name} show a radiance of {white:g} as white, those of {one} {first:g}"
-                raise InputError("methods", f"{whites_differ}, which no one table can hold; train them with one white")
+                found = f"{name} shows a radiance of {white:g} as white, {one} {first:g}"
+                raise InputError("methods", f"{found}: one table needs one white; train them with the same")
         return first
 
 
@@ -201,20 +196,15 @@ class Runner:
 
     def result(self, run: Run, progress: Progress = lambda _: None) -> dict[str, Any]:
         """Return what `score` finds, which is kept."""
-        criteria = {
-            "edges_cm": self.criteria.edges_cm,
-            "dark_share": self.criteria.dark_share,
-            "lpips": self.criteria.lpips and self.criteria.lpips.record(),
-        }
-        key = self._key(run) | {"criteria": criteria}
+        lpips = self.criteria.lpips
+        key = self._key(run) | {"criteria": vars(self.criteria) | {"lpips": lpips and lpips.record()}}
         known = self._cache.load(key)
         if known is not None:
             progress(len(known["scores"]))
             return known
         examples = self.examples(run.noise_db, run.scenes)
-        found = score(
-            self.method(run), examples, self.criteria, device=self.device, batch=self.batch, progress=progress
-        )
+        how: Any = {"device": self.device, "batch": self.batch, "progress": progress}
+        found = score(self.method(run), examples, self.criteria, **how)
         self._cache.save(key, found)
         return found
 
@@ -253,10 +243,7 @@ class Runner:
 
 
 def measured_psnr_db(dataset: Dataset) -> float:
-    """Return the PSNR of a data set's measurements: the peak of each noiseless one, the mean over its first 16 samples.
-
-    Of measurements without noise it is 120 dB.
-    """
+    """Return the mean PSNR of a data set's first 16 measurements, peak the noiseless one's; 120 dB without noise."""
     levels = []
     for position in range(min(len(dataset), _PILOTS)):
         measurement, noiseless = dataset.stored(position).measurement()

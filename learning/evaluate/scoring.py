@@ -23,13 +23,9 @@ Progress = Callable[[int], None]
 
 @dataclass(frozen=True)
 class Criteria:
-    """By what methods are judged.
+    """By what methods are judged: the edges of the bins of true depth, LPIPS or None, and what counts as too dark.
 
-    Attributes:
-        edges_cm: of the bins of true depth, increasing.
-        dark_share: pixels darker than this share of white's luminance do not count in ``lit_depth_rmse_cm``; None leaves that
-            score out.
-        lpips: None where it is not measured.
+    Pixels darker than ``dark_share`` of white's luminance do not count in ``lit_depth_rmse_cm``; None leaves that score out.
     """
 
     edges_cm: tuple[float, ...]
@@ -46,17 +42,12 @@ def score(
     batch: int,
     progress: Progress = lambda _: None,
 ) -> dict[str, Any]:
-    """Run a method over all scenes; depth counts where something was seen.
+    """Run a method over all scenes; depth counts where something was seen. ``progress`` gets the scenes of each batch.
 
-    ``progress`` is called with the number of scenes after each batch.
-
-    Returns:
-        ``scores``: for each scene, see `learning.metrics.measure`; ``squares_cm2`` and ``counts``: for each scene and bin,
-        the sum of squared depth errors and the number of pixels.
+    Returns ``scores`` of each scene, see `learning.metrics.measure`, and for each scene and bin ``squares_cm2``, the sum of
+    squared depth errors, and ``counts``, the number of pixels.
     """
-    scores: list[dict[str, float]] = []
-    squares: list[list[float]] = []
-    counts: list[list[int]] = []
+    found: dict[str, list[Any]] = {"scores": [], "squares_cm2": [], "counts": []}
     for first, example in batches(examples, batch, device):
         estimate = checked(method, method.reconstruct(example.measurement), examples, first)
         scenes = measure(estimate, example, method.capture, lpips=criteria.lpips, pixels=example.valid)
@@ -69,11 +60,11 @@ def score(
             _binned(errors[valid], depth_cm[valid], criteria.edges_cm)
             for errors, depth_cm, valid in zip(error_cm2, example.depth_m * 100, example.valid, strict=True)
         ]
-        scores += scenes
-        squares += [sums for sums, _ in by_scene]
-        counts += [pixels for _, pixels in by_scene]
+        found["scores"] += scenes
+        for name, values in zip(("squares_cm2", "counts"), zip(*by_scene, strict=True), strict=True):
+            found[name] += values
         progress(len(scenes))
-    return {"scores": scores, "squares_cm2": squares, "counts": counts}
+    return found
 
 
 def batches(examples: ExampleSet, batch: int, device: torch.device) -> Iterator[tuple[int, Example]]:
@@ -138,8 +129,7 @@ def naive_baselines(examples: ExampleSet, capture: CaptureModel, batch: int) -> 
     Over all that was seen, no constant has a smaller root mean square error in cm than the mean depth, and none in disparity
     than the mean disparity, which is another depth.
     """
-    depth_m, disparity = (torch.zeros((), dtype=torch.float64) for _ in range(2))
-    image = torch.zeros(1, dtype=torch.float64)
+    depth_m, disparity, image = (torch.zeros(1, dtype=torch.float64) for _ in range(3))
     seen = 0
     for _, example in batches(examples, batch, torch.device("cpu")):
         seen_m = example.depth_m[example.valid].double()
