@@ -39,14 +39,10 @@ _BEST = "flatnet3d"  # where several fit
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """What a checkpoint's file holds.
+    """What a checkpoint's file holds: the network in evaluation mode, on the CPU, and the camera that it is built for.
 
-    Attributes:
-        network: with its weights, on the CPU, in evaluation mode.
-        capture: the camera that the network is built for.
-        fingerprint: of the PSFs that it was trained with; `capture` may have others.
-        architecture: ``network``, ``size`` and all of the network's numbers; see `learning.models.build_network`.
-        record: how it was made: configuration, metrics, command, seconds, versions, device.
+    ``fingerprint`` is of the PSFs that it was trained with, `capture` may have others; ``architecture`` has ``network``,
+    ``size`` and all numbers; ``record`` says how it was made: configuration, metrics, command, seconds, versions, device.
     """
 
     network: FlatNet
@@ -113,13 +109,8 @@ def save_checkpoint(
         "record": dict(record),
     }
     # One key only: safetensors writes several in an order that differs from run to run.
-    write_atomic(
-        Path(path),
-        save(
-            {_WEIGHTS + name: value for name, value in weights.items()} | tensors,
-            {_KEY: canonical_json(content).decode()},
-        ),
-    )
+    named = {_WEIGHTS + name: value for name, value in weights.items()} | tensors
+    write_atomic(Path(path), save(named, {_KEY: canonical_json(content).decode()}))
 
 
 def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, network: str | None = None) -> Checkpoint:
@@ -165,9 +156,7 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
 
 def _stored(name: str, value: Tensor, precision: torch.dtype) -> Tensor:
     value = value.detach().cpu().contiguous()
-    if not (
-        value.is_floating_point() and value.ndim >= 4
-    ):  # all but filters of convolutions and PSFs are few, and some sensitive
+    if not (value.is_floating_point() and value.ndim >= 4):  # all but filters and PSFs are few, and some sensitive
         return value
     rounded = value.to(precision)
     if bool((value.isfinite() & ~rounded.isfinite()).any()):
@@ -257,12 +246,9 @@ def find_checkpoint(text: str) -> Path:
     Raises:
         InputError: neither a file nor a shipped checkpoint's name.
     """
-    path = Path(text).expanduser()
-    if path.is_file():
-        return path
-    shipped = shipped_checkpoints()
-    if text in shipped:
-        return shipped[text]
+    path, shipped = Path(text).expanduser(), shipped_checkpoints()
+    if path.is_file() or text in shipped:
+        return path if path.is_file() else shipped[text]
     known = f"a shipped checkpoint ({', '.join(shipped) or 'there is none'})"
     raise InputError("--checkpoint", f"got {text!r}, expected an existing file of `flatlight train`, or {known}")
 
@@ -305,11 +291,7 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
 
 
 def plane_mixing(old: NDArray[np.float64], new: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weights ``(new, old)`` that interpolate linearly from old disparities to new ones.
-
-    Args:
-        old: disparities of the planes that are known, 0..1, decreasing.
-        new: those that are wanted, decreasing.
+    """Return the weights ``(new, old)`` that interpolate linearly from old disparities to new ones, both decreasing.
 
     Example:
         >>> plane_mixing(np.array([1.0, 0.0]), np.array([1.0, 0.75, 0.0])).tolist()

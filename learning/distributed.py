@@ -24,13 +24,7 @@ _LONGEST = timedelta(hours=2)  # rank 0 may write or validate for long while the
 
 @dataclass(frozen=True)
 class Processes:
-    """This process among those that train one network.
-
-    Attributes:
-        device: of this process.
-        rank: its number, 0 for the one that writes.
-        world_size: how many there are.
-    """
+    """This process among those that train one network: its device, its number (0 writes), and how many there are."""
 
     device: torch.device
     rank: int = 0
@@ -74,10 +68,7 @@ class Processes:
 
 @contextmanager
 def processes(device: str) -> Iterator[Processes]:
-    """Join the processes that torchrun started; without it this is the only one.
-
-    Args:
-        device: ``auto`` (CUDA where there is some), ``cpu`` or ``cuda``.
+    """Join the processes that torchrun started; without it this is the only one. ``device``: see `choose_device`.
 
     Raises:
         InputError: CUDA is asked for and absent, or torchrun started more processes than there are GPUs.
@@ -102,11 +93,9 @@ def processes(device: str) -> Iterator[Processes]:
 
 
 def synchronise_batch_norm(network: nn.Module, kind: str) -> nn.Module:
-    """Let batch normalisation take its statistics over the batches of all processes; names of weights stay.
+    """Let batch normalisation, in place, take its statistics over the batches of all processes; names of weights stay.
 
-    Args:
-        network: changed in place.
-        kind: of device; torch's own `torch.nn.SyncBatchNorm` knows CUDA only.
+    ``kind`` is of the device: torch's own `torch.nn.SyncBatchNorm` knows CUDA only.
     """
     if kind == "cuda":
         return nn.SyncBatchNorm.convert_sync_batchnorm(network)
@@ -166,12 +155,7 @@ class _SynchronisedBatchNorm(_BatchNorm):
 
 @dataclass(frozen=True)
 class Precision:
-    """How a network is evaluated.
-
-    Attributes:
-        kind: ``float32`` or ``bfloat16``.
-        device: where.
-    """
+    """How a network is evaluated: ``float32`` or ``bfloat16``, and on which device."""
 
     kind: str
     device: torch.device

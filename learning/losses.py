@@ -35,16 +35,7 @@ class ReconstructionLoss(nn.Module):
         invalid_depth: bool = False,
         seed: int = 0,
     ) -> None:
-        """Build the loss.
-
-        Args:
-            intensity: ``mse`` or ``l1``.
-            perceptual: ``none``, ``vgg`` (needs a weight file) or ``random_vgg``; nothing takes another's place.
-            intensity_weight: of ``intensity``.
-            perceptual_weight: of ``perceptual``; without meaning when that is ``none``.
-            depth_weight: of ``depth``.
-            invalid_depth: whether pixels without depth count too, as far.
-            seed: of ``random_vgg``.
+        """Build the loss; the arguments are those of `learning.config.LossConfig`, ``seed`` is that of ``random_vgg``.
 
         Raises:
             InputError: an unknown name, weights that are negative or all zero, or no weight file.
@@ -67,20 +58,11 @@ class ReconstructionLoss(nn.Module):
     def forward(self, estimate: Estimate, image: Tensor, disparity: Tensor, valid: Tensor) -> dict[str, Tensor]:
         """Return scalars: ``total``, each term under its name, and each weighted as ``intensity_weighted`` and so on.
 
-        Args:
-            estimate: of B scenes, as the network gave it, not clamped.
-            image: ``(B, 3, h, w)`` true sRGB codes; see `learning.method.linear_to_srgb`.
-            disparity: ``(B, 1, h, w)`` true disparity 0..1; see `CaptureModel.disparity`.
-            valid: ``(B, 1, h, w)`` bool, where there is a depth.
-
-        Raises:
-            InputError: shapes that differ.
+        ``estimate`` is as the network gave it, not clamped; ``image`` ``(B, 3, h, w)`` holds the true sRGB codes,
+        ``disparity`` ``(B, 1, h, w)`` the true disparity 0..1, ``valid`` says where there is a depth. Shapes must agree.
         """
-        for name, found, wanted in (
-            ("image", estimate.image, image),
-            ("disparity", estimate.disparity, disparity),
-            ("valid", disparity, valid),
-        ):
+        of_estimate = (("image", estimate.image, image), ("disparity", estimate.disparity, disparity))
+        for name, found, wanted in (*of_estimate, ("valid", disparity, valid)):
             if found.shape != wanted.shape:
                 raise InputError(name, f"got shape {tuple(wanted.shape)}, expected {tuple(found.shape)} as estimated")
         difference = estimate.image - image

@@ -56,11 +56,7 @@ class Estimate(NamedTuple):
 
 
 class Clock:
-    """Seconds by stage, summed over calls; on CUDA a stage ends when its work is done.
-
-    Attributes:
-        seconds: by stage, in the order in which stages were first entered.
-    """
+    """``seconds`` by stage, in the order of first entry, summed over calls; on CUDA a stage ends when its work is done."""
 
     def __init__(self, device: torch.device | str = "cpu") -> None:
         self._device = torch.device(device)
@@ -81,22 +77,15 @@ class Clock:
 
 
 class Method(Protocol):
-    """A reconstruction of still scenes.
-
-    Attributes:
-        name: in tables and figures.
-        capture: the camera with its assumed PSFs.
-    """
+    """A reconstruction of still scenes: its ``name`` in tables and figures, the camera with its assumed PSFs."""
 
     name: str
     capture: CaptureModel
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
-        """Return the estimate of measurements ``(B, C, H, W)``, DN / 2^bits, on their device; without gradients.
+        """Return the estimate of measurements ``(B, C, H, W)``, DN / 2^bits, on their device, without gradients.
 
-        Args:
-            measurement: what the camera stored.
-            clock: times the stages; None times nothing.
+        The clock, where there is one, times the stages. An InputError refuses measurements of another camera's shape.
         """
         ...
 

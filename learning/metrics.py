@@ -6,7 +6,7 @@ Every method's estimate is clamped to its ranges first. Images are judged at all
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import flip_evaluator
 import numpy as np
@@ -63,14 +63,9 @@ def measure(
     lpips: LpipsDistance | None = None,
     pixels: Tensor | None = None,
 ) -> list[dict[str, float]]:
-    """Return the scores of each scene by name; see `DEFINITIONS`.
+    """Return the scores of each of B scenes by name; see `DEFINITIONS`. The estimate is clamped here.
 
-    Args:
-        estimate: of B scenes; it is clamped here.
-        example: a batch of B.
-        capture: gives white, and the range of depths that the estimate's disparities mean.
-        lpips: None leaves that score out.
-        pixels: ``(B, 1, h, w)`` bool, where depth counts, such as ``example.valid``; None is everywhere.
+    ``pixels`` ``(B, 1, h, w)`` bool are where depth counts, such as ``example.valid``; None is everywhere.
 
     Raises:
         InputError: shapes that differ, images below 11 x 11 pixels, or an estimate with NaN or infinite numbers.
@@ -78,10 +73,8 @@ def measure(
     _check(estimate, example)
     estimate = estimate.clamped()
     truth = linear_to_srgb(example.radiance, capture.white)
-    scores = [
-        image_scores(one, other)
-        for one, other in zip(_channels_last(estimate.image), _channels_last(truth), strict=True)
-    ]
+    pairs = zip(_channels_last(estimate.image), _channels_last(truth), strict=True)
+    scores = [image_scores(one, other) for one, other in pairs]
     linear = psnr(srgb_to_linear(estimate.image, 1.0), (example.radiance / capture.white).clamp(0, 1))
     columns = {"psnr": psnr(estimate.image, truth), "linear_psnr": linear}
     if lpips is not None:
@@ -100,15 +93,9 @@ def psnr(image: Tensor, truth: Tensor) -> Tensor:
 
 def image_scores(image: NDArray[np.float32], truth: NDArray[np.float32]) -> dict[str, float]:
     """Return ``ssim`` and ``flip`` of an image ``(h, w, 3)``, sRGB codes 0..1, float32."""
-    similarity = structural_similarity(
-        truth.astype(np.float64),
-        image.astype(np.float64),
-        channel_axis=-1,
-        data_range=1.0,
-        gaussian_weights=True,
-        sigma=1.5,
-        use_sample_covariance=False,
-    )
+    window: Any = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    exact = (truth.astype(np.float64), image.astype(np.float64))
+    similarity = structural_similarity(*exact, channel_axis=-1, data_range=1.0, **window)
     _, error, _ = flip_evaluator.evaluate(truth, image, "LDR", applyMagma=False, parameters={"ppd": PIXELS_PER_DEGREE})
     return {"ssim": float(cast("float", similarity)), "flip": float(error)}
 
@@ -118,11 +105,7 @@ def depth_scores(
 ) -> DepthScores:
     """Return the depth errors of each scene; the estimate is clamped to the range, the truth's depth in cm is not.
 
-    Args:
-        estimate: of B scenes.
-        example: a batch of B.
-        capture: gives the range of depths.
-        pixels: ``(B, 1, h, w)`` bool, which count; None are all.
+    ``pixels`` ``(B, 1, h, w)`` bool are those that count, None are all.
     """
     disparity, true_m = estimate.disparity.double().clamp(0, 1), example.depth_m.double()
     found_m = capture.depth_m(disparity)
@@ -137,16 +120,7 @@ def depth_scores(
 
 
 def dark_mask(example: Example, capture: CaptureModel, share: float) -> Tensor:
-    """Return where scenes are too dark to tell their depth, ``(B, 1, h, w)`` bool.
-
-    Args:
-        example: a batch of B.
-        capture: gives white.
-        share: of white's luminance, below which a pixel is dark.
-
-    Raises:
-        InputError: a share outside 0..1.
-    """
+    """Return where scenes are darker than a share (0..1) of white's luminance, ``(B, 1, h, w)`` bool."""
     if not 0 <= share <= 1:
         raise InputError("share", f"got {share!r}, expected 0 to 1: a share of white's luminance")
     weights = torch.tensor(_LUMINANCE, dtype=example.radiance.dtype, device=example.radiance.device)

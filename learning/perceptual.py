@@ -71,26 +71,18 @@ class PerceptualLoss(nn.Module):
         self.register_buffer("mean", torch.tensor(_MEAN)[:, None, None])
         self.register_buffer("spread", torch.tensor(_SPREAD)[:, None, None])
         if weights == "vgg":
-            choices = (
-                "choose perceptual: none (no such loss) or perceptual: random_vgg (the same network, random weights)"
-            )
-            state, self.sha256 = load_features(network, choices)
-            self.features.load_state_dict(
-                fitting(state, {key: key for key in self.features.state_dict()}, self.features, network, choices)
-            )
+            cure = "choose perceptual: none (no such loss) or random_vgg (the same network, random weights)"
+            state, self.sha256 = load_features(network, cure)
+            names = {key: key for key in self.features.state_dict()}
+            self.features.load_state_dict(fitting(state, names, self.features, network, cure))
         else:
             self._draw(torch.Generator().manual_seed(seed))
         self.requires_grad_(False).eval()
 
     def forward(self, image: Tensor, truth: Tensor) -> Tensor:
-        """Return the distance, a scalar; the mean over the batch.
+        """Return the distance, a scalar, the mean over the batch, of ``(B, 3, h, w)`` sRGB codes, at least 32 x 32 pixels.
 
-        Args:
-            image: ``(B, 3, h, w)`` sRGB codes, nominally 0..1; not clipped, so that gradients lead back.
-            truth: the same shape.
-
-        Raises:
-            InputError: shapes that differ, or fewer than 32 x 32 pixels.
+        Codes are nominally 0..1, and not clipped, so that gradients lead back.
         """
         check_size(image, truth)
         with torch.autocast(image.device.type, enabled=False):
@@ -189,10 +181,7 @@ class LpipsDistance:
     """LPIPS version 0.1 of the ``lpips`` package with its linear weights; lower is more alike, 0 is equal."""
 
     def __init__(self, network: str = "alex") -> None:
-        """Load the weights; the package is kept from downloading any.
-
-        Args:
-            network: ``alex`` or ``vgg``.
+        """Load the weights of ``alex`` or ``vgg``; the package is kept from downloading any.
 
         Raises:
             InputError: an unknown name, or no such weight file.
@@ -224,15 +213,7 @@ class LpipsDistance:
 
     @torch.no_grad()
     def __call__(self, image: Tensor, truth: Tensor) -> Tensor:
-        """Return the distance of each image, ``(B,)``.
-
-        Args:
-            image: ``(B, 3, h, w)`` sRGB codes 0..1.
-            truth: the same shape.
-
-        Raises:
-            InputError: shapes that differ, or fewer than 32 x 32 pixels.
-        """
+        """Return the distances ``(B,)`` of ``(B, 3, h, w)`` sRGB codes 0..1, of at least 32 x 32 pixels."""
         check_size(image, truth)
         return self._model(image.float(), truth.float(), normalize=True).flatten()
 
@@ -242,20 +223,16 @@ class LpipsDistance:
         return {"lpips": version("lpips"), "network": self.network, "file": file, "sha256": self.sha256}
 
 
-def available_lpips(network: str | None = None) -> tuple[LpipsDistance | None, str]:
-    """Return LPIPS if a weight file for it is there, and what a report must say either way.
-
-    Args:
-        network: ``alex`` or ``vgg``; None takes the first of them that is there.
+def available_lpips() -> tuple[LpipsDistance | None, str]:
+    """Return LPIPS with the first weight file that is there, and what a report must say either way.
 
     Raises:
-        InputError: a weight file is there but damaged, or an unknown name.
+        InputError: a weight file is there but damaged.
     """
-    wanted = list(_BACKBONES) if network is None else [network]
-    for name in wanted:
-        if name not in _BACKBONES or (weight_folder() / FILES[_BACKBONES[name]]).is_file():
-            return LpipsDistance(name), f"LPIPS {version('lpips')} with {FILES[_BACKBONES[name]]}"
-    files = " or ".join(FILES[_BACKBONES[name]] for name in wanted)
+    for name, backbone in _BACKBONES.items():
+        if (weight_folder() / FILES[backbone]).is_file():
+            return LpipsDistance(name), f"LPIPS {version('lpips')} with {FILES[backbone]}"
+    files = " or ".join(FILES[backbone] for backbone in _BACKBONES.values())
     return None, f"no LPIPS: {files} not in {weight_folder()}, and nothing is downloaded"
 
 
@@ -272,11 +249,9 @@ def weight_folder() -> Path:
 
 
 def load_features(network: str, cure: str) -> tuple[dict[str, Tensor], str]:
-    """Return the weights of a network's convolutions, keyed as in its ``features``, and the file's SHA-256.
+    """Return the weights of a network (a key of `FILES`), keyed as in its ``features``, and the file's SHA-256.
 
-    Args:
-        network: a key of `FILES`.
-        cure: what to do instead of using this file, for the message.
+    ``cure`` ends the message of a refusal: what to do instead of using this file.
     """
     path = weight_folder() / FILES[network]
     if not path.is_file():

@@ -43,11 +43,7 @@ _FORMAT = "flatlight training state 1"
 def described(
     config: dict[str, Any], data: dict[str, Any], *, precision: str, init_from: dict[str, Any] | None
 ) -> dict[str, Any]:
-    """Return what decides the numbers of a training, plain.
-
-    ``data`` and ``init_from`` are what is known of data sets and camera, and of the checkpoint that it begins with;
-    ``precision`` is resolved: ``auto`` means one or the other on another device.
-    """
+    """Return what decides the numbers of a training, plain; ``precision`` is resolved, as ``auto`` depends on the device."""
     kept = {key: value for key, value in config.items() if key not in (*_FREE, *_RESOLVED)}
     kept["data"] = {key: value for key, value in config["data"].items() if key not in _FREE_OF_DATA}
     return {"config": kept, "data sets": data, "precision": precision, "init_from": init_from}
@@ -69,11 +65,7 @@ def sole_use(folder: Path, parts: dict[str, Any]) -> Iterator[None]:
     """Make the folder of a training and keep other trainings out; the system forgets the lock when the process dies.
 
     What lies in the folder is looked at under the lock, so that no other training can change it in between. The description
-    replaces that of a training that never came to save anything.
-
-    Raises:
-        InputError: another process trains there, or see `check_folder`.
-        StorageError: the folder cannot be written to.
+    replaces that of a training that never came to save anything. An InputError says that another process trains there.
     """
     check_folder(folder, parts)  # a folder of somebody else's is not locked, nor cleared of leftovers
     with storage_errors(folder):
@@ -125,10 +117,7 @@ def save_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer,
 
     Randomness is no part of it: what is random in a step, its examples and their noise, follows from the seed and the step's
     number. Bit for bit the same weights come out on a CPU with as many threads; on CUDA not in general, where some kernels
-    add in the order in which threads finish (`torch.use_deterministic_algorithms`).
-
-    Raises:
-        StorageError: the place cannot be written to; the state that was there stays.
+    add in the order in which threads finish (`torch.use_deterministic_algorithms`). On a StorageError the old state stays.
     """
     content = {
         "format": _FORMAT,
@@ -142,11 +131,7 @@ def save_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer,
 
 
 def load_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Progress:
-    """Read the state into a network and its optimiser, which are as they were built; nothing in the file is run.
-
-    Raises:
-        InputError: a damaged file, or the state of another network.
-    """
+    """Read the state into a network and its optimiser, which are as they were built; nothing in the file is run."""
     try:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         if content["format"] != _FORMAT:
@@ -220,8 +205,7 @@ def portable_config(config: TrainConfig) -> dict[str, Any]:
     for key in _PATHS:
         section, _, name = key.rpartition(".")
         place = plain[section] if section else plain
-        if isinstance(place[name], str):
-            place[name] = _last_name(place[name])
+        place[name] = _last_name(place[name]) if isinstance(place[name], str) else place[name]
     return plain
 
 

@@ -20,13 +20,7 @@ class GridAttention(nn.Module):
     """Weights 0..1 for every position of a skip, from the skip and from the next coarser level."""
 
     def __init__(self, skip: int, gate: int, dimensions: int = 2) -> None:
-        """Build the gate.
-
-        Args:
-            skip: channels of the skip.
-            gate: channels of the coarser level, half as fine.
-            dimensions: 2 or 3.
-        """
+        """Build the gate for a skip and a coarser level, half as fine, of so many channels, in 2 or 3 dimensions."""
         super().__init__()
         conv, norm = (nn.Conv2d, nn.BatchNorm2d) if dimensions == 2 else (nn.Conv3d, nn.BatchNorm3d)
         inner = max(skip // 2, 1)
@@ -37,12 +31,7 @@ class GridAttention(nn.Module):
         self.mix = nn.Sequential(conv(skip, skip, 1), norm(skip))
 
     def forward(self, skip: Tensor, gate: Tensor) -> Tensor:
-        """Return the gated skip ``(B, skip, ...)``.
-
-        Args:
-            skip: ``(B, skip, ...)``.
-            gate: ``(B, gate, ...)``, half of the skip's size.
-        """
+        """Return the gated skip ``(B, skip, ...)``, with ``gate`` ``(B, gate, ...)`` of half its size."""
         weights = torch.sigmoid(self.psi(nnf.elu(self.theta(skip) + self.phi(gate))))
         weights = nnf.interpolate(weights, size=skip.shape[2:], mode=self.mode, align_corners=False)
         return self.mix(skip * weights)

@@ -37,17 +37,7 @@ class FlatNet(nn.Module):
         regularisation_lambda: float = 0.1,
         tikhonov: float = 1.0,
     ) -> None:
-        """Build the network for a camera; see `UNet` for its size.
-
-        Args:
-            capture: the camera.
-            filters: channels of the U-Net's first level.
-            levels: of the U-Net.
-            attention: gates on its skips.
-            stem: its pixel unshuffle.
-            regularisation_lambda: initial lambda of the inversion; see `RegularisedInversion`.
-            tikhonov: what its P begins with beside the thesis's Laplacian; 0 is the Laplacian alone.
-        """
+        """Build the network for a camera: see `UNet` for its size, `RegularisedInversion` for lambda and P at first."""
         super().__init__()
         planes = self.planes_of(capture)
         self.inversion = RegularisedInversion(
@@ -108,13 +98,9 @@ SIZES: dict[str, dict[str, Any]] = {
 
 
 def build_network(capture: CaptureModel, name: str, size: str = "compact", **changes: Any) -> FlatNet:
-    """Return a network for a camera, its weights drawn from torch's generator.
+    """Return a network of `NETWORKS` and `SIZES` for a camera, its weights drawn from torch's generator.
 
-    Args:
-        capture: the camera.
-        name: ``flatnet3d`` or ``flatnet2d``.
-        size: ``thesis``, ``compact`` or ``tiny``.
-        changes: of the size's numbers; see `FlatNet3D`.
+    ``changes`` are of the size's numbers; see `FlatNet`.
 
     Raises:
         InputError: an unknown name or size, or numbers that the network refuses.
@@ -145,10 +131,7 @@ def full_architecture(architecture: Mapping[str, Any]) -> dict[str, Any]:
 class LearnedMethod:
     """A network that stands beside the classical methods; see `learning.method.Method`.
 
-    Attributes:
-        name: in tables and figures.
-        network: its weights, mode and device stay as they are, and may change between reconstructions.
-        capture: the camera that it was built for.
+    Its weights, mode and device stay as they are, and may change between reconstructions.
     """
 
     def __init__(self, name: str, network: FlatNet, capture: CaptureModel) -> None:
@@ -157,11 +140,7 @@ class LearnedMethod:
         self._inverse, self._made_from = self._work_out()
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
-        """Return the estimate of measurements ``(B, C, H, W)``; stages ``inversion`` and ``network``.
-
-        Raises:
-            InputError: a measurement of another shape than the camera's.
-        """
+        """Return the estimate of measurements ``(B, C, H, W)``; stages ``inversion`` and ``network``."""
         clock = clock or Clock(measurement.device)
         before, now = self._made_from, _sources(self.network)
         if any(a[1:] != b[1:] or a[0].data_ptr() != b[0].data_ptr() for a, b in zip(before, now, strict=True)):

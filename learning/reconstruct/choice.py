@@ -44,13 +44,9 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """A method for a measurement, and how it was chosen.
+    """A method for a measurement, on the CPU, its name in names of files, and a record of how it was chosen.
 
-    Attributes:
-        method: on the CPU.
-        name: of the method, in names of files.
-        white: the radiance that an image of one plane shows as 1; None leaves it to the image.
-        record: words and numbers, JSON-serialisable.
+    ``white`` is the radiance that an image of one plane shows as 1; None leaves it to the image.
     """
 
     method: Method

@@ -64,14 +64,10 @@ _MOST_OF_SHARES = 2.0  # noise that was not clipped goes beyond full scale, but 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What a camera stored.
+    """What a camera stored: ``values`` ``(C, H, W)`` float32, DN / 2^bits, background removed, cropped and binned.
 
-    Attributes:
-        values: ``(C, H, W)`` float32, DN / 2^bits, background removed, cropped and binned.
-        path: the file, or the sample's folder.
-        channels: one name per channel; ``("grey",)`` for one.
-        dataset: the data set's folder, where it is a sample of one.
-        record: what was done to the file's numbers and what was assumed, JSON-serialisable.
+    ``path`` is the file or the sample's folder, ``dataset`` the folder of the data set that it is a sample of; ``channels``
+    is ``("grey",)`` for one; ``record`` says what was done to the file's numbers and what was assumed.
     """
 
     values: NDArray[np.float32]
@@ -203,15 +199,10 @@ _PITCH_M = 1e-5  # nothing here depends on it: values are scaled to a sum of 1
 def load_psf_image(
     path: Path, channels: tuple[str, ...], *, background: str | None = None, crop: str | None = None, binning: int = 1
 ) -> PsfStack:
-    """Return the image of a PSF as a stack of one plane, infinitely far, with values that add up to 1 on average.
+    """Return the linear image of a PSF as a stack of one plane, infinitely far, with values that add up to 1 on average.
 
-    Args:
-        path: a linear image; see `simulator.io.measurements.read_measurement`.
-        channels: of the measurement.
-        background: ``border`` (also None), the median of the cropped image's outer frame; ``none``; counts; or an image
-            of darkness, of the same size before the crop.
-        crop: see `crop_window`; the PSF's origin is the centre of what is left.
-        binning: pixels per side that become one.
+    ``background`` is ``border`` (also None), the median of the cropped image's outer frame; ``none``; counts; or an image of
+    darkness, of the same size before the crop. ``crop`` see `crop_window`: the PSF's origin is the centre of what is left.
 
     Raises:
         InputError: a file that cannot be read, a crop beyond it, a binning that does not divide it, or no light.

@@ -28,15 +28,8 @@ from simulator.errors import InputError
 from simulator.io.exr import write_exr
 from simulator.io.files import committed_folder, write_atomic
 from simulator.io.json import plain, readable_json
-from simulator.plots.drawing import (
-    LEGEND_WIDTH,
-    PAPER,
-    centimetres,
-    depth_colours,
-    draw_depth_legend,
-    png_bytes,
-    resized,
-)
+from simulator.plots import drawing
+from simulator.plots.drawing import LEGEND_WIDTH, PAPER, centimetres, depth_colours, png_bytes
 from simulator.types import FARTHEST_M
 
 RECORD = "reconstruction.json"
@@ -166,15 +159,10 @@ def reconstruct(
     white: float | None = None,
     device: torch.device | str = "cpu",
 ) -> Reconstruction:
-    """Reconstruct a still.
+    """Reconstruct a still ``(C, H, W)``, DN / 2^bits, by a method on ``device``, with the volume where it is wanted.
 
-    Args:
-        measurement: ``(C, H, W)``, DN / 2^bits.
-        method: learned or classical, on the device.
-        volume: whether the volume is wanted too.
-        white: of an image from one plane, the radiance to show as 1; None shows the brightest half per cent as white. All
-            other methods show ``method.capture.white``, by which they work.
-        device: where the method is.
+    ``white`` is the radiance that an image from one plane shows as 1, None shows its brightest half per cent as white; all
+    other methods show ``method.capture.white``, by which they work.
 
     Raises:
         InputError: NaN or infinite numbers, a shape that is not the camera's, or a method that has no volume to show.
@@ -271,10 +259,10 @@ def _depth_image(depth_m: NDArray[np.float32], near_m: float, far_m: float) -> b
 
     rows = len(depth_m)
     pixels = depth_colours(depth_m, np.ones_like(depth_m, dtype=bool), near_m, far_m)
-    shown = resized(pixels, rows * max(1, -(-_LEAST_HEIGHT // rows)))
+    shown = drawing.resized(pixels, rows * max(1, -(-_LEAST_HEIGHT // rows)))
     # As high as the image: the legend's grey, for where nothing was seen, has no meaning here and falls off the paper.
     paper = Image.new("RGB", (shown.width + LEGEND_WIDTH + _MARGIN, shown.height), PAPER)
     paper.paste(shown, (0, 0))
     top = 8
-    draw_depth_legend(ImageDraw.Draw(paper), shown.width + _MARGIN, top, shown.height - 2 * top, near_m, far_m)
+    drawing.draw_depth_legend(ImageDraw.Draw(paper), shown.width + _MARGIN, top, shown.height - 2 * top, near_m, far_m)
     return png_bytes(paper)

@@ -65,11 +65,8 @@ def tune_file(
 ) -> Path:
     """Tune as a file says, or go on where an earlier run stopped, and return the file of the result.
 
-    Args:
-        config: the file.
-        tunables: the methods for a camera; None takes ``config.methods``.
-        progress: called with a stage, trials done and about how many there will be.
-        say: called with a line for each result.
+    ``tunables`` gives the methods for a camera, None takes ``config.methods``; ``progress`` is called with a stage, trials
+    done and about how many there will be, ``say`` with a line for each result.
 
     Raises:
         InputError: data without enough scenes, without depth, or that are not for stills; a stack that does not fit; an
@@ -190,12 +187,7 @@ def limits(parameter: str, capture: CaptureModel) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Errors:
-    """Means over scenes, of the estimate within its ranges.
-
-    Attributes:
-        psnr_db: of sRGB codes, peak 1, of all pixels.
-        depth_rmse_cm: of valid pixels, as in evaluations; a scene without any does not count.
-    """
+    """Means over scenes, of the estimate within its ranges: PSNR of sRGB codes, and depth RMSE of valid pixels."""
 
     psnr_db: float
     depth_rmse_cm: float
@@ -205,11 +197,8 @@ class Score:
     """One number for a reconstruction of some scenes: 1 (or 2, for both) is what a constant guess would get, 0 is perfect.
 
     Image and depth weigh the same when each is counted in units of what can be had without looking at the measurement;
-    no unit of length and no range of depths decides between them.
-
-    Attributes:
-        objective: ``both``, ``image`` or ``depth``.
-        constant: the errors of the mean colour and of the mean depth of these scenes.
+    no unit of length and no range of depths decides between them. ``constant`` are the errors of the mean colour and of the
+    mean depth of these scenes.
     """
 
     def __init__(self, objective: Objective, truth: Example, capture: CaptureModel) -> None:
@@ -259,13 +248,8 @@ def tune(
     Levels go from the least noise to the most. The first begins at the defaults and tries all candidates; each further one
     begins at the better of the defaults and the parameters of the level before, and goes from neighbour to neighbour.
 
-    Args:
-        tunables: the methods.
-        measurements: ``(N, C, H, W)`` of the same scenes by noise level, decibels, on the device to compute on.
-        score: of these scenes.
-        study: where trials and results go.
-        progress: see `tune_file`.
-        say: see `tune_file`.
+    ``measurements`` ``(N, C, H, W)`` are of the same scenes by noise level, decibels, on the device to compute on;
+    ``progress`` and ``say`` see `tune_file`.
 
     Raises:
         InputError: a method whose defaults give no finite score, or a search space without its defaults.

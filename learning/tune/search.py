@@ -24,11 +24,6 @@ class Axis:
     Numbers go on geometrically beyond both ends of the list, with the ratio of its last two values, up to a limit; whole
     numbers stay whole, and odd where all of the list are. A list that begins with 0 ends there. Of words, there are no more.
 
-    Attributes:
-        values: candidates; numbers in increasing order.
-        low: least value that makes sense.
-        high: greatest.
-
     Raises:
         InputError: no candidates, numbers among words, numbers that do not increase, or that lie outside the limits.
     """

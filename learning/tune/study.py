@@ -18,12 +18,7 @@ FORMAT, VERSION = "flatlight tuned", 1
 
 @dataclass(frozen=True)
 class Tuned:
-    """Chosen parameters by method and noise level.
-
-    Attributes:
-        path: where they were read.
-        content: all of the file; see `Study`.
-    """
+    """Chosen parameters by method and noise level: all of a file, see `Study`."""
 
     path: Path
     content: dict[str, Any]

@@ -165,11 +165,7 @@ def test_a_data_set_without_a_captured_stack_says_how_to_make_it(learning_trial:
 
 
 @pytest.mark.parametrize(
-    ("override", "words"),
-    [
-        ("camera.sensor.readout=bayer", "out: "),
-        ("forward.boundary=circular", "out: "),
-    ],
+    ("override", "words"), [("camera.sensor.readout=bayer", "out: "), ("forward.boundary=circular", "out: ")]
 )
 def test_measurements_of_other_kinds_are_refused(learning_trial: Any, override: str, words: str) -> None:
     dataset = open_dataset(learning_trial.generate(override, dataset=ONE, psf={"as_captured": None}))

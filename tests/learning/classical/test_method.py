@@ -130,11 +130,7 @@ def test_the_number_of_labels_and_the_unit_do_not_change_what_pairwise_means(tin
     [
         ("wiener", {}, "^name: "),
         ("cls", {"tv": 0.1}, "^parameters: "),
-        (
-            "cls",
-            {"regularisation_lambda": "much"},
-            "^parameters: ",
-        ),
+        ("cls", {"regularisation_lambda": "much"}, "^parameters: "),
         ("admm", {"iterations": 10.5}, "^parameters: "),
         ("cls", {"measure": 3}, "^parameters: "),
         ("cls", {"measure": "edges"}, "^measure: "),

@@ -300,10 +300,7 @@ def test_results_do_not_go_into_a_data_set(
     [
         ({"methods": [{"name": "N", "checkpoints": ["none.safetensors"]}]}, r"none\.safetensors: "),
         ({"methods": [{"name": "C", "classical": "cls", "tuned": "none.json"}]}, r"none\.json: "),
-        (
-            {"methods": [{"name": "C", "classical": "cls", "parameters": {"speed": 1}}]},
-            "^parameters: ",
-        ),
+        ({"methods": [{"name": "C", "classical": "cls", "parameters": {"speed": 1}}]}, "^parameters: "),
         ({"data": {"test": "nowhere"}}, "nowhere: "),
         ({"data": {"stack": "no_folder"}}, "^FlatNet3D: "),
         ({"perceptual": "lpips"}, "^weights of alex: "),

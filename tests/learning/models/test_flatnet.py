@@ -61,13 +61,7 @@ def test_sizes_are_the_theses_and_smaller(tiny_capture):
     assert counts[0] < 20_000 < 2_000_000 < counts[1] < 2_500_000
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("flatnet4d",), "^network: "),
-        (("flatnet3d", "huge"), "^size: "),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), [(("flatnet4d",), "^network: "), (("flatnet3d", "huge"), "^size: ")])
 def test_refuses_unknown_names(tiny_capture, arguments, message):
     with pytest.raises(InputError, match=message):
         build_network(tiny_capture, *arguments)

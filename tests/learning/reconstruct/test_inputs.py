@@ -118,12 +118,7 @@ def test_a_sample_is_read_by_its_folder_or_its_file_and_knows_its_data_set(tiny_
         (".npy", np.ones((4, 4), np.int32), {}, r"m\.npy: "),
         (".npy", np.ones((4, 4), complex), {}, r"m\.npy: "),
         (".tif", np.full((1, 4, 4), 4096, np.uint16), {"bits": 12}, r"m\.tif: "),
-        (
-            ".npy",
-            np.full((4, 4), 255.0),
-            {},
-            r"m\.npy: ",
-        ),
+        (".npy", np.full((4, 4), 255.0), {}, r"m\.npy: "),
         (".exr", np.full((3, 4, 4), 2.5), {}, r"m\.exr: "),
         (".tif", np.ones((1, 4, 4), np.uint16), {"bits": 0}, "^bits: "),
         (".tif", np.ones((1, 5, 8), np.uint16), {"binning": 3}, "^binning: "),
