@@ -20,8 +20,8 @@ import torch
 
 import learning.train as loop
 from learning.camera import CaptureModel, measure_reference_white
-from learning.checkpoint import load_checkpoint
-from learning.config import OptimiserConfig, TrainConfig
+from learning.checkpoint import FOLDER, load_checkpoint
+from learning.config import OptimiserConfig, TrainConfig, load_file
 from learning.data import Batches, Draw, ExampleSet
 from learning.losses import ReconstructionLoss
 from learning.models import build_network
@@ -30,18 +30,17 @@ from learning.train import build_optimiser, find_data, learning_rate, open_examp
 from learning.validation import METRICS, PREVIEW
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
+from simulator.optics.stack_files import read_psf_stack
 
 pytestmark = pytest.mark.usefixtures("ctrl_c")
+Settings = Callable[..., TrainConfig]
+Patch = pytest.MonkeyPatch
 
 
 def lines(folder: Path, kind: str) -> list[dict[str, Any]]:
     """Return the log's numbers that do not measure time."""
     found = [json.loads(line) for line in (folder / METRICS).read_text().splitlines()]
-    return [
-        {key: value for key, value in line.items() if key != "samples_per_second"}
-        for line in found
-        if line["kind"] == kind
-    ]
+    return [line | {"samples_per_second": None} for line in found if line["kind"] == kind]
 
 
 def stop_at(step: int) -> Callable[[str, int, int], None]:
@@ -58,7 +57,7 @@ def weights(path: Path) -> dict[str, torch.Tensor]:
     return load_checkpoint(path).network.state_dict()
 
 
-def test_learns_and_leaves_what_belongs_to_it(settings: Callable[..., TrainConfig]) -> None:
+def test_learns_and_leaves_what_belongs_to_it(settings: Settings) -> None:
     config = settings(steps=40, log_every=10, validate_every=20, optimiser={"learning_rate": 5e-3})
     said: list[str] = []
     result = train(config, say=said.append)
@@ -72,20 +71,13 @@ def test_learns_and_leaves_what_belongs_to_it(settings: Callable[..., TrainConfi
     assert best.record["step"] == result.best["step"] == min(totals, key=lambda step: totals[step])
     assert best.record["config"]["batch"] == 5
     assert best.record["data sets"]["train"]["samples"] == 32
-    assert {path.name for path in result.folder.iterdir()} == {
-        BEST,
-        LAST,
-        DESCRIPTION,
-        METRICS,
-        PREVIEW,
-        STATE,
-        "tensorboard",
-    }
+    files = {BEST, LAST, DESCRIPTION, METRICS, PREVIEW, STATE, "tensorboard"}
+    assert {path.name for path in result.folder.iterdir()} == files
     assert sum("validation loss" in line for line in said) == 2
 
 
 @pytest.mark.parametrize("stops", [(1,), (4, 7)])
-def test_goes_on_as_if_it_had_never_stopped(settings: Callable[..., TrainConfig], stops: tuple[int, ...]) -> None:
+def test_goes_on_as_if_it_had_never_stopped(settings: Settings, stops: tuple[int, ...]) -> None:
     whole, parts = settings("whole"), settings("parts", data={"workers": 1})
     train(whole)
     for stop in stops:
@@ -106,7 +98,7 @@ def test_goes_on_as_if_it_had_never_stopped(settings: Callable[..., TrainConfig]
         assert all(torch.equal(values[name], moments[1][key][name]) for name in values)
 
 
-def test_a_killed_training_goes_on_from_its_last_state(settings: Callable[..., TrainConfig]) -> None:
+def test_a_killed_training_goes_on_from_its_last_state(settings: Settings) -> None:
     """What was logged and kept after the state that survives is made again, not twice."""
 
     def die(stage: str, done: int, total: int) -> None:
@@ -124,7 +116,7 @@ def test_a_killed_training_goes_on_from_its_last_state(settings: Callable[..., T
     assert lines(Path(whole.output), "validation") == lines(Path(killed.output), "validation")
 
 
-def test_finished_and_raised(settings: Callable[..., TrainConfig]) -> None:
+def test_finished_and_raised(settings: Settings) -> None:
     train(settings(steps=2))
     again = train(settings(steps=2))
     assert again.steps == 0
@@ -140,16 +132,14 @@ def test_finished_and_raised(settings: Callable[..., TrainConfig]) -> None:
         train(settings(steps=2))
 
 
-def test_another_configuration_is_refused_line_by_line(settings: Callable[..., TrainConfig]) -> None:
+def test_another_configuration_is_refused_line_by_line(settings: Settings) -> None:
     train(settings(steps=1))
     with pytest.raises(InputError, match=r"^output: "):
         train(settings(steps=1, batch=4, loss={"depth_weight": 2.0}))
     assert train(settings(steps=2, log_every=1, data={"workers": 1})).steps == 1
 
 
-def test_a_non_finite_loss_stops_before_its_step(
-    settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch, tiny_dataset: Path
-) -> None:
+def test_a_non_finite_loss_stops_before_its_step(settings: Settings, monkeypatch: Patch, tiny_dataset: Path) -> None:
     config = settings(checkpoint_every_s=0.0)
     folder, forward = Path(config.output), ReconstructionLoss.forward
     calls = 0
@@ -165,9 +155,9 @@ def test_a_non_finite_loss_stops_before_its_step(
         train(config)
     ids = open_dataset(tiny_dataset, "train").ids
     wanted = ", ".join(ids[draw.position] for draw in Batches(32, 5, seed=3).batch(2))
-    assert f"samples {wanted};" in str(error.value)
     assert error.value.path == "step 3"
-    assert "total nan" in str(error.value)
+    assert f"samples {wanted};" in error.value.reason
+    assert "total nan" in error.value.reason
     kept = torch.load(folder / STATE, weights_only=True)
     assert kept["progress"]["step"] == 2
     assert all(bool(torch.isfinite(value).all()) for value in kept["network"].values())
@@ -175,7 +165,7 @@ def test_a_non_finite_loss_stops_before_its_step(
     assert train(config).steps == 7
 
 
-def test_a_non_finite_gradient(settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_non_finite_gradient(settings: Settings, monkeypatch: Patch) -> None:
     """The root of nothing: its value is 0, its slope infinite."""
     forward = ReconstructionLoss.forward
 
@@ -188,13 +178,13 @@ def test_a_non_finite_gradient(settings: Callable[..., TrainConfig], monkeypatch
         train(settings())
 
 
-def test_a_non_finite_validation(settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_non_finite_validation(settings: Settings, monkeypatch: Patch) -> None:
     monkeypatch.setattr("learning.train.validate", lambda *_, **__: {"total": float("nan"), "psnr_db": 3.0})
     with pytest.raises(DivergedError, match=r"^validation after step 4: .*total nan, psnr_db 3"):
         train(settings())
 
 
-def test_fine_tuning_begins_with_a_checkpoint(settings: Callable[..., TrainConfig]) -> None:
+def test_fine_tuning_begins_with_a_checkpoint(settings: Settings) -> None:
     first = train(settings("first"))
     rate = {"learning_rate": 1e-9, "warm_up": 0.0}
     tuned = train(settings("tuned", init_from=str(first.folder / LAST), steps=1, optimiser=rate))
@@ -204,7 +194,7 @@ def test_fine_tuning_begins_with_a_checkpoint(settings: Callable[..., TrainConfi
         assert parameter.shape == after[name].shape
 
 
-def test_a_start_that_changed_is_another_training(settings: Callable[..., TrainConfig], tmp_path: Path) -> None:
+def test_a_start_that_changed_is_another_training(settings: Settings, tmp_path: Path) -> None:
     first, second = train(settings("first", steps=1)), train(settings("second", steps=1, seed=4))
     start = tmp_path / "start.safetensors"
     shutil.copy(first.folder / LAST, start)
@@ -219,24 +209,19 @@ def test_a_start_that_changed_is_another_training(settings: Callable[..., TrainC
 
 
 @pytest.mark.parametrize("moment", ["build_network", "count_workers"])
-def test_another_training_in_between(
-    settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch, moment: str
-) -> None:
+def test_another_training_in_between(settings: Settings, monkeypatch: Patch, moment: str) -> None:
     """It begins while this one prepares: before the lock this one is refused, after it the other; neither is lost."""
-    import learning.train
-
-    module = learning.train
-    original, refused = getattr(module, moment), []
+    original, refused = getattr(loop, moment), []
 
     def inject(*arguments: Any, **others: Any) -> Any:
-        monkeypatch.setattr(module, moment, original)
+        monkeypatch.setattr(loop, moment, original)
         try:
             train(settings(seed=99, steps=2))
         except InputError as error:
             refused.append(error.reason)
         return original(*arguments, **others)
 
-    monkeypatch.setattr(module, moment, inject)
+    monkeypatch.setattr(loop, moment, inject)
     if moment == "build_network":
         with pytest.raises(InputError, match=r"^output: "):
             train(settings(steps=1))
@@ -250,10 +235,8 @@ def test_another_training_in_between(
     assert load_checkpoint(folder / LAST).record["config"]["seed"] == seed
 
 
-def test_speed_is_that_of_this_sitting(settings: Callable[..., TrainConfig], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_speed_is_that_of_this_sitting(settings: Settings, monkeypatch: Patch) -> None:
     """A step takes a second of a clock that only steps move; five samples are in each."""
-    import learning.train as loop
-
     now, step = [0.0], loop.Training._step
 
     def slow(self: loop.Training, *arguments: Any) -> bool:
@@ -270,40 +253,23 @@ def test_speed_is_that_of_this_sitting(settings: Callable[..., TrainConfig], mon
     assert [json.loads(line)["samples_per_second"] for line in log if "samples_per_second" in line] == [5.0]
 
 
-def test_start_from_another_architecture(settings: Callable[..., TrainConfig]) -> None:
-    first = train(settings("first", steps=1))
-    config = settings("other", init_from=str(first.folder / LAST), network={"name": "flatnet2d"})
-    with pytest.raises(InputError, match=r"last\.safetensors: "):
-        train(config)
-    assert not Path(config.output).exists()
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"data": {"train": "/nowhere/set"}}, "^/nowhere/set: "),
         ({"data": {"stack": "/nowhere/psf"}}, "^/nowhere/psf: "),
         ({"init_from": "/nowhere/net.safetensors"}, r"^/nowhere/net\.safetensors: "),
+        ({"init_from": str(FOLDER / "flatnet2d.safetensors")}, r"flatnet2d\.safetensors: "),
     ],
 )
-def test_absent_files_are_named(settings: Callable[..., TrainConfig], changes: Any, message: str) -> None:
+def test_what_cannot_be_used_is_named_and_leaves_no_folder(settings: Settings, changes: Any, message: str) -> None:
     config = settings(**changes)
     with pytest.raises(InputError, match=message):
         train(config)
     assert not Path(config.output).exists()
 
 
-def test_output_that_holds_something_else(settings: Callable[..., TrainConfig]) -> None:
-    config = settings()
-    Path(config.output).mkdir()
-    (Path(config.output) / "thesis.txt").touch()
-    with pytest.raises(InputError, match=r"^output: "):
-        train(config)
-
-
-def test_damage_is_named_though_a_worker_meets_it(
-    settings: Callable[..., TrainConfig], tiny_dataset: Path, tmp_path: Path
-) -> None:
+def test_damage_is_named_though_a_worker_meets_it(settings: Settings, tiny_dataset: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(tiny_dataset, copy)
     ids = open_dataset(copy, "train").ids
@@ -311,17 +277,15 @@ def test_damage_is_named_though_a_worker_meets_it(
     damaged.write_bytes(damaged.read_bytes()[:-100])
     with pytest.raises(InputError) as error:
         train(settings(data={"train": str(copy), "workers": 1}))
-    assert str(damaged) in str(error.value)
-    assert "Traceback" not in str(error.value)
+    assert error.value.path == str(damaged)
 
 
 @pytest.mark.slow
-def test_learns_in_bfloat16(settings: Callable[..., TrainConfig]) -> None:
+def test_learns_in_bfloat16(settings: Settings) -> None:
     ends = []
     for precision in ("float32", "bfloat16"):
-        result = train(
-            settings(precision, steps=40, log_every=10, precision=precision, optimiser={"learning_rate": 5e-3})
-        )
+        rate = {"learning_rate": 5e-3}
+        result = train(settings(precision, steps=40, log_every=10, precision=precision, optimiser=rate))
         assert load_checkpoint(result.folder / LAST).record["precision"] == precision
         ends.append(lines(result.folder, "train")[-1]["total"])
     assert ends[0] != ends[1]
@@ -329,22 +293,17 @@ def test_learns_in_bfloat16(settings: Callable[..., TrainConfig]) -> None:
 
 
 @pytest.mark.slow
-def test_a_terminal_s_ctrl_c(settings: Callable[..., TrainConfig], tmp_path: Path) -> None:
+def test_a_terminal_s_ctrl_c(settings: Settings, tmp_path: Path) -> None:
     """It reaches the workers too, which must live on until the step is done."""
     config = settings(steps=100_000, data={"workers": 2}, log_every=1)
     path = tmp_path / "train.yaml"
     path.write_text(json.dumps(config.dump()))
     code = "import sys; from learning.train import train; train(sys.argv[1], say=print)"
     root = Path(__file__).resolve().parents[2]
-    process = subprocess.Popen(
-        [sys.executable, "-u", "-c", code, str(path)],
-        cwd=root,
-        env=os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    command = [sys.executable, "-u", "-c", code, str(path)]
+    env = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
+    pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, cwd=root, env=env, start_new_session=True, **pipes)
     log = Path(config.output) / METRICS
     begin = time.monotonic()
     while not (log.exists() and log.stat().st_size) and time.monotonic() - begin < 120:
@@ -358,20 +317,15 @@ def test_a_terminal_s_ctrl_c(settings: Callable[..., TrainConfig], tmp_path: Pat
     assert err.rstrip().endswith("KeyboardInterrupt")
 
 
-def test_captured_stack_is_another_training(settings: Callable[..., TrainConfig], tiny_dataset: Path) -> None:
+def test_captured_stack_is_another_training(settings: Settings, tiny_dataset: Path) -> None:
     config = settings(steps=1, data={"stack": "captured"})
     train(config)
     capture = load_checkpoint(Path(config.output) / LAST).capture
-    from simulator.optics.stack_files import read_psf_stack
-
     assert capture.stack.fingerprint == read_psf_stack(tiny_dataset / "psf_captured").fingerprint
     assert capture.stack.fingerprint != read_psf_stack(tiny_dataset / "psf").fingerprint
 
 
-Settings = Callable[..., TrainConfig]
-
-
-def test_noise_of_the_file(settings: Settings, monkeypatch: pytest.MonkeyPatch, tiny_dataset: Path) -> None:
+def test_noise_of_the_file(settings: Settings, monkeypatch: Patch, tiny_dataset: Path) -> None:
     """The first batch is the noiseless measurement with 20 dB of noise, not the stored one of 40 dB."""
     seen: list[torch.Tensor] = []
     step = loop.Training._step
@@ -403,7 +357,7 @@ def test_white_and_network_of_the_file(settings: Settings, tiny_dataset: Path) -
     assert first.shape[0] == 6
 
 
-def test_gradient_clip_of_the_file(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gradient_clip_of_the_file(settings: Settings, monkeypatch: Patch) -> None:
     """Adam hides the length of a gradient, so it is looked at where the optimiser takes it."""
     norms: list[float] = []
     step = torch.optim.AdamW.step
@@ -420,11 +374,10 @@ def test_gradient_clip_of_the_file(settings: Settings, monkeypatch: pytest.Monke
     assert norms[1] > 1e-3
 
 
-def test_best_is_the_least_loss(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_best_is_the_least_loss(settings: Settings, monkeypatch: Patch) -> None:
     totals = iter([3.0, 1.0, 2.0])
-    monkeypatch.setattr(
-        loop, "validate", lambda *_, **__: {"total": next(totals), "psnr_db": 1.0, "depth_rmse_cm": 1.0}
-    )
+    others = {"psnr_db": 1.0, "depth_rmse_cm": 1.0}
+    monkeypatch.setattr(loop, "validate", lambda *_, **__: {"total": next(totals), **others})
     result = train(settings(steps=3, validate_every=1))
     assert (result.best["step"], result.best["total"]) == (2, 1.0)
     assert load_checkpoint(result.folder / BEST).record["step"] == 2
@@ -432,7 +385,7 @@ def test_best_is_the_least_loss(settings: Settings, monkeypatch: pytest.MonkeyPa
     assert (record["validation"]["best"]["step"], record["validation"]["last"]["total"]) == (2, 2.0)
 
 
-def test_seeds_make_the_same_loss_small(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_seeds_make_the_same_loss_small(settings: Settings, monkeypatch: Patch) -> None:
     made: list[int] = []
     build = ReconstructionLoss.__init__
 
@@ -478,22 +431,19 @@ def config(train: Path, **data: Any) -> TrainConfig:
 
 
 @pytest.mark.parametrize(
-    ("override", "message"),
+    ("override", "what"),
     [
-        ("camera.exposure.full_scale=6e-6", r"gain differs: .*/out [\d.]+ and .*camera\.exposure\.full_scale\)"),
-        ("camera.noise={type: physical}", r"offset differs: .*\(camera\.noise\.type, camera\.sensor\.black_level_dn\)"),
-        ("forward.vignetting=false", r"irradiance differs: .*forward\.vignetting\)"),
-        ("camera.mask.seed=5", r"mask differs: .*camera\.mask, camera\.mask_to_sensor_mm\)"),
-        ("psf.far_cm=25", r"range of depths, 1/m differs: .*\[100\.0, 4\.0\].*psf\.far_cm\)"),
-        (
-            "camera.scene_to_camera=[[0.9, 0.1, 0.0], [0.1, 0.8, 0.2], [0.0, 0.1, 0.7]]",
-            r"scene_to_camera differs: .*\[0\.9, 0\.1, 0\.0\].*\(camera\.scene_to_camera\)",
-        ),
+        ("camera.exposure.full_scale=6e-6", "gain"),
+        ("camera.noise={type: physical}", "offset"),
+        ("forward.vignetting=false", "irradiance"),
+        ("camera.mask.seed=5", "mask"),
+        ("psf.far_cm=25", "range of depths"),
+        ("camera.scene_to_camera=[[0.9, 0.1, 0.0], [0.1, 0.8, 0.2], [0.0, 0.1, 0.7]]", "scene_to_camera"),
     ],
 )
-def test_another_camera_is_refused(tiny_dataset: Path, learning_trial: Any, override: str, message: str) -> None:
+def test_another_camera_is_refused(tiny_dataset: Path, learning_trial: Any, override: str, what: str) -> None:
     other = learning_trial.generate(override, dataset=COUNTS, psf={"as_captured": None})
-    with pytest.raises(InputError, match=r"data\.validation: " + message):
+    with pytest.raises(InputError, match=rf"^data\.validation: {what}.*{override.split('=')[0].removesuffix('.seed')}"):
         find_data(config(tiny_dataset, validation=str(other)))
 
 
@@ -505,11 +455,7 @@ def test_finer_psfs_of_the_same_camera_are_welcome(tiny_dataset: Path, learning_
     assert capture.white == measure_reference_white(open_dataset(tiny_dataset, "train")) != 1
 
 
-def test_a_relative_cache_lies_beside_the_file(
-    tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from learning.config import load_file
-
+def test_a_relative_cache_lies_beside_the_file(tiny_dataset: Path, tmp_path: Path, monkeypatch: Patch) -> None:
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "work").mkdir()
     path = tmp_path / "work" / "train.yaml"
@@ -522,16 +468,13 @@ def test_a_relative_cache_lies_beside_the_file(
     assert said == [f"validation: 8 samples, kept decoded in {tmp_path / 'work' / 'kept'}"]
 
 
-def test_cosine_with_warm_up() -> None:
+def test_cosine_with_warm_up_and_constant() -> None:
     config = OptimiserConfig(learning_rate=2.0, warm_up=0.1)
     rates = [learning_rate(step, 100, config) for step in range(100)]
     assert rates[:10] == pytest.approx([0.2 * (step + 1) for step in range(10)], rel=1e-12)
     assert rates[10] == 2.0
     assert rates[55] == pytest.approx(1.0, rel=1e-12)  # half of the way down
     assert rates[99] == pytest.approx(1 + math.cos(math.pi * 89 / 90), rel=1e-12)
-
-
-def test_constant() -> None:
     config = OptimiserConfig(learning_rate=2.0, warm_up=0.0, schedule="constant")
     assert {learning_rate(step, 7, config) for step in range(7)} == {2.0}
 
@@ -549,11 +492,7 @@ def test_only_convolutions_decay(tiny_capture: CaptureModel) -> None:
             assert torch.allclose(value, before[name] * 0.95, rtol=1e-6)  # 1 - 0.1 x 0.5
             decayed.add(name)
     assert decayed == {name for name, value in before.items() if name.startswith("enhancement") and value.ndim == 4}
-
-
-def test_what_does_not_learn_is_left_out(tiny_capture: CaptureModel) -> None:
-    network = build_network(tiny_capture, "flatnet3d", "tiny")
-    network.inversion.requires_grad_(False)
+    network.inversion.requires_grad_(False)  # what does not learn is left out
     optimiser = build_optimiser(network, OptimiserConfig())
     held = {id(parameter) for group in optimiser.param_groups for parameter in group["params"]}
     assert held == {id(parameter) for parameter in network.enhancement.parameters()}

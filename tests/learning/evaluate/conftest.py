@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from learning.camera import CaptureModel, capture_model, measure_reference_white
-from learning.checkpoint import save_checkpoint
+from learning.camera import CaptureModel
 from learning.method import Clock, Estimate, linear_to_srgb
-from learning.models import build_network
-from simulator.dataset.reader import open_dataset
 
 
 class Oracle:
@@ -42,26 +38,3 @@ class Oracle:
 @pytest.fixture
 def oracle() -> type[Oracle]:
     return Oracle
-
-
-@pytest.fixture(scope="session")
-def tiny_camera(tiny_dataset: Path) -> CaptureModel:
-    """The camera of the tiny data set, as training knows it."""
-    train = open_dataset(tiny_dataset, "train")
-    return capture_model(train, white=measure_reference_white(train))
-
-
-@pytest.fixture(scope="session")
-def checkpoints(tmp_path_factory: pytest.TempPathFactory, tiny_camera: CaptureModel) -> list[Path]:
-    """Two seeds of an untrained FlatNet3D and one FlatNet2D."""
-    folder = tmp_path_factory.mktemp("checkpoints")
-    made = []
-    for name, seed in (("flatnet3d", 0), ("flatnet3d", 1), ("flatnet2d", 0)):
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            network = build_network(tiny_camera, name, "tiny").eval()
-        path = folder / f"{name}_{seed}.safetensors"
-        architecture = {"network": name, "size": "tiny"}
-        save_checkpoint(path, network, architecture=architecture, capture=tiny_camera, record={"seed": seed})
-        made.append(path)
-    return made

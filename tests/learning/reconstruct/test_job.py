@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,10 @@ from learning import checkpoint as checkpoint_module
 from learning.camera import CaptureModel, capture_model, measure_reference_white, plain_capture, typical_white
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.classical.method import DEFAULTS, ConstrainedLeastSquares, PlanarMethod, build_classical
-from learning.models import build_network
 from learning.reconstruct.choice import Request, choose_method
 from learning.reconstruct.inputs import load_measurement
 from learning.reconstruct.job import reconstruct, write_reconstruction
+from learning.tune.study import Study
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
 from simulator.io.exr import read_exr, write_exr
@@ -35,21 +34,9 @@ def sample(tiny_dataset: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def checkpoint(tiny_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def checkpoint(checkpoints: list[Path]) -> Path:
     """A network with random weights for the tiny camera, whose white is the training set's."""
-    train = open_dataset(tiny_dataset, "train")
-    capture = capture_model(train, white=measure_reference_white(train))
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        network = build_network(capture, "flatnet3d", "tiny")
-    path = tmp_path_factory.mktemp("checkpoints") / "flatnet3d.safetensors"
-    save_checkpoint(path, network, architecture=NETWORK, capture=capture, record={"command": "test"})
-    return path
-
-
-def own_camera(tiny_dataset: Path, **changes: Any) -> CaptureModel:
-    train = open_dataset(tiny_dataset, "train")
-    return capture_model(train, white=measure_reference_white(train), **changes)
+    return checkpoints[0]
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".tif", ".png", ".npy"])
@@ -80,9 +67,10 @@ def test_files_of_all_four_kinds_give_what_the_arrays_give(
 
 
 def test_a_sample_takes_its_data_sets_camera_and_white(tiny_dataset: Path, sample: Path) -> None:
+    train = open_dataset(tiny_dataset, "train")
     for stack, named in ((None, "nominal"), ("captured", "captured")):
         setup = choose_method(load_measurement(sample), Request(method="cls", stack=stack))
-        expected = own_camera(tiny_dataset, stack=named)
+        expected = capture_model(train, named, white=measure_reference_white(train))
         assert setup.method.capture.stack.fingerprint == expected.stack.fingerprint
         for name in ("gain", "white"):
             assert getattr(setup.method.capture, name) == getattr(expected, name)
@@ -98,18 +86,7 @@ def test_a_subtracted_background_replaces_the_cameras_offset(tiny_dataset: Path,
 
 
 def test_parameters_come_from_defaults_then_tuning_then_the_user(sample: Path, tmp_path: Path) -> None:
-    results = [
-        {
-            "method": "cls",
-            "noise_db": level,
-            "parameters": {**DEFAULTS["cls"], "regularisation_lambda": regularisation_lambda},
-            "score": 1.0,
-        }
-        for level, regularisation_lambda in ((20.0, 0.5), (40.0, 0.25))
-    ]
-    content = {"format": "flatlight tuned", "version": 1, "identity": {"white": 0.6}, "trials": [], "results": results}
-    tuned = tmp_path / "tuned.json"
-    tuned.write_text(json.dumps(content), encoding="utf-8")
+    tuned = write_tuned(tmp_path / "tuned.json", 0.6, {20.0: 0.5, 40.0: 0.25})
     measurement = load_measurement(sample)
     chosen = choose_method(measurement, Request(method="cls", tuned=tuned))  # the data set's noise is 40 dB
     assert chosen.record["parameters"]["regularisation_lambda"] == 0.25
@@ -163,16 +140,10 @@ def test_without_any_choice_the_shipped_checkpoint_that_fits_is_taken(
     for name in ("flatnet2d", "flatnet3d"):
         (tmp_path / f"{name}.safetensors").write_bytes(checkpoint.read_bytes())
     assert choose_method(measurement, Request()).record["checkpoint"].endswith("flatnet3d.safetensors")
-    assert (
-        choose_method(measurement, Request(checkpoint="flatnet2d"))
-        .record["checkpoint"]
-        .endswith("flatnet2d.safetensors")
-    )
-    small = load_measurement(sample, binning=2)
+    named = choose_method(measurement, Request(checkpoint="flatnet2d")).record["checkpoint"]
+    assert named.endswith("flatnet2d.safetensors")
     with pytest.raises(InputError, match="s00000002: "):
-        choose_method(small, Request())
-    with pytest.raises(InputError, match=r"^--checkpoint: "):
-        choose_method(measurement, Request(checkpoint="flatnet9d"))
+        choose_method(load_measurement(sample, binning=2), Request())
 
 
 def planar_scene(tmp_path: Path, channels: int) -> tuple[Path, Path, np.ndarray]:
@@ -188,11 +159,10 @@ def planar_scene(tmp_path: Path, channels: int) -> tuple[Path, Path, np.ndarray]
     light = light[16:56, 16:56]  # the origin is sample 16 of the PSF
     codes = np.round(light / light.max() * 60000).astype(np.uint16) + 1000
     np.save(tmp_path / "psf.npy", np.round(psf * 4000).astype(np.uint16) + 200)
-    tifffile.imwrite(
-        tmp_path / "m.tif",
-        codes if channels == 1 else np.stack([codes, codes // 2, codes // 4], axis=-1),
-        photometric="minisblack" if channels == 1 else "rgb",
-    )
+    if channels == 1:
+        tifffile.imwrite(tmp_path / "m.tif", codes)
+    else:
+        tifffile.imwrite(tmp_path / "m.tif", np.stack([codes, codes // 2, codes // 4], axis=-1), photometric="rgb")
     return tmp_path / "m.tif", tmp_path / "psf.npy", scene
 
 
@@ -219,19 +189,15 @@ def test_the_image_of_one_psf_gives_a_image_and_no_depth(tmp_path: Path, method:
 def test_one_plane_is_inverted_by_the_shared_least_squares(tmp_path: Path) -> None:
     path, psf, _ = planar_scene(tmp_path, 1)
     measurement = load_measurement(path, background=1000)
-    setup = choose_method(
-        measurement, Request(method="cls", stack=str(psf), parameters={"regularisation_lambda": 0.05})
-    )
+    request = Request(method="cls", stack=str(psf), parameters={"regularisation_lambda": 0.05})
+    setup = choose_method(measurement, request)
     stack = setup.method.capture.stack
     assert float(stack.values.sum()) == pytest.approx(1, rel=1e-6)  # of a PSF whose exposure is unknown
     capture = plain_capture(stack, (40, 40))
-    expected = ConstrainedLeastSquares(capture, regularisation_lambda=0.05, tikhonov=0.0)(
-        torch.from_numpy(measurement.values)[None]
-    )[0, 0, 0]
+    method = ConstrainedLeastSquares(capture, regularisation_lambda=0.05, tikhonov=0.0)
+    expected = method(torch.from_numpy(measurement.values)[None])[0, 0, 0].numpy()
     found = reconstruct(measurement.values, setup.method).radiance[0]
-    assert np.allclose(
-        found, expected.numpy(), rtol=1e-4, atol=1e-5 * float(expected.max())
-    )  # another white on the way
+    assert np.allclose(found, expected, rtol=1e-4, atol=1e-5 * expected.max())  # another white on the way
 
 
 def test_a_stacks_folder_without_a_data_set_gives_depth_too(tmp_path: Path, tiny_capture: CaptureModel) -> None:
@@ -259,19 +225,19 @@ def test_a_stacks_folder_without_a_data_set_gives_depth_too(tmp_path: Path, tiny
     assert result.depth_m.min() > 0.0101 or depth[row * 15 + 7, column * 15 + 7].tolist() == [253, 231, 37]
 
 
-def write_tuned(path: Path, white: float) -> Path:
-    """Write a tuning of CLS at 40 dB."""
-    results = [{"method": "cls", "noise_db": 40.0, "parameters": DEFAULTS["cls"], "score": 1.0}]
-    identity = {"white": white}
-    content = {"format": "flatlight tuned", "version": 1, "identity": identity, "trials": [], "results": results}
-    path.write_text(json.dumps(content), encoding="utf-8")
+def write_tuned(path: Path, white: float, lambdas: dict[float, float]) -> Path:
+    """Write a tuning of CLS: lambda by noise level."""
+    study = Study(path, {"white": white}, {})
+    for level, chosen in lambdas.items():
+        parameters = DEFAULTS["cls"] | {"regularisation_lambda": chosen}
+        study.add_result({"method": "cls", "noise_db": level, "parameters": parameters, "score": 1.0})
     return path
 
 
 def test_white_is_a_data_sets_only_where_the_cameras_numbers_are(
     tiny_dataset: Path, sample: Path, tiny_capture: CaptureModel, tmp_path: Path
 ) -> None:
-    tuned = write_tuned(tmp_path / "tuned.json", 1e4)
+    tuned = write_tuned(tmp_path / "tuned.json", 1e4, {40.0: 0.1})
     values = load_measurement(sample).values
     np.save(tmp_path / "m.npy", values)
     loose = load_measurement(tmp_path / "m.npy")
@@ -332,16 +298,11 @@ def test_the_image_of_a_psf_is_cropped_and_binned_by_the_measurements_rule(tmp_p
 def test_parameters_for_one_plane_are_checked_too(tmp_path: Path) -> None:
     path, psf, _ = planar_scene(tmp_path, 1)
     measurement = load_measurement(path, background=1000)
-    for value in ("abc", True):
-        with pytest.raises(InputError, match=r"^--set: "):
-            choose_method(
-                measurement, Request(method="cls", stack=str(psf), parameters={"regularisation_lambda": value})
-            )
     with pytest.raises(InputError, match=r"^--set: "):
-        choose_method(measurement, Request(method="admm", stack=str(psf), parameters={"iterations": 2.5}))
+        choose_method(measurement, Request(method="cls", stack=str(psf), parameters={"regularisation_lambda": True}))
     whole = choose_method(measurement, Request(method="cls", stack=str(psf), parameters={"regularisation_lambda": 1}))
     assert whole.record["parameters"] == {"regularisation_lambda": 1, "tikhonov": 0.0}
-    tuned = write_tuned(tmp_path / "tuned.json", 0.5)
+    tuned = write_tuned(tmp_path / "tuned.json", 0.5, {40.0: 0.1})
     with pytest.raises(InputError, match=r"^--tuned: "):
         choose_method(measurement, Request(method="cls", stack=str(psf), tuned=tuned))
 
