@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from learning.camera import CaptureModel, plain_capture
-from learning.classical.admm import Admm, add_adjoint, difference_power, differences
+from learning.camera import CaptureModel
+from learning.classical.admm import Admm, add_adjoint, differences
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
@@ -157,19 +157,6 @@ def test_single_precision_is_enough() -> None:
     np.testing.assert_allclose(single.numpy(), double.numpy(), rtol=0, atol=2e-5)  # of white, after 100 iterations
 
 
-def test_light_of_two_points_lies_in_their_planes() -> None:
-    values = np.random.default_rng(3).random((4, 1, 21, 21)) ** 4
-    stack = PsfStack(values, np.linspace(0.1, 0.2, 4), 1e-5, ("Y",), "random")
-    capture = plain_capture(stack, (32, 32), (16, 16))  # much of the light misses the sensor
-    points = np.zeros((4, 1, 16, 16))
-    points[1, 0, 4, 3] = points[3, 0, 11, 12] = 1
-    measurement = torch.from_numpy(measure(capture, points, noise=0.01))[None]
-    volume = Admm(capture, tv=1e-3, sparsity=0.02, iterations=200)(measurement)[0, :, 0].numpy()
-    assert volume[1, 4, 3] == pytest.approx(1, abs=0.1)
-    assert volume[3, 11, 12] == pytest.approx(1, abs=0.1)
-    assert volume[1, 4, 3] + volume[3, 11, 12] > 0.9 * volume.sum()
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -207,12 +194,3 @@ def test_adjoint_is_the_transpose() -> None:
     add_adjoint(back, rows, columns)
     there = sum((a * b).sum() for a, b in zip(differences(image), (rows, columns), strict=True))
     np.testing.assert_allclose(float((back * image).sum()), float(there), rtol=1e-13)
-
-
-def test_power_is_the_spectrum_of_periodic_differences() -> None:
-    image = np.random.default_rng(0).random((6, 9))
-    energy = sum(np.sum((np.roll(image, -1, axis) - image) ** 2) for axis in (0, 1))
-    weight = np.full(5, 2.0)
-    weight[0] = 1  # of an odd length, all columns but the first of the half spectrum stand for two
-    spectrum = np.abs(np.fft.rfft2(image)) ** 2 * weight * difference_power(6, 9, torch.float64).numpy()
-    np.testing.assert_allclose(spectrum.sum() / image.size, energy, rtol=1e-12)

@@ -48,22 +48,12 @@ def test_defocus_is_the_thesis_formula_averaged_by_a_gaussian(volume):
     np.testing.assert_allclose(cost, average(raw) / average(np.ones_like(raw)), rtol=1e-10)
 
 
-def test_spread_is_the_mean_squared_distance_to_the_light():
-    light = torch.zeros(1, 5, 1, 1, 2, dtype=torch.float64)
-    light[0, 0, 0, 0], light[0, 4, 0, 0] = torch.tensor([1.0, 0.0]), torch.tensor([1.0, 3.0])
-    cost = cost_of(light, cost="spread", measure="light", contrast=0.5, window_px=0)
-    x = np.arange(5) / 4
-    np.testing.assert_allclose(cost[0, :, 0, 0], 0.5 * x**2 + 0.5 * (1 - x) ** 2, atol=1e-12)
-    np.testing.assert_allclose(cost[0, :, 0, 1], (1 - x) ** 2, atol=1e-12)
-
-
-@pytest.mark.parametrize("steps", [2, 3, 4])
-def test_spread_between_planes_is_the_mean_squared_distance_too(volume, steps):
-    """By its definition, label by label; at planes the same as without labels between."""
+@pytest.mark.parametrize("steps", [1, 2, 3, 4])
+def test_spread_is_the_mean_squared_distance_to_the_light(volume, steps):
+    """By its definition, label by label, those between planes too."""
     settings = {"cost": "spread", "measure": "light", "contrast": 0.5, "window_px": 0}
     cost = cost_of(volume, **settings, steps_between_planes=steps)
     assert cost.shape == (2, 3 * steps + 1, 9, 11)
-    torch.testing.assert_close(cost[:, ::steps], cost_of(volume, **settings))
     light = sharpness(volume, "light").numpy() ** 0.5
     for label in range(3 * steps + 1):
         squares = (label / steps - np.arange(4)[:, None, None]) ** 2 / 9
@@ -97,21 +87,6 @@ def test_black_costs_the_same_everywhere_and_nan_stays_nan(cost):
     assert cost_of(black, cost=cost).isnan().any()
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"contrast": 0}, "^contrast: "),
-        ({"window_px": -1}, "^window_px: "),
-        ({"steps_between_planes": 0}, "^steps_between_planes: "),
-        ({"measure": "edges"}, "^measure: "),
-        ({"cost": "best"}, "^cost: "),
-    ],
-)
-def test_refuses_what_makes_no_sense(volume, changes, message):
-    with pytest.raises(InputError, match=message):
-        cost_of(volume, **changes)
-
-
 def test_refuses_another_shape():
     with pytest.raises(InputError, match=r"^volume: "):
         sharpness(torch.zeros(3, 4, 4))
@@ -132,20 +107,10 @@ def labels():
     return torch.from_numpy(np.random.default_rng(1).integers(0, 3, (2, 16, 16)))
 
 
-def test_each_pixel_comes_from_its_plane(tiny_capture, scene, labels):
-    """One by one, and back through the camera's colours."""
-    estimate = assemble(volume_of(scene, tiny_capture), labels, tiny_capture, "label")
-    radiance = srgb_to_linear(estimate.image, 1.0).numpy()
-    depths_cm = estimate.depth_m(tiny_capture).numpy() * 100
-    for b, y, x in ((0, 0, 0), (1, 3, 15), (0, 15, 2), (1, 8, 8)):
-        label = int(labels[b, y, x])
-        np.testing.assert_allclose(radiance[b, :, y, x], scene[b, label, :, y, x], rtol=1e-6)
-        np.testing.assert_allclose(depths_cm[b, 0, y, x], tiny_capture.stack.depths_m[label] * 100, rtol=1e-6)
-
-
 def test_between_planes_light_and_disparity_go_linearly_from_one_to_the_next(tiny_capture, scene):
     """Pixel by pixel; disparity by depth, whose inverse goes evenly."""
     places = torch.from_numpy(np.random.default_rng(2).uniform(0, 2, (2, 16, 16)))
+    places[1] = places[1].round()  # planes themselves
     estimate = assemble(volume_of(scene, tiny_capture), places, tiny_capture, "label")
     radiance = srgb_to_linear(estimate.image, 1.0).numpy()
     depths_m = estimate.depth_m(tiny_capture).numpy()
@@ -153,7 +118,7 @@ def test_between_planes_light_and_disparity_go_linearly_from_one_to_the_next(tin
     for b, y, x in ((0, 0, 0), (1, 3, 15), (0, 15, 2), (1, 8, 8)):
         place = float(places[b, y, x])
         k, share = int(place), place % 1
-        expected = (1 - share) * scene[b, k, :, y, x] + share * scene[b, k + 1, :, y, x]
+        expected = (1 - share) * scene[b, k, :, y, x] + share * scene[b, min(k + 1, 2), :, y, x]
         np.testing.assert_allclose(radiance[b, :, y, x], expected, rtol=1e-6)
         np.testing.assert_allclose(1 / depths_m[b, 0, y, x], np.interp(place, range(3), inverse), rtol=1e-6)
 

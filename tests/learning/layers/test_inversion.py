@@ -8,7 +8,6 @@ import skimage.restoration
 import torch
 
 from learning.layers.inversion import RegularisedInversion, WienerInversion
-from learning.layers.padding import AxisPlan
 from simulator.arrays import next_fast_len
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
@@ -110,29 +109,6 @@ def test_gradients_by_finite_differences(camera):
 
 
 @pytest.mark.usefixtures("double")
-@pytest.mark.parametrize("shape", [(15, 20), (16, 12)])
-def test_constrained_least_squares_of_a_circular_camera(camera, shape, monkeypatch):
-    """With a period of exactly the sensor: argmin |y - H x|^2 + lambda |laplacian x|^2, solved as a dense system."""
-    capture = camera(shape, shape, shape, depths_m=(0.05,), channels=("Y",), plain=True)
-    plans = tuple(AxisPlan(size, size, 0, size) for size in shape)
-    monkeypatch.setattr("learning.layers.inversion.axis_plans", lambda _: plans)
-    layer = RegularisedInversion(capture, regularisation_lambda=0.02, learned=False)
-    assert not any(parameter.requires_grad for parameter in layer.parameters())
-    forward = ForwardModel(capture.stack, shape, shape, boundary="circular")
-    eye = np.eye(np.prod(shape)).reshape(-1, 1, 1, 1, *shape)
-    matrix = np.stack([forward.forward(one).ravel() for one in eye], 1)
-    laplacian = [4 * one - sum(np.roll(one, s, a) for s in (-1, 1) for a in (0, 1)) for one in eye[:, 0, 0, 0]]
-    laplacian = np.stack(laplacian).reshape(len(eye), -1)
-    measurement = forward.forward(np.random.default_rng(2).random((1, 1, 1, *shape)))
-    weight = 0.02 * np.sum(np.asarray(capture.stack.values) ** 2)
-    normal = matrix.T @ matrix + weight * laplacian.T @ laplacian
-    wanted = np.linalg.solve(normal, matrix.T @ measurement.ravel()).reshape(shape)
-    got = layer(torch.from_numpy(measurement)[None])[0, 0, 0]
-    # The least denominator, 1e-8 of the mean power against at least 1e-3 of it here
-    np.testing.assert_allclose(got.numpy(), wanted, atol=2e-5)
-
-
-@pytest.mark.usefixtures("double")
 @pytest.mark.parametrize("psf", [(19, 22), (12, 31)])
 def test_points_come_out_at_their_pixels_and_planes(camera, psf):
     capture = camera((40, 47), (16, 15), psf, depths_m=(0.02, 0.03, 0.06), plain=True)
@@ -172,9 +148,9 @@ def test_selected_planes_and_single_ones(camera):
     assert RegularisedInversion(flat)(measurement[:, :1]).shape == (2, 1, 1, 8, 8)
 
 
-def test_memory_format_and_precision_follow_the_module(camera):
-    capture = camera(*SIZES[0])
-    layer, measurement = RegularisedInversion(capture), torch.rand(2, 3, *SIZES[0][0])
+@pytest.mark.parametrize("kind", [RegularisedInversion, WienerInversion])
+def test_memory_format_and_precision_follow_the_module(camera, kind):
+    layer, measurement = kind(camera(*SIZES[0])), torch.rand(2, 3, *SIZES[0][0])
     plain = layer(measurement).detach()
     other = layer.to(memory_format=torch.channels_last)(measurement.to(memory_format=torch.channels_last)).detach()
     torch.testing.assert_close(other, plain)
@@ -183,9 +159,9 @@ def test_memory_format_and_precision_follow_the_module(camera):
     assert float((double - plain).abs().max() / plain.abs().max()) < 1e-5  # rounding of float32
 
 
-def test_float32_under_autocast(camera):
-    capture = camera(*SIZES[0])
-    layer, measurement = RegularisedInversion(capture), torch.rand(1, 3, *SIZES[0][0])
+@pytest.mark.parametrize("kind", [RegularisedInversion, WienerInversion])
+def test_float32_under_autocast(camera, kind):
+    layer, measurement = kind(camera(*SIZES[0])), torch.rand(1, 3, *SIZES[0][0])
     plain = layer(measurement)
     with torch.autocast("cpu", torch.bfloat16):
         mixed = layer(measurement)
@@ -215,15 +191,19 @@ def test_a_filter_without_any_response_divides_by_something(camera):
 
 @pytest.mark.parametrize("shape", [(1, 3, 24, 25), (1, 2, 24, 24), (3, 24, 24), (1, 2, 3, 24, 24)])
 def test_refuses_measurements_of_another_camera(camera, shape):
-    layer = RegularisedInversion(camera(*SIZES[0]))
     with pytest.raises(InputError, match=r"^measurement: "):
-        layer(torch.rand(shape))
+        RegularisedInversion(camera(*SIZES[0]))(torch.rand(shape))
+    with pytest.raises(InputError, match=r"^measurement: "):
+        WienerInversion(camera(*SIZES[0]))(torch.rand(2, 4, 3, 24, 26))
 
 
-@pytest.mark.parametrize("regularisation_lambda", [0.0, -1.0, float("nan"), float("inf")])
-def test_refuses_strengths_that_are_not_positive(camera, regularisation_lambda):
-    with pytest.raises(InputError, match=r"^regularisation_lambda: "):
-        RegularisedInversion(camera(*SIZES[0]), regularisation_lambda=regularisation_lambda)
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_refuses_what_is_not_positive(camera, value):
+    for kind, name in ((RegularisedInversion, "regularisation_lambda"), (WienerInversion, "noise_to_signal")):
+        with pytest.raises(InputError, match=rf"^{name}: "):
+            kind(camera(*SIZES[0]), **{name: value})
+    with pytest.raises(InputError, match=r"^plane: "):
+        WienerInversion(camera(*SIZES[0]), plane=3)
 
 
 @pytest.mark.usefixtures("double")
@@ -284,48 +264,3 @@ def test_one_learning_rate_serves_every_scale(camera):
         optimiser.step()
         results.append(layer(measurement).detach())
     assert float((results[0] - results[1]).abs().max() / results[0].abs().max()) < 1e-3
-
-
-def test_learns_to_invert_better(camera):
-    capture = camera((24, 24), (8, 8), (9, 9), plain=True)
-    torch.manual_seed(0)
-    scenes = torch.rand(16, 3, 8, 8)
-    kernel = torch.from_numpy(np.asarray(capture.stack.values)[0]).float().flip(-2, -1)[:, None]
-    measurements = torch.nn.functional.conv2d(scenes, kernel, padding=12, groups=3)[..., :24, :24]
-    measurements += 0.05 * torch.randn_like(measurements)
-    layer = WienerInversion(capture, noise_to_signal=1.0)
-    optimiser = torch.optim.Adam(layer.parameters(), 1e-2)
-    losses = []
-    for _ in range(40):
-        loss = (layer(measurements) - scenes).square().mean()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        losses.append(float(loss.detach()))
-    assert losses[-1] < 0.5 * losses[0]
-
-
-def test_memory_format_changes_nothing(camera):
-    layer, frames = WienerInversion(camera((24, 24), (8, 8), (9, 9))), torch.rand(2, 4, 3, 24, 24)
-    plain = layer(frames).detach()
-    assert torch.equal(layer.to(memory_format=torch.channels_last)(frames).detach(), plain)
-
-
-def test_wiener_in_float32_under_autocast(camera):
-    layer, measurement = WienerInversion(camera((24, 24), (8, 8), (9, 9))), torch.rand(1, 3, 24, 24)
-    plain = layer(measurement)
-    with torch.autocast("cpu", torch.bfloat16):
-        assert torch.equal(layer(measurement), plain)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"), [({"plane": 3}, "^plane: "), ({"noise_to_signal": 0.0}, "^noise_to_signal: ")]
-)
-def test_wiener_refuses(camera, arguments, message):
-    with pytest.raises(InputError, match=message):
-        WienerInversion(camera((24, 24), (8, 8), (9, 9)), **arguments)
-
-
-def test_wiener_refuses_measurements_of_another_camera(camera):
-    with pytest.raises(InputError, match=r"^measurement: "):
-        WienerInversion(camera((24, 24), (8, 8), (9, 9)))(torch.rand(2, 4, 3, 24, 26))
