@@ -19,12 +19,7 @@ from simulator.io.files import StorageError
 from simulator.optics.stack import depth_planes
 
 ARCHITECTURE = {"network": "flatnet3d", "size": "tiny", "filters": 6}
-RECORD = {
-    "command": "flatlight train x.yaml",
-    "seconds": 12.5,
-    "metrics": {"psnr": 20.1},
-    "versions": {"torch": "2.15"},
-}
+RECORD = {"command": "flatlight train x.yaml", "seconds": 12.5, "metrics": {"psnr": 20.1}}
 
 
 @pytest.fixture
@@ -79,9 +74,8 @@ def test_everything_comes_back(path, network, tiny_capture):
 def test_same_content_is_the_same_file(path, tmp_path, network, tiny_capture):
     again = tmp_path / "again.safetensors"
     network = network.to(memory_format=torch.channels_last)
-    save_checkpoint(
-        again, network, architecture=ARCHITECTURE, capture=tiny_capture, record=dict(reversed(RECORD.items()))
-    )
+    record = dict(reversed(RECORD.items()))
+    save_checkpoint(again, network, architecture=ARCHITECTURE, capture=tiny_capture, record=record)
     assert again.read_bytes() == path.read_bytes()
 
 
@@ -121,10 +115,9 @@ def test_filters_beyond_half_precision_are_refused_before_anything_is_written(pa
     before = path.read_bytes()
     with torch.no_grad():
         network.enhancement.head.weight[0, 0] = 7e4
+    half = {"record": {}, "precision": torch.float16}
     with pytest.raises(InputError, match=r"^precision: "):
-        save_checkpoint(
-            path, network, architecture=ARCHITECTURE, capture=tiny_capture, record={}, precision=torch.float16
-        )
+        save_checkpoint(path, network, architecture=ARCHITECTURE, capture=tiny_capture, **half)
     assert path.read_bytes() == before
 
 
@@ -143,65 +136,40 @@ def test_another_camera_of_the_same_planes(path, tiny_capture):
 
 
 @pytest.mark.parametrize(
-    ("depths_m", "message"),
-    [
-        (depth_planes(0.01, 0.2, 4), r"flatnet\.safetensors: "),
-        (depth_planes(0.02, 0.2, 3), r"flatnet\.safetensors: "),
-        (np.array([0.01, 0.03, 0.2]), r"flatnet\.safetensors: "),
-    ],
+    "depths_m", [depth_planes(0.01, 0.2, 4), depth_planes(0.02, 0.2, 3), np.array([0.01, 0.03, 0.2])]
 )
-def test_refuses_a_stack_of_other_planes(path, tiny_capture, depths_m, message):
+def test_refuses_a_stack_of_other_planes_pixels_or_channels(path, tiny_capture, depths_m):
     values = np.resize(np.asarray(tiny_capture.stack.values), (len(depths_m), *tiny_capture.stack.values.shape[1:]))
-    with pytest.raises(InputError, match=message):
-        load_checkpoint(
-            path, capture=tiny_capture.with_stack(replace(tiny_capture.stack, values=values, depths_m=depths_m))
-        )
+    pitch_m, grey = tiny_capture.stack.pixel_pitch_m, np.asarray(tiny_capture.stack.values)[:, :1]
+    others = [
+        {"stack": replace(tiny_capture.stack, values=values, depths_m=depths_m)},
+        {"stack": replace(tiny_capture.stack, pixel_pitch_m=1.1 * pitch_m)},
+        {"stack": replace(tiny_capture.stack, pixel_pitch_m=0.9 * pitch_m)},
+        {"stack": replace(tiny_capture.stack, values=grey, channels=("Y",)), "offset": np.zeros(1)},
+    ]
+    others[-1]["scene_to_camera"] = np.ones((1, 3))
+    for changes in others:
+        with pytest.raises(InputError, match=r"flatnet\.safetensors: its network"):
+            load_checkpoint(path, capture=replace(tiny_capture, **changes))
 
 
-def test_refuses_a_stack_of_other_pixels(path, tiny_capture):
-    pitch_m = tiny_capture.stack.pixel_pitch_m
-    for share in (1.1, 0.9):
-        other = replace(tiny_capture, stack=replace(tiny_capture.stack, pixel_pitch_m=share * pitch_m))
-        message = f"is for pixels of {pitch_m * 1e6:g} um, the stack's are {share * pitch_m * 1e6:g} um"
-        with pytest.raises(InputError, match=message):
-            load_checkpoint(path, capture=other)
+CHANGES = {
+    "newer": lambda content: content.update(version=2),
+    "unknown": lambda content: content["architecture"].update(network="flatnet9"),
+    "weights": lambda content: content["architecture"].update(filters=7),
+    "camera": lambda content: content.pop("camera"),
+    "architecture": lambda content: content.pop("architecture"),
+    "record": lambda content: content.pop("record"),
+    "other": lambda content: content.update(format="pt"),
+}
 
 
-def test_refuses_a_stack_of_other_channels(path, tiny_capture):
-    grey = replace(
-        tiny_capture,
-        stack=replace(tiny_capture.stack, values=np.asarray(tiny_capture.stack.values)[:, :1], channels=("Y",)),
-        offset=np.zeros(1),
-        scene_to_camera=np.ones((1, 3)),
-    )
-    with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
-        load_checkpoint(path, capture=grey)
-
-
-def test_refuses_another_architecture_than_asked(path):
+@pytest.mark.parametrize("change", CHANGES)
+def test_refuses_what_it_cannot_build(path, change):
     with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
         load_checkpoint(path, network="flatnet2d")
-
-
-def test_refuses_a_newer_format(path):
     with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
-        load_checkpoint(rewritten(path, lambda content: content.update(version=2)))
-
-
-def test_refuses_a_network_that_is_not_known(path):
-    with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
-        load_checkpoint(rewritten(path, lambda content: content["architecture"].update(network="flatnet9")))
-
-
-def test_refuses_weights_that_do_not_fit(path):
-    with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
-        load_checkpoint(rewritten(path, lambda content: content["architecture"].update(filters=7)))
-
-
-@pytest.mark.parametrize("part", ["camera", "architecture", "record"])
-def test_refuses_a_file_with_a_part_missing(path, part):
-    with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
-        load_checkpoint(rewritten(path, lambda content: content.pop(part)))
+        load_checkpoint(rewritten(path, CHANGES[change]))
 
 
 def test_refuses_weights_that_are_not_finite(path, network, tiny_capture):
@@ -234,13 +202,6 @@ def test_refuses_pickles_without_opening_them(tmp_path):
     assert not (tmp_path / "sprung").exists()
 
 
-def test_refuses_other_safetensors_files(tmp_path):
-    path = tmp_path / "other.safetensors"
-    safetensors.torch.save_file({"a": torch.ones(2)}, path, {"format": "pt"})
-    with pytest.raises(InputError, match=r"other\.safetensors: "):
-        load_checkpoint(path)
-
-
 def test_refuses_a_missing_file(tmp_path):
     with pytest.raises(InputError, match=r"none\.safetensors: "):
         load_checkpoint(tmp_path / "none.safetensors")
@@ -255,10 +216,9 @@ def test_a_refused_checkpoint_leaves_the_old_one(path, network, tiny_capture):
     with pytest.raises(InputError, match=r"^value\.record\.psnr: "):
         save_checkpoint(path, network, architecture=ARCHITECTURE, capture=tiny_capture, record={"psnr": float("nan")})
     assert path.read_bytes() == before
-    with pytest.raises(StorageError, match="folder does not exist"):
-        save_checkpoint(
-            path.parent / "no" / "x.safetensors", network, architecture=ARCHITECTURE, capture=tiny_capture, record={}
-        )
+    nowhere = path.parent / "no" / "x.safetensors"
+    with pytest.raises(StorageError, match=r"x\.safetensors: "):
+        save_checkpoint(nowhere, network, architecture=ARCHITECTURE, capture=tiny_capture, record={})
     assert [file.name for file in path.parent.iterdir()] == [path.name]
 
 
@@ -275,9 +235,8 @@ def trained(capture, name="flatnet3d", **changes):
         for parameter in network.parameters():
             parameter += 0.1 * torch.randn_like(parameter)
     network(torch.rand(2, 3, 48, 48))
-    return Checkpoint(
-        network.eval(), capture, capture.stack.fingerprint, {"network": name, "size": "tiny", **changes}, {}
-    )
+    architecture = {"network": name, "size": "tiny", **changes}
+    return Checkpoint(network.eval(), capture, capture.stack.fingerprint, architecture, {})
 
 
 @pytest.mark.parametrize("name", ["flatnet3d", "flatnet2d"])

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
-from PIL import Image
 
 from learning.commands import evaluate, reconstruct, train, tune
 from learning.tune import load_tuned
@@ -20,14 +19,8 @@ from simulator.optics.stack_files import read_depths_m
 
 
 def test_command(tiny_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    plain = {
-        "name": "tiny",
-        "output": "out",
-        "data": {"train": str(tiny_dataset), "cache": str(tmp_path / "cache"), "workers": 0},
-        "network": {"size": "tiny"},
-        "steps": 3,
-        "batch": 4,
-    }
+    data = {"train": str(tiny_dataset), "cache": str(tmp_path / "cache"), "workers": 0}
+    plain = {"name": "tiny", "output": "out", "data": data, "network": {"size": "tiny"}, "steps": 3, "batch": 4}
     path = tmp_path / "tiny.yaml"
     path.write_text(yaml.safe_dump(plain))
     train(path, ["steps=2"])
@@ -58,9 +51,7 @@ SEARCH = {
 def test_the_command_tunes_and_goes_on(tiny_dataset: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "tune.yaml"
     data = {"validation": str(tiny_dataset), "scenes": 4, "allow_few_scenes": True}
-    path.write_text(
-        json.dumps({"data": data, "methods": ["cls"], "noise_db": [30, 40], "search": SEARCH}), encoding="utf-8"
-    )
+    path.write_text(json.dumps({"data": data, "methods": ["cls"], "noise_db": [30, 40], "search": SEARCH}))
     tune(path, ["noise_db=[40]"])
     out, err = capfd.readouterr()
     lines = out.splitlines()
@@ -69,29 +60,12 @@ def test_the_command_tunes_and_goes_on(tiny_dataset: Path, tmp_path: Path, capfd
     assert lines[1].split()[:2] == ["cls", "40"]
     assert lines[2].startswith("constant guess")
     assert "cls at 40 dB: PSNR" in err
-    tuned = load_tuned(tmp_path / "tuned.json")
-    parameters, level = tuned.parameters("cls", 33)
-    assert level == 40
-    first = tuned.content["results"][0]
-    trials = {
-        (t["parameters"]["regularisation_lambda"], t["parameters"]["pairwise"]): t["score"]
-        for t in tuned.content["trials"]
-        if all(
-            t["parameters"][name] == parameters[name]
-            for name in parameters
-            if name not in ("regularisation_lambda", "pairwise")
-        )
-    }
-    best = parameters["regularisation_lambda"], parameters["pairwise"]
-    # Within the least gain of the best of all trials, and worse ones above and below it, or a limit.
-    assert trials[best] == first["score"] <= min(trials.values()) * (1 + 2e-3)
-    for axis, value in enumerate(best):
-        others = {pair[axis] for pair in trials if pair[1 - axis] == best[1 - axis]}
-        assert (min(others) < value < max(others)) or first["at_limit"]
+    first = load_tuned(tmp_path / "tuned.json")
+    assert first.content["results"][0]["score"] <= min(t["score"] for t in first.content["trials"]) * (1 + 2e-3)
     tune(path, None)
     again = load_tuned(tmp_path / "tuned.json")
     assert again.levels_db("cls") == [30.0, 40.0]
-    assert again.content["trials"][: len(tuned.content["trials"])] == tuned.content["trials"]
+    assert again.content["trials"][: len(first.content["trials"])] == first.content["trials"]
 
 
 def test_an_unknown_parameter_is_refused(tiny_dataset: Path, tmp_path: Path) -> None:
@@ -129,33 +103,27 @@ def test_a_table_is_printed(tmp_path: Path, tiny_dataset: Path, capsys: pytest.C
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("key", "changes"),
     [
-        ({"methods": []}, "methods"),
-        ({"methods": [{"name": "A", "checkpoints": []}]}, "at least one file"),
-        ({"methods": [{"name": "A", "checkpoints": ["a", "a"]}]}, "each of them once"),
-        ({"methods": [{"name": "A"}]}, "either checkpoints"),
-        ({"methods": [{"name": "A", "checkpoints": ["a"], "classical": "cls"}]}, "either checkpoints"),
-        ({"methods": [{"name": "A", "checkpoints": ["a"], "tuned": "b"}]}, "belong to classical methods"),
-        ({"methods": [{"name": "A", "classical": "cls"}]}, "either tuned"),
-        (
-            {"methods": [{"name": "A", "checkpoints": ["a"]}, {"name": "A", "checkpoints": ["b"]}]},
-            "'A' is the name of two methods",
-        ),
-        ({"data": {"test": "x"}}, "classical methods need data.training"),
-        ({"data": {"test": "x", "stack": "captured"}}, "name its folder in data.training"),
-        ({"depth_bins_cm": [5, 4]}, "increasing"),
-        ({"noise_db": [20, 20]}, "each of them once"),
-        ({"noise_db": [2000]}, "0 to 100 dB"),
-        ({"speed": 1}, "speed"),
+        ("methods", {"methods": []}),
+        ("methods[0].checkpoints", {"methods": [{"name": "A", "checkpoints": []}]}),
+        ("methods[0].checkpoints", {"methods": [{"name": "A", "checkpoints": ["a", "a"]}]}),
+        ("methods[0]", {"methods": [{"name": "A"}]}),
+        ("methods[0]", {"methods": [{"name": "A", "checkpoints": ["a"], "classical": "cls"}]}),
+        ("methods[0]", {"methods": [{"name": "A", "checkpoints": ["a"], "tuned": "b"}]}),
+        ("methods[0]", {"methods": [{"name": "A", "classical": "cls"}]}),
+        ("methods[1].name", {"methods": [{"name": "A", "checkpoints": ["a"]}, {"name": "A", "checkpoints": ["b"]}]}),
+        ("data", {"data": {"test": "x"}}),
+        ("data", {"data": {"test": "x", "stack": "captured"}}),
+        ("depth_bins_cm", {"depth_bins_cm": [5, 4]}),
+        ("noise_db", {"noise_db": [20, 20]}),
+        ("noise_db[0]", {"noise_db": [2000]}),
+        ("speed", {"speed": 1}),
     ],
 )
-def test_a_mistake_in_the_file_is_named(
-    tmp_path: Path, tiny_dataset: Path, changes: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(InputError, match=message) as error:
+def test_a_mistake_in_the_file_is_named(tmp_path: Path, tiny_dataset: Path, key: str, changes: Any) -> None:
+    with pytest.raises(InputError, match=rf"evaluate\.yaml:\d+:\d+: {re.escape(key)}: "):
         evaluate(_write(tmp_path, tiny_dataset, **changes))
-    assert "evaluate.yaml:" in str(error.value)
 
 
 def test_a_sample_becomes_a_folder(tiny_dataset: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -191,32 +159,11 @@ def test_no_result_takes_the_place_of_another_by_default(
     assert len(list(tmp_path.iterdir())) == 3
 
 
-@pytest.mark.parametrize(("set_", "message"), [(["regularisation_lambda"], "^--set: "), (["=1"], "^--set: ")])
-def test_changes_need_a_key_and_a_value(tiny_dataset: Path, tmp_path: Path, set_: list[str], message: str) -> None:
+def test_options_of_another_form_are_named(tiny_dataset: Path, tmp_path: Path) -> None:
     sample = open_dataset(tiny_dataset, "test").folder(0)
-    with pytest.raises(InputError, match=message):
-        reconstruct(sample, method="cls", set_=set_, output=tmp_path / "out")
-    with pytest.raises(InputError, match=r"^--white: "):
-        reconstruct(sample, method="cls", white=-1, output=tmp_path / "out")
-    with pytest.raises(InputError, match=r"^--scene: "):
-        reconstruct(sample, method="cls", scene="16", output=tmp_path / "out")
+    wrong: list[tuple[str, dict[str, Any]]] = [("--white", {"white": -1}), ("--scene", {"scene": "16"})]
+    wrong += [("--set", {"set_": ["regularisation_lambda"]}), ("--set", {"set_": ["=1"]})]
+    for option, given in wrong:
+        with pytest.raises(InputError, match=f"^{option}: "):
+            reconstruct(sample, method="cls", output=tmp_path / "out", **given)
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.shared
-@pytest.mark.parametrize("method", ["cls", "admm"])
-def test_the_diffuser_cameras_hand(shared_data: Path, tmp_path: Path, method: str) -> None:
-    tutorial = shared_data / "diffusercam" / "tutorial"
-    folder = tmp_path / "hand"
-    raw, psf = tutorial / "rawdata_hand_sample.tif", str(tutorial / "psf_sample.tif")
-    reconstruct(raw, method=method, stack=psf, binning=8, output=folder)
-    assert not (folder / "depth.png").exists()
-    grey = np.asarray(Image.open(folder / "picture.png"))[..., 0].astype(float)
-    assert grey.shape == (150, 200)
-    # Where the hand is and where it is not, read off the published tutorial's image: palm, thumb's tip, three corners.
-    palm = grey[65:90, 100:125].mean()
-    assert palm > 120
-    assert grey[38:44, 116:120].mean() > 80
-    for corner in (grey[:30, 160:], grey[:20, :50], grey[110:, :60]):
-        assert corner.mean() < palm / 2

@@ -103,9 +103,8 @@ def trained(width: int = 3) -> tuple[nn.Module, torch.optim.Optimizer]:
 def test_round_trip(tmp_path: Path) -> None:
     torch.manual_seed(1)
     (network, optimiser), (other, empty) = trained(), trained()
-    progress = Progress(
-        7, 1.25, {"step": 5, "total": 0.5}, {"step": 6, "total": 0.75}, {"total": 3.5}, 2, [[0, 9], [4, 12]]
-    )
+    best, last = {"step": 5, "total": 0.5}, {"step": 6, "total": 0.75}
+    progress = Progress(7, 1.25, best, last, {"total": 3.5}, 2, [[0, 9], [4, 12]])
     save_state(tmp_path / "state.pt", network, optimiser, progress)
     assert load_state(tmp_path / "state.pt", other, empty) == progress
     for name, value in network.state_dict().items():

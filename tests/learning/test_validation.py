@@ -34,12 +34,8 @@ def scenes(capture: CaptureModel, count: int) -> tuple[Example, torch.Tensor]:
     """Return scenes of mid-grey at half of the disparities, and what would be measured of them without an error."""
     codes = torch.full((count, 3, 16, 16), 0.5)
     disparity = torch.full((count, 1, 16, 16), 0.5)
-    truth = Example(
-        torch.cat([codes, disparity], 1),
-        srgb_to_linear(codes, capture.white),
-        capture.depth_m(disparity),
-        disparity > 0,
-    )
+    radiance = srgb_to_linear(codes, capture.white)
+    truth = Example(torch.cat([codes, disparity], 1), radiance, capture.depth_m(disparity), disparity > 0)
     return truth, truth.measurement.clone()
 
 
@@ -117,12 +113,8 @@ def test_what_is_made_again_replaces_what_was_there(tmp_path: Path) -> None:
     log.write(3, "validation", {"total": 5.0})
     log.close()
     found = [json.loads(line) for line in (tmp_path / METRICS).read_text().splitlines()]
-    assert [(line["step"], line["kind"], line["total"]) for line in found] == [
-        (1, "train", 1.0),
-        (2, "train", 2.0),
-        (3, "train", 30.0),
-        (3, "validation", 5.0),
-    ]
+    kept = [(1, "train", 1.0), (2, "train", 2.0), (3, "train", 30.0), (3, "validation", 5.0)]
+    assert [(line["step"], line["kind"], line["total"]) for line in found] == kept
     board = EventAccumulator(str(tmp_path / TENSORBOARD))
     board.Reload()
     assert [(event.step, event.value) for event in board.Scalars("train/total")] == [(1, 1.0), (2, 2.0), (3, 30.0)]

@@ -25,18 +25,8 @@ def measurement():
 @pytest.mark.parametrize(
     ("name", "given", "volume_method", "stage"),
     [
-        (
-            "cls",
-            {"regularisation_lambda": 0.05, "tikhonov": 0.2},
-            lambda capture: ConstrainedLeastSquares(capture, regularisation_lambda=0.05, tikhonov=0.2),
-            "inversion",
-        ),
-        (
-            "admm",
-            {"tv": 0.02, "sparsity": 0.03, "iterations": 3},
-            lambda capture: Admm(capture, tv=0.02, sparsity=0.03, iterations=3),
-            "admm",
-        ),
+        ("cls", {"regularisation_lambda": 0.05, "tikhonov": 0.2}, ConstrainedLeastSquares, "inversion"),
+        ("admm", {"tv": 0.02, "sparsity": 0.03, "iterations": 3}, Admm, "admm"),
     ],
 )
 def test_is_volume_graph_cut_and_assembly(tiny_capture, measurement, name, given, volume_method, stage):
@@ -48,7 +38,7 @@ def test_is_volume_graph_cut_and_assembly(tiny_capture, measurement, name, given
     estimate = method.reconstruct(measurement, clock)
     assert list(clock.seconds) == [stage, "graph cut", "assembly"]
 
-    volume = volume_method(tiny_capture)(measurement)
+    volume = volume_method(tiny_capture, **given)(measurement)
     torch.testing.assert_close(method.volume(measurement), volume)
     labels = method.places(volume).long()
     torch.testing.assert_close(estimate, assemble(volume, labels, tiny_capture, "sum"))
@@ -120,6 +110,7 @@ def test_the_number_of_labels_and_the_unit_do_not_change_what_pairwise_means(tin
     [
         ("wiener", {}, "^name: "),
         ("cls", {"tv": 0.1}, "^parameters: "),
+        ("cls", {"strength": 0.1}, "^parameters: .*regularisation_lambda"),  # its name in earlier versions
         ("cls", {"regularisation_lambda": "much"}, "^parameters: "),
         ("admm", {"iterations": 10.5}, "^parameters: "),
         ("cls", {"measure": 3}, "^parameters: "),

@@ -131,18 +131,13 @@ def test_naive_baselines_are_what_hand_computation_gives(tiny_dataset: Path, tin
     test = open_dataset(tiny_dataset, "test")
     examples = ExampleSet(test)
     criteria = Criteria((1.0, 20.0))
-    rows = [
-        outcome(
-            one.name, "naive", [score(one, examples, criteria, device=torch.device("cpu"), batch=5)], only=one.scores
-        )
-        for one in naive_baselines(examples, tiny_camera, 3)
-    ]
+    baselines = naive_baselines(examples, tiny_camera, 3)
+    found = [score(one, examples, criteria, device=CPU, batch=5) for one in baselines]
+    rows = [outcome(one.name, "naive", [each], only=one.scores) for one, each in zip(baselines, found, strict=True)]
     frames = [test.stored(position).frame(0) for position in range(len(test))]
     depth_cm = np.stack([100 * frame.depth_m.astype(np.float64) for frame in frames])
     valid = np.stack([frame.valid for frame in frames])
-    codes = np.stack([linear_to_srgb(np.clip(frame.rgb / tiny_camera.white, 0, 1)) for frame in frames]).astype(
-        np.float64
-    )
+    codes = np.stack([linear_to_srgb(np.clip(frame.rgb / tiny_camera.white, 0, 1)) for frame in frames]).astype(float)
     mean_cm = depth_cm[valid].mean()
     constant, disparity, mean, black = rows
     assert constant.method == f"constant depth ({mean_cm:.2f} cm)"
@@ -196,16 +191,7 @@ def test_the_median_by_stage_of_turns_after_the_first(monkeypatch: pytest.Monkey
     slow = Sleeper("slow", lambda turn: 10.0, log)
     scenes = torch.arange(2.0)[:, None, None, None].expand(2, 1, 2, 2)
     times = take_times([fast, slow], scenes, 3, lambda *counts: done.append(counts))  # pyright: ignore[reportArgumentType]
-    assert log == [
-        ("fast", 0),
-        ("slow", 0),
-        ("fast", 1),
-        ("slow", 1),
-        ("fast", 0),
-        ("slow", 0),
-        ("fast", 1),
-        ("slow", 1),
-    ]
+    assert log == [(name, scene) for scene in (0, 1, 0, 1) for name in ("fast", "slow")]
     assert times[0].stages == {"inversion": 2.0, "network": 4.0}
     assert (times[0].total, times[0].fastest) == (6.0, 3.0)
     assert times[1].total == pytest.approx(30.0)

@@ -21,7 +21,7 @@ from learning.reconstruct.job import reconstruct, write_reconstruction
 from learning.tune.study import Study
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
-from simulator.io.exr import read_exr, write_exr
+from simulator.io.exr import read_exr
 from simulator.optics.stack import PsfStack
 from simulator.optics.stack_files import write_psf_stack
 
@@ -39,28 +39,15 @@ def checkpoint(checkpoints: list[Path]) -> Path:
     return checkpoints[0]
 
 
-@pytest.mark.parametrize("suffix", [".exr", ".tif", ".png", ".npy"])
-def test_files_of_all_four_kinds_give_what_the_arrays_give(
-    tiny_dataset: Path, sample: Path, tmp_path: Path, suffix: str
-) -> None:
+def test_a_file_gives_what_the_arrays_give(tiny_dataset: Path, sample: Path, tmp_path: Path) -> None:
     values = load_measurement(sample).values
-    path = tmp_path / f"m{suffix}"
-    bits = None
-    if suffix == ".exr":
-        write_exr(path, dict(zip("RGB", values, strict=True)), {})
-    elif suffix == ".tif":
-        tifffile.imwrite(path, np.moveaxis(values, 0, -1), photometric="rgb")
-    elif suffix == ".npy":
-        np.save(path, values)
-    else:
-        codes = np.clip(np.round(np.moveaxis(values, 0, -1) * 256), 0, 255).astype(np.uint8)
-        Image.fromarray(codes).save(path)
-        values, bits = np.moveaxis(codes / np.float32(256), -1, 0), 8
+    tifffile.imwrite(tmp_path / "m.tif", np.moveaxis(values, 0, -1), photometric="rgb")
+    measurement = load_measurement(tmp_path / "m.tif")
     # The camera's numbers come from the data set that the stack is of, by which the image was taken.
-    setup = choose_method(load_measurement(path, bits=bits), Request(method="cls", stack=str(tiny_dataset), white=0.7))
-    from_file = reconstruct(load_measurement(path).values, setup.method)
+    setup = choose_method(measurement, Request(method="cls", stack=str(tiny_dataset), white=0.7))
+    from_file = reconstruct(measurement.values, setup.method)
     method = build_classical(capture_model(open_dataset(tiny_dataset, "test"), white=0.7), "cls", DEFAULTS["cls"])
-    estimate = method.reconstruct(torch.from_numpy(np.ascontiguousarray(values))[None])
+    estimate = method.reconstruct(torch.from_numpy(values)[None])
     assert np.array_equal(from_file.image, estimate.image[0].clamp(0, 1).numpy())
     assert from_file.depth_m is not None
     assert np.array_equal(from_file.depth_m, estimate.depth_m(method.capture)[0, 0].numpy())
@@ -367,14 +354,10 @@ def test_a_camera_that_does_not_fit_is_refused_with_the_cure(
         chosen((3, 48, 48), method="cls", stack=str(tmp_path / "grey"))
 
 
-def test_nan_and_other_shapes_are_refused(tiny_capture: CaptureModel) -> None:
-    method = build_classical(tiny_capture, "cls")
+@pytest.mark.parametrize("values", [np.zeros((3, 40, 48)), np.full((3, 48, 48), np.nan)])
+def test_nan_and_other_shapes_are_refused(tiny_capture: CaptureModel, values: Any) -> None:
     with pytest.raises(InputError, match=r"^measurement: "):
-        reconstruct(np.zeros((3, 40, 48)), method)
-    broken = np.zeros((3, 48, 48))
-    broken[1, 2, 3] = np.nan
-    with pytest.raises(InputError, match=r"^measurement: "):
-        reconstruct(broken, method)
+        reconstruct(values, build_classical(tiny_capture, "cls"))
 
 
 def test_one_plane_only(tiny_capture: CaptureModel) -> None:
