@@ -67,14 +67,8 @@ LEARNING: dict[str, dict[str, Any]] = {
         "scene_to_camera": [[0.9, 0.2, 0.0], [0.1, 0.8, 0.2], [0.0, 0.1, 0.7]],
         "noise": {"type": "gaussian", "psnr_db": 40, "clip": True, "quantise": True},
     },
-    "psf": {
-        "near_cm": 1,
-        "far_cm": 20,
-        "depths": 3,
-        "wavelengths_per_channel": 1,
-        "accept_error": 1,
-        "as_captured": {"illuminant": "camera"},
-    },
+    "psf": {"near_cm": 1, "far_cm": 20, "depths": 3, "wavelengths_per_channel": 1, "accept_error": 1}
+    | {"as_captured": {"illuminant": "camera"}},
     "scene": {"family": "./plugins.py:patches", "size": [16, 16]},
     "dataset": {"train": 4, "validation": 2, "test": 2},
 }
@@ -138,18 +132,10 @@ def settings(tiny_dataset: Path, tmp_path: Path) -> Callable[..., TrainConfig]:
     """Return a function that makes a small training; sections are changed key by key."""
 
     def make(output: str = "out", **changes: Any) -> TrainConfig:
-        plain: dict[str, Any] = {
-            "name": "tiny",
-            "output": str(tmp_path / output),
-            "seed": 3,
-            "data": {"train": str(tiny_dataset), "noise_db": (30.0, 40.0), "cache": False, "workers": 0},
-            "network": {"name": "flatnet3d", "size": "tiny"},
-            "steps": 9,
-            "batch": 5,
-            "validate_every": 4,
-            "log_every": 3,
-            "device": "cpu",
-        }
+        data = {"train": str(tiny_dataset), "noise_db": (30.0, 40.0), "cache": False, "workers": 0}
+        plain: dict[str, Any] = {"name": "tiny", "output": str(tmp_path / output), "seed": 3, "data": data}
+        plain |= {"network": {"name": "flatnet3d", "size": "tiny"}, "device": "cpu"}
+        plain |= {"steps": 9, "batch": 5, "validate_every": 4, "log_every": 3}
         for key, value in changes.items():
             plain[key] = plain[key] | value if isinstance(value, dict) and key in plain else value
         return TrainConfig.model_validate(plain)

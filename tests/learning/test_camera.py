@@ -69,8 +69,8 @@ DARK = ("camera.sensor.black_level_dn=100", "camera.sensor.dark_current_e_per_s=
     ],
     ids=lambda overrides: " ".join(overrides),
 )
-def test_a_stored_measurement_is_offset_plus_gain_times_convolution(
-    learning_trial: Any, train: Dataset, overrides: tuple[str, ...]
+def test_measurements_are_offset_plus_gain_times_convolution(
+    learning_trial: Any, train: Dataset, overrides: Any
 ) -> None:
     dataset = train[:4]  # with Gaussian noise
     if overrides:

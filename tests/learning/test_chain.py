@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +31,8 @@ def scores(folder: Path, stored: Any, white: float) -> tuple[float, float]:
     frame = stored.frame(0)
     planes, _ = read_exr(folder / "picture.exr")
     linear = np.stack([planes[name] for name in "RGB"], axis=-1)
-    found, truth = (
-        linear_to_srgb(torch.from_numpy(np.ascontiguousarray(x)), white).numpy() for x in (linear, frame.rgb)
-    )
+    both = (torch.from_numpy(np.ascontiguousarray(values)) for values in (linear, frame.rgb))
+    found, truth = (linear_to_srgb(values, white).numpy() for values in both)
     depth_m: NDArray[np.float32] = read_exr(folder / "depth.exr")[0]["Z"]
     shown = np.asarray(Image.open(folder / "picture.png"))
     assert shown.shape == truth.shape
@@ -45,7 +43,7 @@ def scores(folder: Path, stored: Any, white: float) -> tuple[float, float]:
 
 @pytest.mark.slow
 def test_generate_train_evaluate_reconstruct(
-    learning_trial: Any, flatlight: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    learning_trial: Any, flatlight: Any, tmp_path: Path, monkeypatch: Any
 ) -> None:
     monkeypatch.chdir(tmp_path)
     # Only written here: the command shall generate.
@@ -55,16 +53,8 @@ def test_generate_train_evaluate_reconstruct(
     assert code == 0, err
     data = tmp_path / "out"
 
-    training = {
-        "name": "FlatNet3D tiny",
-        "output": "trained",
-        "data": {"train": str(data), "workers": 0},
-        "network": {"size": "tiny"},
-        "steps": STEPS,
-        "batch": 4,
-        "validate_every": STEPS // 2,
-        "log_every": 5,
-    }
+    training = {"name": "FlatNet3D tiny", "output": "trained", "data": {"train": str(data), "workers": 0}}
+    training |= {"network": {"size": "tiny"}, "steps": STEPS, "batch": 4, "validate_every": STEPS // 2, "log_every": 5}
     code, out, err = flatlight("train", write(tmp_path / "train.yaml", training), "--set", "seed=3")
     assert code == 0, err
     assert f"{STEPS} steps" in out

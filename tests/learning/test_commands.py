@@ -141,9 +141,7 @@ def test_a_sample_becomes_a_folder(tiny_dataset: Path, tmp_path: Path, capfd: py
     assert len(read_exr(folder / "volume.exr")[0]) == 9
 
 
-def test_no_result_takes_the_place_of_another_by_default(
-    tiny_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_results_have_names_of_their_own(tiny_dataset: Path, tmp_path: Path, monkeypatch: Any, capfd: Any) -> None:
     monkeypatch.chdir(tmp_path)
     test, train = (open_dataset(tiny_dataset, split).folder(0) for split in ("test", "train"))
     for sample, method in ((test, "cls"), (train, "cls"), (test, "admm")):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -66,31 +68,22 @@ def test_cuda_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 def test_two_processes_are_one_with_the_whole_batch(tiny_dataset: Path, tmp_path: Path) -> None:
-    plain = {
-        "name": "tiny",
-        "output": "one",
-        "data": {"train": str(tiny_dataset), "cache": str(tmp_path / "cache"), "workers": 0, "noise_db": [30.0, 40.0]},
-        "network": {"size": "tiny", "attention": True},
-        "steps": 10,
-        "batch": 6,
-        "log_every": 1,
-        "validate_every": 5,
-        "device": "cpu",
-    }
+    data = {"train": str(tiny_dataset), "cache": str(tmp_path / "cache"), "workers": 0, "noise_db": [30.0, 40.0]}
+    plain = {"name": "tiny", "output": "one", "data": data, "network": {"size": "tiny", "attention": True}}
+    plain |= {"steps": 10, "batch": 6, "log_every": 1, "validate_every": 5, "device": "cpu"}
     path = tmp_path / "tiny.yaml"
     path.write_text(yaml.safe_dump(plain))
     train(path)
     script = tmp_path / "run.py"
     script.write_text(f"from learning.train import train\ntrain({str(path)!r}, ['output=two'])\n")
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", str(script)]
-    done = subprocess.run(
-        command, cwd=ROOT, env=_environment(), capture_output=True, text=True, timeout=300, check=False
-    )
+    env = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    options: Any = {"cwd": ROOT, "env": env, "capture_output": True, "text": True, "timeout": 300, "check": False}
+    done = subprocess.run(command, **options)
     assert done.returncode == 0, done.stderr
     assert "FutureWarning" not in done.stderr
-    one, two = (
-        [json.loads(line) for line in (tmp_path / name / METRICS).read_text().splitlines()] for name in ("one", "two")
-    )
+    logs = ((tmp_path / name / METRICS).read_text() for name in ("one", "two"))
+    one, two = ([json.loads(line) for line in log.splitlines()] for log in logs)
     assert len(one) == len(two) == 12
     for first, second in zip(one, two, strict=True):
         assert (first["step"], first["kind"]) == (second["step"], second["kind"])
@@ -100,17 +93,9 @@ def test_two_processes_are_one_with_the_whole_batch(tiny_dataset: Path, tmp_path
     assert (tmp_path / "two" / LAST).exists()
     # One that cannot have the folder tells the others, which would wait for it for hours.
     script.write_text(f"from learning.train import train\ntrain({str(path)!r}, ['output=two', 'seed=9'])\n")
-    done = subprocess.run(
-        command, cwd=ROOT, env=_environment(), capture_output=True, text=True, timeout=100, check=False
-    )
+    done = subprocess.run(command, **options | {"timeout": 100})
     assert done.returncode != 0
     assert "seed: 0 -> 9" in done.stderr
-
-
-def _environment() -> dict[str, str]:
-    import os
-
-    return os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
 
 
 CPU = torch.device("cpu")

@@ -64,9 +64,7 @@ def test_parts_of_a_batch_average_to_the_whole(scenes: Scenes) -> None:
 
 @pytest.mark.parametrize("perceptual", ["none", "random_vgg"])
 @pytest.mark.parametrize("perfect", [False, True])
-def test_gradients_are_finite_without_valid_pixels_and_for_the_truth(
-    scenes: Scenes, perceptual: str, perfect: bool
-) -> None:
+def test_gradients_are_always_finite(scenes: Scenes, perceptual: str, perfect: bool) -> None:
     image, disparity, valid = (value.float() for value in scenes[1:])
     start = (image, disparity) if perfect else (image + 0.1, disparity + 0.1)
     estimate = Estimate(*(value.clone().requires_grad_() for value in start))

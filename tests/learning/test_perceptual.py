@@ -34,15 +34,24 @@ def images() -> Tensor:
     return natural_images(torch.Generator().manual_seed(8), 4, 32)
 
 
-def put_weights(folder: Path, monkeypatch: pytest.MonkeyPatch, content: dict[str, Any]) -> Path:
-    """Save a weight file of VGG-19 where torch's hub would have put it, its digest in its name."""
+@pytest.fixture(autouse=True)
+def offline(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*arguments: object, **keywords: object) -> None:
+        pytest.fail("something asked the network")
+
+    monkeypatch.setattr("urllib.request.urlopen", refuse)
+    monkeypatch.setattr("torch.hub.load_state_dict_from_url", refuse)
+
+
+def put_weights(folder: Path, monkeypatch: Any, content: Any, key: str = "vgg19", name: str = "vgg19") -> Path:
+    """Save a weight file where torch's hub would have put it, its digest in its name."""
     monkeypatch.setenv("TORCH_HOME", str(folder))
     place = folder / "hub" / "checkpoints"
     place.mkdir(parents=True)
     torch.save(content, place / "new")
     digest = hashlib.sha256((place / "new").read_bytes()).hexdigest()
-    monkeypatch.setitem(FILES, "vgg19", f"vgg19-{digest[:8]}.pth")
-    return (place / "new").rename(place / FILES["vgg19"])
+    monkeypatch.setitem(FILES, key, f"{name}-{digest[:8]}.pth")
+    return (place / "new").rename(place / FILES[key])
 
 
 def random_state() -> dict[str, Tensor]:
@@ -87,18 +96,15 @@ def test_features_are_those_of_torchvision(network: str, monkeypatch: pytest.Mon
     assert ours.state_dict().keys() == nn.Sequential(*theirs).state_dict().keys()
 
 
-def test_vgg_is_the_formula_with_the_file_s_weights(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, images: Tensor
-) -> None:
+def test_vgg_is_the_formula_with_the_file_s_weights(tmp_path: Path, monkeypatch: Any, images: Tensor) -> None:
     """Against the same weights applied layer by layer, in float64."""
     state = random_state()
     path = put_weights(tmp_path, monkeypatch, state)
     loss = PerceptualLoss("vgg")
 
     def features(image: Tensor) -> Tensor:
-        values = (image.double() - torch.tensor([0.485, 0.456, 0.406])[:, None, None].double()) / torch.tensor(
-            [0.229, 0.224, 0.225]
-        )[:, None, None].double()
+        mean, spread = torch.tensor([[0.485, 0.456, 0.406], [0.229, 0.224, 0.225]])[..., None, None].double()
+        values = (image.double() - mean) / spread
         for number in (0, 2, 5, 7, 10, 12, 14, 16, 19, 21):
             if number in (5, 10, 19):
                 values = nn.functional.max_pool2d(values, 2)
@@ -118,14 +124,7 @@ def test_vgg_is_the_formula_with_the_file_s_weights(
     }
 
 
-def test_missing_weights_are_an_error_with_file_folder_and_choices(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*arguments: object, **keywords: object) -> None:
-        pytest.fail("something asked the network")
-
-    monkeypatch.setattr("urllib.request.urlopen", refuse)
-    monkeypatch.setattr("torch.hub.load_state_dict_from_url", refuse)
+def test_missing_weights_are_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     with pytest.raises(InputError, match=r"^weights of vgg19: ") as caught:
         PerceptualLoss("vgg")
@@ -246,23 +245,12 @@ def test_it_is_the_published_formula_with_the_file_s_weights(tmp_path: Path, mon
     """Zhang et al. 2018, equation 1: squared differences of unit features, weighted per channel, averaged over space."""
     import lpips
 
-    def refuse(*arguments: object, **keywords: object) -> None:
-        pytest.fail("something asked the network")
-
-    monkeypatch.setattr("urllib.request.urlopen", refuse)
-    monkeypatch.setattr("torch.hub.load_state_dict_from_url", refuse)
-    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     generator, state = torch.Generator().manual_seed(1), {}
     for name, (outputs, inputs, size) in LAYERS.items():
         weight = torch.randn(outputs, inputs, size, size, generator=generator)
         state[f"features.{name}.weight"] = weight * (2 / (inputs * size**2)) ** 0.5
         state[f"features.{name}.bias"] = torch.randn(outputs, generator=generator) / 10
-    place = tmp_path / "hub" / "checkpoints"
-    place.mkdir(parents=True)
-    torch.save(state, place / "new")
-    digest = hashlib.sha256((place / "new").read_bytes()).hexdigest()
-    monkeypatch.setitem(FILES, "alex", f"alexnet-owt-{digest[:8]}.pth")
-    (place / "new").rename(place / FILES["alex"])
+    digest = hashlib.sha256(put_weights(tmp_path, monkeypatch, state, "alex", "alexnet-owt").read_bytes()).hexdigest()
     linear = torch.load(Path(lpips.__file__).parent / "weights/v0.1/alex.pth", map_location="cpu", weights_only=True)
 
     def features(image: torch.Tensor) -> list[torch.Tensor]:

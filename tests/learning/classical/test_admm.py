@@ -136,12 +136,8 @@ def test_each_measurement_and_channel_is_a_problem_of_its_own() -> None:
     measurement = torch.from_numpy(np.stack([measure(capture, scene(2, 3) * x) for x in (1.0, 0.2)]))
     settings = {"tv": TV, "sparsity": SPARSITY, "iterations": 30, "dtype": torch.float64}
     both = Admm(capture, **settings)(measurement)
-    green = replace(
-        capture,
-        stack=PsfStack(capture.stack.values[:, 1:2], capture.stack.depths_m, 1e-5, ("G",), "green"),
-        offset=capture.offset[1:2],
-        scene_to_camera=capture.scene_to_camera[1:2],
-    )
+    stack = PsfStack(capture.stack.values[:, 1:2], capture.stack.depths_m, 1e-5, ("G",), "green")
+    green = replace(capture, stack=stack, offset=capture.offset[1:2], scene_to_camera=capture.scene_to_camera[1:2])
     alone = Admm(green, **settings)(measurement[1:, 1:2])
     np.testing.assert_allclose(alone[0, :, 0].numpy(), both[1, :, 1].numpy(), rtol=1e-9, atol=1e-12)
 
@@ -149,10 +145,8 @@ def test_each_measurement_and_channel_is_a_problem_of_its_own() -> None:
 def test_single_precision_is_enough() -> None:
     capture = camera(2)
     measurement = torch.from_numpy(measure(capture, scene(2)))[None]
-    single, double = (
-        Admm(capture, tv=TV, sparsity=SPARSITY, iterations=100, dtype=dtype)(measurement)
-        for dtype in (torch.float32, torch.float64)
-    )
+    settings: dict[str, Any] = {"tv": TV, "sparsity": SPARSITY, "iterations": 100}
+    single, double = (Admm(capture, **settings, dtype=kind)(measurement) for kind in (torch.float32, torch.float64))
     assert single.dtype == torch.float32
     np.testing.assert_allclose(single.numpy(), double.numpy(), rtol=0, atol=2e-5)  # of white, after 100 iterations
 

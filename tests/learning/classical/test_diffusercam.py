@@ -27,9 +27,8 @@ class Hand(NamedTuple):
 def hand(shared_data: Path) -> Hand:
     """PSF and measurement, an eighth of their size, without the background that the PSF's dark corner shows."""
     folder = shared_data / "diffusercam" / "tutorial"
-    psf, raw = (
-        tifffile.imread(folder / name).astype(np.float64) for name in ("psf_sample.tif", "rawdata_hand_sample.tif")
-    )
+    names = ("psf_sample.tif", "rawdata_hand_sample.tif")
+    psf, raw = (tifffile.imread(folder / name).astype(np.float64) for name in names)
     background = psf[5:15, 5:15].mean()
     psf, raw = ((image - background).reshape(150, 8, 200, 8).mean(axis=(1, 3)) for image in (psf, raw))
     return Hand(psf.clip(0) / np.linalg.norm(psf), raw / np.linalg.norm(raw))
@@ -94,9 +93,8 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 def test_admm_equals_the_published_algorithm(hand: Hand) -> None:
     mu, tau, iterations = (1e-6, 1e-5, 4e-5), 1e-4, 40  # the tutorial's
-    method = Admm(
-        camera(hand), tv=tau, sparsity=0, iterations=iterations, weights=mu, light="anywhere", dtype=torch.float64
-    )
+    options = {"weights": mu, "light": "anywhere", "dtype": torch.float64}
+    method = Admm(camera(hand), tv=tau, sparsity=0, iterations=iterations, **options)
     ours = method(torch.from_numpy(hand.measurement)[None, None])[0, 0, 0].numpy()
     published = published_admm(hand, iterations, mu, tau)
     # Differences: the publication's gradient runs round the period, and its multipliers follow one step later.
@@ -108,9 +106,8 @@ def test_the_hand_is_there_with_our_own_settings(hand: Hand) -> None:
     measurement = torch.from_numpy(hand.measurement)[None, None]
     capture = camera(hand, typical_white(camera(hand), hand.measurement[None]))
     published = published_admm(hand, 20, (1e-6, 1e-5, 4e-5), 1e-4)
-    squares = ConstrainedLeastSquares(capture, regularisation_lambda=10.0, tikhonov=0.0)(measurement.float())[
-        0, 0, 0
-    ].numpy()
+    least_squares = ConstrainedLeastSquares(capture, regularisation_lambda=10.0, tikhonov=0.0)
+    squares = least_squares(measurement.float())[0, 0, 0].numpy()
     sparse = Admm(capture, tv=0.1, sparsity=0.01, iterations=60, light="anywhere")(measurement)[0, 0, 0].numpy()
     assert correlation(squares, published) > 0.9
     assert correlation(sparse, published) > 0.95

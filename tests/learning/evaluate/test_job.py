@@ -73,9 +73,7 @@ def _psnr_db(measurement: np.ndarray, noiseless: np.ndarray) -> float:
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_the_table_is_what_the_estimates_give(
-    load: Load, tmp_path: Path, tiny_dataset: Path, checkpoints: list[Path]
-) -> None:
+def test_the_table_is_of_the_estimates(load: Load, tmp_path: Path, tiny_dataset: Path, checkpoints: list[Path]) -> None:
     evaluate(load())
     rows = list(csv.DictReader((tmp_path / "out" / "table.csv").read_text(encoding="utf-8").splitlines()))
     assert [row["method"] for row in rows][:2] == ["FlatNet3D", "CLS"]
@@ -162,9 +160,7 @@ def test_noise_and_stacks_may_have_fewer_scenes(load: Load, tmp_path: Path) -> N
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_what_is_finished_is_kept_and_what_changed_is_done_anew(
-    load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_what_changed_is_done_anew(load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scored: list[str] = []
     real = runs.score
 
@@ -231,9 +227,7 @@ def test_parameters_are_those_of_the_nearest_tuned_level(load: Load, tmp_path: P
     assert [one["tuned_db"] for one in outcomes] == [40, 20, 40]
 
 
-def test_scenes_that_a_method_knows_do_not_decide(
-    load: Load, tmp_path: Path, tiny_dataset: Path, checkpoints: list[Path]
-) -> None:
+def test_known_scenes_do_not_decide(load: Load, tmp_path: Path, tiny_dataset: Path, checkpoints: list[Path]) -> None:
     """What counts as known: see test_methods."""
     known, fingerprint = load_checkpoint(checkpoints[0]), open_dataset(tiny_dataset, "validation").fingerprint
     path, record = tmp_path / "knows.safetensors", {"data sets": {"validation": {"fingerprint": fingerprint}}}
@@ -258,13 +252,7 @@ def test_scenes_that_a_method_knows_do_not_decide(
         ({"perceptual": "lpips"}, "^weights of alex: "),
     ],
 )
-def test_what_is_missing_is_named(
-    load: Load,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    changes: dict[str, Any],
-    message: str,
-) -> None:
+def test_what_is_missing_is_named(load: Load, tmp_path: Path, monkeypatch: Any, changes: Any, message: str) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "no weights"))
     with pytest.raises(InputError, match=message):
         evaluate(load(**changes))

@@ -11,42 +11,25 @@ from typing import Any, cast
 
 import pytest
 
+from learning.evaluate import report
 from learning.evaluate.outcome import Outcome, summarise
 from learning.evaluate.report import (
     Findings,
     claim_folder,
-    conditions,
-    csv_table,
-    left_out,
     markdown_bins,
     markdown_further,
-    markdown_matrix,
     markdown_table,
-    markdown_times,
-    remove_stale,
     terminal_table,
 )
 from learning.evaluate.scoring import Times
 from simulator.errors import InputError
 
-NET = Outcome(
-    "Net",
-    "learned",
-    "own",
-    None,
-    {"psnr": summarise([[20.0, 22.0], [23.0, 25.0]]), "depth_rmse_cm": summarise([[1.0, 3.0], [1.5, 3.5]])},
-    2.4,
-    (1.0, None),
-)
-CLS = Outcome(
-    "C|S",
-    "classical",
-    "own",
-    None,
-    {"psnr": summarise([[15.0, 16.0]]), "flip": summarise([[0.25, 0.35]]), "linear_psnr": summarise([[12.0, 14.0]])},
-    None,
-    (),
-)
+OF_NET = {"psnr": summarise([[20.0, 22.0], [23.0, 25.0]]), "depth_rmse_cm": summarise([[1.0, 3.0], [1.5, 3.5]])}
+OF_CLS = {
+    name: summarise([two]) for name, two in (("psnr", [15, 16]), ("flip", [0.25, 0.35]), ("linear_psnr", [12, 14]))
+}
+NET = Outcome("Net", "learned", "own", None, OF_NET, 2.4, (1.0, None))
+CLS = Outcome("C|S", "classical", "own", None, OF_CLS, None, ())
 CONSTANT = Outcome("constant", "naive", "own", None, {"depth_rmse_cm": summarise([[3.0, 5.0]])}, 4.0, (2.0, 3.0))
 TIMES = {"Net": Times("Net", {"inversion": 0.01, "network": 0.02}, 0.03, 0.029)}
 ROWS = [NET, CLS, CONSTANT]
@@ -85,7 +68,7 @@ def test_bins_and_times() -> None:
     assert _rows(markdown_bins(ROWS, (1.0, 2.5, 20.0)))[0] == ["depth RMSE cm", "1–2.5 cm", "2.5–20 cm"]
     assert _rows(markdown_bins(ROWS, (1.0, 2.5, 20.0)))[2:] == [["Net", "1.00", "–"], ["constant", "2.00", "3.00"]]
     slow = Times("slow", {"admm": 3.0}, 3.0, 3.0)
-    assert _rows(markdown_times([TIMES["Net"], slow]))[2:] == [
+    assert _rows(report.markdown_times([TIMES["Net"], slow]))[2:] == [
         ["Net", "0.01", "0.02", "–", "0.03", "1"],
         ["slow", "–", "–", "3", "3", "100"],
     ]
@@ -93,15 +76,13 @@ def test_bins_and_times() -> None:
 
 def test_a_matrix_has_a_column_for_each_level() -> None:
     outcomes = [Outcome("Net", "learned", "own", level, NET.scores, None, ()) for level in (20.0, 50.0)]
-    assert _rows(markdown_matrix(outcomes, "psnr", [20.0, 30.0, 50.0], "noise_db", " dB")) == [
-        ["PSNR dB", "20 dB", "30 dB", "50 dB"],
-        ["---", "---:", "---:", "---:"],
-        ["Net", "22.50 ± 1.41 (2.12)", "–", "22.50 ± 1.41 (2.12)"],
-    ]
+    head, _, row = _rows(report.markdown_matrix(outcomes, "psnr", [20.0, 30.0, 50.0], "noise_db", " dB"))
+    assert head == ["PSNR dB", "20 dB", "30 dB", "50 dB"]
+    assert row == ["Net", "22.50 ± 1.41 (2.12)", "–", "22.50 ± 1.41 (2.12)"]
 
 
 def test_the_csv_has_full_precision() -> None:
-    rows = list(csv.DictReader(io.StringIO(csv_table(ROWS, TIMES))))
+    rows = list(csv.DictReader(io.StringIO(report.csv_table(ROWS, TIMES))))
     assert [row["method"] for row in rows] == ["Net", "C|S", "constant"]
     assert float(rows[0]["psnr_over_scenes"]) == NET.scores["psnr"].over_scenes
     assert float(rows[0]["psnr_over_seeds"]) == NET.scores["psnr"].over_seeds
@@ -127,7 +108,7 @@ def _conditions(psf: dict[str, Any], *methods: tuple[str, int, tuple[float, floa
     test = _Test(info=SimpleNamespace(config={"psf": psf}), split="test", fingerprint="f" * 64)
     config = SimpleNamespace(data=SimpleNamespace(stack="own"))
     about = [{"name": name, "planes": planes, "depth_range_m": limits} for name, planes, limits in methods]
-    return conditions(cast("Findings", SimpleNamespace(test=test, config=config, stored_db=40.0, methods=about)))
+    return report.conditions(cast("Findings", SimpleNamespace(test=test, config=config, stored_db=40.0, methods=about)))
 
 
 def test_depths_of_the_scenes_are_counted_where_they_are_listed() -> None:
@@ -149,8 +130,8 @@ def test_scenes_without_a_score_are_counted() -> None:
         Outcome(name, "learned", "own", None, {"psnr": whole, "lit_depth_rmse_cm": lacking}, None, (), scenes=2)
         for name in "AB"
     ]
-    assert left_out(outcomes) == "- lit depth RMSE cm: 1 of 2 scenes have none and are left out (A, B)"
-    assert not left_out([Outcome("A", "learned", "own", None, {"psnr": whole}, None, (), scenes=2)])
+    assert report.left_out(outcomes) == "- lit depth RMSE cm: 1 of 2 scenes have none and are left out (A, B)"
+    assert not report.left_out([Outcome("A", "learned", "own", None, {"psnr": whole}, None, (), scenes=2)])
 
 
 @pytest.mark.parametrize("content", ["dataset.json", "training.json", "report.md", "notes.txt"])
@@ -178,5 +159,5 @@ def test_a_folder_is_gone_on_with_under_its_own_name_only(tmp_path: Path) -> Non
 def test_what_was_not_written_this_time_goes_and_foreign_files_stay(tmp_path: Path) -> None:
     for name in ("report.md", "noise.png", "times.png", "mine.png"):
         (tmp_path / name).write_text("old")
-    remove_stale(tmp_path, ["report.md", "times.png"])
+    report.remove_stale(tmp_path, ["report.md", "times.png"])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.png", "report.md", "times.png"]

@@ -80,9 +80,7 @@ class Changed:
         return self._change(self._examples[position])
 
 
-def test_a_bin_holds_its_lower_edge_and_the_last_one_its_upper_edge(
-    examples: ExampleSet, tiny_camera: CaptureModel, oracle: Any
-) -> None:
+def test_bins_hold_their_edges(examples: ExampleSet, tiny_camera: CaptureModel, oracle: Any) -> None:
     def on_edges(example: Example) -> Example:
         depth_m = torch.full_like(example.depth_m, 0.03)
         depth_m[0, 1, :6] = torch.tensor([0.01, 0.02, 0.02, 0.05, 0.2, 0.2])
@@ -93,9 +91,7 @@ def test_a_bin_holds_its_lower_edge_and_the_last_one_its_upper_edge(
     assert found["counts"][0] == [1, 2 + 16 * 16 - 6, 1 + 2]
 
 
-def test_dark_and_invalid_pixels_do_not_count_on_request(
-    examples: ExampleSet, tiny_camera: CaptureModel, oracle: Any
-) -> None:
+def test_dark_and_invalid_pixels_do_not_count(examples: ExampleSet, tiny_camera: CaptureModel, oracle: Any) -> None:
     """What nothing was seen of is bright here, and far like the estimate: counted, it would lower the error."""
 
     def bright(example: Example) -> Example:
@@ -116,7 +112,7 @@ def test_dark_and_invalid_pixels_do_not_count_on_request(
 
 @pytest.mark.parametrize(("field", "value"), [("image", float("nan")), ("disparity", float("inf"))])
 def test_a_non_finite_estimate_is_named(
-    examples: ExampleSet, tiny_camera: CaptureModel, oracle: Any, field: str, value: float
+    examples: ExampleSet, tiny_camera: Any, oracle: Any, field: str, value: float
 ) -> None:
     def spoil(estimate: Estimate) -> Estimate:
         values = getattr(estimate, field).clone()

@@ -129,9 +129,7 @@ def test_a_sample_is_read_by_its_folder_or_its_file_and_knows_its_data_set(tiny_
         (".tif", np.ones((1, 5, 8), np.uint16), {"background": "no.tif"}, r"^no\.tif: "),
     ],
 )
-def test_what_makes_no_sense_is_refused(
-    tmp_path: Path, suffix: str, values: NDArray[Any], options: dict[str, Any], message: str
-) -> None:
+def test_what_makes_no_sense_is_refused(tmp_path: Path, suffix: str, values: Any, options: Any, message: str) -> None:
     path = tmp_path / f"m{suffix}"
     if suffix == ".npy":
         np.save(path, values)

@@ -87,9 +87,7 @@ def test_parameters_come_from_defaults_then_tuning_then_the_user(sample: Path, t
         choose_method(load_measurement(loose), Request(method="cls", tuned=tuned, stack=str(sample.parents[2])))
 
 
-def test_a_network_takes_the_exposure_of_the_samples_data_set_and_its_own_psfs(
-    tiny_dataset: Path, sample: Path, checkpoint: Path, tmp_path: Path
-) -> None:
+def test_a_network_takes_its_own_psfs(tiny_dataset: Path, sample: Path, checkpoint: Path, tmp_path: Path) -> None:
     # A camera that was exposed twice as long, as far as the checkpoint knows.
     loaded = load_checkpoint(checkpoint)
     other = CaptureModel(**{**vars(loaded.capture), "gain": loaded.capture.gain * 2, "white": 0.9})
@@ -115,8 +113,8 @@ def test_a_network_takes_the_exposure_of_the_samples_data_set_and_its_own_psfs(
     assert result.radiance.max() <= 0.9 * (1 + 1e-6)
 
 
-def test_without_any_choice_the_shipped_checkpoint_that_fits_is_taken(
-    sample: Path, checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_shipped_checkpoint_that_fits_is_taken(
+    sample: Path, checkpoint: Path, tmp_path: Path, monkeypatch: Any
 ) -> None:
     monkeypatch.setattr(checkpoint_module, "FOLDER", tmp_path)
     measurement = load_measurement(sample)
@@ -221,8 +219,8 @@ def write_tuned(path: Path, white: float, lambdas: dict[float, float]) -> Path:
     return path
 
 
-def test_white_is_a_data_sets_only_where_the_cameras_numbers_are(
-    tiny_dataset: Path, sample: Path, tiny_capture: CaptureModel, tmp_path: Path
+def test_white_goes_with_the_cameras_numbers(
+    tiny_dataset: Path, sample: Path, tiny_capture: Any, tmp_path: Path
 ) -> None:
     tuned = write_tuned(tmp_path / "tuned.json", 1e4, {40.0: 0.1})
     values = load_measurement(sample).values
@@ -250,9 +248,7 @@ def test_a_sample_and_its_measurement_as_a_file_give_the_same(tiny_dataset: Path
     assert np.array_equal(one.radiance, other.radiance)
 
 
-def test_a_measurement_without_light_is_refused_for_every_method(
-    tiny_dataset: Path, checkpoint: Path, tmp_path: Path
-) -> None:
+def test_a_measurement_without_light_is_refused(tiny_dataset: Path, checkpoint: Path, tmp_path: Path) -> None:
     np.save(tmp_path / "m.npy", np.zeros((3, 48, 48)))
     by_classical, by_network = Request(method="cls", stack=str(tiny_dataset)), Request(checkpoint=str(checkpoint))
     for request in (by_classical, by_network):
@@ -330,8 +326,8 @@ def test_options_that_make_no_sense_are_refused(sample: Path, path: str, options
         choose_method(load_measurement(sample), Request(**options))
 
 
-def test_a_camera_that_does_not_fit_is_refused_with_the_cure(
-    tiny_dataset: Path, tmp_path: Path, checkpoint: Path, tiny_capture: CaptureModel
+def test_another_camera_is_refused_with_the_cure(
+    tiny_dataset: Path, tmp_path: Path, checkpoint: Path, tiny_capture: Any
 ) -> None:
     def chosen(shape: tuple[int, ...], **options: Any) -> None:
         np.save(tmp_path / "m.npy", np.full(shape, 0.1))

@@ -92,9 +92,7 @@ def score(truth: Truth, tiny_capture: CaptureModel) -> Score:
 @pytest.mark.parametrize(
     "optimum", [{"regularisation_lambda": 1e-1, "window": 10}, {"regularisation_lambda": 1e2, "window": 1000}]
 )
-def test_a_known_optimum_is_found_also_beyond_the_lists_and_volumes_are_reused(
-    truth: Truth, score: Score, tmp_path: Path, optimum: Parameters
-) -> None:
+def test_a_known_optimum_is_found(truth: Truth, score: Score, tmp_path: Path, optimum: Parameters) -> None:
     study = Study(tmp_path / "tuned.json", {"data": "x"}, {})
     tune([truth.tunable(optimum)], truth.measurements(), score, study)
     tuned = load_tuned(tmp_path / "tuned.json")
@@ -177,8 +175,8 @@ def test_files_that_are_not_a_study_are_refused(tmp_path: Path, content: str) ->
 
 
 @pytest.mark.parametrize(("objective", "at_constant"), [("both", 2.0), ("image", 1.0), ("depth", 1.0)])
-def test_the_score_is_in_units_of_the_constant_guess(
-    truth: Truth, tiny_capture: CaptureModel, objective: Any, at_constant: float
+def test_scores_are_in_units_of_the_constant_guess(
+    truth: Truth, tiny_capture: Any, objective: Any, at_constant: float
 ) -> None:
     score = Score(objective, truth.example, tiny_capture)
     assert score(score.constant) == pytest.approx(at_constant, rel=1e-12)
@@ -242,9 +240,7 @@ def test_lines_and_table_say_when_nothing_was_learned(truth: Truth, score: Score
     assert rows[3].split()[-2:] == [psnr_db, depth_cm]
 
 
-def test_the_search_of_a_classical_method_ends_at_limits_that_mean_something(
-    tiny_capture: CaptureModel, tmp_path: Path
-) -> None:
+def test_searches_of_classical_methods_have_limits(tiny_capture: CaptureModel, tmp_path: Path) -> None:
     search = {"cls": {"regularisation_lambda": {"values": [1.0]}, "pairwise": {"high": 5000}}}
     config = load_file(TuneConfig, write_config(tmp_path, tmp_path, search=search))
     for name in ("cls", "admm"):
@@ -315,9 +311,7 @@ def test_a_file_is_tuned_on_noise_of_its_level_and_says_what_it_used(tiny_datase
         (["data.validation=nowhere"], "nowhere: "),
     ],
 )
-def test_files_that_make_no_sense_are_refused(
-    tiny_dataset: Path, tmp_path: Path, overrides: list[str], message: str
-) -> None:
+def test_files_that_make_no_sense_are_refused(tiny_dataset: Path, tmp_path: Path, overrides: Any, message: str) -> None:
     path = write_config(tmp_path, tiny_dataset)
     with pytest.raises(InputError, match=message):
         tune_file(load_file(TuneConfig, path, overrides), tunables=lambda _: [])
