@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from learning.camera import CaptureModel
-from learning.classical.admm import Admm, add_adjoint, differences
+from learning.classical.admm import Admm, add_adjoint, difference_power, differences
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
@@ -188,3 +188,13 @@ def test_adjoint_is_the_transpose() -> None:
     add_adjoint(back, rows, columns)
     there = sum((a * b).sum() for a, b in zip(differences(image), (rows, columns), strict=True))
     np.testing.assert_allclose(float((back * image).sum()), float(there), rtol=1e-13)
+
+
+def test_power_is_the_spectrum_of_periodic_differences() -> None:
+    image = np.random.default_rng(0).random((6, 9))
+    energy = sum(np.sum((np.roll(image, -1, axis) - image) ** 2) for axis in (0, 1))
+    weight = np.array(
+        [1.0, 2, 2, 2, 2]
+    )  # of an odd length, all columns but the first of the half spectrum stand for two
+    spectrum = np.abs(np.fft.rfft2(image)) ** 2 * weight * difference_power(6, 9, torch.float64).numpy()
+    np.testing.assert_allclose(spectrum.sum() / image.size, energy, rtol=1e-12)

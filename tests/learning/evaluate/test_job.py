@@ -256,3 +256,9 @@ def test_what_is_missing_is_named(load: Load, tmp_path: Path, monkeypatch: Any, 
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "no weights"))
     with pytest.raises(InputError, match=message):
         evaluate(load(**changes))
+
+
+def test_scenes_without_depth_are_refused(learning_trial: Any, load: Load) -> None:
+    flat = learning_trial.generate("scene.flat=true", dataset={"train": 2, "validation": 0, "test": 2})
+    with pytest.raises(InputError, match="out: "):
+        evaluate(load(data={"test": str(flat)}))
