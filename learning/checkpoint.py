@@ -21,11 +21,11 @@ from torch import Tensor
 
 from learning.camera import CaptureModel
 from learning.models.flatnet import FlatNet, build_network, full_architecture
-from learning.provenance import renamed
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
 from simulator.io.json import canonical_json
 from simulator.optics.stack import PsfStack
+from simulator.validation import renamed
 
 FORMAT, VERSION = "flatlight checkpoint", 1
 _KEY = "flatlight"

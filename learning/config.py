@@ -9,12 +9,11 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 
-from learning.provenance import RENAMED
 from simulator.config import sections
 from simulator.config.load import load_model
 from simulator.config.sections import refusal
 from simulator.settings import Range
-from simulator.validation import Problem
+from simulator.validation import RENAMED, Problem
 
 
 class Section(sections.Section):

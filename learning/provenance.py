@@ -1,10 +1,9 @@
-"""Whose a folder is, what made a result, and what files and keys of earlier versions are called now."""
+"""Whose a folder is, and what made a result."""
 
 from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Container
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -14,26 +13,7 @@ from simulator.dataset.manifest import load_manifest
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 from simulator.io.files import TEMPORARY_PREFIX
-
-RENAMED = {"strength": "regularisation_lambda", "floor": "tikhonov", "start": "init_from"}
-"""Keys of earlier versions, in YAML files, tuned results, checkpoints and descriptions of trainings: their names of today."""
-
-
-def renamed(value: Any) -> Any:
-    """Return plain data that an earlier version wrote with today's keys; see `RENAMED`.
-
-    Example:
-        >>> renamed({"network": {"strength": 0.1, "size": "tiny"}, "start": None})
-        {'network': {'regularisation_lambda': 0.1, 'size': 'tiny'}, 'init_from': None}
-    """
-    if isinstance(value, dict):
-        return {RENAMED.get(key, key): renamed(part) for key, part in value.items()}
-    return [renamed(part) for part in value] if isinstance(value, list) else value
-
-
-def now_called(key: str, known: Container[str]) -> str:
-    """Return the end of a message about an unknown key: its name of today where it had another one, else nothing."""
-    return f"; {key} is called {RENAMED[key]} now" if key in RENAMED and RENAMED[key] in known else ""
+from simulator.validation import renamed
 
 
 def is_own_folder(folder: Path, description: str, kind: str, option: str = "output") -> bool:

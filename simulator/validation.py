@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
@@ -23,7 +23,6 @@ Model = TypeVar("Model", bound=BaseModel)
 SectionType = type[BaseModel] | type[Settings]
 
 _INFINITIES = {sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in ("inf", ".inf")}
-_RENAMED = {"raise_by": "interpolate_by", "raise_with": "interpolate_with"}  # keys of earlier versions
 _EXPECTED = {
     "float_type": "a number",
     "int_type": "a whole number",
@@ -38,6 +37,32 @@ _EXPECTED = {
     "dataclass_type": "a mapping of keys to values",
     "none_required": "null",
 }
+
+RENAMED = {
+    "raise_by": "interpolate_by",
+    "raise_with": "interpolate_with",
+    "strength": "regularisation_lambda",
+    "floor": "tikhonov",
+    "start": "init_from",
+}
+"""Keys of earlier versions, in YAML files, data sets, tuned results, checkpoints and trainings: what they are called now."""
+
+
+def renamed(value: Any) -> Any:
+    """Return plain data that an earlier version wrote with today's keys; see `RENAMED`.
+
+    Example:
+        >>> renamed({"network": {"strength": 0.1, "size": "tiny"}, "start": None})
+        {'network': {'regularisation_lambda': 0.1, 'size': 'tiny'}, 'init_from': None}
+    """
+    if isinstance(value, dict):
+        return {RENAMED.get(key, key): renamed(part) for key, part in value.items()}
+    return [renamed(part) for part in value] if isinstance(value, list) else value
+
+
+def now_called(key: str, known: Container[str]) -> str:
+    """Return the end of a message about an unknown key: its name of today where it had another one, else nothing."""
+    return f"; {key} is called {RENAMED[key]} now" if key in RENAMED and RENAMED[key] in known else ""
 
 
 @dataclass(frozen=True)
@@ -190,8 +215,8 @@ def _unknown_key(model: type[BaseModel], loc: KeyPath, value: Any, also: Iterabl
     text = f"unknown key, got {show(value)}"
     if tag not in options:
         return text
-    if _RENAMED.get(key) in _keys(options[tag]):
-        return f"got {show(value)}; this key is now called {_RENAMED[key]}"
+    if hint := now_called(key, _keys(options[tag])):
+        return f"got {show(value)}{hint}"
     for other, section in options.items():
         if other != tag and key in _keys(section):
             return f"got {show(value)}; this key belongs to {other}, but this is {tag}: keep one of the two"

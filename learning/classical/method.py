@@ -16,9 +16,9 @@ from learning.classical.graph_cut import cut_labels
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.padding import as_pairs, from_pairs
 from learning.method import Clock, Estimate, check_choices, linear_to_srgb
-from learning.provenance import now_called
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
+from simulator.validation import now_called
 
 Value = float | int | str
 

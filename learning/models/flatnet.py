@@ -19,8 +19,8 @@ from learning.camera import CaptureModel
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.unet import UNet
 from learning.method import Clock, Estimate, check_choices
-from learning.provenance import now_called
 from simulator.errors import InputError
+from simulator.validation import now_called
 
 
 class FlatNet(nn.Module):

@@ -19,7 +19,7 @@ from learning.config import FEWEST_SCENES, TuneConfig
 from learning.data import Example, ExampleSet, check_dataset
 from learning.method import Estimate, aligned, choose_device, linear_to_srgb
 from learning.metrics import depth_scores, psnr
-from learning.provenance import now_called, sample_digests
+from learning.provenance import sample_digests
 from learning.tune.search import Axis, Parameters, coordinate_search
 from learning.tune.study import Study
 from simulator import __version__
@@ -28,6 +28,7 @@ from simulator.errors import InputError
 from simulator.io.cache import code_digest
 from simulator.io.files import sha256_bytes, storage_errors
 from simulator.io.json import canonical_json
+from simulator.validation import now_called
 
 Objective = Literal["both", "image", "depth"]
 Progress = Callable[[str, int, int], None]

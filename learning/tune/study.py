@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from learning.provenance import renamed
 from learning.tune.search import Parameters
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
 from simulator.io.json import canonical_json, plain, readable_json
+from simulator.validation import renamed
 
 FORMAT, VERSION = "flatlight tuned", 1
 
