@@ -1,4 +1,4 @@
-"""Makes the pictures of the README from a data set: ``uv run python docs/pictures.py out/flying_things``.
+"""Makes the images of the README from a data set: ``uv run python docs/pictures.py out/flying_things``.
 
 ``capture.png``: scene, depth, PSF and measurement of one sample. ``refocus.png``: the same measurement, Wiener-filtered with
 the PSFs of four depths: each brings other objects into focus, so one capture holds a 3D scene.
@@ -23,7 +23,7 @@ OUT = Path(__file__).parent / "images"
 
 
 def wiener(measurement: np.ndarray, psf: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return the picture ``(h, w)`` that a Wiener filter finds in one channel of a measurement.
+    """Return the image ``(h, w)`` that a Wiener filter finds in one channel of a measurement.
 
     Half the sensor's size is added on every side, fading to black: no light wraps around, no border rings.
     """
@@ -46,7 +46,7 @@ def encode(linear: np.ndarray) -> np.ndarray:
 
 
 def save(pictures: list[np.ndarray], name: str) -> None:
-    """Save pictures side by side."""
+    """Save images side by side."""
     tiles = [
         Image.fromarray(p).resize((round(p.shape[1] * HEIGHT / p.shape[0]), HEIGHT), Image.Resampling.LANCZOS)
         for p in pictures
@@ -62,7 +62,7 @@ def save(pictures: list[np.ndarray], name: str) -> None:
 
 
 def main(path: str) -> None:
-    """Draw both pictures of one sample."""
+    """Draw both images of one sample."""
     stack, sample = load_psf_stack(path), open_dataset(path)[INDEX]
     scene, depth_m, valid = sample.rgb[0], sample.depth_m[0], sample.valid[0]
     depth = depth_colours(depth_m, valid, float(depth_m.min()), float(depth_m.max()))

@@ -307,7 +307,7 @@ class Assembly:
             responsivity = tuple(rate / max(self.electron_rates.values()) for rate in self.electron_rates.values())
         exposure_s: float | tuple[float, ...]
         if isinstance(camera.shutter, RowWindows):
-            # The stored picture is the physical one rotated by 180 degrees.
+            # The stored image is the physical one rotated by 180 degrees.
             exposure_s = tuple(self.shutter.exposures_s(camera.sensor.shape[0])[::-1].tolist())
         else:
             exposure_s = camera.shutter.exposure_s

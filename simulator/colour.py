@@ -1,4 +1,4 @@
-"""The sRGB transfer curve: the one place where encoded pictures become linear light and linear light becomes a picture.
+"""The sRGB transfer curve: the one place where encoded images become linear light and linear light becomes an image.
 
 Source: IEC 61966-2-1:1999 with amendment 1, the piecewise curve with thresholds 0.04045 and 0.0031308.
 """
@@ -49,11 +49,11 @@ def linear_to_srgb(linear: NDArray[np.floating]) -> NDArray[np.float32]:
     return np.where(values <= 0.0031308, values * 12.92, curved).astype(np.float32)
 
 
-def decode_srgb_image(picture: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.float32]:
-    """Linear light of an 8 or 16 bit sRGB picture, 1.0 at its full scale.
+def decode_srgb_image(image: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.float32]:
+    """Linear light of an 8 or 16 bit sRGB image, 1.0 at its full scale.
 
     Args:
-        picture: any shape, uint8 or uint16.
+        image: any shape, uint8 or uint16.
 
     Returns:
         Linear values 0..1, float32, same shape.
@@ -61,13 +61,13 @@ def decode_srgb_image(picture: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArra
     Raises:
         InputError: for any other type.
     """
-    if picture.dtype not in (np.uint8, np.uint16):
-        raise InputError("picture", f"expected uint8 or uint16 (its full scale follows from that), got {picture.dtype}")
-    full_scale = int(np.iinfo(picture.dtype).max)
-    if picture.size < full_scale:
-        return srgb_to_linear(picture / np.float64(full_scale))
-    # Looking up is exact and, for pictures with more pixels than levels, many times faster.
-    return srgb_to_linear(np.arange(full_scale + 1) / np.float64(full_scale))[picture]
+    if image.dtype not in (np.uint8, np.uint16):
+        raise InputError("image", f"expected uint8 or uint16 (its full scale follows from that), got {image.dtype}")
+    full_scale = int(np.iinfo(image.dtype).max)
+    if image.size < full_scale:
+        return srgb_to_linear(image / np.float64(full_scale))
+    # Looking up is exact and, for images with more pixels than levels, many times faster.
+    return srgb_to_linear(np.arange(full_scale + 1) / np.float64(full_scale))[image]
 
 
 def _floats(values: NDArray[np.floating], name: str) -> NDArray[np.float64]:

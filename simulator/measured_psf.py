@@ -1,4 +1,4 @@
-"""The measured PSF stack of a configuration: from pictures, or from a folder; at its own depths or between them."""
+"""The measured PSF stack of a configuration: from images, or from a folder; at its own depths or between them."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _from_pictures(config: Config, chosen: MeasuredPsf, sensor: Sensor) -> PsfSt
         if have * sensor.binning > physical:
             raise InputError(
                 "psf.binning",
-                f"{chosen.binning} leaves pictures of {have} {axis}, but sensor {sensor.name!r} has only "
+                f"{chosen.binning} leaves images of {have} {axis}, but sensor {sensor.name!r} has only "
                 f"{physical // sensor.binning} binned ones of {sensor.binned_pitch_m * 1e6:g} um; the PSF's pixels "
                 "must become the sensor's binned pixels: raise psf.binning",
             )
@@ -105,7 +105,7 @@ def _from_pictures(config: Config, chosen: MeasuredPsf, sensor: Sensor) -> PsfSt
 def _refuse_other_geometry(
     chosen: StoredPsf, stack: PsfStack, pitch_m: float, mask_to_sensor_m: float, gap: tuple[Layer, ...]
 ) -> None:
-    """Refuse a stack of other pixels or made behind another gap; a stack of pictures does not say what its gap was.
+    """Refuse a stack of other pixels or made behind another gap; a stack of images does not say what its gap was.
 
     Raises:
         InputError: naming both pitches, distances or gaps.
@@ -153,7 +153,7 @@ def _folder(config: Config, chosen: StoredPsf) -> Path:
     if place.is_file():
         raise InputError(
             "psf.measured",
-            f"{chosen.measured} is a file; pictures are given as a list with their depths: "
+            f"{chosen.measured} is a file; images are given as a list with their depths: "
             f"measured: [{chosen.measured}], depths_cm: [...], frame: ..., throughput_mm2: ...",
         )
     return stack_folder(place)

@@ -219,7 +219,7 @@ def write_reconstruction(
 ) -> list[str]:
     """Write a reconstruction and return the files' names; the folder appears whole or not at all.
 
-    ``picture.png`` (sRGB, 8 bit), ``picture.exr`` (linear R, G, B), ``depth.exr`` (Z, metres), ``depth.png`` (colours and
+    ``image.png`` (sRGB, 8 bit), ``image.exr`` (linear R, G, B), ``depth.exr`` (Z, metres), ``depth.png`` (colours and
     what they mean), ``volume.exr`` (channels ``plane00.R`` and so on, nearest first), ``reconstruction.json`` (``record``),
     as far as there is something to write. An earlier reconstruction in the folder is replaced.
 
@@ -232,9 +232,9 @@ def write_reconstruction(
     is_own_folder(folder, RECORD, "reconstruction", "--output")
     with committed_folder(folder) as place:
         codes = np.round(np.moveaxis(result.image, 0, -1) * 255).astype(np.uint8)
-        write_atomic(place / "picture.png", png_bytes(Image.fromarray(codes)))
+        write_atomic(place / "image.png", png_bytes(Image.fromarray(codes)))
         channels = {name: np.ascontiguousarray(values) for name, values in zip("RGB", result.radiance, strict=True)}
-        write_exr(place / "picture.exr", channels, {"white": result.white})
+        write_exr(place / "image.exr", channels, {"white": result.white})
         if result.depth_m is not None:
             write_exr(place / "depth.exr", {"Z": result.depth_m}, {"unit": "m", "z": "from the mask plane"})
             near_m, far_m = capture.near_m, min(capture.far_m, FARTHEST_M)

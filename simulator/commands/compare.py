@@ -19,13 +19,13 @@ def compare(
             show_default=False,
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", help="the page (.html) or picture (.png) to write")],
+    output: Annotated[Path, typer.Option("--output", help="the page (.html) or image (.png) to write")],
     config: Annotated[
         Path, typer.Option("--config", help="configuration whose camera and depths all designs share")
     ] = Path("sim_config.yaml"),
     set_: Overrides = None,
 ) -> None:
-    """Compare mask designs: PSFs, contrast, sharpness, depths told apart, light; as one page or picture."""
+    """Compare mask designs: PSFs, contrast, sharpness, depths told apart, light; as one page or image."""
     from simulator.console import Bar
     from simulator.dataset.engines import available_cpus
     from simulator.io.files import write_atomic
@@ -36,7 +36,7 @@ def compare(
     configs = load_configs(candidates, config, set_ or [])
     with Bar() as bar:
         measured = [measure(name, one, threads=available_cpus(), progress=bar.update) for name, one in configs.items()]
-        bar.say("drawing the pictures")
+        bar.say("drawing the images")
     content = comparison_html(measured).encode() if output.suffix.lower() == ".html" else comparison_png(measured)
     write_atomic(output, content)
     print(f"look at {output}")

@@ -39,7 +39,7 @@ def export_mask(
     stl: Annotated[Path | None, typer.Option("--stl", help="solid body, in millimetres")] = None,
     tiff: Annotated[Path | None, typer.Option("--tiff", help="height map of 16 bits")] = None,
     layers: Annotated[
-        Path | None, typer.Option("--layers", help="folder of black-and-white pictures, one per height step")
+        Path | None, typer.Option("--layers", help="folder of black-and-white images, one per height step")
     ] = None,
     base_um: Annotated[float, typer.Option(min=0.01, help="thickness of the body's plate")] = 500.0,
     step_um: Annotated[float, typer.Option(min=0, help="height step of the layers, for masks without steps")] = 0.0,
@@ -74,7 +74,7 @@ def export_mask(
     material = str(loaded.camera.mask.params.get("material", mask.material.name))
     # Whatever is refused is refused before anything is written.
     body = stl_bytes(mask, base_um * 1e-6) if stl else b""
-    picture = height_tiff(mask) if tiff else b""
+    image = height_tiff(mask) if tiff else b""
     stack = binary_layers(mask, step_um * 1e-6) if layers else None
     if stl:
         write_atomic(stl, body)
@@ -82,7 +82,7 @@ def export_mask(
             f"wrote {stl} ({len(body) / 1e6:.1f} MB), in millimetres; to use it:\n  {_as_design(mask, stl, material)}"
         )
     if tiff:
-        write_atomic(tiff, picture)
+        write_atomic(tiff, image)
         height_um = float(mask.height_m.max() - mask.height_m.min()) * 1e6
         print(f"wrote {tiff}; to use it:\n  {_as_design(mask, tiff, material, height_um)}")
     if layers and stack:

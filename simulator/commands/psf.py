@@ -27,8 +27,8 @@ def captured_folder(output: Path) -> Path:
     return folder
 
 
-def captured_picture(plot: Path) -> Path:
-    """Return where the comparison with the captured stack is drawn, beside the true one's picture."""
+def captured_image(plot: Path) -> Path:
+    """Return where the comparison with the captured stack is drawn, beside the true one's image."""
     return plot.with_stem(f"{plot.stem}_captured")
 
 
@@ -36,7 +36,7 @@ def show_captured(assembly: Assembly, output: Path | None, plot: Path | None) ->
     """Compute the stack as captured, print how it differs from the true one, write and draw both side by side.
 
     ``output``: folder of the true stack; the captured one goes into ``<output>_captured``.
-    ``plot``: picture of the true stack; the comparison goes into ``<plot>_captured.png``.
+    ``plot``: image of the true stack; the comparison goes into ``<plot>_captured.png``.
     """
     from simulator.captured_psf import captured_stack
     from simulator.console import Bar
@@ -54,8 +54,8 @@ def show_captured(assembly: Assembly, output: Path | None, plot: Path | None) ->
     if plot:
         from simulator.plots.captured import plot_captured
 
-        picture = plot_captured(nominal, captured, captured_picture(plot))
-        print(f"look at {picture}")
+        image = plot_captured(nominal, captured, captured_image(plot))
+        print(f"look at {image}")
 
 
 def psf(
@@ -81,8 +81,8 @@ def psf(
     from simulator.optics.stack_files import check_replaceable, write_psf_stack
 
     if plot:
-        for picture in (plot, captured_picture(plot)) if as_captured else (plot,):
-            check_output_file("--plot", picture, (".png",))
+        for image in (plot, captured_image(plot)) if as_captured else (plot,):
+            check_output_file("--plot", image, (".png",))
     loaded = load_config(config, set_ or [])
     if output:
         check_output_folder("--output", output)

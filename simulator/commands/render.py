@@ -1,4 +1,4 @@
-"""``render``: the scenes of a configuration as pictures, without any camera."""
+"""``render``: the scenes of a configuration as images, without any camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`flatlight scenes`: the families with their parameters, and a picture of each."""
+"""`flatlight scenes`: the families with their parameters, and an image of each."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def _middle(clip: Clip) -> int:
 def scenes(
     names: Annotated[list[str] | None, typer.Argument(help="families and sources to list; all when left out")] = None,
     thumbnails: Annotated[
-        Path | None, typer.Option("--thumbnails", help="picture to write: a few samples of each family (.png)")
+        Path | None, typer.Option("--thumbnails", help="image to write: a few samples of each family (.png)")
     ] = None,
 ) -> None:
     """List the scene families and imported sources with their parameters; --thumbnails shows them too."""

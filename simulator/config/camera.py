@@ -112,7 +112,7 @@ ShutterConfig = Annotated[
 ]
 
 
-Pixels = Annotated[int, Range(1, 32768, below="a picture has at least one pixel on each side")]
+Pixels = Annotated[int, Range(1, 32768, below="an image has at least one pixel on each side")]
 Shape = tuple[Pixels, Pixels]
 _CFA = "RGGB"
 _NEAREST_MM = 0.05  # from the mask to the sensor
@@ -131,7 +131,7 @@ class SensorConfig(Section):
     binning: Annotated[int, Range(1, 64, below="1 means that pixels are not binned")] = Field(
         default=1, description="physical pixels per side that are read as one"
     )
-    shape: Shape = Field(description="rows and columns of the picture, in binned pixels")
+    shape: Shape = Field(description="rows and columns of the image, in binned pixels")
     pixel_pitch_um: Annotated[float, Range(0.3, 100, "um")] | None = Field(
         default=None, description="pitch of the physical (unbinned) pixels, micrometres"
     )
@@ -170,7 +170,7 @@ class SensorConfig(Section):
     )
     cfa: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = Field(
         default=None,
-        description="with readout bayer: colours of the picture's upper left 2 x 2 values on the sensor itself; default RGGB",
+        description="with readout bayer: colours of the image's upper left 2 x 2 values on the sensor itself; default RGGB",
     )
     pattern_seed: Annotated[int, Range(0, 2**31, below="a seed is not negative; 0 is a seed")] = Field(
         default=0, description="seed of the fixed patterns: another one is another sensor of the same model"
@@ -221,11 +221,9 @@ class ExposureConfig(Section):
         default="auto",
         description="exposure (irradiance x seconds) that fills a pixel; auto finds it from 16 pilot samples",
     )
-    illuminance_lux: Annotated[float, Range(1e-6, 1e9, "lux", below="without light there is no picture")] | None = (
-        Field(
-            default=None,
-            description="light on a white surface, which has scene radiance 1; sets full_scale by counting photons",
-        )
+    illuminance_lux: Annotated[float, Range(1e-6, 1e9, "lux", below="without light there is no image")] | None = Field(
+        default=None,
+        description="light on a white surface, which has scene radiance 1; sets full_scale by counting photons",
     )
 
     @model_validator(mode="after")

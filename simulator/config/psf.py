@@ -129,13 +129,13 @@ class AsCaptured(Section):
     )
     background: Literal["dark", "border", "none"] = Field(
         default="dark",
-        description="what is subtracted: pictures with the source covered, the median of the picture's border, nothing",
+        description="what is subtracted: images with the source covered, the median of the image's border, nothing",
     )
     noise: Literal["physical", "none"] = Field(default="physical", description="noise of the sensor, or none")
     peak_percent: Annotated[float, Range(0.1, 100, "percent of full scale")] = Field(
         default=70.0, description="where each depth's exposure puts the brightest pixel, percent of full scale"
     )
-    frames: Annotated[int, Range(1, 10000)] = Field(default=10, description="pictures that are averaged")
+    frames: Annotated[int, Range(1, 10000)] = Field(default=10, description="images that are averaged")
 
 
 _PLANES = "other planes than the measured ones, interpolated between them"
@@ -165,10 +165,10 @@ class ComputedPsf(Planes):
 
 
 class MeasuredPsf(Section):
-    """A stack of measured pictures of a point source: a file per depth, or one .npy file with all of them."""
+    """A stack of measured images of a point source: a file per depth, or one .npy file with all of them."""
 
     measured: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
-        description="picture files (TIFF, EXR, npy), nearest depth first; relative to the YAML file"
+        description="image files (TIFF, EXR, npy), nearest depth first; relative to the YAML file"
     )
     depths_cm: Depths = Field(description="distance of the point source from the mask for each file, centimetres")
     frame: Literal["physical", "stored"] = Field(
@@ -177,7 +177,7 @@ class MeasuredPsf(Section):
     binning: Annotated[int, Range(1, 64)] = Field(default=1, description="pixels per side that become one")
     background: Literal["border", "none"] | Annotated[float, Range(0, 1e9)] | str = Field(
         default="border",
-        description="what is taken off first: the median of the border, nothing, a number, or a dark picture's file",
+        description="what is taken off first: the median of the border, nothing, a number, or a dark image's file",
     )
     throughput_mm2: Annotated[float, Range(1e-9, 1e4, "mm2")] = Field(
         description="light that reaches the sensor: the mask's transmittance times its open area, square millimetres"
@@ -188,7 +188,7 @@ class MeasuredPsf(Section):
     def _one_depth_per_file(self) -> Self:
         one_array = len(self.measured) == 1 and self.measured[0].lower().endswith(".npy")
         if len(self.measured) != len(self.depths_cm) and not one_array:
-            text = f"got {len(self.depths_cm)} depths for {len(self.measured)} files; each picture has one depth"
+            text = f"got {len(self.depths_cm)} depths for {len(self.measured)} files; each image has one depth"
             raise refusal(text, "depths_cm")
         check_increasing(self.depths_cm)
         return self

@@ -94,7 +94,7 @@ class DatasetConfig(Section):
         description="parts in time that a capture is taken apart into; null makes one of every frame that the shutter sees",
     )
     ground_truth: Literal["slivers", "frames"] = Field(
-        default="slivers", description="the mean picture of each sliver's frames, or every frame that the shutter sees"
+        default="slivers", description="the mean image of each sliver's frames, or every frame that the shutter sees"
     )
     global_measurements: bool = Field(
         default=False, description="store what a global shutter would have measured of each sliver, too"
@@ -169,11 +169,11 @@ class RenderConfig(Section):
         default=(), description="what is stored of each pixel beside colour and depth; motion needs clips"
     )
     hidden_layers: Annotated[int, Range(1, 8)] = Field(
-        default=1, description="how many layers of surfaces behind the picture the output hidden holds"
+        default=1, description="how many layers of surfaces behind the image the output hidden holds"
     )
     denoise: bool = Field(
         default=False,
-        description="pass pictures through Open Image Denoise: less noise, but biased; pip install 'flatlight[denoise]'",
+        description="pass images through Open Image Denoise: less noise, but biased; pip install 'flatlight[denoise]'",
     )
 
     bands: BandsConfig | None = Field(

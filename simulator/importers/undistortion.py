@@ -31,7 +31,7 @@ _FINEST = 64
 
 @dataclass(frozen=True)
 class Lookup:
-    """Where a view's pixels are found in a image.
+    """Where a view's pixels are found in an image.
 
     Attributes:
         weights: ``(h w, H W)``: the mean over a view pixel's footprint; rows add up to the share of it that is seen.
@@ -135,7 +135,7 @@ def _fill_scale(lens: Lens, shape: tuple[int, int], view: View, circle: Circle |
 
 
 def _samples(columns: NDArray[np.float64], rows: NDArray[np.float64]) -> int:
-    """Samples per side of a view pixel at which neighbouring ones are at most a image pixel apart."""
+    """Samples per side of a view pixel at which neighbouring ones are at most an image pixel apart."""
     steps = [np.nanmax(np.hypot(np.diff(columns, axis=axis), np.diff(rows, axis=axis)), initial=0.0) for axis in (0, 1)]
     return int(np.clip(np.ceil(max(steps) - 1e-6), 1, _FINEST))
 

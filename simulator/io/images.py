@@ -79,7 +79,7 @@ def read_shown_image(path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint16]
 
 
 def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
-    """Return a image ``(H, W)`` or ``(H, W, C)`` rotated and mirrored as EXIF and TIFF number it; 1 is upright already.
+    """Return an image ``(H, W)`` or ``(H, W, C)`` rotated and mirrored as EXIF and TIFF number it; 1 is upright already.
 
     Example:
         >>> upright(np.array([[1, 2], [3, 4]]), 6).tolist()
@@ -93,7 +93,7 @@ def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 
 def image_shape(path: Path) -> tuple[int, int]:
-    """Rows and columns of a image, from its header alone.
+    """Rows and columns of an image, from its header alone.
 
     Raises:
         InputError: as for :func:`read_image`.
@@ -116,7 +116,7 @@ def _open(path: Path) -> Image:
     except Image.DecompressionBombError as error:
         raise InputError(path, f"claims too many pixels; at most {MAX_PIXELS} are read") from error
     except _BROKEN as error:
-        raise InputError(path, f"cannot be opened as a image: {error}") from error
+        raise InputError(path, f"cannot be opened as an image: {error}") from error
     if image.width * image.height > MAX_PIXELS:
         image.close()
         raise InputError(path, f"claims {image.height} x {image.width} pixels; at most {MAX_PIXELS} are read")
@@ -141,7 +141,7 @@ def _refuse_deep_colour(path: Path) -> None:
 
 
 def read_light(path: Path) -> NDArray[np.float32]:
-    """Return a image's linear light ``(H, W, 3)``: integers are sRGB with full scale 1, floating point is linear already.
+    """Return an image's linear light ``(H, W, 3)``: integers are sRGB with full scale 1, floating point is linear already.
 
     It is upright (EXIF and TIFF orientation), and before black: what is transparent shines the less. The colours of EXR are
     before black by its standard, whatever its alpha.

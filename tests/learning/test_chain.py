@@ -29,12 +29,12 @@ def write(path: Path, content: dict[str, Any]) -> Path:
 def scores(folder: Path, stored: Any, white: float) -> tuple[float, float]:
     """Return PSNR and depth RMSE in cm of a reconstruction's files, by NumPy."""
     frame = stored.frame(0)
-    planes, _ = read_exr(folder / "picture.exr")
+    planes, _ = read_exr(folder / "image.exr")
     linear = np.stack([planes[name] for name in "RGB"], axis=-1)
     both = (torch.from_numpy(np.ascontiguousarray(values)) for values in (linear, frame.rgb))
     found, truth = (linear_to_srgb(values, white).numpy() for values in both)
     depth_m: NDArray[np.float32] = read_exr(folder / "depth.exr")[0]["Z"]
-    shown = np.asarray(Image.open(folder / "picture.png"))
+    shown = np.asarray(Image.open(folder / "image.png"))
     assert shown.shape == truth.shape
     assert np.abs(shown - found * 255.0).max() <= 0.51  # rounding to 8 bit
     squares = (depth_m.astype(np.float64) - frame.depth_m)[frame.valid] ** 2
@@ -100,6 +100,6 @@ def test_generate_train_evaluate_reconstruct(
             assert code == 0, err
             table.append(scores(tmp_path / f"test_{sample.name}_{short}", test.stored(scene), results["white"]))
         psnr_db, depth_cm = np.mean(table, axis=0)
-        # The same method by two commands, in float32: batches of two and of one; picture.exr holds float32 radiance.
+        # The same method by two commands, in float32: batches of two and of one; image.exr holds float32 radiance.
         assert psnr_db == pytest.approx(by_method[name]["psnr"]["mean"], rel=1e-4), name
         assert depth_cm == pytest.approx(by_method[name]["depth_rmse_cm"]["mean"], rel=1e-3), name

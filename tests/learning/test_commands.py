@@ -132,7 +132,7 @@ def test_a_sample_becomes_a_folder(tiny_dataset: Path, tmp_path: Path, capfd: py
     reconstruct(sample, method="cls", set_=["regularisation_lambda=0.1", "pairwise=1"], output=folder, volume=True)
     out = capfd.readouterr().out
     assert "CLS + graph cut (regularisation_lambda 0.1" in out
-    assert f"{folder}: depth.exr, depth.png, picture.exr, picture.png, reconstruction.json, volume.exr" in out
+    assert f"{folder}: depth.exr, depth.png, image.exr, image.png, reconstruction.json, volume.exr" in out
     record = json.loads((folder / "reconstruction.json").read_text())
     assert record["parameters"]["regularisation_lambda"] == 0.1
     assert record["method"] == "cls"

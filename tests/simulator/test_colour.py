@@ -47,5 +47,5 @@ def test_pictures_are_decoded_alike_by_table_and_by_formula(dtype, size):
 def test_integers_are_refused_where_their_full_scale_is_unknown():
     with pytest.raises(InputError, match=r"^encoded: "):
         srgb_to_linear(np.zeros(3, np.uint8))
-    with pytest.raises(InputError, match=r"^picture: "):
+    with pytest.raises(InputError, match=r"^image: "):
         decode_srgb_image(np.zeros(3, np.int32))

@@ -195,13 +195,13 @@ def test_a_stacks_folder_without_a_data_set_gives_depth_too(tmp_path: Path, tiny
     assert result.depth_m.shape == (16, 16)
     assert 0.01 * (1 - 1e-6) <= result.depth_m.min() <= result.depth_m.max() <= 0.2 * (1 + 1e-6)
     files = write_reconstruction(tmp_path / "out", result, setup.method.capture, {"why": "test"})
-    assert files == ["depth.exr", "depth.png", "picture.exr", "picture.png", "reconstruction.json", "volume.exr"]
+    assert files == ["depth.exr", "depth.png", "image.exr", "image.png", "reconstruction.json", "volume.exr"]
     planes, metadata = read_exr(tmp_path / "out" / "volume.exr")
     assert np.array_equal(planes["plane02.G"], result.volume[2, 1])  # type: ignore[index]
     assert metadata["depths_m"] == tiny_capture.stack.depths_m.tolist()
     assert np.array_equal(read_exr(tmp_path / "out" / "depth.exr")[0]["Z"], result.depth_m)
-    assert np.array_equal(read_exr(tmp_path / "out" / "picture.exr")[0]["B"], result.radiance[2])
-    shown = np.asarray(Image.open(tmp_path / "out" / "picture.png"))
+    assert np.array_equal(read_exr(tmp_path / "out" / "image.exr")[0]["B"], result.radiance[2])
+    shown = np.asarray(Image.open(tmp_path / "out" / "image.png"))
     assert np.abs(shown - np.moveaxis(result.image, 0, -1) * 255).max() <= 0.5 + 1e-4
     # The nearest depth is yellow, the farthest violet, in whole pixels: 240 rows are 15 for each.
     depth = np.asarray(Image.open(tmp_path / "out" / "depth.png"))

@@ -16,7 +16,7 @@ def test_a_page_and_a_picture(flatlight, trial, tmp_path: Path) -> None:
         code, out, err = flatlight("compare", HOLE, path, "--config", path, "--output", tmp_path / name)
         assert code == 0, err
         assert out == f"look at {tmp_path / name}\n"
-        assert "drawing the pictures" in err
+        assert "drawing the images" in err
     page = (tmp_path / "both.html").read_text()
     for words in ("pinhole, diameter_um 100", ">trial<", "One camera for all: 48 x 60 pixels of 19.2 µm"):
         assert words in page

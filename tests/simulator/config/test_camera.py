@@ -17,7 +17,7 @@ SENSOR = "sensor: {shape: [64, 96], binning: 4}"
         (SENSOR, "sensor: {shape: [64, 96], peak_quantum_efficiency: 60}", "got 60; expected 0.001 to 1"),
         (SENSOR, "sensor: {shape: [64, 96], pattern_seed: -1}", "a seed is not negative"),
         ("full_scale: auto", "full_scale: 2.0, illuminance_lux: 100", "beside full_scale, which it decides"),
-        ("full_scale: auto", "illuminance_lux: 0", "without light there is no picture"),
+        ("full_scale: auto", "illuminance_lux: 0", "without light there is no image"),
     ],
 )
 def test_senseless_cameras_are_refused(write, old, new, words):
