@@ -9,14 +9,13 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 
-from simulator.config import sections
+from simulator import validation
 from simulator.config.load import load_model
-from simulator.config.sections import refusal
 from simulator.settings import Range
-from simulator.validation import RENAMED, Problem
+from simulator.validation import RENAMED, Problem, refusal
 
 
-class Section(sections.Section):
+class Section(validation.Section):
     """A mapping whose keys are described below each."""
 
     model_config = ConfigDict(use_attribute_docstrings=True)

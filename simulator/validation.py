@@ -1,4 +1,4 @@
-"""Strict validation of plain data (from YAML or JSON) by pydantic models, and one clear line for each fault.
+"""Sections of YAML files, strict validation of plain data by them (pydantic), and one clear line for each fault.
 
 Both sim_config.yaml and the parameters of plugins go through here, so their messages have one form.
 """
@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, Tag, ValidationError
+from pydantic import BaseModel, ConfigDict, Tag, ValidationError
 from pydantic.fields import FieldInfo
+from pydantic_core import PydanticCustomError
 
 from simulator.errors import InputError
 from simulator.settings import Key, Settings, keys_of
@@ -63,6 +64,34 @@ def renamed(value: Any) -> Any:
 def now_called(key: str, known: Container[str]) -> str:
     """Return the end of a message about an unknown key: its name of today where it had another one, else nothing."""
     return f"; {key} is called {RENAMED[key]} now" if key in RENAMED and RENAMED[key] in known else ""
+
+
+class Section(BaseModel):
+    """One mapping of sim_config.yaml: no unknown keys, no silent conversions, no changes afterwards."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, ser_json_inf_nan="constants", defer_build=True)
+
+
+class PluginSection(Section):
+    """A mapping whose further keys are the parameters of a plugin (a mask design, a scene family)."""
+
+    model_config = ConfigDict(extra="allow")
+
+    @property
+    def params(self) -> dict[str, Any]:
+        """The plugin's parameters as plain data; pass them to ``Plugin.bind``."""
+        return dict(self.model_extra or {})
+
+
+def refusal(text: str, *at: str | int, on_key: bool = False) -> PydanticCustomError:
+    """Return an error to raise in a model's validator.
+
+    Args:
+        text: what came, why it makes no sense, the cure.
+        at: path of the entry that the message is about, from the model; none is the model itself.
+        on_key: whether the entry's key is wrong, not its value.
+    """
+    return PydanticCustomError("sense", "{text}", {"text": text, "at": at, "on_key": on_key or not at})
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 from simulator.camera.noise import GaussianNoise, Noise, NoNoise, PhysicalNoise
 from simulator.camera.sensor import MODELS, Sensor
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter
-from simulator.config.sections import PluginSection, Section, refusal
 from simulator.errors import InputError
 from simulator.optics.spectra import Led
 from simulator.settings import Range
 from simulator.text import nearest, show
+from simulator.validation import PluginSection, Section, refusal
 
 _THICK = Range(0.0001, 100, "mm", below="a layer has a thickness")
 MaterialName = Annotated[str, Field(min_length=1)]

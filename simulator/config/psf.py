@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from simulator.config.camera import IlluminantConfig
-from simulator.config.sections import Section, refusal
 from simulator.optics.spectra import Led
 from simulator.optics.stack import depth_planes
 from simulator.settings import Range
+from simulator.validation import Section, refusal
 
 _IN_FRONT = "depths are measured from the mask into the scene, so they are positive"
 Depth = Annotated[float, Range(0.01, 1e7, "cm", infinite=True, below=_IN_FRONT)]

@@ -10,9 +10,9 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from simulator.config.camera import CameraConfig, PhysicalNoise, Shape
 from simulator.config.psf import ComputedPsf, PsfConfig
-from simulator.config.sections import PluginSection, Section, refusal
 from simulator.settings import Range
 from simulator.text import nearest, show
+from simulator.validation import PluginSection, Section, refusal
 
 Count = Annotated[int, Range(0, 100_000_000, below="a number of samples is not negative")]
 
