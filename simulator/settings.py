@@ -102,10 +102,11 @@ class Quantity(Range):
 
     def shown(self, value: float) -> float:
         """Return the shortest number in the key's unit that means exactly this value."""
-        quotient = value / self.factor
-        rounded = (float(f"{quotient:.{digits}g}") for digits in range(1, 17))
-        exact = (quotient, math.nextafter(quotient, 0), math.nextafter(quotient, math.inf))
-        return next((number for number in (*rounded, *exact) if number * self.factor == value), quotient)
+        near = [value / self.factor]
+        for towards in (0.0, math.inf):  # two roundings lie between the number and its quotient
+            near += [first := math.nextafter(near[0], towards), math.nextafter(first, towards)]
+        numbers = (float(f"{number:.{digits}g}") for digits in range(1, 18) for number in near)
+        return next((number for number in numbers if number * self.factor == value), near[0])
 
 
 @dataclass(frozen=True)

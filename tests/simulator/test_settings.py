@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from pydantic import BaseModel, TypeAdapter
 
@@ -47,6 +47,7 @@ def problems_of(data: object) -> list[str]:
 
 
 @given(st.floats(1e-3, 1e3))
+@example(494.6764426824202)
 def test_a_quantity_comes_back_as_the_shortest_number_that_means_the_same(pulse_us: float) -> None:
     room = validate(Room, {"lamp": {"pulse_us": pulse_us}})
     assert room.lamp == Lamp(pulse_us * 1e-6)
