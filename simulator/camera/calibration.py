@@ -56,8 +56,7 @@ class CalibrationSource:
             k = int(np.argmax(~(true > 0)))
             raise InputError(
                 "depth_offset_m, depth_std_m",
-                f"the source of {stated[k]:g} m would stand at {true[k]:g} m, behind the mask; "
-                "use smaller errors or farther depths",
+                f"put the source of {stated[k]:g} m at {true[k]:g} m, behind the mask; use smaller errors or farther depths",
             )
         per_metre = (mask_to_sensor_m / true)[:, None]  # 0 at infinity, where only angles count
         along = (mask_to_sensor_m * (1 - stated[0] / stated))[:, None]
@@ -71,7 +70,7 @@ class SourcePlaces:
 
     Attributes:
         depths_m: ``(K,)`` true depths, metres.
-        shifts_m: ``(K, 2)`` shift of the stored PSF, x and y, metres: the picture's, so a source to the right shifts right.
+        shifts_m: ``(K, 2)`` shift of the stored PSF, x and y, metres: the image's, so a source to the right shifts right.
         blurs_m: ``(K,)`` diameter of the source's image on the sensor, metres.
     """
 
@@ -97,7 +96,7 @@ def captured_light(
         camera: the camera; its ``response`` is that under the calibration's light.
         psf_config: the stated depths, and how PSFs are computed.
         places: where the sources truly are.
-        size: odd width N of the pictures, pixels: that of the nominal stack.
+        size: odd width N of the images, pixels: that of the nominal stack.
         threads: depths computed at a time.
         progress: called with (done, total) after every PSF.
 
@@ -168,7 +167,7 @@ def _source_image(
 
 _ROUNDING = 1e-9
 GLOW_REACH = 0.25
-"""Length over which the glow of the sensor's edge falls to 1/e, as a share of the picture's width."""
+"""Length over which the glow of the sensor's edge falls to 1/e, as a share of the image's width."""
 
 
 @dataclass(frozen=True)
@@ -178,11 +177,11 @@ class Recording:
     Attributes:
         peak: share to which each depth's exposure brings the brightest pixel; with the stray light at most 1, lest it
             saturate.
-        frames: pictures that are averaged.
+        frames: images that are averaged.
         pedestal: stray light, everywhere alike.
         glow: light of the sensor's left edge where it is brightest; it falls off exponentially.
-        background: what is subtracted: ``dark`` (as many pictures with the source covered), ``border`` (the median of the
-            picture's outer frame, per channel) or ``none``.
+        background: what is subtracted: ``dark`` (as many images with the source covered), ``border`` (the median of the
+            image's outer frame, per channel) or ``none``.
     """
 
     peak: float = 0.7
@@ -195,13 +194,12 @@ class Recording:
         if not 0 < self.peak <= 1:
             raise InputError("peak", f"got {self.peak}, expected a share of full scale above 0, at most 1")
         if self.frames < 1:
-            raise InputError("frames", f"got {self.frames}, expected a whole number of pictures from 1")
+            raise InputError("frames", f"got {self.frames}, expected a whole number of images from 1")
         brightest = self.peak + self.pedestal + self.glow
         if brightest > 1 + _ROUNDING:
             raise InputError(
                 "peak + pedestal + glow",
-                f"got {brightest:.4g} of full scale, expected at most 1, above which pixels "
-                "saturate and the PSF's peak is cut off; lower the peak",
+                f"got {brightest:.4g}, expected at most 1: pixels would saturate; lower the peak",
             )
         if self.background not in ("dark", "border", "none"):
             raise InputError("background", f"got {self.background!r}, expected 'dark', 'border' or 'none'")
@@ -243,12 +241,12 @@ class Recording:
         photons = light * gains[:, None, None]
         exposure = self.peak / photons.max()
         stray = self.stray(light.shape)
-        picture = self._averaged(photons * exposure + stray, camera, rng)
+        image = self._averaged(photons * exposure + stray, camera, rng)
         if self.background == "dark":
-            picture = picture - self._averaged(stray, camera, rng)
+            image = image - self._averaged(stray, camera, rng)
         elif self.background == "border":
-            picture = picture - border_level(picture)
-        measured = picture / (exposure * gains[:, None, None])
+            image = image - border_level(image)
+        measured = image / (exposure * gains[:, None, None])
         negative = float(np.maximum(-measured, 0).sum() / np.abs(measured).sum())
         measured = np.maximum(measured, 0)
         error = float(np.linalg.norm(measured - light) / np.linalg.norm(light))

@@ -48,8 +48,7 @@ def fit_camera_colour(response: SpectralResponse) -> CameraColour:
     matrix = np.column_stack([free, 1 - free.sum(1)])
     error = np.sqrt(np.mean((scene @ matrix.T - seen) ** 2, axis=0) / np.mean(seen**2, axis=0))
     return CameraColour(
-        matrix,
-        {"from": f"fit to {PATCHES}", "response": response.label, "relative_rms_error": error.round(6).tolist()},
+        matrix, {"from": f"fit to {PATCHES}", "response": response.label, "relative_rms_error": error.round(6).tolist()}
     )
 
 
@@ -102,9 +101,6 @@ def to_camera(rgb: NDArray[np.float32], matrix: NDArray[np.floating]) -> NDArray
     Returns:
         ``(C, H, W)`` float32.
 
-    Raises:
-        InputError: for a matrix of another shape.
-
     Example:
         >>> to_camera(np.float32([[[1, 0, 0], [1, 1, 1]]]), np.array([[0.5, 0.25, 0.25], [-0.5, 1, 0.5]])).tolist()
         [[[0.5, 1.0]], [[0.0, 1.0]]]
@@ -124,9 +120,7 @@ def clipped_share(rgb: NDArray[np.float32], matrix: NDArray[np.floating]) -> flo
 
 def _mixed(rgb: NDArray[np.float32], matrix: NDArray[np.floating]) -> NDArray[np.float32]:
     if matrix.ndim != 2 or matrix.shape[1] != 3:
-        raise InputError(
-            "scene_to_camera", f"got a matrix of shape {matrix.shape}, expected (C, 3): a row per channel of the camera"
-        )
+        raise InputError("scene_to_camera", f"got shape {matrix.shape}, expected (C, 3): a row per camera channel")
     rows = matrix.astype(np.float32)[:, :, None, None]
     # Term by term, so that the bytes do not depend on how a library orders a product.
     return np.asarray(rows[:, 0] * rgb[..., 0] + rows[:, 1] * rgb[..., 1] + rows[:, 2] * rgb[..., 2], np.float32)

@@ -35,9 +35,6 @@ class StackConvolution:
             scene_shape: h, w; each of the same parity as the sensor's and not larger.
             boundary: ``linear``: light that misses the sensor is lost; ``circular``: it comes back on the other side
                 (the thesis's assumption, under which closed-form inversions are exact).
-
-        Raises:
-            InputError: for other boundaries or shapes that do not fit.
         """
         if boundary not in ("linear", "circular"):
             raise InputError("boundary", f"got {boundary!r}, expected 'linear' or 'circular'")
@@ -45,8 +42,8 @@ class StackConvolution:
             if scene > sensor or (sensor - scene) % 2:
                 raise InputError(
                     "scene_shape",
-                    f"{scene} {axis} on a sensor of {sensor}; a scene is at most as large as the sensor and "
-                    f"even or odd like it, so that pixels lie on pixels: use {scene - 1 if scene > 1 else scene + 1}",
+                    f"got {scene} {axis} for {sensor} of the sensor, expected at most as many, even or odd like them; "
+                    f"use {sensor if scene > sensor else scene - 1 if scene > 1 else 2}",
                 )
         self.sensor_shape, self.scene_shape, self.boundary = sensor_shape, scene_shape, boundary
         axes = [

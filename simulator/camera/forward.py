@@ -72,9 +72,6 @@ class ForwardModel:
             scene_to_camera: ``(C, 3)`` from linear sRGB to the stack's channels, used by ``forward_clip``; None takes red,
                 green and blue as they are.
             depth_rule: used by ``forward_clip``.
-
-        Raises:
-            InputError: when the shapes do not fit.
         """
         if time not in ("integral", "mean"):
             raise InputError("time", f"got {time!r}, expected 'integral' or 'mean'")
@@ -97,9 +94,7 @@ class ForwardModel:
         """
         expected = (*self.stack.values.shape[:2], *self.scene_shape)
         if volume.ndim != 5 or tuple(volume.shape[1:]) != tuple(expected):
-            raise InputError(
-                "volume", f"expected (T, K, C, h, w) with (K, C, h, w) = {tuple(expected)}, got {tuple(volume.shape)}"
-            )
+            raise InputError("volume", f"expected (T, {', '.join(map(str, expected))}), got {tuple(volume.shape)}")
         return self._convolution.forward_rows(volume, self.row_weights(volume.shape[0], frame_edges_s))
 
     def adjoint(self, image: Array, frame_edges_s: NDArray[np.float64] | None = None) -> Array:
@@ -157,10 +152,8 @@ class ForwardModel:
         if frames == 1 and frame_edges_s is None:
             return self._exposures()[None]
         if self.shutter is None or frame_edges_s is None:
-            raise InputError(
-                "volume", f"{frames} frames need a shutter and frame_edges_s; without them only one frame has a meaning"
-            )
-        # Shutter rows are physical; the stored image is turned by 180 degrees.
+            raise InputError("volume", f"has {frames} frames; give a shutter and frame_edges_s, or one frame")
+        # Shutter rows are physical; the stored image is rotated by 180 degrees.
         seconds = np.diff(frame_edges_s)[:, None] * self.shutter.weights(self.sensor_shape[0], frame_edges_s)[:, ::-1]
         return seconds if self.time == "integral" else seconds / self._open_s()
 
@@ -175,9 +168,7 @@ class ForwardModel:
             InputError: no shutter, edges that do not cover it, or frames that cannot be shared equally.
         """
         if self.shutter is None:
-            raise InputError(
-                "shutter", "got None, but slivers are what a shutter cuts a capture into; give the model a shutter"
-            )
+            raise InputError("shutter", "got None; a capture has slivers only under a shutter: give the model one")
         return self.shutter.weights(self.sensor_shape[0], sliver_edges(frame_edges_s, slivers))[:, ::-1]
 
     def _open_s(self) -> NDArray[np.float64]:
@@ -198,8 +189,7 @@ class ForwardModel:
         if len(self.scene_to_camera) != len(channels):
             raise InputError(
                 "scene_to_camera",
-                f"got {len(self.scene_to_camera)} rows for the PSF stack's {len(channels)} channels "
-                f"({', '.join(channels)}); give a row of three numbers per channel",
+                f"got {len(self.scene_to_camera)} rows, expected one per channel of the PSF stack ({', '.join(channels)})",
             )
         if self.shutter is not None:
             clip = exposed_part(clip, self.shutter, self.sensor_shape[0])
@@ -209,9 +199,9 @@ class ForwardModel:
             seen = clip.depth_m[clip.valid]
             raise InputError(
                 "clip",
-                f"{share:.1%} of its pixels lie outside the PSF stack's depths, {depths_m[0]:g} to {depths_m[-1]:g} m "
-                f"(the scene spans {seen.min():g} to {seen.max():g} m); widen psf.near_cm / psf.far_cm, or raise "
-                "forward.max_clamped to clamp them",
+                f"{share:.1%} of its pixels ({seen.min():g} to {seen.max():g} m) lie outside the PSF stack's "
+                f"{depths_m[0]:g} to {depths_m[-1]:g} m; widen psf.near_cm / psf.far_cm, or raise forward.max_clamped "
+                "to clamp them",
             )
         return clip
 

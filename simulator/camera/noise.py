@@ -42,9 +42,7 @@ class GaussianNoise(Settings):
     def __post_init__(self) -> None:
         if (self.std is None) == (self.psnr_db is None):
             key, came = ("", "neither") if self.std is None else ("std", "both")
-            raise InputError(
-                key, f"needs exactly one of psnr_db and std, got {came}; they set the same standard deviation"
-            )
+            raise InputError(key, f"expected exactly one of psnr_db and std, got {came}: both set the deviation")
 
     def standard_deviation(self, signal: Array) -> float:
         """Return the standard deviation for this noiseless signal, as a share of full scale."""
@@ -79,11 +77,6 @@ def add_gaussian(signal: Array, noise: GaussianNoise, bit_depth: int, rng: Any) 
 def photo_electrons(mean: Array, full_well_e: float, rng: Any) -> Array:
     """Draw the electrons that light frees, Poisson numbers with a mean that may be far beyond the full well."""
     return poisson(rng, namespace(mean).clip(mean, 0, _SURELY_FULL * full_well_e))
-
-
-def dark_electrons(mean: Array, rng: Any) -> Array:
-    """Draw the electrons of the dark current, Poisson numbers."""
-    return poisson(rng, mean)
 
 
 def read_errors(shape_of: Array, pixels: Array, read_noise_e: float, dn_per_electron: float, rng: Any) -> Array:

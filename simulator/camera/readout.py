@@ -1,13 +1,13 @@
 """How pixels become stored values: bins that hold all colours, or a mosaic of one colour each.
 
-The colour filter array belongs to the physical sensor, whose picture is stored turned by 180 degrees: stored pixel
+The colour filter array belongs to the physical sensor, whose image is stored rotated by 180 degrees: stored pixel
 ``(i, j)`` of ``H x W`` is the physical window's pixel ``(H - 1 - i, W - 1 - j)``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NoReturn, Protocol
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,34 +19,6 @@ COLOURS = ("R", "G", "B")
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 MOSAIC = ("mosaic",)
 BAYER_SHARE = (0.25, 0.5, 0.25)  # of the physical pixels in a bin, for R, G, B
-
-
-class Readout(Protocol):
-    """What stands behind every stored value."""
-
-    def extent(self, stored: int) -> int:
-        """Return how many physical rows (or columns) so many stored ones reach over."""
-        ...
-
-    def channels(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of the stored picture's channels for those of the light."""
-        ...
-
-    def read(self, signal: Array) -> Array:
-        """Return what the stored values see of the light ``(C, H, W)``."""
-        ...
-
-    def spread(self, per_channel: tuple[float, ...]) -> NDArray[np.float64]:
-        """Return a number per channel of the light in a shape that fits what ``read`` returns."""
-        ...
-
-    def pixels(self, channels: int) -> NDArray[np.float64]:
-        """Return how many physical pixels a stored value averages; fits what ``read`` returns of so many channels."""
-        ...
-
-    def row_errors(self, signal: Array, std: float, rng: Any) -> Array:
-        """Return the mean error of the physical rows behind each stored row, each with ``std``; fits ``signal``."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -67,26 +39,26 @@ class BinnedReadout:
         return stored * self.binning
 
     def channels(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the light's own channels."""
+        """Return the names of the stored image's channels: the light's own."""
         return names
 
     def read(self, signal: Array) -> Array:
-        """Return the light itself."""
+        """Return what the stored values see of the light ``(C, H, W)``: the light itself."""
         return signal
 
     def spread(self, per_channel: tuple[float, ...]) -> NDArray[np.float64]:
-        """Return ``(C, 1, 1)``."""
+        """Return a number per channel of the light, ``(C, 1, 1)``: a shape that fits what ``read`` returns."""
         return np.asarray(per_channel, np.float64)[:, None, None]
 
     def pixels(self, channels: int) -> NDArray[np.float64]:
-        """Return ``(C, 1, 1)``."""
+        """Return how many physical pixels a stored value averages, ``(C, 1, 1)``."""
         in_bin = self.binning**2
         if not self._is_bayer(channels):
             return np.full((channels, 1, 1), float(in_bin))
         return self.spread(tuple(max(1.0, in_bin * share) for share in BAYER_SHARE))
 
     def row_errors(self, signal: Array, std: float, rng: Any) -> Array:
-        """Return ``(C, H, 1)`` or ``(1, H, 1)``.
+        """Return the mean error of the physical rows behind each stored row, each with ``std``: ``(C or 1, H, 1)``.
 
         Of a Bayer bin's rows one half holds red and green pixels, the other green and blue: red and blue see different
         errors, green sees both.
@@ -124,7 +96,7 @@ class BayerReadout:
 
     @property
     def stored_pattern(self) -> str:
-        """The colours of the stored picture's upper left 2 x 2 values, row by row.
+        """The colours of the stored image's upper left 2 x 2 values, row by row.
 
         Example:
             >>> BayerReadout(1, "RGGB", (4, 6)).stored_pattern, BayerReadout(1, "RGGB", (5, 6)).stored_pattern
@@ -177,7 +149,5 @@ class BayerReadout:
     @staticmethod
     def _refuse(came: str) -> NoReturn:
         raise InputError(
-            "camera.sensor.readout",
-            f"'bayer' needs light of the channels R, G, B, got {came}; use binned_rgb, or PSFs and a "
-            "spectral response of three colours",
+            "camera.sensor.readout", f"'bayer' needs light of the channels R, G, B, got {came}; use binned_rgb"
         )

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.arrays import Array, like, namespace, to_numpy
+from simulator.arrays import Array, like, namespace, poisson, to_numpy
 from simulator.camera.noise import (
     GaussianNoise,
     Noise,
@@ -17,7 +17,6 @@ from simulator.camera.noise import (
     PhysicalNoise,
     add_gaussian,
     convert,
-    dark_electrons,
     photo_electrons,
     read_errors,
 )
@@ -63,8 +62,7 @@ def full_scale_from_pilots(exposures: Sequence[NDArray[np.floating]]) -> float:
     if not bright > 0:
         raise InputError(
             "camera.exposure.full_scale",
-            "'auto' found no light in the pilot samples; check the scene's light and the mask's "
-            "amplitude, or give a number",
+            "'auto' found no light in the pilot samples; check scene and mask, or give a number",
         )
     return bright / TARGET
 
@@ -138,18 +136,16 @@ class Sensor:
             if needed > physical:
                 raise InputError(
                     "shape",
-                    f"{stored} {axis} of {self.binning} x {self.binning} bins need {needed} physical "
-                    f"{axis}, but sensor {self.name!r} has {physical}; at most {physical // self.binning}",
+                    f"got {stored} {axis} of {self.binning} x {self.binning} bins, which need {needed} physical "
+                    f"{axis}; sensor {self.name!r} has {physical}: at most {physical // self.binning}",
                 )
         if self.full_scale <= 0 or not np.isfinite(self.full_scale):
             raise InputError("full_scale", f"got {self.full_scale!r}, expected a positive exposure")
         if not 0 <= self.black_level_dn < 2**self.bit_depth - 1:
-            raise InputError(
-                "black_level_dn", f"got {self.black_level_dn}, expected 0 to below {2**self.bit_depth - 1}"
-            )
+            raise InputError("black_level_dn", f"got {self.black_level_dn}, expected 0 to below 2^bits - 1")
         if np.size(self.exposure_s) not in (1, self.shape[0]) or not np.all(np.greater(self.exposure_s, 0)):
             raise InputError(
-                "exposure_s", f"expected positive seconds, one or {self.shape[0]} (the rows), got {self.exposure_s!r}"
+                "exposure_s", f"expected 1 or {self.shape[0]} (rows) positive seconds, got {self.exposure_s!r}"
             )
         if self.responsivity is not None and not all(0 < share <= 1 for share in self.responsivity):
             raise InputError("responsivity", f"got {self.responsivity}, expected shares above 0, at most 1")
@@ -171,29 +167,21 @@ class Sensor:
 
     @property
     def stored_cfa(self) -> str | None:
-        """Colours of the stored picture's upper left 2 x 2 values, row by row; None where values have all channels."""
+        """Colours of the stored image's upper left 2 x 2 values, row by row; None where values have all channels."""
         return self._readout.stored_pattern if isinstance(self._readout, BayerReadout) else None
 
     def channels(self, stack_channels: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of the measurement's channels for those of the light (of the PSF stack).
-
-        Raises:
-            InputError: when this sensor cannot read such light.
-        """
+        """Return the names of the measurement's channels for those of the light (of the PSF stack)."""
         if self.responsivity is not None and len(self.responsivity) != len(stack_channels):
             raise InputError(
                 "camera.exposure.illuminance_lux",
-                f"the spectral response has {len(self.responsivity)} channels, but the PSF "
-                f"stack has {', '.join(stack_channels)}; choose a camera.sensor.spectral_response with as many",
+                f"the spectral response has {len(self.responsivity)} channels, the PSF stack has "
+                f"{', '.join(stack_channels)}; choose a camera.sensor.spectral_response with as many",
             )
         return self._readout.channels(stack_channels)
 
-    def pixels_per_channel(self, channels: int) -> tuple[float, ...]:
-        """Return how many physical pixels stand behind one stored value, for light of so many channels."""
-        return tuple(self._readout.pixels(channels).ravel().tolist())
-
     def response_map(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        """Return the fixed pattern of responsivity ``(C, H, W)``, 1 on average: the same for every picture."""
+        """Return the fixed pattern of responsivity ``(C, H, W)``, 1 on average: the same for every image."""
         return self._pattern(shape, self.prnu, _PRNU) + 1
 
     def dark_map(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
@@ -209,14 +197,6 @@ class Sensor:
     def balance(self, signal: Array) -> Array | float:
         """Return the responsivity behind each stored value, in a form that fits the signal."""
         return 1.0 if self.responsivity is None else like(self._readout.spread(self.responsivity), signal)
-
-    def pixels(self, signal: Array) -> Array:
-        """Return the number of physical pixels behind each stored value, in a form that fits the signal."""
-        return like(self._readout.pixels(signal.shape[0]), signal)
-
-    def row_errors(self, signal: Array, rng: Any) -> Array:
-        """Draw the mean error of the physical rows behind each stored row, electrons, in a form that fits the signal."""
-        return self._readout.row_errors(signal, self.row_noise_e, rng)
 
     def expose(self, irradiance: Array, rng: Any) -> Array:
         """Return DN / 2^bits of one image.
@@ -243,13 +223,14 @@ class Sensor:
             return signal
         if isinstance(self.noise, GaussianNoise):
             return add_gaussian(signal, self.noise, self.bit_depth, rng)
-        pixels, balance, shape = self.pixels(signal), self.balance(signal), tuple(signal.shape)
+        shape, balance = tuple(signal.shape), self.balance(signal)
+        pixels = like(self._readout.pixels(shape[0]), signal)
         light = signal * balance * like(self.response_map(shape), signal)  # PRNU, of the light alone
         electrons = photo_electrons(light * (self.full_well_e * pixels), self.full_well_e, rng)
         dark = namespace(signal).zeros_like(signal) + self.dark_electrons(signal) * pixels
-        electrons = electrons + dark_electrons(dark, rng) + like(self.dark_map(shape), signal) * pixels  # DSNU
+        electrons = electrons + poisson(rng, dark) + like(self.dark_map(shape), signal) * pixels  # DSNU
         electrons = electrons + read_errors(signal, pixels, self.read_noise_e, self.dn_per_electron, rng)
-        electrons = electrons + self.row_errors(signal, rng) * pixels
+        electrons = electrons + self._readout.row_errors(signal, self.row_noise_e, rng) * pixels
         numbers = convert(electrons, pixels, self.dn_per_electron, self.black_level_dn, self.bit_depth)
         if self.responsivity is not None:
             numbers = (numbers - self.black_level_dn) / balance + self.black_level_dn
@@ -290,11 +271,11 @@ class Sensor:
     def _signal(self, irradiance: Array) -> Array:
         if irradiance.ndim != 3 or tuple(irradiance.shape[1:]) != self.shape:
             raise InputError(
-                "irradiance", f"expected (C, H, W) with (H, W) = {self.shape}, got {tuple(irradiance.shape)}"
+                "irradiance", f"expected (C, {self.shape[0]}, {self.shape[1]}), got {tuple(irradiance.shape)}"
             )
         if self.responsivity is not None and len(self.responsivity) != irradiance.shape[0]:
             raise InputError(
                 "irradiance",
-                f"has {irradiance.shape[0]} channels, responsivity {len(self.responsivity)}; give one for each",
+                f"has {irradiance.shape[0]} channels, expected the {len(self.responsivity)} of the responsivity",
             )
         return self._readout.read(irradiance) * (1 / self.full_scale)

@@ -20,6 +20,7 @@ from simulator.settings import NO_KEY, Quantity, Settings
 
 ROUNDING = 1e-9
 """Share of a capture's time that rounding of its edges may take."""
+_EXPECTED = "opening and closing of every row, seconds (rows, 2)"
 
 
 class Shutter(Settings, ABC):
@@ -66,9 +67,9 @@ class Shutter(Settings, ABC):
         (first, last), begin, end = self.span_s(rows), float(frame_edges_s[0]), float(frame_edges_s[-1])
         if begin > first + ROUNDING * last or end < last * (1 - ROUNDING):
             raise InputError(
-                "",
-                f"the clip lasts from {begin:.9g} to {end:.9g} s, but the shutter is open from {first:.9g} to {last:.9g} s; "
-                "use a longer clip (more frames, or fewer per second) or a faster shutter",
+                "frame_edges_s",
+                f"the clip lasts from {begin:.9g} to {end:.9g} s, but the shutter is open from {first:.9g} to "
+                f"{last:.9g} s; use more frames, fewer per second, or a faster shutter",
             )
 
     def separable_frames(self, rows: int) -> int:
@@ -104,7 +105,7 @@ class Shutter(Settings, ABC):
         edges = np.asarray(frame_edges_s, np.float64)
         if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
             raise InputError(
-                "frame_edges_s", f"got shape {edges.shape}, expected at least two times in seconds, strictly increasing"
+                "frame_edges_s", f"got {edges}, expected at least two strictly increasing times in seconds"
             )
         self.check_covered(rows, edges)
         windows, (first, last) = self.windows_s(rows), self.span_s(rows)
@@ -114,8 +115,7 @@ class Shutter(Settings, ABC):
 
 
 Exposure = Annotated[
-    float,
-    Quantity(1e-4, 1e5, "ms", key="exposure_ms", default=10.0, below="without exposure time there is no light"),
+    float, Quantity(1e-4, 1e5, "ms", key="exposure_ms", default=10.0, below="without exposure time there is no light")
 ]
 LineTime = Annotated[
     float, Quantity(1e-3, 1e6, "us", key="line_time_us", below="rows that open together are a global shutter")
@@ -216,16 +216,14 @@ class RowShutter(Shutter):
         _check_times(self.binning)
         table = np.asarray(self.table_s, np.float64)
         if table.ndim != 2 or table.shape[1:] != (2,) or not len(table):
-            raise InputError(
-                "table_s", f"got shape {table.shape}, expected opening and closing of every row, seconds (rows, 2)"
-            )
+            raise InputError("table_s", f"got shape {table.shape}, expected {_EXPECTED}")
         wrong = np.flatnonzero(~((table[:, 0] >= 0) & (table[:, 1] > table[:, 0]) & (table[:, 1] < np.inf)))
         if wrong.size:  # NaN is wrong too: it compares as false
             row = int(wrong[0])
             raise InputError(
                 "table_s",
                 f"row {row} (from 0, top first) opens at {table[row, 0]:g} s and closes at {table[row, 1]:g} s; "
-                "expected times from zero on, and a row that closes after it opens",
+                "expected 0 <= opening < closing",
             )
         object.__setattr__(self, "table_s", table)
 
@@ -238,8 +236,7 @@ class RowShutter(Shutter):
         if rows != len(self.table_s):
             raise InputError(
                 "table_s",
-                f"got windows of {len(self.table_s)} rows, expected {rows}: {rows // self.binning} rows of the "
-                f"picture x binning {self.binning}; give one window per physical row",
+                f"got windows of {len(self.table_s)} rows, expected {rows}: one for each physical row of the sensor",
             )
         return self.table_s
 
@@ -253,9 +250,7 @@ def _check_times(binning: int, **times_s: float) -> None:
         if not 0 < value < np.inf:
             raise InputError(name, f"got {value!r}, expected positive seconds (10 ms is 0.01)")
     if not isinstance(binning, int | np.integer) or isinstance(binning, bool) or binning < 1:
-        raise InputError(
-            "binning", f"got {binning!r}, expected a whole number of physical rows per stored row, at least 1"
-        )
+        raise InputError("binning", f"got {binning!r}, expected a whole number of physical rows from 1")
 
 
 def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
@@ -267,22 +262,29 @@ _UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 
 
 def read_row_shutter(path: Path, rows: int, binning: int) -> RowShutter:
-    """Return the shutter of a file, for a picture of so many rows.
+    """Return the shutter of a file, for an image of so many rows.
 
     Args:
-        path: as `read_row_windows` takes it.
-        rows: of the picture.
-        binning: physical rows per row of the picture.
+        path: ``.csv``: two numbers per row, parted by a comma: seconds, or what a first line says, such as
+            ``open_ms,close_ms`` (s, ms or us); lines that begin with # are remarks. ``.npy``: ``(rows, 2)`` seconds.
+        rows: of the image.
+        binning: physical rows per row of the image.
 
     Raises:
-        InputError: naming the file, and the row: as `read_row_windows`; another number of rows, no times, or a row that
-            closes before it opens.
+        InputError: naming the file, and of a CSV the line; as `row_shutter`.
     """
-    return row_shutter(read_row_windows(path), rows, binning, path)
+    if path.suffix.lower() == ".csv":
+        return row_shutter(_read_csv(path), rows, binning, path)
+    if path.suffix.lower() != ".npy":
+        raise InputError(path, "expected .csv or .npy with opening and closing of every row")
+    windows = read_npy(path)
+    if windows.ndim != 2 or windows.shape[1] != 2 or windows.dtype.kind not in "fiu":
+        raise InputError(path, f"got {windows.dtype} {windows.shape}, expected {_EXPECTED}")
+    return row_shutter(windows, rows, binning, path)
 
 
 def row_shutter(windows: Any, rows: int, binning: int, source: str | Path) -> RowShutter:
-    """Return the shutter of a table, ``(rows * binning, 2)`` seconds, for a picture of so many rows.
+    """Return the shutter of a table, ``(rows * binning, 2)`` seconds, for an image of so many rows.
 
     Raises:
         InputError: at ``source``, naming the row.
@@ -290,44 +292,13 @@ def row_shutter(windows: Any, rows: int, binning: int, source: str | Path) -> Ro
     try:
         table = np.asarray(windows, np.float64)
     except (TypeError, ValueError) as error:
-        got = type(windows).__name__
-        raise InputError(
-            source, f"got {got}, expected opening and closing of every row, seconds (rows, 2): {error}"
-        ) from error
+        raise InputError(source, f"got {type(windows).__name__}, expected {_EXPECTED}: {error}") from error
     try:
         shutter = RowShutter(table, binning)
         shutter.physical_windows_s(rows * binning)
     except InputError as error:
         raise InputError(source, error.reason) from error
     return shutter
-
-
-def read_row_windows(path: Path) -> NDArray[np.float64]:
-    """Read opening and closing of every physical row, top first.
-
-    Args:
-        path: ``.csv``: two numbers per row, parted by a comma: seconds, or what a first line says, such as
-            ``open_ms,close_ms`` (s, ms or us); lines that begin with # are remarks. ``.npy``: ``(rows, 2)`` seconds.
-
-    Returns:
-        ``(rows, 2)`` seconds; see `RowShutter` for what they must be.
-
-    Raises:
-        InputError: naming the file, and of a CSV the line.
-    """
-    kind = path.suffix.lower()
-    if kind not in (".csv", ".npy"):
-        raise InputError(
-            path, "of a kind that is not read; expected .csv or .npy with opening and closing of every row"
-        )
-    if kind == ".csv":
-        return _read_csv(path)
-    windows = read_npy(path)
-    if windows.ndim != 2 or windows.shape[1] != 2 or windows.dtype.kind not in "fiu":
-        raise InputError(
-            path, f"got {windows.dtype} {windows.shape}, expected opening and closing of every row, seconds (rows, 2)"
-        )
-    return windows.astype(np.float64)
 
 
 def _read_csv(path: Path) -> NDArray[np.float64]:
@@ -343,37 +314,27 @@ def _read_csv(path: Path) -> NDArray[np.float64]:
                 continue
             units_s = 1.0, 1.0
         if len(cells) != 2:
-            raise InputError(
-                f"{path}:{line}", f"got {len(cells)} cells, expected two: when the row opens and when it closes"
-            )
+            raise InputError(f"{path}:{line}", f"got {len(cells)} cells, expected two: opening and closing")
         try:
             windows.append((float(cells[0]) * units_s[0], float(cells[1]) * units_s[1]))
         except ValueError:
             raise InputError(
-                f"{path}:{line}",
-                f"got {text.strip()[:60]!r}, expected two numbers: when the row opens and when it closes",
+                f"{path}:{line}", f"got {text.strip()[:60]!r}, expected two numbers: opening and closing"
             ) from None
     if not windows:
-        raise InputError(
-            path, "holds no rows; expected one line per physical row of the sensor: when it opens and closes"
-        )
+        raise InputError(path, f"holds no rows; expected {_EXPECTED}")
     return np.array(windows)
 
 
 def _header(path: Path, line: int, cells: list[str]) -> tuple[float, float] | None:
-    """Return the units of both columns, seconds, if these cells are the header.
-
-    Raises:
-        InputError: a header that does not say opening, closing and their units, in this order.
-    """
+    """Return the units of both columns, seconds, if these cells are the header."""
     if any(_is_number(cell) for cell in cells):
         return None
     names = [cell.lower().partition("_") for cell in cells]
     if [name for name, _, _ in names] != ["open", "close"] or any(unit not in _UNITS_S for _, _, unit in names):
         raise InputError(
             f"{path}:{line}",
-            f"got {','.join(cells)!r}, expected two numbers parted by a comma, seconds, or the header "
-            "open_s,close_s (or _ms, _us)",
+            f"got {','.join(cells)!r}, expected two numbers (seconds), or the header open_s,close_s (or _ms, _us)",
         )
     opening, closing = (_UNITS_S[unit] for _, _, unit in names)
     return opening, closing
@@ -406,8 +367,7 @@ def shutter_record(shutter: Shutter) -> dict[str, Any]:
     if type(shutter) not in KINDS.values():
         raise InputError(
             "shutter",
-            f"got a {type(shutter).__name__}, which has no record; expected one of simulator.camera.shutter; put its "
-            "windows into a RowShutter(shutter.physical_windows_s(rows))",
+            f"got a {type(shutter).__name__}; expected one of {', '.join(KINDS)}, such as a RowShutter of its windows",
         )
     return {name: _plain(getattr(shutter, name)) for name in ("type", *_recorded(type(shutter)))}
 
@@ -427,15 +387,10 @@ def shutter_from_record(record: object) -> Shutter:
     known = KINDS.get(kind) if isinstance(kind, str) else None
     if known is None:
         shown = repr(kind) if isinstance(record, Mapping) else type(record).__name__
-        raise InputError(
-            "shutter record",
-            f"got {shown}, expected a type of {', '.join(KINDS)}; another version may have written it",
-        )
+        raise InputError("shutter record", f"got {shown}, expected a type of {', '.join(KINDS)} (another version's?)")
     wanted = _recorded(known)
     if set(values) != set(wanted):
-        raise InputError(
-            "shutter record", f"got the fields {sorted(map(str, values))} for {kind!r}, expected {sorted(wanted)}"
-        )
+        raise InputError("shutter record", f"got {sorted(map(str, values))} for {kind!r}, expected {sorted(wanted)}")
     for name, value in values.items():
         values[name] = _read(name, value)
     return known(**values)
@@ -452,20 +407,14 @@ def _plain(value: Any) -> Any:
 
 def _read(name: str, value: Any) -> Any:
     """Return a field's value as its class wants it; it checks the range itself."""
-    whole = isinstance(value, int) and not isinstance(value, bool) and abs(value) <= 2**53  # a float holds it
     if name == "table_s":
         try:
             return np.array(value, np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(
-                "shutter record", f"table_s must hold opening and closing of every row in seconds ({error})"
-            ) from error
-    fits = whole if name == "binning" else whole or isinstance(value, float)
-    if name in ("direction", "order"):
-        fits = isinstance(value, str)
+            raise InputError("shutter record", f"table_s: expected {_EXPECTED} ({error})") from error
+    is_text = name in ("direction", "order")
+    whole = isinstance(value, int) and not isinstance(value, bool) and abs(value) <= 2**53  # a float holds it
+    fits = isinstance(value, str) if is_text else whole or (name != "binning" and isinstance(value, float))
     if not fits:
-        raise InputError(
-            "shutter record",
-            f"{name} is {value!r}; expected {'text' if name in ('direction', 'order') else 'a number'}",
-        )
+        raise InputError("shutter record", f"{name} is {value!r}; expected {'text' if is_text else 'a number'}")
     return value

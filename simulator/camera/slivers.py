@@ -52,18 +52,14 @@ def sliver_length(frames: int, slivers: int) -> int:
         nearest = min(fitting, key=lambda number: abs(number - slivers))
         raise InputError(
             "slivers",
-            f"got {slivers} for a capture that sees {frames} frames, which do not come out even; take {nearest} "
-            "slivers, or change the number of frames or the shutter's times",
+            f"got {slivers}, which does not divide the {frames} frames that the shutter sees; take {nearest}, or "
+            "change the frames or the shutter's times",
         )
     return frames // slivers
 
 
 def sliver_edges(frame_edges_s: NDArray[np.float64], slivers: int) -> NDArray[np.float64]:
-    """Return when slivers begin and end, ``(N + 1,)`` seconds, from the edges ``(T + 1,)`` of the frames seen.
-
-    Raises:
-        InputError: when the frames cannot be shared equally.
-    """
+    """Return when slivers begin and end, ``(N + 1,)`` seconds, from the edges ``(T + 1,)`` of the frames seen."""
     return frame_edges_s[:: sliver_length(len(frame_edges_s) - 1, slivers)]
 
 
@@ -87,9 +83,6 @@ def sliver_means(clip: Clip, slivers: int) -> Clip:
     """Return a clip of N frames, the slivers': mean radiance; depth, validity and extras of the frame in the middle.
 
     Depths are not averaged: a mean of fore- and background is neither.
-
-    Raises:
-        InputError: when the frames cannot be shared equally.
     """
     frames = len(clip.rgb)
     length = sliver_length(frames, slivers)

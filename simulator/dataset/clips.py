@@ -170,7 +170,7 @@ def check_clip(clip: Clip, shutter: Shutter, rows: int, slivers: int | None) -> 
         shutter.check_covered(rows, edges)
     except InputError as error:
         raise ClipTimesError(
-            "scene", f"{error}; times count from the capture's start. The clip: {clip.source}"
+            "scene", f"{error.reason}; times count from the capture's start. The clip: {clip.source}"
         ) from error
     _check_slivers(count_seen(edges, shutter, rows), frames, slivers)
 

@@ -160,7 +160,7 @@ def check_sample(
         try:
             shutter.weights(info.sensor_shape[0], sample.frame_edges_s)
         except InputError as error:
-            problems.append(f"{where}: its frames do not cover the shutter: {str(error).split(';')[0]}")
+            problems.append(f"{where}: its frames do not cover the shutter: {error.reason.split(';')[0]}")
     made_with = {"full_scale": info.exposure.get("full_scale"), "psf": psf_fingerprint or None}
     for name, promised in made_with.items():
         found = sample.metadata.get(name, promised)

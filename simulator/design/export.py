@@ -39,11 +39,7 @@ def height_tiff(mask: Mask) -> bytes:
     """
     import tifffile
 
-    height = _relief(mask)
-    if not height.any():
-        raise InputError(
-            "height_m", f"mask {mask.name!r} is flat, so it has no height map; write its opening as layers instead"
-        )
+    height = _raised(mask)
     per_code = float(height.max()) / _LARGEST_CODE
     described = _described(mask) | {"metres_per_dn": per_code}
     pixels_per_cm = 1e-2 / mask.pitch_m
@@ -64,6 +60,14 @@ def height_tiff(mask: Mask) -> bytes:
 def _relief(mask: Mask) -> NDArray[np.float64]:
     height = np.asarray(to_numpy(mask.height_m), np.float64)
     return height - height.min()
+
+
+def _raised(mask: Mask) -> NDArray[np.float64]:
+    """Return the heights above the lowest one; a flat mask is refused."""
+    height = _relief(mask)
+    if not height.any():
+        raise InputError("height_m", f"mask {mask.name!r} is flat: it has no relief; write its layers instead")
+    return height
 
 
 def _described(mask: Mask) -> dict[str, Any]:
@@ -126,13 +130,12 @@ def binary_layers(mask: Mask, step_m: float = 0.0) -> MaskLayers:
     if len(grid) - 1 > MAX_LAYERS:
         raise InputError(
             "step_um",
-            f"mask {mask.name!r} has {len(grid)} different heights up to {height.max() * 1e6:.3g} um"
-            f"{f' in steps of {step_m * 1e6:g} um' if step_m else ''}; at most {MAX_LAYERS} layers are written: give a step "
-            f"of at least {height.max() * 1e6 / MAX_LAYERS:.2g} um",
+            f"got {step_m * 1e6:g}, which leaves mask {mask.name!r} {len(grid)} heights; at most {MAX_LAYERS} layers "
+            f"are written: give a step of at least {height.max() * 1e6 / MAX_LAYERS:.2g} um",
         )
     layers = MaskLayers(mask, height, tuple(float(level) * _SAME_HEIGHT_M for level in grid[1:]))
     if not layers.tops_m and layers.aperture() is None:
-        raise InputError("", f"mask {mask.name!r} is flat and open everywhere: there is nothing to fabricate")
+        raise InputError("mask", f"{mask.name!r} is flat and open everywhere: there is nothing to fabricate")
     return layers
 
 
@@ -159,10 +162,7 @@ def write_layers(folder: Path, layers: MaskLayers) -> list[str]:
         aperture = layers.aperture()
         if aperture is not None:
             write_atomic(temporary / APERTURE_FILE, _png(aperture, layers.mask.pitch_m))
-        content = _described(layers.mask) | {
-            "layers": entries,
-            "aperture": None if aperture is None else APERTURE_FILE,
-        }
+        content = _described(layers.mask) | {"layers": entries, "aperture": None if aperture is None else APERTURE_FILE}
         write_atomic(temporary / LAYERS_FILE, json.dumps(content, indent=2).encode() + b"\n")
     return [entry["file"] for entry in entries] + ([] if aperture is None else [APERTURE_FILE])
 
@@ -206,22 +206,15 @@ def relief_solid(mask: Mask, base_m: float) -> tuple[NDArray[np.float64], NDArra
         InputError: for a plate without thickness, a mask without height, or one too large for a mesh.
     """
     if not 0 < base_m < np.inf:
-        raise InputError(
-            "base_m",
-            f"got {base_m:g}, expected a finite thickness above zero: a body needs a plate under its lowest height",
-        )
-    height = _relief(mask)
-    if not height.any():
-        raise InputError(
-            "height_m", f"mask {mask.name!r} is flat, so it has no relief; write its opening as layers instead"
-        )
+        raise InputError("base_m", f"got {base_m:g}, expected positive metres: the relief needs a plate below it")
+    height = _raised(mask)
     rows, columns = (_lines(n, mask) for n in mask.shape)
     triangles = 2 * (len(rows) * len(columns) + len(rows) + len(columns))
     if triangles > MAX_TRIANGLES or max(mask.shape) > MAX_SIDE:
         side = int(np.sqrt(MAX_TRIANGLES / (8 if mask.profile == "staircase" else 2)))
         raise InputError(
-            "",
-            f"mask {mask.name!r} of {mask.shape[0]} x {mask.shape[1]} pixels needs {triangles} triangles; at most "
+            "mask",
+            f"{mask.name!r} of {mask.shape[0]} x {mask.shape[1]} pixels needs {triangles} triangles; at most "
             f"{MAX_TRIANGLES} are written: crop it to {side * mask.pitch_m * 1e3:.2g} mm",
         )
     z = np.repeat(np.repeat(height, 2, 0), 2, 1) if mask.profile == "staircase" else np.pad(height, 1, mode="edge")
@@ -267,11 +260,7 @@ def _closed(
 
 
 def stl_bytes(mask: Mask, base_m: float) -> bytes:
-    """Return a binary STL file, in millimetres, of :func:`relief_solid`.
-
-    Raises:
-        InputError: as :func:`relief_solid`.
-    """
+    """Return a binary STL file, in millimetres, of :func:`relief_solid`."""
     import trimesh
 
     vertices, faces = relief_solid(mask, base_m)

@@ -29,9 +29,6 @@ def quantise(height_m: Array, step_m: float) -> Array:
     Returns:
         Multiples of ``step_m`` in the input's kind, shape and precision. Heights that are steps already stay.
 
-    Raises:
-        InputError: for a negative step.
-
     Example:
         >>> (quantise(np.array([0.0, 0.39e-6, 0.4e-6]), 0.2e-6) * 1e6).round(9).tolist()
         [0.0, 0.2, 0.4]
@@ -81,9 +78,7 @@ def fabricate(
         if not 0 <= value < math.inf:
             raise InputError(name, f"got {value:g}, expected metres from 0 (perfect) up; 0.5 um is 5e-7")
     if not -1 < height_error < math.inf:
-        raise InputError(
-            "height_error", f"got {height_error:g}, expected a share above -1 (all height lost); 5 % is 0.05"
-        )
+        raise InputError("height_error", f"got {height_error:g}, expected a share above -1; 5 % is 0.05")
     asked = {"step_m": step_m, "height_error": height_error, "roughness_m": roughness_m, "rounding_m": rounding_m}
     mask = replace(mask, notes={**mask.notes, "fabrication": {**asked, "seed": seed}})
     height = quantise(to_numpy(mask.height_m), step_m)

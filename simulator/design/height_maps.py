@@ -40,15 +40,14 @@ def read_height_map(path: Path, unit_m: float | None, max_height_m: float | None
         if max_height_m is not None:
             raise InputError(
                 "max_height_um",
-                f"got {max_height_m * 1e6:g}, but {path} holds floats, whose height needs no largest code; "
-                "use unit_um (micrometres per unit), or leave both out for metres",
+                f"got {max_height_m * 1e6:g}, but {path} holds floats; use unit_um (micrometres per unit), or neither "
+                "for metres",
             )
         return _plausible(path, numbers * (1.0 if unit_m is None else unit_m))
     if unit_m is not None or max_height_m is None:
         raise InputError(
             "max_height_um",
-            f"missing for {path}, which holds integers of {8 * numbers.itemsize} bits; give the height of "
-            f"the largest code, {_largest_code(numbers, path)}, in micrometres, in place of unit_um",
+            f"missing: {path} holds integers; give the height of code {_largest_code(numbers, path)}, in place of unit_um",
         )
     return _plausible(path, numbers * (max_height_m / _largest_code(numbers, path)))
 
@@ -66,9 +65,7 @@ def read_unit_map(path: Path) -> NDArray[np.float32]:
     if numbers.dtype.kind != "f":
         return (numbers / _largest_code(numbers, path)).astype(np.float32)
     if numbers.min() < 0 or numbers.max() > 1:
-        raise InputError(
-            path, f"holds numbers from {numbers.min():g} to {numbers.max():g}; expected 0 (opaque) to 1 (open)"
-        )
+        raise InputError(path, f"got {numbers.min():g} to {numbers.max():g}, expected 0 (opaque) to 1 (open)")
     return numbers.astype(np.float32)
 
 
@@ -77,8 +74,8 @@ def _plausible(path: Path, height_m: NDArray[Any]) -> NDArray[np.float32]:
     if relief_m > MAX_RELIEF_M * (1 + _ROUNDING):
         raise InputError(
             path,
-            f"makes a relief of {relief_m * 1e3:.3g} mm, expected at most {MAX_RELIEF_M * 1e3:g} mm: give the unit "
-            "of its numbers with unit_um (1 for micrometres, 0.001 for nanometres), or max_height_um for integers",
+            f"makes a relief of {relief_m * 1e3:.3g} mm, expected at most {MAX_RELIEF_M * 1e3:g} mm: give the unit of "
+            "its numbers with unit_um (1 is micrometres, 0.001 nanometres), or max_height_um for integers",
         )
     return height_m.astype(np.float32)
 
@@ -133,17 +130,15 @@ def read_stl_height(path: Path, pitch_m: float, unit_m: float) -> NDArray[np.flo
         size = " x ".join(f"{extent * 1e3:.3g}" for extent in (high - low)[:2])
         raise InputError(
             "pixel_um",
-            f"got {pitch_m * 1e6:g} for {path} of {size} mm, which makes {rows} x {columns} pixels; expected 1 to "
-            f"{MAX_SIDE} per side: change pixel_um, or unit_um (one unit of the file is taken for {unit_m * 1e6:g} um)",
+            f"got {pitch_m * 1e6:g} for {path} of {size} mm: {rows} x {columns} pixels, expected 1 to {MAX_SIDE} per "
+            f"side; change pixel_um, or unit_um (one unit of the file is {unit_m * 1e6:g} um)",
         )
     require_mask_memory((rows, columns))
     middle = (low + high) / 2
     height = _rasterise(upper, middle, rows, columns, pitch_m)
     if not np.all(np.isfinite(height)):
         missing = int(np.count_nonzero(~np.isfinite(height)))
-        raise InputError(
-            path, f"not a height map: its surface has a hole over {missing} of {height.size} mask pixels; close it"
-        )
+        raise InputError(path, f"not a height map: a hole over {missing} of {height.size} mask pixels; close it")
     return (height - height.min()).astype(np.float32)
 
 
@@ -153,31 +148,22 @@ def _triangles(path: Path) -> Triangles:
 
     try:
         if path.stat().st_size > 300 * MAX_TRIANGLES:  # a triangle takes 50 bytes, or about 250 as text
-            raise InputError(
-                path, f"larger than {MAX_TRIANGLES} triangles, the most that are read; simplify or crop it"
-            )
+            raise InputError(path, f"larger than {MAX_TRIANGLES} triangles; simplify or crop it")
         with path.open("rb") as file:
             content = load_stl(file)  # not through a mesh, whose indices would take several times the memory
         # Corner by corner, in the order of the faces; a text file that holds several bodies lists them by name.
         bodies = list(content["geometry"].values()) if "geometry" in content else [content]
-        if not bodies:
-            raise InputError(
-                path, "holds 0 triangles that can be read: is it an STL file? Export it again, as binary STL"
-            )
-        triangles = np.concatenate([body["vertices"].reshape(-1, 3, 3) for body in bodies], dtype=np.float64)
+        corners = [np.empty((0, 3, 3)), *(body["vertices"].reshape(-1, 3, 3) for body in bodies)]
+        triangles = np.concatenate(corners, dtype=np.float64)
     except InputError:
         raise
     except OSError as error:
         raise InputError(path, f"cannot be read: {error.strerror or error}") from error
     # trimesh reports damage by many kinds of exceptions; whatever it is, the file cannot be used.
     except Exception as error:
-        raise InputError(
-            path, f"cannot be read as STL ({type(error).__name__}: {error}): export it again, as binary STL"
-        ) from error
+        raise InputError(path, f"not readable as STL ({type(error).__name__}: {error}): export it again") from error
     if len(triangles) == 0 or not np.all(np.isfinite(triangles)):
-        raise InputError(
-            path, f"holds {len(triangles)} triangles, some of them not finite or none at all: export it again"
-        )
+        raise InputError(path, f"{len(triangles)} triangles, none or some non-finite: is it STL? Export it again")
     return triangles
 
 
@@ -195,8 +181,8 @@ def _refuse_overhangs(
     if hanging > _AREA_TOLERANCE * np.prod((high - low)[:2]):
         raise InputError(
             path,
-            f"not a height map: {hanging * 1e6:.3g} mm2 of it overhang (face down above the flat bottom); make the "
-            "bottom flat and the surface single-valued in z, or turn the body or its normals over if it lies upside down",
+            f"not a height map: {hanging * 1e6:.3g} mm2 overhang (face down above a flat bottom); make the bottom flat "
+            "and the surface single-valued in z, or turn the body or its normals over if it lies upside down",
         )
 
 
@@ -204,9 +190,7 @@ def _refuse_other_outlines(path: Path, area_m2: float, low: NDArray[np.float64],
     rectangle_m2 = float(np.prod((high - low)[:2]))
     if area_m2 < (1 - _AREA_TOLERANCE) * rectangle_m2:
         missing = f"{(rectangle_m2 - area_m2) * 1e6:.3g} of {rectangle_m2 * 1e6:.3g} mm2"
-        raise InputError(
-            path, f"not a height map: its surface leaves out {missing} of its rectangle; fill holes and corners"
-        )
+        raise InputError(path, f"not a height map: it leaves out {missing} of its rectangle; fill holes and corners")
     if area_m2 > (1 + _AREA_TOLERANCE) * rectangle_m2 or rectangle_m2 == 0:
         raise InputError(
             path,

@@ -38,11 +38,11 @@ def load_mask(design: str, base_dir: Path | None = None, **params: Any) -> Mask:
                 mask = plugin.function(**arguments)
         except MemoryError as error:
             raise InputError(
-                "", f"mask design {design!r} needs more memory than there is; use a coarser pixel or a narrower mask"
+                f"mask design {design!r}", "exceeds the memory; use a coarser pixel or a narrower mask"
             ) from error
         if not isinstance(mask, Mask):
             raise InputError(
-                "", f"mask design {design!r} returned {type(mask).__name__}, expected a simulator.optics.mask.Mask"
+                f"mask design {design!r}", f"returned {type(mask).__name__}, expected a simulator.optics.mask.Mask"
             )
         described = {
             "pitch_m": mask.pitch_m,
@@ -77,9 +77,6 @@ def mask_arguments(plugin: Plugin, params: Mapping[str, Any]) -> tuple[dict[str,
     """Return a design's arguments, relative paths taken from the plugin's folder, and the files among them.
 
     Files are the parameters of type Path, and the text parameter ``material`` where it names a file.
-
-    Raises:
-        InputError: for wrong parameters.
     """
     arguments = plugin.bind(params)
     files = [value for value in arguments.values() if isinstance(value, Path)]

@@ -148,15 +148,10 @@ def contours_of_image(path: Path, samples: int, line: float) -> NDArray[np.float
     image = np.asarray(read_measurement(path, ("R", "G", "B")), np.float64).mean(0)
     rows, columns = image.shape
     if abs(rows - columns) > 1:
-        raise InputError(
-            "image", f"{path} has {rows} x {columns} pixels, but the mask is square; crop the image to a square first"
-        )
+        raise InputError("image", f"{path} has {rows} x {columns} pixels, expected a square; crop it first")
     low, high = image.min(), image.max()
     if low == high:
-        raise InputError(
-            "image",
-            f"{path} is of one grey level everywhere; expected an image with edges or a black and white pattern",
-        )
+        raise InputError("image", f"{path} has one grey level everywhere; expected edges or a black and white pattern")
     fitted = resize((image - low) / (high - low), (samples, samples), order=1, anti_aliasing=rows > samples)
     if np.all((image == low) | (image == high)):
         return np.asarray(fitted >= 0.5, np.float32)
@@ -209,9 +204,6 @@ def round_aperture(samples: int, diameter: float) -> NDArray[np.float32]:
     Returns:
         ``(samples, samples)`` 0..1; rim samples are divided into 16 x 16, so their shares are right to about 0.5 %.
 
-    Raises:
-        InputError: for a grid that exceeds the machine's memory.
-
     Example:
         >>> round(float(round_aperture(21, 20).sum()) / 100, 2)  # pi
         3.14
@@ -255,8 +247,7 @@ def amplitude_mask(pattern: ArrayLike, feature_m: float, pitch_m: float, name: s
         nearest_um = feature_m * 1e6 / max(samples, 1)
         raise InputError(
             "pixel_um",
-            f"got {pitch_m * 1e6:g}, but features of {feature_m * 1e6:g} um must be made of whole pixels; "
-            f"use {nearest_um:g}",
+            f"got {pitch_m * 1e6:g}, which does not divide features of {feature_m * 1e6:g} um; use {nearest_um:g}",
         )
     features = np.asarray(pattern, np.float32)
     rows, columns = features.shape

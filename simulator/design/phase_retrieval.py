@@ -66,9 +66,7 @@ def retrieve_phase(
     if iterations < 1:
         raise InputError("iterations", f"got {iterations}, expected a whole number from 1")
     if not tolerance >= 0:
-        raise InputError(
-            "tolerance", f"got {tolerance:g}, expected a gain of overlap from 0 (make all passes) up, such as 1e-3"
-        )
+        raise InputError("tolerance", f"got {tolerance:g}, expected a gain of overlap from 0 up, such as 1e-3")
     height, width = target.shape
     spread = spread_samples(pitch_m, wavelength_m, distance_m)
     padded = tuple(next_fast_len(n + min(spread, n)) for n in (height, width))

@@ -58,13 +58,7 @@ FINE_MASK = 0.4  # what sampling the mask finely costs, in waves on the same gri
 
 
 def exact_images(
-    mask: Mask,
-    camera: CameraGeometry,
-    sources: Sequence[Source],
-    size: int,
-    *,
-    oversampling: int = 1,
-    threads: int = 1,
+    mask: Mask, camera: CameraGeometry, sources: Sequence[Source], size: int, *, oversampling: int = 1, threads: int = 1
 ) -> Iterator[Array]:
     """Yield the PSF ``(size, size)`` of each source (one wavelength), in the stored frame (rotated by 180 degrees).
 
@@ -161,15 +155,7 @@ def waves(
 ) -> Iterator[Wave]:
     """Yield the wave of each source on the sensor; each is only good until the next is asked for.
 
-    Args:
-        mask: the mask; its arrays decide precision and kind.
-        camera: distance or layers.
-        sources: point sources of one wavelength and direction.
-        oversampling: multiplies the orders that are followed behind a staircase, the samples of a smooth mask.
-        threads: NumPy only.
-
-    Raises:
-        InputError: when the grid would not fit into memory.
+    Arguments as for ``exact_images``; a grid that would not fit into memory is refused.
     """
     plans = [plan(mask, camera, oversampling, source) for source in sources]
     grids = [each.grid(mask, oversampling) for each in plans]
@@ -221,19 +207,26 @@ class _Light:
     ) -> None:
         source, factor = plan.source, oversampling if mask.profile == "smooth" else 1
         transmission = mask.transmission(source.wavelength_m, factor, math.hypot(*source.carrier))
-        self.grid, self._gap, self._threads = grid, plan.gap, threads
+        self.grid, self._threads = grid, threads
         self._fine = fine_transmission(transmission, grid, plan.band, threads)
-        self._reach = (plan.travel_m, plan.travel_m) if plan.limited else None
         shape, self._even = (grid.samples, grid.samples), source.on_axis
-        self._transfer = (
-            Transfer(shape, grid.pitch_m, source.wavelength_m, like=self._fine)
-            if self._even
-            else TiltedTransfer(shape, grid.pitch_m, source.wavelength_m, source.carrier, like=self._fine)
-        )
-        self._quadrant: np.ndarray | None = None
-        if keep_transfer and self._even and not is_torch(self._fine):
-            self._quadrant = np.empty((grid.samples // 2 + 1,) * 2, self._fine.dtype)
-            in_threads(self._fill_quadrant, blocks(self._fine, len(self._quadrant), len(self._quadrant)), threads)
+        reach = (plan.travel_m, plan.travel_m) if plan.limited else None
+        # Columns of the transfer function: of its quadrant, where it is even.
+        self._transfer: Callable[[slice], Array]
+        if not self._even:
+            tilted = TiltedTransfer(shape, grid.pitch_m, source.wavelength_m, source.carrier, like=self._fine)
+            self._transfer = lambda columns: tilted.block(plan.gap, reach, columns=columns)
+            return
+        even = Transfer(shape, grid.pitch_m, source.wavelength_m, like=self._fine)
+        self._transfer = lambda columns: even.quadrant(plan.gap, reach, columns=columns)
+        if keep_transfer and not is_torch(self._fine):
+            kept = np.empty((grid.samples // 2 + 1,) * 2, self._fine.dtype)
+
+            def keep(columns: slice) -> None:
+                kept[:, columns] = even.quadrant(plan.gap, reach, columns=columns)
+
+            in_threads(keep, blocks(self._fine, len(kept), len(kept)), threads)
+            self._transfer = lambda columns: kept[:, columns]
 
     def on_numpy(self, source: Source, memory: np.ndarray | None) -> np.ndarray:
         """Return the half-transformed wave of a source, written into ``memory``."""
@@ -252,11 +245,8 @@ class _Light:
         field = fine * source.wave(y[:, None], x[None, :], real_dtype(fine))
         rows, columns = grid.window
         spectrum = fft2(pad2d(field, (grid.samples, grid.samples), (rows.start, columns.start)))
-        if isinstance(self._transfer, Transfer):
-            weights = whole_even(self._transfer.quadrant(self._gap, self._reach))
-        else:
-            weights = self._transfer.block(self._gap, self._reach)
-        return ifft(spectrum * weights, -2)
+        weights = self._transfer(slice(None))
+        return ifft(spectrum * (whole_even(weights) if self._even else weights), -2)
 
     def _rows(self, source: Source, work: np.ndarray) -> None:
         """Fill ``work`` with the row spectra of mask times incident wave."""
@@ -299,7 +289,7 @@ class _Light:
             work[:, part] = ifft(spectrum, 0, overwrite=True)
 
         def even(part: slice) -> None:
-            quadrant = self._quadrant_columns(part) if self._quadrant is None else self._quadrant[:, part]
+            quadrant = self._transfer(part)
             weights = np.concatenate([quadrant, quadrant[-2:0:-1]], axis=0)
             filter_columns(part, weights)
             # Negative frequencies repeat all columns but zero and Nyquist.
@@ -309,21 +299,12 @@ class _Light:
                 filter_columns(slice(samples - stop + 1, samples - first + 1), mirrored)
 
         def oblique(part: slice) -> None:
-            assert isinstance(self._transfer, TiltedTransfer)
-            filter_columns(part, self._transfer.block(self._gap, self._reach, columns=part))
+            filter_columns(part, self._transfer(part))
 
         if self._even:
             in_threads(even, blocks(work, samples // 2 + 1, samples, LEAST), self._threads)
         else:
             in_threads(oblique, blocks(work, samples, samples, LEAST), self._threads)
-
-    def _quadrant_columns(self, columns: slice) -> np.ndarray:
-        assert isinstance(self._transfer, Transfer)
-        return self._transfer.quadrant(self._gap, self._reach, columns=columns)
-
-    def _fill_quadrant(self, columns: slice) -> None:
-        assert self._quadrant is not None
-        self._quadrant[:, columns] = self._quadrant_columns(columns)
 
 
 # ---- where light goes

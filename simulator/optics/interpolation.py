@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -53,8 +54,8 @@ def interpolate_stack(
         span = length(own[0]) if len(own) == 1 else f"{length(own[0])} to {length(own[-1])}"
         raise InputError(
             "depths_m",
-            f"got {', '.join(map(length, outside[:5]))}, outside the stack's {span}, where nothing was measured; "
-            "choose depths within, or set extrapolate to magnify the outermost plane",
+            f"got {', '.join(map(length, outside[:5]))}, outside the stack's {span}; choose depths within, or set "
+            "extrapolate to magnify the outermost plane",
         )
     errors = left_out_errors(stack, mask_to_sensor_m)
     planes, records = [], []
@@ -63,7 +64,7 @@ def interpolate_stack(
         planes.append(_mixed(stack, mixture, float(depth), mask_to_sensor_m))
         records.append(
             {
-                "depth_m": float(depth),
+                "depth_m": _json(depth),
                 "from_planes": [k for k, _ in mixture],
                 "extrapolated": float(depth) in outside,
                 "error": _stated_error(stack, mixture, float(depth), mask_to_sensor_m, errors),
@@ -74,16 +75,15 @@ def interpolate_stack(
         "mask_to_sensor_m": mask_to_sensor_m,
         "measured_depths_m": [_json(depth) for depth in own],
         "left_out_errors": errors,
-        "planes": [record | {"depth_m": _json(record["depth_m"])} for record in records],
+        "planes": records,
     }
     identity = repr((stack.fingerprint, wanted.tolist(), mask_to_sensor_m))
-    return PsfStack(
-        np.stack(planes),
-        wanted,
-        stack.pixel_pitch_m,
-        stack.channels,
-        hashlib.sha256(identity.encode()).hexdigest(),
-        stack.provenance | {"interpolation": interpolation},
+    return replace(
+        stack,
+        values=np.stack(planes),
+        depths_m=wanted,
+        fingerprint=hashlib.sha256(identity.encode()).hexdigest(),
+        provenance=stack.provenance | {"interpolation": interpolation},
     )
 
 

@@ -21,9 +21,8 @@ import numpy as np
 from simulator.arrays import Array, complex_dtype, fft2, is_torch, like, namespace, real_dtype, unit_phasor
 from simulator.optics.propagation import Distance, Quadrant, Strata, as_strata, fan, whole_even
 
-ORDERS = (
-    1.5  # light up to this multiple of lambda / pixel, times the oversampling, is followed: the zeroth and first orders
-)
+# Light up to this multiple of lambda / pixel, times the oversampling, is followed: the zeroth and first orders.
+ORDERS = 1.5
 STEEPEST = 0.75  # 49 degrees: what leaves a mask pixel more steeply is spread over more than four distances squared
 # Angle and place go together only many Fresnel lengths sqrt(lambda d) away: behind pixels of 30 um at 0.5 mm (FlatCam) a
 # wave cut at its first orders, half a Fresnel length out, would bring twice the light that was sent.

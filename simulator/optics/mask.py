@@ -48,8 +48,7 @@ class Mask:
         if self.height_m.ndim != 2 or tuple(self.height_m.shape) != tuple(self.amplitude.shape):
             raise InputError(
                 "height_m, amplitude",
-                f"got {tuple(self.height_m.shape)} and "
-                f"{tuple(self.amplitude.shape)}; give one height and one amplitude per mask pixel",
+                f"got {tuple(self.height_m.shape)} and {tuple(self.amplitude.shape)}, expected one (H, W)",
             )
         height, amplitude = to_numpy(self.height_m), to_numpy(self.amplitude)
         if not np.all(np.isfinite(height)):
@@ -58,8 +57,8 @@ class Mask:
         if not np.all((amplitude >= 0) & (amplitude <= 1)):
             raise InputError(
                 "amplitude",
-                f"must lie in 0..1, got {np.nanmin(amplitude)} to {np.nanmax(amplitude)}"
-                f" with {np.count_nonzero(np.isnan(amplitude))} NaN; divide by its maximum first",
+                f"expected 0..1, got {np.nanmin(amplitude)} to {np.nanmax(amplitude)} with "
+                f"{np.count_nonzero(np.isnan(amplitude))} NaN; divide by its maximum first",
             )
         if not np.any(amplitude > 0):
             raise InputError("amplitude", "zero everywhere: no light passes; open at least one mask pixel")

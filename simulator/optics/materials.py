@@ -50,8 +50,8 @@ class Material:
         if not low * (1 - _ROUNDING) <= wavelength_m <= high * (1 + _ROUNDING):
             raise InputError(
                 "wavelength_m",
-                f"got {wavelength_m:g} m, but the dispersion of {self.name!r} is known from {low:g} to "
-                f"{high:g} m; choose a wavelength inside it or another material (is the unit metres?)",
+                f"got {wavelength_m:g} m, but {self.name!r} is known from {low:g} to {high:g} m; choose another "
+                "wavelength or material",
             )
         return 1 + self.scale * (refractive_index(self.formula, self.coefficients, wavelength_m * 1e6) - 1)
 
@@ -65,8 +65,8 @@ class Material:
         if abs(refractivity) < _LEAST_REFRACTIVITY:
             raise InputError(
                 "material",
-                f"{self.name!r} delays no light (n - 1 = {refractivity:g} at {wavelength_m * 1e9:g} nm), so no "
-                "height of it makes a phase; choose a solid, such as 'fused-silica'",
+                f"{self.name!r} delays no light (n - 1 = {refractivity:g} at {wavelength_m * 1e9:g} nm); choose a "
+                "solid, such as 'fused-silica'",
             )
         return refractivity
 
@@ -168,11 +168,7 @@ NOA61 = Material(
 )
 # The data sheet of SU-8 2000 speaks of the uncured film, and a mask is cured; the two differ by 0.016 in the visible.
 SU8 = Material(
-    "su-8",
-    "cauchy",
-    (1.5525, 0.00629, -2, 0.0004, -4),
-    (0.32e-6, 1.7e-6),
-    "Microchem SU-8 3000 data sheet (2011)",
+    "su-8", "cauchy", (1.5525, 0.00629, -2, 0.0004, -4), (0.32e-6, 1.7e-6), "Microchem SU-8 3000 data sheet (2011)"
 )
 _SU8_2000 = (1.566, 0.00796, -2, 0.00014, -4)
 # Only n(532 nm) = 1.5103 is published for this resist, so a visible fit of another resist is rescaled to it.
@@ -206,7 +202,9 @@ def load_material(name: str, base_dir: Path | None = None) -> Material:
     """Return a material by its name, or read the user's own from a file.
 
     Args:
-        name: a built-in material's name, or the path of a table (.csv) or of a refractiveindex.info file (.yml).
+        name: a built-in material's name, or a file: ``.csv`` with a header that names the wavelength's unit and the column
+            ``n`` (and perhaps ``k``), then a row per wavelength; ``.yml``, a page of refractiveindex.info with formula 1, 2,
+            3 or 5, or with a table.
         base_dir: folder from which relative paths are taken; None is the current one.
 
     Raises:
@@ -218,11 +216,11 @@ def load_material(name: str, base_dir: Path | None = None) -> Material:
     """
     path = material_file(name, base_dir)
     if path is not None:
-        return read_material(path)
+        return _from_table(path) if path.suffix.lower() == ".csv" else _from_database(path)
     if name not in MATERIALS:
         raise InputError(
             "material",
-            f"got {name!r}, expected one of {', '.join(sorted(MATERIALS))}, or a file: a table .csv or a "
+            f"got {name!r}, expected one of {', '.join(sorted(MATERIALS))}, or a file: a table .csv, a "
             "refractiveindex.info .yml",
         )
     return MATERIALS[name]
@@ -238,19 +236,6 @@ _FORMULAS: dict[str, Formula] = {
 }
 _TABLES = ("tabulated n", "tabulated nk")
 _WITHOUT_INDEX = ("tabulated k",)
-
-
-def read_material(path: Path) -> Material:
-    """Read a material.
-
-    Args:
-        path: ``.csv``: a header that names the wavelength's unit and the column ``n`` (and perhaps ``k``), then a row per
-            wavelength. ``.yml`` or ``.yaml``: a page of refractiveindex.info with formula 1, 2, 3 or 5, or with a table.
-
-    Raises:
-        InputError: naming the file, and what in it is not understood.
-    """
-    return _from_table(path) if path.suffix.lower() == ".csv" else _from_database(path)
 
 
 def _from_table(path: Path) -> Material:
@@ -271,17 +256,15 @@ def _from_database(path: Path) -> Material:
         raise InputError(path, f"not readable as YAML ({str(error).splitlines()[0]})") from error
     entries = page.get("DATA") if isinstance(page, dict) else None
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise InputError(
-            path, "no DATA list; expected a page of refractiveindex.info, such as main/SiO2/nk/Malitson.yml"
-        )
+        raise InputError(path, "no DATA list; expected a page of refractiveindex.info")
     kinds = [str(entry.get("type")) for entry in entries]
     known = [(kind, entry) for kind, entry in zip(kinds, entries, strict=True) if kind in (*_FORMULAS, *_TABLES)]
     strange = [kind for kind in kinds if kind not in (*_FORMULAS, *_TABLES, *_WITHOUT_INDEX)]
     if len(known) != 1 or strange:
         raise InputError(
             path,
-            f"its DATA are {', '.join(kinds) or 'empty'}; expected exactly one of "
-            f"{', '.join((*_FORMULAS, *_TABLES))}, beside it at most {', '.join(_WITHOUT_INDEX)}: write a table .csv instead",
+            f"its DATA are {', '.join(kinds) or 'empty'}; expected exactly one of {', '.join((*_FORMULAS, *_TABLES))}, "
+            f"beside it at most {', '.join(_WITHOUT_INDEX)}: write a table .csv instead",
         )
     ((kind, chosen),) = known
     source = _citation(page.get("REFERENCES")) or "refractiveindex.info"
@@ -328,9 +311,7 @@ def _with_absorption(source: str, *absorption: NDArray[np.float64] | None) -> st
 def _check_index(path: Path, index: NDArray[np.float64]) -> None:
     bad = index[~((index > 0.05) & (index < 10))]  # also catches NaN
     if len(bad):
-        raise InputError(
-            path, f"a refractive index of {bad.flat[0]:g}; expected 0.05 to 10: are the columns wavelength, n, k?"
-        )
+        raise InputError(path, f"a refractive index of {bad.flat[0]:g}; expected 0.05 to 10, columns wavelength, n, k")
 
 
 def _numbers(path: Path, entry: dict[str, Any], key: str) -> tuple[float, ...]:
@@ -341,7 +322,7 @@ def _rows(path: Path, entry: dict[str, Any], columns: int) -> NDArray[np.float64
     rows = _array(path, entry, "data", str(entry.get("data")))
     if rows.shape[1] != columns or len(rows) < 2:
         raise InputError(
-            path, f"{entry.get('type')} holds {rows.shape[0]} rows of {rows.shape[1]}; expected {columns} a row, 2 rows"
+            path, f"{entry.get('type')} holds {len(rows)} rows of {rows.shape[1]}; expected {columns}, 2 rows"
         )
     return rows
 
@@ -352,9 +333,7 @@ def _array(path: Path, entry: dict[str, Any], key: str, text: str) -> NDArray[np
     except ValueError:
         rows = np.array([np.nan])
     if rows.ndim != 2 or not np.all(np.isfinite(rows)):
-        raise InputError(
-            path, f"{entry.get('type')} has {key} {text[:40]!r}, expected rows of finite numbers parted by blanks"
-        )
+        raise InputError(path, f"{entry.get('type')} has {key} {text[:40]!r}, expected rows of finite numbers")
     return rows
 
 

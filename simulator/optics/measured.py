@@ -39,14 +39,14 @@ def load_measured_psf(
     throughput_m2: float,
     channels: tuple[str, ...] = ("R", "G", "B"),
 ) -> PsfStack:
-    """Read measured PSFs, remove their background, bin, turn and scale them.
+    """Read measured PSFs, remove their background, bin, rotate and scale them.
 
     Args:
         files: one image per depth (TIFF, PNG, OpenEXR, ``.npy``; grey: the same PSF for every channel), or a single
             ``.npy`` of ``(K, H, W)`` or ``(K, C, H, W)``. Values must be linear in light.
         depths_m: ``(K,)`` depth of the point source from the mask plane, metres, increasing.
         pixel_pitch_m: pitch of the binned pixels, metres.
-        frame: ``physical`` as read from the sensor (rotated here by 180 degrees), or ``stored`` (a pinhole's picture is
+        frame: ``physical`` as read from the sensor (rotated here by 180 degrees), or ``stored`` (a pinhole's image is
             upright). The origin is sample ``(H // 2, W // 2)`` of the binned image.
         binning: pixels per side that are averaged into one; an image that does not divide is cropped in its centre.
         background: ``border`` takes the median of the image's outer 2 % frame, per image and channel (a PSF that fills
@@ -73,22 +73,20 @@ def load_measured_psf(
     for name, image in _images([Path(file) for file in files], len(depths), channels):
         if shape is not None and image.shape != shape:
             raise InputError(
-                name,
-                f"{_size(image.shape)}, but the first PSF is {_size(shape)}: "
-                "all depths need the same size and channels",
+                name, f"{_size(image.shape)}, but the first PSF is {_size(shape)}; all depths need one size"
             )
         shape = image.shape
         light, record = _clean(image, level, binning, name)
-        planes.append(_turned(light) if frame == "physical" else light)
+        planes.append(_rotated(light) if frame == "physical" else light)
         records.append(record)
     values = np.stack(planes)
     energy = values.sum(axis=(-2, -1))
     if not np.all(energy > 0):
         k = int(np.argwhere(energy <= 0)[0][0])
         raise InputError(
-            "",
-            f"the PSF of {depths[k]:g} m ({records[k]['file']}) is zero everywhere after removing a background of "
-            f"{records[k]['background']}: no light is left; check the image, or choose another background",
+            records[k]["file"],
+            f"the PSF of {depths[k]:g} m is zero everywhere after a background of {records[k]['background']} is "
+            "removed; check the image, or choose another background",
         )
     scale = throughput_m2 / (energy.mean() * pixel_pitch_m**2)
     centres = [_centre_of_mass(plane) for plane in values.sum(axis=1)]
@@ -130,9 +128,7 @@ class _Background:
             self.name: str | float = str(background)
         elif isinstance(background, int | float):
             if not (math.isfinite(background) and background >= 0):
-                raise InputError(
-                    "background", f"{background}; expected a number of counts from 0 up, 'border', 'none' or a file"
-                )
+                raise InputError("background", f"got {background}, expected counts from 0, 'border', 'none' or a file")
             self._level, self.name = float(background), float(background)
         else:
             path = Path(background)
@@ -144,8 +140,7 @@ class _Background:
             if self._dark.shape[-2:] != image.shape[-2:] or self._dark.shape[0] not in (1, image.shape[0]):
                 raise InputError(
                     f"background {self.name}",
-                    f"{_size(self._dark.shape)}, but {name} is {_size(image.shape)}: "
-                    "expected a dark image of the same camera and size",
+                    f"{_size(self._dark.shape)}, but {name} is {_size(image.shape)}; expected a dark image of the same size",
                 )
             return self._dark
         if self._level is not None or self.name == "none":
@@ -171,16 +166,12 @@ def _images(files: list[Path], depths: int, channels: tuple[str, ...]) -> Iterat
             stack = stack[None] if one_image else stack[:, None]
         if stack.ndim != 4 or stack.shape[0] != depths or stack.shape[1] not in (1, len(channels)) or 0 in stack.shape:
             raise InputError(
-                files[0],
-                f"holds an array of shape {stack.shape}; expected (K, H, W) or (K, C, H, W) with "
-                f"K = {depths} depths and C = {len(channels)} channels ({', '.join(channels)})",
+                files[0], f"got shape {stack.shape}, expected ({depths}, H, W) or ({depths}, {len(channels)}, H, W)"
             )
         yield from ((f"{files[0].name}[{k}]", image) for k, image in enumerate(stack))
         return
     if len(files) != depths:
-        raise InputError(
-            "", f"got {len(files)} PSF files for {depths} depths: give one file per depth, or one .npy with all of them"
-        )
+        raise InputError("files", f"got {len(files)} for {depths} depths: give one per depth, or one .npy with all")
     yield from ((file.name, read_measurement(file, channels)) for file in files)
 
 
@@ -216,8 +207,8 @@ def _binned(image: NDArray[Any], binning: int) -> NDArray[np.float64]:
     return part.reshape(-1, rows, binning, columns, binning).mean(axis=(2, 4), dtype=np.float64)
 
 
-def _turned(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Turn ``(C, H, W)`` by 180 degrees about sample ``(H // 2, W // 2)``.
+def _rotated(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotate ``(C, H, W)`` by 180 degrees about sample ``(H // 2, W // 2)``.
 
     An even size has one row more before the origin than behind it; that outermost row has no counterpart and is left
     out, because a plain flip would move the origin by one sample.
@@ -243,15 +234,13 @@ def _warnings(centres: list[tuple[float, float]], shape: tuple[int, ...], depths
 
 def _check_numbers_given(pixel_pitch_m: float, throughput_m2: float, binning: int, frame: str) -> None:
     if not 1e-8 < pixel_pitch_m < 1e-2:
-        raise InputError("pixel_pitch_m", f"{pixel_pitch_m}; expected metres (2.4 um is 2.4e-6)")
+        raise InputError("pixel_pitch_m", f"got {pixel_pitch_m}, expected metres (2.4 um is 2.4e-6)")
     if not 0 < throughput_m2 < 1:
-        raise InputError("throughput_m2", f"{throughput_m2}; expected square metres above 0 (10 mm2 is 10e-6)")
+        raise InputError("throughput_m2", f"got {throughput_m2}, expected square metres above 0 (10 mm2 is 10e-6)")
     if not isinstance(binning, int) or binning < 1:
-        raise InputError("binning", f"{binning!r}; expected a whole number of pixels from 1 up")
+        raise InputError("binning", f"got {binning!r}, expected a whole number of pixels from 1")
     if frame not in ("physical", "stored"):
-        raise InputError(
-            "frame", f"{frame!r}; expected 'physical' (as read from the sensor) or 'stored' (rotated by 180 degrees)"
-        )
+        raise InputError("frame", f"got {frame!r}, expected 'physical' (as read from the sensor) or 'stored' (rotated)")
 
 
 def _sha256(path: Path) -> str:

@@ -67,9 +67,6 @@ def autocorrelation_peak(image: NDArray[np.floating], pitch_m: float) -> Peak:
     Args:
         image: PSF ``(H, W)``, finite and not zero everywhere.
         pitch_m: pixel pitch, metres.
-
-    Raises:
-        InputError: for another shape, NaN, or an image of zeros.
     """
     from scipy.ndimage import map_coordinates
 
@@ -77,7 +74,7 @@ def autocorrelation_peak(image: NDArray[np.floating], pitch_m: float) -> Peak:
     middle = [n // 2 for n in peak.shape]
     angles = np.arange(_RAYS) * np.pi / _RAYS  # A(-s) = A(s): half a turn is enough
     radii = np.arange(1 + _STEPS_PER_PIXEL * (max(middle) + 1)) / _STEPS_PER_PIXEL
-    at = [m + np.outer(turned, radii) for m, turned in zip(middle, (np.sin(angles), np.cos(angles)), strict=True)]
+    at = [m + np.outer(direction, radii) for m, direction in zip(middle, (np.sin(angles), np.cos(angles)), strict=True)]
     along = map_coordinates(peak, at, order=1)  # zero beyond the last shift, so every ray falls below one half
     first = np.argmax(along < 0.5, axis=1)
     ray = np.arange(_RAYS)
@@ -101,9 +98,6 @@ def radial_mtf(image: NDArray[np.floating], pitch_m: float) -> tuple[NDArray[np.
 
     Returns:
         ``(N,)`` frequencies in cycles per metre and ``(N,)`` values, 1 at frequency zero; N = max(H, W) // 2 + 1.
-
-    Raises:
-        InputError: for another shape, NaN, a sum that is not positive, or an implausible pitch.
     """
     light = _checked(image)
     if not light.sum() > 0:
@@ -128,9 +122,6 @@ def radial_mtf(image: NDArray[np.floating], pitch_m: float) -> tuple[NDArray[np.
 def mean_mtf(image: NDArray[np.floating], pitch_m: float) -> float:
     """Return the mean over frequencies, from zero to Nyquist, of the radially averaged MTF: 1 for a single bright pixel.
 
-    Raises:
-        InputError: as :func:`simulator.optics.metrics.radial_mtf`.
-
     Example:
         >>> mean_mtf(np.eye(1), 1e-5), mean_mtf(np.array([[0.0, 0, 0], [0, 2, 0], [0, 0, 0]]), 1e-5)
         (1.0, 1.0)
@@ -153,9 +144,6 @@ def depth_limit_m(aperture_m: float, mask_to_sensor_m: float, pitch_m: float) ->
         aperture_m: width of the mask, metres.
         mask_to_sensor_m: mask to sensor, metres.
         pitch_m: (binned) pixel pitch, metres.
-
-    Raises:
-        InputError: when a length is not positive.
 
     Example:
         >>> round(depth_limit_m(7e-3, 1.9e-3, 19.2e-6), 2)
@@ -213,9 +201,6 @@ def light_off_sensor(
 
     Returns:
         ``(K, C)``, 0 when everything is caught. The light that is outside the stack's grid is not in it.
-
-    Raises:
-        InputError: when scene and sensor do not fit.
     """
     values = to_numpy(stack.values).astype(np.float64, copy=False)
     rows, columns = (
@@ -231,8 +216,7 @@ def _share_caught(size: int, sensor: int, scene: int) -> NDArray[np.float64]:
     """Return, for every PSF sample along an axis, the share of scene pixels whose light it puts on the sensor."""
     if not 0 < scene <= sensor or (sensor - scene) % 2:
         raise InputError(
-            "scene_shape",
-            f"{scene} on a sensor of {sensor}; expected at most the sensor's size, and even or odd like it",
+            "scene_shape", f"got {scene} for {sensor} of the sensor, expected at most as many, even or odd like them"
         )
     nearest = np.arange(size) - size // 2 + (sensor - scene) // 2  # where scene pixel 0 puts it
     first, last = np.maximum(nearest, 0), np.minimum(nearest + scene - 1, sensor - 1)
@@ -245,9 +229,7 @@ def _share_caught(size: int, sensor: int, scene: int) -> NDArray[np.float64]:
 def _checked(image: NDArray[np.floating]) -> NDArray[np.float64]:
     light = np.asarray(image, np.float64)
     if light.ndim != 2 or 0 in light.shape or not np.all(np.isfinite(light)) or not np.any(light):
-        raise InputError(
-            "image", f"expected finite (H, W) and not zero everywhere, got {light.dtype} of shape {light.shape}"
-        )
+        raise InputError("image", f"expected finite (H, W), not zero everywhere, got {light.dtype} {light.shape}")
     return light
 
 

@@ -78,9 +78,7 @@ def angular_spectrum_adjoint(field: Array, pitch_m: float, wavelength_m: float, 
 def _through_air(field: Array, pitch_m: float, wavelength_m: float, distance_m: float, *, adjoint: bool) -> Array:
     xp = namespace(field)
     if field.ndim < 2 or not xp.isdtype(field.dtype, "complex floating"):
-        raise InputError(
-            "field", f"expected complex (..., H, W), got {field.dtype} {tuple(field.shape)}; use field.astype(complex)"
-        )
+        raise InputError("field", f"expected complex (..., H, W), got {field.dtype} {tuple(field.shape)}")
     _check_lengths(pitch_m, wavelength_m, distance_m)
     window = (field.shape[-2], field.shape[-1])
     spread = spread_samples(pitch_m, wavelength_m, distance_m)
@@ -160,11 +158,7 @@ class Transfer:
         )
 
     def quadrant(
-        self,
-        distance_m: Distance,
-        reach_m: tuple[float, ...] | None = None,
-        rows: slice = _ALL,
-        columns: slice = _ALL,
+        self, distance_m: Distance, reach_m: tuple[float, ...] | None = None, rows: slice = _ALL, columns: slice = _ALL
     ) -> Array:
         """Return exp(i phase) for frequencies from zero to Nyquist, ``(H // 2 + 1, W // 2 + 1)``.
 
@@ -186,13 +180,7 @@ class TiltedTransfer:
     """
 
     def __init__(
-        self,
-        shape: tuple[int, ...],
-        pitch_m: float,
-        wavelength_m: float,
-        carrier: tuple[float, float],
-        *,
-        like: Array,
+        self, shape: tuple[int, ...], pitch_m: float, wavelength_m: float, carrier: tuple[float, float], *, like: Array
     ) -> None:
         """Prepare the frequencies, in FFT order.
 
@@ -209,11 +197,7 @@ class TiltedTransfer:
         )
 
     def block(
-        self,
-        distance_m: Distance,
-        reach_m: tuple[float, ...] | None = None,
-        rows: slice = _ALL,
-        columns: slice = _ALL,
+        self, distance_m: Distance, reach_m: tuple[float, ...] | None = None, rows: slice = _ALL, columns: slice = _ALL
     ) -> Array:
         """Return rows and columns of the transfer function in FFT order; arguments as in ``Transfer.quadrant``."""
         sine_y, sine_x = self._sine_y[rows, None], self._sine_x[None, columns]
@@ -438,9 +422,7 @@ def fan(strata: Strata, rho_squared: Array) -> Fan:
         inverse = 1 / r
         return Fan(rho_squared / (r + d), inverse, inverse**2 * d)
     if is_torch(rho_squared):
-        raise InputError(
-            "gap, window", "rays through several layers are traced on NumPy only; use xp='numpy', or a gap of air"
-        )
+        raise InputError("gap, window", "several layers are traced on NumPy only; use xp='numpy', or a gap of air")
     from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
     thickness = np.array([number(t) for t, _ in strata])[:, None]
@@ -454,7 +436,8 @@ def fan(strata: Strata, rho_squared: Array) -> Fan:
     rho, wanted = sine * per_sine, np.sqrt(rho_squared)
     if np.max(wanted) > rho[-1]:
         raise InputError(
-            "", f"rays to {np.max(wanted):g} m sideways are steeper than the layers' {rho[-1]:g} m; use a narrower mask"
+            "mask",
+            f"rays to {np.max(wanted):g} m sideways are steeper than the layers' {rho[-1]:g} m; use a narrower one",
         )
     return Fan(
         CubicHermiteSpline(rho, path, sine)(wanted),

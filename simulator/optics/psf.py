@@ -133,9 +133,6 @@ def compute_psf_stack(
         PSF times the pixel area equals the mask's transmitted area for a smooth mask, and falls short of it by the
         diffraction orders beyond ``kernel.ORDERS`` (6-9 % for a PhlatCam) for a staircase. ``provenance["sampling"]`` is
         ``UNPROVEN``.
-
-    Raises:
-        InputError: when the mask and camera do not fit.
     """
     own_lines = lines is None
     lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel) if lines is None else lines
@@ -205,7 +202,7 @@ def depth_images(
         return exact_images(mask, camera, sources, size, **settings)
     if not sources[0].on_axis:
         raise InputError(
-            "direction", f"got {direction}, but model {psf_config.model!r} shifts the on-axis PSF; use model 'exact'"
+            "direction", f"got {direction}, but model {psf_config.model!r} knows the axis only; use 'exact'"
         )
     return scaled_images(mask, camera, sources, size, diffracted=psf_config.model == "scaled_distance", **settings)
 
@@ -264,10 +261,7 @@ def _sources(
     camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float, direction: tuple[float, float]
 ) -> list[Source]:
     if not camera.mask_to_sensor_m > 0:
-        raise InputError(
-            "mask_to_sensor_m",
-            f"got {camera.mask_to_sensor_m:g}; the mask lies in front of the sensor, so it is positive",
-        )
+        raise InputError("mask_to_sensor_m", f"got {camera.mask_to_sensor_m:g}, expected positive metres")
     window = tuple((layer.thickness_m, layer.material.index(wavelength_m)) for layer in camera.window)
     return [Source(wavelength_m, float(depth), direction, window) for depth in psf_config.depths_m]
 

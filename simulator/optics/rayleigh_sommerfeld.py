@@ -1,4 +1,4 @@
-"""The truth: the Rayleigh-Sommerfeld integral of the first kind as a direct sum over the source samples."""
+"""The reference: the Rayleigh-Sommerfeld integral of the first kind as a direct sum over the source samples."""
 
 from __future__ import annotations
 

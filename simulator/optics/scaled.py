@@ -130,14 +130,8 @@ def scaled_images(
 ) -> Iterator[Array]:
     """Yield the PSF ``(size, size)`` of each on-axis source (one wavelength), in the stored frame (rotated by 180 degrees).
 
-    Args:
-        mask: the mask; its arrays decide precision and kind.
-        camera: distance or layers, binned pixel pitch.
-        sources: point sources of one wavelength, straight ahead.
-        size: odd number of pixels.
-        oversampling: grid samples per mask pixel and axis.
-        diffracted: whether the diffraction distance changes with the depth; if not, the PSF of infinity is magnified.
-        threads: sources computed at a time (NumPy only); each needs one more complex grid.
+    Arguments as in `simulator.optics.exact.exact_images`; ``diffracted`` says whether the diffraction distance changes with
+    the depth (if not, the PSF of infinity is magnified), and each of the ``threads`` needs one more complex grid.
     """
     model = ScaledModel(mask, camera, sources[0].wavelength_m, oversampling, threads=threads)
     centres = (np.arange(size) - size // 2) * camera.pixel_pitch_m

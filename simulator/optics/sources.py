@@ -35,9 +35,7 @@ class Source:
     def __post_init__(self) -> None:
         if not self._air_m > 0:
             inside = sum(thickness_m for thickness_m, _ in self.window)
-            raise InputError(
-                "depth_m", f"got {self.depth_m:g} m, inside the {inside:g} m of glass in front of the mask; move it out"
-            )
+            raise InputError("depth_m", f"got {self.depth_m:g} m, inside the {inside:g} m of glass before the mask")
 
     @property
     def on_axis(self) -> bool:

@@ -90,13 +90,9 @@ def camera_curves(name: str, base_dir: Path | None = None) -> SpectralCurves:
     path = curve_file(name, base_dir)
     if path is not None:
         return read_curves(path)
-    from colour import MSDS_CAMERA_SENSITIVITIES, SpectralShape
+    from colour import MSDS_CAMERA_SENSITIVITIES
 
-    _expect_known("spectral_response", name, MSDS_CAMERA_SENSITIVITIES)
-    curves = MSDS_CAMERA_SENSITIVITIES[name].copy()
-    shape = SpectralShape(curves.shape.start, curves.shape.end, 1)
-    values = np.clip(curves.align(shape).values.T, 0, None)
-    return SpectralCurves(np.asarray(shape.wavelengths, np.float64) * NM, values, COLOURS, name)
+    return _published("spectral_response", name, MSDS_CAMERA_SENSITIVITIES, COLOURS)
 
 
 def illuminant_curve(light: str | Sequence[Led], base_dir: Path | None = None) -> SpectralCurves:
@@ -118,13 +114,9 @@ def illuminant_curve(light: str | Sequence[Led], base_dir: Path | None = None) -
         if len(curve.channels) != 1:
             raise InputError(path, f"{len(curve.channels)} columns; the spectrum of a light is one")
         return curve
-    from colour import SDS_ILLUMINANTS, SpectralShape
+    from colour import SDS_ILLUMINANTS
 
-    _expect_known("illuminant", light, SDS_ILLUMINANTS)
-    spectrum = SDS_ILLUMINANTS[light].copy()
-    shape = SpectralShape(spectrum.shape.start, spectrum.shape.end, 1)
-    power = np.asarray(spectrum.align(shape).values, np.float64)
-    return SpectralCurves(np.asarray(shape.wavelengths, np.float64) * NM, power[None], MONOCHROME, light)
+    return _published("illuminant", light, SDS_ILLUMINANTS, MONOCHROME)
 
 
 def _leds(leds: Sequence[Led]) -> SpectralCurves:
@@ -142,10 +134,16 @@ def _leds(leds: Sequence[Led]) -> SpectralCurves:
     return SpectralCurves(wavelengths_m, power[None], MONOCHROME, label)
 
 
-def _expect_known(argument: str, name: str, known: object) -> None:
-    names = sorted(known)  # pyright: ignore[reportArgumentType]
-    if name not in names:
+def _published(argument: str, name: str, known: Any, channels: tuple[str, ...]) -> SpectralCurves:
+    """Return a camera or light of colour-science, on whole nanometres."""
+    from colour import SpectralShape
+
+    if name not in (names := sorted(known)):  # known itself takes lower case too
         raise InputError(argument, f"got {name!r}, expected one of {', '.join(names)}, or a file .csv or .json")
+    curves = known[name].copy()
+    shape = SpectralShape(curves.shape.start, curves.shape.end, 1)
+    values = np.atleast_2d(np.asarray(curves.align(shape).values, np.float64).T)
+    return SpectralCurves(np.asarray(shape.wavelengths, np.float64) * NM, np.clip(values, 0, None), channels, name)
 
 
 # ---- curves from files
@@ -162,9 +160,6 @@ def read_curves(path: Path) -> SpectralCurves:
     Args:
         path: ``.csv``: the wavelength (nm unless the header says um or angstrom) and one column, or three: red, green and
             blue, in this order if there is no header that names them. ``.json``: as in rawtoaces-data.
-
-    Raises:
-        InputError: naming the file and what in it is not understood.
     """
     if path.suffix.lower() == ".json":
         wavelengths_m, columns, names = _read_json(path)
@@ -195,8 +190,8 @@ def _read_json(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], tu
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise InputError(
             path,
-            f"not a rawtoaces file ({type(error).__name__}: {error}); expected spectral_data with index.main (names) "
-            "and data.main (wavelength in nm: values), or write a .csv",
+            f"not a rawtoaces file ({type(error).__name__}: {error}); expected spectral_data with index.main and "
+            "data.main, or write a .csv",
         ) from error
     return *ordered(path, table[:, 0] * NM, table[:, 1:]), names
 
@@ -209,7 +204,7 @@ def _in_order(
     found = [_NAMES.get(re.split(r"[^a-z]", name.lower())[0], name) for name in names or COLOURS]
     if columns.shape[1] != 3 or sorted(found) != sorted(COLOURS):
         raise InputError(
-            path, f"columns {', '.join(found)}; expected one (a monochrome sensor, a light), or red, green and blue"
+            path, f"columns {', '.join(found)}; expected one (monochrome, a light), or red, green and blue"
         )
     return COLOURS, columns[:, [found.index(colour) for colour in COLOURS]]
 
@@ -244,8 +239,8 @@ def spectral_response(
     if not low < high:
         raise InputError(
             label,
-            f"the camera's curves go from {_span(curves.wavelengths_m)}, the light's from "
-            f"{_span(light.wavelengths_m)}; they have no wavelength in common (does a header say the right unit?)",
+            f"the camera's curves ({_span(curves.wavelengths_m)}) and the light's ({_span(light.wavelengths_m)}) have "
+            "no wavelength in common; does a header say the right unit?",
         )
     step_m = min(NM, max(_FINEST_M, float(np.diff(light.wavelengths_m).min())))
     wavelengths_m = np.linspace(low, high, int(np.ceil((high - low) / step_m - 1e-6)) + 1)
@@ -323,9 +318,9 @@ def check_materials(response: SpectralResponse, lines: Iterable[Line], materials
                 material.index(line.wavelength_m)
             except InputError as error:
                 raise InputError(
-                    "",
-                    f"channel {response.channels[line.channel]!r} of {response.label} needs {line.wavelength_m / NM:.1f} nm "
-                    f"(fewer psf.wavelengths_per_channel lie closer together): {error}",
+                    "psf.wavelengths_per_channel",
+                    f"channel {response.channels[line.channel]!r} of {response.label} needs "
+                    f"{line.wavelength_m / NM:.1f} nm (fewer lines lie closer together): {error}",
                 ) from error
 
 
@@ -362,8 +357,7 @@ def electron_rates(camera: str, illuminant: str | Sequence[Led], base_dir: Path 
     if not lumens > 0:
         raise InputError(
             "camera.exposure.illuminance_lux",
-            f"the eye sees nothing of the light {light.label}, which therefore has no lux; "
-            "give camera.exposure.full_scale",
+            f"the eye does not see the light {light.label}; give camera.exposure.full_scale",
         )
     electrons = np.trapezoid(response.weights, response.wavelengths_m) / (h * c)
     peak = camera_curves(camera, base_dir).values.max()

@@ -48,9 +48,8 @@ class PsfStack:
         check_depths(self.depths_m)
         if len(self.depths_m) != depths or len(self.channels) != channels:
             raise InputError(
-                "",
-                f"values of shape {tuple(self.values.shape)} need {depths} depths and {channels} channel names, got "
-                f"{len(self.depths_m)} and {len(self.channels)}",
+                "depths_m, channels",
+                f"got {len(self.depths_m)} and {len(self.channels)} for values of shape {tuple(self.values.shape)}",
             )
         energy = self.energy_m2()
         if not np.all(np.isfinite(energy)) or to_numpy(self.values).min() < 0:
@@ -59,9 +58,9 @@ class PsfStack:
         if len(dark):
             k, c = dark[0]
             raise InputError(
-                "",
-                f"the PSF at depth {self.depths_m[k]:g} m, channel {self.channels[c]!r} is zero everywhere: no light reaches "
-                "the sensor; check the mask's amplitude or the measured image",
+                "values",
+                f"zero everywhere at {self.depths_m[k]:g} m, channel {self.channels[c]!r}: no light reaches the "
+                "sensor; check the mask's amplitude or the measured image",
             )
 
     def energy_m2(self) -> np.ndarray:
@@ -71,19 +70,13 @@ class PsfStack:
 
 
 def check_depths(depths_m: np.ndarray) -> None:
-    """Refuse depths that are not positive and strictly increasing.
-
-    Raises:
-        InputError: naming the first offending value.
-    """
+    """Refuse depths that are not positive and strictly increasing."""
     depths = np.asarray(depths_m, np.float64)
     if depths.ndim != 1 or depths.size == 0:
         raise InputError("depths_m", f"expected a list of at least one depth, got {depths_m!r}")
     if not np.all(depths > 0):
         bad = depths[~(depths > 0)][0]
-        raise InputError(
-            "depths_m", f"got {bad:g} m; depth is z from the mask plane into the scene, so it must be positive"
-        )
+        raise InputError("depths_m", f"got {bad:g} m, expected positive: z from the mask plane into the scene")
     if not np.all(depths[1:] > depths[:-1]):
         raise InputError("depths_m", f"must increase strictly from near to far, got {depths.tolist()}")
 
@@ -109,8 +102,8 @@ def depth_planes(near_m: float, far_m: float, count: int, spacing: str = "dispar
         raise InputError("spacing", f"got {spacing!r}, expected one of {', '.join(forms)}")
     if count < 1 or not 0 < near_m < far_m:
         raise InputError(
-            "",
-            f"got {count} depths from near {near_m:g} m to far {far_m:g} m, expected at least one with 0 < near < far",
+            "near, far, count",
+            f"got {near_m:g} m, {far_m:g} m and {count}, expected 0 < near < far and at least one depth",
         )
     if np.isinf(far_m) and spacing != "disparity":
         raise InputError("far", f"infinite, which spacing {spacing!r} cannot divide; use spacing 'disparity'")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -55,33 +54,19 @@ def read_psf_stack(folder: Path) -> PsfStack:
         InputError: no such stack, or a damaged one.
     """
     content = _description(folder)
-    planes = [_read_planes(folder / name, digest, content.channels) for name, digest in content.files.items()]
-    return PsfStack(
-        np.stack(planes),
-        content.depths_m,
-        content.pixel_pitch_m,
-        content.channels,
-        content.fingerprint,
-        content.provenance,
-    )
+    files, channels = content.pop("files"), content["channels"]
+    planes = [_read_planes(folder / name, digest, channels) for name, digest in files.items()]
+    return PsfStack(np.stack(planes), **content)
 
 
 def read_depths_m(folder: Path) -> NDArray[np.float64]:
-    """Return the depths ``(K,)`` of a stack on disk, metres, without reading its images.
-
-    Raises:
-        InputError: no such stack, or a damaged description.
-    """
-    return _description(folder).depths_m
+    """Return the depths ``(K,)`` of a stack on disk, metres, without reading its images; errors as `read_psf_stack`."""
+    return _description(folder)["depths_m"]
 
 
 def stack_files(folder: Path) -> list[Path]:
-    """Return the files of a stack on disk.
-
-    Raises:
-        InputError: no such stack, or a damaged description.
-    """
-    return [folder / name for name in (DESCRIPTION, *_description(folder).files)]
+    """Return the files of a stack on disk; errors as `read_psf_stack`."""
+    return [folder / name for name in (DESCRIPTION, *_description(folder)["files"])]
 
 
 def stack_folder(place: Path, *, captured: bool = False) -> Path:
@@ -117,48 +102,34 @@ def check_replaceable(folder: Path) -> None:
     ]
     if foreign:
         raise InputError(
-            folder, f"holds other files than a PSF stack ({foreign[0]}, ...) and would be replaced: choose another name"
+            folder, f"holds other files ({foreign[0]}, ...), which a PSF stack would replace: choose another name"
         )
 
 
-@dataclass(frozen=True)
-class _Description:
-    """The content of psf.json."""
-
-    depths_m: NDArray[np.float64]
-    pixel_pitch_m: float
-    channels: tuple[str, ...]
-    fingerprint: str
-    provenance: dict[str, Any]
-    files: dict[str, str]
-
-
-def _description(folder: Path) -> _Description:
+def _description(folder: Path) -> dict[str, Any]:
+    """Return the content of psf.json: the fields of a PsfStack but its values, and ``files`` with their hashes."""
     path = folder / DESCRIPTION
     try:
         content = json.loads(path.read_bytes())
-        description = _Description(
-            np.array([float(depth) for depth in content["depths_m"]]),
-            float(content["pixel_pitch_m"]),
-            tuple(content["channels"]),
-            str(content["fingerprint"]),
-            dict(content["provenance"]),
-            dict(content["files"]),
-        )
-        depths, files = len(description.depths_m), description.files
-        if list(files) != [_file_name(k) for k in range(depths)] or not files:
-            msg = f"{len(files)} files for {depths} depths"
+        depths, files = [float(depth) for depth in content["depths_m"]], dict(content["files"])
+        if list(files) != [_file_name(k) for k in range(len(depths))] or not files:
+            msg = f"{len(files)} files for {len(depths)} depths"
             raise ValueError(msg)
+        return {
+            "depths_m": np.array(depths),
+            "pixel_pitch_m": float(content["pixel_pitch_m"]),
+            "channels": tuple(content["channels"]),
+            "fingerprint": str(content["fingerprint"]),
+            "provenance": dict(content["provenance"]),
+            "files": files,
+        }
     except FileNotFoundError as error:
         raise InputError(
-            folder, f"no PSF stack : it has no {DESCRIPTION}; `flatlight psf --output FOLDER` writes one"
+            folder, f"not a PSF stack: it has no {DESCRIPTION}; `flatlight psf --output FOLDER` writes one"
         ) from error
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         reason = f"{type(error).__name__}: {error}"
-        raise InputError(
-            path, f"unreadable or damaged ({reason}); restore it, or delete its folder and compute the stack again"
-        ) from error
-    return description
+        raise InputError(path, f"damaged ({reason}); delete its folder and compute the stack again") from error
 
 
 def _file_name(k: int) -> str:
@@ -171,7 +142,7 @@ def _read_planes(file: Path, digest: str, channels: tuple[str, ...]) -> NDArray[
         data = file.read_bytes()
     except OSError as error:
         raise InputError(
-            file, f"cannot be read: {error.strerror or error}; delete {file.parent} and compute the stack again"
+            file, f"cannot be read: {error.strerror or error}; delete {file.parent} and compute it again"
         ) from error
     if sha256_bytes(data) != digest:
         raise InputError(

@@ -1,1 +1,1 @@
-"""Every picture that is drawn for people, and the words beside it."""
+"""Every image that is drawn for people, and the words beside it."""

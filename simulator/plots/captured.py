@@ -1,8 +1,7 @@
-"""Nominal and captured PSFs side by side: how much they differ at each depth, in numbers and as a picture."""
+"""Nominal and captured PSFs side by side: how much they differ at each depth, in numbers and as an image."""
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from simulator.arrays import to_numpy
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
 from simulator.optics.stack import PsfStack
+from simulator.plots.drawing import figure_png, new_figure
 from simulator.plots.psf import FAINT, INK, SMALL, DepthView, draw_psfs, shown_depths
 from simulator.text import length, share
 
@@ -43,15 +43,9 @@ class DepthDifference:
 
 
 def captured_differences(nominal: PsfStack, captured: PsfStack) -> list[DepthDifference]:
-    """Compare a nominal stack with the same as captured, depth by depth.
-
-    Raises:
-        InputError: when the second was not captured from the first.
-    """
+    """Compare a nominal stack with the same as captured, depth by depth."""
     if captured.provenance.get("nominal_fingerprint") != nominal.fingerprint:
-        raise InputError(
-            "captured", "this stack was not captured from the nominal one (its provenance names another, or none)"
-        )
+        raise InputError("captured", "not captured from the nominal stack (its provenance names another, or none)")
     records = captured.provenance["recordings"]
     differences = []
     for k, depth in enumerate(nominal.depths_m):
@@ -123,15 +117,11 @@ def plot_captured(nominal: PsfStack, captured: PsfStack, path: Path) -> Path:
 
     Raises:
         InputError: when the second was not captured from the first.
-        StorageError: the picture cannot be written.
+        StorageError: the image cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     differences = captured_differences(nominal, captured)
     shown = shown_depths(nominal.depths_m)
-    figure = Figure(figsize=(4.6 * len(shown) + 1, 13), dpi=120, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure((4.6 * len(shown) + 1, 13), 120)
     panels = figure.subplots(3, len(shown), squeeze=False)
     views = [
         _view(stack, k, f"{length(nominal.depths_m[k])}, {name}", _COLOURS[name])
@@ -142,18 +132,16 @@ def plot_captured(nominal: PsfStack, captured: PsfStack, path: Path) -> Path:
     changes = [after.grey - before.grey for before, after in zip(views[: len(shown)], views[len(shown) :], strict=True)]
     most = max(float(np.percentile(np.abs(change), 99.9)) for change in changes)
     for axes, above, change, k in zip(panels[2], panels[1], changes, shown, strict=True):
-        picture = axes.imshow(change, extent=_extent(change, above), cmap="RdBu_r", vmin=-most, vmax=most)
+        image = axes.imshow(change, extent=_extent(change, above), cmap="RdBu_r", vmin=-most, vmax=most)
         axes.set(xlim=above.get_xlim(), ylim=above.get_ylim())
         row = differences[k]
         words = f"difference {share(row.relative_l2)}, shift {row.shift_px[0]:+.2f}, {row.shift_px[1]:+.2f} px"
         axes.set_title(words, loc="left", fontsize=SMALL + 1, color=INK)
         axes.tick_params(labelsize=SMALL, colors=INK)
-    bar = figure.colorbar(picture, ax=list(panels[2]), location="bottom", shrink=0.5, aspect=50)
+    bar = figure.colorbar(image, ax=list(panels[2]), location="bottom", shrink=0.5, aspect=50)
     bar.set_label("captured - true, × the light at the mask", fontsize=SMALL, color=INK)
     figure.supxlabel(scale, x=0.99, ha="right", fontsize=SMALL, color=FAINT)
-    content = io.BytesIO()
-    figure.savefig(content, format="png", metadata={"Software": "flatlight"})
-    write_atomic(path, content.getvalue())
+    write_atomic(path, figure_png(figure))
     return path
 
 

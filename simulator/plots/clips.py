@@ -43,7 +43,7 @@ _HIDDEN_DEPTH = re.compile(r"hidden(\d+)_depth_m")
 
 @dataclass(frozen=True)
 class Tile:
-    """A named picture, uint8 ``(h, w, 3)``."""
+    """A named image, uint8 ``(h, w, 3)``."""
 
     name: str
     pixels: NDArray[np.uint8]
@@ -67,13 +67,7 @@ class Scales:
 
 
 def common_scales(clips: Sequence[Clip], lit: Sequence[Sequence[int]], coloured: Sequence[Sequence[int]]) -> Scales:
-    """Return scales that suit what is shown of each clip.
-
-    Args:
-        clips: at least one.
-        lit: frames of each whose radiance is shown.
-        coloured: frames of each whose depth and extras are shown.
-    """
+    """Return scales for what is shown of each clip: the radiance of ``lit`` frames, depth and extras of ``coloured`` ones."""
     seen: list[NDArray[np.float32]] = []
     moving = [np.zeros(0, np.float32)]
     for clip, frames in zip(clips, map(list, coloured), strict=True):
@@ -108,7 +102,7 @@ def depth_tile(clip: Clip, frame: int, scales: Scales) -> Tile:
 
 
 def extra_tiles(clip: Clip, frame: int, scales: Scales) -> list[Tile]:
-    """Return the extras that a picture can show, in the order in which rendering names them."""
+    """Return the extras that an image can show, in the order in which rendering names them."""
     extras = {name: values[frame] for name, values in clip.extras.items()}
     tiles: list[Tile] = []
     if "shape_id" in extras:
@@ -193,20 +187,12 @@ def describe_scales(scales: Scales, drawn: set[str]) -> str:
 
 
 def draw_sheet(cells: Sequence[Cell], title: str, line: str, scales: Scales, drawn: set[str]) -> Image.Image:
-    """Lay cells out in rows and columns, below two lines of words and beside the legends of what is drawn.
-
-    Args:
-        cells: at least one; their tiles have one size.
-        title: first line.
-        line: second line.
-        scales: what colours stand for.
-        drawn: names of the tiles.
-    """
+    """Lay cells, whose tiles have one size, out below two lines of text and beside the legends of what is drawn."""
     from PIL import Image, ImageDraw
 
     height = _tile_height(cells[0].tiles[0].pixels.shape[0])
-    pictures = [[resized(tile.pixels, height) for tile in cell.tiles] for cell in cells]
-    wide = max(sum(picture.width + _NEXT for picture in row) for row in pictures) + _GAP
+    images = [[resized(tile.pixels, height) for tile in cell.tiles] for cell in cells]
+    wide = max(sum(image.width + _NEXT for image in row) for row in images) + _GAP
     high = _NAME + height + _CAPTION
     columns = _columns(len(cells), wide, high)
     rows = -(-len(cells) // columns)
@@ -219,15 +205,15 @@ def draw_sheet(cells: Sequence[Cell], title: str, line: str, scales: Scales, dra
     draw = ImageDraw.Draw(sheet)
     draw.text((_GAP, 8), title, fill=INK, font=font(15))
     draw.text((_GAP, 32), line, fill=INK, font=font(12))
-    for number, (cell, row) in enumerate(zip(cells, pictures, strict=True)):
+    for number, (cell, row) in enumerate(zip(cells, images, strict=True)):
         x, y = _GAP + (number % columns) * wide, _HEAD + (number // columns) * high
         names = [tile.name for tile in cell.tiles]
         above = [tile.name for tile in cells[number - columns].tiles] if number >= columns else []
-        for name, picture in zip(names, row, strict=True):
+        for name, image in zip(names, row, strict=True):
             if names != above:
-                draw.text((x, y + 2), fitted(name, 11, picture.width), fill=INK, font=font(11))
-            sheet.paste(picture, (x, y + _NAME))
-            x += picture.width + _NEXT
+                draw.text((x, y + 2), fitted(name, 11, image.width), fill=INK, font=font(11))
+            sheet.paste(image, (x, y + _NAME))
+            x += image.width + _NEXT
         caption = fitted(cell.caption, 11, wide - _GAP)
         draw.text((_GAP + (number % columns) * wide, y + _NAME + height + 2), caption, fill=INK, font=font(11))
     top = _HEAD + _NAME
@@ -297,9 +283,7 @@ def animation(clips: Sequence[Clip], captions: Sequence[str], title: str, suffix
     """
     count = max(len(clip.rgb) for clip in clips)
     if count < 2:
-        raise InputError(
-            "", "these scenes are stills, of one frame each, and nothing moves; write a contact sheet (.png) instead"
-        )
+        raise InputError("frames", "all scenes are stills, of one frame each; write a contact sheet (.png) instead")
     frames = [range(len(clip.rgb)) for clip in clips]
     scales = common_scales(clips, frames, frames)
     shown_ms = frame_milliseconds(count)
@@ -348,6 +332,3 @@ def _one_palette(pages: list[Image.Image]) -> list[Image.Image]:
         strip.paste(page, (0, number * page.height))
     palette = strip.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     return [page.quantize(palette=palette, dither=Image.Dither.NONE) for page in pages]
-
-
-__all__ = ["ANIMATIONS", "animation", "clip_sheet"]

@@ -169,9 +169,6 @@ def load_configs(words: Sequence[str], base: Path, overrides: Sequence[str] = ()
             ``{design: pinhole, diameter_um: 80}``.
         base: the configuration whose camera and depths all bare masks share; read only where there are any.
         overrides: ``key=value`` each, applied to all of them.
-
-    Raises:
-        InputError: for whatever is wrong with a configuration or a design.
     """
     from simulator.config import load_config
 
@@ -189,14 +186,7 @@ def load_configs(words: Sequence[str], base: Path, overrides: Sequence[str] = ()
 
 
 def measure(name: str, config: Config, *, threads: int = 1, progress: Progress | None = None) -> Candidate:
-    """Compute a configuration's PSFs (or take them from the cache) and measure them.
-
-    Args:
-        name: what to call it.
-        config: the configuration.
-        threads: depths computed at a time.
-        progress: called with (stage, done, total) while PSFs are computed.
-    """
+    """Compute a configuration's PSFs (or take them from the cache) and measure them; ``progress`` as in `Assembly`."""
     from simulator.assembly import Assembly
 
     def tell(stage: str, done: int, total: int) -> None:
@@ -218,15 +208,7 @@ def measure(name: str, config: Config, *, threads: int = 1, progress: Progress |
 def judge(
     name: str, stack: PsfStack, camera: str, facts: list[tuple[str, str]], off_sensor: NDArray[np.float64]
 ) -> Candidate:
-    """Return the figures of merit of a stack.
-
-    Args:
-        name: what to call it.
-        stack: the PSFs.
-        camera: the camera in words.
-        facts: what else is known.
-        off_sensor: ``(K, C)`` share of each PSF's light that misses the sensor.
-    """
+    """Return the figures of merit of a stack; ``off_sensor`` is the share ``(K, C)`` of light that misses the sensor."""
     values, pitch_m = to_numpy(stack.values), stack.pixel_pitch_m
     ends = sorted({0, len(stack.depths_m) - 1})
     planes = [values[k].astype(np.float64) for k in ends]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import io
 from collections.abc import Callable, Sequence
 from html import escape
 from typing import TYPE_CHECKING
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from simulator.optics.metrics import autocorrelation, radial_mtf
 from simulator.plots.comparison import COLUMNS, NOTES, TITLE, Candidate, cameras_in_words
+from simulator.plots.drawing import figure_png, new_figure
 from simulator.plots.psf import FAINT, GRID, INK, NORMAL, SMALL, draw_psfs, head, style
 
 if TYPE_CHECKING:
@@ -28,17 +28,17 @@ _STROKES = ("-", "--", ":", "-.")
 
 
 def design_png(candidate: Candidate) -> bytes:
-    """Return the picture of one candidate: its PSFs near and far, and how alike its depths are."""
+    """Return the image of one candidate: its PSFs near and far, and how alike its depths are."""
     return _png(_DESIGN_INCH, lambda figure: _draw_design(figure, candidate))
 
 
 def curves_png(candidates: Sequence[Candidate]) -> bytes:
-    """Return the picture of all MTFs and autocorrelations, at the nearest and the farthest depth."""
+    """Return the image of all MTFs and autocorrelations, at the nearest and the farthest depth."""
     return _png(_CURVES_INCH, lambda figure: _draw_curves(figure, candidates))
 
 
 def comparison_png(candidates: Sequence[Candidate]) -> bytes:
-    """Return the whole comparison as one picture: the table of figures, the curves, and a row per candidate."""
+    """Return the whole comparison as one image: the table of figures, the curves, and a row per candidate."""
     heights = [_LINE_INCH * (3 + len(candidates)), _CURVES_INCH, *[_DESIGN_INCH] * len(candidates)]
 
     def draw(figure: Figure) -> None:
@@ -54,15 +54,9 @@ def comparison_png(candidates: Sequence[Candidate]) -> bytes:
 
 
 def _png(height_inch: float, draw: Callable[[Figure], None]) -> bytes:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(WIDTH_INCH, height_inch), dpi=DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure((WIDTH_INCH, height_inch), DPI)
     draw(figure)
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", metadata={"Software": "flatlight"})
-    return picture.getvalue()
+    return figure_png(figure)
 
 
 def _draw_design(figure: FigureBase, candidate: Candidate) -> None:

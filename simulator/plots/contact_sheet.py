@@ -1,4 +1,4 @@
-"""A picture of a data set: measurements, scenes and depths of some samples side by side, with their scales."""
+"""A contact sheet of a data set: measurements, scenes and depths of some samples side by side, with their scales."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 _FRAMES = 5  # of a clip that are shown at most
-_TILE = 192  # height of every picture, pixels
+_TILE = 192  # height of every image, pixels
 _GAP, _TEXT, _LINE, _TITLE, _BAR = 12, 22, 16, 64, 96
 
 
@@ -45,16 +45,16 @@ def contact_sheet(dataset_path: Path | str, out_png: Path | str, count: int = 8,
 
     Args:
         dataset_path: the data set's folder.
-        out_png: the picture to write; its folder must exist.
+        out_png: the image to write; its folder must exist.
         count: rows at most.
         split: which split; by default the first that has samples.
 
     Returns:
-        The path of the picture.
+        The path of the image.
 
     Raises:
         InputError: no finished sample, or a damaged one.
-        StorageError: the picture cannot be written.
+        StorageError: the image cannot be written.
     """
     from PIL import Image, ImageDraw
 
@@ -80,12 +80,12 @@ def contact_sheet(dataset_path: Path | str, out_png: Path | str, count: int = 8,
     for column, (head, scale) in heads.items():
         draw.text((lefts[column], 10), head, fill=INK, font=font(15))
         draw.text((lefts[column], 34), scale, fill=INK, font=font(12))
-    for number, (position, row, pictures) in enumerate(zip(positions, rows, tiles, strict=True)):
+    for number, (position, row, images) in enumerate(zip(positions, rows, tiles, strict=True)):
         top = _TITLE + number * row_height
         below = top + _TILE + 4
-        for column, picture in pictures.items():
-            sheet.paste(picture, (lefts[column], top))
-        for column, time in zip(pictures, row.times, strict=False):
+        for column, image in images.items():
+            sheet.paste(image, (lefts[column], top))
+        for column, time in zip(images, row.times, strict=False):
             draw.text((lefts[column], below), fitted(time, 12, widths[column]), fill=INK, font=font(12))
         text = f"{dataset.split} / {dataset.ids[position]}" + (f" / {row.label}" if row.label else "")
         draw.text((lefts[0], below + (_LINE if row.times else 0)), text, fill=INK, font=font(12))
@@ -127,7 +127,7 @@ class _Row:
 
 
 def _tiles(row: _Row, depth_column: int, white: float, range_m: tuple[float, float]) -> dict[int, Image.Image]:
-    """Return the pictures of a row by column: measurement, frames, and in the last one the depth."""
+    """Return the images of a row by column: measurement, frames, and in the last one the depth."""
     shown = [encoded(row.measurement), *(encoded(frame.rgb, white) for frame in row.frames)]
     tiles = {column: resized(pixels, _TILE) for column, pixels in enumerate(shown)}
     colours = depth_colours(row.middle.depth_m, row.middle.valid, *range_m)

@@ -1,4 +1,4 @@
-"""What all our pictures share: paper, ink, letters, colours for what has none, and what the colours mean."""
+"""What all our images share: paper, ink, letters, colours for what has none, and what the colours mean."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from simulator.colour import linear_to_srgb
 from simulator.types import FARTHEST_M
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from PIL import Image
 
 PAPER, INK, UNSEEN = (250, 250, 250), (25, 25, 25), (120, 120, 120)
-_WHITE_PERCENTILE = 99.5  # of the lit values: a lamp in the picture or a highlight must not darken all the rest
+_WHITE_PERCENTILE = 99.5  # of the lit values: a lamp in the image or a highlight must not darken all the rest
 
 
 def font(size: int) -> Any:
@@ -36,9 +37,9 @@ def fitted(text: str, size: int, width: int) -> str:
     return f"{text.rstrip()}…"
 
 
-def white_level(pictures: Iterable[NDArray[np.float32]]) -> float:
-    """Return the radiance that a set of pictures shows as white; 1 where all is black."""
-    lit = np.concatenate([picture[picture > 0] for picture in pictures])
+def white_level(images: Iterable[NDArray[np.float32]]) -> float:
+    """Return the radiance that a set of images shows as white; 1 where all is black."""
+    lit = np.concatenate([image[image > 0] for image in images])
     return float(np.percentile(lit, _WHITE_PERCENTILE)) if lit.size else 1.0
 
 
@@ -48,7 +49,7 @@ def encoded(linear: NDArray[np.float32], white: float = 1.0) -> NDArray[np.uint8
 
 
 def resized(pixels: NDArray[np.uint8], height: int) -> Image.Image:
-    """Return pixels ``(h, w, 3)`` as a picture of that height; enlarged pixels stay visible."""
+    """Return pixels ``(h, w, 3)`` as an image of that height; enlarged pixels stay visible."""
     from PIL import Image
 
     rows, columns = pixels.shape[:2]
@@ -56,10 +57,27 @@ def resized(pixels: NDArray[np.uint8], height: int) -> Image.Image:
     return Image.fromarray(pixels).resize((max(1, round(columns * height / rows)), height), rule)
 
 
-def png_bytes(picture: Image.Image) -> bytes:
-    """Return a picture as PNG, without clock times: the same picture gives the same bytes."""
+def png_bytes(image: Image.Image) -> bytes:
+    """Return an image as PNG, without clock times: the same image gives the same bytes."""
     stream = io.BytesIO()
-    picture.save(stream, "PNG", optimize=True)
+    image.save(stream, "PNG", optimize=True)
+    return stream.getvalue()
+
+
+def new_figure(size_inch: tuple[float, float], dpi: int, layout: Any = "constrained") -> Figure:
+    """Return an empty white figure; pyplot, which keeps a global state, is not involved."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size_inch, dpi=dpi, facecolor="white", layout=layout)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def figure_png(figure: Figure) -> bytes:
+    """Return a figure as PNG; the same figure gives the same bytes."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", metadata={"Software": "flatlight"})
     return stream.getvalue()
 
 
@@ -105,17 +123,7 @@ _HIDDEN = 0.6  # brightness of points that the next frame does not show: what re
 def depth_colours(
     depth_m: NDArray[np.float32], valid: NDArray[np.bool_], near_m: float, far_m: float
 ) -> NDArray[np.uint8]:
-    """Colour depths evenly in disparity (1/z, what a camera resolves) from near (yellow) to far (violet); grey is unseen.
-
-    Args:
-        depth_m: ``(h, w)`` metres.
-        valid: ``(h, w)``.
-        near_m: depth of the first colour.
-        far_m: depth of the last colour.
-
-    Returns:
-        ``(h, w, 3)`` uint8.
-    """
+    """Colour depths ``(h, w)`` evenly in disparity (1/z) from near (yellow) to far (violet), uint8; grey is unseen."""
     range_per_m = max(1 / near_m - 1 / far_m, 1e-12)
     share = np.clip((1 / near_m - 1 / depth_m.astype(np.float64)) / range_per_m, 0, 1)
     colours = _between(share, np.linspace(0, 1, len(_DEPTH)), _DEPTH)
@@ -123,14 +131,7 @@ def depth_colours(
 
 
 def id_colours(shape_id: NDArray[np.int32]) -> NDArray[np.uint8]:
-    """Give each shape's number a colour of its own, the same in every picture; neighbours differ much.
-
-    Args:
-        shape_id: ``(h, w)``, -1 where nothing was seen.
-
-    Returns:
-        ``(h, w, 3)`` uint8.
-    """
+    """Give each shape's number ``(h, w)``, -1 for unseen, its colour, the same in every image; neighbours differ much."""
     number = shape_id.astype(np.float64)
     # Steps of the golden section never come close to an earlier hue; the first number is often a background's, so it is pale.
     colours = _between(np.mod(0.6 + number * 0.618034, 1), _WHEEL_PLACES, _WHEEL)
@@ -140,13 +141,9 @@ def id_colours(shape_id: NDArray[np.int32]) -> NDArray[np.uint8]:
 
 
 def normal_colours(normal: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Colour normals as normal maps are: red to the right, green upwards, blue towards the camera, from -1 to 1.
+    """Colour normals ``(h, w, 3)`` in world axes as normal maps are: red right, green up, blue towards the camera.
 
-    Args:
-        normal: ``(h, w, 3)`` in world axes (x right, y down, z into the scene); zero where nothing was seen.
-
-    Returns:
-        ``(h, w, 3)`` uint8.
+    Components of -1 to 1 become 0 to 255; grey is a normal of zero: nothing was seen.
     """
     towards = normal.astype(np.float64) * (1, -1, -1)
     return seen_colours((towards + 1) * 127.5, np.any(normal != 0, axis=-1))
@@ -155,16 +152,10 @@ def normal_colours(normal: NDArray[np.float32]) -> NDArray[np.uint8]:
 def motion_colours(
     motion: NDArray[np.float32], seen: NDArray[np.bool_], in_next: NDArray[np.bool_], largest_px: float
 ) -> NDArray[np.uint8]:
-    """Colour motion in the picture by direction (hue: red is right, yellow down) and speed (white is rest).
+    """Colour motion ``(h, w, n)``, of which the first two are pixels to the right and down per frame.
 
-    Args:
-        motion: ``(h, w, n)``, of which the first two are pixels to the right and down per frame.
-        seen: ``(h, w)``, where there is a surface.
-        in_next: ``(h, w)``, where the next frame shows the point too; elsewhere colours are dark.
-        largest_px: speed of the full colours; what is faster has them darker.
-
-    Returns:
-        ``(h, w, 3)`` uint8.
+    Hue is the direction (red is right, yellow down), white is rest; ``largest_px`` has the full colours, what is faster is
+    darker. Points that the next frame does not show (``in_next``) are dark, grey is unseen.
     """
     right, down = (motion[..., axis].astype(np.float64) / largest_px for axis in (0, 1))
     speed = np.hypot(right, down)[..., None]
@@ -191,13 +182,7 @@ _DISC = 72  # pixels across
 def draw_depth_legend(draw: Any, left: int, top: int, height: int, near_m: float, far_m: float) -> None:
     """Draw the scale of `depth_colours` with five depths (one where all are alike), and grey for what is not seen below it.
 
-    Args:
-        draw: Pillow's ImageDraw.
-        left: pixels.
-        top: pixels.
-        height: pixels of the scale; the grey takes 24 more.
-        near_m: depth of the first colour.
-        far_m: depth of the last.
+    The scale is ``height`` pixels high; the grey takes 24 more.
     """
     width = 16
     steps = (1 / np.linspace(1 / near_m, 1 / far_m, height))[:, None].astype(np.float32)
@@ -239,8 +224,8 @@ def _draw_disc(
 ) -> int:
     from PIL import Image
 
-    picture = np.where(inside[..., None], colours, np.array(PAPER, np.uint8)).astype(np.uint8)
-    sheet.paste(Image.fromarray(picture), (left, top))
+    image = np.where(inside[..., None], colours, np.array(PAPER, np.uint8)).astype(np.uint8)
+    sheet.paste(Image.fromarray(image), (left, top))
     for line, text in enumerate(words):
         draw.text((left, top + _DISC + 4 + 14 * line), text, fill=INK, font=font(12))
     return top + _DISC + 4 + 14 * len(words)

@@ -1,8 +1,7 @@
-"""One picture of a PSF stack: mask, PSFs near to far, cross-sections, autocorrelation, MTF and the numbers behind them."""
+"""One image of a PSF stack: mask, PSFs near to far, cross-sections, autocorrelation, MTF and the numbers behind them."""
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from simulator.io.files import write_atomic
 from simulator.optics.mask import Mask
 from simulator.optics.metrics import autocorrelation, radial_mtf
 from simulator.optics.stack import PsfStack
+from simulator.plots.drawing import figure_png, new_figure
 from simulator.plots.psf_facts import psf_facts
 from simulator.text import length
 
@@ -66,13 +66,13 @@ def draw_mask(axes: Axes, mask: Mask | None) -> None:
     colours |= {"vmin": np.nanmin(image), "vmax": np.nanmax(image)} if has_height else {"vmin": 0, "vmax": 1}
     per_metre, unit = _unit(max(mask.shape) * mask.pitch_m)
     extent = _extent(-mask.shape[0] / 2, -mask.shape[1] / 2, mask.shape, mask.pitch_m * per_metre)
-    picture = axes.imshow(image, extent=extent, **colours)
+    drawn = axes.imshow(image, extent=extent, **colours)
     head(axes, "Mask height" if has_height else "Mask amplitude")
     style(axes, f"x on the mask ({unit})", f"y ({unit})")
     _few_ticks(axes)
     if has_height and mask.profile == "staircase" and min(mask.shape) > 4 * _FINE:
         _magnify(axes, image, mask.pitch_m, per_metre, colours)
-    bar = axes.figure.colorbar(picture, ax=axes, location="bottom", shrink=0.75, aspect=32, pad=0.02)
+    bar = axes.figure.colorbar(drawn, ax=axes, location="bottom", shrink=0.75, aspect=32, pad=0.02)
     bar.set_label("height (µm)" if has_height else "amplitude transmission", fontsize=SMALL, color=INK)
     bar.ax.tick_params(labelsize=SMALL, colors=INK)
     bar.outline.set_visible(False)
@@ -259,22 +259,17 @@ def plot_psf_stack(
     Args:
         stack: the PSFs; the nearest, the middle (in disparity) and the farthest depth are shown.
         mask: the mask that made them; None for a measured stack.
-        path: the picture to write; its folder must exist.
+        path: the image to write; its folder must exist.
         scene_shape: h, w of the scene; with ``sensor_shape`` the light that misses the sensor is told.
         sensor_shape: H, W of the (binned) sensor.
 
     Returns:
-        The path of the picture.
+        The path of the image.
 
     Raises:
-        InputError: when scene and sensor do not fit.
-        StorageError: the picture cannot be written.
+        StorageError: the image cannot be written.
     """
-    picture = io.BytesIO()
-    psf_figure(stack, mask, scene_shape, sensor_shape).savefig(
-        picture, format="png", metadata={"Software": "flatlight"}
-    )
-    write_atomic(path, picture.getvalue())
+    write_atomic(path, figure_png(psf_figure(stack, mask, scene_shape, sensor_shape)))
     return path
 
 
@@ -285,19 +280,16 @@ def psf_figure(
     sensor_shape: tuple[int, int] | None = None,
 ) -> Figure:
     """Return the figure of ``plot_psf_stack``, for those who want another format; pyplot is not involved."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     views = _views(stack)
     facts = psf_facts(stack, mask, scene_shape, sensor_shape)
     layout = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08)
-    figure = Figure(figsize=SIZE_INCH, dpi=DPI, facecolor="white", layout=layout)
-    FigureCanvasAgg(figure)
+    figure = new_figure(SIZE_INCH, DPI, layout)
     figure.suptitle(_title(stack, mask), x=0.012, ha="left", fontsize=16, fontweight="bold", color=INK)
     grid = figure.add_gridspec(2, 1, height_ratios=[1.1, 1])
     upper, lower = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
-    facts_above = len(views) < 3  # fewer pictures leave room beside them
+    facts_above = len(views) < 3  # fewer panels leave room beside them
     top = upper.subplots(1, 1 + len(views) + facts_above, squeeze=False)[0]
     bottom = lower.subplots(1, 4 - facts_above, squeeze=False)[0]
     draw_mask(top[0], mask)

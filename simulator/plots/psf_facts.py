@@ -26,9 +26,6 @@ def psf_facts(
         mask: the mask that made them; without it the stack's provenance is asked.
         scene_shape: h, w of the scene; with ``sensor_shape`` the light that misses the sensor is told.
         sensor_shape: H, W of the (binned) sensor.
-
-    Raises:
-        InputError: when scene and sensor do not fit.
     """
     provenance = stack.provenance
     facts = _mask_facts(stack, mask)
@@ -105,10 +102,7 @@ def _interpolation(record: dict[str, Any]) -> str:
 
 
 def _light_facts(
-    stack: PsfStack,
-    mask: Mask | None,
-    scene_shape: tuple[int, int] | None,
-    sensor_shape: tuple[int, int] | None,
+    stack: PsfStack, mask: Mask | None, scene_shape: tuple[int, int] | None, sensor_shape: tuple[int, int] | None
 ) -> list[tuple[str, str]]:
     facts = []
     record = stack.provenance.get("mask")
@@ -159,11 +153,11 @@ _NM = 1e9
 
 
 def budget_tables(errors: dict[str, Any], sampling: dict[str, Any] | str) -> str:
-    """Return the full check as tables: per depth and wavelength, per channel, per field angle.
+    """Return the full error budget as tables: per depth and wavelength, per channel, per field angle.
 
     Args:
-        errors: from ``check.full_errors``.
-        sampling: from ``sampling.sampling_error``, or ``UNPROVEN``.
+        errors: from ``full_errors``.
+        sampling: from ``sampling_error``, or ``UNPROVEN``.
     """
     parts = [_by_depth(errors, sampling), _by_channel(errors["spectrum"])]
     if "field_angle" in errors:

@@ -25,8 +25,8 @@ def duration(seconds: float) -> str:
     """Return a time in the unit that suits it.
 
     Example:
-        >>> duration(9.17e-6), duration(0.01), duration(0)
-        ('9.17 µs', '10 ms', '0 ms')
+        >>> duration(9.17e-6), duration(0.01), duration(1.5), duration(0)
+        ('9.17 µs', '10 ms', '1.5 s', '0 ms')
     """
     if seconds and abs(seconds) < 1e-3:
         return f"{seconds * 1e6:.4g} µs"
@@ -61,7 +61,7 @@ def shutter_facts(
         facts.append(("line time", f"{duration(shutter.line_time_s)} per physical {steps}"))
     per_row = f", each the mean of {shutter.binning} physical rows" if shutter.binning > 1 else ""
     facts += [
-        ("rows", f"{rows} in the picture{per_row}"),
+        ("rows", f"{rows} in the image{per_row}"),
         ("capture", f"{duration(shutter.duration_s(rows))} until the last row closes; {_together(shutter, rows)}"),
         ("frames told apart", _separable(shutter, rows)),
     ]
@@ -157,16 +157,12 @@ class Spot:
 class Bench:
     """The configured camera, with its own PSFs and shutter, and the same with others in their place.
 
-    All pictures are the mean of the channels, so that colours are free to tell times or depths apart; the camera's colours
+    All images are the mean of the channels, so that colours are free to tell times or depths apart; the camera's colours
     and noise are left out.
     """
 
     def __init__(self, assembly: Assembly) -> None:
-        """Compute the nearest and the farthest PSF of the assembly (cached), or read them.
-
-        Raises:
-            InputError: as its ``psf_stack`` and ``shutter``.
-        """
+        """Compute the nearest and the farthest PSF of the assembly (cached), or read them."""
         config, self.shutter = assembly.config, assembly.shutter
         self.scene_shape, self.sensor_shape = config.scene.size, config.camera.sensor.shape
         self.rows = self.sensor_shape[0]
@@ -194,7 +190,7 @@ class Bench:
         """Return the middle of a time sample, seconds after the first row opens."""
         return (sample - 0.5) / SAMPLES * self.duration_s
 
-    def picture(self, spot: Spot) -> Grey:
+    def scene(self, spot: Spot) -> Grey:
         """Return a spot in the scene, ``(h, w)`` from 0 to 1."""
         height, width = self.scene_shape
         radius = max(1.0, 0.015 * min(height, width))
@@ -204,10 +200,10 @@ class Bench:
 
     def convolved(self, spot: Spot) -> Grey:
         """Return the irradiance of a spot on the sensor, ``(H, W)``, whatever the shutter does."""
-        return _grey(self._instant.forward_clip(self._still(self.picture(spot), self.ends.depths_m[-1])))
+        return _grey(self._instant.forward_clip(self._still(self.scene(spot), self.ends.depths_m[-1])))
 
     def share(self, spot: Spot) -> Grey:
-        """Return the share of the spot's time sample during which each row of the stored picture is open, ``(H,)``."""
+        """Return the share of the spot's time sample during which each row of the stored image is open, ``(H,)``."""
         weights = self.shutter.weights(self.rows, self._flash(spot).frame_edges_s)
         return weights[self._lit(spot), ::-1].astype(np.float32)
 
@@ -220,7 +216,7 @@ class Bench:
         return self._per_sample(self._global, spot)
 
     def exposed_behind_lens(self, spot: Spot, *, always: bool = False) -> Grey:
-        """Return the same of a lens in the mask's place: the part of the sensor that holds its picture, ``(h, w)``.
+        """Return the same of a lens in the mask's place: the part of the sensor that holds its image, ``(h, w)``.
 
         Args:
             spot: the spot.
@@ -232,9 +228,9 @@ class Bench:
 
     def point(self, row: float, column: float, depth_m: float) -> Grey:
         """Return the exposure of a lasting point at a depth, ``(H, W)``, under the shutter."""
-        picture = np.zeros(self.scene_shape, np.float32)
-        picture[round(row * (self.scene_shape[0] - 1)), round(column * (self.scene_shape[1] - 1))] = 1
-        return _grey(self._depths.forward_clip(self._still(picture, depth_m)))
+        scene = np.zeros(self.scene_shape, np.float32)
+        scene[round(row * (self.scene_shape[0] - 1)), round(column * (self.scene_shape[1] - 1))] = 1
+        return _grey(self._depths.forward_clip(self._still(scene, depth_m)))
 
     def _per_sample(self, model: ForwardModel, spot: Spot) -> Grey:
         return _grey(model.forward_clip(self._flash(spot))) / np.float32(self.duration_s / SAMPLES)
@@ -250,14 +246,14 @@ class Bench:
             scene_to_camera=np.full((len(stack.channels), 3), 1 / 3),
         )
 
-    def _still(self, picture: Grey, depth_m: float) -> Clip:
-        return self._clip(picture[None], depth_m, np.array([0.0, self.duration_s]))
+    def _still(self, scene: Grey, depth_m: float) -> Clip:
+        return self._clip(scene[None], depth_m, np.array([0.0, self.duration_s]))
 
     def _flash(self, spot: Spot) -> Clip:
         """Return a clip that is dark, but for the spot's time sample."""
         edges = np.array([0, spot.sample - 1, spot.sample, SAMPLES]) / SAMPLES * self.duration_s
         frames = np.zeros((3, *self.scene_shape), np.float32)
-        frames[1] = self.picture(spot)
+        frames[1] = self.scene(spot)
         kept = np.diff(edges) > 0
         return self._clip(frames[kept], self.ends.depths_m[-1], np.unique(edges))
 

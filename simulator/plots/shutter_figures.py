@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,9 +11,9 @@ from numpy.typing import NDArray
 
 from simulator.colour import linear_to_srgb
 from simulator.io.files import write_atomic
-from simulator.plots.drawing import centimetres
+from simulator.plots.drawing import centimetres, figure_png, new_figure
 from simulator.plots.psf import FAINT, INK, NORMAL, SMALL, TITLE, style
-from simulator.plots.shutter_bench import SAMPLES, Bench, Spot, duration, shutter_facts, shutter_name
+from simulator.plots.shutter_bench import SAMPLES, Bench, Spot, duration, shutter_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,31 +26,28 @@ _LINE_INCH = 0.2
 Tinted = tuple[NDArray[np.floating], tuple[float, float, float]]
 
 
-def white_of(pictures: Sequence[NDArray[np.floating]]) -> float:
-    """Return the value above which pixels hold a hundredth of the light of all the pictures; 1 where all is black."""
-    values = np.sort(np.concatenate([np.ravel(picture) for picture in pictures]).astype(np.float64))[::-1]
+def white_of(images: Sequence[NDArray[np.floating]]) -> float:
+    """Return the value above which pixels hold a hundredth of the light of all the images; 1 where all is black."""
+    values = np.sort(np.concatenate([np.ravel(image) for image in images]).astype(np.float64))[::-1]
     light = np.cumsum(values)
     if not light.size or light[-1] <= 0:
         return 1.0
     return float(values[np.searchsorted(light, _OVER_WHITE * light[-1])]) or 1.0
 
 
-def tinted(pictures: Sequence[Tinted], white: float) -> NDArray[np.float32]:
-    """Return grey pictures, each in its colour, added up as light and encoded for the screen: sRGB ``(H, W, 3)``."""
-    light = sum(np.asarray(grey)[..., None] / white * np.array(colour) for grey, colour in pictures)
+def tinted(images: Sequence[Tinted], white: float) -> NDArray[np.float32]:
+    """Return grey images, each in its colour, added up as light and encoded for the screen: sRGB ``(H, W, 3)``."""
+    light = sum(np.asarray(grey)[..., None] / white * np.array(colour) for grey, colour in images)
     return linear_to_srgb(np.clip(light, 0, 1))
 
 
 def sheet(title: str, notes: Sequence[str], size_inch: tuple[float, float]) -> Figure:
     """Return an empty figure with a title above, and notes below in which the scales are stated."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     below = (len(notes) * _LINE_INCH + 0.15) / size_inch[1]
     layout = ConstrainedLayoutEngine(w_pad=0.06, h_pad=0.06, rect=(0.01, below, 0.98, 0.99 - below))
-    figure = Figure(figsize=size_inch, dpi=DPI, facecolor="white", layout=layout)
-    FigureCanvasAgg(figure)
+    figure = new_figure(size_inch, DPI, layout)
     figure.suptitle(title, x=0.015, ha="left", fontsize=15, fontweight="bold", color=INK)
     for line, note in enumerate(notes):
         away = (len(notes) - line) * _LINE_INCH - 0.1
@@ -70,17 +66,9 @@ def panel(axes: Axes, image: NDArray[np.floating], title: str = "", colour: str 
         axes.set_title(title, loc="left", fontsize=TITLE, color=colour)
 
 
-def save(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG, at once or not at all."""
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", metadata={"Software": "flatlight"})
-    write_atomic(path, picture.getvalue())
-    return path
-
-
 _OPEN, _READ = "#b9c0c5", "#e07b1a"
 _FEW_ROWS = 40  # are drawn as bars of their own
-_BANDS = 2000  # more rows than a picture has pixels are thinned out
+_BANDS = 2000  # more rows than an image has pixels are thinned out
 
 
 def diagram_figure(bench: Bench) -> Figure:
@@ -90,10 +78,10 @@ def diagram_figure(bench: Bench) -> Figure:
     times = dict.fromkeys([duration(float(exposures.min())), duration(float(exposures.max()))])
     rows = f"{len(windows_ms)} physical rows"
     if bench.shutter.binning > 1:
-        rows += f", {bench.shutter.binning} of them to a row of the picture"
+        rows += f", {bench.shutter.binning} of them to a row of the image"
     notes = [
         f"{rows}; each is open for {' to '.join(times)}; the last one closes after {duration(bench.duration_s)}.",
-        "Row 0 is the sensor's top row. The picture is turned by 180 degrees: the sensor's top row is its bottom row.",
+        "Row 0 is the sensor's top row. The image is rotated by 180 degrees: the sensor's top row is its bottom row.",
     ]
     figure = sheet(shutter_name(bench.shutter).capitalize(), notes, (11, 6.2))
     axes = figure.subplots()
@@ -102,7 +90,7 @@ def diagram_figure(bench: Bench) -> Figure:
     axes.set_xlim(0, bench.duration_s * 1.02e3)
     axes.set_ylim(len(windows_ms) - 0.5, -0.5)
     axes.set_facecolor("#f6f7f8")
-    _picture_rows(axes, bench)
+    _image_rows(axes, bench)
     legend = axes.legend(
         loc="upper right", bbox_to_anchor=(1, 1.09), ncols=2, frameon=False, fontsize=NORMAL, markerscale=3
     )
@@ -127,8 +115,8 @@ def _draw_rows(axes: Axes, windows_ms: NDArray[np.float64]) -> None:
     axes.plot(closing[shown], shown, ".", color=_READ, markersize=3.5, label="closes and is read out")
 
 
-def _picture_rows(axes: Axes, bench: Bench) -> None:
-    """Number the picture's rows on the right: the last one is the sensor's first."""
+def _image_rows(axes: Axes, bench: Bench) -> None:
+    """Number the image's rows on the right: the last one is the sensor's first."""
     last, binning = bench.rows - 1, bench.shutter.binning
     right = axes.secondary_yaxis(
         "right",
@@ -137,7 +125,7 @@ def _picture_rows(axes: Axes, bench: Bench) -> None:
             lambda row: np.subtract(last + 0.5, row) * binning - 0.5,
         ),
     )
-    right.set_ylabel("row of the picture", fontsize=NORMAL, color=INK)
+    right.set_ylabel("row of the image", fontsize=NORMAL, color=INK)
     right.tick_params(labelsize=SMALL, colors=INK)
     right.spines["right"].set_color(FAINT)
 
@@ -185,7 +173,7 @@ def _seen_and_missed(bench: Bench) -> tuple[int, int]:
 
 def _figure(bench: Bench, spots: Sequence[Spot], where: str, *, lens: bool) -> Figure:
     tints = [spot.colour for spot in spots]
-    pictures = [bench.picture(spot) for spot in spots]
+    scenes = [bench.scene(spot) for spot in spots]
     convolved, exposed = [bench.convolved(spot) for spot in spots], [bench.exposed(spot) for spot in spots]
     behind_lens = [bench.exposed_behind_lens(spot) for spot in spots] if lens else []
     white, white_sum = white_of(convolved), white_of([np.sum(convolved, axis=0)])
@@ -202,7 +190,7 @@ def _figure(bench: Bench, spots: Sequence[Spot], where: str, *, lens: bool) -> F
     ratios = [scene_wide, wide, wide, wide] + [scene_wide] * lens
     top = figure.add_subfigure(grid[0]).subplots(len(spots), len(ratios), squeeze=False, width_ratios=ratios)
     columns = [
-        ("Scene", [tinted([light], 1.0) for light in zip(pictures, tints, strict=True)]),
+        ("Scene", [tinted([light], 1.0) for light in zip(scenes, tints, strict=True)]),
         ("Convolved with the PSF", [tinted([light], white) for light in zip(convolved, tints, strict=True)]),
         ("Rows that are open (white)", open_rows),
         ("Let through by the shutter", [tinted([light], white) for light in zip(exposed, tints, strict=True)]),
@@ -232,7 +220,7 @@ def _notes(bench: Bench, ratio: float, lens: bool) -> list[str]:
     notes = [
         f"Spots shine for one of {SAMPLES} time samples of the capture, {duration(bench.duration_s / SAMPLES)} each, at the "
         "farthest depth of the PSF stack. All is computed by the configuration's forward model.",
-        "Colours stand for times; the light itself is white. Pictures on the sensor are the channels' mean, sRGB-encoded. "
+        "Colours stand for times; the light itself is white. Images on the sensor are the channels' mean, sRGB-encoded. "
         "White in the rows above is the level over which 1 % of the spots' light lies,",
         f"white in the measurements is {ratio:.3g} times as much.",
     ]
@@ -258,7 +246,7 @@ def depth_figure(bench: Bench) -> Figure:
     said = " and ".join(f"{centimetres(depth)} ({name})" for depth, name in zip(depths_m, _NAMES, strict=True))
     notes = [
         f"Points of one scene pixel at {said}, as the configuration's forward model exposes them under its shutter.",
-        "Colours stand for depths; the light itself is white. Sensor pictures are the channels' mean on one scale: white "
+        "Colours stand for depths; the light itself is white. Sensor images are the channels' mean on one scale: white "
         "is the level above which 1 % of the light lies; sRGB-encoded.",
     ]
     figure = sheet("PSFs grow as points come near", notes, (13.5, 9.2))
@@ -312,10 +300,10 @@ def draw_figures(bench: Bench, folder: Path) -> list[Path]:
     """Draw all figures and return their paths; the folder is made where it is missing.
 
     Raises:
-        StorageError: a picture cannot be written.
+        StorageError: an image cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    return [save(draw(bench), folder / name) for name, draw in figures_of(bench).items()]
-
-
-__all__ = ["Bench", "draw_figures", "shutter_facts"]
+    figures = figures_of(bench)
+    for name, draw in figures.items():
+        write_atomic(folder / name, figure_png(draw(bench)))
+    return [folder / name for name in figures]

@@ -7,7 +7,7 @@ import pytest
 
 from simulator.errors import InputError
 from simulator.optics.error_budget import direct_sum
-from simulator.optics.error_budget.direct_sum import llvm_works, mask_cells, mask_field, run_kernel, true_intensity
+from simulator.optics.error_budget.direct_sum import llvm_works, mask_cells, mask_field, reference_intensity, run_kernel
 from simulator.optics.mask import Mask
 from simulator.optics.materials import FUSED_SILICA
 from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
@@ -60,7 +60,7 @@ def test_the_sum_and_its_uncertainty_against_a_plain_sum_of_points(profile, dept
     mask, d, points = _mask(profile), 0.5e-3, _points()
     few, many = (_plain_sum(mask, n, d, depth_m, points, direction) for n in (6, 12))
     truth = np.abs(many + (many - few) / 3) ** 2
-    found, uncertainty = true_intensity(mask, WAVELENGTH_M, d, depth_m, points, direction)
+    found, uncertainty = reference_intensity(mask, WAVELENGTH_M, d, depth_m, points, direction)
     error = np.linalg.norm(found - truth) / np.linalg.norm(truth)
     stated = np.linalg.norm(uncertainty) / np.linalg.norm(truth)
     assert error < 3e-4
@@ -104,7 +104,7 @@ def test_a_disc_on_axis():
     for d in (0.2e-3, 1.3e-3):
         far = np.hypot(a, d)
         expected = abs(1 - d / far * np.exp(1j * K * (far - d))) ** 2
-        found, _ = true_intensity(mask, WAVELENGTH_M, d, math.inf, np.zeros((1, 2)))
+        found, _ = reference_intensity(mask, WAVELENGTH_M, d, math.inf, np.zeros((1, 2)))
         weaker = (K * pitch * a / far) ** 2 / 12
         assert found[0] == pytest.approx(expected, abs=2 * np.sqrt(expected) * weaker + 1e-4)
 
@@ -121,11 +121,11 @@ def test_smooth_cells_know_their_slope():
 def test_bad_input_is_named():
     mask = _mask("staircase")
     with pytest.raises(InputError, match=r"^points_m: "):
-        true_intensity(mask, WAVELENGTH_M, 1e-3, math.inf, np.zeros(2))
+        reference_intensity(mask, WAVELENGTH_M, 1e-3, math.inf, np.zeros(2))
     with pytest.raises(InputError, match=r"^depth_m: "):
-        true_intensity(mask, WAVELENGTH_M, 1e-3, -0.1, np.zeros((1, 2)))
+        reference_intensity(mask, WAVELENGTH_M, 1e-3, -0.1, np.zeros((1, 2)))
     with pytest.raises(InputError, match=r"^distance_m: "):
-        true_intensity(mask, WAVELENGTH_M, math.nan, 0.1, np.zeros((1, 2)))
+        reference_intensity(mask, WAVELENGTH_M, math.nan, 0.1, np.zeros((1, 2)))
 
 
 def test_a_kernel_that_fails_is_told_though_llvm_works():

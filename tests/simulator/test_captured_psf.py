@@ -92,7 +92,7 @@ def test_everything_is_recorded(capture) -> None:
     assert len(record["recordings"]) == 3
     assert all(30 < entry["snr_db"] < 90 for entry in record["recordings"])
     assert record["sampling"] == nominal.provenance["sampling"]  # the model's own error stays
-    np.testing.assert_array_equal(captured.depths_m, nominal.depths_m)  # what the laboratory believes
+    np.testing.assert_array_equal(captured.depths_m, nominal.depths_m)  # what the laboratory assumes
 
 
 def test_the_seed_decides(capture, monkeypatch, tmp_path) -> None:
@@ -120,14 +120,8 @@ def test_a_measured_psf_is_refused(trial, capture) -> None:
     ("settings", "words"),
     [
         ({"illuminant": "Bengal"}, r"^psf\.as_captured\.illuminant: "),
-        (
-            {"illuminant": {"led_nm": 1500, "fwhm_nm": 20}},
-            r"^psf\.as_captured\.illuminant: ",
-        ),
-        (
-            {"depth_offset_mm": -50},
-            r"^psf\.as_captured\.depth_offset_mm, depth_std_mm: ",
-        ),
+        ({"illuminant": {"led_nm": 1500, "fwhm_nm": 20}}, r"^psf\.as_captured\.illuminant: "),
+        ({"depth_offset_mm": -50}, r"^psf\.as_captured\.depth_offset_mm, depth_std_mm: "),
         (
             {"peak_percent": 100, "pedestal_percent": 30, "glow_percent": 0},
             r"^psf\.as_captured\.peak_percent \+ pedestal_percent \+ glow_percent: ",

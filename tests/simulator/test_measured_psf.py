@@ -55,30 +55,30 @@ def test_planes_are_interpolated_and_the_scene_follows_them(trial, stored) -> No
     assert (view.near_m, view.far_m) == pytest.approx((0.04, 0.1))
 
 
-def test_pictures_at_other_planes(trial) -> None:
+def test_images_at_other_planes(trial) -> None:
     light = np.zeros((2, 41, 41))
     light[:, 15:26, 12:20] = 1
     np.save(trial.folder / "psf.npy", light)
-    pictures = {
+    images = {
         "measured": ["psf.npy"],
         "depths_cm": [5, 20],
         "frame": "stored",
         "background": "none",
         "throughput_mm2": 1,
     }
-    found = build(trial, **pictures, planes={"depths_cm": [5, 10, 30], "extrapolate": True})
+    found = build(trial, **images, planes={"depths_cm": [5, 10, 30], "extrapolate": True})
     assert found.provenance["interpolation"]["planes"][2]["extrapolated"]
     assert found.provenance["kind"] == "measured"
     with pytest.raises(InputError, match=r"^depths_m: "):
-        build(trial, **pictures, planes={"depths_cm": [30]})
+        build(trial, **images, planes={"depths_cm": [30]})
 
 
 def test_mistakes_are_named(trial, stored) -> None:
     with pytest.raises(InputError, match="nowhere: "):
         build(trial, measured="nowhere")
-    pictures = {"measured": ["no.tif"], "depths_cm": [5], "frame": "stored", "throughput_mm2": 1}
+    images = {"measured": ["no.tif"], "depths_cm": [5], "frame": "stored", "throughput_mm2": 1}
     with pytest.raises(InputError, match=r"^psf\.measured\[0\]: "):
-        build(trial, **pictures)
+        build(trial, **images)
     (trial.folder / "psf.tif").write_bytes(b"")
     with pytest.raises(InputError, match=r"^psf\.measured: "):
         build(trial, measured="psf.tif")

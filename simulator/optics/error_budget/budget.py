@@ -76,15 +76,8 @@ def full_errors(
 
     Three depths and three wavelengths each: ``model`` (against ``exact`` by pixel, the whole mask) and ``direct_sum``
     (against the Rayleigh-Sommerfeld sum at random points; a crop of the mask where there is no LLVM, and absent where
-    light crosses layers, since the sum knows air only); ``field_angle``; ``spectrum``.
-
-    Args:
-        mask: the mask.
-        camera: the camera.
-        psf_config: what is checked.
-        corner: tangents (x, y) of the corner of the scene's field.
-        threads: depths computed at a time.
-        progress: functions called with (done, total), by the name of the part.
+    light crosses layers, since the sum knows air only); ``field_angle`` up to the ``corner`` of the scene's field (tangents
+    x, y); ``spectrum``. ``progress`` holds functions called with (done, total), by the name of the part.
     """
     told = progress or {}
     some = replace(psf_config, depths_m=three_depths(psf_config.depths_m))

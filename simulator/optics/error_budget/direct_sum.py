@@ -68,7 +68,7 @@ class Light(NamedTuple):
     cell_m: Any
 
 
-def true_intensity(
+def reference_intensity(
     mask: Mask,
     wavelength_m: float,
     distance_m: float,
@@ -95,9 +95,6 @@ def true_intensity(
 
     Returns:
         ``(N,)`` intensities and ``(N,)`` uncertainties, both float64.
-
-    Raises:
-        InputError: when a length is not plausible.
     """
     points = np.asarray(points_m, np.float64)
     if points.ndim != 2 or points.shape[1] != 2:
@@ -132,7 +129,7 @@ def mask_field(
 ) -> NDArray[np.complex128]:
     """Sum the wave behind a mask of ``factor`` cells per sample and axis, ``(N,)``, without the constant phase exp(ikd).
 
-    Arguments as for ``true_intensity``, but ``points_m`` are measured from the mask's axis.
+    Arguments as for ``reference_intensity``, but ``points_m`` are measured from the mask's axis.
     """
     cells = mask_cells(mask, factor)
     tan_x, tan_y = direction

@@ -31,14 +31,7 @@ def field_angle_error(
 
     Both are placed as a convolution places them; behind glass, where rays land elsewhere, that displacement is part of it.
 
-    Args:
-        mask: the mask.
-        camera: the camera.
-        psf_config: the model; the farthest of its depths is judged.
-        wavelength_m: wavelength, metres.
-        corner: tangents (x, y) of the field's corner: angles beyond it are left out, the corner comes last.
-        crop_m: width of the crop of the mask that is judged, metres.
-        progress: called with (done, total) after every angle.
+    The farthest depth is judged, on a crop of the mask, up to the field's ``corner`` (tangents x, y), which comes last.
 
     Returns:
         ``error`` (the largest) and ``table``, one row per angle with its direction; JSON-serialisable.
@@ -55,9 +48,9 @@ def field_angle_error(
     on_axis = next(iter(depth_images(crop, camera, config, wavelength_m, size)))
     table = []
     for direction in directions:
-        truth = next(iter(depth_images(crop, camera, exact, wavelength_m, size, direction=direction)))
+        reference = next(iter(depth_images(crop, camera, exact, wavelength_m, size, direction=direction)))
         angle = math.degrees(math.atan(math.hypot(*direction)))
-        error = float(np.linalg.norm(on_axis - truth) / np.linalg.norm(truth))
+        error = float(np.linalg.norm(on_axis - reference) / np.linalg.norm(reference))
         table.append({"degrees": angle, "direction": list(direction), "error": error})
         if progress is not None:
             progress(len(table), len(directions))

@@ -1,4 +1,4 @@
-"""How far the configured depth model is from the truth: from the direct sum at random points, from ``exact`` by pixel."""
+"""How far the configured depth model is from its references: the direct sum at random points, ``exact`` by pixel."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from simulator.optics.error_budget.direct_sum import true_intensity
-from simulator.optics.error_budget.sampling import judged_crop
+from simulator.optics.error_budget.direct_sum import reference_intensity
+from simulator.optics.error_budget.sampling import compared, judged_crop
 from simulator.optics.mask import Mask
-from simulator.optics.psf import Progress, PsfConfig, depth_images, sampled_intensity, stack_size
+from simulator.optics.psf import Progress, PsfConfig, sampled_intensity, stack_size
 from simulator.optics.spectra import quantile_lines
 from simulator.types import CameraGeometry
 
@@ -30,14 +30,7 @@ def pixel_error(
 ) -> dict[str, Any]:
     """Measure the relative L2 difference of the model's PSFs from the exact ones, on the sensor's pixels.
 
-    Args:
-        mask: the mask.
-        camera: the camera.
-        psf_config: the model and its depths.
-        wavelengths_m: wavelengths, metres.
-        crop_m: judge a crop of this width, metres; None judges the whole mask.
-        threads: depths computed at a time.
-        progress: called with (done, total) after every PSF.
+    A crop of the mask ``crop_m`` wide is judged, or all of it; ``progress`` is called with (done, total) after every PSF.
 
     Returns:
         ``error`` (the largest) and ``table``, one row per depth and wavelength; JSON-serialisable.
@@ -45,19 +38,7 @@ def pixel_error(
     part = judged_crop(mask, max(mask.shape) * mask.pitch_m if crop_m is None else crop_m)
     exact = replace(psf_config, model="exact")
     size = max(stack_size(part, camera, config) for config in (psf_config, exact))
-    table, total = [], len(wavelengths_m) * len(psf_config.depths_m)
-    for wavelength_m in wavelengths_m:
-        pairs = zip(
-            psf_config.depths_m,
-            depth_images(part, camera, psf_config, wavelength_m, size, threads=threads),
-            depth_images(part, camera, exact, wavelength_m, size, threads=threads),
-            strict=True,
-        )
-        for depth_m, found, truth in pairs:
-            error = float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
-            table.append({"wavelength_m": wavelength_m, "depth_m": depth_m, "error": error})
-            if progress is not None:
-                progress(len(table), total)
+    table = compared(part, camera, psf_config, exact, wavelengths_m, size, threads=threads, progress=progress)
     return {
         "error": max(row["error"] for row in table),
         "model": psf_config.model,
@@ -82,7 +63,7 @@ def direct_error(
     structure that a pixel would blur counts in full.
 
     Returns:
-        ``error`` (the largest) and ``table``, one row per depth and wavelength with the truth's own ``uncertainty``;
+        ``error`` (the largest) and ``table``, one row per depth and wavelength with the reference's own ``uncertainty``;
         JSON-serialisable.
     """
     rng = np.random.default_rng(seed)
@@ -90,14 +71,12 @@ def direct_error(
     for wavelength_m in wavelengths_m:
         for depth_m in psf_config.depths_m:
             places_m, found = sampled_intensity(mask, camera, psf_config, wavelength_m, depth_m, points, rng)
-            truth, off = true_intensity(mask, wavelength_m, camera.mask_to_sensor_m, depth_m, places_m)
-            norm = np.linalg.norm(truth)
-            row = {
-                "wavelength_m": wavelength_m,
-                "depth_m": depth_m,
-                "error": float(np.linalg.norm(found - truth) / norm),
-            }
-            table.append(row | {"uncertainty": float(np.linalg.norm(off) / norm)})
+            reference, off = reference_intensity(mask, wavelength_m, camera.mask_to_sensor_m, depth_m, places_m)
+            error, uncertainty = (
+                float(np.linalg.norm(x) / np.linalg.norm(reference)) for x in (found - reference, off)
+            )
+            row = {"wavelength_m": wavelength_m, "depth_m": depth_m, "error": error, "uncertainty": uncertainty}
+            table.append(row)
             if progress is not None:
                 progress(len(table), total)
     return {"error": max(row["error"] for row in table), "points": points, "table": table}

@@ -15,7 +15,7 @@ import numpy as np
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
 from simulator.optics.mask import Mask, steepest_frequency
-from simulator.optics.psf import PsfConfig, depth_images, stack_size
+from simulator.optics.psf import Progress, PsfConfig, depth_images, stack_size
 from simulator.optics.spectra import quantile_lines
 from simulator.types import CameraGeometry
 
@@ -48,17 +48,7 @@ def sampling_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
     coarse = replace(psf_config, depths_m=depths)
     fine = replace(coarse, oversampling=2 * psf_config.oversampling)
     wavelength = min(line.wavelength_m for line in quantile_lines(camera.response, psf_config.wavelengths_per_channel))
-    size = stack_size(crop, camera, fine)
-    table = []
-    pairs = zip(
-        depths,
-        depth_images(crop, camera, coarse, wavelength, size),
-        depth_images(crop, camera, fine, wavelength, size),
-        strict=True,
-    )
-    for depth, a, b in pairs:
-        error = float(np.linalg.norm(a - b) / np.linalg.norm(b))
-        table.append({"wavelength_m": wavelength, "depth_m": depth, "error": error})
+    table = compared(crop, camera, coarse, fine, [wavelength], stack_size(crop, camera, fine))
     return {
         "error": max(row["error"] for row in table),
         "error_bar": BAR * max(row["error"] for row in table),
@@ -66,6 +56,32 @@ def sampling_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
         "crop_m": max(crop.shape) * crop.pitch_m,
         "table": table,
     }
+
+
+def compared(
+    mask: Mask,
+    camera: CameraGeometry,
+    psf_config: PsfConfig,
+    reference: PsfConfig,
+    wavelengths_m: list[float],
+    size: int,
+    *,
+    threads: int = 1,
+    progress: Progress | None = None,
+) -> list[dict[str, float]]:
+    """Return the relative L2 difference of two settings' PSFs of ``size`` pixels, a row per wavelength and depth."""
+    table: list[dict[str, float]] = []
+    for wavelength_m in wavelengths_m:
+        found, expected = (
+            depth_images(mask, camera, settings, wavelength_m, size, threads=threads)
+            for settings in (psf_config, reference)
+        )
+        for depth_m, a, b in zip(psf_config.depths_m, found, expected, strict=True):
+            error = float(np.linalg.norm(a - b) / np.linalg.norm(b))
+            table.append({"wavelength_m": wavelength_m, "depth_m": depth_m, "error": error})
+            if progress is not None:
+                progress(len(table), len(wavelengths_m) * len(psf_config.depths_m))
+    return table
 
 
 def judged_crop(mask: Mask, width_m: float) -> Mask:
@@ -85,11 +101,7 @@ def judged_crop(mask: Mask, width_m: float) -> Mask:
 
 
 def prove_sampling(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -> dict[str, Any]:
-    """Measure the sampling error; warn above 1 %, refuse above 5 % or ``accept_error``.
-
-    Raises:
-        InputError: with the error and the cure.
-    """
+    """Measure the sampling error; warn above 1 %, refuse above 5 % or ``accept_error``."""
     if mask.profile == "smooth":
         _refuse_steep_phase(mask, camera, psf_config)
     report = sampling_error(mask, camera, psf_config)
@@ -98,9 +110,8 @@ def prove_sampling(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
         cure = _cure(report["oversampling"][1])
         raise InputError(
             "oversampling",
-            f"{psf_config.oversampling} gives a sampling error of {report['error']:.3f} (PSF on the sensor's "
-            f"pixels against {report['oversampling'][1]}), above the limit of {limit:g}; {cure}, or set "
-            "accept_error to allow it",
+            f"{psf_config.oversampling} gives a sampling error of {report['error']:.3f} (on pixels, against "
+            f"{report['oversampling'][1]}), above the limit of {limit:g}; {cure}, or set accept_error to allow it",
         )
     if report["error"] > WARN:
         warnings.warn(
@@ -120,8 +131,8 @@ def _refuse_steep_phase(mask: Mask, camera: CameraGeometry, psf_config: PsfConfi
         needed = int(np.ceil(2 * turns * psf_config.oversampling))
         raise InputError(
             "oversampling",
-            f"the smooth mask's phase turns by up to {turns:.2f} turns per sample at {shortest * 1e9:.0f} nm, "
-            f"more than the 0.5 that a grid can hold; {_cure(needed)}, or profile 'staircase' for a fabricated mask",
+            f"the smooth mask's phase turns by up to {turns:.2f} turns per sample at {shortest * 1e9:.0f} nm, expected "
+            f"at most 0.5; {_cure(needed)}, or profile 'staircase' for a fabricated mask",
         )
 
 

@@ -58,7 +58,7 @@ def spectral_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, ma
 def _known(
     mask: Mask, camera: CameraGeometry, wavelengths_m: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Leave out wavelengths at which a material has no data: a channel's far tail need not stop the check."""
+    """Leave out wavelengths at which a material has no data: a channel's far tail need not stop the budget."""
     materials = [mask.material, *(layer.material for layer in (*camera.gap, *camera.window))]
     kept = np.ones(len(wavelengths_m), bool)
     for number, wavelength_m in enumerate(wavelengths_m):

@@ -57,36 +57,6 @@ def test_electrons_of_a_white_pixel_are_those_counted_by_hand(trial):
     assert "quantum efficiency and spectral response nominal" in record["peak_quantum_efficiency_from"]
 
 
-def test_half_the_time_is_half_the_electrons_and_noisier_by_the_root_of_two(trial):
-    noise, mean = [], []
-    for ms in (4.0, 2.0):
-        # Shot noise alone; a converter fine enough not to be seen.
-        quiet = {"read_noise_e": 0, "row_noise_e": 0, "dark_current_e_per_s": 0, "dsnu_e": 0, "prnu_percent": 0}
-        sensor_config = {"shape": [48, 60], "binning": 8, "bit_depth": 24, "full_well_e": 1e6} | quiet
-        # A thousand electrons at most: this mask is small.
-        bright = {"exposure": {"illuminance_lux": 80000}}
-        config = _config(trial, ms=ms, camera={"sensor": sensor_config} | bright)
-        record = Assembly(config).fixed_exposure
-        assert record is not None
-        sensor = replace(Assembly(config).sensor, full_scale=record["full_scale"])
-        exposure = Assembly(config).forward_model.forward_clip(_white())
-        # 120 pictures of 3 x 48 x 60: 1.04e6 values.
-        rng, black = np.random.default_rng(1), sensor.black_level_dn / 2**24
-        pictures = np.array([sensor.expose(exposure, rng) for _ in range(120)], np.float64) - black
-        expected = sensor.noiseless(exposure).astype(np.float64) - black
-        # Standard errors: 1e-3 of the deviation for the mean, about 1e-3 for the deviation.
-        error = pictures - expected
-        assert abs(error.mean()) < 4e-3 * error.std()
-        electrons = expected * 2**24 / sensor.dn_per_electron * np.array(sensor.responsivity)[:, None, None]
-        shot = error * 2**24 / sensor.dn_per_electron * np.array(sensor.responsivity)[:, None, None]
-        variance = electrons / np.array(sensor.pixels_per_channel(3))[:, None, None]
-        assert shot.var() == pytest.approx(variance.mean(), rel=0.01)
-        noise.append(error.std() / pictures.mean())
-        mean.append(pictures.mean())
-    assert mean[1] == pytest.approx(mean[0] / 2, rel=1e-4)
-    assert noise[1] / noise[0] == pytest.approx(2**0.5, rel=5e-3)
-
-
 def test_the_scale_does_not_depend_on_the_time_and_follows_what_it_should(trial):
     def scale(**numbers):
         sensor = {"shape": [48, 60], "binning": 8} | numbers.pop("sensor", {})
@@ -109,15 +79,6 @@ def test_without_lux_the_channels_are_alike(trial):
     assert Assembly(config).fixed_exposure == {"full_scale": 3e-6, "from": "configuration"}
     assert Assembly(config).sensor.responsivity is None
     assert Assembly(load_config(trial.write(camera={"exposure": {"full_scale": "auto"}}))).fixed_exposure is None
-
-
-def test_the_readout_and_the_patterns_reach_the_sensor(trial):
-    chosen = {"shape": [48, 60], "binning": 8, "readout": "bayer", "cfa": "GBRG", "pattern_seed": 4, "dsnu_e": 2.5}
-    sensor = Assembly(_config(trial, camera={"sensor": chosen | {"row_noise_e": 1.5}})).sensor
-    assert (sensor.readout, sensor.cfa, sensor.stored_cfa) == ("bayer", "GBRG", "GRBG")
-    assert (sensor.pattern_seed, sensor.dsnu_e, sensor.row_noise_e) == (4, 2.5, 1.5)
-    assert sensor.channels(("R", "G", "B")) == ("mosaic",)
-    assert Assembly(load_config(trial.write())).sensor.cfa == "RGGB"
 
 
 def test_a_response_of_other_channels_is_refused(trial):

@@ -17,7 +17,7 @@ ONE = np.ones(1)
 
 @pytest.fixture
 def light() -> np.ndarray:
-    """A smooth spot far from the border, 30 irradiances bright, on an almost dark picture."""
+    """A smooth spot far from the border, 30 irradiances bright, on an almost dark image."""
     y, x = (np.arange(81) - 40 for _ in range(2))
     return 30 * np.exp(-(y[:, None] ** 2 + x[None] ** 2) / 50)[None].repeat(2, 0)
 
@@ -39,7 +39,7 @@ def test_a_perfect_camera_gives_the_light_back_whatever_the_stray_light(light) -
 def test_noise_falls_with_the_root_of_the_frames(frames) -> None:
     flat = np.full((1, 150, 150), 3.0)
     found, facts = record(flat, Recording(0.7, frames))
-    # Photons, read noise and rounding of the picture; read noise and rounding of the dark one. Electrons squared.
+    # Photons, read noise and rounding of the image; read noise and rounding of the dark one. Electrons squared.
     rounding = (FULL_WELL / (2**14 - 1 - 64)) ** 2 / 12
     variance = 0.7 * FULL_WELL + 2 * (READ**2 + rounding)
     expected = np.sqrt(variance / frames) / (0.7 * FULL_WELL)
@@ -48,7 +48,7 @@ def test_noise_falls_with_the_root_of_the_frames(frames) -> None:
     assert found.mean() == pytest.approx(3.0, rel=5 * expected / 150)
 
 
-def test_dark_pictures_remove_glow_and_pedestal_the_border_only_the_pedestal(light) -> None:
+def test_dark_images_remove_glow_and_pedestal_the_border_only_the_pedestal(light) -> None:
     pedestal, glow = 0.02, 0.05
     left = {
         name: record(light, Recording(0.5, 1, pedestal, glow, name), noise=NoNoise())[0]
@@ -112,8 +112,8 @@ def test_mistakes_are_named(wrong, words) -> None:
 
 def test_what_a_data_set_does_to_colours_is_no_part_of_a_calibration(light) -> None:
     """Gains are already those of the channels, and a mosaic's calibration is taken to see all colours everywhere."""
-    picture = np.concatenate([light, light[:1]])
+    image = np.concatenate([light, light[:1]])
     plain = replace(SENSOR, exposure_s=0.02, dark_current_e_per_s=50.0)
     odd = replace(plain, readout="bayer", responsivity=(0.5, 1.0, 0.2), exposure_s=tuple(np.linspace(0.01, 0.03, 8)))
-    found = [Recording().record(picture, np.ones(3), sensor, np.random.default_rng(0))[0] for sensor in (plain, odd)]
+    found = [Recording().record(image, np.ones(3), sensor, np.random.default_rng(0))[0] for sensor in (plain, odd)]
     np.testing.assert_allclose(found[1], found[0], rtol=1e-9)

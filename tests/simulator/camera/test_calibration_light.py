@@ -85,7 +85,7 @@ class TestLight:
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * expected.max())
 
     def test_a_source_to_the_right_is_where_rays_say(self) -> None:
-        """The ray from (X, Y, z) through (a, b, 0) meets the sensor at a - (X - a) d/z; the stored frame is turned."""
+        """The ray from (X, Y, z) through (a, b, 0) meets the sensor at a - (X - a) d/z; the stored frame is rotated."""
         amplitude = np.zeros((101, 101))
         row, column = 70, 35
         amplitude[row - 5 : row + 6, column - 5 : column + 6] = 1

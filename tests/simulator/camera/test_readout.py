@@ -1,6 +1,7 @@
 """Mosaics: which colour lies where, in whose frame, and that the noise is that of its own pixels."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ def _sensor(shape, **changes):
 
 @pytest.mark.parametrize("shape", [(8, 10), (7, 10), (8, 9), (7, 9)])
 @pytest.mark.parametrize("cfa", PATTERNS)
-def test_a_mosaic_picks_from_the_picture_as_the_physical_filter_array_does(shape, cfa):
+def test_a_mosaic_picks_from_the_image_as_the_physical_filter_array_does(shape, cfa):
     sensor = _sensor(shape, cfa=cfa, noise=PhysicalNoise(), responsivity=(0.5, 1.0, 0.75))
     light = np.random.default_rng(0).random((3, *shape), np.float32)
     physical = replace(sensor, readout="binned_rgb").noiseless(light)[:, ::-1, ::-1]
@@ -50,8 +51,8 @@ def test_opencv_recovers_the_colours_with_the_stored_pattern_and_with_no_other(c
     raw = np.round(sensor.expose(scene, None)[0] * 65535).astype(np.uint16)
 
     def error(pattern):
-        picture = cv2.cvtColor(raw, getattr(cv2, f"COLOR_Bayer{pattern}2RGB")).astype(np.float64) / 65535
-        return np.abs(np.moveaxis(picture, -1, 0) - scene)[:, 2:-2, 2:-2].max()
+        image = cv2.cvtColor(raw, getattr(cv2, f"COLOR_Bayer{pattern}2RGB")).astype(np.float64) / 65535
+        return np.abs(np.moveaxis(image, -1, 0) - scene)[:, 2:-2, 2:-2].max()
 
     # A pixel's neighbours average to it up to the scene's curvature, 0.2 / 40^2 / 2 for each step of one pixel.
     assert error(stored) < 3e-4
@@ -101,15 +102,14 @@ def test_what_has_no_three_colours_is_no_mosaic():
     assert sensor.channels(RGB) == ("mosaic",)
     assert replace(sensor, readout="binned_rgb").channels(("Y",)) == ("Y",)
     assert replace(sensor, readout="binned_rgb").stored_cfa is None
-    for names in (("Y",), ("B", "G", "R"), ("R", "G", "B", "N")):
-        with pytest.raises(InputError, match=r"^camera\.sensor\.readout: "):
-            sensor.channels(names)
-    with pytest.raises(InputError, match=r"^camera\.sensor\.readout: "):
-        sensor.expose(np.zeros((1, 6, 6), np.float32), None)
-    with pytest.raises(InputError, match=r"^cfa: "):
-        replace(sensor, cfa="RGBG")
-    with pytest.raises(InputError, match=r"^readout: "):
-        replace(sensor, readout="foveon")
+    for key, ask in (
+        *((r"camera\.sensor\.readout", partial(sensor.channels, n)) for n in (("Y",), ("B", "G", "R"), (*RGB, "N"))),
+        (r"camera\.sensor\.readout", lambda: sensor.expose(np.zeros((1, 6, 6), np.float32), None)),
+        ("cfa", lambda: replace(sensor, cfa="RGBG")),
+        ("readout", lambda: replace(sensor, readout="foveon")),
+    ):
+        with pytest.raises(InputError, match=rf"^{key}: "):
+            ask()
 
 
 def test_an_odd_number_of_mosaic_bins_reaches_further():

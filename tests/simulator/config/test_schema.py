@@ -21,10 +21,6 @@ MEASURED = "  measured: [a.tif, b.tif]\n  depths_cm: [5, inf]\n  frame: stored\n
 REFUSED = [
     # numbers in another unit, and on the wrong side
     ("mm: 1.9", "mm: ^532", "", ["camera.mask_to_sensor_mm:", "0.05 to 100 mm"]),
-    ("mm: 1.9", "mm: ^1.9e-3", "", ["0.05 to 100 mm"]),
-    ("mm: 1.9", "mm: ^0", "", []),
-    ("mm: 1.9", "mm: ^-1.9", "", []),
-    ("mm: 1.9", "mm: ^.inf", "", ["0.05 to 100 mm"]),
     ("binning: 4", "pixel_pitch_um: ^2.4e-6", "", ["0.3 to 100 um"]),
     ("binning: 4", "bit_depth: ^3", "", ["4 to 24 bits"]),
     ("binning: 4", "prnu_percent: ^51", "", ["0 to 50 percent"]),
@@ -32,58 +28,25 @@ REFUSED = [
     ("exposure_ms: 5", "exposure_ms: ^0", "", ["0.0001 to 100000 ms"]),
     ("psnr_db: 40", "psnr_db: ^121", "", ["0 to 120 dB"]),
     ("near_cm: 3.6", "near_cm: ^-3.6", "", ["psf.near_cm:"]),
-    ("near_cm: 3.6", "near_cm: ^0", "", []),
-    ("near_cm: 3.6", "near_cm: ^.inf", "", ["0.01 to 1e+07 cm"]),
     ("near_cm: 3.6", "near_cm: ^0.036", "", ["1.9 mm"]),
     (COMPUTED, "  depths_cm: [^0.1, 5]\n", "", ["psf.depths_cm[0]:"]),
     # layers
-    (
-        GAP,
-        "^gap: [{mm: 1, n: air}]\n  mask_to_sensor_mm: 1.9",
-        "",
-        ["camera.gap:", "mask_to_sensor_mm"],
-    ),
+    (GAP, "^gap: [{mm: 1, n: air}]\n  mask_to_sensor_mm: 1.9", "", ["camera.gap:", "mask_to_sensor_mm"]),
     (GAP, "gap: [{mm: 1.2, n: 1}, ^{mm: 0.7}]", "", ["camera.gap[1]:"]),
     (GAP, "gap: [{mm: 1.2, n: ^1.5, material: n-bk7}]", "", ["camera.gap[0].n:"]),
-    (GAP, "gap: [{mm: 1.2, n: ^0.5}]", "", ["camera.gap[0].n:", "1 to 4"]),
     (GAP, "gap: [{mm: 1.2, n: ^water}]", "", ["camera.gap[0].n:", "'water'"]),
     (GAP, "gap: [{mm: ^0, n: air}]", "", ["camera.gap[0].mm:", "0.0001 to 100 mm"]),
-    (
-        GAP,
-        "gap: ^[{mm: 0.01, n: air}, {mm: 0.02, n: 1.5}]",
-        "",
-        ["camera.gap:"],
-    ),
-    (
-        GAP,
-        f"{GAP}\n  substrate: {{mm: ^36, material: pmma, side: scene}}",
-        "",
-        ["36 mm", "3.6 cm"],
-    ),
+    (GAP, "gap: ^[{mm: 0.01, n: air}, {mm: 0.02, n: 1.5}]", "", ["camera.gap:"]),
+    (GAP, f"{GAP}\n  substrate: {{mm: ^36, material: pmma, side: scene}}", "", ["36 mm", "3.6 cm"]),
     (GAP, "gap: ^[]", "", ["camera.gap:"]),
     (GAP, "gap: [{mm: 1.2, ^nn: air}]", "", ["camera.gap[0].nn:"]),
-    (
-        GAP,
-        "gap: [{mm: 1.2, material: ^glass}]",
-        "",
-        ["camera.gap[0].material:", "'glass'"],
-    ),
-    (
-        GAP,
-        "gap: [{mm: 1.2, material: ^glass.csv}]",
-        "",
-        ["camera.gap[0].material:", "glass.csv:"],
-    ),
+    (GAP, "gap: [{mm: 1.2, material: ^glass}]", "", ["camera.gap[0].material:", "'glass'"]),
+    (GAP, "gap: [{mm: 1.2, material: ^glass.csv}]", "", ["camera.gap[0].material:", "glass.csv:"]),
     ("mm: 1.9", "mm: 1.9\n  ^substrate: {mm: 1, material: pmma}", "", ["camera.substrate.side:"]),
     (GAP, f"{GAP}\n  substrate: {{mm: 1, material: ^pmm, side: scene}}", "", ["camera.substrate.material:", "'pmm'"]),
     ("mm: 1.9", "mm: 1.9\n  substrate: {mm: 1, material: pmma, side: ^left}", "", []),
     # light
-    (
-        NOISE,
-        "illuminant: {led_nm: ^5.3e-7, fwhm_nm: 20}",
-        "",
-        ["camera.illuminant.led_nm:", "200 to 2000 nm"],
-    ),
+    (NOISE, "illuminant: {led_nm: ^5.3e-7, fwhm_nm: 20}", "", ["camera.illuminant.led_nm:", "200 to 2000 nm"]),
     (NOISE, "^illuminant: {led_nm: 532}", "", ["camera.illuminant.fwhm_nm:"]),
     (NOISE, "illuminant: [{led_nm: 532, fwhm_nm: ^0.1}]", "", ["camera.illuminant[0].fwhm_nm:"]),
     (NOISE, "illuminant: ^''", "", ["camera.illuminant:"]),
@@ -94,32 +57,19 @@ REFUSED = [
         "",
         ["psf.as_captured.illuminant:", "lamp.csv:"],
     ),
-    (
-        "binning: 4",
-        "spectral_response: ^x.json",
-        "",
-        ["camera.sensor.spectral_response:", "x.json:"],
-    ),
-    (
-        MASK,
-        "mask: {design: vortex, material: ^glas}",
-        "",
-        ["camera.mask.material:", "'glas'"],
-    ),
+    ("binning: 4", "spectral_response: ^x.json", "", ["camera.sensor.spectral_response:", "x.json:"]),
+    (MASK, "mask: {design: vortex, material: ^glas}", "", ["camera.mask.material:", "'glas'"]),
     (NOISE, "scene_to_camera: ^srgb", "", ["camera.scene_to_camera:", "'srgb'"]),
     (NOISE, "scene_to_camera: [^[1, 2]]", "", ["camera.scene_to_camera[0]:"]),
     # depths
     ("near_cm: 3.6", "near_cm: ^30", "", ["far_cm"]),
-    ("near_cm: 3.6", "near_cm: ^20", "", ["far_cm"]),
     ("depths: 5", "depths: ^0", "", ["1 to 1000"]),
     ("depths: 5", "depths: ^1", "", ["depths_cm"]),
-    ("depths: 5", "depths: ^5.0", "", []),
     ("  depths: 5\n", "", "10:1", ["psf:", "depths_cm"]),
     ("far_cm: 20", "far_cm: inf\n  spacing: ^log", "", ["'log'"]),
     ("depths: 5", "depths: 5\n  depths_cm: [4, 5]", "11:12", ["psf.near_cm:", "depths_cm"]),
     (COMPUTED, "  depths_cm: [5, ^4]\n", "", ["psf.depths_cm[1]:"]),
     (COMPUTED, "  depths_cm: [4, 6, ^6]\n", "", ["depths_cm[2]:"]),
-    (COMPUTED, "  depths_cm: [4, ^-6]\n", "", ["depths_cm[1]:", "0.01 to 1e+07 cm"]),
     (COMPUTED, "  depths_cm: ^[]\n", "", []),
     (COMPUTED, "  depths_cm: ^5\n", "", []),
     ("depths: 5", "depths: 5\n  accept_error: ^0", "", ["psf.accept_error:"]),
@@ -131,36 +81,24 @@ REFUSED = [
     (COMPUTED, f"{MEASURED}  ^near_cm: 3\n", "", ["psf.near_cm:"]),
     ("depths: 5", "depths: 5\n  ^frame: stored", "", ["psf.frame:", "'stored'"]),
     (COMPUTED, MEASURED.replace("[5, inf]", "^[5]"), "", []),
-    (COMPUTED, MEASURED.replace("5, inf", "5, ^5"), "", ["psf.depths_cm[1]:"]),
     (COMPUTED, MEASURED.replace("[a.tif, b.tif]", "^[]"), "", []),
     (COMPUTED, MEASURED.replace("  frame: stored\n", ""), "10:1", ["psf.frame:"]),
     (COMPUTED, MEASURED.replace("  throughput_mm2: 2\n", ""), "10:1", ["psf.throughput_mm2:"]),
     # the scene on the sensor
     ("size: [32, 32]", "size: [^33, 32]", "", ["scene.size[0]:"]),
-    ("size: [32, 32]", "size: [32, ^31]", "", ["scene.size[1]:"]),
-    ("size: [32, 32]", "size: [^66, 32]", "", []),
     ("size: [32, 32]", "size: [32, ^98]", "", []),
     ("size: [32, 32]", "size: [^0, 32]", "", ["1 to 32768"]),
     ("size: [32, 32]", "size: ^[32]", "", ["scene.size:"]),
-    ("size: [32, 32]", "size: ^[32, 32, 3]", "", []),
-    ("size: [32, 32]", "size: ^32", "", ["scene.size:"]),
     # counts
     ("binning: 4", "binning: ^0", "", ["1 to 64"]),
     ("[64, 96]", "[^-64, 96]", "", ["camera.sensor.shape[0]:"]),
     ("train: 2", "train: 0", "15:1", ["dataset:"]),
-    ("train: 2", "train: ^-1", "", []),
     ("train: 2", "train: 2, workers: ^0", "", ["1 to 1024"]),
     ("train: 2", "train: 2, workers: ^all", "", ["'all'"]),
     ("train: 2", "train: 2, slivers: ^0", "", ["dataset.slivers:"]),
-    ("train: 2", "train: 2, slivers: ^2.5", "", ["dataset.slivers:"]),
     ("train: 2", "train: 2, ground_truth: ^frame", "", ["'frame'", "'frames'"]),
     ("train: 2", "train: 2, global_measurements: ^1", "", ["dataset.global_measurements:"]),
-    (
-        "train: 2",
-        "train: 2, ground_truth: frames, global_measurements: ^true",
-        "",
-        ["ground_truth", "slivers:"],
-    ),
+    ("train: 2", "train: 2, ground_truth: frames, global_measurements: ^true", "", ["ground_truth", "slivers:"]),
     ("seed: 3", "seed: ^-1", "", ["seed:"]),
     ("full_scale: auto", "full_scale: ^0", "", ["1e-15 to 1e+15"]),
     # one of two
@@ -190,7 +128,6 @@ REFUSED = [
     ("output: out, ", "", "15:1", ["dataset.output:"]),
     ("output: out", "^outptu: out", "", ["dataset.outptu:", "'out'", "'output'"]),
     (f"{DATASET}\n", "", "1:1", ["dataset:"]),
-    ("family:", "^famly:", "", ["scene.famly:", "'family'"]),
     ("size:", "^siz:", "", ["scene.siz:", "'size'"]),
     ("design:", "^desing:", "", ["camera.mask.desing:", "'./plugins.py:mask'", "'design'"]),
     (MASK, "^mask: {}", "", ["camera.mask.design:"]),
@@ -201,7 +138,6 @@ REFUSED = [
     ('"./plugins.py:room"', "^rooom", "", ["scene.family:", "'rooom'"]),
     ("width_mm: 2", "^width: 2", "", ["camera.mask.width:", "'width_mm'"]),
     ("width_mm: 2", "width_mm: ^21", "", ["camera.mask.width_mm:"]),
-    ("width_mm: 2", "charge: ^2.5", "", ["camera.mask.charge:"]),
     ("width_mm: 2", "kind: ^c", "", ["camera.mask.kind:", "'c'"]),
     ("path: room.ply", "path: ^3", "", ["scene.path:"]),
     ("path: room.ply", "^backend: llvm", "", ["scene.backend:", "'llvm'"]),
@@ -210,17 +146,8 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("old", "new", "place", "words"), REFUSED, ids=[f"{row[1]!r:.40}" for row in REFUSED])
-def test_refused(write: Callable[..., Path], old: str, new: str, place: str, words: list[str]) -> None:
-    path = write(old, new.replace("^", ""))
-    if "^" in new:
-        before = path.read_text("utf-8").partition(new.replace("^", ""))[0] + new.partition("^")[0]
-        place = f"{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
-    with pytest.raises(InputError) as caught:
-        load_config(path)
-    message = str(caught.value)
-    assert "\n" not in message, "one fault, one line"
-    assert message.startswith(f"{path}:{place}: "), message
-    assert all(word in message for word in words), message
+def test_refused(refused: Callable[..., None], old: str, new: str, place: str, words: list[str]) -> None:
+    refused(old, new, place, words)
 
 
 def test_all_faults_of_a_file_are_listed_from_top_to_bottom(write: Callable[..., Path]) -> None:
@@ -251,6 +178,8 @@ def test_all_faults_of_a_file_are_listed_from_top_to_bottom(write: Callable[...,
         ("full_scale: auto", "full_scale: 2"),
         (NOISE, "noise: {type: gaussian, std: 1e-3, peak: full_scale, clip: true}"),
         (NOISE, "noise: {type: physical}"),
+        ("full_scale: auto", "illuminance_lux: 1000"),
+        (SENSOR, "sensor: {shape: [64, 96], binning: 4, readout: bayer}"),
         (f"  {NOISE}\n", ""),
         ("width_mm: 2", "width_mm: 2, kind: b, charge: -1"),
         ("train: 2", "train: 0, test: 1, workers: 3"),
@@ -266,14 +195,9 @@ def test_accepted(write: Callable[..., Path], old: str, new: str) -> None:
     load_config(write(old, new))
 
 
-def test_one_array_may_hold_the_psfs_of_all_depths(write: Callable[..., Path]) -> None:
-    path = write(COMPUTED, MEASURED.replace("a.tif, b.tif", "all.npy"))
-    path.write_text(path.read_text("utf-8").replace(f"  {MASK}\n", ""), encoding="utf-8")
-    assert load_config(path).psf.depths_cm == (5.0, float("inf"))
-
-
-def test_a_measured_psf_needs_no_mask(write: Callable[..., Path]) -> None:
-    path = write(COMPUTED, f"{MEASURED}  background: dark.tif\n")
+@pytest.mark.parametrize("files", ["a.tif, b.tif", "all.npy"])
+def test_a_measured_psf_needs_no_mask(write: Callable[..., Path], files: str) -> None:
+    path = write(COMPUTED, MEASURED.replace("a.tif, b.tif", files) + "  background: dark.tif\n")
     path.write_text(path.read_text("utf-8").replace(f"  {MASK}\n", ""), encoding="utf-8")
     config = load_config(path)
     assert config.camera.mask is None

@@ -1,5 +1,6 @@
 """``camera.shutter``: every kind, and every mistake at its line and column."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -70,10 +71,7 @@ def _csv(table: np.ndarray, head: str = "") -> str:
             "shutter: {type: rolling, exposure_ms: 3, line_time_us: 20, direction: up}",
             RollingShutter(3e-3, 20e-6, "up", 4),
         ),
-        (
-            "shutter: {type: dual_rolling, line_time_us: 9.5}",
-            DualRollingShutter(10e-3, 9.5e-6, "outside_in", 4),
-        ),
+        ("shutter: {type: dual_rolling, line_time_us: 9.5}", DualRollingShutter(10e-3, 9.5e-6, "outside_in", 4)),
         (
             "shutter: {type: dual_rolling, line_time_us: 9.5, order: centre_out}",
             DualRollingShutter(10e-3, 9.5e-6, "centre_out", 4),
@@ -129,14 +127,11 @@ def test_windows_from_a_function_with_parameters_of_its_own(write: Callable[...,
 
 REFUSED = [
     ("shutter: {type: ^roling, line_time_us: 9}", ["camera.shutter.type:", "'roling'", "'rolling'"]),
-    ("shutter: {^type: rolling}", ["camera.shutter.line_time_us:"]),
+    ("^shutter: {type: rolling}", ["camera.shutter.line_time_us:"]),
     ("shutter: {type: dual_rolling, line_time_us: ^0}", ["0.001 to 1e+06 us"]),
     ("shutter: {type: rolling, line_time_us: 9, exposure_ms: ^0}", []),
     ("shutter: {type: rolling, line_time_us: 9, direction: ^dwn}", ["'down'"]),
-    (
-        "shutter: {type: dual_rolling, line_time_us: 9, order: ^in}",
-        ["outside_in"],
-    ),
+    ("shutter: {type: dual_rolling, line_time_us: 9, order: ^in}", ["outside_in"]),
     ("shutter: {type: rolling, ^line_tme_us: 9}", ["line_tme_us:", "'line_time_us'"]),
     ("shutter: {exposure_ms: 5, ^line_time_us: 9}", []),
     ("shutter: {type: rolling, line_time_us: 9, ^order: outside_in}", ["dual_rolling"]),
@@ -149,30 +144,15 @@ REFUSED = [
     ("shutter: {type: windows, file: ^shutters.py}", []),
     ("shutter: {type: windows, function: ^staircase}", ["'staircase'"]),
     ('shutter: {type: windows, function: ^"./shutters.py:stair"}', ["'stair'", "'staircase'"]),
-    (
-        'shutter: {type: windows, function: "./shutters.py:staircase", ^step: 2}',
-        ["camera.shutter.step:", "'steps'"],
-    ),
-    (
-        'shutter: {type: windows, function: "./shutters.py:staircase", steps: ^0}',
-        ["camera.shutter.steps:"],
-    ),
+    ('shutter: {type: windows, function: "./shutters.py:staircase", ^step: 2}', ["camera.shutter.step:", "'steps'"]),
+    ('shutter: {type: windows, function: "./shutters.py:staircase", steps: ^0}', ["camera.shutter.steps:"]),
 ]
 
 
 @pytest.mark.usefixtures("functions")
 @pytest.mark.parametrize(("new", "words"), REFUSED, ids=[row[0] for row in REFUSED])
-def test_mistakes_are_refused_at_their_place(write: Callable[..., Path], new: str, words: list[str]) -> None:
-    path = write(SHUTTER, new.replace("^", ""))
-    before = path.read_text("utf-8").partition(new.replace("^", ""))[0] + new.partition("^")[0]
-    place = f"{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
-    with pytest.raises(InputError) as caught:
-        load_config(path)
-    message = str(caught.value)
-    assert "\n" not in message, "one fault, one line"
-    if "missing" not in message:  # a missing key has no place of its own: the mapping's is given
-        assert message.startswith(f"{path}:{place}: "), message
-    assert all(word in message for word in words), message
+def test_mistakes_are_refused_at_their_place(refused: Callable[..., None], new: str, words: list[str]) -> None:
+    refused(SHUTTER, new, "", words)
 
 
 TABLES = [
@@ -221,9 +201,8 @@ def test_an_array_of_another_kind_is_refused(write, tmp_path: Path, array: np.nd
 )
 def test_a_function_that_gives_no_windows_is_named(write, name: str, words: str) -> None:
     config = load_config(write(SHUTTER, f'shutter: {{type: windows, function: "./shutters.py:{name}"}}'))
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=re.escape(words)):
         _ = Assembly(config).shutter
-    assert words in str(caught.value)
 
 
 def test_a_data_set_of_somebody_else_opens_no_file(write, tmp_path: Path) -> None:
@@ -236,16 +215,7 @@ def test_a_data_set_of_somebody_else_opens_no_file(write, tmp_path: Path) -> Non
 def test_the_json_schema_knows_every_kind() -> None:
     kinds = json_schema()["$defs"]["CameraConfig"]["properties"]["shutter"]["discriminator"]["mapping"]
     assert set(kinds) == {"global", "rolling", "dual_rolling", "windows"}
-    assert kinds["rolling"]["properties"]["line_time_us"] == {
-        "title": "Line Time Us",
-        "type": "number",
-        "minimum": 1e-3,
-        "maximum": 1e6,
-        "description": "time from one physical row's opening to the next, microseconds",
-    }
+    line_time = kinds["rolling"]["properties"]["line_time_us"]
+    assert (line_time["type"], line_time["minimum"], line_time["maximum"]) == ("number", 1e-3, 1e6)
+    assert line_time["description"].endswith("opening to the next, microseconds")
     assert "binning" not in kinds["rolling"]["properties"]  # the sensor's
-
-
-@pytest.mark.parametrize(("yaml", "time"), [("", "integral"), ("forward: {time: mean}\n", "mean")])
-def test_what_a_pixel_adds_up_is_chosen(write, yaml: str, time: str) -> None:
-    assert load_config(write("seed: 3\n", f"seed: 3\n{yaml}")).forward.time == time

@@ -31,13 +31,10 @@ from simulator.errors import InputError
         ("~", None),
         # The rest is text here, though PyYAML's own loader takes it for booleans, times, base 60 or 16.
         ("on", "on"),
-        ("yes", "yes"),
         ("no", "no"),
-        ("off", "off"),
         ("2026-11-21", "2026-11-21"),
         ("1:30", "1:30"),
         ("0x10", "0x10"),
-        ("0b11", "0b11"),
         ("1_000", "1_000"),
         ("inf", "inf"),
         ("Größe 日本 😀", "Größe 日本 😀"),

@@ -42,17 +42,6 @@ def test_the_light_gathers_in_the_target(target):
     assert shares[16] > 10 * _inside(random, target)
 
 
-def test_the_pattern_is_sharp_at_its_distance_only(target):
-    phase = retrieve_phase(target, PITCH, GREEN, D, 8).phase
-
-    def likeness(distance_m):
-        return np.corrcoef(_intensity(phase, distance_m).ravel(), target.ravel())[0, 1]
-
-    assert likeness(D) > 0.9  # measured 0.93, 0.28, 0.17
-    assert likeness(D / 2) < 0.5
-    assert likeness(2 * D) < 0.4
-
-
 def test_the_pattern_is_neither_turned_nor_mirrored():
     """One dot off the middle: the phase is a lens that focuses there."""
     target = np.zeros((96, 80), np.float32)
@@ -72,7 +61,9 @@ def test_the_scale_of_the_target_does_not_matter(target):
 
 
 def test_the_result_is_deterministic_and_single_precision(target):
+    before = target.copy()
     first, second = (retrieve_phase(target, PITCH, GREEN, D, 2).phase for _ in range(2))
+    np.testing.assert_array_equal(target, before)
     np.testing.assert_array_equal(first, second)
     assert first.dtype == np.float32
     assert first.shape == target.shape
@@ -112,25 +103,20 @@ def test_threads_do_not_change_the_result(threads):
     np.testing.assert_array_equal(one.phase, many.phase)
 
 
-def test_the_target_is_not_changed(target):
-    before = target.copy()
-    retrieve_phase(target, PITCH, GREEN, D, 2)
-    np.testing.assert_array_equal(target, before)
-
-
 @pytest.mark.parametrize(
-    ("target", "iterations", "words"),
+    ("target", "iterations", "tolerance", "words"),
     [
-        (np.zeros((8, 8), np.float32), 3, "^target: "),
-        (np.full((8, 8), -1, np.float32), 3, "^target: "),
-        (np.full((8, 8), np.nan, np.float32), 3, "^target: "),
-        (np.ones(8, np.float32), 3, "^target: "),
-        (np.ones((8, 8), np.float32), 0, "^iterations: "),
+        (np.zeros((8, 8), np.float32), 3, 0, "^target: "),
+        (np.full((8, 8), -1, np.float32), 3, 0, "^target: "),
+        (np.full((8, 8), np.nan, np.float32), 3, 0, "^target: "),
+        (np.ones(8, np.float32), 3, 0, "^target: "),
+        (np.ones((8, 8), np.float32), 0, 0, "^iterations: "),
+        (np.ones((8, 8), np.float32), 2, -0.1, "^tolerance: "),
     ],
 )
-def test_senseless_requests_are_refused(target, iterations, words):
+def test_senseless_requests_are_refused(target, iterations, tolerance, words):
     with pytest.raises(InputError, match=words):
-        retrieve_phase(target, PITCH, GREEN, D, iterations)
+        retrieve_phase(target, PITCH, GREEN, D, iterations, tolerance=tolerance)
 
 
 def test_a_grid_that_exceeds_the_memory_is_refused(target, monkeypatch):
@@ -138,8 +124,3 @@ def test_a_grid_that_exceeds_the_memory_is_refused(target, monkeypatch):
     monkeypatch.setattr(memory, "machine_bytes", lambda: 10**6)
     with pytest.raises(InputError, match=r"^pixel_um: "):
         retrieve_phase(target, PITCH, GREEN, 1.0, 1)
-
-
-def test_a_negative_tolerance_is_refused(target):
-    with pytest.raises(InputError, match=r"^tolerance: "):
-        retrieve_phase(target, PITCH, GREEN, D, 2, tolerance=-0.1)

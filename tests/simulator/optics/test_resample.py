@@ -35,24 +35,6 @@ def test_box_integral_equals_the_cell_by_cell_sum(origin, width, centres):
     np.testing.assert_allclose(band.apply(samples[:, None], -2)[:, 0], expected, atol=1e-12)
 
 
-def test_box_integral_of_a_parabola():
-    """Integral over (c - w/2, c + w/2) of x^2 = w c^2 + w^3 / 12; cells of 0.01 are exact to pitch^2 / 12 per unit length."""
-    pitch, width = 0.01, 0.7
-    x = (np.arange(1001) - 500) * pitch
-    centres = np.arange(-4, 4.1, 0.713)
-    got = box_integral(500.0, pitch, centres, width).apply((x**2)[None], -1)[0]
-    np.testing.assert_allclose(got, width * centres**2 + width**3 / 12, atol=2e-4)
-
-
-@pytest.mark.parametrize("width", [0.37, 1.0, 2.6, 19.2])
-def test_a_gapless_row_of_boxes_loses_nothing(width):
-    samples = np.random.default_rng(1).random((3, 57))
-    half = int(40 / width) + 2
-    centres = np.arange(-half, half + 1) * width
-    band = box_integral(28.0, 1.0, centres, width)
-    np.testing.assert_allclose(band.apply(samples, -1).sum(-1), samples.sum(-1), rtol=1e-12)
-
-
 @pytest.mark.parametrize("axis", [-1, -2])
 def test_a_band_is_its_matrix_on_numpy_and_torch(axis):
     """Also when its reach begins before and ends behind the input, and for more outputs than one tile."""

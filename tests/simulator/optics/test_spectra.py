@@ -1,6 +1,7 @@
 """Curves and lights from files and LEDs, responses, the quantile lines that stand for them, and electrons per lux."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -30,9 +31,6 @@ def _csv(folder, text, name="sensor.csv"):
     return camera_curves(name, folder)
 
 
-# --- LEDs
-
-
 @pytest.mark.parametrize(("centre_nm", "fwhm_nm"), [(532, 20), (850, 40), (632.8, 1), (455.3, 17.5)])
 def test_an_led_has_its_centre_width_and_power(centre_nm, fwhm_nm):
     """Area 1.0645 fwhm x peak; mean = centre; standard deviation fwhm / 2.3548: a Gaussian's, tails cut at 3e-8."""
@@ -55,18 +53,6 @@ def test_several_leds_add_by_power():
     share = np.trapezoid(power[blue], wavelengths[blue]) / np.trapezoid(power, wavelengths)
     assert share == pytest.approx(0.25, abs=1e-6)
     assert light.label == "LED 455 nm (20 nm wide) + LED 620 nm (10 nm wide)"
-
-
-def test_a_narrow_led_gives_lines_at_its_centre():
-    """Over 2 nm the camera's curves hardly change: the channels' lines lie within a tenth of a nanometre of each other."""
-    response = spectral_response(illuminant=[Led(532 * NM, 2 * NM)])
-    lines = quantile_lines(response, 1)
-    assert [line.wavelength_m / NM for line in lines] == [pytest.approx(532, abs=0.1)] * 3
-    spread = np.std([line.wavelength_m / NM for line in quantile_lines(response, 50) if line.channel == 1])
-    assert spread == pytest.approx(2 / np.sqrt(8 * np.log(2)), rel=0.02)  # 50 shares lose 1 % of a Gaussian's variance
-
-
-# --- files
 
 
 def test_columns_are_found_by_name_and_unit(tmp_path):
@@ -104,7 +90,7 @@ def test_only_ratios_count(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("400,1,2\n500,1,2\n", "expected one (a monochrome sensor, a light), or red, green and blue"),
+        ("400,1,2\n500,1,2\n", "expected one (monochrome, a light), or red, green and blue"),
         ("nm,x,y,z\n400,1,2,3\n500,1,2,3\n", "columns x, y, z; expected one"),
         ("400,-1\n500,2\n", "values"),
         ("400,0\n500,0\n", "values"),
@@ -112,9 +98,8 @@ def test_only_ratios_count(tmp_path):
     ],
 )
 def test_bad_curves_are_refused(tmp_path, text, words):
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=re.escape(words)):
         _csv(tmp_path, text)
-    assert words in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -145,9 +130,6 @@ def test_materials_unknown_at_a_channels_wavelength_are_refused():
     check_materials(response, lines, [load_material("fused-silica"), load_material("n-bk7")])
     with pytest.raises(InputError, match=r"'B' of Nikon 5100 \(NPL\) under D65.* 44.* nm .*'noa61'"):
         check_materials(response, lines, [load_material("fused-silica"), load_material("noa61")])
-
-
-# --- real files
 
 
 @pytest.mark.shared
@@ -181,15 +163,6 @@ def test_rawtoaces_files(shared_data):
     assert tungsten.values[0, [0, 1, -1]] == pytest.approx([0.04, 0.05, 1.0])
 
 
-@pytest.mark.shared
-def test_two_measurements_of_one_camera_agree(shared_data):
-    """NPL's and rawtoaces' Nikon D5100 (two laboratories, two bodies): the channels' centroids lie within 5 nm."""
-    path = shared_data / "sensor_spectral/rawtoaces/data/camera/Nikon_D5100_380_780_5.json"
-    responses = [spectral_response(name) for name in (str(path), "Nikon 5100 (NPL)")]
-    ours, theirs = ((r.weights @ r.wavelengths_m) / r.weights.sum(1) / NM for r in responses)
-    np.testing.assert_allclose(ours, theirs, atol=5)
-
-
 # ---- responses and their lines
 
 
@@ -201,16 +174,6 @@ def _response(wavelengths_nm, *weights):
 
 def _lines_nm(response, count, channel=0):
     return [line.wavelength_m / NM for line in quantile_lines(response, count) if line.channel == channel]
-
-
-# --- quantile lines
-
-
-def test_lines_of_a_box_are_evenly_spaced():
-    """A flat response from 500 to 600 nm: n equal shares of width 100 / n, each with its centre."""
-    response = _response(np.arange(500, 601), np.ones(101))
-    for count in (1, 2, 5):
-        np.testing.assert_allclose(_lines_nm(response, count), 500 + (np.arange(count) + 0.5) * 100 / count, atol=1e-3)
 
 
 def test_lines_of_a_triangle():
@@ -254,15 +217,6 @@ def test_every_channel_has_unit_weight_and_its_own_mean_wavelength(count):
         assert np.all(np.diff([line.wavelength_m for line in mine]) > 0)
 
 
-def test_lines_of_a_box_are_the_midpoint_rule():
-    """Its error falls by 4 when the lines double; the integral of cos(k l) over the box is known."""
-    response = _response(np.arange(500, 601), np.ones(101))
-    k = 0.04  # per nm: two thirds of a fringe over the box
-    truth = (np.sin(k * 600) - np.sin(k * 500)) / (k * 100)
-    errors = np.array([abs(np.mean(np.cos(k * np.array(_lines_nm(response, n)))) - truth) for n in (4, 8, 16, 32)])
-    np.testing.assert_allclose(errors[:-1] / errors[1:], 4, rtol=0.05)
-
-
 def test_the_lines_of_a_camera_integrate_ever_better():
     """What a PSF needs: the response's mean of cos(2 pi h / l), the fringes of mask steps to 2 um, RMS over h and channel.
 
@@ -271,13 +225,13 @@ def test_the_lines_of_a_camera_integrate_ever_better():
     response = spectral_response()
     heights = np.linspace(0.1e-6, 2e-6, 60)[:, None]
     shares = response.weights / response.weights.sum(1, keepdims=True)
-    truth = np.cos(2 * np.pi * heights / response.wavelengths_m) @ shares.T
+    reference = np.cos(2 * np.pi * heights / response.wavelengths_m) @ shares.T
     errors = []
     for count in (1, 3, 9, 27):
-        got = np.zeros_like(truth)
+        got = np.zeros_like(reference)
         for line in quantile_lines(response, count):
             got[:, line.channel] += line.weight * np.cos(2 * np.pi * heights[:, 0] / line.wavelength_m)
-        errors.append(np.sqrt(np.mean((got - truth) ** 2)))
+        errors.append(np.sqrt(np.mean((got - reference) ** 2)))
     assert np.all(np.array(errors[:-1]) / errors[1:] > 2)
     assert errors[-1] < 0.02
 
@@ -293,11 +247,8 @@ def test_a_dark_channel_is_refused():
         quantile_lines(_response([500, 510, 520], [1, 2, 1], [0, 0, 0]), 3)
 
 
-# --- responses
-
-
 def test_the_default_response_is_d65_times_camera_times_wavelength():
-    """Centroids by colour-science's own tables and rectangle sums on their common 5 nm samples."""
+    """By colour-science's own tables, on their common 5 nm samples."""
     import colour
 
     response = spectral_response()
@@ -305,34 +256,12 @@ def test_the_default_response_is_d65_times_camera_times_wavelength():
     d65 = colour.SDS_ILLUMINANTS["D65"]
     for channel in range(3):
         photons = np.array([camera[w][channel] * d65[w] * w for w in camera.wavelengths])
-        expected = np.sum(photons * camera.wavelengths) / photons.sum()
         weights = response.weights[channel]
-        got = np.sum(weights * response.wavelengths_m) / weights.sum() / NM
-        assert got == pytest.approx(expected, abs=0.2)  # 5 nm against 1 nm sums
         # On the table's own wavelengths the product is exact up to one common factor.
         index = np.rint(camera.wavelengths - response.wavelengths_m[0] / NM).astype(int)
         seen = photons > 1e-6 * photons.max()
         ratio = weights[index][seen] / photons[seen]
         np.testing.assert_allclose(ratio / ratio[0], 1, rtol=1e-9)
-
-
-def test_the_stand_in_is_labelled_nominal():
-    response = spectral_response()
-    assert response.channels == ("R", "G", "B")
-    assert response.label == f"{NOMINAL_CAMERA} under D65, nominal"
-    assert np.all(response.weights >= 0)
-    np.testing.assert_allclose(np.diff(response.wavelengths_m), NM, rtol=1e-6)
-    peaks = response.wavelengths_m[np.argmax(response.weights, axis=1)] / NM
-    assert peaks[0] > 570 > peaks[1] > 500 > peaks[2]
-
-
-def test_another_light_shifts_the_response():
-    """Incandescent light (A) is redder than daylight in every channel."""
-    incandescent, daylight = (
-        (response.weights @ response.wavelengths_m) / response.weights.sum(1)
-        for response in (spectral_response(illuminant=light) for light in ("A", "D65"))
-    )
-    assert np.all(incandescent - daylight > 2 * NM)
 
 
 def test_equal_energy_leaves_sensitivity_times_wavelength():
@@ -348,10 +277,7 @@ def test_equal_energy_leaves_sensitivity_times_wavelength():
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [
-        ({"camera": "Nikon 5100"}, "^spectral_response: "),
-        ({"illuminant": "D66"}, "^illuminant: "),
-    ],
+    [({"camera": "Nikon 5100"}, "^spectral_response: "), ({"illuminant": "D66"}, "^illuminant: ")],
 )
 def test_unknown_names_are_refused_with_the_known_ones(arguments, words):
     with pytest.raises(InputError, match=words):
@@ -369,14 +295,6 @@ def flat(tmp_path):
     """Name of a sensor that counts a share of all photons from 360 to 830 nm, and its folder."""
     (tmp_path / "flat.csv").write_text("360,0.25\n830,0.25\n")
     return "flat.csv", tmp_path
-
-
-def test_a_lux_of_555_nm_is_four_quadrillion_photons(flat):
-    """1 lux of 555 nm is 1/683 W/m2, 4.09e15 photons per second and square metre; a steradian of white gets 1/pi of them."""
-    rates = electron_rates(flat[0], (Led(555e-9, 1e-9),), flat[1])
-    # The peak is scaled to 1; V falls by 2e-4 within the line's width.
-    assert rates == pytest.approx({"Y": 555e-9 / (H * C) / 683 / np.pi}, rel=1e-3)
-    assert rates["Y"] * np.pi == pytest.approx(4.09e15, rel=1e-3)
 
 
 @pytest.mark.parametrize(("led_nm", "efficiency"), [(480, 0.13902), (510, 0.503), (620, 0.381)])

@@ -36,15 +36,15 @@ def _with(index, value):
 @pytest.mark.parametrize(
     ("values", "depths", "channels", "words"),
     [
-        (np.ones((2, 3, 3)), (0.1, 0.2), ("R", "G"), r"\(K, C, H, W\), got shape \(2, 3, 3\)"),
-        (np.ones((2, 2, 3, 3)), (0.1,), ("R", "G"), "need 2 depths and 2 channel names, got 1 and 2"),
-        (np.ones((2, 2, 3, 3)), (0.1, 0.2), ("R", "G", "B"), "got 2 and 3"),
-        (_with((0, 0, 1, 1), np.nan), (0.1, 0.2), ("R", "G"), "finite and not negative"),
-        (_with((0, 0, 1, 1), np.inf), (0.1, 0.2), ("R", "G"), "finite and not negative"),
-        (_with((1, 0, 0, 0), -1e-9), (0.1, 0.2), ("R", "G"), "finite and not negative"),
-        (_with((1, 0), 0), (0.1, 0.2), ("R", "G"), "at depth 0.2 m, channel 'R' is zero everywhere"),
-        (np.ones((2, 2, 3, 3)), (0.2, 0.1), ("R", "G"), "increase strictly"),
-        (np.ones((2, 2, 3, 3)), (-0.1, 0.2), ("R", "G"), "got -0.1 m"),
+        (np.ones((2, 3, 3)), (0.1, 0.2), ("R", "G"), "^values: "),
+        (np.ones((2, 2, 3, 3)), (0.1,), ("R", "G"), "^depths_m, channels: "),
+        (np.ones((2, 2, 3, 3)), (0.1, 0.2), ("R", "G", "B"), "^depths_m, channels: "),
+        (_with((0, 0, 1, 1), np.nan), (0.1, 0.2), ("R", "G"), "^values: "),
+        (_with((0, 0, 1, 1), np.inf), (0.1, 0.2), ("R", "G"), "^values: "),
+        (_with((1, 0, 0, 0), -1e-9), (0.1, 0.2), ("R", "G"), "^values: "),
+        (_with((1, 0), 0), (0.1, 0.2), ("R", "G"), "^values: .*0.2 m, channel 'R'"),
+        (np.ones((2, 2, 3, 3)), (0.2, 0.1), ("R", "G"), "^depths_m: "),
+        (np.ones((2, 2, 3, 3)), (-0.1, 0.2), ("R", "G"), "^depths_m: "),
     ],
 )
 def test_stacks_that_break_the_rules_are_refused(values, depths, channels, words):
@@ -58,11 +58,6 @@ def test_stacks_that_break_the_rules_are_refused(values, depths, channels, words
 def test_senseless_depths_are_refused(depths):
     with pytest.raises(InputError, match=r"^depths_m: "):
         check_depths(np.array(depths))
-
-
-@pytest.mark.parametrize("depths", [[0.1], [0.1, np.inf], [np.inf], [0.01, 0.1, 5.0]])
-def test_sensible_depths_pass(depths):
-    check_depths(np.array(depths))
 
 
 @pytest.mark.parametrize(
@@ -91,11 +86,11 @@ def test_one_depth_is_the_middle_of_the_range():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((0.1, 0.2, 3, "cubic"), "spacing:"),
-        ((0.1, 0.2, 0), "got 0 depths"),
-        ((0.2, 0.1, 3), "0 < near < far"),
-        ((0.0, 0.1, 3), "0 < near < far"),
-        ((-0.1, 0.1, 3), "0 < near < far"),
+        ((0.1, 0.2, 3, "cubic"), "^spacing: "),
+        ((0.1, 0.2, 0), "^near, far, count: "),
+        ((0.2, 0.1, 3), "^near, far, count: "),
+        ((0.0, 0.1, 3), "^near, far, count: "),
+        ((-0.1, 0.1, 3), "^near, far, count: "),
         ((0.1, np.inf, 3, "log"), "^far: "),
         ((0.1, np.inf, 3, "linear"), "^far: "),
     ],

@@ -1,9 +1,11 @@
 """What the figures show: Gaussian PSFs of known width, and clips whose every pixel is known."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import RendererAgg
 
 from simulator.optics.stack import PsfStack
 from simulator.plots.comparison import Candidate, judge
@@ -70,3 +72,18 @@ def draw_clip(frames: int = 1, rows: int = 64, columns: int = 64, extras: bool =
 def known_clip() -> Callable[..., Clip]:
     """The function draw_clip."""
     return draw_clip
+
+
+@pytest.fixture
+def written(monkeypatch: pytest.MonkeyPatch) -> dict[Any, Any]:
+    """What is written into figures while they are drawn: {text artist: its box}, ticks outside the axes left out."""
+    boxes = {}
+    draw_text = RendererAgg.draw_text
+
+    def record(self, gc, x, y, s, prop, angle, ismath=False, mtext=None):
+        if mtext is not None and s.strip():
+            boxes[mtext] = mtext.get_window_extent(self)
+        return draw_text(self, gc, x, y, s, prop, angle, ismath, mtext)
+
+    monkeypatch.setattr(RendererAgg, "draw_text", record)
+    return boxes

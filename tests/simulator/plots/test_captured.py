@@ -55,11 +55,11 @@ def test_differences_of_a_stack_that_is_a_tenth_brighter(stacks) -> None:
         assert words in table
 
 
-def test_the_picture_is_drawn(stacks, tmp_path) -> None:
+def test_the_image_is_drawn(stacks, tmp_path) -> None:
     from PIL import Image
 
-    picture = np.asarray(Image.open(plot_captured(*stacks, tmp_path / "captured.png")).convert("RGB")).astype(int)
-    third = picture[2 * len(picture) // 3 : -len(picture) // 6]
+    image = np.asarray(Image.open(plot_captured(*stacks, tmp_path / "captured.png")).convert("RGB")).astype(int)
+    third = image[2 * len(image) // 3 : -len(image) // 6]
     # Captured is brighter: the differences are red, nowhere blue.
     assert np.any(third[..., 0] - third[..., 2] > 80)
     assert not np.any(third[..., 2] - third[..., 0] > 20)

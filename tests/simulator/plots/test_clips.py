@@ -55,7 +55,7 @@ def test_frames_and_extras_of_a_clip(known_clip) -> None:
 
 
 def test_one_white_for_all(known_clip) -> None:
-    """Each picture alone has another white; on one sheet, what is twice as bright looks brighter."""
+    """Each image alone has another white; on one sheet, what is twice as bright looks brighter."""
     first, second = known_clip(), known_clip()
     second.rgb[:] *= 2
     sheet = clip_sheet([first, second], ["one", "two"], "title")
@@ -84,12 +84,12 @@ def test_tiles_keep_to_a_size(known_clip, rows: int, height: int) -> None:
 
 
 def test_a_lamp_does_not_darken_the_rest() -> None:
-    picture = np.ones((100, 100, 3), np.float32)
-    picture[0, :10] = 1e4
-    assert white_level([picture]) == 1
+    image = np.ones((100, 100, 3), np.float32)
+    image[0, :10] = 1e4
+    assert white_level([image]) == 1
     assert white_level([np.zeros((2, 2, 3), np.float32)]) == 1
-    picture[10:] = 0  # darkness is no part of the scale
-    assert white_level([picture]) > 1
+    image[10:] = 0  # darkness is no part of the scale
+    assert white_level([image]) > 1
 
 
 def test_frames_shown() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from simulator.dataset.dataset_info import write_info
 from simulator.dataset.manifest import ManifestWriter
-from simulator.dataset.sample import write_sample
+from simulator.dataset.sample import Sample, write_sample
 from simulator.errors import InputError
 from simulator.io.files import StorageError
 from simulator.plots.contact_sheet import contact_sheet
@@ -17,9 +17,16 @@ SENSOR, SCENE = (192, 288), (192, 192)  # the size of the tiles: nothing is resa
 MEASUREMENT_LEFT, SCENE_LEFT, DEPTH_LEFT, TOP = 12, 312, 516, 64
 
 
-def known_dataset(root: Path, samples: ModuleType) -> Path:
+def write(root: Path, samples: ModuleType, split: str, kept: dict[int, Sample], **info) -> Path:
     root.mkdir()
-    write_info(root, samples.make_info(sensor_shape=SENSOR, scene_shape=SCENE, counts={"train": 0, "test": 1}))
+    write_info(root, samples.make_info(**info))
+    with ManifestWriter(root) as manifest:
+        for index, sample in kept.items():
+            manifest.append(write_sample(root, split, index, sample), 0.1)
+    return root
+
+
+def known_dataset(root: Path, samples: ModuleType) -> Path:
     measurement = np.zeros((3, *SENSOR), np.float32)
     measurement[0, :96] = 0.5  # half of full scale, upper half, red
     rgb = np.full((1, *SCENE, 3), 0.25, np.float32)
@@ -29,9 +36,8 @@ def known_dataset(root: Path, samples: ModuleType) -> Path:
     valid = np.ones((1, *SCENE), bool)
     valid[:, 96:, 96:] = False
     changes = {"measurement": measurement, "noiseless": measurement, "rgb": rgb, "depth_m": depth, "valid": valid}
-    with ManifestWriter(root) as manifest:
-        manifest.append(write_sample(root, "test", 3, samples.make_sample(0, SENSOR, SCENE, **changes)), 0.1)
-    return root
+    kept = {3: samples.make_sample(0, SENSOR, SCENE, **changes)}
+    return write(root, samples, "test", kept, sensor_shape=SENSOR, scene_shape=SCENE, counts={"train": 0, "test": 1})
 
 
 def test_values_and_orientation(tmp_path: Path, samples: ModuleType) -> None:
@@ -49,9 +55,9 @@ def test_values_and_orientation(tmp_path: Path, samples: ModuleType) -> None:
     assert sheet[TOP + 180, DEPTH_LEFT + 180].tolist() == [120, 120, 120]  # nothing seen
 
 
-def test_same_data_same_picture(dataset: Path, tmp_path: Path) -> None:
-    pictures = [contact_sheet(dataset, tmp_path / f"{name}.png").read_bytes() for name in "ab"]
-    assert pictures[0] == pictures[1]
+def test_same_data_same_image(dataset: Path, tmp_path: Path) -> None:
+    images = [contact_sheet(dataset, tmp_path / f"{name}.png").read_bytes() for name in "ab"]
+    assert images[0] == images[1]
 
 
 def test_rows(dataset: Path, tmp_path: Path) -> None:
@@ -62,17 +68,14 @@ def test_rows(dataset: Path, tmp_path: Path) -> None:
 
 
 def test_other_channel_counts_and_unseen_scenes(tmp_path: Path, samples: ModuleType) -> None:
-    root = tmp_path / "set"
-    root.mkdir()
-    write_info(root, samples.make_info())
-    with ManifestWriter(root) as manifest:
-        for index, count in enumerate((1, 2, 4)):
-            planes = np.full((count, *samples.SENSOR), 0.5, np.float32)
-            unseen = np.zeros((1, *samples.SCENE), bool)
-            names = tuple(f"c{number}" for number in range(count))
-            changes = {"measurement": planes, "noiseless": planes, "channels": names, "valid": unseen}
-            sample = samples.make_sample(index, rgb=np.zeros((1, *samples.SCENE, 3), np.float32), **changes)
-            manifest.append(write_sample(root, "train", index, sample), 0.1)
+    kept = {}
+    for index, count in enumerate((1, 2, 4)):
+        planes = np.full((count, *samples.SENSOR), 0.5, np.float32)
+        names = tuple(f"c{number}" for number in range(count))
+        changes = {"measurement": planes, "noiseless": planes, "channels": names}
+        changes |= {"valid": np.zeros((1, *samples.SCENE), bool), "rgb": np.zeros((1, *samples.SCENE, 3), np.float32)}
+        kept[index] = samples.make_sample(index, **changes)
+    root = write(tmp_path / "set", samples, "train", kept)
     assert contact_sheet(root, tmp_path / "s.png").stat().st_size > 1000
 
 
@@ -80,19 +83,15 @@ def test_frames_of_a_clip_over_time(tmp_path: Path, samples: ModuleType) -> None
     """Frame t has the grey of t / 10 and the depth 4 + t cm; beside the clip there is a still, of one frame only."""
     from PIL import Image
 
-    root, frames = tmp_path / "set", 11
-    root.mkdir()
-    write_info(root, samples.make_info(sensor_shape=SENSOR, scene_shape=SCENE, counts={"train": 2}))
+    frames = 11
     steps = np.arange(frames, dtype=np.float32)[:, None, None]
     depth_m = np.broadcast_to(0.04 + steps / 100, (frames, *SCENE)).astype(np.float32)
     rgb = np.broadcast_to(steps[..., None] / 10, (frames, *SCENE, 3))
     clip = {"rgb": rgb, "depth_m": depth_m, "valid": np.ones(depth_m.shape, bool)}
     clip["frame_edges_s"] = np.linspace(0, 0.011, frames + 1)
     still = {name: values[:1] for name, values in clip.items() if name != "frame_edges_s"}
-    with ManifestWriter(root) as manifest:
-        for index, changes in enumerate((clip, still)):
-            sample = samples.make_sample(index, SENSOR, SCENE, **changes)
-            manifest.append(write_sample(root, "train", index, sample), 0.1)
+    kept = {index: samples.make_sample(index, SENSOR, SCENE, **changes) for index, changes in enumerate((clip, still))}
+    root = write(tmp_path / "set", samples, "train", kept, sensor_shape=SENSOR, scene_shape=SCENE, counts={"train": 2})
     sheet = np.asarray(Image.open(contact_sheet(root, tmp_path / "sheet.png")).convert("RGB")).astype(int)
     step, second = DEPTH_LEFT - SCENE_LEFT, TOP + 192 + 22 + 16 + 12  # clips have a line more, for their times
     shown = [sheet[TOP + 90, SCENE_LEFT + column * step + 90, 0] / 255 for column in range(5)]

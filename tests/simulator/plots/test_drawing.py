@@ -30,8 +30,8 @@ def test_shapes_have_colours_of_their_own() -> None:
     assert colours[0].tolist() == GREY
     assert len({tuple(colour) for colour in colours}) == len(colours)
     following = np.abs(np.diff(colours[1:], axis=0)).max(axis=1)
-    assert following.min() > 60  # of 255: neighbours in number often touch in the picture
-    assert np.array_equal(id_colours(numbers[None, 20:])[0], colours[20:])  # whatever else is in the picture
+    assert following.min() > 60  # of 255: neighbours in number often touch in the image
+    assert np.array_equal(id_colours(numbers[None, 20:])[0], colours[20:])  # whatever else is in the image
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The test bench: what its pictures must be, by linearity and by hand."""
+"""The test bench: what its images must be, by linearity and by hand."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from simulator.assembly import Assembly
 from simulator.camera.planes import mask_irradiance
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, RowShutter
 from simulator.config import load_config
-from simulator.plots.shutter_bench import SAMPLES, Bench, Spot, duration, shutter_facts
+from simulator.plots.shutter_bench import SAMPLES, Bench, Spot, shutter_facts
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 
@@ -32,7 +32,7 @@ def test_what_the_shutter_lets_through_are_the_rows_that_are_open(config, sample
     bench = Bench(Assembly(config))
     spot = _spot(sample)
     convolved = bench.convolved(spot)
-    # One lit frame gives its own picture, row by row as far as each is open; float32 and its transforms.
+    # One lit frame gives its own image, row by row as far as each is open; float32 and its transforms.
     tolerance = {"rtol": 1e-5, "atol": 1e-6 * convolved.max()}
     np.testing.assert_allclose(bench.exposed(spot), convolved * bench.share(spot)[:, None], **tolerance)
     np.testing.assert_allclose(bench.exposed_globally(spot), convolved, **tolerance)
@@ -44,7 +44,7 @@ def test_shares_are_those_of_the_stored_rows(trial):
     assert bench.duration_s == pytest.approx(lasts)
     first, last = 19 / SAMPLES * lasts, 20 / SAMPLES * lasts
     for row in (0, 20, 47):
-        opening = np.arange(8 * (47 - row), 8 * (48 - row)) * 11e-6  # the picture's last row is the sensor's first
+        opening = np.arange(8 * (47 - row), 8 * (48 - row)) * 11e-6  # the image's last row is the sensor's first
         inside = np.clip(np.minimum(last, opening + 1e-3) - np.maximum(first, opening), 0, None)
         assert bench.share(_spot(20))[row] == pytest.approx(inside.mean() / (last - first), abs=1e-6)
 
@@ -56,7 +56,7 @@ def test_a_lens_shows_the_scene_on_the_rows_that_are_open(config):
     for sample in (10, 50, 90):
         spot = _spot(sample)
         top = (48 - 16) // 2
-        expected = bench.picture(spot) * irradiance
+        expected = bench.scene(spot) * irradiance
         always = bench.exposed_behind_lens(spot, always=True)
         np.testing.assert_allclose(always, expected, rtol=1e-4, atol=1e-5 * expected.max())
         under = expected * bench.share(spot)[top : top + 16, None]
@@ -75,19 +75,18 @@ def test_points_have_the_psfs_of_the_configuration_s_own_ends(trial):
     assert np.ptp(rows[0]) > np.ptp(rows[1])  # the mask's shadow grows as the point comes near
 
 
-def test_one_depth_is_enough(trial):
-    config = load_config(trial.write(psf={"depths_cm": [20], "wavelengths_per_channel": 1, "accept_error": 1}))
-    assert len(Bench(Assembly(config)).ends.depths_m) == 1
-
-
-def test_infinity_is_a_depth(trial):
-    psf = {"depths_cm": [5, 10, float("inf")], "wavelengths_per_channel": 1, "accept_error": 1}
+@pytest.mark.parametrize(("depths_cm", "ends_m"), [([20], [0.2]), ([5, 10, float("inf")], [0.05, np.inf])])
+def test_one_depth_is_enough_and_infinity_is_a_depth(trial, depths_cm, ends_m):
+    psf = {"depths_cm": depths_cm, "wavelengths_per_channel": 1, "accept_error": 1}
     bench = Bench(Assembly(load_config(trial.write(psf=psf))))
-    assert bench.ends.depths_m.tolist() == [0.05, np.inf]
+    assert bench.ends.depths_m.tolist() == ends_m
     assert bench.convolved(_spot(5)).max() > 0
 
 
 # What the command says of a shutter, worked out by hand.
+
+
+ALL = "12, one per frame seen; 1, 2, 3, 4, 6, 12 come out even"
 
 
 def _facts(shutter, rows, **scene):
@@ -98,7 +97,7 @@ def test_a_global_shutter():
     facts = _facts(GlobalShutter(0.01, 8), 100)
     assert facts["shutter"] == "global shutter"
     assert facts["exposure"] == "10 ms per row"
-    assert facts["rows"] == "100 in the picture, each the mean of 8 physical rows"
+    assert facts["rows"] == "100 in the image, each the mean of 8 physical rows"
     assert facts["capture"] == "10 ms until the last row closes; all rows are open from 0 ms to 10 ms"
     assert facts["frames told apart"].startswith("1: all rows see the same time")
     assert "line time" not in facts
@@ -119,7 +118,7 @@ def test_a_rolling_shutter():
     assert facts["shutter"] == "rolling shutter, up"
     assert facts["line time"] == "10 µs per physical row"
     assert facts["capture"].startswith("20.99 ms until the last row closes; at no time are all rows open")
-    # A row of the picture is open for 1.01 ms; one opens every 0.02 ms, so every 51st is apart: 1 + 999 // 51.
+    # A row of the image is open for 1.01 ms; one opens every 0.02 ms, so every 51st is apart: 1 + 999 // 51.
     assert facts["frames told apart"].startswith("20: ")
 
 
@@ -140,18 +139,8 @@ def test_rows_of_their_own():
     ("frames", "rate", "scenes", "slivers"),
     [
         (1, 25.0, "stand still", None),
-        (
-            12,
-            1000,
-            "12 frames at 1000 per second last 12 ms; the shutter sees all",
-            "12, one per frame seen; 1, 2, 3, 4, 6, 12 come out even",
-        ),
-        (
-            30,
-            1000,
-            "30 frames at 1000 per second last 30 ms; the shutter sees frames 1 to 12",
-            "12, one per frame seen; 1, 2, 3, 4, 6, 12 come out even",
-        ),
+        (12, 1000, "12 frames at 1000 per second last 12 ms; the shutter sees all", ALL),
+        (30, 1000, "30 frames at 1000 per second last 30 ms; the shutter sees frames 1 to 12", ALL),
         (11, 1000, "last 11 ms: too short, the shutter needs 12 frames, or at most 916.6 per second", None),
     ],
 )
@@ -179,8 +168,3 @@ def test_slivers_that_come_out_even_and_such_that_do_not(slivers, words):
 def test_films_at_a_rate_of_their_own():
     facts = _facts(GlobalShutter(0.1), 4, frames=20, frames_per_second=None)
     assert facts["scenes"] == "20 frames at a rate of their own; at more than 200 per second they are too short"
-
-
-@pytest.mark.parametrize(("seconds", "words"), [(1.5, "1.5 s"), (0.0042, "4.2 ms"), (9.17e-6, "9.17 µs"), (0, "0 ms")])
-def test_times_in_words(seconds, words):
-    assert duration(seconds) == words

@@ -75,9 +75,9 @@ def test_a_lens_catches_one_flash_and_misses_the_other(trial):
 
 def test_light_adds_up_in_its_colours():
     one, two = np.array([[1.0, 0.0]]), np.array([[1.0, 0.5]])
-    picture = tinted([(one, (1, 0, 0)), (two, (0, 0, 1))], 1.0)
-    assert picture[0, 0] == pytest.approx([1, 0, 1])
-    assert picture[0, 1] == pytest.approx([0, 0, 0.735], abs=1e-3)  # sRGB of 0.5
+    image = tinted([(one, (1, 0, 0)), (two, (0, 0, 1))], 1.0)
+    assert image[0, 0] == pytest.approx([1, 0, 1])
+    assert image[0, 1] == pytest.approx([0, 0, 0.735], abs=1e-3)  # sRGB of 0.5
 
 
 def test_white_leaves_out_a_hundredth_of_the_light():
