@@ -94,6 +94,8 @@ WINDOWS: dict[str, Any] = {"type": "windows", "table_s": [[0.0, 1.0]], "binning"
         ({"type": "global", "exposure_s": 0.01}, r"expected \['binning', 'exposure_s'\]"),
         (GLOBAL | {"exposure_s": "inf"}, "exposure_s"),
         (GLOBAL | {"exposure_s": True}, "exposure_s"),
+        (GLOBAL | {"exposure_s": 10**30}, "exposure_s"),
+        (GLOBAL | {"exposure_s": 10**400}, "exposure_s"),
         (GLOBAL | {"exposure_s": -0.01}, "exposure_s:"),
         (GLOBAL | {"exposure_s": float("nan")}, "exposure_s:"),
         (GLOBAL | {"binning": 1.0}, "binning is 1.0"),

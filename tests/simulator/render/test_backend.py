@@ -11,7 +11,7 @@ import pytest
 
 from simulator.errors import InputError
 from simulator.render import choose_backend
-from simulator.render.backend import _judge
+from simulator.render.backend import _how_to_get_llvm, _judge
 
 Python = Callable[..., subprocess.CompletedProcess[str]]
 NO_LLVM = {"DRJIT_LIBLLVM_PATH": "/nonexistent/libLLVM.so"}
@@ -47,6 +47,7 @@ def test_without_llvm_auto_falls_back_and_says_what_to_do(monkeypatch: pytest.Mo
     assert "unset" in backend.advice
     with pytest.raises(InputError, match=r"^render\.backend: "):
         choose_backend("llvm")
+    assert _how_to_get_llvm(None).startswith("install")  # where the variable is not set, unsetting it is no cure
 
 
 @pytest.mark.parametrize(
