@@ -175,7 +175,7 @@ def _fill(section: Any, kind: str, key: str, path: KeyPath, base_dir: Path, prob
     except plugins.ParameterError as error:
         problems += [Problem((*path, *problem.path), problem.text, problem.on_key) for problem in error.problems]
     except InputError as error:
-        problems.append(Problem((*path, key), str(error)))
+        problems.append(Problem((*path, key), error.reason))
     return section
 
 
