@@ -11,12 +11,12 @@ class InputError(ValueError):
 
     Attributes:
         path: where it is: an argument, a key (``camera.sensor.shape``), an option or a file; empty where the reason says it.
-        reason: what came, what was expected and the cure.
+        reason: what came, what was expected and the cure. ``InputError(reason)`` has an empty path.
     """
 
-    def __init__(self, path: str | Path, reason: str) -> None:
-        super().__init__(path, reason)
-        self.path, self.reason = str(path), reason
+    def __init__(self, path: str | Path, reason: str | None = None) -> None:
+        self.path, self.reason = ("", str(path)) if reason is None else (str(path), reason)
+        super().__init__(self.path, self.reason)
 
     def __str__(self) -> str:
         """Return the one line that a user reads."""

@@ -257,7 +257,8 @@ def _module_of(kind: str, name: str) -> str:
         known = available(kind)
         raise InputError(
             _LABELS[kind],
-            f"got {name!r}, expected one of {', '.join(known)}, ./file.py:name or package.module:name{nearest(name, known)}",
+            f"got {name!r}, expected one of {', '.join(known) or '(none is installed)'}, ./file.py:name or "
+            f"package.module:name{nearest(name, known)}",
         )
     return f"{found[0]}.{name}"
 
@@ -269,7 +270,9 @@ def _import_module(kind: str, name: str, module: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
             raise InputError(label, describe_failure(error)) from error
-        raise InputError(label, f"no module {error.name!r} is installed; a file is written ./file.py:name") from error
+        raise InputError(
+            label, f"no module {error.name!r} is installed; write a file of your own as ./file.py:name"
+        ) from error
     except (Exception, SystemExit) as error:
         raise InputError(label, describe_failure(error)) from error
 

@@ -167,10 +167,17 @@ class Settings:
             schema = handler.generate_schema(entry.annotation)
             if entry.default is not MISSING:
                 schema = core_schema.with_default_schema(schema, default=entry.default)
-            about = {"pydantic_js_updates": {"description": entry.description}} if entry.description else None
+            updates: dict[str, Any] = {"description": entry.description} if entry.description else {}
+            if entry.quantity is not None and entry.default is not MISSING:
+                updates["default"] = entry.quantity.shown(entry.default)
             arguments.append(
                 core_schema.dataclass_field(
-                    entry.name, schema, kw_only=True, validation_alias=key, serialization_alias=key, metadata=about
+                    entry.name,
+                    schema,
+                    kw_only=True,
+                    validation_alias=key,
+                    serialization_alias=key,
+                    metadata={"pydantic_js_updates": updates},
                 )
             )
         return core_schema.dataclass_schema(

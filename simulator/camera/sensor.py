@@ -142,7 +142,11 @@ class Sensor:
         if self.full_scale <= 0 or not np.isfinite(self.full_scale):
             raise InputError("full_scale", f"got {self.full_scale!r}, expected a positive exposure")
         if not 0 <= self.black_level_dn < 2**self.bit_depth - 1:
-            raise InputError("black_level_dn", f"got {self.black_level_dn}, expected 0 to below 2^bits - 1")
+            top = 2**self.bit_depth - 1
+            raise InputError(
+                "black_level_dn",
+                f"got {self.black_level_dn}, expected 0 to below {top}, the top of {self.bit_depth} bits",
+            )
         if np.size(self.exposure_s) not in (1, self.shape[0]) or not np.all(np.greater(self.exposure_s, 0)):
             raise InputError(
                 "exposure_s", f"expected 1 or {self.shape[0]} (rows) positive seconds, got {self.exposure_s!r}"

@@ -105,7 +105,7 @@ class Shutter(Settings, ABC):
         edges = np.asarray(frame_edges_s, np.float64)
         if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0):
             raise InputError(
-                "frame_edges_s", f"got {edges}, expected at least two strictly increasing times in seconds"
+                "frame_edges_s", f"got shape {edges.shape}, expected at least two strictly increasing times in seconds"
             )
         self.check_covered(rows, edges)
         windows, (first, last) = self.windows_s(rows), self.span_s(rows)

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from simulator.config.camera import IlluminantConfig
+from simulator.io.tables import NM
 from simulator.optics.spectra import Led
 from simulator.optics.stack import depth_planes
 from simulator.settings import Range
@@ -98,6 +99,7 @@ def check_increasing(depths_cm: Sequence[float]) -> None:
 
 Tilt = Annotated[float, Range(-10, 10, "deg (degrees)")]
 Percent = Annotated[float, Range(0, 50, "percent of full scale")]
+_LEDS_NM = ((630, 18), (530, 33), (465, 22))  # centre and full width at half maximum
 
 
 class AsCaptured(Section):
@@ -107,7 +109,8 @@ class AsCaptured(Section):
         default=25.0, description="diameter of the point source (a pinhole before a light), micrometres"
     )
     illuminant: IlluminantConfig = Field(
-        default_factory=lambda: (Led(630e-9, 18e-9), Led(530e-9, 33e-9), Led(465e-9, 22e-9)),
+        default_factory=lambda: tuple(Led(centre * NM, fwhm * NM) for centre, fwhm in _LEDS_NM),
+        json_schema_extra={"default": [{"led_nm": centre, "fwhm_nm": fwhm} for centre, fwhm in _LEDS_NM]},
         description="light of the source, as in camera.illuminant, or the word camera for the same as there",
     )
     depth_offset_mm: Annotated[float, Range(-1e3, 1e3, "mm")] = Field(

@@ -148,7 +148,8 @@ class Sample:
         names = self.channels
         if len(names) != shape[0] or len(set(names)) != len(names) or any(name.startswith(NOISELESS) for name in names):
             raise InputError(
-                "Sample.channels", f"got {names}, expected {shape[0]} different names, none of {NOISELESS!r}"
+                "Sample.channels",
+                f"got {names}, expected {shape[0]} different names, none that starts with {NOISELESS!r}",
             )
         if not isinstance(self.seed, int) or not isinstance(self.label, str | None):
             raise InputError("Sample.seed", f"got {self.seed!r} and label {self.label!r}, expected an int and text")

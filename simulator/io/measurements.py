@@ -107,7 +107,9 @@ def _read_exr(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
         return np.stack([found[name] for name in channels])
     if len(found) == 1:
         return next(iter(found.values()))
-    raise InputError(path, f"got the channels {', '.join(sorted(found))}; expected {', '.join(channels)}")
+    raise InputError(
+        path, f"got the channels {', '.join(sorted(found))}; expected {', '.join(channels)}, or a single one"
+    )
 
 
 def _check_size(shape: tuple[int, ...], path: Path) -> None:
@@ -117,5 +119,7 @@ def _check_size(shape: tuple[int, ...], path: Path) -> None:
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:
+    if isinstance(error, FileNotFoundError):
+        return InputError(path, f"cannot be read: {error.strerror}; check its name and folder")
     cure = "check the file or save it again, uncompressed"
     return InputError(path, f"cannot be read ({type(error).__name__}: {error}): {cure}")

@@ -153,7 +153,7 @@ def test_a_module_and_a_name(install: Install) -> None:
         "mask", "trial_optics.masks:vortx"
     )
     assert "no module 'trial_optics.nothing' is installed" in refused("mask", "trial_optics.nothing:vortex")
-    assert "written ./file.py:name" in refused("mask", "my_mask:vortex")
+    assert "./file.py:name" in refused("mask", "my_mask:vortex")
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from simulator.config.psf import AsCaptured, ComputedPsf, MeasuredPsf, PsfConfig, StoredPsf
+from simulator.validation import validate
 
 PSF: TypeAdapter[Any] = TypeAdapter(PsfConfig)
 
@@ -44,3 +45,8 @@ def test_a_list_names_images_a_text_a_folder() -> None:
 def test_mistakes_are_named(section: dict[str, Any], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         PSF.validate_python(section)
+
+
+def test_the_default_light_is_that_of_the_leds_written_out() -> None:
+    leds = [{"led_nm": 630, "fwhm_nm": 18}, {"led_nm": 530, "fwhm_nm": 33}, {"led_nm": 465, "fwhm_nm": 22}]
+    assert AsCaptured() == validate(AsCaptured, {"illuminant": leds})

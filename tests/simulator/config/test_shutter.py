@@ -219,3 +219,4 @@ def test_the_json_schema_knows_every_kind() -> None:
     assert (line_time["type"], line_time["minimum"], line_time["maximum"]) == ("number", 1e-3, 1e6)
     assert line_time["description"].endswith("opening to the next, microseconds")
     assert "binning" not in kinds["rolling"]["properties"]  # the sensor's
+    assert kinds["global"]["properties"]["exposure_ms"]["default"] == 10.0  # in the unit of the key
