@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import conv2d, max_pool2d
+from torch.nn.functional import avg_pool2d, conv2d, max_pool2d
 
 from learning.perceptual import (
     FILES,
@@ -280,3 +280,16 @@ def test_it_is_the_published_formula_with_the_file_s_weights(tmp_path: Path, mon
     assert distance.record()["sha256"] == digest
     with pytest.raises(InputError, match="at least 32 x 32"):
         distance(one[..., :16], other[..., :16])
+
+
+@pytest.mark.parametrize("damage", ["noise", "blur", "contrast"])
+def test_worse_images_are_farther(random_loss: PerceptualLoss, images: Tensor, damage: str) -> None:
+    noise = torch.randn(images.shape, generator=torch.Generator().manual_seed(2))
+    worse = {
+        "noise": [images + level * noise for level in (0, 0.01, 0.03, 0.1)],
+        "blur": [images, *(avg_pool2d(images, n, 1, n // 2, count_include_pad=False) for n in (3, 5, 9))],
+        "contrast": [images, *(0.5 + (images - 0.5) * share for share in (0.9, 0.7, 0.3))],
+    }[damage]
+    distances = [float(random_loss(image, images)) for image in worse]
+    assert distances[0] == 0
+    assert sorted(set(distances)) == distances

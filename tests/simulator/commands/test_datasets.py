@@ -180,11 +180,28 @@ def films(view):
 
 def test_a_disk_that_is_full_before_the_first_sample(command, one_error, trial) -> None:
     """Not even the PSF stack can be written: nothing stays behind, and the same command works once there is room."""
-
-    def limit_files() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
-
-    done = command("generate", trial.write(), preexec_fn=limit_files)
+    done = command("generate", trial.write(), preexec_fn=lambda: _limit_files(2048))
     one_error((done.returncode, done.stdout, done.stderr), "psf", "depth_0000.exr: ")
     assert not (trial.folder / "out").exists()
     assert verify(trial.generate()).ok
+
+
+def test_a_disk_that_is_full_between_two_samples(command, one_error, trial) -> None:
+    """A data set that grows until the disk is full keeps what it has, and grows on once there is room."""
+    root = trial.generate()
+    before = _contents(root)
+    size = (root / "train/0000/s00000000/measurement.exr").stat().st_size
+    done = command("generate", trial.write(dataset={"train": 5}), preexec_fn=lambda: _limit_files(size // 2))
+    one_error((done.returncode, done.stdout, done.stderr), "cannot be written")
+    assert _contents(root) == before
+    assert trial.generate(dataset={"train": 5}) == root
+    assert verify(root).ok
+
+
+def _contents(root: Path) -> dict[str, bytes]:
+    files = (path for path in root.rglob("*") if path.is_file() and path.name != "dataset.json")
+    return {str(path.relative_to(root)): path.read_bytes() for path in files}
+
+
+def _limit_files(size: int) -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))

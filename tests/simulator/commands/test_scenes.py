@@ -74,6 +74,10 @@ def test_names_are_listed_alone(flatlight, one_error) -> None:
     assert out.startswith("scene.source:\n  flyingthings3d: ")
     assert "scene.family" not in out
     one_error(flatlight("scenes", "flying_thing"), "'flying_thing'", "'flying_things'")
+    code, out, _ = flatlight("masks", "pinhole")
+    assert "  pinhole: A pinhole" in out
+    assert "phlatcam" not in out
+    one_error(flatlight("masks", "pinhol"), "'pinhol'", "'pinhole'")
 
 
 def test_thumbnails(flatlight, panes: Path) -> None:

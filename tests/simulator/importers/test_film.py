@@ -156,3 +156,19 @@ def test_folders_in_whose_count_pictures_are_missing_are_problems(films, tmp_pat
     (problem,) = source.problems
     assert problem.startswith("torn: ")
     assert survey(tmp_path).problems == source.problems
+
+
+def test_interpolation_puts_frames_between(films, tmp_path):
+    path = films.write(tmp_path / "a.webm", films.numbered(3))
+    clip = clip_of(film(VIEW, path=path, frames=5, interpolate_by=2))
+    assert clip.rgb.shape[0] == 5
+    assert [films.number_of(frame) for frame in clip.rgb[::2]] == [0, 1, 2]
+    assert clip.source["interpolation"]["name"] == "optical_flow"
+    np.testing.assert_allclose(np.diff(clip.frame_edges_s), 1 / 24)
+
+
+def test_interpolated_images_were_filmed_more_slowly(films, tmp_path):
+    write_pictures(tmp_path / "seq", films.numbered(3))
+    clip = clip_of(film(VIEW, path=tmp_path / "seq", frames=5, frames_per_second=100, interpolate_by=2))
+    assert "own_frames_per_second" not in clip.source  # images have none
+    np.testing.assert_allclose(np.diff(clip.frame_edges_s), 0.01)
