@@ -180,6 +180,7 @@ class Settings:
                     metadata={"pydantic_js_updates": updates},
                 )
             )
+        about = {"description": (inspect.getdoc(cls) or "").partition("\n")[0], "additionalProperties": False}
         return core_schema.dataclass_schema(
             cls,
             core_schema.dataclass_args_schema(cls.__name__, arguments),
@@ -187,5 +188,5 @@ class Settings:
             post_init=hasattr(cls, "__post_init__"),
             frozen=True,
             config=core_schema.CoreConfig(strict=True, extra_fields_behavior="forbid", serialize_by_alias=True),
-            metadata={"pydantic_js_updates": {"description": (inspect.getdoc(cls) or "").partition("\n")[0]}},
+            metadata={"pydantic_js_updates": about},
         )
