@@ -32,18 +32,25 @@ class StackConvolution:
         Args:
             values: PSFs ``(K, C, rows, columns)``.
             sensor_shape: H, W.
-            scene_shape: h, w; each of the same parity as the sensor's and not larger.
+            scene_shape: h, w; each of the same parity as the sensor's. Larger than the sensor is a scene whose margins send
+                it light from beside the image.
             boundary: ``linear``: light that misses the sensor is lost; ``circular``: it comes back on the other side
-                (the thesis's assumption, under which closed-form inversions are exact).
+                (the thesis's assumption, under which closed-form inversions are exact), for scenes no larger than the sensor.
         """
         if boundary not in ("linear", "circular"):
             raise InputError("boundary", f"got {boundary!r}, expected 'linear' or 'circular'")
         for axis, sensor, scene in zip(("rows", "columns"), sensor_shape, scene_shape, strict=True):
-            if scene > sensor or (sensor - scene) % 2:
+            if scene < 1 or (sensor - scene) % 2:
                 raise InputError(
                     "scene_shape",
-                    f"got {scene} {axis} for {sensor} of the sensor, expected at most as many, even or odd like them; "
-                    f"use {sensor if scene > sensor else scene - 1 if scene > 1 else 2}",
+                    f"got {scene} {axis} for {sensor} of the sensor, expected a number even or odd like it; "
+                    f"use {scene - 1 if scene > 1 else scene + 1}",
+                )
+            if boundary == "circular" and scene > sensor:
+                raise InputError(
+                    "scene_shape",
+                    f"got {scene} {axis} for {sensor} of the sensor, expected at most as many where the boundary is "
+                    "circular; leave the margin out, or use linear",
                 )
         self.sensor_shape, self.scene_shape, self.boundary = sensor_shape, scene_shape, boundary
         axes = [
@@ -152,7 +159,7 @@ def _axis_plan(size: int, sensor: int, scene: int, circular: bool) -> tuple[int,
     A kernel sample of displacement s takes scene pixel j to sensor pixel s + offset + j. Displacements that no pair of
     pixels has are dropped, and the period is just long enough that no other one aliases onto the sensor.
     """
-    offset = (sensor - scene) // 2
+    offset = (sensor - scene) // 2  # negative where the scene is larger
     source = np.arange(size)
     displacement = source - size // 2
     if circular:
@@ -161,7 +168,7 @@ def _axis_plan(size: int, sensor: int, scene: int, circular: bool) -> tuple[int,
     used = (displacement >= least) & (displacement <= most)
     source, displacement = source[used], displacement[used]
     period = max(displacement.max() - least, most - displacement.min()) + 1
-    length = next_fast_len(int(max(period, sensor)))
+    length = next_fast_len(int(max(period, sensor, scene)))  # an FFT drops what is longer than itself
     return length, (displacement + offset) % length, source
 
 
