@@ -21,9 +21,10 @@ import numpy as np
 from common import single_threaded, versions
 
 from simulator.camera.colour import clipped_share
+from simulator.camera.field import FieldOfView
 from simulator.camera.forward import ForwardModel
 from simulator.camera.noise import GaussianNoise, PhysicalNoise
-from simulator.camera.planes import clamped_share, mask_irradiance
+from simulator.camera.planes import clamped_share
 from simulator.camera.sensor import MODELS, Sensor
 from simulator.camera.shutter import DualRollingShutter
 from simulator.camera.slivers import exposed_part, sliver_means
@@ -68,7 +69,7 @@ def main() -> None:
     shutter = DualRollingShutter(EXPOSURE_S, LINE_S, binning=BINNING)
     # The PSF of a mask 3.07 mm wide, seen from 30 cm, takes 161 pixels of 19.2 um.
     stack = PsfStack(rng.random((1, 3, 161, 161), np.float32), np.array([0.3]), 19.2e-6, ("R", "G", "B"), "benchmark")
-    irradiance = mask_irradiance(view)
+    irradiance = FieldOfView().irradiance(view)
     prepared, model = cpu(ForwardModel, stack, SENSOR, SCENE, shutter, irradiance=irradiance)
     print(versions("flatlight", "numpy", "scipy", "OpenEXR"))
     print(f"{FRAMES} frames of {SCENE} on one plane, {SENSOR} pixels, dual rolling shutter, {SLIVERS} slivers")

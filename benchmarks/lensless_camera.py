@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy import ndimage, stats
 
 from scenes.flying_things import draw_scene
+from simulator.camera.field import FieldOfView
 from simulator.camera.forward import ForwardModel
-from simulator.camera.planes import mask_irradiance
 from simulator.optics.stack import PsfStack, depth_planes
 from simulator.render import Environment, Material, Renderer, Scene, TriangleMesh, activate, choose_backend
 from simulator.render.lensless import lensless_render, shadow_psfs
@@ -70,7 +70,7 @@ class Camera:
         stack = PsfStack(values, self.depths_m, PITCH_M, ("R", "G", "B"), "benchmark")
         size = clips[0].rgb.shape[1]
         whole = max(size, self.sensor)
-        light = mask_irradiance(view(size))
+        light = FieldOfView().irradiance(view(size))
         forward = ForwardModel(stack, (whole, whole), (size, size), irradiance=light)
         middle = slice((whole - self.sensor) // 2, (whole + self.sensor) // 2)
         return np.stack([np.moveaxis(forward.forward_clip(c)[:, middle, middle], 0, -1) for c in clips]).astype(float)

@@ -15,9 +15,9 @@ from statistics import median
 
 import numpy as np
 
+from simulator.camera.field import FieldOfView
 from simulator.camera.forward import ForwardModel
 from simulator.camera.noise import GaussianNoise, PhysicalNoise
-from simulator.camera.planes import mask_irradiance
 from simulator.camera.sensor import MODELS, Sensor
 from simulator.dataset.sample import Sample, write_sample
 from simulator.optics.stack import PsfStack, depth_planes
@@ -37,7 +37,7 @@ def main() -> None:
     depths = depth_planes(0.036, 0.2, 25)
     stack = PsfStack(rng.random((25, 3, 499, 499), np.float32), depths, 19.2e-6, ("R", "G", "B"), "benchmark")
     view = View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2)
-    prepared, model = cpu(ForwardModel, stack, (456, 684), (128, 128), irradiance=mask_irradiance(view))
+    prepared, model = cpu(ForwardModel, stack, (456, 684), (128, 128), irradiance=FieldOfView().irradiance(view))
     smooth = np.add.outer(np.sin(np.arange(128) / 9), np.cos(np.arange(128) / 13))
     depth = (1 / (1 / 0.2 + (1 / 0.037 - 1 / 0.2) * (smooth + 2) / 4)).astype(np.float32)[None]
     clip = Clip(rng.random((1, 128, 128, 3), np.float32), depth, np.ones(depth.shape, bool), np.array([0.0, 1.0]))

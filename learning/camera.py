@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from simulator.arrays import Array, like, namespace, to_numpy
 from simulator.assembly import Assembly
+from simulator.camera.field import FieldOfView, field_from_record
 from simulator.camera.forward import ForwardModel
-from simulator.camera.planes import mask_irradiance
 from simulator.camera.sensor import Sensor
 from simulator.config import Config, config_from_dict
 from simulator.config.camera import ExposureConfig
@@ -35,7 +35,7 @@ class CaptureModel:
         scene_shape: h, w of the image; pixels lie on pixels, the centres coincide.
         gain: DN / 2^bits per unit of exposed irradiance x PSF.
         offset: DN / 2^bits without light, ``(C,)``.
-        irradiance: ``(h, w)``, irradiance at the mask per unit radiance; see `simulator.camera.planes.mask_irradiance`.
+        irradiance: ``(h, w)``, irradiance at the mask per unit radiance; see `simulator.camera.field.FieldOfView`.
         scene_to_camera: M, ``(C, 3)``, from linear sRGB to the camera's channels.
         white: reference white, the radiance that images show as 1: one number for training, tests and every method.
 
@@ -175,7 +175,7 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
         scene_shape=info.scene_shape,
         gain=gain,
         offset=offset,
-        irradiance=mask_irradiance(view, config.forward.vignetting),
+        irradiance=_recorded_field(info, config).irradiance(view),
         scene_to_camera=np.array(info.scene_to_camera["matrix"], np.float64),
         white=white,
     )
@@ -187,6 +187,14 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
     if stack == "captured" and not folder.is_dir():
         raise InputError("stack", f"got captured, but {dataset.root} has no {CAPTURED_FOLDER}; set psf.as_captured")
     return model.with_stack(read_psf_stack(folder))
+
+
+def _recorded_field(info: DatasetInfo, config: Config) -> FieldOfView:
+    """Return how much of the light from each direction counts, from the record: the file of a response may be gone."""
+    try:
+        return field_from_record(info.field_of_view) if info.field_of_view else FieldOfView(config.forward.vignetting)
+    except InputError as error:
+        raise InputError(FILE, f"{error}; restore it from a copy") from error
 
 
 def recorded_sensor(info: DatasetInfo, config: Config) -> Sensor:

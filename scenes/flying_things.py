@@ -12,9 +12,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from scenes.layout import Ball, far_end, place_balls, random_rotation
+from scenes.layout import Ball, far_end, place_balls, place_balls_beside, random_rotation
 from scenes.lights import draw_room, lamp
-from scenes.meshes import mesh_library
+from scenes.meshes import backdrop, mesh_library
 from scenes.textures import draw_ramp, draw_reflectance, draw_theme, tiled
 from simulator.render import Box, Light, Material, Renderer, Scene, Sphere, TriangleMesh
 from simulator.render.scene import Shape
@@ -71,11 +71,16 @@ class FlyingThings:
 
 
 def draw_scene(view: View, objects: int, rng: np.random.Generator) -> Scene:
-    """Draw the wall, the solids and the lights."""
+    """Draw the wall, the solids and the lights; for a view with a margin, more of them that fill it."""
     theme = draw_theme(rng)
     balls = place_balls(view, objects, rng)
     solids = [_solid(slot, ball, theme, rng) for slot, ball in enumerate(balls)]
-    return Scene((_wall(view, theme, rng), *solids), _lights(view, rng))
+    shapes, lights = [_wall(view, theme, rng), *solids], _lights(view, rng)
+    if view.margin != (0, 0):  # drawn last, so that the image shows the same things with and without
+        beside = place_balls_beside(view, objects, balls, rng)
+        shapes += [_solid(slot, ball, theme, rng) for slot, ball in enumerate(beside)]
+        shapes.append(backdrop(view, 0.99 * far_end(view), _wall_material(theme, rng), float(rng.uniform(1.0, 2.5))))
+    return Scene(tuple(shapes), lights)
 
 
 def _solid(slot: int, ball: Ball, theme: np.ndarray, rng: np.random.Generator) -> Shape:
@@ -117,7 +122,7 @@ def _wall(view: View, theme: np.ndarray, rng: np.random.Generator) -> TriangleMe
     disparity = farthest - np.min(places @ slant) + places @ slant
     corners = np.column_stack([directions, np.ones(4)]) / disparity[:, np.newaxis]
     normal = np.cross(corners[3] - corners[0], corners[1] - corners[0])
-    reflectance = draw_reflectance(rng, draw_ramp(rng, theme, saturation=(0.05, 0.5)), _WALL_TEXTURE_SIZE)
+    material = _wall_material(theme, rng)
     repeats = float(rng.uniform(1.0, 2.5))
     aspect = view.shape[0] / view.shape[1]
     return TriangleMesh(
@@ -125,8 +130,12 @@ def _wall(view: View, theme: np.ndarray, rng: np.random.Generator) -> TriangleMe
         normals=np.tile(normal / np.linalg.norm(normal), (4, 1)),
         uv=repeats * np.array([(0.0, 0), (1, 0), (1, aspect), (0, aspect)]),
         faces=np.array([(0, 2, 1), (0, 3, 2)]),
-        material=Material(0.9 * reflectance),
+        material=material,
     )
+
+
+def _wall_material(theme: np.ndarray, rng: np.random.Generator) -> Material:
+    return Material(0.9 * draw_reflectance(rng, draw_ramp(rng, theme, saturation=(0.05, 0.5)), _WALL_TEXTURE_SIZE))
 
 
 def _lights(view: View, rng: np.random.Generator) -> tuple[Light, ...]:

@@ -18,6 +18,8 @@ _MARGIN = 1e-3
 _DEPTHS_OF_INFINITY = 50.0
 _LEAST_RATIO = 1.1
 _TRIES = 12
+_SIZES = (0.14, 0.42)  # of 30 balls, relative to half the image
+_EDGE = 1.05  # centres lie a little beyond the image's edge, too
 
 
 @dataclass(frozen=True)
@@ -57,22 +59,60 @@ def place_balls(view: View, count: int, rng: np.random.Generator) -> list[Ball]:
     """
     near, far = view.near_m * (1 + _MARGIN), far_end(view) * (1 - _MARGIN)
     half = np.array([view.tan_half_width, view.tan_half_height])
-    crowd = float(np.clip(math.sqrt(30 / count), 0.4, 2.0))
-    # At most half of the depth range (in log z) goes to one ball.
-    root = math.sqrt(far / near)
-    largest = min(0.45, (root - 1) / (root + 1))
+    largest = _largest(near, far)
     balls: list[Ball] = []
     for _ in range(count):
-        size = min(largest, half.min() * crowd * rng.uniform(0.14, 0.42))
-        front = 1 / rng.uniform((1 + size) / ((1 - size) * far), 1 / near)
-        depth = front / (1 - size)
+        size = min(largest, half.min() * _crowd(count) * rng.uniform(*_SIZES))
+        depth = _depth(size, near, far, rng)
         # Only the place across is tried again: else free depths would be favoured.
-        across = rng.uniform(-1.05, 1.05, (_TRIES, 2)) * half * depth
-        centres = np.column_stack([across, np.full(_TRIES, depth)])
-        gaps = _gaps(centres, size * depth, balls)
-        free = np.flatnonzero(gaps > 0)
-        balls.append(Ball(centres[free[0] if len(free) else np.argmax(gaps)], size * depth))
+        balls.append(_freest(rng.uniform(-_EDGE, _EDGE, (_TRIES, 2)) * half, size, depth, balls))
     return balls
+
+
+def place_balls_beside(view: View, count: int, before: list[Ball], rng: np.random.Generator) -> list[Ball]:
+    """Draw balls for the view's margin, as dense as ``count`` are in the image but at most as many: then larger ones.
+
+    None of these hides more of the image than its own do, which are ``before``; more lie where more light comes from (cos^4).
+    """
+    near, far = view.near_m * (1 + _MARGIN), far_end(view) * (1 - _MARGIN)
+    image, whole = (np.array([v.tan_half_width, v.tan_half_height]) for v in (view, view.field))
+    wanted = count * (float(np.prod(whole / image)) - 1)
+    number = min(count, round(wanted))
+    usual = image.min() * _crowd(count) * np.array(_SIZES)
+    balls = list(before)
+    for _ in range(number):
+        size = min(_largest(near, far), math.sqrt(wanted / number) * rng.uniform(*usual))
+        depth = _depth(size, near, far, rng)
+        edge = np.minimum(_EDGE * image + max(0.0, 1.3 * (size - usual[1])), whole)
+        tangents = rng.uniform(-1, 1, (100 * _TRIES, 2)) * whole
+        lit = rng.random(len(tangents)) < (1 + np.sum(tangents**2, axis=1)) ** -2
+        across = tangents[np.argsort(~(np.any(np.abs(tangents) >= edge, axis=1) & lit), kind="stable")[:_TRIES]]
+        balls.append(_freest(across, size, depth, balls))
+    return balls[len(before) :]
+
+
+def _crowd(count: int) -> float:
+    """Return the factor of sizes by which so many balls cover as much of an image as 30 do."""
+    return float(np.clip(math.sqrt(30 / count), 0.4, 2.0))
+
+
+def _largest(near_m: float, far_m: float) -> float:
+    """Return the largest relative size: at most half of the depth range (in log z) goes to one ball."""
+    root = math.sqrt(far_m / near_m)
+    return min(0.45, (root - 1) / (root + 1))
+
+
+def _depth(size: float, near_m: float, far_m: float, rng: np.random.Generator) -> float:
+    """Draw the depth of a ball's centre, so that its nearest point is uniform in disparity."""
+    return 1 / rng.uniform((1 + size) / ((1 - size) * far_m), 1 / near_m) / (1 - size)
+
+
+def _freest(across: Array, size: float, depth_m: float, others: list[Ball]) -> Ball:
+    """Return a ball of relative size at the first of some places, tangents ``(n, 2)``, that is free, or the freest."""
+    centres = np.column_stack([across * depth_m, np.full(len(across), depth_m)])
+    gaps = _gaps(centres, size * depth_m, others)
+    free = np.flatnonzero(gaps > 0)
+    return Ball(centres[free[0] if len(free) else np.argmax(gaps)], size * depth_m)
 
 
 def _gaps(centres: NDArray[np.float64], radius: float, others: list[Ball]) -> NDArray[np.float64]:

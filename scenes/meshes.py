@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulator.render import Material, TriangleMesh
+from simulator.types import View
 
 Array = NDArray[np.float64]
 Radius = Callable[[Array], Array]
@@ -68,6 +69,17 @@ def unit(vectors: Array) -> Array:
     """Return vectors ``(..., 3)`` at length 1; zero ones stay zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(length > 0, length, 1)
+
+
+def backdrop(view: View, depth_m: float, material: Material, repeats: float) -> TriangleMesh:
+    """Return a plane that fills a view with its margin, ``repeats`` textures to the image's width.
+
+    One triangle, because a ray that hits an edge between two can slip through in float32.
+    """
+    corners = np.column_stack([np.array([(-1.1, -1.1), (3.4, -1.1), (-1.1, 3.4)]), np.ones(3)]) * depth_m
+    corners[:, :2] *= (view.field.tan_half_width, view.field.tan_half_height)
+    uv = corners[:, :2] * repeats / (2 * view.tan_half_width * depth_m)
+    return TriangleMesh(corners, np.tile([0.0, 0, -1], (3, 1)), uv, np.array([(0, 2, 1)]), material)
 
 
 _LIBRARY_SEED = 20260102

@@ -12,12 +12,25 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
+from simulator.arrays import to_numpy
 from simulator.camera.colour import CameraColour, fit_camera_colour
+from simulator.camera.field import (
+    Arrival,
+    FieldOfView,
+    automatic_margin,
+    check_margin,
+    margin_of_angle,
+    mask_shadow,
+    read_angular_response,
+    stop_tangents,
+)
 from simulator.camera.forward import DepthRule, ForwardModel
-from simulator.camera.planes import mask_irradiance
+from simulator.camera.noise import NoNoise
 from simulator.camera.sensor import Sensor
 from simulator.camera.shutter import Shutter, read_row_shutter, row_shutter
+from simulator.camera.surroundings import WORDS
 from simulator.config import Config
 from simulator.config.camera import GapLayer, RowWindows
 from simulator.config.psf import ComputedPsf
@@ -25,6 +38,7 @@ from simulator.design.load import load_mask, mask_arguments
 from simulator.errors import InputError
 from simulator.io.cache import Entry, cached, code_digest
 from simulator.io.files import sha256_file
+from simulator.io.images import filled, read_light
 from simulator.measured_psf import measured_depths_m, measured_files, measured_stack
 from simulator.optics.error_budget import budget
 from simulator.optics.error_budget.direct_sum import llvm_works
@@ -50,6 +64,9 @@ EQUIVALENT_WAVELENGTH_M = 550e-9
 
 _OWN_PACKAGES = ("simulator", "scenes", "psf_library")
 _KEYS = {  # of arguments that parts refuse
+    "field_stop_deg": "camera.field_stop_deg",
+    "margin": "scene.margin",
+    "margin_deg": "scene.margin_deg",
     "illuminant": "camera.illuminant",
     "spectral_response": "camera.sensor.spectral_response",
 }
@@ -127,6 +144,10 @@ class Assembly:
     @cached_property
     def view(self) -> View:
         """The pinhole view that scenes are drawn for; its depths are the stack's unless the scene has its own."""
+        return replace(self._image_view, margin=self._margin)
+
+    @cached_property
+    def _image_view(self) -> View:
         near_cm, far_cm = self.config.scene.near_cm, self.config.scene.far_cm
         return View(
             self.config.scene.size,
@@ -135,6 +156,61 @@ class Assembly:
             self.depths_m[0] if near_cm is None else near_cm * 1e-2,
             self.depths_m[-1] if far_cm is None else far_cm * 1e-2,
         )
+
+    @cached_property
+    def field_of_view(self) -> FieldOfView:
+        """How much of the light from each direction counts: vignetting, field stop and angular response."""
+        camera = self.config.camera
+        response, stop = camera.sensor.angular_response, camera.field_stop_deg
+        with _named_keys():
+            if isinstance(response, str):
+                response = read_angular_response(self.config.resolve_path(response))
+            edges = None if stop is None else stop_tangents(self._image_view, stop)
+        return FieldOfView(self.config.forward.vignetting, edges, response)
+
+    @cached_property
+    def _margin(self) -> tuple[int, int]:
+        """Rows and columns beside each edge of the image from which light is simulated."""
+        scene, view, field = self.config.scene, self._image_view, self.field_of_view
+        with _named_keys():
+            if scene.margin_deg:
+                return margin_of_angle(view, scene.margin_deg)
+            if scene.margin != "auto":
+                return check_margin(view, (scene.margin, scene.margin))
+        # How far beside the image light matters does not hang on the PSFs' pattern, so none needs to be computed.
+        mask = self.mask
+        if mask is None:
+            shadow = to_numpy(self.psf_stack.values)[0].sum(axis=0)
+        else:
+            shadow = mask_shadow(to_numpy(mask.amplitude), mask.pitch_m, view, self.depths_m[0])
+        bare = Arrival(shadow[None], self.config.camera.sensor.shape, view, replace(field, stop=None))
+        return automatic_margin(bare, view, field.stop)
+
+    def light_from_outside(self, *, simulated: bool = True) -> float:
+        """Return the share of a uniform half space's light on the sensor that comes from beside what is simulated.
+
+        Args:
+            simulated: False: from beside the image and through no stop, as if there were neither margin nor stop.
+        """
+        stack, field = self.psf_stack, self.field_of_view
+        ends = to_numpy(stack.values)[[0, -1]].sum(axis=1)
+        field = field if simulated else replace(field, stop=None)
+        arrival = Arrival(ends, self.config.camera.sensor.shape, self._image_view, field)
+        return arrival.left_out(self._margin if simulated else (0, 0))
+
+    @property
+    def field_record(self) -> dict[str, Any]:
+        """The field of view as a data set records it: responses by direction, margin, and what light is left out."""
+        left_out = {"light_from_outside": self.light_from_outside()}
+        return self.field_of_view.record() | {"margin": list(self._margin)} | left_out
+
+    @cached_property
+    def surroundings(self) -> str | NDArray[np.float32] | None:
+        """What shines beside images that say nothing of it; see `simulator.camera.surroundings.surrounded`."""
+        chosen = self.config.scene.surroundings
+        if chosen is None or chosen in WORDS:
+            return chosen
+        return filled(read_light(self.config.resolve_path(chosen)), self.view.coarse_field[0].shape)
 
     # ---- light
 
@@ -216,7 +292,11 @@ class Assembly:
         """The PSF stack: computed (and cached on disk), or measured."""
         if not isinstance(self.config.psf, ComputedPsf):
             return measured_stack(
-                self.config, self.config.psf, self.config.camera.sensor.sensor(), self.mask_to_sensor_m, self.gap
+                self.config,
+                self.config.psf,
+                self.config.camera.sensor.sensor(NoNoise()),
+                self.mask_to_sensor_m,
+                self.gap,
             )
         mask, geometry, psf_config = self.mask, self.geometry, self.psf_config
         assert mask is not None
@@ -344,16 +424,16 @@ class Assembly:
 
     @cached_property
     def forward_model(self) -> ForwardModel:
-        """The forward model: scene light over time to the exposure of the sensor."""
+        """The forward model: light of the whole field, image and margin, over time to the exposure of the sensor."""
         chosen = self.config.forward
         return ForwardModel(
             self.psf_stack,
             self.config.camera.sensor.shape,
-            self.config.scene.size,
+            self.view.field.shape,
             self.shutter,
             chosen.boundary,
             time=chosen.time,
-            irradiance=mask_irradiance(self.view, chosen.vignetting),
+            irradiance=self.field_of_view.irradiance(self.view.field),
             scene_to_camera=self.camera_colour(self.psf_stack.channels).matrix,
             depth_rule=DepthRule(chosen.depth_assignment, chosen.max_clamped),
         )
@@ -402,6 +482,10 @@ class Assembly:
             file for name in dict.fromkeys(materials) if (file := material_file(name, config.base_dir)) is not None
         ]
         files += self._light_files
+        if isinstance(camera.sensor.angular_response, str):
+            files.append(config.resolve_path(camera.sensor.angular_response))
+        if config.scene.surroundings not in (None, *WORDS):
+            files.append(config.resolve_path(config.scene.surroundings))
         if (shutter := self._shutter_plugin) is not None and isinstance(camera.shutter, RowWindows):
             files += [value for value in shutter.bind(camera.shutter.params).values() if isinstance(value, Path)]
             files += _own_code(shutter)

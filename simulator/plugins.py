@@ -118,7 +118,7 @@ def describe_failure(error: BaseException, path: Path | None = None) -> str:
 _LABELS = {"mask": "mask design", "scene": "scene family", "source": "imported source", "shutter": "shutter function"}
 
 # Keys of the section beside the plugin's parameters, which a parameter therefore cannot be called.
-_SCENE_KEYS = ("family", "source", "size", "near_cm", "far_cm")
+_SCENE_KEYS = ("family", "source", "size", "margin", "margin_deg", "surroundings", "near_cm", "far_cm")
 _SHUTTER_KEYS = ("type", "file", "function")
 SECTION_KEYS = {"mask": ("design",), "scene": _SCENE_KEYS, "source": _SCENE_KEYS, "shutter": _SHUTTER_KEYS}
 _INJECTED = "renderer"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -29,6 +29,8 @@ class View:
         distance_m: mask to sensor, metres.
         near_m: nearest depth (z from the mask plane) that the scene may use, metres.
         far_m: farthest depth, metres; may be ``inf``.
+        margin: rows above and below and columns left and right of the image from which light is simulated, too; it is in the
+            measurement, but not in the ground truth.
     """
 
     shape: tuple[int, int]
@@ -36,6 +38,26 @@ class View:
     distance_m: float
     near_m: float
     far_m: float
+    margin: tuple[int, int] = (0, 0)
+
+    @property
+    def field(self) -> View:
+        """The view of all that is simulated, the image with its margin."""
+        rows, columns = (size + 2 * margin for size, margin in zip(self.shape, self.margin, strict=True))
+        return replace(self, shape=(rows, columns), margin=(0, 0))
+
+    @property
+    def coarse_field(self) -> tuple[View, int]:
+        """The field's view in coarse pixels, and how many of the image's each of them covers along each axis.
+
+        Four, or three where a size is odd, so that both grids have the same middle; the coarse one may reach a little beyond
+        the margin.
+        """
+        whole = self.field.shape
+        coarseness = 3 if any(size % 2 for size in whole) else 4
+        sizes = [-(-size // coarseness) for size in whole]
+        rows, columns = (size + (size * coarseness - wanted) % 2 for size, wanted in zip(sizes, whole, strict=True))
+        return replace(self.field, shape=(rows, columns), pixel_pitch_m=coarseness * self.pixel_pitch_m), coarseness
 
     @property
     def tan_half_width(self) -> float:
@@ -46,6 +68,42 @@ class View:
     def tan_half_height(self) -> float:
         """Tangent of the angle from the axis to the middle of the image's upper or lower edge."""
         return 0.5 * self.shape[0] * self.pixel_pitch_m / self.distance_m
+
+    @property
+    def tangents(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Tangents of the angles that the rows' and the columns' middles look along, ``(h,)`` and ``(w,)``."""
+        pixel = self.pixel_pitch_m / self.distance_m
+        rows, columns = ((np.arange(size, dtype=np.float64) - (size - 1) / 2) * pixel for size in self.shape)
+        return rows, columns
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What shines beside a clip's image: coarse, because only its light matters.
+
+    Attributes:
+        rgb: linear radiance, float32 ``(T, h, w, 3)``, finite and not negative; a single frame stands for all. It spans the
+            image and the margin around it, with the same middle; what lies under the image is not used.
+        depth_m: z from the mask plane, float32 metres ``(T, h, w)``.
+        coarseness: pixels of the image that one of these covers along each axis.
+
+    Raises:
+        InputError: when shapes, types or values break these rules.
+    """
+
+    rgb: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    coarseness: int
+
+    def __post_init__(self) -> None:
+        _check_light("Surroundings", self.rgb, self.depth_m)
+        if self.coarseness < 1:
+            raise InputError("Surroundings.coarseness", f"got {self.coarseness}, expected at least 1")
+
+    def frames(self, chosen: slice) -> Surroundings:
+        """Return those of some frames."""
+        still = len(self.rgb) == 1
+        return self if still else replace(self, rgb=self.rgb[chosen], depth_m=self.depth_m[chosen])
 
 
 @dataclass(frozen=True)
@@ -62,6 +120,7 @@ class Clip:
         source: where the clip came from, JSON-serialisable; it is stored with the sample.
         extras: more that is known of every pixel, by name: arrays of numbers ``(T, H, W)`` or ``(T, H, W, n)``, finite; see
             `simulator.render.frames` for those that rendering gives.
+        surroundings: what shines beside the image, where the view has a margin and the source knows it.
 
     Raises:
         InputError: when shapes, types or values break these rules.
@@ -74,16 +133,11 @@ class Clip:
     label: str | None = None
     source: dict[str, Any] = field(default_factory=dict)
     extras: dict[str, NDArray[Any]] = field(default_factory=dict)
+    surroundings: Surroundings | None = None
 
     def __post_init__(self) -> None:
-        if self.rgb.ndim != 4 or self.rgb.shape[-1] != 3 or self.rgb.dtype != np.float32:
-            raise InputError("Clip.rgb", f"expected float32 (T, H, W, 3), got {self.rgb.dtype} {self.rgb.shape}")
+        _check_light("Clip", self.rgb, self.depth_m)
         frames_shape = self.rgb.shape[:3]
-        if self.depth_m.shape != frames_shape or self.depth_m.dtype != np.float32:
-            raise InputError(
-                "Clip.depth_m",
-                f"expected float32 {frames_shape} like rgb, got {self.depth_m.dtype} {self.depth_m.shape}",
-            )
         if self.valid.shape != frames_shape or self.valid.dtype != np.bool_:
             raise InputError(
                 "Clip.valid", f"expected bool {frames_shape} like rgb, got {self.valid.dtype} {self.valid.shape}"
@@ -94,13 +148,9 @@ class Clip:
                 "Clip.frame_edges_s",
                 f"must hold {frames_shape[0] + 1} finite, strictly increasing seconds, got {edges!r}",
             )
-        if not (self.rgb.min() >= 0 and self.rgb.max() < np.inf):  # also catches NaN, and needs no memory
+        if self.surroundings is not None and len(self.surroundings.rgb) not in (1, len(self.rgb)):
             raise InputError(
-                "Clip.rgb", "expected finite and not negative: linear radiance has no NaN, inf or negative values"
-            )
-        if not np.all(self.depth_m > 0):  # also catches NaN
-            raise InputError(
-                "Clip.depth_m", f"expected positive metres from the mask plane, got a minimum of {self.depth_m.min()}"
+                "Clip.surroundings", f"got {len(self.surroundings.rgb)} frames, expected 1 or {len(self.rgb)} like rgb"
             )
         for name, values in self.extras.items():
             if values.ndim not in (3, 4) or values.shape[:3] != frames_shape or not np.all(np.isfinite(values)):
@@ -108,6 +158,23 @@ class Clip:
                     f"Clip.extras[{name!r}]",
                     f"expected finite {frames_shape} or {(*frames_shape, 'n')}, got {values.shape}",
                 )
+
+
+def _check_light(name: str, rgb: NDArray[Any], depth_m: NDArray[Any]) -> None:
+    if rgb.ndim != 4 or rgb.shape[-1] != 3 or rgb.dtype != np.float32:
+        raise InputError(f"{name}.rgb", f"expected float32 (T, H, W, 3), got {rgb.dtype} {rgb.shape}")
+    if depth_m.shape != rgb.shape[:3] or depth_m.dtype != np.float32:
+        raise InputError(
+            f"{name}.depth_m", f"expected float32 {rgb.shape[:3]} like rgb, got {depth_m.dtype} {depth_m.shape}"
+        )
+    if not (rgb.min() >= 0 and rgb.max() < np.inf):  # also catches NaN, and needs no memory
+        raise InputError(
+            f"{name}.rgb", "expected finite and not negative: linear radiance has no NaN, inf or negative values"
+        )
+    if not np.all(depth_m > 0):  # also catches NaN
+        raise InputError(
+            f"{name}.depth_m", f"expected positive metres from the mask plane, got a minimum of {depth_m.min()}"
+        )
 
 
 @runtime_checkable

@@ -182,7 +182,7 @@ def wall_mesh(view: View, viewpoint: Viewpoint, material: Material, repeats: flo
 def _backdrop_half(view: View, viewpoint: Viewpoint) -> float:
     """Half an edge of the table and of the wall: beyond what the widest image shows."""
     farthest = far_end(view) / viewpoint.scale
-    return 1.5 * farthest * max(1.0, view.tan_half_width, view.tan_half_height)
+    return 1.5 * farthest * max(1.0, view.field.tan_half_width, view.field.tan_half_height)
 
 
 def _rectangle(viewpoint: Viewpoint, corners: Array, normal: Array, uv: Array, material: Material) -> TriangleMesh:

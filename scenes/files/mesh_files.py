@@ -20,12 +20,11 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.files.images import area_mean
 from scenes.layout import rotation
 from scenes.meshes import face_cross, unit, welded
 from simulator.colour import decode_srgb_image, srgb_to_linear
 from simulator.errors import InputError
-from simulator.io.images import image_shape
+from simulator.io.images import area_mean, image_shape
 
 Array = NDArray[np.float64]
 Up = Literal["auto", "y", "z"]

@@ -132,17 +132,18 @@ def _check_as_is(path: Path, model: Model, unit_m: float, view: View, back: floa
 
 
 def _wall(view: View, rng: np.random.Generator) -> TriangleMesh:
-    """Return a plane across the whole view, just inside the far end."""
+    """Return a plane across the whole view and its margin, just inside the far end."""
     depth = _WALL_SHARE * far_end(view)
-    half = 1.05 * depth * np.array([view.tan_half_width, view.tan_half_height])
-    corners = np.column_stack([np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half, np.full(4, depth)])
+    image, whole = (1.05 * depth * np.array([v.tan_half_width, v.tan_half_height]) for v in (view, view.field))
+    places = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * whole / image
+    corners = np.column_stack([places * image, np.full(4, depth)])
     repeats = float(rng.uniform(1.0, 2.5))
     aspect = view.shape[0] / view.shape[1]
     colours = draw_ramp(rng, draw_theme(rng), saturation=(0.05, 0.5))
     return TriangleMesh(
         vertices_m=corners,
         normals=np.tile([0.0, 0, -1], (4, 1)),
-        uv=repeats * np.array([(0.0, 0), (1, 0), (1, aspect), (0, aspect)]),
+        uv=repeats * (1 + places) / 2 * (1, aspect),
         faces=np.array([(0, 2, 1), (0, 3, 2)]),
         material=Material(0.9 * draw_reflectance(rng, colours, _WALL_TEXTURE)),
     )

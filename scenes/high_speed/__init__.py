@@ -16,7 +16,7 @@ from pydantic import Field
 from scenes.high_speed.actors import Act, Actor, floor_depth, rigid
 from scenes.high_speed.bodies import body_library
 from scenes.high_speed.events import EVENTS, MOST_ACTORS, Event, cast_event
-from scenes.high_speed.rooms import Room, draw_room, floor_of, lamps_of, wall_of
+from scenes.high_speed.rooms import Room, behind, draw_room, floor_of, lamps_of, wall_of
 from scenes.layout import far_end, random_rotation
 from scenes.textures import draw_ramp, draw_reflectance, draw_theme
 from simulator.render import Light, Material, Renderer, Scene, TriangleMesh
@@ -168,7 +168,10 @@ def draw_play(view: View, event: Event, black: bool, duration_s: float, rng: np.
             continue
         reflectance = draw_reflectance(rng, draw_ramp(rng, theme, saturation=(0.25, 0.9)), _TEXTURE_SIZE)
         slots.append((Material(reflectance, roughness), actors[place]))
-    return Play(room, tuple(actors), backdrops, tuple(slots), lamps_of(room, rng))
+    lamps = lamps_of(room, rng)
+    if view.margin != (0, 0):
+        backdrops += (_parked(Material(_BLACK)) if black else behind(room, theme, _TEXTURE_SIZE, rng),)
+    return Play(room, tuple(actors), backdrops, tuple(slots), lamps)
 
 
 def _props(act: Act, actors: list[Actor]) -> list[Actor]:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scenes.layout import far_end
 from scenes.lights import draw_room as draw_surroundings
 from scenes.lights import lamp
-from scenes.meshes import face_cross, unit
+from scenes.meshes import backdrop, face_cross, unit
 from scenes.textures import draw_ramp, draw_reflectance
 from simulator.render import EnvironmentMap, Material, SphereLight, TriangleMesh
 from simulator.types import View
@@ -90,11 +90,16 @@ def wall_of(room: Room, theme: Array, size: int, rng: np.random.Generator) -> Tr
     return _plane(corners, uv, _muted(theme, size, rng))
 
 
+def behind(room: Room, theme: Array, size: int, rng: np.random.Generator) -> TriangleMesh:
+    """Return a plane that fills the view's margin where the wall ends; it lies behind all of it."""
+    return backdrop(room.view, 2.5 * room.wall_m, Material(_muted(theme, size, rng)), rng.uniform(1.0, 2.5))
+
+
 def floor_of(room: Room, theme: Array, size: int, rng: np.random.Generator) -> TriangleMesh:
     """Return the textured floor, a wedge from behind the camera to behind the wall."""
     tip = -0.2 * room.wall_m
     back = 1.3 * room.wall_m / (1 - 2 * abs(room.wall_slant))
-    reach = 1.1 * room.view.tan_half_width * (back - tip)
+    reach = 1.1 * room.view.field.tan_half_width * (back - tip)
     corners = np.array([(-reach, room.floor_m, back), (reach, room.floor_m, back), (0, room.floor_m, tip)])
     turn = rng.uniform(0, np.pi)
     along = np.array([np.cos(turn), np.sin(turn)])

@@ -20,6 +20,7 @@ from simulator.camera.convolution import StackConvolution
 from simulator.camera.planes import clamped_share, split_planes
 from simulator.camera.shutter import Shutter
 from simulator.camera.slivers import exposed_part, frame_shares, sliver_edges, sliver_length
+from simulator.camera.surroundings import whole_frames
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
 from simulator.types import Clip
@@ -62,13 +63,13 @@ class ForwardModel:
         Args:
             stack: PSFs of K depths and C channels.
             sensor_shape: H, W of the (binned) sensor.
-            scene_shape: h, w of the scene.
+            scene_shape: h, w of the scene; of clips with surroundings, of the field that both make.
             shutter: None takes one frame with weight 1, so that y is an irradiance; with a shutter y is an exposure,
                 irradiance x seconds.
             boundary: ``linear`` or ``circular``.
             time: ``integral`` gives exposures, ``mean`` divides them by each row's exposure time: the mean irradiance while
                 the row was open, on the scale of a single frame.
-            irradiance: ``(h, w)`` from ``mask_irradiance``, used by ``forward_clip``; None means 1.
+            irradiance: ``(h, w)`` from `simulator.camera.field.FieldOfView`, used by ``forward_clip``; None means 1.
             scene_to_camera: ``(C, 3)`` from linear sRGB to the stack's channels, used by ``forward_clip``; None takes red,
                 green and blue as they are.
             depth_rule: used by ``forward_clip``.
@@ -182,9 +183,6 @@ class ForwardModel:
 
     def _checked(self, clip: Clip) -> Clip:
         """Return the part of a clip that the shutter sees, after all checks."""
-        shape = clip.rgb.shape[1:3]
-        if shape != tuple(self.scene_shape):
-            raise InputError("clip", f"its frames are {shape}, but the model was made for scenes of {self.scene_shape}")
         channels = self.stack.channels
         if len(self.scene_to_camera) != len(channels):
             raise InputError(
@@ -207,6 +205,6 @@ class ForwardModel:
 
     def _planes(self, clip: Clip) -> Iterator[NDArray[np.float32]]:
         """Yield the irradiance at the mask of each frame on the depth planes, ``(K, C, h, w)``."""
-        for rgb, depth_m in zip(clip.rgb, clip.depth_m, strict=True):
+        for rgb, depth_m in whole_frames(clip, self.scene_shape):
             light = to_camera(rgb, self.scene_to_camera) * self._irradiance
             yield split_planes(light, depth_m, self.stack.depths_m, self._rule.assignment)

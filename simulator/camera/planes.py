@@ -1,4 +1,4 @@
-"""From an RGB-D frame to depth planes, and from scene radiance to irradiance at the mask."""
+"""From an RGB-D frame to depth planes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.types import View
 
 
 def plane_weights(
@@ -70,19 +69,3 @@ def clamped_share(depth_m: NDArray[np.floating], valid: NDArray[np.bool_], depth
     frames = zip(*(values.reshape(-1, *values.shape[-2:]) for values in (depth_m, valid)), strict=True)
     outside = sum(np.count_nonzero(seen & ((z < nearest) | (z > farthest))) for z, seen in frames)  # one frame's memory
     return outside / max(np.count_nonzero(valid), 1)
-
-
-def mask_irradiance(view: View, vignetting: bool = True) -> NDArray[np.float32]:
-    """Return the irradiance at the mask per unit radiance of each scene pixel, ``(h, w)`` float32 steradian.
-
-    V = L (p / d)^2 cos^4(theta): the pixel's solid angle is (p / d)^2 cos^3, the mask's tilt gives one more cosine; no
-    1/z^2, because a farther surface shows more of itself. Source: Horn, Robot Vision, section 10.3.
-
-    Args:
-        view: the scene's geometry.
-        vignetting: False leaves out cos^4.
-    """
-    y, x = ((np.arange(n) - (n - 1) / 2) * view.pixel_pitch_m / view.distance_m for n in view.shape)
-    cosine_squared = 1 / (1 + y[:, None] ** 2 + x[None, :] ** 2)
-    solid_angle = (view.pixel_pitch_m / view.distance_m) ** 2
-    return np.asarray(solid_angle * (cosine_squared**2 if vignetting else np.ones(view.shape)), np.float32)

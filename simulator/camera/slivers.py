@@ -82,10 +82,11 @@ def split_measurement(measurement: Array, weights: NDArray[np.float64]) -> Array
 def sliver_means(clip: Clip, slivers: int) -> Clip:
     """Return a clip of N frames, the slivers': mean radiance; depth, validity and extras of the frame in the middle.
 
-    Depths are not averaged: a mean of fore- and background is neither.
+    Depths are not averaged: a mean of fore- and background is neither. What lies beside the image is left out.
     """
     frames = len(clip.rgb)
     length = sliver_length(frames, slivers)
+    clip = replace(clip, surroundings=None)
     if length == 1:
         return clip
     edges_s = sliver_edges(clip.frame_edges_s, slivers)
@@ -95,6 +96,7 @@ def sliver_means(clip: Clip, slivers: int) -> Clip:
 
 
 def _frames_of(clip: Clip, frames: slice, frame_edges_s: NDArray[np.float64]) -> Clip:
+    around = clip.surroundings
     return replace(
         clip,
         rgb=clip.rgb[frames],
@@ -102,4 +104,5 @@ def _frames_of(clip: Clip, frames: slice, frame_edges_s: NDArray[np.float64]) ->
         valid=clip.valid[frames],
         frame_edges_s=frame_edges_s,
         extras={name: values[frames] for name, values in clip.extras.items()},
+        surroundings=None if around is None else around.frames(frames),
     )

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
+from simulator.camera.field import CosinePower
 from simulator.camera.noise import GaussianNoise, Noise, NoNoise, PhysicalNoise
 from simulator.camera.sensor import MODELS, Sensor
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter
@@ -118,6 +119,23 @@ _CFA = "RGGB"
 _NEAREST_MM = 0.05  # from the mask to the sensor
 
 
+AngularResponseConfig = Annotated[
+    Annotated[CosinePower, Tag("a power")] | Annotated[str, Field(min_length=1), Tag("a file")],
+    Discriminator(lambda data: "a power" if isinstance(data, dict | CosinePower) else "a file"),
+]
+_Angle = Annotated[float, Range(0.1, 179, "deg (degrees)")]
+FieldStop = Annotated[
+    Annotated[Literal["image"], Tag("a word")]
+    | Annotated[_Angle, Tag("an angle")]
+    | Annotated[tuple[_Angle, _Angle], Tag("two angles")],
+    Discriminator(
+        lambda data: (
+            "a word" if isinstance(data, str) else "two angles" if isinstance(data, list | tuple) else "an angle"
+        )
+    ),
+]
+
+
 class MaskConfig(PluginSection):
     """The mask: the name of a design, and the design's parameters as further keys."""
 
@@ -165,6 +183,11 @@ class SensorConfig(Section):
     ) = Field(
         default=None, description="electrons per photon where the most sensitive channel's spectral response peaks"
     )
+    angular_response: AngularResponseConfig | None = Field(
+        default=None,
+        description="response to light from the side: a .csv file (angle_deg,response from 0 to 90), or {cosine_power: n}; "
+        "the same from everywhere when left out",
+    )
     readout: Literal["binned_rgb", "bayer"] = Field(
         default="binned_rgb", description="whether each value has all colours, or one (a mosaic, as in raw files)"
     )
@@ -186,7 +209,7 @@ class SensorConfig(Section):
         if self.model not in MODELS:
             raise refusal(f"got {self.model!r}, expected one of {', '.join(MODELS)}", "model")
         try:
-            self.sensor()
+            self.sensor(NoNoise())
         except InputError as error:
             raise refusal(error.reason, error.path) from error
         return self
@@ -197,7 +220,7 @@ class SensorConfig(Section):
         physical_m = MODELS[self.model]["pixel_pitch_m"] if self.pixel_pitch_um is None else self.pixel_pitch_um * 1e-6
         return physical_m * self.binning
 
-    def sensor(self, noise: Noise = NoNoise()) -> Sensor:  # noqa: B008 (frozen)
+    def sensor(self, noise: Noise) -> Sensor:
         """Return the sensor: the model's numbers, with those that are given in their place."""
         own = {name: getattr(self, name) for name in MODELS[self.model].keys() & type(self).model_fields.keys()}
         own["pixel_pitch_m"] = None if self.pixel_pitch_um is None else self.pixel_pitch_um * 1e-6
@@ -252,6 +275,11 @@ class CameraConfig(Section):
     )
     substrate: Substrate | None = Field(
         default=None, description="the mask's own plate; on the sensor's side it adds to the distance"
+    )
+    field_stop_deg: FieldStop | None = Field(
+        default=None,
+        description="an ideal stop that ends the field of view: the full angle that passes, degrees, or [vertical, "
+        "horizontal] ones, or image: right around the image; none when left out, as on a bare sensor",
     )
     sensor: SensorConfig
     illuminant: IlluminantConfig = Field(

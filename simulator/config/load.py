@@ -11,11 +11,14 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from simulator import plugins
+from simulator.camera.field import read_angular_response
 from simulator.camera.shutter import read_row_shutter
+from simulator.camera.surroundings import WORDS
 from simulator.config.camera import RowWindows
 from simulator.config.schema import Config
 from simulator.config.yaml import Origins, apply_overrides, read_yaml
 from simulator.errors import InputError
+from simulator.io.images import read_light
 from simulator.optics.materials import load_material
 from simulator.optics.spectra import camera_curves, illuminant_curve
 from simulator.text import KeyPath, show
@@ -219,6 +222,11 @@ def _file_problems(config: Config) -> list[Problem]:
     if isinstance(camera.shutter, RowWindows) and camera.shutter.file is not None:
         file, sensor = config.resolve_path(camera.shutter.file), camera.sensor
         checks["camera", "shutter", "file"] = partial(read_row_shutter, file, sensor.shape[0], sensor.binning)
+    if isinstance(camera.sensor.angular_response, str):
+        file = config.resolve_path(camera.sensor.angular_response)
+        checks["camera", "sensor", "angular_response"] = partial(read_angular_response, file)
+    if config.scene.surroundings not in (None, *WORDS):
+        checks["scene", "surroundings"] = partial(read_light, config.resolve_path(config.scene.surroundings))
     problems = []
     for path, check in checks.items():
         try:

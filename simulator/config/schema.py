@@ -46,6 +46,19 @@ class SceneConfig(PluginSection):
         default=None, description="an imported source's name, ./file.py:name or package.module:name"
     )
     size: Shape = Field(description="rows and columns of the scene, in binned sensor pixels")
+    margin: Literal["auto"] | Annotated[int, Range(0, 4096)] = Field(
+        default=0,
+        description="pixels beside each edge of the image from which light is simulated, too, outside of the ground truth; "
+        "auto: up to the field stop, or until less than 2 % of a uniform half space's light is left out",
+    )
+    margin_deg: Annotated[float, Range(0, 80, "deg (degrees)")] | None = Field(
+        default=None, description="the same as an angle beyond the image's edges, degrees"
+    )
+    surroundings: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
+        description="what shines in the margin of images that say nothing of it: black, continue (the image goes on, "
+        "mirrored), or an image file of the whole field",
+    )
     near_cm: Annotated[float, Range(0.01, 1e7, "cm")] | None = Field(
         default=None, description="nearest depth of the scenes, centimetres; the PSF's nearest plane when left out"
     )
@@ -58,6 +71,24 @@ class SceneConfig(PluginSection):
         if self.near_cm is not None and self.far_cm is not None and self.near_cm >= self.far_cm:
             text = f"got {self.near_cm:g}, which is not nearer than far_cm = {self.far_cm:g}; swap them?"
             raise refusal(text, "near_cm")
+        return self
+
+    @property
+    def has_margin(self) -> bool:
+        """Whether light from beside the image is asked for."""
+        return self.margin != 0 or bool(self.margin_deg)
+
+    @model_validator(mode="after")
+    def _known_surroundings(self) -> Self:
+        if self.margin_deg is not None and self.margin != 0:
+            text = f"got {self.margin_deg:g} beside margin, which says the same in pixels; keep one of the two"
+            raise refusal(text, "margin_deg", on_key=True)
+        if self.source is not None and self.has_margin and self.surroundings is None:
+            text = (
+                "missing; imported images end at their edges, and the margin asks for what is beside them; give black, "
+                "continue (the image goes on, mirrored) or an image file, or leave the margin out"
+            )
+            raise refusal(text, "surroundings")
         return self
 
     @model_validator(mode="after")
@@ -245,6 +276,15 @@ class Config(Section):
                 "photons; use time: integral"
             )
             raise refusal(text, "forward", "time")
+        return self
+
+    @model_validator(mode="after")
+    def _no_margin_goes_round(self) -> Self:
+        if self.forward.boundary == "circular" and self.scene.has_margin:
+            text = (
+                "got circular, under which light that misses the sensor comes back; it has no meaning beside a margin"
+            )
+            raise refusal(f"{text}: use linear, or leave the scene's margin out", "forward", "boundary")
         return self
 
     @model_validator(mode="after")

@@ -39,6 +39,9 @@ class DatasetInfo:
         sensor_shape: rows, columns of the measurement.
         channels: names of the measurement's channels.
         scene_to_camera: ``matrix``, the rows that take the ground truth's linear sRGB to the channels, and its origin.
+        field_of_view: how much of the light from each direction counts (see `simulator.camera.field`), ``margin``: rows and
+            columns beside the image from which light was simulated, ``light_from_outside``: share of a uniform half space's
+            light that comes from beyond them.
         time: how the measurements were exposed and taken apart: ``shutter`` (see `simulator.camera.shutter`),
             ``slivers`` per sample (None where every frame is one), and what else the job recorded.
 
@@ -58,12 +61,23 @@ class DatasetInfo:
     sensor_shape: tuple[int, int]
     channels: tuple[str, ...]
     scene_to_camera: dict[str, Any] = field(default_factory=dict)
+    field_of_view: dict[str, Any] = field(default_factory=dict)
     time: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("name", "fingerprint", "backend"):
             _expect(name, isinstance(getattr(self, name), str), "text", getattr(self, name))
-        for name in ("config", "fingerprint_parts", "versions", "exposure", "counts", "scene_to_camera", "time"):
+        dicts = (
+            "config",
+            "fingerprint_parts",
+            "versions",
+            "exposure",
+            "counts",
+            "scene_to_camera",
+            "field_of_view",
+            "time",
+        )
+        for name in dicts:
             _expect(name, isinstance(getattr(self, name), dict), "a dict", getattr(self, name))
         hexadecimal = len(self.fingerprint) == 64 and set(self.fingerprint) <= set("0123456789abcdef")
         _expect("fingerprint", hexadecimal, "64 hexadecimal digits", self.fingerprint)

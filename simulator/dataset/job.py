@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from simulator.assembly import Assembly
+from simulator.camera.field import LIGHT_LEFT_OUT
 from simulator.camera.sensor import PERCENTILE, PILOTS, TARGET, full_scale_from_pilots
 from simulator.camera.shutter import Shutter, shutter_record
 from simulator.captured_psf import captured_stack, check_calibration
@@ -288,10 +289,11 @@ class _Job:
                     sensor_shape=self.config.camera.sensor.shape,
                     channels=assembly.sensor.channels(stack.channels),
                     scene_to_camera=colour.origin | {"matrix": colour.matrix.tolist()},
+                    field_of_view=assembly.field_record,
                     time={"shutter": shutter_record(shutter), **self._slivers()},
                 )
             write_info(self.root, replace(existing, counts=self._counts(), config=dump(self.config)))
-            self._warn(stack)
+            self._warn(stack, existing.field_of_view)
             if self.problems:
                 self.say(list_problems(self.root, self.problems))
             return self._samples(replace(recipe, full_scale=float(existing.exposure["full_scale"])), manifest)
@@ -404,8 +406,14 @@ class _Job:
         with closing(outcomes):
             yield from outcomes
 
-    def _warn(self, stack: PsfStack) -> None:
+    def _warn(self, stack: PsfStack, field: Mapping[str, Any]) -> None:
         """Say what the user should know before relying on the data."""
+        if (outside := field.get("light_from_outside")) is not None:
+            cure = "; scene.margin: auto simulates it, camera.field_stop_deg keeps it out"
+            self.say(
+                f"of a uniform half space's light, {outside:.1%} comes from outside what is simulated (recorded)"
+                + (cure if outside > LIGHT_LEFT_OUT else "")
+            )
         sampling = stack.provenance.get("sampling")
         if sampling and sampling != UNPROVEN:
             self.say(f"sampling error of the PSFs on the sensor's pixels: {sampling['error']:.1%} (recorded)")

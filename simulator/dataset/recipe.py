@@ -18,6 +18,7 @@ from simulator.camera.noise import GaussianNoise
 from simulator.camera.planes import clamped_share
 from simulator.camera.shutter import Shutter
 from simulator.camera.slivers import exposed_part, sliver_means
+from simulator.camera.surroundings import surrounded
 from simulator.config import Config
 from simulator.dataset.clips import ClipOrder, check_clip, clip_order, durations_s
 from simulator.dataset.sample import Sample, SampleRecord, write_sample
@@ -59,6 +60,7 @@ class SampleMaker:
         self._model, self._plugin = assembly.forward_model, assembly.scene_plugin
         self._source = recipe.source or assembly.source
         self._order = clip_order(self._source)
+        self._view, self._beside = assembly.view, assembly.surroundings
         self._sensor = replace(assembly.sensor, full_scale=recipe.full_scale or 1.0)
         self._channels = self._sensor.channels(self._stack.channels)
 
@@ -70,6 +72,7 @@ class SampleMaker:
         if shutter is not None:
             check_clip(clip, shutter, rows, self._chosen.slivers)
             clip = exposed_part(clip, shutter, rows)
+        clip = surrounded(clip, self._view, self._beside)
         return clip, self._model.forward_clip(clip)
 
     def sample(self, split: str, index: int) -> Sample:
@@ -90,6 +93,9 @@ class SampleMaker:
             "saturated_share": self._sensor.saturated_share(exposure),
             "clamped_depth_share": clamped_share(clip.depth_m, clip.valid, self._stack.depths_m),
         }
+        if (around := clip.surroundings) is not None:
+            every = np.ones(around.depth_m.shape, bool)
+            metadata["clamped_surroundings_share"] = clamped_share(around.depth_m, every, self._stack.depths_m)
         if self._sensor.stored_cfa is not None:
             metadata["cfa"] = self._sensor.stored_cfa
         noise = self._sensor.noise

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from simulator.assembly import Assembly
 from simulator.camera.forward import ForwardModel
-from simulator.camera.planes import mask_irradiance
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, Shutter
 from simulator.camera.slivers import frames_seen
 from simulator.config.psf import ComputedPsf
@@ -168,7 +167,7 @@ class Bench:
         self.rows = self.sensor_shape[0]
         self.duration_s = self.shutter.duration_s(self.rows)
         self._boundary = config.forward.boundary
-        self._irradiance = mask_irradiance(assembly.view, config.forward.vignetting)
+        self._irradiance = assembly.field_of_view.irradiance(assembly.view)
         self.ends = _ends(assembly)
         values = np.asarray(self.ends.values)
         far = replace(self.ends, values=values[-1:], depths_m=self.ends.depths_m[-1:])

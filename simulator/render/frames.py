@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.render.gbuffer import GBuffer
 from simulator.render.hidden import HiddenLayer
-from simulator.types import FARTHEST_M, Clip, View
+from simulator.types import FARTHEST_M, Clip, Surroundings, View
 
 Output = Literal["shape_id", "normal", "albedo", "motion", "hidden"]
 OUTPUTS: tuple[str, ...] = get_args(Output)
@@ -113,6 +113,7 @@ class Frame:
         hits: what the pixels' centres see, where ``outputs`` ask for it.
         layers: hidden layers, nearest first, likewise.
         bands: float32 ``(H, W, N)``, or None.
+        around: light ``(h, w, 3)`` and depth ``(h, w)`` of the whole field in coarse pixels, where the view has a margin.
         came_from: motion ``(H, W, 3)`` of the frame before this one, and which of its points are seen here ``(H, W)``.
     """
 
@@ -124,6 +125,7 @@ class Frame:
     hits: GBuffer | None
     layers: list[HiddenLayer]
     bands: NDArray[np.float32] | None = None
+    around: tuple[NDArray[np.float32], NDArray[np.float64]] | None = None
     came_from: tuple[NDArray[np.float32], NDArray[np.bool_]] | None = None
 
 
@@ -141,17 +143,29 @@ def join_frames(
         label=label,
         source=source | facts,
         extras=_extras(frames, view),
+        surroundings=_surroundings(frames, view),
     )
 
 
+def _surroundings(frames: list[Frame], view: View) -> Surroundings | None:
+    around = [frame.around for frame in frames if frame.around is not None]
+    if not around:
+        return None
+    light, depths = zip(*around, strict=True)
+    return Surroundings(np.stack(light), _finite_depth(list(depths), view)[0], view.coarse_field[1])
+
+
 def dim_fireflies_in(frames: list[Frame]) -> dict[str, float]:
-    """Dim lone glaring pixels, in all bands alike, and return their share and that of the light they lose."""
+    """Dim lone glaring pixels, in all bands alike, and return their share and that of the light that the image loses."""
     before = sum(float(frame.rgb.sum(dtype=np.float64)) for frame in frames)
     dimmed = 0
     for frame in frames:
         factor = firefly_dimming(frame.rgb)[..., np.newaxis]
         frame.rgb = frame.rgb * factor
         frame.bands = None if frame.bands is None else frame.bands * factor
+        if frame.around is not None:
+            light, depth = frame.around
+            frame.around = light * firefly_dimming(light)[..., np.newaxis], depth
         dimmed += int(np.count_nonzero(factor < 1))
     after = sum(float(frame.rgb.sum(dtype=np.float64)) for frame in frames)
     lost = (before - after) / before if before else 0.0

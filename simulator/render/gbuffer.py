@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from simulator.render.backend import drjit, mitsuba
 from simulator.render.bands import albedo_of
-from simulator.render.mitsuba_scene import UNITS_PER_M, aligned, cuboid, scene_order
+from simulator.render.mitsuba_scene import IMAGE, UNITS_PER_M, aligned, cuboid, scene_order
 from simulator.render.scene import Box, Material, Scene, Sphere, SphereLight, TriangleMesh
 from simulator.types import View
 
@@ -46,27 +46,27 @@ class GBuffer:
     albedo: NDArray[np.float32]
 
 
-def centre_depth(scene: Any) -> NDArray[np.float64]:
+def centre_depth(scene: Any, camera: int = IMAGE) -> NDArray[np.float64]:
     """Return z in metres ``(H, W)`` of what the pixels' centres see in a ``mitsuba.Scene``; ``inf`` where nothing is seen."""
-    rows, columns = film_shape(scene)
+    rows, columns = film_shape(scene, camera)
     if is_scalar():
         z = np.full(rows * columns, np.inf)
-        for pixel, ray in enumerate(centre_rays(scene)):
+        for pixel, ray in enumerate(centre_rays(scene, camera)):
             hit = scene.ray_intersect_preliminary(ray)
             if hit.is_valid():
                 z[pixel] = ray(hit.t).z
     else:
         dr = drjit()
-        ray = centre_rays(scene)
+        ray = centre_rays(scene, camera)
         hit = scene.ray_intersect_preliminary(ray)
         z = np.array(dr.select(hit.is_valid(), ray(hit.t).z, dr.inf), dtype=np.float64)
     return z.reshape(rows, columns) / UNITS_PER_M
 
 
-def centre_gbuffer(scene: Any) -> GBuffer:
+def centre_gbuffer(scene: Any, camera: int = IMAGE) -> GBuffer:
     """Return all that is known of what each pixel's centre sees in a ``mitsuba.Scene`` of `load_scene`, of either variant."""
-    rows, columns = film_shape(scene)
-    found = _look_one_by_one(scene) if is_scalar() else _look_at_all(scene)
+    rows, columns = film_shape(scene, camera)
+    found = _look_one_by_one(scene, camera) if is_scalar() else _look_at_all(scene, camera)
     shaped = {name: values.reshape(rows, columns, *values.shape[1:]) for name, values in found.items()}
     seen = shaped["seen"].astype(bool)
     return GBuffer(
@@ -86,17 +86,17 @@ def is_scalar() -> bool:
     return str(mitsuba().variant()).startswith("scalar")
 
 
-def film_shape(scene: Any) -> tuple[int, int]:
-    """Return rows and columns of the image."""
-    columns, rows = (int(size) for size in scene.sensors()[0].film().size())
+def film_shape(scene: Any, camera: int = IMAGE) -> tuple[int, int]:
+    """Return rows and columns of a camera's image."""
+    columns, rows = (int(size) for size in scene.sensors()[camera].film().size())
     return rows, columns
 
 
-def centre_rays(scene: Any) -> Any:
+def centre_rays(scene: Any, camera: int = IMAGE) -> Any:
     """Return the rays through the pixels' centres, row by row: all of them at once, or one by one in a scalar variant."""
     mi = mitsuba()
-    sensor = scene.sensors()[0]
-    rows, columns = film_shape(scene)
+    sensor = scene.sensors()[camera]
+    rows, columns = film_shape(scene, camera)
     if is_scalar():
         return (
             sensor.sample_ray(0.0, 0.5, [(column + 0.5) / columns, (row + 0.5) / rows], [0.5, 0.5])[0]
@@ -125,9 +125,9 @@ def order_by_id(scene: Any) -> dict[str, int]:
     return dict(zip((shape.id() for shape in scene.shapes()), scene_order(scene), strict=True))
 
 
-def _look_at_all(scene: Any) -> dict[str, NDArray[Any]]:
+def _look_at_all(scene: Any, camera: int) -> dict[str, NDArray[Any]]:
     dr, mi = drjit(), mitsuba()
-    ray = centre_rays(scene)
+    ray = centre_rays(scene, camera)
     first = scene.ray_intersect_preliminary(ray)
     seen = first.is_valid()
     hit = first.compute_surface_interaction(ray, mi.RayFlags.All, seen)
@@ -159,17 +159,17 @@ def _columns(vectors: Any) -> NDArray[Any]:
     return np.array(vectors).T
 
 
-def _look_one_by_one(scene: Any) -> dict[str, NDArray[Any]]:
+def _look_one_by_one(scene: Any, camera: int) -> dict[str, NDArray[Any]]:
     mi = mitsuba()
     order = order_by_id(scene)
-    rows, columns = film_shape(scene)
+    rows, columns = film_shape(scene, camera)
     count = rows * columns
     found = {"seen": np.zeros(count, bool), "shape": np.zeros(count, np.int32), "triangle": np.zeros(count, np.int64)}
     found |= {name: np.zeros((count, 3)) for name in ("point", "normal", "albedo")} | {
         "barycentric": np.zeros((count, 2)),
         "z": np.zeros(count),
     }
-    for pixel, ray in enumerate(centre_rays(scene)):
+    for pixel, ray in enumerate(centre_rays(scene, camera)):
         first = scene.ray_intersect_preliminary(ray)
         if not first.is_valid():
             continue

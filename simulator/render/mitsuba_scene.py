@@ -37,7 +37,7 @@ BLOCK_SIZE = 16
 
 
 def load_scene(scene: Scene, view: View, max_depth: int, bands_nm: tuple[float, ...] = ()) -> Any:
-    """Return a ``mitsuba.Scene`` with a path tracer and the view's pinhole camera; needs an active variant.
+    """Return a ``mitsuba.Scene`` with a path tracer and the view's `cameras`; needs an active variant.
 
     Light paths have at most ``max_depth`` segments. Edges of wavelength bands need a spectral variant (see
     `simulator.render.bands`).
@@ -48,7 +48,7 @@ def load_scene(scene: Scene, view: View, max_depth: int, bands_nm: tuple[float, 
 def scene_parts(scene: Scene, view: View, max_depth: int, bands_nm: tuple[float, ...] = ()) -> dict[str, Any]:
     """Return the same as Mitsuba's dictionary, whose shapes are objects of the active variant."""
     parts: dict[str, Any] = {"type": "scene", "integrator": path_tracer(max_depth, scene.hide_lights)}
-    parts["sensor"] = pinhole(view, bands_nm)
+    parts |= cameras(view, bands_nm)
     parts |= {light_name(number): _light(light) for number, light in enumerate(scene.lights)}
     return parts | {shape_name(number): _shape(shape) for number, shape in enumerate(scene.shapes)}
 
@@ -73,6 +73,16 @@ def scene_order(loaded: Any) -> list[int]:
 def path_tracer(max_depth: int, hide_lights: bool = False) -> dict[str, Any]:
     """Return the integrator as a Mitsuba dictionary; hidden lights (lamps and surroundings) are invisible to the camera."""
     return {"type": "path", "max_depth": max_depth, "hide_emitters": hide_lights, "block_size": BLOCK_SIZE}
+
+
+IMAGE, SURROUNDINGS = 0, 1
+"""The cameras' places among a scene's sensors."""
+
+
+def cameras(view: View, bands_nm: tuple[float, ...] = ()) -> dict[str, dict[str, Any]]:
+    """Return the camera of a view's image and, where it has a margin, that of the whole field in coarse pixels."""
+    image = {"camera0": pinhole(view, bands_nm)}
+    return image if view.margin == (0, 0) else image | {"camera1": pinhole(view.coarse_field[0], bands_nm)}
 
 
 def pinhole(view: View, bands_nm: tuple[float, ...] = ()) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.render.backend import home_for_kernels, mitsuba
 from simulator.render.gbuffer import GBuffer, centre_gbuffer
-from simulator.render.mitsuba_scene import UNITS_PER_M, path_tracer, pinhole, shape_name
+from simulator.render.mitsuba_scene import SURROUNDINGS, UNITS_PER_M, cameras, path_tracer, shape_name
 from simulator.types import View
 
 # Parsing gives the same for every variant; loading needs the active one.
@@ -58,8 +58,7 @@ class OwnScene:
             InputError: when nothing is seen, or depths lie outside near..far.
         """
         hits = centre_gbuffer(self.loaded)
-        points = (hits.point_m * UNITS_PER_M - self.to_world[:3, 3]) @ self.to_world[:3, :3]
-        seen = np.isfinite(hits.depth_m)
+        points, seen = self._in_camera_axes(hits), np.isfinite(hits.depth_m)
         if not seen.any():
             wide, high = (2 * math.degrees(math.atan(half)) for half in (view.tan_half_width, view.tan_half_height))
             place = f"the scene lies behind it or beside the view ({wide:.3g} x {high:.3g} degrees)"
@@ -74,6 +73,15 @@ class OwnScene:
             normal=(hits.normal @ self.to_world[:3, :3]).astype(np.float32),
         )
         return local, scale
+
+    def depth_beside(self, scale: float) -> NDArray[np.float64]:
+        """Return z in metres of what the camera of the whole field sees; ``inf`` where nothing is seen."""
+        hits = centre_gbuffer(self.loaded, SURROUNDINGS)
+        return np.where(np.isfinite(hits.depth_m), self._in_camera_axes(hits)[..., 2] * scale, np.inf)
+
+    def _in_camera_axes(self, hits: GBuffer) -> NDArray[np.float64]:
+        """Return the points that are seen in the scene's own units."""
+        return (hits.point_m * UNITS_PER_M - self.to_world[:3, 3]) @ self.to_world[:3, :3]
 
 
 def load_own_scene(path: Path, view: View, max_depth: int) -> OwnScene:
@@ -101,9 +109,10 @@ def load_own_scene(path: Path, view: View, max_depth: int) -> OwnScene:
             node.props.set_id(shape_name(len(names) - 1))
     if sensor_to_world is None:
         sensor_to_world = np.diag([-1.0, -1.0, 1.0, 1.0])
-    camera = pinhole(view) | clipping | {"to_world": mi.ScalarTransform4f(sensor_to_world)}
+    placed = clipping | {"to_world": mi.ScalarTransform4f(sensor_to_world)}
     with _mitsuba_errors(path):
-        root.props["sensor"] = mi.load_dict(camera)
+        for name, camera in cameras(view).items():
+            root.props[name] = mi.load_dict(camera | placed)
         root.props["integrator"] = mi.load_dict(path_tracer(max_depth))
         loaded = mi.parser.instantiate(_config(mi.variant()), state)
     if not loaded.emitters():

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.render.backend import activate, mitsuba
@@ -16,7 +17,7 @@ from simulator.render.denoise import check_denoiser, denoise, denoiser_name, gui
 from simulator.render.frames import Frame, check_outputs, dim_fireflies_in, join_frames, repair
 from simulator.render.gbuffer import GBuffer, centre_depth, centre_gbuffer, motion_vectors, moved_points, seen_points
 from simulator.render.hidden import hidden_layers
-from simulator.render.mitsuba_scene import Stage
+from simulator.render.mitsuba_scene import SURROUNDINGS, Stage
 from simulator.render.own_scene import OwnScene, load_own_scene
 from simulator.render.scene import Scene
 from simulator.types import Clip, View
@@ -95,7 +96,8 @@ class Renderer:
         Args:
             frames: the scene in the middle of each frame, all with the same slots; what does not move should be the same
                 object from frame to frame. They may be made lazily.
-            view: image shape, pinhole geometry and depth range.
+            view: image shape, pinhole geometry and depth range; beside the image, in its margin, light is rendered in coarse
+                pixels with a quarter of the paths, or 4.
             frames_per_second: frame t lasts from ``t / frames_per_second`` to ``(t + 1) / frames_per_second``.
             samples_per_pixel: light paths per pixel, at least 1; a number that is not close to a x b with a and b near its
                 root is rounded up (7 to 8), and what was used is recorded.
@@ -166,6 +168,8 @@ class Renderer:
                 path, "renders black: none of its lights reaches what its camera sees; check their radiance and place"
             )
         frame.depth_m, frame.hits = hits.depth_m, hits
+        if view.margin != (0, 0):
+            frame.around = self._light_around(own, samples_per_pixel, seed), own.depth_beside(scale)
         facts = source | {"metres_per_unit": scale, "shape_names": list(own.shape_ids)}
         return join_frames([frame], view, 1, facts | self._facts(seed), None)
 
@@ -190,6 +194,9 @@ class Renderer:
             if number:  # the first frame's noise is that of a still with the same seed; the others' are unrelated to it
                 frame_seed = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1)[0])
             frame = self._frame(stage, samples_per_pixel, frame_seed)
+            if view.margin != (0, 0):
+                depth_m = centre_depth(stage.loaded, SURROUNDINGS)
+                frame.around = self._light_around(stage, samples_per_pixel, frame_seed), depth_m
             if before is not None and "motion" in self.outputs:
                 points = moved_points(before[0], before[1], scene)
                 frame.came_from = (motion_vectors(points, before[0], view), seen_points(stage.loaded, points, view))
@@ -218,6 +225,15 @@ class Renderer:
                 loaded, stage.scene, self.hidden, samples=samples, seed=seed, max_depth=self.max_depth
             )
         return Frame(rgb, depth, samples, repaired, self.outputs, hits, layers, bands)
+
+    def _light_around(self, stage: Stage | OwnScene, samples_per_pixel: int, seed: int) -> NDArray[np.float32]:
+        """Return the light of the whole field in coarse pixels, with noise that is unrelated to the image's."""
+        samples = max(-(-samples_per_pixel // 4), min(samples_per_pixel, 4))
+        other = int(np.random.SeedSequence(seed, spawn_key=(SURROUNDINGS,)).generate_state(1)[0])
+        film = np.array(mitsuba().render(stage.loaded, sensor=SURROUNDINGS, spp=samples, seed=other), np.float32)
+        if self.bands_nm:
+            film = split_film(film)[0]
+        return repair(film)[0]
 
 
 def _check_numbers(samples_per_pixel: int, seed: int, frames_per_second: float) -> None:

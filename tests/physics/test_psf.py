@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from simulator.camera.field import FieldOfView
 from simulator.camera.forward import ForwardModel
-from simulator.camera.planes import mask_irradiance
 from simulator.errors import InputError
 from simulator.optics.error_budget.sampling import prove_sampling, sampling_error
 from simulator.optics.kernel import ORDERS
@@ -247,7 +247,7 @@ def test_pinhole_camera_returns_the_scene(vignetting):
     rgb = rng.uniform(size=(1, 10, 12, 3)).astype(np.float32)
     clip = Clip(rgb, np.full((1, 10, 12), 0.05, np.float32), np.ones((1, 10, 12), bool), np.array([0.0, 1.0]))
     view = View((10, 12), pitch, d, 0.03, 0.2)
-    model = ForwardModel(stack, (14, 16), (10, 12), irradiance=mask_irradiance(view, vignetting))
+    model = ForwardModel(stack, (14, 16), (10, 12), irradiance=FieldOfView(vignetting).irradiance(view))
     image = model.forward_clip(clip)
     y, x = (np.arange(10) - 4.5) * pitch, (np.arange(12) - 5.5) * pitch
     cosine = d / np.sqrt(d**2 + y[:, None] ** 2 + x[None, :] ** 2)
@@ -260,7 +260,7 @@ def test_pinhole_camera_returns_the_scene(vignetting):
 
 def test_default_field_darkens_as_stated():
     """PHYSICS section 6: 0.50 at mid-edge and 0.30 in the corner of 128 x 128 pixels of 19.2 um at 1.9 mm."""
-    weights = mask_irradiance(View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2))
+    weights = FieldOfView().irradiance(View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2))
     relative = weights / weights.max()
     assert relative[0, 63] == pytest.approx(0.50, abs=0.01)
     assert relative[0, 0] == pytest.approx(0.30, abs=0.035)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,31 @@ def test_a_clip_keeps_the_contract(family: str) -> None:
     assert told.items() >= ({"family": family, "index": index, "variant": "scalar_rgb"} | facts).items()
     label = {"flying_things": None, "activity": "pouring"}.get(family, next(iter(facts.values()), None))
     assert clip.label == label
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_scenes_fill_a_margin_to_62_degrees_and_show_the_same_in_the_image(family: str) -> None:
+    keywords, index, _ = CLIPS[family]
+    near_m, far_m = (0.005, 0.1) if family == "endoscopy" else (0.036, 0.2)
+    if family == "high_speed":
+        keywords = keywords | {"background": "room"}
+    view = View((24, 24), 102.4e-6, 1.9e-3, near_m, far_m)
+    make = getattr(importlib.import_module(f"scenes.{family}"), family)
+    clip, alone = (
+        make(each, renderer=Renderer("scalar_rgb"), **keywords | {"samples_per_pixel": 4}).clip(
+            index, np.random.default_rng(5)
+        )
+        for each in (replace(view, margin=(24, 24)), view)
+    )
+    # Things beside the image may reach into it; a wider floor rounds otherwise.
+    same = np.isclose(clip.depth_m, alone.depth_m, rtol=1e-5)
+    assert same.mean() > 0.9
+    around = clip.surroundings
+    assert around is not None
+    assert around.rgb.shape == (len(clip.rgb), 18, 18, 3)
+    lit = around.rgb.max(axis=-1) > 0.01 * clip.rgb.mean()
+    assert lit.mean() > 0.97
+    assert 0.2 < around.rgb.mean() / clip.rgb.mean() < 5
 
 
 @pytest.mark.slow

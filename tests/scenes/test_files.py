@@ -12,9 +12,9 @@ import pytest
 from PIL import Image
 
 from scenes.files import OwnFiles, files
-from scenes.files.images import area_mean
 from simulator.colour import srgb_to_linear
 from simulator.errors import InputError
+from simulator.io.images import area_mean
 from simulator.plugins import ParameterError, resolve
 from simulator.render import Renderer
 from simulator.types import FARTHEST_M, SceneSource, View

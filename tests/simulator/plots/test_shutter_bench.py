@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulator.assembly import Assembly
-from simulator.camera.planes import mask_irradiance
+from simulator.camera.field import FieldOfView
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, RowShutter
 from simulator.config import load_config
 from simulator.plots.shutter_bench import SAMPLES, Bench, Spot, shutter_facts
@@ -51,7 +51,7 @@ def test_shares_are_those_of_the_stored_rows(trial):
 
 def test_a_lens_shows_the_scene_on_the_rows_that_are_open(config):
     bench = Bench(Assembly(config))
-    irradiance = mask_irradiance(Assembly(config).view, config.forward.vignetting)
+    irradiance = FieldOfView(config.forward.vignetting).irradiance(Assembly(config).view)
     seen = set()
     for sample in (10, 50, 90):
         spot = _spot(sample)

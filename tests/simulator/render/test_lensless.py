@@ -151,6 +151,15 @@ def test_occlusion_is_the_layered_models_error_and_hidden_layers_make_it_worse(q
     assert with_hidden.error > 5 * found.error
 
 
+def test_with_its_margin_the_model_measures_what_the_whole_sensor_sees(quick: Arrays) -> None:
+    """Lights in view, to 40 degrees beside the image; what is left is cos^4 of the chief ray and the wall's edge."""
+    found = case(quick, "whole sensor")
+    assert found.ratio == pytest.approx(1, abs=0.005)
+    assert found.error < 0.01
+    alone = agreement(quick["whole sensor.measured"], quick["whole sensor.alone"])
+    assert alone.error > 0.5  # which is what a data set without margin measures
+
+
 @pytest.mark.parametrize("depth_m", [0.01, 0.05, np.inf])
 def test_shadows_are_those_of_many_rays(depth_m: float) -> None:
     # 200 x 200 rays per cell to where they land: each cell's edges are known to 1/200 of it.

@@ -46,6 +46,29 @@ def test_a_lamp_gives_the_irradiance_of_its_solid_angle(pictures: Pictures) -> N
     np.testing.assert_allclose(centre, expected, rtol=0.01)  # 16 pixels x 64 paths; off-axis by at most 0.3 degrees
 
 
+def test_a_margin_is_what_a_wider_picture_shows_there_and_leaves_the_image_as_it_is(pictures: Pictures) -> None:
+    for part in ("rgb", "depth", "valid"):
+        np.testing.assert_array_equal(pictures[f"margin.{part}"], pictures[f"alone.{part}"])
+    fine, coarse = (np.asarray(pictures[name], np.float64) for name in ("field.rgb", "margin.around"))
+    rows, columns = coarse.shape[:2]
+    more = [(4 * size - have) // 2 for size, have in zip((rows, columns), fine.shape, strict=False)]
+    inside = tuple(slice(1 if beyond else 0, -1 if beyond else None) for beyond in more)  # whole coarse pixels
+    padded = np.pad(fine, [(more[0],) * 2, (more[1],) * 2, (0, 0)])
+    means = padded.reshape(rows, 4, columns, 4, 3).mean(axis=(1, 3))
+    error = np.linalg.norm((coarse - means)[inside]) / np.linalg.norm(means[inside])
+    assert error < 0.08  # the noise of 256 paths for each coarse pixel is 0.05
+    assert coarse[inside].mean() == pytest.approx(means[inside].mean(), rel=0.02)
+    # A coarse pixel's centre lies between four fine ones.
+    depth = np.pad(np.asarray(pictures["field.depth"], np.float64), [(size, size) for size in more])
+    near, far = (
+        pick([depth[1 + down :: 4, 1 + right :: 4] for down in (0, 1) for right in (0, 1)], axis=0)
+        for pick in (np.min, np.max)
+    )
+    found = np.asarray(pictures["margin.around_depth"])
+    between = (found > near * (1 - 1e-3)) & (found < far * (1 + 1e-3))
+    assert between[inside].mean() > 0.95  # but for what is smaller than a pixel
+
+
 @pytest.mark.slow
 def test_threads_and_order_do_not_change_a_byte(
     pictures: Pictures, rendered: Callable[..., Pictures], request: pytest.FixtureRequest

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from scenes.flying_things import draw_scene, flying_things
+from simulator.camera.field import FieldOfView
 from simulator.camera.forward import ForwardModel
-from simulator.camera.planes import mask_irradiance
 from simulator.optics.stack import PsfStack, depth_planes
 from simulator.render import Box, Environment, Material, Renderer, Scene, Sphere, SphereLight, TriangleMesh, activate
 from simulator.render.gbuffer import centre_gbuffer
@@ -205,6 +205,15 @@ def run_stills(variant: str, threads: str) -> Arrays:
     scene = draw_scene(SMALL, 12, np.random.default_rng(5))
     noisy = [renderer.still(scene, SMALL, samples_per_pixel=16, seed=s, source={}) for s in range(SEEDS)]
     arrays["noisy"] = np.stack([clip.rgb[0] for clip in noisy])
+    wide = replace(SMALL, margin=(10, 6))
+    scene = draw_scene(wide, 12, np.random.default_rng(5))
+    options: dict[str, Any] = {"samples_per_pixel": 1024, "seed": 3, "source": {}}
+    clip = renderer.still(scene, wide, **options)
+    around = clip.surroundings
+    assert around is not None
+    arrays |= as_arrays("margin", clip) | {"margin.around": around.rgb[0], "margin.around_depth": around.depth_m[0]}
+    arrays |= as_arrays("alone", renderer.still(scene, SMALL, **options))
+    arrays |= as_arrays("field", renderer.still(scene, wide.field, **options))
     return arrays | run_geometry(variant)
 
 
@@ -387,7 +396,7 @@ def clips(scene: Scene, outputs: tuple[str, ...] = ()) -> list[Clip]:
 
 
 def modelled(
-    seen: list[Clip], mask: NDArray[np.float64], depths_m: Any, vignetting: bool = True
+    seen: list[Clip], mask: NDArray[np.float64], depths_m: Any, vignetting: bool = True, view: View = LENSLESS_VIEW
 ) -> NDArray[np.float32]:
     """The forward model of pinhole pictures, ``(runs, H, W, 3)``.
 
@@ -397,7 +406,7 @@ def modelled(
     stack = PsfStack(
         np.repeat(psfs[:, np.newaxis], 3, axis=1), np.asarray(depths_m, float), 19.2e-6, ("R", "G", "B"), "test"
     )
-    model = ForwardModel(stack, SENSOR, LENSLESS_VIEW.shape, irradiance=mask_irradiance(LENSLESS_VIEW, vignetting))
+    model = ForwardModel(stack, SENSOR, view.shape, irradiance=FieldOfView(vignetting).irradiance(view))
     return np.stack([np.moveaxis(model.forward_clip(clip), 0, -1) for clip in seen])
 
 
@@ -444,6 +453,25 @@ def occlusion_case(samples: int) -> Arrays:
     }
 
 
+def whole_sensor_case(samples: int) -> Arrays:
+    """A room with its lights in view: a wall as far as the sensor sees on three sides, a lamp and the sky beside it."""
+    mask = random_mask(9)
+    wall = patch((-30, -60, 60, 60), 0.2, smooth_material(64, 1))
+    lamp = SphereLight(np.array([-0.05, 0.06, 0.12]), 0.02, np.array([3.0, 2.0, 1.0]))
+    scene = Scene((wall,), (lamp, Environment(np.array(SKY))))
+    # Two coarse pixels beyond the steepest light that reaches the sensor: half of 60 pixels, and of a shadow of 29.
+    view = replace(LENSLESS_VIEW, margin=(36, 36))
+    renderer = Renderer(LLVM, max_depth=2)
+    options: dict[str, Any] = {"samples_per_pixel": 64, "source": {}}
+    seen = [renderer.still(scene, view, seed=1000 + run, **options) for run in range(RUNS // 2)]
+    alone = [replace(clip, surroundings=None) for clip in seen]
+    return {
+        "measured": measured(scene, mask, samples),
+        "modelled": modelled(seen, mask, [0.12, 0.2], view=view.field),
+        "alone": modelled(alone, mask, [0.12, 0.2]),
+    }
+
+
 def run_lensless(pace: str) -> Arrays:
     activate(LLVM, 2)
     quick = pace == "quick"
@@ -451,6 +479,7 @@ def run_lensless(pace: str) -> Arrays:
     cases = {f"{depth_m:g} m": plane_case(depth_m, [depth_m], samples, by_cells) for depth_m in depths_m}
     cases["slanted"] = plane_case(slanted_depths(), depth_planes(0.036, 0.2, 25), samples)
     cases["occlusion"] = occlusion_case(samples // 2)
+    cases["whole sensor"] = whole_sensor_case(samples)
     sky = Scene((), (Environment(np.array(SKY)),))
     mask = random_mask(9)[:, 1:]
     for name, seeds in (("first", range(RUNS)), ("again", [3])):
