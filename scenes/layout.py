@@ -70,14 +70,14 @@ def place_balls(view: View, count: int, rng: np.random.Generator) -> list[Ball]:
 
 
 def place_balls_beside(view: View, count: int, before: list[Ball], rng: np.random.Generator) -> list[Ball]:
-    """Draw balls for the view's margin, as dense as ``count`` are in the image but at most as many: then larger ones.
+    """Draw balls for the view's margin, as dense as ``count`` are in the image but at most half as many: then larger ones.
 
     None of these hides more of the image than its own do, which are ``before``; more lie where more light comes from (cos^4).
     """
     near, far = view.near_m * (1 + _MARGIN), far_end(view) * (1 - _MARGIN)
     image, whole = (np.array([v.tan_half_width, v.tan_half_height]) for v in (view, view.field))
     wanted = count * (float(np.prod(whole / image)) - 1)
-    number = min(count, round(wanted))
+    number = min(count // 2, round(wanted))  # each costs as much as one in the image: light that it blocks goes on
     usual = image.min() * _crowd(count) * np.array(_SIZES)
     balls = list(before)
     for _ in range(number):
