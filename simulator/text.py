@@ -37,6 +37,20 @@ def show(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
+def described(error: BaseException) -> str:
+    """Return an exception's type and message in one line, also where the message itself fails.
+
+    Example:
+        >>> described(ValueError("too long")), described(KeyboardInterrupt())
+        ('ValueError: too long', 'KeyboardInterrupt')
+    """
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # a user's own class
+        text = "(its message cannot be shown)"
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
 _METRE_UNITS = ((1.0, "m"), (1e-2, "cm"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm"))
 
 

@@ -1,7 +1,9 @@
-"""Runs a function over many tasks: inline in this process, or local in worker processes that may die."""
+"""Runs a function over many tasks: inline in this process, or local in worker processes, which may die or hang."""
 
 from __future__ import annotations
 
+import atexit
+import math
 import multiprocessing
 import os
 import pickle
@@ -11,20 +13,21 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import islice
+from multiprocessing.connection import Connection
 from multiprocessing.connection import wait as wait_for_objects
-from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from simulator.errors import InputError
+from simulator.text import described
 
 _LIBRARIES = ("OMP", "OPENBLAS", "MKL", "NUMEXPR")
 ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in _LIBRARIES}
 _LAUNCH = threading.Lock()
-_failed_start: Failure | None = None  # of this worker; set before its first task
+_SPAWN = multiprocessing.get_context("spawn")
 
 
 @dataclass(frozen=True)
@@ -35,13 +38,13 @@ class Failure:
         summary: type and message.
         traceback: the worker's traceback as text.
         mistake: the exception itself when it is an ``InputError``.
-        at_start: whether the initializer raised it.
+        leaves: whether the code tried to end its process, as ``sys.exit()`` does.
     """
 
     summary: str
     traceback: str
     mistake: InputError | None
-    at_start: bool
+    leaves: bool
 
 
 @dataclass(frozen=True)
@@ -53,36 +56,27 @@ class Reply:
     seconds: float
 
 
-def start_worker(initializer: Callable[..., object] | None, initargs: tuple[Any, ...]) -> None:
-    """Prepare this worker; a failing initializer is reported with the first task, since a pool would retry for ever."""
-    global _failed_start
+def work(pipe: Connection, start: bytes) -> None:
+    """Be a worker: perform the initializer, then one task after the other, and reply to each; the parent ends it."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    if initializer is None:
-        return
-    try:
-        initializer(*initargs)
-    except Exception as error:
-        _failed_start = _failure(error, at_start=True)
+    pipe.send(perform(start))
+    while True:
+        pipe.send(perform(pipe.recv_bytes()))
 
 
 def perform(payload: bytes) -> Reply:
-    """Run one pickled (function, task) in this worker and catch what it raises.
-
-    Both ways are pickled here and not by the pool, which dies of what cannot be pickled or unpickled.
-    """
-    if _failed_start is not None:
-        return Reply(b"", _failed_start, 0.0)
+    """Call a pickled (function, arguments) and catch all that it raises: in a worker no Ctrl-C is the user's."""
     begin = time.perf_counter()
     try:
-        function, task = pickle.loads(payload)
-        value = function(task)
+        function, arguments = pickle.loads(payload)
+        value = function(*arguments)
         seconds = time.perf_counter() - begin
         return Reply(pickle.dumps(value), None, seconds)
-    except Exception as error:
-        return Reply(b"", _failure(error, at_start=False), time.perf_counter() - begin)
+    except BaseException as error:
+        return Reply(b"", _failure(error), time.perf_counter() - begin)
 
 
-def _failure(error: Exception, at_start: bool) -> Failure:
+def _failure(error: BaseException) -> Failure:
     mistake = None
     if isinstance(error, InputError):
         mistake = InputError(error.path, error.reason)
@@ -91,7 +85,13 @@ def _failure(error: Exception, at_start: bool) -> Failure:
             mistake = copy if type(copy) is type(error) and str(copy) == str(error) else mistake
         except Exception:
             pass
-    return Failure(f"{type(error).__name__}: {error}", traceback.format_exc(), mistake, at_start)
+    return Failure(described(error), traceback.format_exc(), mistake, _leaves(error))
+
+
+def _leaves(error: BaseException | None) -> bool:
+    """Whether code tried to end its process (``sys.exit()``, KeyboardInterrupt), also where that became an ``InputError``."""
+    cause = None if error is None else error.__cause__
+    return not isinstance(error, Exception | None) or not isinstance(cause, Exception | None)
 
 
 def _end_with_parent() -> None:
@@ -99,32 +99,6 @@ def _end_with_parent() -> None:
     if parent is not None:
         wait_for_objects([parent.sentinel])
         os._exit(1)  # a half-written sample stays under a temporary name
-
-
-class _WorkerProcess(SpawnProcess):
-    def start(self) -> None:
-        with _worker_environment():
-            super().start()
-
-
-class WorkerContext(SpawnContext):
-    """A spawn context whose processes compute with one thread, and which remembers them."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._launched: list[SpawnProcess] = []
-
-    def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]  # noqa: N802
-        """Make a process, as the pool asks for it."""
-        self._launched = [process for process in self._launched if process.pid is None or process.is_alive()]
-        self._launched.append(_WorkerProcess(*args, **kwargs))
-        return self._launched[-1]
-
-    def terminate_all(self) -> None:
-        """Ask all workers to end, all at once: the pool would wait up to seconds for each in turn."""
-        for process in self._launched:
-            if process.pid is not None:
-                process.terminate()
 
 
 @contextmanager
@@ -149,9 +123,10 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 ENGINES = ("inline", "local")
-_RETRIES = 2  # a task whose worker died is tried three times in all
-_BREAKDOWNS = 3  # pools in a row that broke down without finishing one task
+_TRIES = 3  # of a task that ends its worker, tries to, or does not finish in time
+_IN_A_ROW = 3  # workers that die while they start, or tasks whose workers are killed: the next will not do better
 _TICK_S = 0.5
+_GRACE_S = 1.0  # from the end of a worker's pipe to its own
 
 
 @dataclass(frozen=True)
@@ -163,8 +138,8 @@ class Outcome(Generic[Task, Result]):
         value: what the function returned; None when ``error`` is set.
         error: None, or an ``InputError`` (as raised), ``WorkerError`` (anything else) or, inline, what was raised.
         traceback: the traceback of the error as text; empty without one.
-        attempts: 1, or more when workers died on it.
-        seconds: wall time inside the function.
+        attempts: how often it was tried.
+        seconds: wall time inside the function, of the last attempt.
     """
 
     task: Task
@@ -176,11 +151,15 @@ class Outcome(Generic[Task, Result]):
 
 
 class WorkerError(RuntimeError):
-    """A task failed in a worker by something that is not the user's mistake, or its worker died."""
+    """A task failed by something that is not the user's mistake."""
+
+
+class GivenUpError(WorkerError):
+    """A task ended its worker, tried to, or did not finish in time, whenever it was tried."""
 
 
 class EngineError(RuntimeError):
-    """No worker can be started; no task can be done."""
+    """The initializer failed by something that is not the user's mistake; no task can be done."""
 
 
 @dataclass
@@ -221,22 +200,25 @@ def run(
 ) -> Iterator[Outcome[Task, Result]]:
     """Apply ``function`` to every task and yield the outcomes, in any order.
 
-    Only ``2 x workers`` tasks are taken from ``tasks`` ahead of their outcomes. Leaving the loop, Ctrl-C and SIGTERM
-    stop the workers; wrap the call in ``contextlib.closing`` to have that happen at once on an exception of your own.
+    Tasks are taken from ``tasks`` when a worker is free for them. One that ends its worker in any way, tries to
+    (``sys.exit()``, KeyboardInterrupt) or does not finish in time is tried three times. Leaving the loop, Ctrl-C, SIGTERM
+    and SIGHUP stop the workers; wrap the call in ``contextlib.closing`` to have that happen at once on an exception of your
+    own.
 
     Args:
-        engine: ``inline`` or ``local``.
+        engine: ``inline`` or ``local``; nothing protects ``inline`` from a task that hangs or ends the process outright.
         function: called with one task; for ``local`` importable by name, as its results and tasks must be picklable.
         tasks: any iterable, also an endless one.
         workers: processes of ``local``; ``auto`` takes every CPU this process may use.
         initializer: called once per worker (or here) before its first task.
         initargs: its arguments.
-        timeout_s: ``local`` only: seconds after which a task is stopped and reported as failed.
+        timeout_s: ``local`` only: seconds after which a task's worker is stopped.
         max_tasks: ``local`` only: a worker is replaced after so many tasks, since renderers leak.
 
     Raises:
-        InputError: unknown engine, senseless number of workers, or the initializer's own ``InputError``.
-        EngineError: the initializer failed otherwise, or workers die before they finish any task.
+        InputError: unknown engine, senseless number of workers, what cannot be sent to workers, the initializer's own
+            ``InputError``, or workers that die while they start or, for lack of memory, with every task.
+        EngineError: the initializer failed otherwise.
     """
     if engine not in ENGINES:
         raise InputError("engine", f"expected one of {', '.join(ENGINES)}, got {engine!r}")
@@ -246,154 +228,240 @@ def run(
         return _run_inline(function, tasks, initializer, initargs)
     try:
         pickle.dumps(function)
+        start = pickle.dumps((initializer or _no_preparation, initargs))
     except Exception as error:
-        raise InputError(repr(function), f"cannot be sent to workers: must be importable by name ({error})") from error
+        raise InputError(
+            repr(function), f"cannot be sent to workers: must be importable by name ({described(error)})"
+        ) from error
     count = available_cpus() if isinstance(workers, str) else workers
-    return _Local(function, tasks, count, initializer, initargs, timeout_s, max_tasks).outcomes()
+    return _Pool(function, tasks, count, start, timeout_s, max_tasks).outcomes()
+
+
+def _no_preparation() -> None:
+    """Stand for an initializer."""
 
 
 def _run_inline(
     function: Callable[[Any], Any], tasks: Iterable[Any], initializer: Callable[..., object] | None, initargs: tuple
 ) -> Iterator[Outcome[Any, Any]]:
-    with _sigterm_unwinds():
+    with _stop_signals() as stop:
         if initializer is not None:
-            initializer(*initargs)
-        for task in tasks:
-            begin = time.perf_counter()
             try:
-                outcome = Outcome(task, function(task), seconds=time.perf_counter() - begin)
-            except Exception as error:
+                initializer(*initargs)
+            finally:
+                stop.check()
+        for task in tasks:
+            attempts, error = 0, None
+            while attempts == 0 or (_leaves(error) and attempts < _TRIES):
+                begin, value, error, text = time.perf_counter(), None, None, ""
+                try:
+                    value = function(task)
+                except BaseException as caught:
+                    if isinstance(caught, KeyboardInterrupt) and not stop.knows_ctrl_c:
+                        raise
+                    error, text = caught, traceback.format_exc()
                 seconds = time.perf_counter() - begin
-                outcome = Outcome(task, None, error, traceback.format_exc(), seconds=seconds)
-            yield outcome
+                attempts += 1
+                stop.check()
+            if not isinstance(error, Exception | None):
+                error = GivenUpError(described(error))
+            yield Outcome(task, value, error, text, attempts, seconds)
 
 
-class _Local:
-    """A pebble pool that is rebuilt when it breaks down as a whole (it does when a worker dies between two tasks)."""
+class _Worker:
+    """A process with a pipe of its own, which does one task at a time: its death is that task's alone."""
+
+    def __init__(self, start: bytes) -> None:
+        self.pipe, theirs = _SPAWN.Pipe()
+        self._process = _SPAWN.Process(target=work, args=(theirs, start))
+        try:
+            with _worker_environment():
+                self._process.start()
+        finally:
+            theirs.close()
+        self.ready = False  # whether its initializer is done
+        self.job: _Job | None = None
+        self.due = math.inf
+        self.tasks = 0
+
+    def give(self, job: _Job, payload: bytes, timeout_s: float | None) -> None:
+        self.job, self.tasks = job, self.tasks + 1
+        self.due = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        with suppress(OSError):  # a dead one is found when its reply is asked for
+            self.pipe.send_bytes(payload)
+
+    def reply(self) -> Reply | None:
+        """Return its reply, or None while there is none.
+
+        Raises:
+            EOFError: the process has ended.
+        """
+        alive = self._process.is_alive()  # asked first: the last thing it did may have been to reply
+        try:
+            if self.pipe.poll():
+                return self.pipe.recv()
+        except OSError:
+            alive = False
+        if not alive:
+            raise EOFError
+        return None
+
+    def end(self, grace_s: float = 0.0) -> int:
+        """Make sure that the process has ended and return its exit code; nothing is lost that is not on the disk."""
+        self._process.join(grace_s)
+        self._process.kill()
+        self._process.join()
+        self.pipe.close()
+        code = self._process.exitcode
+        assert code is not None
+        return code
+
+
+class _Pool:
+    """Workers, the tasks that they have and those to come."""
 
     def __init__(
         self,
         function: Callable[[Any], Any],
         tasks: Iterable[Any],
-        workers: int,
-        initializer: Callable[..., object] | None,
-        initargs: tuple[Any, ...],
+        count: int,
+        start: bytes,
         timeout_s: float | None,
         max_tasks: int,
     ) -> None:
-        self._function, self._source, self._workers = function, iter(tasks), workers
-        self._initializer, self._initargs = initializer, initargs
+        self._function, self._source, self._count, self._start = function, iter(tasks), count, start
         self._timeout_s, self._max_tasks = timeout_s, max_tasks
-        self._again: deque[_Job] = deque()
-        self._running: dict[Future[Reply], _Job] = {}
-        self._breakdowns = 0
+        self._waiting: deque[_Job] = deque()
+        self._workers: list[_Worker] = []
+        self._done: deque[Outcome[Any, Any]] = deque()
+        self._killed = 0  # tasks in a row
+        self._failed_starts: list[str] = []  # in a row, by their cause
 
     def outcomes(self) -> Iterator[Outcome[Any, Any]]:
-        with _sigterm_unwinds():
-            more = True
-            while more:
-                with self._pool() as pool:
-                    more = yield from self._use(pool)
+        atexit.register(self._end)  # at exit Python would wait for the processes of a loop that was never left
+        with _stop_signals():
+            try:
+                while True:
+                    left = self._hand_out()
+                    if self._done:
+                        yield self._done.popleft()
+                        self._listen(0.0)
+                        continue
+                    self._refuse_hopeless()
+                    if not left:
+                        return
+                    self._listen(_TICK_S)
+            finally:
+                self._end()
+                atexit.unregister(self._end)
 
-    @contextmanager
-    def _pool(self) -> Iterator[Any]:
-        from pebble import ProcessPool
+    def _end(self) -> None:
+        while self._workers:
+            self._workers.pop().end()
 
-        context: Any = WorkerContext()  # pebble's own protocol does not match the standard library's types
-        pool = ProcessPool(
-            max_workers=self._workers,
-            max_tasks=self._max_tasks,
-            initializer=start_worker,
-            initargs=(self._initializer, self._initargs),
-            context=context,
-        )
+    def _hand_out(self) -> bool:
+        """Give every free worker a task and start missing ones; returns whether any task is left."""
+        while self._waiting or self._take():
+            worker = next((worker for worker in self._workers if worker.ready and worker.job is None), None)
+            if worker is None:
+                break
+            job = self._waiting.popleft()
+            try:
+                worker.give(job, pickle.dumps((self._function, (job.task,))), self._timeout_s)
+            except Exception as error:
+                reason = f"the task cannot be sent to a worker process: {described(error)}"
+                self._done.append(Outcome(job.task, None, WorkerError(reason)))
         try:
-            yield pool
-        finally:
-            pool.stop()
-            context.terminate_all()
-            pool.join()
+            while self._waiting and len(self._workers) < self._count:
+                self._workers.append(_Worker(self._start))
+        except OSError as error:
+            self._failed_starts.append(described(error))
+        return bool(self._waiting) or any(worker.job is not None for worker in self._workers)
 
-    def _use(self, pool: Any) -> Iterator[Outcome[Any, Any]]:
-        """Work with one pool; returns whether it broke down and another is needed."""
-        while self._submit(pool):
-            if not self._running:
-                return False
-            done, _ = wait(self._running, timeout=_TICK_S, return_when=FIRST_COMPLETED)
-            for future in done:
-                outcome = self._finish(future)
-                if outcome is not None:
-                    self._breakdowns = 0
-                    yield outcome
-        self._again.extend(self._running.values())
-        self._running.clear()
-        self._breakdowns += 1
-        if self._breakdowns >= _BREAKDOWNS:
-            msg = (
-                f"worker processes died {_BREAKDOWNS} times before they finished any task. Run once with engine inline "
-                "to see the reason; a script that starts workers needs `if __name__ == '__main__':` around its calls"
-            )
-            raise EngineError(msg)
+    def _take(self) -> bool:
+        self._waiting.extend(_Job(task) for task in islice(self._source, 1))
+        return bool(self._waiting)
+
+    def _listen(self, timeout_s: float) -> None:
+        """Wait for replies, deaths and ends of time, for so long at most, and act on them."""
+        due = min((worker.due for worker in self._workers), default=math.inf) - time.monotonic()
+        wait_for_objects([worker.pipe for worker in self._workers], max(0.0, min(timeout_s, due)))
+        for worker in list(self._workers):
+            try:
+                reply = worker.reply()
+            except EOFError:
+                self._workers.remove(worker)
+                self._mourn(worker, worker.end(_GRACE_S))
+                continue
+            if reply is not None and not worker.ready:
+                _check_start(reply.failure)
+                worker.ready = True
+                self._failed_starts.clear()
+            elif reply is not None:
+                self._finish(worker, reply)
+            elif worker.job is not None and time.monotonic() > worker.due:
+                self._workers.remove(worker)
+                worker.end()
+                self._try_again(worker.job, f"not finished after {self._timeout_s:g} s, so it was stopped")
+
+    def _mourn(self, worker: _Worker, code: int) -> None:
+        cause = _cause_of_death(code)
+        if not worker.ready:
+            self._failed_starts.append(cause)
+        elif worker.job is not None:
+            given_up = self._try_again(worker.job, f"its worker process ended {cause}")
+            self._killed += given_up and code == -signal.SIGKILL
+
+    def _finish(self, worker: _Worker, reply: Reply) -> None:
+        job, worker.job, worker.due = worker.job, None, math.inf
+        assert job is not None
+        self._killed = 0
+        if worker.tasks >= self._max_tasks:
+            self._workers.remove(worker)
+            worker.end()
+        failure = reply.failure
+        if failure is None:
+            self._done.append(Outcome(job.task, pickle.loads(reply.value), None, "", job.attempts + 1, reply.seconds))
+        elif failure.leaves:
+            self._try_again(job, failure.summary, failure, reply.seconds)
+        else:
+            error = failure.mistake or WorkerError(failure.summary)
+            self._done.append(Outcome(job.task, None, error, failure.traceback, job.attempts + 1, reply.seconds))
+
+    def _try_again(self, job: _Job, reason: str, failure: Failure | None = None, seconds: float = 0.0) -> bool:
+        """Put a task back, or give it up after the last attempt; returns whether it was given up."""
+        job.attempts += 1
+        if job.attempts < _TRIES:
+            self._waiting.append(job)
+            return False
+        error = failure.mistake if failure is not None and failure.mistake is not None else GivenUpError(reason)
+        text = "" if failure is None else failure.traceback
+        self._done.append(Outcome(job.task, None, error, text, job.attempts, seconds))
         return True
 
-    def _submit(self, pool: Any) -> bool:
-        """Keep the pool fed; returns False when it is broken."""
-        while len(self._running) < 2 * self._workers:
-            job = self._again.popleft() if self._again else next((_Job(task) for task in self._source), None)
-            if job is None:
-                break
-            try:
-                payload = pickle.dumps((self._function, job.task))
-            except Exception as error:
-                failed: Future[Reply] = Future()
-                failed.set_exception(error)
-                self._running[failed] = job
-                continue
-            try:
-                self._running[pool.schedule(perform, args=(payload,), timeout=self._timeout_s)] = job
-            except RuntimeError:
-                self._again.append(job)
-                return False
-        return pool.active if self._running else True
-
-    def _finish(self, future: Future[Reply]) -> Outcome[Any, Any] | None:
-        """Turn a future into an outcome, or None when the task is to be tried again."""
-        from concurrent.futures.process import BrokenProcessPool
-
-        from pebble import ProcessExpired
-
-        job = self._running.pop(future)
-        try:
-            reply = future.result()
-        except BrokenProcessPool:
-            self._again.append(job)  # nobody knows whose fault it was
-            return None
-        except ProcessExpired as error:
-            job.attempts += 1
-            if job.attempts <= _RETRIES:
-                self._again.append(job)
-                return None
-            reason = f"its worker process died {job.attempts} times, at last {_cause_of_death(error.exitcode)}"
-            return Outcome(job.task, None, WorkerError(reason), attempts=job.attempts)
-        except TimeoutError:
-            reason = f"not finished after {self._timeout_s} s, so it was stopped"
-            return Outcome(job.task, None, WorkerError(reason), attempts=job.attempts + 1)
-        except Exception as error:
-            reason = f"the task cannot be sent to a worker process: {error}"
-            return Outcome(job.task, None, WorkerError(reason), attempts=job.attempts + 1)
-        if reply.failure is None:
-            return Outcome(job.task, pickle.loads(reply.value), attempts=job.attempts + 1, seconds=reply.seconds)
-        error = _error_of(reply.failure)
-        return Outcome(job.task, None, error, reply.failure.traceback, job.attempts + 1, reply.seconds)
+    def _refuse_hopeless(self) -> None:
+        if self._killed >= _IN_A_ROW:
+            raise InputError(
+                "workers",
+                f"they were killed over {self._killed} tasks in a row, each tried {_TRIES} times, most likely because "
+                "memory ran out; use fewer workers or smaller scenes",
+            )
+        if len(self._failed_starts) >= _IN_A_ROW:
+            raise InputError(
+                "workers",
+                f"{len(self._failed_starts)} in a row ended before their first task, the last one {self._failed_starts[-1]}. "
+                "Run once with engine inline to see the reason; a script that starts workers needs "
+                "`if __name__ == '__main__':` around its calls",
+            )
 
 
-def _error_of(failure: Failure) -> Exception:
-    if failure.at_start:
-        if failure.mistake is not None:
-            raise failure.mistake
-        msg = f"worker processes cannot start: {failure.summary}\n{failure.traceback}"
-        raise EngineError(msg)
-    return failure.mistake or WorkerError(failure.summary)
+def _check_start(failure: Failure | None) -> None:
+    if failure is None:
+        return
+    if failure.mistake is not None:
+        raise failure.mistake
+    msg = f"worker processes cannot start: {failure.summary}\n{failure.traceback}"
+    raise EngineError(msg)
 
 
 def _cause_of_death(code: int) -> str:
@@ -403,23 +471,47 @@ def _cause_of_death(code: int) -> str:
         name = signal.Signals(-code).name
     except ValueError:
         name = f"signal {-code}"
-    hint = " (usually the system ran out of memory: use fewer workers)" if name == "SIGKILL" else ""
+    hint = ", most likely because memory ran out: use fewer workers or smaller scenes" if name == "SIGKILL" else ""
     return f"by {name}{hint}"
 
 
+@dataclass
+class _Stop:
+    """What Ctrl-C or a signal raised, to tell it from the same raised by a task.
+
+    Attributes:
+        raised: the exception; None as long as nobody asked for an end.
+        knows_ctrl_c: whether every Ctrl-C would be seen here; if not, any KeyboardInterrupt may be one.
+    """
+
+    raised: BaseException | None = None
+    knows_ctrl_c: bool = True
+
+    def check(self) -> None:
+        """Raise what was asked for, whatever has become of it on its way."""
+        if self.raised is not None:
+            raise self.raised from None
+
+
 @contextmanager
-def _sigterm_unwinds() -> Iterator[None]:
-    """Let SIGTERM leave through ``finally`` blocks like Ctrl-C does, unless the program handles it already."""
-    main = threading.current_thread() is threading.main_thread()
-    if not main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
-        yield
-        return
+def _stop_signals() -> Iterator[_Stop]:
+    """Let SIGTERM and SIGHUP leave through ``finally`` blocks as Ctrl-C does, unless the program handles them already."""
+    stop = _Stop()
 
-    def stop(number: int, frame: object) -> None:
-        raise SystemExit(128 + number)
+    def leave(number: int, _: object) -> None:
+        stop.raised = KeyboardInterrupt() if number == signal.SIGINT else SystemExit(128 + number)
+        raise stop.raised
 
-    signal.signal(signal.SIGTERM, stop)
+    main = threading.current_thread() is threading.main_thread()  # Python lets no other thread listen
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    if hasattr(signal, "SIGHUP"):
+        usual[signal.SIGHUP] = signal.SIG_DFL
+    ours = [number for number, handler in usual.items() if main and signal.getsignal(number) is handler]
+    stop.knows_ctrl_c = not main or signal.SIGINT in ours or signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    for number in ours:
+        signal.signal(number, leave)
     try:
-        yield
+        yield stop
     finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        for number in ours:
+            signal.signal(number, usual[number])

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -50,8 +51,28 @@ def die_always(task: int) -> int:
     return task
 
 
-def exit_hard(task: int) -> None:
-    os._exit(7)
+def leave(task: tuple[int, str]) -> int:
+    """End the process, or try to, in the way that is named, unless the number is even."""
+    number, way = task
+    if number % 2:
+        if way == "sys.exit":
+            sys.exit(number // 2)  # 0 and 1
+        if way == "named":
+            try:
+                sys.exit()
+            except SystemExit as error:
+                raise InputError("scene", "SystemExit") from error
+        if way == "os._exit":
+            os._exit(number // 2)
+        raise KeyboardInterrupt if way == "KeyboardInterrupt" else GeneratorExit
+    return number
+
+
+class SilentError(Exception):
+    """An error whose message fails."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("no words")
 
 
 def fail(task: int) -> int:
@@ -61,6 +82,8 @@ def fail(task: int) -> int:
         raise InputError("camera.exposure", "got -1")
     if task == 3:
         raise OneArgumentError("one argument")
+    if task == 4:
+        raise SilentError
     return task
 
 
@@ -77,6 +100,14 @@ def sleep_and_tell(task: tuple[float, str]) -> None:
     seconds, folder = task
     (Path(folder) / str(os.getpid())).touch()
     time.sleep(seconds)
+
+
+def sleep_and_blame(task: tuple[float, str]) -> None:
+    """The same, by somebody who takes whatever ends it for a fault of the user's code."""
+    try:
+        sleep_and_tell(task)
+    except BaseException as error:
+        raise InputError("scene", "ended") from error
 
 
 def initializer_of_user_mistake() -> None:
