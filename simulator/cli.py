@@ -11,6 +11,7 @@ import typer
 from simulator import __version__
 from simulator.commands import compare, datasets, importing, masks, psf, render, scenes, shutter
 from simulator.errors import InputError
+from simulator.text import described
 
 app = typer.Typer(
     help="Flatlight: a physically based simulator of lensless cameras.",
@@ -80,9 +81,9 @@ def main() -> None:
         for name, entry in commands().items():
             try:
                 app.command(name)(entry.load())
-            except Exception as error:  # another package's fault must not take our own commands away
-                reason = f"{type(error).__name__}: {error}"
-                print(f"warning: the command {name!r} ({entry.value}) cannot be loaded: {reason}", file=sys.stderr)
+            except (Exception, SystemExit) as error:  # another package's fault must not take our own commands away
+                reason = f"({entry.value}) cannot be loaded: {described(error)}"
+                print(f"warning: the command {name!r} {reason}", file=sys.stderr)
         app(standalone_mode=True)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -90,8 +91,8 @@ def main() -> None:
     except Exception as error:
         if os.environ.get("FLATLIGHT_TRACEBACK"):
             raise
-        text = f"internal error: {type(error).__name__}: {error}"
-        print(f"{text}\nThis is a fault of flatlight; FLATLIGHT_TRACEBACK=1 shows where it is.", file=sys.stderr)
+        print(f"internal error: {described(error)}", file=sys.stderr)
+        print("This is a fault of flatlight; FLATLIGHT_TRACEBACK=1 shows where it is.", file=sys.stderr)
         raise SystemExit(1) from None
     except SystemExit as end:
         if end.code == 130:  # what typer makes of Ctrl-C

@@ -24,8 +24,11 @@ from pydantic import BaseModel, ConfigDict, PydanticUserError, ValidationError, 
 from simulator.entry_points import entry_points
 from simulator.errors import InputError
 from simulator.io.files import StorageError
-from simulator.text import nearest
+from simulator.text import described, nearest, said
 from simulator.validation import Problem, find_problems, validate
+
+_FAILURES = (Exception, SystemExit, GeneratorExit)
+"""What others' code may raise where it fails; a KeyboardInterrupt may be the user's Ctrl-C."""
 
 
 def modules_defining(package: str, kind: str) -> frozenset[str]:
@@ -36,7 +39,7 @@ def modules_defining(package: str, kind: str) -> frozenset[str]:
     """
     try:
         paths = importlib.import_module(package).__path__
-    except (Exception, SystemExit) as error:
+    except _FAILURES as error:
         label = f"the package {package!r}, which an entry point names for {kind}s"
         raise InputError(label, describe_failure(error)) from error
     names = []
@@ -81,7 +84,7 @@ def import_file(path: Path, label: str) -> ModuleType:
     state = path.stat()
     try:
         return _import_version(path, state.st_mtime_ns, state.st_size)
-    except (Exception, SystemExit) as error:
+    except _FAILURES as error:
         raise InputError(label, describe_failure(error, path)) from error
 
 
@@ -105,13 +108,12 @@ def describe_failure(error: BaseException, path: Path | None = None) -> str:
 
     ``path``: the plugin's file; the deepest line in it is named. None names the deepest line of all.
     """
-    reason = " ".join(str(error).split())
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}: {type(error).__name__}: {error.msg}"
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith("<frozen")]
     own = [frame for frame in frames if path is not None and Path(frame.filename) == path] or frames
     where = f"{own[-1].filename}:{own[-1].lineno}: " if own else ""
-    return f"{where}{type(error).__name__}: {reason}"
+    return where + " ".join(described(error).split())
 
 
 # What messages call each kind; the group of its entry points is flatlight.masks and so on.
@@ -227,16 +229,17 @@ def plugin_errors(plugin: Plugin) -> Iterator[None]:
     """Name the user's own code, and its line, where it fails; the failures of built-in plugins stay ours.
 
     Raises:
-        InputError: for anything that a ``./file.py:name`` or ``package.module:name`` raises.
+        InputError: for anything that a ``./file.py:name`` or ``package.module:name`` raises, and for what would end the
+            process, such as ``sys.exit()``, whoever calls it.
     """
     try:
         yield
-    except Exception as error:
-        if ":" not in plugin.name or isinstance(error, StorageError):
+    except _FAILURES as error:
+        if isinstance(error, StorageError) or (":" not in plugin.name and isinstance(error, Exception)):
             raise
         label = f"{plugin.kind} {plugin.name!r}"
         if isinstance(error, InputError):
-            reason = str(error)
+            reason = said(error)
         else:
             reason = describe_failure(error, plugin.path.resolve() if plugin.path else None)
         raise InputError(label, reason) from error
@@ -273,7 +276,7 @@ def _import_module(kind: str, name: str, module: str) -> Any:
         raise InputError(
             label, f"no module {error.name!r} is installed; write a file of your own as ./file.py:name"
         ) from error
-    except (Exception, SystemExit) as error:
+    except _FAILURES as error:
         raise InputError(label, describe_failure(error)) from error
 
 

@@ -38,17 +38,21 @@ def show(value: Any) -> str:
 
 
 def described(error: BaseException) -> str:
-    """Return an exception's type and message in one line, also where the message itself fails.
+    """Return an exception's type and message.
 
     Example:
         >>> described(ValueError("too long")), described(KeyboardInterrupt())
         ('ValueError: too long', 'KeyboardInterrupt')
     """
+    return f"{type(error).__name__}: {said(error)}".removesuffix(": ")
+
+
+def said(error: BaseException) -> str:
+    """Return an exception's message, also where a user's own class fails to make one."""
     try:
-        text = " ".join(str(error).split())
-    except Exception:  # a user's own class
-        text = "(its message cannot be shown)"
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+        return str(error)
+    except Exception:
+        return "(its message cannot be shown)"
 
 
 _METRE_UNITS = ((1.0, "m"), (1e-2, "cm"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm"))

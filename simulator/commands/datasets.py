@@ -52,7 +52,7 @@ def generate(
     """Make a data set, or finish one that was begun."""
     from simulator.console import Bar
     from simulator.dataset.job import generate as run
-    from simulator.dataset.manifest import PROBLEMS, SKIPPED, shortened
+    from simulator.dataset.manifest import FAILED, PROBLEMS, SKIPPED, shortened
     from simulator.plots.contact_sheet import contact_sheet
 
     with Bar() as bar:
@@ -71,7 +71,10 @@ def generate(
     for line in result.failed:
         print(f"failed: {line}", file=sys.stderr)
     if result.failed:
-        print(f"{len(result.failed)} samples failed; run the same command again to retry them", file=sys.stderr)
+        listed = f"{result.path / FAILED} has the tracebacks"
+        print(
+            f"{len(result.failed)} samples failed, {listed}; run the same command again to retry them", file=sys.stderr
+        )
     if result.failed or not result.made + result.kept:
         raise typer.Exit(1)
 

@@ -119,6 +119,11 @@ class DatasetConfig(Section):
     engine: Literal["inline", "local"] = Field(
         default="local", description="this process (inline) or a pool of them (local)"
     )
+    timeout_s: Annotated[float, Range(1, 1e7, "s")] = Field(
+        default=3600.0,
+        description="seconds after which a sample that hangs is stopped and tried again, three times in all; with engine "
+        "inline nothing stops it",
+    )
 
     slivers: Annotated[int, Range(1, 10_000, below="a capture is one sliver at least")] | None = Field(
         default=None,

@@ -20,12 +20,14 @@ from simulator.camera.shutter import Shutter, shutter_record
 from simulator.captured_psf import captured_stack, check_calibration
 from simulator.config import Config, dump, load_config
 from simulator.config.psf import ComputedPsf
-from simulator.dataset.clips import ClipTimesError, check_clip, check_parameters, clip_order
+from simulator.dataset.clips import ClipTimesError, check_parameters, clip_order
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info, write_info
-from simulator.dataset.engines import Outcome, WorkerError, available_cpus, run
+from simulator.dataset.engines import GivenUpError, Outcome, WorkerError, available_cpus, run
 from simulator.dataset.fingerprint import build_fingerprint, difference
 from simulator.dataset.manifest import (
+    FAILED,
     MANIFEST,
+    FailedWriter,
     ManifestWriter,
     SkippedWriter,
     list_problems,
@@ -33,7 +35,7 @@ from simulator.dataset.manifest import (
     load_skipped,
     refuse_problems,
 )
-from simulator.dataset.recipe import Recipe, make_pilot, make_sample, scene_clip, start_worker
+from simulator.dataset.recipe import Recipe, check_first_clip, make_pilot, make_sample, start_worker
 from simulator.dataset.sample import SPLITS, sample_id
 from simulator.errors import InputError
 from simulator.io.files import TEMPORARY_PREFIX, StorageError, remove_leftovers, storage_errors
@@ -42,8 +44,9 @@ from simulator.optics.error_budget.sampling import SamplingWarning
 from simulator.optics.metrics import light_off_sensor
 from simulator.optics.stack import UNPROVEN, PsfStack
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack, write_psf_stack
-from simulator.plugins import Plugin, plugin_errors
+from simulator.plugins import Plugin
 from simulator.render.backend import choose_backend
+from simulator.text import described
 from simulator.types import SceneSource
 
 
@@ -186,7 +189,7 @@ class GenerateResult:
         path: the data set's folder.
         made: samples made by this run.
         kept: samples that were there before.
-        failed: one line per sample that could not be made: id and reason.
+        failed: one line per sample that could not be made: id and reason; the next run tries them again.
         seconds: wall time.
         skipped: one line per sample that this run or one before left out for good: id and reason.
         problems: lines about what the source cannot use.
@@ -265,14 +268,13 @@ class _Job:
         packages = getattr(source, "packages", ())
         fingerprint, parts = build_fingerprint(dump(self.config), variant, assembly.input_files, packages)
         existing = existing_info(self.root, self._counts(), fingerprint, parts, shutter)
+        folder = (self.root / PSF_FOLDER).resolve()
+        recipe = Recipe(self.config, variant, folder, source if plugin.path is None else None, shutter)
         if existing is None and not timed and not renders:
-            self._look_at_a_clip(plugin, source)
+            self._look_at_a_clip(recipe)
         with made_folder(self.root), ManifestWriter(self.root) as manifest, all_or_nothing(self.root):
             remove_leftovers(self.root)
             stack = data_set_stack(assembly, self.root, self.say)
-            portable = plugin.path is None
-            folder = (self.root / PSF_FOLDER).resolve()
-            recipe = Recipe(self.config, variant, folder, source if portable else None, shutter)
             if existing is None:
                 colour = assembly.camera_colour(stack.channels)
                 exposure = self._exposure(recipe)
@@ -317,18 +319,14 @@ class _Job:
         if shortage:
             self.say(f"note: splits share source videos, so results on them mean nothing: {shortage}")
 
-    def _look_at_a_clip(self, plugin: Plugin, source: SceneSource) -> None:
-        """Refuse clips that do not suit the shutter before there is anything else to undo."""
-        try:
-            with plugin_errors(plugin):
-                clip = scene_clip(source, self.config.seed, "pilot", 0)
-        except Exception:
-            return  # what cannot be had at all is reported as its sample's failure
-        try:
-            check_clip(clip, self.assembly.shutter, self.config.camera.sensor.shape[0], self.config.dataset.slivers)
-        except ClipTimesError:
-            if not self.skip_bad:
-                raise
+    def _look_at_a_clip(self, recipe: Recipe) -> None:
+        """Refuse clips that do not suit the shutter before there is anything else to undo.
+
+        What cannot be had at all is reported as its sample's failure.
+        """
+        for outcome in self._outcomes(check_first_clip, [recipe]):
+            if isinstance(outcome.error, ClipTimesError) and not self.skip_bad:
+                raise outcome.error
 
     def _slivers(self) -> dict[str, Any]:
         chosen = self.config.dataset
@@ -343,11 +341,13 @@ class _Job:
             return fixed
         pilots: dict[int, Any] = {}
         bad: dict[int, Exception] = {}
-        for outcome in self._outcomes(make_pilot, range(PILOTS), recipe):
+        for outcome in self._outcomes(make_pilot, range(PILOTS), start_worker, (recipe,)):
             if outcome.error is None:
                 pilots[outcome.task] = outcome.value
             elif self._skips(outcome.error):
                 bad[outcome.task] = outcome.error
+            elif isinstance(outcome.error, GivenUpError):
+                raise InputError(f"exposure pilot {outcome.task}", _reason(outcome)) from outcome.error
             else:
                 raise outcome.error
             self.progress("exposure pilots", len(pilots) + len(bad), PILOTS)
@@ -375,8 +375,9 @@ class _Job:
         missing = [(split, index) for split, index in wanted if (split, sample_id(index)) not in finished]
         tasks = [(str(self.root), split, i) for split, i in missing if (split, sample_id(i)) not in skipped]
         made, passed_over, failed = 0, 0, []
+        (self.root / FAILED).unlink(missing_ok=True)
         self.progress("samples", len(wanted) - len(tasks), len(wanted))
-        for outcome in self._outcomes(make_sample, tasks, recipe):
+        for outcome in self._outcomes(make_sample, tasks, start_worker, (recipe,)):
             if isinstance(outcome.error, StorageError):
                 raise outcome.error
             _, split, index = outcome.task
@@ -385,7 +386,9 @@ class _Job:
                     skipping.append(split, index, str(outcome.error))
                 passed_over += 1
             elif outcome.error is not None:
-                failed.append(f"{split}/{sample_id(index)}: {_reason(outcome.error)}")
+                with FailedWriter(self.root) as failing:
+                    failing.append(split, index, _reason(outcome), outcome.attempts, outcome.traceback)
+                failed.append(f"{split}/{sample_id(index)}: {_reason(outcome)}")
                 continue
             else:
                 assert outcome.value is not None
@@ -395,13 +398,25 @@ class _Job:
         return made, len(wanted) - len(missing), sorted(failed)
 
     def _outcomes(
-        self, function: Callable[[Any], Any], tasks: Sequence[Any], recipe: Recipe
+        self,
+        function: Callable[[Any], Any],
+        tasks: Sequence[Any],
+        initializer: Callable[..., object] | None = None,
+        initargs: tuple[Any, ...] = (),
     ) -> Iterator[Outcome[Any, Any]]:
         chosen = self.config.dataset
         if not tasks:
             return
         workers = min(available_cpus() if chosen.workers == "auto" else chosen.workers, len(tasks))
-        outcomes = run(chosen.engine, function, tasks, workers=workers, initializer=start_worker, initargs=(recipe,))
+        outcomes = run(
+            chosen.engine,
+            function,
+            tasks,
+            workers=workers,
+            initializer=initializer,
+            initargs=initargs,
+            timeout_s=chosen.timeout_s,
+        )
         assert isinstance(outcomes, Generator)  # leaving it early stops the workers
         with closing(outcomes):
             yield from outcomes
@@ -425,8 +440,10 @@ class _Job:
             )
 
 
-def _reason(error: Exception) -> str:
-    return str(error) if isinstance(error, InputError | WorkerError) else f"{type(error).__name__}: {error}"
+def _reason(outcome: Outcome[Any, Any]) -> str:
+    error, tried = outcome.error, f" (tried {outcome.attempts} times)" if outcome.attempts > 1 else ""
+    assert error is not None
+    return (str(error) if isinstance(error, InputError | WorkerError) else described(error)) + tried
 
 
 def _cpu_level() -> str:

@@ -1,4 +1,4 @@
-"""What a run made and what it left out: manifest.jsonl and skipped.jsonl, a short line each, appended by one process."""
+"""What a run made, left out and failed to make: a line each, appended by one process to a file for each of the three."""
 
 from __future__ import annotations
 
@@ -101,6 +101,7 @@ class ManifestWriter(AppendedLines):
 
 
 SKIPPED = "skipped.jsonl"
+FAILED = "failed.jsonl"
 PROBLEMS = "source_problems.txt"
 _SHOWN = 20
 
@@ -124,6 +125,29 @@ class SkippedWriter(AppendedLines):
     def append(self, split: str, index: int, reason: str) -> None:
         """Add why a sample cannot be made; see `AppendedLines.append_line`."""
         self.append_line({"id": sample_id(index), "split": split, "reason": reason})
+
+
+class FailedWriter(AppendedLines):
+    """Appends samples that could not be made; the next run tries them again, and begins this list anew.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as root:
+        ...     with FailedWriter(root) as writer:
+        ...         writer.append("train", 3, "SystemExit: 0", 3, "Traceback ...")
+        ...     print((Path(root) / FAILED).read_text(), end="")
+        {"id":"s00000003","split":"train","reason":"SystemExit: 0","attempts":3,"traceback":"Traceback ..."}
+    """
+
+    def __init__(self, root: Path | str) -> None:
+        """Open the list in the folder ``root``; see `AppendedLines`."""
+        super().__init__(Path(root) / FAILED)
+
+    def append(self, split: str, index: int, reason: str, attempts: int, traceback: str) -> None:
+        """Add why a sample could not be made; see `AppendedLines.append_line`."""
+        self.append_line(
+            {"id": sample_id(index), "split": split, "reason": reason, "attempts": attempts, "traceback": traceback}
+        )
 
 
 def load_skipped(root: Path | str) -> dict[Key, str]:

@@ -143,6 +143,18 @@ def scene_clip(source: SceneSource, seed: int, split: str, index: int, order: Cl
     return source.clip(place, generator(seed, split, index, "scene"))
 
 
+def check_first_clip(recipe: Recipe) -> None:
+    """Look at a clip before there is a PSF stack.
+
+    Raises:
+        ClipTimesError: it does not suit the shutter.
+    """
+    plugin = Assembly(recipe.config).scene_plugin
+    with plugin_errors(plugin):
+        clip = scene_clip(recipe.source or Assembly(recipe.config).source, recipe.config.seed, "pilot", 0)
+    check_clip(clip, recipe.shutter, recipe.config.camera.sensor.shape[0], recipe.config.dataset.slivers)
+
+
 _maker: SampleMaker | None = None
 
 

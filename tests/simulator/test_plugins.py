@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from simulator.errors import InputError
-from simulator.plugins import ParameterError, available, resolve
+from simulator.plugins import ParameterError, available, plugin_errors, resolve
 
 Install = Callable[..., None]
 
@@ -276,3 +276,35 @@ def test_refused_parameters(
         assert problem.path == path
         assert all(word in problem.text for word in words), problem.text
         assert str(caught.value) == f"mask design './my_mask.py:vortex': {problem}"
+
+
+SILENT = """
+class SilentError(Exception):
+    def __str__(self):
+        raise RuntimeError("no words")
+
+def silent():
+    raise SilentError
+
+def leaving():
+    raise SystemExit(0)
+"""
+
+
+@pytest.mark.parametrize(("name", "words"), [("silent", "my_mask.py:7: SilentError"), ("leaving", "SystemExit: 0")])
+def test_what_a_users_code_raises_is_named(tmp_path: Path, name: str, words: str) -> None:
+    write(tmp_path, SILENT)
+    plugin = resolve("mask", f"./my_mask.py:{name}", tmp_path)
+    with pytest.raises(InputError, match=rf"^mask './my_mask\.py:{name}': .*{words}"), plugin_errors(plugin):
+        plugin.function()
+
+
+def test_what_others_raise_stays_theirs_unless_it_would_end_the_process() -> None:
+    plugin = resolve("mask", "pinhole")
+    with pytest.raises(ZeroDivisionError), plugin_errors(plugin):
+        raise ZeroDivisionError
+    with pytest.raises(KeyboardInterrupt), plugin_errors(plugin):
+        raise KeyboardInterrupt
+    for error in (SystemExit(0), GeneratorExit()):
+        with pytest.raises(InputError, match=r"^mask 'pinhole': "), plugin_errors(plugin):
+            raise error

@@ -106,9 +106,62 @@ class TestGenerate:
         assert "failed: train/s00000001: " in err
         assert "plugins.py:" in err
         assert "no clip 1 today" in err
-        assert "1 samples failed; run the same command again" in err
+        assert "1 samples failed, " in err
         (trial.folder / "mended").touch()
         assert flatlight("generate", path)[0] == 0
+        assert verify(trial.folder / "out").ok
+
+    @pytest.mark.parametrize(
+        ("engine", "timeout_s"), [("inline", 3600), pytest.param("local", 2, marks=pytest.mark.slow)]
+    )
+    def test_whatever_a_plugin_does_the_others_are_finished(
+        self, flatlight, trial, engine: str, timeout_s: float
+    ) -> None:
+        source = """
+import sys
+
+class Leaving(Boxes):
+    def clip(self, index, rng):
+        if not Path(__file__).with_name("mended").exists():
+            if index == 1:
+                sys.exit(0)
+            if index == 2:
+                raise KeyboardInterrupt
+            if index == 3:
+                raise GeneratorExit
+            if index == 4:
+                os._exit(0)
+            if index == 5:
+                time.sleep(1000)
+        return super().clip(index, rng)
+
+def leaving(view):
+    return Leaving(view, 4, None, None, None, None, 0.0)
+"""
+        (trial.folder / "leaving.py").write_text(trial.plugins.read_text() + source)
+        count = 7 if engine == "local" else 4
+        dataset = {"train": count, "engine": engine, "workers": 2, "timeout_s": timeout_s}
+        path = trial.write(scene={"family": "./leaving.py:leaving", "size": [16, 20]}, dataset=dataset)
+        code, out, err = flatlight("generate", path)
+        assert code == 1
+        assert f"{3 if engine == 'inline' else 4} samples made" in out
+        causes = ["SystemExit: 0", "KeyboardInterrupt", "GeneratorExit", "exit code 0", "not finished after 2 s"]
+        listed = [json.loads(line) for line in (trial.folder / "out/failed.jsonl").read_text().splitlines()]
+        for index, cause in enumerate(causes[: count - 1 - (engine == "local")], start=1):
+            name = f"s0000000{index}"
+            (line,) = (line for line in err.splitlines() if line.startswith(f"failed: train/{name}: "))
+            assert cause in line
+            assert "tried 3 times" in line
+            (entry,) = (entry for entry in listed if entry["id"] == name)
+            assert entry["attempts"] == 3
+            assert entry["reason"] in line
+            assert ("in clip\n" in entry["traceback"]) == (index < 4)
+        assert f"{len(listed)} samples failed" in err
+        (trial.folder / "mended").touch()
+        code, out, err = flatlight("generate", path)
+        assert code == 0, err
+        assert f"{len(listed)} samples made" in out
+        assert not (trial.folder / "out/failed.jsonl").exists()
         assert verify(trial.folder / "out").ok
 
     def test_skip_bad_lists_what_it_leaves_out(self, one_error, flatlight, trial) -> None:

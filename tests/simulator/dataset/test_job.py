@@ -171,6 +171,14 @@ def test_a_failing_sample_is_reported_and_tried_again(trial, tmp_path: Path) -> 
     assert verify(again.path).ok
 
 
+def test_a_pilot_that_ends_its_process_is_a_mistake_of_the_plugin(trial) -> None:
+    code = trial.plugins.read_text()
+    trial.plugins.write_text(code.replace("        time.sleep(self.seconds)\n", "        raise KeyboardInterrupt\n"))
+    with pytest.raises(InputError, match=r"^exposure pilot 0: .*KeyboardInterrupt"):
+        generate(trial.write(camera={"exposure": {"full_scale": "auto"}}))
+    assert not (trial.folder / "out").exists()
+
+
 def test_progress_counts_to_the_end(trial) -> None:
     seen: list[tuple[str, int, int]] = []
     said: list[str] = []
