@@ -33,7 +33,7 @@ class Mask:
         notes: how it was made, for provenance; JSON-serialisable and without influence on the light.
 
     Raises:
-        InputError: for wrong shapes, NaN, amplitudes outside 0..1, an opaque mask, or an implausible pitch.
+        InputError: for wrong shapes, complex numbers, NaN, amplitudes outside 0..1, an opaque mask, or an implausible pitch.
     """
 
     height_m: Array
@@ -51,6 +51,12 @@ class Mask:
                 f"got {tuple(self.height_m.shape)} and {tuple(self.amplitude.shape)}, expected one (H, W)",
             )
         height, amplitude = to_numpy(self.height_m), to_numpy(self.amplitude)
+        for name, values in (("height_m", height), ("amplitude", amplitude)):
+            if np.iscomplexobj(values):
+                raise InputError(
+                    name,
+                    "holds complex numbers, expected real ones: a phase is a height, h = phase lambda / (2 pi (n - 1))",
+                )
         if not np.all(np.isfinite(height)):
             bad = np.count_nonzero(~np.isfinite(height))
             raise InputError("height_m", f"holds {bad} NaN or infinite values; every height must be finite metres")

@@ -167,6 +167,8 @@ def _flat(value=0.0, shape=(3, 3)):
         (_flat(shape=(3, 4)), _flat(1), 2e-6, "smooth", "^height_m, amplitude: "),
         (np.zeros(9), np.ones(9), 2e-6, "smooth", "^height_m, amplitude: "),
         (np.array([[0.0, np.nan], [np.inf, 0]]), _flat(1, (2, 2)), 2e-6, "smooth", "^height_m: "),
+        (_flat(1e-6 + 1e-7j), _flat(1), 2e-6, "smooth", "^height_m: "),
+        (_flat(), _flat(1j), 2e-6, "smooth", "^amplitude: "),
         (_flat(), _flat(1.5), 2e-6, "smooth", "^amplitude: "),
         (_flat(), _flat(-0.1), 2e-6, "smooth", "^amplitude: "),
         (_flat(), np.where(np.eye(3), np.nan, 1), 2e-6, "smooth", "^amplitude: "),
