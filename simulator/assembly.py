@@ -451,7 +451,7 @@ class Assembly:
     @cached_property
     def source(self) -> SceneSource:
         """The scene source."""
-        plugin = self.scene_plugin
+        plugin, view = self.scene_plugin, self.view
         arguments = plugin.bind(self.config.scene.params)
         if plugin.takes_renderer:
             from simulator.render import Renderer  # imported data sets need no renderer
@@ -462,7 +462,7 @@ class Assembly:
                 self.backend, tuple(chosen.outputs), chosen.hidden_layers, denoise=chosen.denoise, bands_nm=bands_nm
             )
         with plugin_errors(plugin):
-            source = plugin.function(self.view, **arguments)
+            source = plugin.function(view, **arguments)
         if not isinstance(source, SceneSource):
             raise InputError(
                 f"scene {plugin.name!r}",

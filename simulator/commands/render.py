@@ -108,22 +108,23 @@ def _clips(config: Config, split: str, numbers: range, bar: Bar, *, free: bool) 
         wanted = ", ".join(config.render.outputs)
         raise InputError("render.outputs", f"got {wanted}, but {plugin.name} holds colour and depth only; leave it out")
     clips: list[Clip] = []
-    with plugin_errors(plugin):
-        source = Assembly(config, variant).source
-        if problems := tuple(getattr(source, "problems", ())):
-            listed = "\n  ".join(first_lines(problems, _PROBLEMS))
-            bar.say(f"note: {len(problems)} files or videos cannot be used, and are left out:\n  {listed}")
-        if isinstance(source, Sized):
-            numbers = numbers[: max(1, len(source))]
-        for number in numbers:
+    source = Assembly(config, variant).source
+    if problems := tuple(getattr(source, "problems", ())):
+        listed = "\n  ".join(first_lines(problems, _PROBLEMS))
+        bar.say(f"note: {len(problems)} files or videos cannot be used, and are left out:\n  {listed}")
+    if isinstance(source, Sized):
+        numbers = numbers[: max(1, len(source))]
+    for number in numbers:
+        with plugin_errors(plugin):
             clip = scene_clip(source, config.seed, split, number)
-            if free and not clips and plugin.takes_renderer and len(clip.rgb) > 1 and not config.render.outputs:
-                # Only now is it known that something moves.
-                moving = config.render.model_copy(update={"outputs": ("motion",)})
-                source = Assembly(config.model_copy(update={"render": moving}), variant).source
+        if free and not clips and plugin.takes_renderer and len(clip.rgb) > 1 and not config.render.outputs:
+            # Only now is it known that something moves.
+            moving = config.render.model_copy(update={"outputs": ("motion",)})
+            source = Assembly(config.model_copy(update={"render": moving}), variant).source
+            with plugin_errors(plugin):
                 clip = scene_clip(source, config.seed, split, number)
-            clips.append(clip)
-            bar.update("samples rendered", len(clips), len(numbers))
+        clips.append(clip)
+        bar.update("samples rendered", len(clips), len(numbers))
     return numbers, clips
 
 

@@ -192,6 +192,10 @@ class TestSources:
         assert words in str(caught.value)
         assert "./plugins.py:boxes" in str(caught.value)
 
+    def test_what_is_wrong_with_the_camera_is_not_blamed_on_the_family(self, trial) -> None:
+        with pytest.raises(InputError, match=r"^(?!scene).*gone: "):
+            _ = Assembly(load_config(trial.write(camera={"mask": None}, psf={"measured": "gone"}))).source
+
     def test_a_renderer_goes_to_those_who_want_it(self, trial) -> None:
         path = trial.write(scene={"family": "flying_things", "size": [16, 20]})
         source = Assembly(load_config(path), "scalar_rgb").source
