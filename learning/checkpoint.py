@@ -22,7 +22,7 @@ from torch import Tensor
 from learning.camera import CaptureModel
 from learning.models.flatnet import FlatNet, build_network, full_architecture
 from simulator.errors import InputError
-from simulator.io.files import write_atomic
+from simulator.io.files import expanded, write_atomic
 from simulator.io.json import canonical_json
 from simulator.optics.stack import PsfStack
 from simulator.validation import renamed
@@ -246,7 +246,7 @@ def find_checkpoint(text: str) -> Path:
     Raises:
         InputError: neither a file nor a shipped checkpoint's name.
     """
-    path, shipped = Path(text).expanduser(), shipped_checkpoints()
+    path, shipped = expanded(text), shipped_checkpoints()
     if path.is_file() or text in shipped:
         return path if path.is_file() else shipped[text]
     known = f"a shipped checkpoint ({', '.join(shipped) or 'there is none'})"

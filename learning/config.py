@@ -11,6 +11,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 
 from simulator import validation
 from simulator.config.load import load_model
+from simulator.io.files import expanded
 from simulator.settings import Range
 from simulator.validation import RENAMED, Problem, refusal
 
@@ -28,7 +29,7 @@ class FileSection(Section):
 
     def resolve_path(self, text: str | Path) -> Path:
         """Return a path of this file as an absolute one."""
-        return self._base_dir / Path(text).expanduser()
+        return expanded(text, self._base_dir)
 
     def resolve_stack(self, name: str) -> str | Path:
         """Return PSFs as `learning.camera.capture_model` takes them: nominal, captured, or a stack's folder."""

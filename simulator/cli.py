@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from typing import Annotated
@@ -11,7 +12,7 @@ import typer
 from simulator import __version__
 from simulator.commands import compare, datasets, importing, masks, psf, render, scenes, shutter
 from simulator.errors import InputError
-from simulator.text import described
+from simulator.text import described, show
 
 app = typer.Typer(
     help="Flatlight: a physically based simulator of lensless cameras.",
@@ -89,6 +90,9 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
     except Exception as error:
+        if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:  # whichever option it came from
+            print(f"error: {show(str(error.filename))}: the name is too long; choose a shorter one", file=sys.stderr)
+            raise SystemExit(2) from None
         if os.environ.get("FLATLIGHT_TRACEBACK"):
             raise
         print(f"internal error: {described(error)}", file=sys.stderr)

@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, PydanticUserError, ValidationError, 
 
 from simulator.entry_points import entry_points
 from simulator.errors import InputError
-from simulator.io.files import StorageError
+from simulator.io.files import StorageError, expanded
 from simulator.text import described, nearest, said
 from simulator.validation import Problem, find_problems, validate
 
@@ -124,6 +124,7 @@ _SCENE_KEYS = ("family", "source", "size", "margin", "margin_deg", "surroundings
 _SHUTTER_KEYS = ("type", "file", "function")
 SECTION_KEYS = {"mask": ("design",), "scene": _SCENE_KEYS, "source": _SCENE_KEYS, "shutter": _SHUTTER_KEYS}
 _INJECTED = "renderer"
+_GIVEN = {"mask": (), "scene": ("view",), "source": ("view",), "shutter": ("rows",)}  # to the function, by position
 
 
 class ParameterError(InputError):
@@ -166,8 +167,7 @@ class Plugin:
         Raises:
             ParameterError: for unknown and missing parameters and for values of the wrong type or size.
         """
-        values = dict(self._validated(params).__dict__)
-        return {name: _absolute(value, self.base_dir) for name, value in values.items()}
+        return self._validated(params)[1]
 
     def fill(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Return the parameters as plain data, defaults filled in, paths as written.
@@ -175,15 +175,22 @@ class Plugin:
         Raises:
             ParameterError: as :meth:`bind`.
         """
-        return self._validated(params).model_dump(mode="json")
+        return self._validated(params)[0].model_dump(mode="json")
 
-    def _validated(self, params: Mapping[str, Any]) -> BaseModel:
+    def _validated(self, params: Mapping[str, Any]) -> tuple[BaseModel, dict[str, Any]]:
+        label = f"{_LABELS[self.kind]} {self.name!r}"
         try:
-            return validate(self.parameters, dict(params))
+            values = validate(self.parameters, dict(params))
         except ValidationError as error:
             problems = find_problems(error, self.parameters, dict(params), also=SECTION_KEYS[self.kind])
-            label = f"{_LABELS[self.kind]} {self.name!r}"
             raise ParameterError(label, problems) from error
+        arguments = {}
+        for name, value in values.__dict__.items():
+            try:
+                arguments[name] = _absolute(value, self.base_dir)
+            except InputError as error:
+                raise ParameterError(label, [Problem((name,), str(error))]) from error
+        return values, arguments
 
 
 def resolve(kind: str, name: str, base_dir: Path | None = None) -> Plugin:
@@ -205,7 +212,7 @@ def resolve(kind: str, name: str, base_dir: Path | None = None) -> Plugin:
         place, attribute = _module_of(kind, name), name
         module = _import_module(kind, name, place)
     elif place.endswith(".py"):
-        path = base_dir / Path(place).expanduser()
+        path = expanded(place, base_dir)
         module = import_file(path, f"{_LABELS[kind]} {name!r}")
     else:
         module = _import_module(kind, name, place)
@@ -215,6 +222,13 @@ def resolve(kind: str, name: str, base_dir: Path | None = None) -> Plugin:
         raise InputError(
             f"{_LABELS[kind]} {name!r}", f"{place} defines no function {attribute!r}{nearest(attribute, known)}"
         )
+    try:
+        inspect.getsourcefile(function)
+    except TypeError:
+        reason = (
+            f"{attribute!r} of {place} is not written in Python; name a function or class of a module or file of yours"
+        )
+        raise InputError(f"{_LABELS[kind]} {name!r}", reason) from None
     parameters, takes_renderer = _model_of(kind, name, function)
     return Plugin(kind, name, function, parameters, takes_renderer, base_dir, path)
 
@@ -286,12 +300,12 @@ def _model_of(kind: str, name: str, function: Callable[..., Any]) -> tuple[type[
     takes_renderer = False
     fields: dict[str, Any] = {}
     try:
-        parameters = inspect.signature(function).parameters.values()
+        signature = inspect.signature(function)
         target = function.__init__ if inspect.isclass(function) else function
         hints = get_type_hints(target, include_extras=True)
     except (NameError, TypeError, ValueError, AttributeError) as error:
         raise InputError(label, f"cannot read its annotations ({error}); import their names in its module") from error
-    for parameter in parameters:
+    for parameter in signature.parameters.values():
         if parameter.name == _INJECTED:
             takes_renderer = True
         elif parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL):
@@ -305,6 +319,12 @@ def _model_of(kind: str, name: str, function: Callable[..., Any]) -> tuple[type[
                 raise InputError(label, f"the parameter {parameter.name!r} has no type; annotate it, for example float")
             default = ... if parameter.default is parameter.empty else parameter.default
             fields[parameter.name] = (hints[parameter.name], default)
+    given = _GIVEN[kind]
+    try:
+        signature.bind(*given, **fields, **({_INJECTED: None} if takes_renderer else {}))
+    except TypeError as error:
+        called = f"{function.__name__}({', '.join([*given, '*', '...'])})"
+        raise InputError(label, f"{error}; a {kind} is called as {called}, parameters by name") from error
     config = ConfigDict(
         strict=True,
         extra="forbid",
@@ -324,7 +344,7 @@ def _model_of(kind: str, name: str, function: Callable[..., Any]) -> tuple[type[
 
 def _absolute(value: Any, base_dir: Path) -> Any:
     if isinstance(value, Path):
-        return base_dir / value.expanduser()
+        return expanded(value, base_dir)
     if isinstance(value, list | tuple):
         return type(value)(_absolute(item, base_dir) for item in value)
     return value

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Tag, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Tag, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticCustomError
 
 from simulator.errors import InputError
+from simulator.io.files import expanded
 from simulator.settings import Key, Settings, keys_of
 from simulator.text import KeyPath, dotted, nearest, show
 
@@ -92,6 +93,18 @@ def refusal(text: str, *at: str | int, on_key: bool = False) -> PydanticCustomEr
         on_key: whether the entry's key is wrong, not its value.
     """
     return PydanticCustomError("sense", "{text}", {"text": text, "at": at, "on_key": on_key or not at})
+
+
+def _expandable(text: str) -> str:
+    try:
+        expanded(text)
+    except InputError as error:
+        raise PydanticCustomError("sense", "{text}", {"text": str(error), "at": (), "on_key": False}) from error
+    return text
+
+
+PathText = Annotated[str, Field(min_length=1), AfterValidator(_expandable)]
+"""A file or folder as a user writes it; `simulator.io.files.expanded` makes a path of it."""
 
 
 @dataclass(frozen=True)

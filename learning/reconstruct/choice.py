@@ -19,7 +19,7 @@ from learning.tune.study import load_tuned
 from simulator.dataset.dataset_info import FILE
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
-from simulator.io.files import sha256_file
+from simulator.io.files import expanded, sha256_file
 from simulator.optics.stack_files import DESCRIPTION, read_psf_stack, stack_folder
 
 _TYPICAL = "twice the mean radiance of a scene that sends this much light"
@@ -67,7 +67,7 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
         raise InputError("--checkpoint", f"{brings}; leave out --method, --stack, --tuned and --set")
     if request.noise_db is not None and request.tuned is None:
         raise InputError("--noise-db", "chooses among tuned parameters; add --tuned, or leave it out")
-    image = request.method is not None and request.stack is not None and Path(request.stack).expanduser().is_file()
+    image = request.method is not None and request.stack is not None and expanded(request.stack).is_file()
     for option, value in (("--psf-background", request.psf_background), ("--psf-crop", request.psf_crop)):
         if value is not None and not image:
             raise InputError(option, "applies to the image of a PSF; name one by --stack, or leave it out")
@@ -177,7 +177,7 @@ def camera_of(measurement: Measurement, request: Request) -> tuple[CaptureModel,
             found = f"got {stack or 'nothing'}, but {measurement.path} is not a sample of a data set"
             raise InputError("--stack", f"{found}; {wanted}")
         return capture_model(dataset, stack or "nominal"), _of_own(dataset), dataset
-    place = Path(stack).expanduser()
+    place = expanded(stack)
     folder = stack_folder(place)
     if place.is_file():
         if dataset is not None:

@@ -14,7 +14,7 @@ from simulator.errors import InputError
 from simulator.optics.spectra import Led
 from simulator.settings import Range
 from simulator.text import nearest, show
-from simulator.validation import PluginSection, Section, refusal
+from simulator.validation import PathText, PluginSection, Section, refusal
 
 _THICK = Range(0.0001, 100, "mm", below="a layer has a thickness")
 MaterialName = Annotated[str, Field(min_length=1)]
@@ -76,7 +76,7 @@ class RowWindows(PluginSection):
     """A window of its own for every physical row, from a file or a function; further keys are the function's parameters."""
 
     type: Literal["windows"] = "windows"
-    file: Annotated[str, Field(min_length=1)] | None = Field(
+    file: PathText | None = Field(
         default=None,
         description=".csv (a line per physical row, top first: open_s,close_s; the header may say _ms or _us) or .npy "
         "(rows, 2) in seconds",

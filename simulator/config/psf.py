@@ -14,7 +14,7 @@ from simulator.io.tables import NM
 from simulator.optics.spectra import Led
 from simulator.optics.stack import depth_planes
 from simulator.settings import Range
-from simulator.validation import Section, refusal
+from simulator.validation import PathText, Section, refusal
 
 _IN_FRONT = "depths are measured from the mask into the scene, so they are positive"
 Depth = Annotated[float, Range(0.01, 1e7, "cm", infinite=True, below=_IN_FRONT)]
@@ -170,7 +170,7 @@ class ComputedPsf(Planes):
 class MeasuredPsf(Section):
     """A stack of measured images of a point source: a file per depth, or one .npy file with all of them."""
 
-    measured: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
+    measured: Annotated[tuple[PathText, ...], Field(min_length=1)] = Field(
         description="image files (TIFF, EXR, npy), nearest depth first; relative to the YAML file"
     )
     depths_cm: Depths = Field(description="distance of the point source from the mask for each file, centimetres")
@@ -200,7 +200,7 @@ class MeasuredPsf(Section):
 class StoredPsf(Section):
     """A stack in a folder that ``flatlight psf --output`` or a data set wrote; the folder says all about it."""
 
-    measured: str = Field(description="the folder (of a stack, or of a data set); relative to the YAML file")
+    measured: PathText = Field(description="the folder (of a stack, or of a data set); relative to the YAML file")
     planes: InterpolatedPlanes | None = Field(default=None, description=_PLANES)
 
 

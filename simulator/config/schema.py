@@ -10,9 +10,10 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from simulator.config.camera import CameraConfig, PhysicalNoise, Shape
 from simulator.config.psf import ComputedPsf, PsfConfig
+from simulator.io.files import expanded
 from simulator.settings import Range
 from simulator.text import nearest, show
-from simulator.validation import PluginSection, Section, refusal
+from simulator.validation import PathText, PluginSection, Section, refusal
 
 Count = Annotated[int, Range(0, 100_000_000, below="a number of samples is not negative")]
 
@@ -109,7 +110,7 @@ class SceneConfig(PluginSection):
 class DatasetConfig(Section):
     """What is written, how much of it, and by how many workers."""
 
-    output: str = Field(description="folder of the data set", min_length=1)
+    output: PathText = Field(description="folder of the data set")
     train: Count = Field(default=0, description="number of training samples")
     validation: Count = Field(default=0, description="number of validation samples")
     test: Count = Field(default=0, description="number of test samples")
@@ -243,7 +244,7 @@ class Config(Section):
 
     def resolve_path(self, text: str | Path) -> Path:
         """Return a path of this configuration as an absolute one."""
-        return self._base_dir / Path(text).expanduser()
+        return expanded(text, self._base_dir)
 
     @model_validator(mode="after")
     def _mask_or_measurement(self) -> Self:

@@ -38,7 +38,7 @@ from simulator.dataset.manifest import (
 from simulator.dataset.recipe import Recipe, check_first_clip, make_pilot, make_sample, start_worker
 from simulator.dataset.sample import SPLITS, sample_id
 from simulator.errors import InputError
-from simulator.io.files import TEMPORARY_PREFIX, StorageError, remove_leftovers, storage_errors
+from simulator.io.files import TEMPORARY_PREFIX, StorageError, expanded, remove_leftovers, storage_errors
 from simulator.io.json import canonical_json
 from simulator.optics.error_budget.sampling import SamplingWarning
 from simulator.optics.metrics import light_off_sensor
@@ -249,7 +249,7 @@ class _Job:
     problems: tuple[str, ...] = field(init=False, default=())
 
     def __post_init__(self) -> None:
-        self.root = Path(self.config.dataset.output).expanduser()
+        self.root = expanded(self.config.dataset.output).absolute()  # a plugin may change the current folder
 
     def run(self) -> tuple[int, int, list[str]]:
         """Return how many samples were made and kept, and what failed."""

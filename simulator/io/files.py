@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from simulator.errors import InputError
+from simulator.text import show
 
 TEMPORARY_PREFIX = ".tmp-"
 """Everything whose name starts like this is unfinished work of a writer that died; it may be deleted."""
@@ -34,6 +35,28 @@ _DENIED = {
     errno.EISDIR: "a folder has that name",
     errno.ENAMETOOLONG: "the name is too long",
 }
+
+
+_LONGEST_NAME, _LONGEST_PATH = 255, 4000  # bytes; what common file systems take, less room for names of our own
+
+
+def expanded(text: str | Path, base_dir: Path | None = None) -> Path:
+    """Return the path that a user wrote: ``~`` is a home, a relative one starts at ``base_dir``.
+
+    Raises:
+        InputError: nobody has that home, or a name is too long for a file system.
+    """
+    try:
+        path = (base_dir or Path()) / Path(text).expanduser()
+    except RuntimeError:
+        raise InputError(show(str(text)), "no user of that name; write the folder out") from None
+    longest = max((len(os.fsencode(part)) for part in path.parts), default=0)
+    if longest > _LONGEST_NAME or len(os.fsencode(path)) > _LONGEST_PATH:
+        reason = f"a name of {longest} bytes in a path of {len(os.fsencode(path))}"
+        raise InputError(
+            show(str(text)), f"{reason}; expected at most {_LONGEST_NAME} and {_LONGEST_PATH}; choose a shorter one"
+        )
+    return path
 
 
 class StorageError(InputError):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.io.files import read_text
+from simulator.io.files import expanded, read_text
 from simulator.io.tables import UM, ordered, read_wavelength_table
 
 Formula = Literal["sellmeier", "sellmeier-2", "polynomial", "cauchy", "table"]
@@ -195,7 +195,7 @@ def material_file(name: str, base_dir: Path | None = None) -> Path | None:
     """
     if name in MATERIALS or not name.lower().endswith((".csv", ".yml", ".yaml")):
         return None
-    return (base_dir or Path()) / Path(name).expanduser()
+    return expanded(name, base_dir)
 
 
 def load_material(name: str, base_dir: Path | None = None) -> Material:

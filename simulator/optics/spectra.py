@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.io.files import read_text
+from simulator.io.files import expanded, read_text
 from simulator.io.tables import NM, ordered, read_wavelength_table
 from simulator.settings import Quantity, Range, Settings
 from simulator.types import Refractive, SpectralResponse
@@ -74,7 +74,7 @@ class Led(Settings):
 
 def curve_file(name: str, base_dir: Path | None = None) -> Path | None:
     """Return the file that a name of curves stands for, or None where it is not a file name."""
-    return (base_dir or Path()) / Path(name).expanduser() if name.lower().endswith((".csv", ".json")) else None
+    return expanded(name, base_dir) if name.lower().endswith((".csv", ".json")) else None
 
 
 def camera_curves(name: str, base_dir: Path | None = None) -> SpectralCurves:

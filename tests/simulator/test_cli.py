@@ -72,6 +72,17 @@ class TestStart:
         assert "FLATLIGHT_TRACEBACK" in err
         assert "Traceback" not in err
 
+    @pytest.mark.parametrize(
+        "words",
+        [["verify"], ["generate"], ["init"], ["import", "--check"], ["render", "sim_config.yaml", "--output"]],
+        ids=" ".join,
+    )
+    def test_a_name_that_no_file_can_have(self, flatlight, words: list[str]) -> None:
+        code, _, err = flatlight(*words, f"{'x' * 300}.png")
+        assert code == 2
+        assert err.startswith(("error: 'xxx", "error: xxx", "error: --check: ", "error: --output: "))
+        assert len(err.splitlines()) == 1
+
     def test_the_traceback_on_request(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("simulator.config.json_schema", lambda: 1 / 0)
         monkeypatch.setenv("FLATLIGHT_TRACEBACK", "1")

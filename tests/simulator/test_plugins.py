@@ -154,6 +154,10 @@ def test_a_module_and_a_name(install: Install) -> None:
     )
     assert "no module 'trial_optics.nothing' is installed" in refused("mask", "trial_optics.nothing:vortex")
     assert "./file.py:name" in refused("mask", "my_mask:vortex")
+    assert "not written in Python" in refused("mask", "os:system")
+    assert "scene family 'textwrap:fill'" in refused("scene", "textwrap:fill")
+    for name in ("~nobody-at-all/m.py:vortex", f"{'m' * 300}.py:vortex"):
+        assert "m" in refused("mask", name)
 
 
 @pytest.mark.parametrize(
@@ -168,6 +172,8 @@ def test_a_module_and_a_name(install: Install) -> None:
         ("vortex = 3\n", ["defines no function 'vortex'"]),
         ("def vortx(): ...\n", ["did you mean 'vortx'?"]),
         ("def vortex(*, charge): ...\n", ["the parameter 'charge' has no type"]),
+        ("def vortex(charge): ...\n", ["'charge'", "vortex(*, ...)"]),
+        ("from os import system as vortex\n", ["not written in Python"]),
         ("def vortex(**rest): ...\n", ["'**rest'"]),
         ("def vortex(*rest: int): ...\n", ["'*rest: int'"]),
         ("def vortex(*, charge: 'Unknown'): ...\n", ["annotations", "Unknown"]),
@@ -190,7 +196,6 @@ PARAMETERS = """
     from pydantic import Field
 
     def vortex(
-        view,
         *,
         width_mm: Annotated[float, Field(gt=0, le=20)],
         charge: int = 1,

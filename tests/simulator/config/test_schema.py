@@ -30,6 +30,12 @@ REFUSED = [
     ("near_cm: 3.6", "near_cm: ^-3.6", "", ["psf.near_cm:"]),
     ("near_cm: 3.6", "near_cm: ^0.036", "", ["1.9 mm"]),
     (COMPUTED, "  depths_cm: [^0.1, 5]\n", "", ["psf.depths_cm[0]:"]),
+    # names that no file can have
+    ("output: out", "output: ^~nobody-at-all/x", "", ["dataset.output:"]),
+    ("output: out", f"output: ^{'x' * 300}", "", ["dataset.output:"]),
+    ("binning: 4", "spectral_response: ^~nobody-at-all/x.csv", "", ["camera.sensor.spectral_response:"]),
+    (MASK, "mask: {design: ^~nobody-at-all/m.py:mine}", "", ["camera.mask.design:"]),
+    (MASK, "mask: {design: height_map, file: ^~nobody-at-all/x.npy, pixel_um: 2}", "", ["camera.mask.file:"]),
     # layers
     (GAP, "^gap: [{mm: 1, n: air}]\n  mask_to_sensor_mm: 1.9", "", ["camera.gap:", "mask_to_sensor_mm"]),
     (GAP, "gap: [{mm: 1.2, n: 1}, ^{mm: 0.7}]", "", ["camera.gap[1]:"]),

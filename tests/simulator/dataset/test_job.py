@@ -179,6 +179,20 @@ def test_a_pilot_that_ends_its_process_is_a_mistake_of_the_plugin(trial) -> None
     assert not (trial.folder / "out").exists()
 
 
+def test_a_plugin_that_changes_the_folder_moves_no_sample(
+    trial, finished: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (trial.folder / "elsewhere").mkdir()
+    code = trial.plugins.read_text()
+    trial.plugins.write_text(code.replace("time.sleep(self.seconds)", "os.chdir(Path(__file__).parent / 'elsewhere')"))
+    path = trial.write()
+    monkeypatch.chdir(trial.folder)
+    result = generate(path, ["dataset.output=here"])
+    assert result.path == trial.folder / "here"
+    assert (result.made, verify(result.path).ok) == (5, True)
+    assert not list((trial.folder / "elsewhere").iterdir())
+
+
 def test_progress_counts_to_the_end(trial) -> None:
     seen: list[tuple[str, int, int]] = []
     said: list[str] = []

@@ -11,6 +11,7 @@ from simulator.io import files
 from simulator.io.files import (
     StorageError,
     committed_folder,
+    expanded,
     leftovers,
     remove_leftovers,
     sha256_bytes,
@@ -35,6 +36,14 @@ def refuse_writes(monkeypatch: pytest.MonkeyPatch, number: int, after: int = 0) 
         return taken
 
     monkeypatch.setattr(files.os, "write", write)
+
+
+def test_names_that_no_file_can_have(tmp_path: Path) -> None:
+    assert expanded("~/x", tmp_path) == Path.home() / "x"
+    assert expanded(f"a/{'ü' * 127}", tmp_path).parent == tmp_path / "a"
+    for text in ("~nobody-at-all/x", f"a/{'ü' * 128}", "x/" * 2500):
+        with pytest.raises(InputError, match=r"^'"):
+            expanded(text, tmp_path)
 
 
 def test_write_atomic_replaces_and_respects_the_umask(tmp_path: Path) -> None:
