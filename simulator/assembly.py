@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property, partial, wraps
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,16 +62,26 @@ EQUIVALENT_WAVELENGTH_M = 550e-9
 """Where a layer's thickness becomes a distance in air: the middle of the visible."""
 
 _OWN_PACKAGES = ("simulator", "scenes", "psf_library")
-_KEYS = {  # of arguments that parts refuse
-    "field_stop_deg": "camera.field_stop_deg",
-    "margin": "scene.margin",
-    "margin_deg": "scene.margin_deg",
-    "illuminant": "camera.illuminant",
-    "spectral_response": "camera.sensor.spectral_response",
-}
 _CHECKS = {"model": "exact PSFs", "direct_sum": "direct sums", "field_angle": "field angles"}
 
 Progress = Callable[[str, int, int], None]  # (what, done, total)
+
+
+Part = TypeVar("Part")
+
+
+def part(*sections: str) -> Callable[[Callable[[Assembly], Part]], cached_property[Part]]:
+    """Return the decorator of a part that is built once; what it refuses is named by keys (`Config.refusals`)."""
+
+    def decorate(build: Callable[[Assembly], Part]) -> cached_property[Part]:
+        @wraps(build)
+        def named(assembly: Assembly) -> Part:
+            with assembly.config.refusals(*sections):
+                return build(assembly)
+
+        return cached_property(named)
+
+    return decorate
 
 
 @dataclass(frozen=True)
@@ -113,7 +122,7 @@ class Assembly:
         """Pitch of the stored (binned) values, metres."""
         return self.config.camera.sensor.binned_pitch_m
 
-    @cached_property
+    @part("camera.gap", "camera.substrate")
     def gap(self) -> tuple[Layer, ...]:
         """The layers from the mask's modulating surface to the sensor; none where air alone lies between them."""
         camera, plate = self.config.camera, self._plate("sensor")
@@ -130,18 +139,18 @@ class Assembly:
         assert self.config.camera.mask_to_sensor_mm is not None
         return self.config.camera.mask_to_sensor_mm * 1e-3
 
-    @cached_property
+    @part("camera")
     def geometry(self) -> CameraGeometry:
         """What the optics need to know of the camera."""
         return CameraGeometry(self.mask_to_sensor_m, self.pixel_pitch_m, self.response, self.gap, self._plate("scene"))
 
-    @cached_property
+    @part("psf")
     def depths_m(self) -> tuple[float, ...]:
         """The depths of the stack, metres, without making it."""
         chosen = self.config.psf
         return chosen.depths_m if isinstance(chosen, ComputedPsf) else measured_depths_m(self.config, chosen)
 
-    @cached_property
+    @part("scene")
     def view(self) -> View:
         """The pinhole view that scenes are drawn for; its depths are the stack's unless the scene has its own."""
         return replace(self._image_view, margin=self._margin)
@@ -157,26 +166,24 @@ class Assembly:
             self.depths_m[-1] if far_cm is None else far_cm * 1e-2,
         )
 
-    @cached_property
+    @part("camera", "camera.sensor")
     def field_of_view(self) -> FieldOfView:
         """How much of the light from each direction counts: vignetting, field stop and angular response."""
         camera = self.config.camera
         response, stop = camera.sensor.angular_response, camera.field_stop_deg
-        with _named_keys():
-            if isinstance(response, str):
-                response = read_angular_response(self.config.resolve_path(response))
-            edges = None if stop is None else stop_tangents(self._image_view, stop)
+        if isinstance(response, str):
+            response = read_angular_response(self.config.resolve_path(response))
+        edges = None if stop is None else stop_tangents(self._image_view, stop)
         return FieldOfView(self.config.forward.vignetting, edges, response)
 
-    @cached_property
+    @part("scene")
     def _margin(self) -> tuple[int, int]:
         """Rows and columns beside each edge of the image from which light is simulated."""
         scene, view, field = self.config.scene, self._image_view, self.field_of_view
-        with _named_keys():
-            if scene.margin_deg:
-                return margin_of_angle(view, scene.margin_deg)
-            if scene.margin != "auto":
-                return check_margin(view, (scene.margin, scene.margin))
+        if scene.margin_deg:
+            return margin_of_angle(view, scene.margin_deg)
+        if scene.margin != "auto":
+            return check_margin(view, (scene.margin, scene.margin))
         # How far beside the image light matters does not hang on the PSFs' pattern, so none needs to be computed.
         mask = self.mask
         if mask is None:
@@ -214,13 +221,12 @@ class Assembly:
 
     # ---- light
 
-    @cached_property
+    @part("camera.illuminant", "camera", "camera.sensor")
     def response(self) -> SpectralResponse:
         """The relative photon weights of the camera's channels under the configuration's light."""
-        with _named_keys():
-            return spectral_response(self._camera, self._illuminant, self.config.base_dir)
+        return spectral_response(self._camera, self._illuminant, self.config.base_dir)
 
-    @cached_property
+    @part("camera.illuminant", "camera", "camera.sensor")
     def electron_rates(self) -> dict[str, float]:
         """The electrons that white gives in each channel (cached); see `simulator.optics.spectra.electron_rates`."""
         folder = self.config.base_dir
@@ -241,34 +247,35 @@ class Assembly:
         Raises:
             InputError: when the matrix does not have a row per channel.
         """
-        chosen = self.config.camera.scene_to_camera
-        if chosen == "identity":
-            colour = CameraColour(np.eye(3), {"from": "identity"})
-        elif chosen == "auto":
-            folder = self.config.base_dir
+        with self.config.refusals("camera", "camera.sensor"):
+            chosen = self.config.camera.scene_to_camera
+            if chosen == "identity":
+                colour = CameraColour(np.eye(3), {"from": "identity"})
+            elif chosen == "auto":
+                folder = self.config.base_dir
 
-            def compute() -> Entry:
-                fitted = fit_camera_colour(spectral_response(self._camera, self._illuminant, folder))
-                return {"matrix": fitted.matrix}, {"origin": fitted.origin}
+                def compute() -> Entry:
+                    fitted = fit_camera_colour(spectral_response(self._camera, self._illuminant, folder))
+                    return {"matrix": fitted.matrix}, {"origin": fitted.origin}
 
-            arrays, described = cached(
-                "colour", self._light_key("simulator.camera.colour", "simulator.optics.spectra"), compute
-            )
-            colour = CameraColour(arrays["matrix"], described["origin"])
-        else:
-            colour = CameraColour(np.array(chosen, np.float64), {"from": "configuration"})
-        if len(colour.matrix) != len(channels):
-            raise InputError(
-                "camera.scene_to_camera",
-                f"{chosen if isinstance(chosen, str) else 'the matrix'} has {len(colour.matrix)} "
-                f"rows, but the PSF stack has the channels {', '.join(channels)}; give a list with a row of three numbers "
-                "for each",
-            )
-        return colour
+                arrays, described = cached(
+                    "colour", self._light_key("simulator.camera.colour", "simulator.optics.spectra"), compute
+                )
+                colour = CameraColour(arrays["matrix"], described["origin"])
+            else:
+                colour = CameraColour(np.array(chosen, np.float64), {"from": "configuration"})
+            if len(colour.matrix) != len(channels):
+                said = chosen if isinstance(chosen, str) else "the matrix"
+                raise InputError(
+                    "camera.scene_to_camera",
+                    f"{said} has {len(colour.matrix)} rows, but the PSF stack has the channels {', '.join(channels)}; give "
+                    "a list with a row of three numbers for each",
+                )
+            return colour
 
     # ---- mask and PSFs
 
-    @cached_property
+    @part("camera.mask")
     def mask(self) -> Mask | None:
         """The mask, designed once and then cached on disk; None when the PSF was measured."""
         chosen = self.config.camera.mask
@@ -287,7 +294,7 @@ class Assembly:
             chosen.accept_error,
         )
 
-    @cached_property
+    @part("psf")
     def psf_stack(self) -> PsfStack:
         """The PSF stack: computed (and cached on disk), or measured."""
         if not isinstance(self.config.psf, ComputedPsf):
@@ -328,7 +335,7 @@ class Assembly:
         """Whether the configuration asks for the full error budget (``psf.check: full``)."""
         return isinstance(self.config.psf, ComputedPsf) and self.config.psf.check == "full"
 
-    @cached_property
+    @part()
     def checked_stack(self) -> PsfStack:
         """The PSF stack with the full error budget in its provenance: minutes of work, cached on disk.
 
@@ -357,7 +364,7 @@ class Assembly:
 
     # ---- sensor
 
-    @cached_property
+    @part("camera.shutter")
     def shutter(self) -> Shutter:
         """The shutter; a user's function is called for its windows once."""
         chosen, binning = self.config.camera.shutter, self.config.camera.sensor.binning
@@ -375,7 +382,7 @@ class Assembly:
             windows = plugin.function(rows * binning, **plugin.bind(chosen.params))
         return row_shutter(windows, rows, binning, f"camera.shutter.function ({plugin.name})")
 
-    @cached_property
+    @part("camera.sensor", "camera.exposure")
     def sensor(self) -> Sensor:
         """The sensor at ``full_scale`` 1: the model's numbers, with those that the configuration replaces.
 
@@ -394,7 +401,7 @@ class Assembly:
         bare = camera.sensor.sensor(camera.noise)
         return replace(bare, exposure_s=exposure_s, responsivity=responsivity)
 
-    @cached_property
+    @part("camera.exposure")
     def fixed_exposure(self) -> dict[str, Any] | None:
         """The exposure as a data set records it, or None where pilot samples must find it.
 
@@ -422,7 +429,7 @@ class Assembly:
             "responsivity": dict(zip(rates, sensor.responsivity, strict=True)),
         }
 
-    @cached_property
+    @part("forward", "camera")
     def forward_model(self) -> ForwardModel:
         """The forward model: light of the whole field, image and margin, over time to the exposure of the sensor."""
         chosen = self.config.forward
@@ -440,7 +447,7 @@ class Assembly:
 
     # ---- scenes and files
 
-    @cached_property
+    @part("scene")
     def scene_plugin(self) -> Plugin:
         """The plugin that makes the scenes."""
         scene = self.config.scene
@@ -448,7 +455,7 @@ class Assembly:
         assert name is not None
         return resolve(kind, name, self.config.base_dir)
 
-    @cached_property
+    @part("scene")
     def source(self) -> SceneSource:
         """The scene source."""
         plugin, view = self.scene_plugin, self.view
@@ -470,7 +477,7 @@ class Assembly:
             )
         return source
 
-    @cached_property
+    @part("scene")
     def input_files(self) -> list[Path]:
         """All files whose contents decide the samples: plugins' code, materials, spectra, shutters, PSFs, frames."""
         config, camera = self.config, self.config.camera
@@ -500,7 +507,7 @@ class Assembly:
 
     # ---- what the parts share
 
-    @cached_property
+    @part("camera.shutter")
     def _shutter_plugin(self) -> Plugin | None:
         chosen = self.config.camera.shutter
         if not isinstance(chosen, RowWindows) or chosen.function is None:
@@ -547,17 +554,6 @@ class Assembly:
         return hashlib.sha256(
             repr((self._camera, self._illuminant, hashes, code_digest(*modules))).encode()
         ).hexdigest()
-
-
-@contextmanager
-def _named_keys() -> Iterator[None]:
-    """Name the configuration's key in the refusal of a part's argument."""
-    try:
-        yield
-    except InputError as error:
-        if error.path not in _KEYS:
-            raise
-        raise InputError(_KEYS[error.path], error.reason) from error
 
 
 def _own_code(plugin: Plugin) -> list[Path]:

@@ -87,7 +87,7 @@ def main() -> None:
                 print(f"warning: the command {name!r} {reason}", file=sys.stderr)
         app(standalone_mode=True)
     except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print("error: " + (f"{error.place}: " if error.place else "") + str(error), file=sys.stderr)
         raise SystemExit(2) from None
     except Exception as error:
         if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:  # whichever option it came from

@@ -12,12 +12,15 @@ class InputError(ValueError):
     Attributes:
         path: where it is: an argument, a key (``camera.sensor.shape``), an option or a file; empty where the reason says it.
         reason: what came, what was expected and the cure. ``InputError(reason)`` has an empty path.
+        place: where a configuration says it (``file:line:column``, ``--set a.b=c``), once that is known.
     """
+
+    place = ""
 
     def __init__(self, path: str | Path, reason: str | None = None) -> None:
         self.path, self.reason = ("", str(path)) if reason is None else (str(path), reason)
         super().__init__(self.path, self.reason)
 
     def __str__(self) -> str:
-        """Return the one line that a user reads."""
+        """Return the one line that a user reads, after the place."""
         return f"{self.path}: {self.reason}" if self.path else self.reason

@@ -21,6 +21,17 @@ def dotted(path: KeyPath) -> str:
     return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).removeprefix(".")
 
 
+def key_path(text: str) -> KeyPath:
+    """Return the path that people write so; the other way round is `dotted`.
+
+    Example:
+        >>> key_path("psf.depths_cm[2]")
+        ('psf', 'depths_cm', 2)
+    """
+    found = re.findall(r"\[(\d+)\]|([^.\[\]]+)", text)
+    return tuple(int(index) if index else step for index, step in found)
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return ``"; did you mean 'x'?"`` for the known name that is most like this one, or nothing."""
     matches = difflib.get_close_matches(name.lower(), list(known), n=1, cutoff=0.6)

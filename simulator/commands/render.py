@@ -65,7 +65,7 @@ def render(
         raise InputError("--split", f"got {split!r}, expected one of {', '.join(SPLITS)}{nearest(split, list(SPLITS))}")
     asked = [] if outputs is None else [f"render.outputs={json.dumps(_renderer_names(outputs))}"]
     loaded = load_config(config, [*(set_ or []), *asked])
-    with Bar() as bar:
+    with Bar() as bar, loaded.refusals():
         numbers, clips = _clips(
             loaded, split, range(index, index + count), bar, free=outputs is None and kind == ".png"
         )

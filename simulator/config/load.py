@@ -34,7 +34,11 @@ class ConfigError(InputError):
 
     def __init__(self, problems: Sequence[Problem], origins: Origins) -> None:
         self.problems = sorted(problems, key=lambda problem: origins.order(problem.path, problem.on_key))
-        lines = [f"{origins.label(problem.path, problem.on_key)}{problem}" for problem in self.problems]
+        places = (origins.label(problem.path, problem.on_key) for problem in self.problems)
+        lines = [
+            f"{place}: {problem}" if place else str(problem)
+            for place, problem in zip(places, self.problems, strict=True)
+        ]
         super().__init__("", "\n".join(lines))
 
 
@@ -139,7 +143,7 @@ def _build(data: dict[str, Any], base_dir: Path, origins: Origins, check_plugins
         known = {problem.path for problem in problems}
         problems += [problem for problem in find_problems(error, Config, filled) if problem.path not in known]
     else:
-        config._base_dir = base_dir
+        config._base_dir, config._origins = base_dir, origins
         problems += _file_problems(config) if check_plugins else []
         if not problems:
             return config

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
 from simulator.config.camera import CameraConfig, PhysicalNoise, Shape
 from simulator.config.psf import ComputedPsf, PsfConfig
-from simulator.io.files import expanded
+from simulator.config.yaml import Origins
+from simulator.errors import InputError
+from simulator.io.files import StorageError, expanded
 from simulator.settings import Range
-from simulator.text import nearest, show
+from simulator.text import KeyPath, dotted, key_path, nearest, show
 from simulator.validation import PathText, PluginSection, Section, refusal
 
 Count = Annotated[int, Range(0, 100_000_000, below="a number of samples is not negative")]
@@ -236,6 +240,7 @@ class Config(Section):
     dataset: DatasetConfig
     render: RenderConfig = Field(default_factory=RenderConfig)
     _base_dir: Path = PrivateAttr(default_factory=Path.cwd)
+    _origins: Origins = PrivateAttr(default_factory=Origins)
 
     @property
     def base_dir(self) -> Path:
@@ -245,6 +250,44 @@ class Config(Section):
     def resolve_path(self, text: str | Path) -> Path:
         """Return a path of this configuration as an absolute one."""
         return expanded(text, self._base_dir)
+
+    @contextmanager
+    def refusals(self, *sections: str) -> Iterator[None]:
+        """Name the key, and its place in the file, in what is refused inside by a part that this configuration made.
+
+        Args:
+            sections: dotted, where the part's arguments may be keys; what is no key gets the place of the first one.
+        """
+        try:
+            yield
+        except InputError as error:
+            if not error.place and not isinstance(error, StorageError):
+                self._place(error, sections)
+            raise
+
+    def _place(self, error: InputError, sections: tuple[str, ...]) -> None:
+        path = key_path(error.path)
+        if path[:1] and path[0] in type(self).model_fields:
+            error.place = self._origins.label(path, on_key=False)
+            return
+        for section in map(key_path, sections):
+            if path and self._holds((*section, *path)):
+                error.path, error.place = (
+                    dotted((*section, *path)),
+                    self._origins.label((*section, *path), on_key=False),
+                )
+                return
+        if sections:
+            error.place = self._origins.label(key_path(sections[0]), on_key=True)
+
+    def _holds(self, path: KeyPath) -> bool:
+        value: Any = self.model_dump(mode="json")
+        try:
+            for step in path:
+                value = value[step]
+        except (KeyError, IndexError, TypeError):
+            return False
+        return True
 
     @model_validator(mode="after")
     def _mask_or_measurement(self) -> Self:

@@ -277,7 +277,7 @@ def _syntax_problem(error: yaml.MarkedYAMLError) -> tuple[Mark, str]:
 
 @dataclass
 class Origins:
-    """Where values came from: places in a file, or overrides; nothing for plain data.
+    """Where values came from: places in a file, or overrides; nothing for plain data. Equal whatever they hold.
 
     Attributes:
         name: what messages call the file.
@@ -285,9 +285,9 @@ class Origins:
         overrides: text of the override that set a path.
     """
 
-    name: str = ""
-    document: Document = field(default_factory=lambda: Document(None))
-    overrides: dict[KeyPath, str] = field(default_factory=dict)
+    name: str = field(default="", compare=False)
+    document: Document = field(default_factory=lambda: Document(None), compare=False)
+    overrides: dict[KeyPath, str] = field(default_factory=dict, compare=False)
 
     def find(self, path: KeyPath, on_key: bool) -> str | Mark | None:
         """Return the override or place of a path, else that of the nearest section around it."""
@@ -303,11 +303,11 @@ class Origins:
         return None
 
     def label(self, path: KeyPath, on_key: bool) -> str:
-        """Return the beginning of a message: ``file:line:column: ``, ``--set a.b=c: `` or nothing."""
+        """Return what a message begins with: ``file:line:column``, ``--set a.b=c`` or nothing."""
         place = self.find(path, on_key)
         if isinstance(place, Mark):
-            return f"{self.name}:{place.line}:{place.column}: "
-        return f"--set {place}: " if place is not None else ""
+            return f"{self.name}:{place.line}:{place.column}"
+        return f"--set {place}" if place is not None else ""
 
     def order(self, path: KeyPath, on_key: bool) -> tuple[int, int, str]:
         """Return a sort key: the file from top to bottom, then the overrides."""

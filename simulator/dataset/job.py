@@ -232,7 +232,8 @@ def generate(
     if not isinstance(config, Config):
         config = load_config(config, overrides)
     job = _Job(config, skip_bad, progress or (lambda stage, done, total: None), say or (lambda line: None))
-    made, kept, failed = job.run()
+    with config.refusals():
+        made, kept, failed = job.run()
     skipped = tuple(f"{split}/{name}: {reason}" for (split, name), reason in load_skipped(job.root).items())
     seconds = time.perf_counter() - begin
     return GenerateResult(job.root, made, kept, tuple(failed), seconds, skipped, job.problems)

@@ -156,7 +156,7 @@ class TestStacks:
             if limit == 1:
                 _ = Assembly(config).psf_stack
             else:
-                with pytest.raises(InputError, match=r"^oversampling: "):
+                with pytest.raises(InputError, match=r"^psf\.oversampling: "):
                     _ = Assembly(config).psf_stack
 
     def test_a_measured_stack(self, trial) -> None:
