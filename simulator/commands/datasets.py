@@ -51,16 +51,20 @@ def generate(
 ) -> None:
     """Make a data set, or finish one that was begun."""
     from simulator.console import Bar
+    from simulator.dataset.checksums import CONTACT_SHEET
     from simulator.dataset.job import generate as run
     from simulator.dataset.manifest import FAILED, PROBLEMS, SKIPPED, shortened
     from simulator.plots.contact_sheet import contact_sheet
 
+    def draw(root: Path) -> None:
+        contact_sheet(root, root / CONTACT_SHEET)
+
     with Bar() as bar:
-        result = run(config, set_ or [], skip_bad=skip_bad, progress=bar.update, say=bar.say)
+        result = run(config, set_ or [], skip_bad=skip_bad, progress=bar.update, say=bar.say, finish=draw)
     kept = f", {result.kept} were there before" if result.kept else ""
     print(f"{result.made} samples made in {result.seconds:.0f} s{kept}: {result.path}")
     if result.made + result.kept:
-        print(f"look at {contact_sheet(result.path, result.path / 'contact_sheet.png')}")
+        print(f"look at {result.path / CONTACT_SHEET}")
     if result.problems:
         print(f"of the source was left out what {result.path / PROBLEMS} lists: {len(result.problems)} in all")
     if result.skipped:
@@ -82,13 +86,18 @@ def generate(
 def verify(
     path: Annotated[Path, typer.Argument(help="folder of the data set")],
     workers: Annotated[int, typer.Option(min=1, help="processes that check samples")] = 1,
+    seal: Annotated[
+        bool, typer.Option("--seal", help="write checksums.json where it is all that is missing, as in older data sets")
+    ] = False,
 ) -> None:
     """Re-hash and re-read every file of a data set; runs none of its code."""
     from simulator.console import Bar
     from simulator.dataset.verification import verify as run
 
     with Bar() as bar:
-        report = run(path, workers=workers, progress=lambda done, total: bar.update("samples checked", done, total))
+        report = run(
+            path, workers=workers, seal=seal, progress=lambda done, total: bar.update("samples checked", done, total)
+        )
     print(report)
     if not report.ok:
         raise typer.Exit(2)

@@ -20,6 +20,7 @@ from simulator.camera.shutter import Shutter, shutter_record
 from simulator.captured_psf import captured_stack, check_calibration
 from simulator.config import Config, dump, load_config
 from simulator.config.psf import ComputedPsf
+from simulator.dataset.checksums import unseal, write_seal
 from simulator.dataset.clips import ClipTimesError, check_parameters, clip_order
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info, write_info
 from simulator.dataset.engines import GivenUpError, Outcome, WorkerError, available_cpus, run
@@ -211,6 +212,7 @@ def generate(
     skip_bad: bool = False,
     progress: Report | None = None,
     say: Say | None = None,
+    finish: Callable[[Path], object] | None = None,
 ) -> GenerateResult:
     """Make a data set, or finish one that was begun.
 
@@ -222,10 +224,12 @@ def generate(
             reported and tried again by the next run.
         progress: called with (stage, done, total).
         say: called with lines worth reading: the backend, measured errors, warnings.
+        finish: called with the data set's folder, where it has samples, before ``checksums.json`` seals it: to draw its
+            contact sheet.
 
     Raises:
-        InputError: for mistakes in the configuration or its files, or when the folder holds another data set; nothing that
-            was written before is lost.
+        InputError: for mistakes in the configuration or its files, or when the folder holds another data set, or one that
+            is not as it was sealed; nothing that was written before is lost.
         StorageError: when the disk is full or protected.
     """
     begin = time.perf_counter()
@@ -233,7 +237,7 @@ def generate(
         config = load_config(config, overrides)
     job = _Job(config, skip_bad, progress or (lambda stage, done, total: None), say or (lambda line: None))
     with config.refusals():
-        made, kept, failed = job.run()
+        made, kept, failed = job.run(finish or (lambda root: None))
     skipped = tuple(f"{split}/{name}: {reason}" for (split, name), reason in load_skipped(job.root).items())
     seconds = time.perf_counter() - begin
     return GenerateResult(job.root, made, kept, tuple(failed), seconds, skipped, job.problems)
@@ -252,7 +256,7 @@ class _Job:
     def __post_init__(self) -> None:
         self.root = expanded(self.config.dataset.output).absolute()  # a plugin may change the current folder
 
-    def run(self) -> tuple[int, int, list[str]]:
+    def run(self, finish: Callable[[Path], object]) -> tuple[int, int, list[str]]:
         """Return how many samples were made and kept, and what failed."""
         assembly = Assembly(self.config, threads=available_cpus(), progress=self.progress)
         plugin, shutter = assembly.scene_plugin, assembly.shutter
@@ -274,6 +278,7 @@ class _Job:
         if existing is None and not timed and not renders:
             self._look_at_a_clip(recipe)
         with made_folder(self.root), ManifestWriter(self.root) as manifest, all_or_nothing(self.root):
+            unseal(self.root)
             remove_leftovers(self.root)
             stack = data_set_stack(assembly, self.root, self.say)
             if existing is None:
@@ -299,7 +304,14 @@ class _Job:
             self._warn(stack, existing.field_of_view)
             if self.problems:
                 self.say(list_problems(self.root, self.problems))
-            return self._samples(replace(recipe, full_scale=float(existing.exposure["full_scale"])), manifest)
+            made, kept, failed = self._samples(
+                replace(recipe, full_scale=float(existing.exposure["full_scale"])), manifest
+            )
+            if made + kept:
+                finish(self.root)
+            manifest.drop_duplicates()
+            write_seal(self.root)
+            return made, kept, failed
 
     def _check_times(self, plugin: Plugin) -> bool:
         """Refuse scenes whose parameters show that their clips do not suit the shutter; return whether they show it."""

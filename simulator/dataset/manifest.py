@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from simulator.dataset.sample import SPLITS, SampleRecord, sample_id, sample_index
 from simulator.errors import InputError
-from simulator.io.files import AppendedLines, read_lines, write_atomic
+from simulator.io.files import AppendedLines, line_of, read_lines, write_atomic
 
 MANIFEST = "manifest.jsonl"
 Key = tuple[str, str]  # split and id
@@ -98,6 +98,18 @@ class ManifestWriter(AppendedLines):
     def append(self, record: SampleRecord, seconds: float) -> None:
         """Add one line; see `AppendedLines.append_line`."""
         self.append_line(asdict(record) | {"seconds": round(float(seconds), 4)})
+
+    def drop_duplicates(self) -> None:
+        """Keep the last line of each sample only; closes the file, so to be called after the last ``append``.
+
+        Raises:
+            InputError: see `load_manifest`.
+            StorageError: the disk is full; the file stays as it was before.
+        """
+        manifest = load_manifest(self.path.parent)
+        if manifest.duplicates:
+            write_atomic(self.path, b"".join(line_of(asdict(entry)) for entry in manifest.entries.values()))
+            self.close()  # the file that is locked is no longer the manifest
 
 
 SKIPPED = "skipped.jsonl"

@@ -1,21 +1,22 @@
-"""Checks a data set on disk against its own promises: hashes, readability, pairing, completeness.
+"""Checks a data set on disk against its own promises: hashes, readability, pairing, completeness, no stray files.
 
 Reads files only; code that the data set names is never imported.
 """
 
 from __future__ import annotations
 
-import os
+import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePosixPath
 
 from simulator.camera.shutter import Shutter
-from simulator.dataset.dataset_info import DatasetInfo, check_fingerprint, check_shutter, read_info
+from simulator.dataset.checksums import CHECKSUMS, changed_files, files_to_seal, read_seal, write_seal
+from simulator.dataset.dataset_info import FILE, DatasetInfo, check_fingerprint, check_shutter, read_info
 from simulator.dataset.engines import run
-from simulator.dataset.manifest import MANIFEST, SKIPPED, Entry, Manifest, load_manifest, load_skipped
+from simulator.dataset.manifest import MANIFEST, SKIPPED, Entry, Manifest, ManifestWriter, load_manifest, load_skipped
 from simulator.dataset.sample import (
     DESCRIPTION,
     SPLITS,
@@ -26,7 +27,7 @@ from simulator.dataset.sample import (
     sample_index,
 )
 from simulator.errors import InputError
-from simulator.io.files import leftovers, sha256_bytes
+from simulator.io.files import TEMPORARY_PREFIX, read_errors, sha256_bytes
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack
 
 
@@ -39,12 +40,14 @@ class Report:
         counts: intact samples per split.
         wanted: samples per split that ``dataset.json`` asks for.
         skipped: samples per split that ``generate --skip-bad`` left out for good; none where a split is absent.
+        notes: one line per file that may lie there, but was not checked.
     """
 
     problems: tuple[str, ...]
     counts: dict[str, int]
     wanted: dict[str, int]
     skipped: dict[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -58,19 +61,28 @@ class Report:
             for split, wanted in self.wanted.items()
         ]
         head = ", ".join(parts) if parts else "no splits"
-        return "\n".join([head, *self.problems, "all is well" if self.ok else f"{len(self.problems)} problem(s)"])
+        end = "all is well" if self.ok else f"{len(self.problems)} problem(s)"
+        return "\n".join([head, *self.problems, *(f"note: {line}" for line in self.notes), end])
 
 
-def verify(path: Path | str, *, workers: int | str = 1, progress: Callable[[int, int], None] | None = None) -> Report:
+def verify(
+    path: Path | str,
+    *,
+    workers: int | str = 1,
+    seal: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Report:
     """Re-hash and re-read everything in a data set.
 
     Args:
         path: the data set's folder.
         workers: processes that check samples; 1 stays in this process.
+        seal: write ``checksums.json`` where that is all that is missing, as in data sets of versions that wrote none.
         progress: called with (samples checked, samples in all) after each sample.
 
     Raises:
-        InputError: no such folder. Every other fault is a line of the report.
+        InputError: no such folder, or, to seal it, one that a job is writing to. Every other fault is a line of the report.
+        StorageError: the seal cannot be written.
     """
     root = Path(path)
     if not root.is_dir():
@@ -89,16 +101,21 @@ def verify(path: Path | str, *, workers: int | str = 1, progress: Callable[[int,
         skipped.update(split for split, name in load_skipped(root) if (split, name) not in manifest.entries)
     except InputError as error:
         problems.append(str(error))
-    problems += _check_lists(root, info, manifest, skipped)
+    hashes, faults = _check_seal(root)
+    sealed, faulty = hashes is not None, {error.path for error in faults}
+    problems += [str(error) for error in faults]
+    problems += _check_lists(info, manifest, skipped)
+    strays, notes = _check_places(root, manifest, hashes)
+    problems += strays
     problems += check_fingerprint(info)
-    shutter, faults = check_shutter(info)
-    problems += faults
+    shutter, lines = check_shutter(info)
+    problems += lines
     fingerprint = ""
     try:
         fingerprint = read_psf_stack(root / PSF_FOLDER).fingerprint
     except InputError as error:
-        problems.append(str(error))
-    problems += _check_captured(root, info, fingerprint)
+        problems += [str(error)] if error.path not in faulty else []
+    problems += _check_captured(root, info, fingerprint, faulty)
     counts = dict.fromkeys(info.counts, 0)
     engine = "inline" if workers == 1 else "local"
     check = partial(check_sample, root, info, shutter, fingerprint)
@@ -110,7 +127,28 @@ def verify(path: Path | str, *, workers: int | str = 1, progress: Callable[[int,
         counts[entry.split] = counts.get(entry.split, 0) + (not found)
         if progress is not None:
             progress(number, len(entries))
-    return Report(tuple(problems), counts, info.counts, dict(skipped))
+    if not sealed and not problems and seal:
+        with ManifestWriter(root):  # its lock: no job is writing
+            write_seal(root)
+    elif not sealed:
+        problems.insert(0, _UNSEALED)
+    return Report(tuple(problems), counts, info.counts, dict(skipped), notes)
+
+
+_UNSEALED = (
+    f"{CHECKSUMS}: missing, so nothing shows that {FILE} and {PSF_FOLDER} are as they were written. Either the run has not "
+    "come to its end: the same `flatlight generate` finishes and seals it. Or the version that made it wrote none: where you "
+    "know the data set to be whole, `flatlight verify --seal` writes it"
+)
+
+
+def _check_seal(root: Path) -> tuple[dict[str, str] | None, list[InputError]]:
+    """Return the sealed hashes, None where there is no seal, and what is not as it was sealed."""
+    try:
+        hashes = read_seal(root)
+    except InputError as error:
+        return {}, [error]
+    return hashes, list(changed_files(root, hashes or {}))
 
 
 def check_sample(
@@ -177,23 +215,28 @@ def _unexpected(folder: Path, files: Iterable[str]) -> list[str]:
     return [str(path) for path in found if path.parent in folders and path not in folders and str(path) not in wanted]
 
 
-def _check_captured(root: Path, info: DatasetInfo, psf_fingerprint: str) -> list[str]:
-    """Check the stack as captured, where the configuration asked for one."""
+def _check_captured(root: Path, info: DatasetInfo, psf_fingerprint: str, faulty: Container[str]) -> list[str]:
+    """Check the stack as captured, where the configuration asked for one; of ``faulty`` files a problem is told already."""
     if not info.config.get("psf", {}).get("as_captured"):
         return []
     try:
         nominal = read_psf_stack(root / CAPTURED_FOLDER).provenance.get("nominal_fingerprint")
     except InputError as error:
-        return [str(error)]
+        return [str(error)] if error.path not in faulty else []
     if psf_fingerprint and nominal != psf_fingerprint:
         return [f"{CAPTURED_FOLDER}: captured from psf = {nominal}, the data set says {psf_fingerprint}"]
     return []
 
 
-def _check_lists(root: Path, info: DatasetInfo, manifest: Manifest, skipped: Mapping[str, int]) -> list[str]:
+def _check_lists(info: DatasetInfo, manifest: Manifest, skipped: Mapping[str, int]) -> list[str]:
     problems = []
     if manifest.torn:
         problems.append(f"{MANIFEST}: the last line is torn; the next generate cuts it and makes that sample again")
+    if manifest.duplicates:
+        problems.append(
+            f"{MANIFEST}: {manifest.duplicates} lines too many, of samples that a later line names again; the next generate "
+            "keeps the last line of each"
+        )
     for split, wanted in info.counts.items():
         found, left_out = len(manifest.ids(split)), skipped.get(split, 0)
         if found + left_out < wanted:
@@ -203,18 +246,47 @@ def _check_lists(root: Path, info: DatasetInfo, manifest: Manifest, skipped: Map
             problems.append(f"{split}: {found} samples in {MANIFEST}, dataset.json says {wanted}")
     for split in sorted({split for split, _ in manifest.entries} - set(info.counts)):
         problems.append(f"{split}: {len(manifest.ids(split))} samples in {MANIFEST}, dataset.json has no such split")
-    known = {sample_folder(root, split, sample_index(name)) for split, name in manifest.entries}
-    for folder in _sample_folders(root):
-        if folder not in known:
-            problems.append(
-                f"{folder.relative_to(root)}: on disk but not in {MANIFEST}; run generate again or delete it"
-            )
-    problems += [f"{path.relative_to(root)}: left by a run that died; delete it" for path in sorted(leftovers(root))]
     return problems
 
 
-def _sample_folders(root: Path) -> Iterator[Path]:
-    for split in SPLITS:
-        for parent in sorted(root.glob(f"{split}/[0-9]*")):
-            with os.scandir(parent) as entries:
-                yield from sorted(Path(entry.path) for entry in entries if not entry.name.startswith("."))
+_SPLIT_FOLDER = re.compile(rf"({'|'.join(SPLITS)})(/\d{{4}})?")
+_SAMPLE_FOLDER = re.compile(rf"({'|'.join(SPLITS)})/\d{{4}}/s\d{{8}}")
+_YOURS = re.compile(r"(README|LICEN[CS]E|CITATION|CHANGELOG)(\.(md|txt|rst|cff|bib))?")
+"""What people lay beside data that they pass on."""
+
+
+def _check_places(
+    root: Path, manifest: Manifest, hashes: Mapping[str, str] | None
+) -> tuple[list[str], tuple[str, ...]]:
+    """Name what lies anywhere in a data set, outside its samples' folders, and should not; and what may, unchecked.
+
+    Of a folder that should not be there only its name is told.
+    """
+    problems, notes = [], []
+    files = {CHECKSUMS, *(hashes or files_to_seal(root))}
+    folders = {PSF_FOLDER, *(str(PurePosixPath(name).parent) for name in files)}
+    samples = {sample_folder(Path(), split, sample_index(name)).as_posix() for split, name in manifest.entries}
+    pending = [root]
+    while pending:
+        folder = pending.pop()
+        try:
+            with read_errors(folder):
+                paths = sorted(folder.iterdir())
+        except InputError as error:
+            problems.append(str(error))
+            continue
+        for path in paths:
+            name = path.relative_to(root).as_posix()
+            if name in files or name in samples:
+                continue
+            if (name in folders or _SPLIT_FOLDER.fullmatch(name)) and path.is_dir():
+                pending.append(path)
+            elif path.name.startswith(TEMPORARY_PREFIX):
+                problems.append(f"{name}: left by a run that died; delete it")
+            elif _SAMPLE_FOLDER.fullmatch(name):
+                problems.append(f"{name}: on disk but not in {MANIFEST}; run generate again or delete it")
+            elif _YOURS.fullmatch(name):
+                notes.append(f"{name}: not of the data set, so not checked")
+            else:
+                problems.append(f"{name}: a stray {'folder' if path.is_dir() else 'file'}; move it out of the data set")
+    return problems, tuple(notes)

@@ -248,7 +248,11 @@ def read_text(path: Path, holds: str, max_bytes: int = MAX_BYTES) -> str:
 
 
 class AppendedLines:
-    """Appends lines of JSON to a file; one writer per data set, in the parent process only."""
+    """Appends lines of JSON to a file; one writer per data set, in the parent process only.
+
+    Attributes:
+        path: the file.
+    """
 
     def __init__(self, path: Path) -> None:
         """Open the file (made when missing), take its lock and cut a torn last line.
@@ -257,7 +261,7 @@ class AppendedLines:
             InputError: another process is writing to the same data set.
             StorageError: the folder cannot be written to.
         """
-        self._path = path
+        self.path = path
         with storage_errors(path):
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         try:
@@ -277,8 +281,8 @@ class AppendedLines:
         Raises:
             StorageError: the disk is full; the file stays as it was before.
         """
-        line = json.dumps(content, separators=(",", ":")).encode() + b"\n"
-        with storage_errors(self._path):
+        line = line_of(content)
+        with storage_errors(self.path):
             try:
                 write_all(self._descriptor, line)
                 os.fsync(self._descriptor)
@@ -301,6 +305,11 @@ class AppendedLines:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.close()
+
+
+def line_of(content: Mapping[str, Any]) -> bytes:
+    """Return a line of such a file."""
+    return json.dumps(content, separators=(",", ":")).encode() + b"\n"
 
 
 def read_lines(path: Path) -> tuple[list[bytes], bool]:

@@ -97,13 +97,16 @@ def check_replaceable(folder: Path) -> None:
         return
     if not folder.is_dir():
         raise InputError(folder, "a file; a PSF stack is a folder: choose another name")
-    foreign = [
-        path.name for path in sorted(folder.iterdir()) if path.name != DESCRIPTION and not path.match("depth_*.exr")
-    ]
+    foreign = [path.name for path in sorted(folder.iterdir()) if not is_stack_file(path)]
     if foreign:
         raise InputError(
             folder, f"holds other files ({foreign[0]}, ...), which a PSF stack would replace: choose another name"
         )
+
+
+def is_stack_file(path: Path) -> bool:
+    """Whether a file has the name of one that belongs to a stack."""
+    return path.name == DESCRIPTION or path.match("depth_*.exr")
 
 
 def _description(folder: Path) -> dict[str, Any]:

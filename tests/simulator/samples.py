@@ -6,6 +6,7 @@ from unittest import mock
 
 import numpy as np
 
+from simulator.dataset.checksums import write_seal
 from simulator.dataset.dataset_info import DatasetInfo, write_info
 from simulator.dataset.fingerprint import build_fingerprint
 from simulator.dataset.manifest import ManifestWriter
@@ -101,3 +102,4 @@ def _write_dataset(root: Path, make: Callable[[int], Sample], info: DatasetInfo)
     with ManifestWriter(root) as manifest:
         for split, index in (("train", 2), ("train", 0), ("validation", 0), ("train", 1)):
             manifest.append(write_sample(root, split, index, make(index)), seconds=0.1)
+    write_seal(root)

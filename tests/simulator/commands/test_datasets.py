@@ -14,6 +14,7 @@ import pytest
 
 from simulator.config import default_config_text
 from simulator.dataset import verify
+from simulator.dataset.checksums import CHECKSUMS
 from simulator.presets import preset_names, preset_text
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
@@ -73,6 +74,11 @@ def test_verify(one_error, flatlight, finished: Path, copy: Path, tmp_path: Path
     assert code == 0
     assert "train: 3 of 3 intact" in out
     assert "all is well" in out
+    (copy / CHECKSUMS).unlink()
+    code, out, _ = flatlight("verify", copy)
+    assert code == 2
+    assert "--seal" in out
+    assert flatlight("verify", copy, "--seal")[0] == 0
     one_error(flatlight("verify", tmp_path / "nowhere"), "nowhere")
     file = copy / "train/0000/s00000001/measurement.exr"
     file.write_bytes(file.read_bytes()[:30_000])
@@ -91,6 +97,7 @@ class TestGenerate:
         assert "4 samples made in " in out
         assert f": {trial.folder / 'out'}" in out
         assert f"look at {trial.folder / 'out' / 'contact_sheet.png'}" in out
+        assert verify(trial.folder / "out").ok
         assert "samples: 4 of 4" in err  # plain lines, since this is no terminal
         assert "sampling error" in err
         code, out, _ = flatlight("generate", path)
@@ -252,7 +259,7 @@ def test_a_disk_that_is_full_between_two_samples(command, one_error, trial) -> N
 
 
 def _contents(root: Path) -> dict[str, bytes]:
-    files = (path for path in root.rglob("*") if path.is_file() and path.name != "dataset.json")
+    files = (path for path in root.rglob("*") if path.is_file() and path.name not in ("dataset.json", CHECKSUMS))
     return {str(path.relative_to(root)): path.read_bytes() for path in files}
 
 

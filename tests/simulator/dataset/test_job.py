@@ -19,6 +19,7 @@ from simulator.assembly import Assembly
 from simulator.camera.shutter import GlobalShutter
 from simulator.config import load_config
 from simulator.dataset import generate, open_dataset, verify
+from simulator.dataset.checksums import CHECKSUMS
 from simulator.dataset.job import data_set_stack
 from simulator.dataset.manifest import load_manifest
 from simulator.errors import InputError
@@ -38,7 +39,7 @@ def contents(root: Path) -> dict[str, str]:
     found = {
         str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(root.rglob("*"))
-        if path.is_file() and path.name not in ("manifest.jsonl", "dataset.json")
+        if path.is_file() and path.name not in ("manifest.jsonl", "dataset.json", CHECKSUMS)
     }
     for line in (root / "manifest.jsonl").read_text().splitlines():
         entry = json.loads(line)
@@ -64,7 +65,7 @@ def test_a_finished_set_verifies_and_its_layout_is_the_documented_one(finished: 
     assert info["exposure"] == {"full_scale": 3e-6, "from": "configuration"}
     assert info["backend"] == "none"  # nothing was rendered
     samples = [f"{split}/0000/{name}" for split, name in sorted(ALL)]
-    expected = {"dataset.json", "manifest.jsonl", "psf/psf.json"}
+    expected = {"dataset.json", "manifest.jsonl", "checksums.json", "psf/psf.json"}
     expected |= {f"psf/depth_{k:04d}.exr" for k in range(3)}
     expected |= {f"{sample}/{name}" for sample in samples for name in ("measurement.exr", "ground_truth.exr")}
     expected |= {f"{sample}/sample.json" for sample in samples}
@@ -144,12 +145,63 @@ def test_a_killed_run_is_finished_by_the_next(trial, tmp_path: Path) -> None:
     process.wait()
     kept = len(load_manifest(root).entries)
     assert 1 <= kept < 6
+    assert not (root / CHECKSUMS).exists()
     assert not verify(root).ok
     result = generate(path, ["dataset.engine=inline"])
     assert (result.made, result.kept) == (6 - kept, kept)
     assert verify(root).ok
     undisturbed = trial.generate(dataset={"output": "undisturbed", "train": 4}, scene=scene)
     assert contents(undisturbed) == contents(root)
+
+
+def test_the_seal_covers_all_but_the_samples_and_comes_last(trial) -> None:
+    def finish(root: Path) -> None:
+        assert not (root / CHECKSUMS).exists()
+        (root / "contact_sheet.png").write_bytes(b"drawn")
+
+    root = generate(trial.write(), finish=finish).path
+    files = ["dataset.json", "manifest.jsonl", "contact_sheet.png", "psf/psf.json"]
+    files += [f"psf/depth_{k:04d}.exr" for k in range(3)]
+    sealed = json.loads((root / CHECKSUMS).read_text())["files"]
+    assert sealed == {name: hashlib.sha256((root / name).read_bytes()).hexdigest() for name in files}
+
+
+def test_a_run_that_breaks_off_leaves_its_data_set_unsealed(trial) -> None:
+    def finish(root: Path) -> None:
+        raise KeyboardInterrupt
+
+    root = trial.generate()
+    with pytest.raises(KeyboardInterrupt):
+        generate(trial.write(dataset={"train": 4}), finish=finish)
+    (problem,) = verify(root).problems
+    assert problem.startswith(f"{CHECKSUMS}: missing")
+    assert len(open_dataset(root)) == 4  # for readers it is a data set
+    assert generate(trial.path).made == 0
+    assert verify(root).ok
+
+
+@pytest.mark.parametrize("name", ["dataset.json", "psf/psf.json", "checksums.json"])
+def test_a_data_set_does_not_grow_on_what_was_changed_since(trial, name: str) -> None:
+    path = trial.generate() / name
+    content = json.loads(path.read_text())
+    content |= (
+        {"versions": {}} if name == "dataset.json" else {"depths_m": [1, 2, 3]} if "psf" in name else {"files": {}}
+    )
+    path.write_text(json.dumps(content))
+    with pytest.raises(InputError, match=f"^{path}: "):
+        trial.generate(dataset={"train": 4})
+    assert json.loads((trial.folder / "out/dataset.json").read_text())["counts"]["train"] == 3
+    assert (trial.folder / "out" / CHECKSUMS).exists()
+
+
+def test_lines_that_repeat_are_dropped_by_the_next_run(trial) -> None:
+    manifest = trial.generate() / "manifest.jsonl"
+    lines = manifest.read_bytes().splitlines(keepends=True)
+    manifest.write_bytes(b"".join(lines * 3))
+    assert generate(trial.write(dataset={"train": 4})).made == 1
+    assert sorted(manifest.read_bytes().splitlines(keepends=True))[:3] == sorted(lines)[:3]
+    assert len(load_manifest(manifest.parent).entries) == manifest.read_bytes().count(b"\n") == 6
+    assert verify(manifest.parent).ok
 
 
 def test_a_failing_sample_is_reported_and_tried_again(trial, tmp_path: Path) -> None:
@@ -314,6 +366,7 @@ class TestRefusals:
         assert self.refused(trial).startswith("dataset.output: ")
         for split in ("train", "validation", "test"):  # nor does a manifest alone pass for finished samples
             shutil.rmtree(root / split)
+        (root / CHECKSUMS).unlink()
         assert "manifest.jsonl" in self.refused(trial)
 
     def test_a_file_in_place_of_the_folder(self, trial) -> None:
@@ -444,7 +497,8 @@ def test_damage_and_a_stack_of_another_camera_are_named(captured, tmp_path) -> N
     content = json.loads(whole)
     content["provenance"]["nominal_fingerprint"] = "b" * 64
     path.write_text(json.dumps(content))
-    (line,) = verify(root).problems
+    changed, line = verify(root).problems
+    assert changed.startswith(f"{path}: ")
     assert line.startswith("psf_captured: captured from psf = bbb")
     path.write_text(whole)
     plane = root / "psf_captured/depth_0001.exr"
@@ -454,5 +508,4 @@ def test_damage_and_a_stack_of_another_camera_are_named(captured, tmp_path) -> N
     (line,) = verify(root).problems
     assert f"{plane}: " in line
     shutil.rmtree(root / "psf_captured")
-    (line,) = verify(root).problems
-    assert "psf_captured: " in line
+    assert any(line.startswith(f"{root / 'psf_captured'}: ") for line in verify(root).problems)

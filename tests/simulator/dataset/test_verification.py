@@ -7,8 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
+from simulator.dataset.checksums import CHECKSUMS, write_seal
 from simulator.dataset.fingerprint import hash_parts
 from simulator.dataset.manifest import SkippedWriter
 from simulator.dataset.verification import verify
@@ -40,6 +42,12 @@ def flip(path: Path, position: int = -20) -> None:
 
 def edit(path: Path, **changes: object) -> None:
     path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
+def edit_sealed(path: Path, **changes: object) -> None:
+    """What an edit is told as by the values, not by the seal."""
+    edit(path, **changes)
+    write_seal(path.parent)
 
 
 def tear(path: Path) -> None:
@@ -93,6 +101,140 @@ def test_every_fault_is_named(dataset: Path, fault: str) -> None:
         assert report.counts == {"train": 2, "validation": 1, "test": 0}
         assert all("s00000000" in line for line in report.problems)
         assert "train: 2 of 3 intact" in str(report)
+
+
+def tripled_depths(root: Path) -> None:
+    depths_m = json.loads((root / "psf/psf.json").read_text())["depths_m"]
+    edit(root / "psf/psf.json", depths_m=[3 * depth for depth in depths_m])
+
+
+EDITS: dict[str, Callable[[Path], object]] = {
+    "psf/psf.json depths_m": tripled_depths,
+    **{
+        f"psf/psf.json {key}": lambda root, key=key, value=value: edit(root / "psf/psf.json", **{key: value})
+        for key, value in {"pixel_pitch_m": 3e-5, "frame": "physical", "provenance": {"sampling": "0"}}.items()
+    },
+    **{
+        f"dataset.json {key}": lambda root, key=key, value=value: edit(root / "dataset.json", **{key: value})
+        for key, value in {
+            "scene_to_camera": {"matrix": [[1, 0, 0], [0, 1, 0], [0, 0, 2]]},
+            "exposure": {"full_scale": 0.5, "from": "illuminance", "illuminance_lux": 10},
+            "versions": {"numpy": "2.1"},
+            "name": "large",
+        }.items()
+    },
+}
+
+
+@pytest.mark.parametrize("change", EDITS)
+def test_what_only_the_seal_covers(dataset: Path, change: str) -> None:
+    EDITS[change](dataset)
+    (problem,) = verify(dataset).problems
+    assert problem.startswith(f"{dataset / change.split()[0]}: ")
+
+
+STRAYS = [
+    *("notes.txt", ".DS_Store", "old/", ".git/", "psf/extra.exr", "psf/depth_0009.exr", "psf/.old/", "psf_captured/"),
+    *(
+        "skipped.jsonl",
+        "contact_sheet.png",
+        "train/notes.txt",
+        "train/.hidden/",
+        "train/0000/.s00000000",
+        "train/0000/x/",
+    ),
+    *("train/00001/", "train/0000/s00000000/.notes", "train/0000/s00000000/more/"),
+]
+
+
+@pytest.mark.parametrize("stray", STRAYS)
+def test_what_lies_there_and_should_not(dataset: Path, stray: str) -> None:
+    """Of a folder one line tells, whatever is in it."""
+    if stray.endswith("/"):
+        (dataset / stray).mkdir()
+        (dataset / stray / "more").touch()
+    else:
+        (dataset / stray).touch()
+    (problem,) = verify(dataset).problems
+    name = stray.rstrip("/")
+    inside = f"train/s00000000: unexpected file {name.rpartition('/')[2]}"
+    assert problem == inside if "/s00000000/" in name else problem.startswith(f"{name}: ")
+
+
+def test_documents_beside_the_data_are_noted(dataset: Path) -> None:
+    for name in ("README.md", "LICENSE"):
+        (dataset / name).write_text("by the user")
+    report = verify(dataset)
+    assert report.ok
+    assert [line.split(":")[0] for line in report.notes] == ["LICENSE", "README.md"]
+    assert "note: README.md: " in str(report)
+
+
+def test_lines_that_repeat_are_counted(dataset: Path) -> None:
+    manifest = dataset / "manifest.jsonl"
+    manifest.write_bytes(manifest.read_bytes() * 500)
+    changed, repeated = verify(dataset).problems
+    assert changed.startswith(f"{manifest}: ")
+    assert repeated.startswith("manifest.jsonl: 1996 lines ")
+
+
+def test_a_data_set_without_its_seal_is_whole_only_when_asked_to_seal_it(dataset: Path) -> None:
+    (dataset / CHECKSUMS).unlink()
+    (problem,) = verify(dataset).problems
+    assert problem.startswith(f"{CHECKSUMS}: missing")
+    assert "generate" in problem
+    flip(dataset / FIRST / "measurement.exr")
+    assert problem in verify(dataset, seal=True).problems  # never over a fault
+    assert not (dataset / CHECKSUMS).exists()
+    flip(dataset / FIRST / "measurement.exr")
+    assert verify(dataset, seal=True).ok
+    assert verify(dataset).ok
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"{}", b"[1]", b'{"files": {}}', b"[" * 100_000, b"\xff", b"{" + b" " * (17 << 20)]
+)
+def test_a_seal_that_is_none(dataset: Path, content: bytes) -> None:
+    (dataset / CHECKSUMS).write_bytes(content)
+    (problem,) = verify(dataset).problems
+    assert problem.startswith(f"{dataset / CHECKSUMS}: ")
+
+
+def test_a_seal_speaks_of_its_data_set_only(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("simulator.dataset.checksums.files_to_seal", lambda root: ["../set/dataset.json", "/dev/null"])
+    write_seal(dataset)
+    (problem,) = verify(dataset).problems
+    assert problem.startswith(f"{dataset / CHECKSUMS}: ")
+
+
+def test_no_flipped_bit_passes(samples: ModuleType, tmp_path: Path) -> None:
+    """300 of them, one at a time, in every kind of file alike."""
+    root = samples.make_dataset(tmp_path / "set", lambda index: samples.make_clip_sample(index, frames=2))
+    with SkippedWriter(root) as skipped:
+        skipped.append("train", 3, "clip.webm is truncated")
+    shutil.copytree(root / "psf", root / "psf_captured")
+    for name in ("source_problems.txt", "contact_sheet.png"):
+        (root / name).write_text("3.webm: has no frames")
+    edit(root / "dataset.json", counts={"train": 4, "validation": 1})
+    write_seal(root)
+    assert verify(root).ok
+    files = sorted(path for path in root.rglob("*") if path.is_file())
+    kinds = {re.sub(r"\d+", "N", f"{path.parent.name}/{path.name}"): path for path in files}
+    assert len(kinds) == 14
+    rng = np.random.default_rng(5)
+    missed = []
+    for number in range(300):
+        path = list(kinds.values())[number % len(kinds)]
+        whole = path.read_bytes()
+        bit = int(rng.integers(8 * len(whole)))
+        flipped = bytearray(whole)
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        if verify(root).ok:
+            missed.append((path, bit))
+        path.write_bytes(whole)
+    assert missed == []
+    assert verify(root).ok
 
 
 def exchange(one: Path, other: Path) -> None:
@@ -150,7 +292,7 @@ def test_a_recorded_shutter_agrees_with_the_configuration(
 ) -> None:
     root = samples.make_dataset(tmp_path / "set", samples.make_clip_sample, time={"shutter": record})
     assert verify(root).problems == ()
-    edit(root / "dataset.json", time={"shutter": changes if "type" in changes else record | changes})
+    edit_sealed(root / "dataset.json", time={"shutter": changes if "type" in changes else record | changes})
     (problem,) = verify(root).problems
     assert problem.startswith("dataset.json: time.shutter")
     assert words in problem
@@ -171,34 +313,36 @@ def test_frames_cover_the_shutter(samples: ModuleType, tmp_path: Path) -> None:
 def test_what_was_hashed_belongs_to_the_fingerprint_and_to_the_configuration(dataset: Path) -> None:
     before = json.loads((dataset / "dataset.json").read_text())
     config, parts = before["config"], before["fingerprint_parts"]
-    edit(dataset / "dataset.json", config=config | {"name": "x"})
+    edit_sealed(dataset / "dataset.json", config=config | {"name": "x"})
     assert verify(dataset).ok
     older = parts | {"config": parts["config"] | {"dataset": {"share_videos": False}}}  # once hashed, now free
     newer = config | {"dataset": {"share_videos": True}}
-    edit(dataset / "dataset.json", config=newer, fingerprint=hash_parts(older), fingerprint_parts=older)
+    edit_sealed(dataset / "dataset.json", config=newer, fingerprint=hash_parts(older), fingerprint_parts=older)
     assert verify(dataset).ok, str(verify(dataset))
-    edit(dataset / "dataset.json", **before)
-    edit(dataset / "dataset.json", config=config | {"seed": 8})
+    edit_sealed(dataset / "dataset.json", **before)
+    edit_sealed(dataset / "dataset.json", config=config | {"seed": 8})
     assert verify(dataset).problems == (
         "dataset.json: config is not what fingerprint_parts holds: seed: 7 -> 8; restore it from a copy",
     )
-    edit(dataset / "dataset.json", config=config, fingerprint_parts=parts | {"backend": "other"})
+    edit_sealed(dataset / "dataset.json", config=config, fingerprint_parts=parts | {"backend": "other"})
     (problem,) = verify(dataset).problems
     assert problem.startswith(f"dataset.json: fingerprint is {before['fingerprint'][:12]}, but its parts make ")
-    edit(dataset / "dataset.json", fingerprint="0" * 64, fingerprint_parts=parts)
+    edit_sealed(dataset / "dataset.json", fingerprint="0" * 64, fingerprint_parts=parts)
     (problem,) = verify(dataset).problems
     assert "fingerprint is 000000000000, but its parts make " + before["fingerprint"][:12] in problem
 
 
 def test_skipped_samples_are_counted_and_no_fault(dataset: Path) -> None:
-    edit(dataset / "dataset.json", counts={"train": 5, "validation": 1, "test": 0})
+    edit_sealed(dataset / "dataset.json", counts={"train": 5, "validation": 1, "test": 0})
     with SkippedWriter(dataset) as skipped:
         skipped.append("train", 4, "clip.webm is truncated")
         skipped.append("train", 0, "left out once, and made since")
+    write_seal(dataset)
     report = verify(dataset)
     assert report.problems == ("train: 3 of 5 samples are finished and 1 skipped; run generate again to resume",)
     with SkippedWriter(dataset) as skipped:
         skipped.append("train", 3, "clip.webm is truncated")
+    write_seal(dataset)
     report = verify(dataset)
     assert report.ok, report.problems
     assert (report.counts["train"], report.skipped, report.wanted["train"]) == (3, {"train": 2}, 5)

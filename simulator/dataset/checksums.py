@@ -1,0 +1,116 @@
+"""checksums.json, the seal of a data set: written last, it holds the hash of every file that no sample's digest covers.
+
+What it lists covers the rest: ``manifest.jsonl`` holds each sample's digest, that of ``sample.json`` and of the files which
+``sample.json`` lists. Its own bytes are those of its content and of a hash over it, so it covers itself. A run that changes
+a data set takes the seal off first; one that comes to its end writes it. Readers do not need it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from simulator.dataset.dataset_info import FILE
+from simulator.dataset.manifest import MANIFEST, PROBLEMS, SKIPPED
+from simulator.errors import InputError
+from simulator.io.files import read_text, sha256_bytes, sha256_file, storage_errors, sync_folder, write_atomic
+from simulator.io.json import canonical_json, readable_json
+from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, is_stack_file
+
+CHECKSUMS = "checksums.json"
+CONTACT_SHEET = "contact_sheet.png"
+_STACKS = (PSF_FOLDER, CAPTURED_FOLDER)
+
+
+def files_to_seal(root: Path) -> list[str]:
+    """Return the names, below ``root``, of the files there that no sample's digest covers, but the seal itself."""
+    names = [name for name in (FILE, MANIFEST, SKIPPED, PROBLEMS, CONTACT_SHEET) if (root / name).exists()]
+    stacks = [path for folder in _STACKS for path in sorted((root / folder).glob("*")) if is_stack_file(path)]
+    return names + [path.relative_to(root).as_posix() for path in stacks]
+
+
+def write_seal(root: Path) -> None:
+    """Write ``checksums.json``; to be called last, by whoever holds the manifest's lock.
+
+    Raises:
+        InputError: a file cannot be read.
+        StorageError: the folder is protected, or the disk is full.
+    """
+    hashes = {name: sha256_file(root / name) for name in files_to_seal(root)}
+    write_atomic(root / CHECKSUMS, _content(hashes))
+
+
+def read_seal(root: Path) -> dict[str, str] | None:
+    """Return the hashes by the file's name below ``root``; None where there is no seal.
+
+    Raises:
+        InputError: a damaged seal.
+    """
+    path = root / CHECKSUMS
+    if not path.exists():
+        return None
+    text = read_text(path, "the hashes of a data set's files")
+    try:
+        hashes = json.loads(text)["files"]
+        whole = text.encode() == _content(hashes) and all(_lies_inside(name) for name in hashes)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        whole, hashes = False, {}
+    if not whole:
+        raise InputError(
+            path,
+            "damaged: its content does not have the hash that stands in it; restore it from a copy, or delete it and check "
+            "that dataset.json and psf/ are as they were before `flatlight generate` writes another",
+        )
+    return hashes
+
+
+def changed_files(root: Path, hashes: Mapping[str, str]) -> Iterator[InputError]:
+    """Yield an error for every sealed file that is gone or has another content."""
+    for name, expected in hashes.items():
+        try:
+            changed = sha256_file(root / name) != expected
+        except InputError as error:
+            yield error
+            continue
+        if changed:
+            yield InputError(
+                root / name, f"has other content than {CHECKSUMS} says (SHA-256 differs); restore it from a copy"
+            )
+
+
+def unseal(root: Path) -> None:
+    """Remove the seal before a data set grows.
+
+    Lines of the manifest and whole stacks may be gone, which the run makes again.
+
+    Raises:
+        InputError: a damaged seal, or what further samples are made with is not as it was sealed; nothing is removed.
+        StorageError: the folder is protected.
+    """
+    hashes = read_seal(root)
+    if hashes is None:
+        return
+    there = {FILE, *(f"{name}/" for name in _STACKS if (root / name).exists())}
+    for error in changed_files(root, {name: digest for name, digest in hashes.items() if _top(name) in there}):
+        raise error
+    with storage_errors(root / CHECKSUMS):
+        (root / CHECKSUMS).unlink()
+        sync_folder(root)
+
+
+def _content(hashes: Any) -> bytes:
+    head = {"format": "flatlight-checksums", "format_version": 1}
+    return readable_json(head | {"files": hashes, "sha256": sha256_bytes(canonical_json(hashes))})
+
+
+def _lies_inside(name: str) -> bool:
+    path = PurePosixPath(name)
+    return not path.is_absolute() and ".." not in path.parts
+
+
+def _top(name: str) -> str:
+    """Return the file's name, or its folder's with a slash."""
+    first, slash, _ = name.partition("/")
+    return first + slash
