@@ -33,8 +33,8 @@ def write_psf_stack(folder: Path, stack: PsfStack) -> None:
         for k, planes in enumerate(stack.values):
             name = _file_name(k)
             channels = {c: np.asarray(v, np.float32) for c, v in zip(stack.channels, planes, strict=True)}
-            metadata = {"depth_m": float(stack.depths_m[k]), "pixel_pitch_m": stack.pixel_pitch_m}
-            files[name] = sha256_bytes(write_exr(temporary / name, channels, plain(metadata, "PSF")))
+            metadata = _metadata(stack.depths_m[k], stack.pixel_pitch_m)
+            files[name] = sha256_bytes(write_exr(temporary / name, channels, metadata))
         content = {
             "depths_m": [float(depth) for depth in stack.depths_m],
             "pixel_pitch_m": stack.pixel_pitch_m,
@@ -48,14 +48,17 @@ def write_psf_stack(folder: Path, stack: PsfStack) -> None:
 
 
 def read_psf_stack(folder: Path) -> PsfStack:
-    """Read a stack that ``write_psf_stack`` wrote; every file's hash is checked.
+    """Read a stack that ``write_psf_stack`` wrote; every file's hash, depth and pitch are checked.
 
     Raises:
         InputError: no such stack, or a damaged one.
     """
     content = _description(folder)
-    files, channels = content.pop("files"), content["channels"]
-    planes = [_read_planes(folder / name, digest, channels) for name, digest in files.items()]
+    files, channels, pitch_m = content.pop("files"), content["channels"], content["pixel_pitch_m"]
+    planes = [
+        _read_planes(folder / name, digest, channels, _metadata(depth_m, pitch_m))
+        for (name, digest), depth_m in zip(files.items(), content["depths_m"], strict=True)
+    ]
     return PsfStack(np.stack(planes), **content)
 
 
@@ -139,7 +142,12 @@ def _file_name(k: int) -> str:
     return f"depth_{k:04d}.exr"
 
 
-def _read_planes(file: Path, digest: str, channels: tuple[str, ...]) -> NDArray[np.float32]:
+def _metadata(depth_m: float, pixel_pitch_m: float) -> dict[str, Any]:
+    """Return what an EXR file says of its plane."""
+    return plain({"depth_m": float(depth_m), "pixel_pitch_m": pixel_pitch_m}, "PSF")
+
+
+def _read_planes(file: Path, digest: str, channels: tuple[str, ...], metadata: dict[str, Any]) -> NDArray[np.float32]:
     """Return the PSFs ``(C, H, W)`` of one depth."""
     try:
         data = file.read_bytes()
@@ -151,7 +159,9 @@ def _read_planes(file: Path, digest: str, channels: tuple[str, ...]) -> NDArray[
         raise InputError(
             file, f"damaged: its hash differs from {DESCRIPTION}; delete {file.parent} and compute it again"
         )
-    found, _ = decode_exr(data, file)
+    found, written = decode_exr(data, file)
+    if written != metadata:
+        raise InputError(file, f"was written for {written}, {DESCRIPTION} says {metadata}: restore both")
     if set(found) != set(channels):
         raise InputError(file, f"has the channels {sorted(found)}, {DESCRIPTION} says {sorted(channels)}: restore both")
     return np.stack([found[name] for name in channels])

@@ -99,6 +99,17 @@ def test_damage_is_named(tmp_path: Path, damage: Callable[[Path], None], named: 
         read_psf_stack(tmp_path / "psf")
 
 
+@pytest.mark.parametrize(
+    "change", [{"depths_m": [0.108, 0.6, "inf"]}, {"depths_m": [0.036, 0.2, 9.0]}, {"pixel_pitch_m": 20e-6}]
+)
+def test_depths_and_pitch_are_those_of_the_images(tmp_path: Path, change: dict) -> None:
+    write_psf_stack(tmp_path, make_stack())
+    path = tmp_path / "psf.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(InputError, match=rf"^{tmp_path}/depth_000\d\.exr: "):
+        read_psf_stack(tmp_path)
+
+
 def test_a_file_name_does_not_lead_out_of_the_folder(tmp_path: Path) -> None:
     write_psf_stack(tmp_path / "psf", make_stack())
     (tmp_path / "psf/depth_0000.exr").rename(tmp_path / "outside.exr")
