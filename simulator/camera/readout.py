@@ -57,6 +57,11 @@ class BinnedReadout:
             return np.full((channels, 1, 1), float(in_bin))
         return self.spread(tuple(max(1.0, in_bin * share) for share in BAYER_SHARE))
 
+    def rows(self, channels: int) -> NDArray[np.float64]:
+        """Return how many physical rows a stored value's pixels lie in, ``(C, 1, 1)``; see ``row_errors``."""
+        share = (0.5, 1.0, 0.5) if self._is_bayer(channels) else (1.0,) * channels
+        return self.spread(tuple(self.binning * part for part in share))
+
     def row_errors(self, signal: Array, std: float, rng: Any) -> Array:
         """Return the mean error of the physical rows behind each stored row, each with ``std``: ``(C or 1, H, 1)``.
 
@@ -141,6 +146,10 @@ class BayerReadout:
     def pixels(self, channels: int) -> NDArray[np.float64]:
         """Return ``(1, 1, 1)``."""
         return np.full((1, 1, 1), float(self.binning**2))
+
+    def rows(self, channels: int) -> NDArray[np.float64]:
+        """Return ``(1, 1, 1)``."""
+        return np.full((1, 1, 1), float(self.binning))
 
     def row_errors(self, signal: Array, std: float, rng: Any) -> Array:
         """Return ``(1, H, 1)``: the b physical rows of a stored row are its own, whatever their colours."""

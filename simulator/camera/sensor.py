@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.arrays import Array, like, namespace, poisson, to_numpy
+from simulator.camera.exposure import ExposureShares
 from simulator.camera.noise import (
     GaussianNoise,
     Noise,
@@ -43,6 +44,9 @@ MODELS: dict[str, dict[str, Any]] = {
     }
 }
 
+
+_RESOLVED = 1e-6
+"""Of the brightest value, what float32 convolution resolves (some 1e-7)."""
 
 PILOTS = 16
 PERCENTILE = 99.9
@@ -251,9 +255,33 @@ class Sensor:
         share = self._fill(signal) / self.balance(signal)
         return (self.black_level_dn + share * self.dn_range) / 2**self.bit_depth
 
-    def saturated_share(self, irradiance: Array) -> float:
-        """Return the share of stored values that are expected to reach full scale; see ``expose``."""
-        return float(np.mean(to_numpy(self._fill(self._signal(irradiance))) >= 1))
+    def shares(self, irradiance: Array) -> ExposureShares:
+        """Return which shares of the stored values are expected to be saturated, black or below the noise; see ``expose``."""
+        signal = self._signal(irradiance)
+        full = to_numpy(self._fill(signal)) >= 1
+        light, step = signal, 2.0**-self.bit_depth
+        if isinstance(self.noise, PhysicalNoise):
+            light = signal * self.balance(signal)
+            step = 1 / (self.dn_range * self._readout.pixels(signal.shape[0]))
+        noise, light = to_numpy(self.dark_noise(signal)), to_numpy(light)
+        black = light < np.maximum(step / 2, _RESOLVED * light.max())
+        faint = (light < noise) & (noise > 0)  # convolution leaves values just below 0
+        return ExposureShares(*(float(np.mean(part)) for part in (full, black, faint, ~(full | black | faint))))
+
+    def dark_noise(self, signal: Array) -> Array | float:
+        """Return the standard deviation of the values in darkness, share of full scale before the white balance.
+
+        Dark current, dark-signal non-uniformity, read noise, row errors and rounding, of the pixels behind each value; with
+        Gaussian noise, that of an image with this noiseless signal.
+        """
+        if isinstance(self.noise, NoNoise):
+            return 0.0
+        if isinstance(self.noise, GaussianNoise):
+            return self.noise.standard_deviation(signal)
+        pixels, rows = (like(n(signal.shape[0]), signal) for n in (self._readout.pixels, self._readout.rows))
+        rounding_e2 = 1 / 12 / self.dn_per_electron**2
+        of_a_pixel_e2 = self.dark_electrons(signal) + self.dsnu_e**2 + self.read_noise_e**2 + rounding_e2
+        return namespace(signal).sqrt(of_a_pixel_e2 / pixels + self.row_noise_e**2 / rows) * (1 / self.full_well_e)
 
     def _fill(self, signal: Array) -> Array:
         """Return the expected share of full scale that the pixels reach; electrons of the dark current included."""

@@ -90,7 +90,7 @@ class SampleMaker:
             ),
             "psf": self._stack.fingerprint,
             "full_scale": self._sensor.full_scale,
-            "saturated_share": self._sensor.saturated_share(exposure),
+            **self._sensor.shares(exposure).record,
             "clamped_depth_share": clamped_share(clip.depth_m, clip.valid, self._stack.depths_m),
         }
         if (around := clip.surroundings) is not None:

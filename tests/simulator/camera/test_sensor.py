@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulator.camera.forward import ForwardModel
-from simulator.camera.noise import GaussianNoise, PhysicalNoise
+from simulator.camera.noise import GaussianNoise, NoNoise, PhysicalNoise
 from simulator.camera.sensor import MODELS, Sensor, full_scale_from_pilots
 from simulator.camera.shutter import RowShutter
 from simulator.errors import InputError
@@ -151,14 +151,48 @@ def test_saturation_counts_light_and_darkness_where_they_fill_the_well():
     light = _ramp(0, 3)
     share = [np.mean(light[0] >= at) for at in (2.0, 1.0)]
     sensor = _sensor(noise=PhysicalNoise(), responsivity=(0.5, 1.0, 0.5), dark_current_e_per_s=0.0, full_scale=1.0)
-    assert sensor.saturated_share(light) == pytest.approx((2 * share[0] + share[1]) / 3)
+    assert sensor.shares(light).saturated == pytest.approx((2 * share[0] + share[1]) / 3)
     dark = replace(sensor, responsivity=None, dark_current_e_per_s=7500.0, exposure_s=1.0)  # half a well
-    assert dark.saturated_share(light) == pytest.approx(np.mean(light[0] >= 0.5), abs=2 / 600)
-    assert replace(dark, noise=GaussianNoise(std=0.1), full_scale=0.5).saturated_share(light) == pytest.approx(
+    assert dark.shares(light).saturated == pytest.approx(np.mean(light[0] >= 0.5), abs=2 / 600)
+    assert replace(dark, noise=GaussianNoise(std=0.1), full_scale=0.5).shares(light).saturated == pytest.approx(
         np.mean(light[0] >= 0.5)
     )
     beyond = np.full((3, *SHAPE), 1e30, np.float32)  # no Poisson number has as many photons
     assert sensor.expose(beyond, np.random.default_rng(0))[1].min() * 4096 == 4095
+
+
+@pytest.mark.parametrize("binning", [1, 6])
+@pytest.mark.parametrize("readout", ["binned_rgb", "bayer"])
+def test_the_noise_floor_is_the_deviation_of_dark_images(readout, binning):
+    names = {"prnu": 0.0, "row_noise_e": 2.0, "dsnu_e": 3.0, "dark_current_e_per_s": 2000.0, "exposure_s": 0.01}
+    sensor = _sensor(noise=PhysicalNoise(), readout=readout, binning=binning, responsivity=(0.5, 1.0, 0.25), **names)
+    dark = np.zeros((3, *sensor.shape), np.float32)
+    seen = sensor.expose(dark, np.random.default_rng(0)).astype(np.float64) * 4096 - 64
+    balance = np.broadcast_to(sensor.balance(dark), seen.shape)
+    floor = np.broadcast_to(sensor.dark_noise(seen) * sensor.dn_range, seen.shape)
+    for share in (0.5, 1.0, 0.25):
+        own = balance == share
+        assert (seen * balance)[own].std() == pytest.approx(floor[own][0], rel=0.04)  # 300 rows of red
+
+
+def test_values_are_black_below_half_a_number_and_faint_below_the_noise():
+    light = _ramp(0, 1)  # of each channel, ends included
+    half = 0.5 / 4096
+    silent = _sensor(noise=NoNoise(), full_scale=1.0)
+    assert silent.shares(light).black == pytest.approx(np.mean(light < half), abs=1e-9)
+    assert silent.shares(light).below_noise == 0
+    noisy = replace(silent, noise=GaussianNoise(std=0.1)).shares(light)
+    assert noisy.below_noise == pytest.approx(np.mean(light < 0.1))
+    assert noisy.signal == pytest.approx(np.mean((light >= 0.1) & (light < 1)))
+    for full_scale, part in ((1e-12, "saturated"), (1e15, "black")):
+        assert getattr(replace(silent, full_scale=full_scale).shares(light + 1e-3), part) == 1
+    dim = _sensor(noise=PhysicalNoise(), full_scale=1.0, dark_current_e_per_s=0.0)
+    faint = dim.shares(light * 1e-3)
+    floor = float(dim.dark_noise(light)[0, 0, 0])
+    assert faint.below_noise == pytest.approx(np.mean(light * 1e-3 < floor), abs=1e-6)
+    assert 0.05 < faint.below_noise < 0.95
+    flooded = replace(dim, dark_current_e_per_s=1e6, exposure_s=1.0).shares(light)
+    assert (flooded.saturated, flooded.signal) == (1, 0)
 
 
 def test_every_row_has_the_noise_and_the_darkness_of_its_own_exposure():

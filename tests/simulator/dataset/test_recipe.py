@@ -84,13 +84,18 @@ def test_automatic_exposure_is_the_pilots_percentile(made: Any, irradiance: Trut
     assert exposure["full_scale"] == pytest.approx(np.percentile(pilots, 99.9) / 0.8, rel=1e-5)
 
 
-def test_metadata_count_saturated_values(trial) -> None:
-    changes = {"noise": {"type": "none"}, "exposure": {"full_scale": 1e-6}}
+def test_metadata_count_what_carries_no_signal(trial) -> None:
+    changes = {"noise": {"type": "none"}, "exposure": {"full_scale": 1e-6}, "sensor": {"binning": 8, "shape": [90, 60]}}
     sample = open_dataset(trial.generate(camera=changes, dataset={"train": 1}))[0]
     assert np.array_equal(sample.measurement, sample.noiseless)
     saturated = float(np.mean(sample.noiseless >= 1))
     assert 0 < saturated < 1
     assert sample.metadata["saturated_share"] == pytest.approx(saturated, abs=2 / sample.noiseless.size)
+    black = float(np.mean(sample.noiseless < 0.5 / 4096))
+    assert 0 < black < 1
+    assert sample.metadata["black_share"] == pytest.approx(black, abs=2 / sample.noiseless.size)
+    assert sample.metadata["below_noise_share"] == 0
+    assert sample.metadata["signal_share"] == pytest.approx(1 - saturated - black, abs=4 / sample.noiseless.size)
 
 
 def test_depths_beyond_the_stack_are_clamped_and_counted(trial, irradiance: Truth) -> None:
