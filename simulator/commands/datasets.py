@@ -48,6 +48,10 @@ def generate(
     skip_bad: Annotated[
         bool, typer.Option("--skip-bad", help="leave out files and samples that cannot be used, and list them")
     ] = False,
+    accept_exposure: Annotated[
+        bool,
+        typer.Option("--accept-exposure", help="go on where no value would carry signal: saturated, black or noise"),
+    ] = False,
 ) -> None:
     """Make a data set, or finish one that was begun."""
     from simulator.console import Bar
@@ -60,7 +64,15 @@ def generate(
         contact_sheet(root, root / CONTACT_SHEET)
 
     with Bar() as bar:
-        result = run(config, set_ or [], skip_bad=skip_bad, progress=bar.update, say=bar.say, finish=draw)
+        result = run(
+            config,
+            set_ or [],
+            skip_bad=skip_bad,
+            accept_exposure=accept_exposure,
+            progress=bar.update,
+            say=bar.say,
+            finish=draw,
+        )
     kept = f", {result.kept} were there before" if result.kept else ""
     print(f"{result.made} samples made in {result.seconds:.0f} s{kept}: {result.path}")
     if result.made + result.kept:

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from simulator.assembly import Assembly
+from simulator.camera.exposure import ExposureShares
 from simulator.camera.field import LIGHT_LEFT_OUT
-from simulator.camera.sensor import PERCENTILE, PILOTS, TARGET, full_scale_from_pilots
 from simulator.camera.shutter import Shutter, shutter_record
 from simulator.captured_psf import captured_stack, check_calibration
 from simulator.config import Config, dump, load_config
@@ -24,6 +24,7 @@ from simulator.dataset.checksums import unseal, write_seal
 from simulator.dataset.clips import ClipTimesError, check_parameters, clip_order
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info, write_info
 from simulator.dataset.engines import GivenUpError, Outcome, WorkerError, available_cpus, run
+from simulator.dataset.exposure import complaints, exposure_record, pilots_wanted, recorded_shares, refuse_useless
 from simulator.dataset.fingerprint import build_fingerprint, difference
 from simulator.dataset.manifest import (
     FAILED,
@@ -210,6 +211,7 @@ def generate(
     overrides: Sequence[str] = (),
     *,
     skip_bad: bool = False,
+    accept_exposure: bool = False,
     progress: Report | None = None,
     say: Say | None = None,
     finish: Callable[[Path], object] | None = None,
@@ -222,6 +224,7 @@ def generate(
         skip_bad: go on without what cannot be used, and list it: files that the source names as its ``problems``, and
             samples that fail by an ``InputError`` (they are not tried again). Without it the former are refused, the latter
             reported and tried again by the next run.
+        accept_exposure: go on where no value carries signal: all are saturated, black or below the noise.
         progress: called with (stage, done, total).
         say: called with lines worth reading: the backend, measured errors, warnings.
         finish: called with the data set's folder, where it has samples, before ``checksums.json`` seals it: to draw its
@@ -235,7 +238,9 @@ def generate(
     begin = time.perf_counter()
     if not isinstance(config, Config):
         config = load_config(config, overrides)
-    job = _Job(config, skip_bad, progress or (lambda stage, done, total: None), say or (lambda line: None))
+    job = _Job(
+        config, skip_bad, accept_exposure, progress or (lambda stage, done, total: None), say or (lambda line: None)
+    )
     with config.refusals():
         made, kept, failed = job.run(finish or (lambda root: None))
     skipped = tuple(f"{split}/{name}: {reason}" for (split, name), reason in load_skipped(job.root).items())
@@ -247,6 +252,7 @@ def generate(
 class _Job:
     config: Config
     skip_bad: bool
+    accept_exposure: bool
     progress: Report
     say: Say
     root: Path = field(init=False)
@@ -307,6 +313,8 @@ class _Job:
             made, kept, failed = self._samples(
                 replace(recipe, full_scale=float(existing.exposure["full_scale"])), manifest
             )
+            if made and (recorded := recorded_shares(self.root)):
+                self._say_exposure(f"{recorded[0]} samples", recorded[1], existing.exposure)
             if made + kept:
                 finish(self.root)
             manifest.drop_duplicates()
@@ -349,33 +357,38 @@ class _Job:
         return {split: getattr(self.config.dataset, split) for split in SPLITS}
 
     def _exposure(self, recipe: Recipe) -> dict[str, Any]:
-        """Return the one number that maps exposure to full scale, and where it comes from."""
-        if (fixed := self.assembly.fixed_exposure) is not None:
-            return fixed
+        """Return the one number that maps exposure to full scale, where it comes from, and what pilot samples say of it."""
+        fixed = self.assembly.fixed_exposure
+        wanted = pilots_wanted(fixed, sum(self._counts().values()))
         pilots: dict[int, Any] = {}
         bad: dict[int, Exception] = {}
-        for outcome in self._outcomes(make_pilot, range(PILOTS), start_worker, (recipe,)):
+        for outcome in self._outcomes(make_pilot, range(wanted), start_worker, (recipe,)):
             if outcome.error is None:
                 pilots[outcome.task] = outcome.value
-            elif self._skips(outcome.error):
+            elif self._skips(outcome.error) or (fixed is not None and not isinstance(outcome.error, StorageError)):
                 bad[outcome.task] = outcome.error
             elif isinstance(outcome.error, GivenUpError):
                 raise InputError(f"exposure pilot {outcome.task}", _reason(outcome)) from outcome.error
             else:
                 raise outcome.error
-            self.progress("exposure pilots", len(pilots) + len(bad), PILOTS)
+            self.progress("exposure pilots", len(pilots) + len(bad), wanted)
+        if fixed is not None and not pilots:
+            return fixed  # what cannot be had at all is reported as its sample's failure
         if not pilots:
             raise bad[0]
         if bad:
-            self.say(f"note: {len(bad)} of {PILOTS} exposure pilots cannot be made and are left out: {bad[min(bad)]}")
-        full_scale = full_scale_from_pilots([pilots[i] for i in sorted(pilots)])
-        return {
-            "full_scale": full_scale,
-            "from": "pilots",
-            "pilots": len(pilots),
-            "percentile": PERCENTILE,
-            "target": TARGET,
-        }
+            self.say(f"note: {len(bad)} of {wanted} exposure pilots cannot be made and are left out: {bad[min(bad)]}")
+        record = exposure_record([pilots[i] for i in sorted(pilots)], fixed, self.assembly.sensor)
+        shares = ExposureShares(**record["pilot_shares"])
+        if not self.accept_exposure:
+            refuse_useless(shares, record, self.assembly.sensor)
+        self._say_exposure(f"{len(pilots)} pilot samples", shares, record)
+        return record
+
+    def _say_exposure(self, of: str, shares: ExposureShares, record: dict[str, Any]) -> None:
+        self.say(f"exposure, {of}: {shares}")
+        for key, reason in complaints(shares, record, self.assembly.sensor):
+            self.say(f"note: {key}: {reason}")
 
     def _skips(self, error: Exception) -> bool:
         """Whether an error is one that ``skip_bad`` passes over."""

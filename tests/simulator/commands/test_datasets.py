@@ -171,6 +171,14 @@ def leaving(view):
         assert not (trial.folder / "out/failed.jsonl").exists()
         assert verify(trial.folder / "out").ok
 
+    def test_an_exposure_without_signal_is_made_on_purpose_only(self, one_error, flatlight, trial) -> None:
+        path = trial.write(camera={"exposure": {"full_scale": 1e15}})
+        one_error(flatlight("generate", path), "camera.exposure.full_scale: ", "--accept-exposure")
+        code, out, err = flatlight("generate", path, "--accept-exposure")
+        assert code == 0, err
+        assert "5 samples made" in out
+        assert "100.00% black" in err
+
     def test_skip_bad_lists_what_it_leaves_out(self, one_error, flatlight, trial) -> None:
         source = """
 from simulator.errors import InputError
