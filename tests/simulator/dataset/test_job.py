@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -178,6 +179,33 @@ def test_a_run_that_breaks_off_leaves_its_data_set_unsealed(trial) -> None:
     assert len(open_dataset(root)) == 4  # for readers it is a data set
     assert generate(trial.path).made == 0
     assert verify(root).ok
+
+
+def test_killed_at_any_moment_a_growing_data_set_passes_for_no_whole_one_and_is_finished(trial, monkeypatch) -> None:
+    """The disk after every step that reaches it, as a killed run leaves it: no handler cleans up."""
+    root, kept, seen = trial.generate(), trial.folder / "moments", {}
+
+    def watched(step: Callable) -> Callable:
+        def then_copied(*arguments, **options):
+            result = step(*arguments, **options)
+            if (state := json.dumps(_tree(root))) not in seen:
+                seen[state] = shutil.copytree(root, kept / str(len(seen)))
+            return result
+
+        return then_copied
+
+    with monkeypatch.context() as patch:
+        for name in ("fsync", "replace", "rename", "unlink"):
+            patch.setattr(os, name, watched(getattr(os, name)))
+        generate(trial.write(dataset={"train": 4}))
+    states = [Path(path) for path in seen.values()]
+    assert len(states) > 10
+    whole = [verify(path).ok for path in states]
+    assert whole == [False] * (len(states) - 1) + [True]
+    for path in states:
+        assert generate(trial.path, [f"dataset.output={path}"]).failed == ()
+        assert verify(path).ok, path
+        assert contents(path) == contents(root)
 
 
 @pytest.mark.parametrize("name", ["dataset.json", "psf/psf.json", "checksums.json"])
