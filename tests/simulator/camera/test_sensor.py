@@ -186,6 +186,9 @@ def test_values_are_black_below_half_a_number_and_faint_below_the_noise():
     assert noisy.signal == pytest.approx(np.mean((light >= 0.1) & (light < 1)))
     for full_scale, part in ((1e-12, "saturated"), (1e15, "black")):
         assert getattr(replace(silent, full_scale=full_scale).shares(light + 1e-3), part) == 1
+    errors = light * 1e-7  # of convolution: nothing of the scene, however far the scale stretches it
+    errors[:, 0] = 1
+    assert replace(silent, full_scale=1e-9).shares(errors).black == pytest.approx(599 / 600)
     dim = _sensor(noise=PhysicalNoise(), full_scale=1.0, dark_current_e_per_s=0.0)
     faint = dim.shares(light * 1e-3)
     floor = float(dim.dark_noise(light)[0, 0, 0])

@@ -75,7 +75,7 @@ FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
         "manifest.jsonl:1: ",
     ),
     "no manifest": (lambda root: (root / "manifest.jsonl").unlink(), "train: 0 of 3"),
-    "leftover": (lambda root: (root / "train/0000/.tmp-s00000007-ab").mkdir(), ".tmp-s00000007-ab"),
+    "leftover": (lambda root: (root / "train/0000/.tmp-s00000007-ab").mkdir(), r"\.tmp-s00000007-ab: left by"),
     "no info": (lambda root: (root / "dataset.json").unlink(), "dataset.json"),
     "damaged info": (lambda root: tear(root / "dataset.json"), "dataset.json"),
     "fewer wanted": (lambda root: edit(root / "dataset.json", counts={"train": 2, "validation": 1}), "says 2"),
