@@ -67,17 +67,25 @@ def read_seal(root: Path) -> dict[str, str] | None:
 
 
 def changed_files(root: Path, hashes: Mapping[str, str]) -> Iterator[InputError]:
-    """Yield an error for every sealed file that is gone or has another content."""
+    """Yield an error for every sealed file that is gone or has another content; of a folder that is gone only one."""
+    gone = set()
     for name, expected in hashes.items():
+        path = root / name
+        missing = path if path.parent.exists() else path.parent
+        if not missing.exists():
+            if missing not in gone:
+                yield InputError(
+                    missing, f"gone, but {CHECKSUMS} lists it; restore it from a copy, or run generate again"
+                )
+            gone.add(missing)
+            continue
         try:
-            changed = sha256_file(root / name) != expected
+            changed = sha256_file(path) != expected
         except InputError as error:
             yield error
             continue
         if changed:
-            yield InputError(
-                root / name, f"has other content than {CHECKSUMS} says (SHA-256 differs); restore it from a copy"
-            )
+            yield InputError(path, f"has other content than {CHECKSUMS} says (SHA-256 differs); restore it from a copy")
 
 
 def unseal(root: Path) -> None:

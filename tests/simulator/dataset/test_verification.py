@@ -132,6 +132,17 @@ def test_descriptions_are_as_they_were_sealed(dataset: Path, change: str) -> Non
     assert verify(dataset).problems[0].startswith(f"{dataset / change.split()[0]}: ")
 
 
+def test_what_is_gone_is_told_once(dataset: Path) -> None:
+    (dataset / "contact_sheet.png").write_bytes(b"drawn")
+    write_seal(dataset)
+    (dataset / "contact_sheet.png").unlink()
+    shutil.rmtree(dataset / "psf")
+    assert [line.partition(": ")[0] for line in verify(dataset).problems] == [
+        str(dataset / "contact_sheet.png"),
+        str(dataset / "psf"),
+    ]
+
+
 STRAYS = [
     *("notes.txt", ".DS_Store", "old/", ".git/", "psf/extra.exr", "psf/depth_0009.exr", "psf/.old/", "psf_captured/"),
     *(
