@@ -94,9 +94,7 @@ def reconstruct(
     crop: Annotated[str | None, Crop] = None,
     binning: Annotated[int, Option(help="pixels per side that become one, of the PSF's image too")] = 1,
     scene: Annotated[str | None, Scene] = None,
-    white: Annotated[
-        float | None, Option(help="radiance to show as white; default: the camera's, or the image's")
-    ] = None,
+    white: Annotated[float | None, Option(help="radiance that image.png shows as white; default: its own")] = None,
     device: Annotated[str, Option(help="auto, cpu or cuda")] = "auto",
 ) -> None:
     """Reconstruct image and depth from one measurement, by a network or a classical method."""

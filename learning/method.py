@@ -17,20 +17,21 @@ from learning.camera import CaptureModel
 from simulator.errors import InputError
 
 
-def linear_to_srgb(radiance: Tensor, white: float) -> Tensor:
-    """Return sRGB codes of linear radiance, any shape: 0 for nothing, 1 for the reference ``white``; all else is clipped.
+def linear_to_srgb(radiance: Tensor, white: float, *, clip: bool = True) -> Tensor:
+    """Return sRGB codes of linear radiance, any shape: 0 for nothing, 1 for the reference ``white``.
 
-    In the tensor's precision and with its gradients; `simulator.colour` has the curve in float64.
+    All else is clipped, or, without ``clip``, follows the curve's two ends. In the tensor's precision and with its gradients;
+    `simulator.colour` has the curve in float64.
 
     Source: IEC 61966-2-1:1999 with amendment 1.
     """
-    linear = (radiance / white).clamp(0, 1)
+    linear = (radiance / white).clamp(0, 1) if clip else radiance / white
     return torch.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
 
 
-def srgb_to_linear(codes: Tensor, white: float) -> Tensor:
-    """Return the linear radiance of sRGB codes, the inverse of `linear_to_srgb`; codes are clipped to 0..1."""
-    codes = codes.clamp(0, 1)
+def srgb_to_linear(codes: Tensor, white: float, *, clip: bool = True) -> Tensor:
+    """Return the linear radiance of sRGB codes, the inverse of `linear_to_srgb`; ``clip`` clips codes to 0..1 first."""
+    codes = codes.clamp(0, 1) if clip else codes
     linear = torch.where(codes <= 0.04045, codes / 12.92, ((codes.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4)
     return linear * white
 
@@ -39,7 +40,7 @@ class Estimate(NamedTuple):
     """Images and depths of B scenes.
 
     Attributes:
-        image: ``(B, 3, h, w)`` sRGB codes, nominally 0..1 (a network's are not clipped); see `linear_to_srgb`.
+        image: ``(B, 3, h, w)`` sRGB codes, nominally 0..1 but not clipped: what is brighter than white is more than 1.
         disparity: ``(B, 1, h, w)``, nominally 0 (far) to 1 (near); see `CaptureModel.disparity`.
     """
 

@@ -161,4 +161,4 @@ def assemble(volume: Tensor, places: Tensor, capture: CaptureModel, light: str) 
     else:
         one, other = (torch.take_along_dim(volume, at[:, None, None], dim=1)[:, 0] for at in (before, after))
         combined = torch.lerp(one, other, share[:, None])
-    return Estimate(linear_to_srgb(capture.to_srgb(combined), 1.0), disparity)
+    return Estimate(linear_to_srgb(capture.to_srgb(combined), 1.0, clip=False), disparity)

@@ -146,6 +146,7 @@ class ClassicalMethod:
     Attributes:
         name: in tables and figures.
         capture: the camera with its assumed PSFs.
+        stage: of the clock, for the volume.
     """
 
     def __init__(
@@ -189,7 +190,8 @@ class ClassicalMethod:
             raise InputError("pairwise", f"got {pairwise!r}, expected 0 or more")
         check_choices(("cost", cost, COSTS), ("measure", measure, MEASURES), ("light", light, LIGHT))
         self.name, self.capture = name, capture
-        self._method, self._stage, self._light, self._pairwise = volume_method, stage, light, float(pairwise)
+        self.stage = stage
+        self._method, self._light, self._pairwise = volume_method, light, float(pairwise)
         self._unary: dict[str, Any] = {"cost": cost, "measure": measure, "contrast": contrast, "window_px": window_px}
         self._unary["steps_between_planes"] = steps_between_planes
         # A wrong contrast or window is told now, not after minutes of ADMM.
@@ -203,7 +205,7 @@ class ClassicalMethod:
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
         """Return the estimate; the clock's stages: that of the volume, ``graph cut`` (with its costs) and ``assembly``."""
         clock = clock or Clock(measurement.device)
-        with clock.stage(self._stage):
+        with clock.stage(self.stage):
             volume = self.volume(measurement)
         return self.estimate(volume, clock)
 
@@ -273,13 +275,13 @@ class PlanarMethod:
         """Return ``(B, 1, C, h, w)`` radiance / white in the camera's channels of measurements ``(B, C, H, W)``."""
         return self._inversion(measurement)
 
-    def radiance(self, volume: Tensor) -> Tensor:
-        """Return linear sRGB ``(B, 3, h, w)``, 1 for white, not clipped."""
-        return self.capture.to_srgb(volume[:, 0])
-
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
         """Return image and a disparity of 0 everywhere, which is the one plane's."""
-        clock = clock or Clock(measurement.device)
-        with clock.stage(self.stage):
-            image = linear_to_srgb(self.radiance(self.volume(measurement)), 1.0)
+        with (clock or Clock(measurement.device)).stage(self.stage):
+            return self.estimate(self.volume(measurement))
+
+    def estimate(self, volume: Tensor, clock: Clock | None = None) -> Estimate:
+        """Return the estimate of a volume ``(B, 1, C, h, w)`` in the camera's channels; no further stage is timed."""
+        del clock
+        image = linear_to_srgb(self.capture.to_srgb(volume[:, 0]), 1.0, clip=False)
         return Estimate(image, torch.zeros_like(image[:, :1]))

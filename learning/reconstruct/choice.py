@@ -39,19 +39,14 @@ class Request:
     tuned: Path | None = None
     noise_db: float | None = None
     parameters: Mapping[str, Any] | None = None
-    white: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """A method for a measurement, on the CPU, its name in names of files, and a record of how it was chosen.
-
-    ``white`` is the radiance that an image of one plane shows as 1; None leaves it to the image.
-    """
+    """A method for a measurement, on the CPU, its name in names of files, and a record of how it was chosen."""
 
     method: Method
     name: str
-    white: float | None
     record: dict[str, Any]
 
 
@@ -101,8 +96,6 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
             raise InputError(path, f"was trained for another camera than that of {dataset.root}: {error}") from error
         numbers = _of_own(dataset)
     capture = _lit(measurement, capture)
-    if request.white is not None:
-        capture = replace(capture, white=request.white)
     if capture is not checkpoint.capture:
         checkpoint = load_checkpoint(path, capture=capture)
     if request.scene not in (None, capture.scene_shape):
@@ -112,9 +105,9 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
         "checkpoint": str(path),
         "sha256": sha256_file(path),
         "architecture": checkpoint.architecture,
-        "camera": _camera_record(capture, numbers, "as told" if request.white else "the checkpoint's"),
+        "camera": _camera_record(capture, numbers, "the checkpoint's"),
     }
-    return Setup(LearnedMethod(name, checkpoint.network, capture), name, capture.white, record)
+    return Setup(LearnedMethod(name, checkpoint.network, capture), name, record)
 
 
 def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
@@ -142,8 +135,8 @@ def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
         "camera": _camera_record(capture, numbers_from, white_from),
     }
     if flat:
-        return Setup(PlanarMethod(capture, name, parameters), name, None if white_from == _TYPICAL else white, record)
-    return Setup(build_classical(capture, name, parameters), name, white, record)
+        return Setup(PlanarMethod(capture, name, parameters), name, record)
+    return Setup(build_classical(capture, name, parameters), name, record)
 
 
 def _parameters(
@@ -248,13 +241,11 @@ def _check_channels(measurement: Measurement, channels: tuple[str, ...], whose: 
 def _white(
     measurement: Measurement, request: Request, dataset: Dataset | None, capture: CaptureModel
 ) -> tuple[float, str]:
-    """Return the radiance to be shown as 1, by which the methods also scale their volumes, and where it comes from.
+    """Return the radiance that the methods take for 1, on which what they smooth depends, and where it comes from.
 
     A data set's, or a tuning's, has a meaning only where the camera's numbers are a data set's: the radiance of others has
     an unknown factor.
     """
-    if request.white is not None:
-        return request.white, "as told"
     if dataset is not None and request.tuned is not None:
         return float(load_tuned(request.tuned).content["identity"]["white"]), f"{request.tuned}"
     if dataset is not None and len(dataset) > 0:

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from learning.camera import CaptureModel
-from learning.classical.method import PlanarMethod
+from learning.classical.method import ClassicalMethod, PlanarMethod
 from learning.method import Clock, Method, choose_device, linear_to_srgb, srgb_to_linear
 from learning.models.flatnet import LearnedMethod
 from learning.provenance import is_own_folder
@@ -47,6 +46,7 @@ class Options(Request):
     bits: int | None = None
     background: str | None = None
     crop: str | None = None
+    white: float | None = None
     device: str = "auto"
 
 
@@ -72,11 +72,11 @@ def reconstruct_file(options: Options) -> str:
     replaces = is_own_folder(folder, RECORD, "reconstruction", "--output")
     method: Any = setup.method
     (method.network if hasattr(method, "network") else method).to(device)
-    result = reconstruct(measurement.values, method, volume=options.volume, white=setup.white, device=device)
+    result = reconstruct(measurement.values, method, volume=options.volume, white=options.white, device=device)
     record = {
         "measurement": measurement.record,
         **setup.record,
-        "white_from": result.white_from or setup.record["camera"]["white_from"],
+        "white_from": result.white_from,
         "device": str(device),
         "version": __version__,
     }
@@ -133,10 +133,11 @@ class Reconstruction:
     """What was made of a measurement.
 
     Attributes:
-        radiance: ``(3, h, w)`` float32 linear sRGB. Of one plane without a scale of its own, in the unit measurement / PSF.
+        radiance: ``(3, h, w)`` float32 linear sRGB, not clipped. Of PSFs without a scale of their own, in the unit
+            measurement / PSF.
         image: ``(3, h, w)`` float32 sRGB codes 0..1; 1 is ``white``.
         white: the radiance that the image shows as 1.
-        white_from: why this one; empty where it is the method's own.
+        white_from: why this one.
         depth_m: ``(h, w)`` float32 metres, at most `FARTHEST_M`; None where the PSFs are of one depth.
         volume: ``(K, C, h, w)`` float32 radiance in the camera's channels; None where it was not asked for.
         seconds: by stage.
@@ -161,8 +162,8 @@ def reconstruct(
 ) -> Reconstruction:
     """Reconstruct a still ``(C, H, W)``, DN / 2^bits, by a method on ``device``, with the volume where it is wanted.
 
-    ``white`` is the radiance that an image from one plane shows as 1, None shows its brightest half per cent as white; all
-    other methods show ``method.capture.white``, by which they work.
+    ``white`` is the radiance that the image shows as 1, None shows its brightest half per cent as white; the radiance itself
+    is never clipped.
 
     Raises:
         InputError: NaN or infinite numbers, a shape that is not the camera's, or a method that has no volume to show.
@@ -174,44 +175,34 @@ def reconstruct(
         raise InputError("measurement", f"got shape {tuple(measurement.shape)}, {wanted}")
     if not np.isfinite(measurement).all():
         raise InputError("measurement", "got NaN or infinite numbers, expected finite ones; repair these pixels first")
-    if volume and not (isinstance(method, LearnedMethod) or hasattr(method, "volume")):
-        raise InputError("volume", f"{method.name} has none to show; leave it out")
     batch = torch.from_numpy(np.array(measurement, np.float32))[None].to(device)
     clock = Clock(device)
-    if isinstance(method, PlanarMethod):
-        return _planar(batch, method, clock, volume=volume, white=white)
-    estimate = method.reconstruct(batch, clock).clamped()
-    shown = None
-    if isinstance(method, LearnedMethod) and volume:
+    if isinstance(method, ClassicalMethod | PlanarMethod):
+        with clock.stage(method.stage):
+            planes = method.volume(batch)
+        estimate = method.estimate(planes, clock)
+    elif isinstance(method, LearnedMethod) or not volume:
+        estimate = method.reconstruct(batch, clock)
         with torch.no_grad():
-            shown = method.network.inversion(batch)
-    elif volume:
-        shown = method.volume(batch)  # pyright: ignore[reportAttributeAccessIssue]
-    depth_m = np.minimum(to_numpy(estimate.depth_m(capture))[0, 0], FARTHEST_M)
-    return Reconstruction(
-        radiance=to_numpy(srgb_to_linear(estimate.image, capture.white))[0],
-        image=to_numpy(estimate.image)[0],
-        white=capture.white,
-        white_from="",
-        depth_m=depth_m if len(capture.stack.depths_m) > 1 else None,
-        volume=None if shown is None else to_numpy(shown)[0] * np.float32(capture.white),
-        seconds=clock.seconds,
-    )
-
-
-def _planar(batch: Tensor, method: PlanarMethod, clock: Clock, *, volume: bool, white: float | None) -> Reconstruction:
-    unit = method.capture.white
-    with clock.stage(method.stage):
-        plane = method.volume(batch)
-    radiance = to_numpy(method.radiance(plane))[0] * np.float32(unit)
+            planes = method.network.inversion(batch) if isinstance(method, LearnedMethod) and volume else None
+    else:
+        raise InputError("volume", f"{method.name} has none to show; leave it out")
+    radiance = to_numpy(srgb_to_linear(estimate.image, capture.white, clip=False))[0]
     reason = "as told"
     if white is None:
         lit = radiance[radiance > 0]
         white = float(np.percentile(lit, _WHITE_PERCENTILE)) if lit.size else 1.0
         reason = f"{_WHITE_PERCENTILE}th percentile of the image's positive values"
-    image = to_numpy(linear_to_srgb(torch.from_numpy(radiance), white))
-    shown = to_numpy(plane)[0] * np.float32(unit) if volume else None
-    return Reconstruction(radiance, image, white, reason, None, shown, clock.seconds)
+    depth_m = np.minimum(to_numpy(estimate.clamped().depth_m(capture))[0, 0], FARTHEST_M)
+    return Reconstruction(
+        radiance=radiance,
+        image=to_numpy(linear_to_srgb(torch.from_numpy(radiance), white)),
+        white=white,
+        white_from=reason,
+        depth_m=depth_m if len(capture.stack.depths_m) > 1 else None,
+        volume=to_numpy(planes)[0] * np.float32(capture.white) if volume and planes is not None else None,
+        seconds=clock.seconds,
+    )
 
 
 def write_reconstruction(
