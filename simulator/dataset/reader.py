@@ -19,7 +19,8 @@ from simulator.errors import InputError
 class Dataset(Sequence[Sample]):
     """One split of a data set: map-style, lazy, picklable; fits a torch ``DataLoader`` as it is.
 
-    A ``DataLoader`` needs ``batch_size=None`` or a ``collate_fn``, because a ``Sample`` is not a tensor.
+    Its batches are dicts of tensors with a leading B, by the names of ``Sample``: ``batch["measurement"]`` is
+    ``(B, C, H, W)``, ``batch["rgb"]`` ``(B, T, h, w, 3)``, ``batch["label"]`` a list of B names where samples have one.
 
     Attributes:
         root: the data set's folder.

@@ -101,8 +101,11 @@ _LAST_INDEX = 99_999_999  # ids have eight digits, so that names sort
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class Sample(Mapping[str, Any]):
     """A measurement and its ground truth.
+
+    Also a mapping, by the same names, of what a batch can be made of, so that torch's ``default_collate`` makes a dict of
+    tensors of several: all arrays that there are, ``extras`` as a dict of their own, and the label where there is one.
 
     Attributes:
         measurement: float32 ``(C, H, W)``, DN / 2^bits, with noise.
@@ -160,6 +163,39 @@ class Sample:
         if (measured := self.global_measurements) is not None:
             every = (frames[0], *shape)
             _expect("global_measurements", measured, np.float32, f"{every} like measurement", measured.shape == every)
+
+    def __getitem__(self, name: str) -> Any:
+        """Return the attribute of a name that `_IN_BATCHES` lists, where the sample has it."""
+        value = getattr(self, name) if name in _IN_BATCHES else None
+        if value is None or (name == "extras" and not value):
+            raise KeyError(name)
+        return value
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name in _IN_BATCHES if name in self)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it is the same object: mappings would compare their arrays, whose truth is ambiguous."""
+        return self is other
+
+    def __hash__(self) -> int:
+        return id(self)
+
+
+_IN_BATCHES = (
+    "measurement",
+    "noiseless",
+    "rgb",
+    "depth_m",
+    "valid",
+    "label",
+    "extras",
+    "frame_edges_s",
+    "global_measurements",
+)
 
 
 @dataclass(frozen=True)

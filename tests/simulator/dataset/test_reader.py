@@ -56,6 +56,38 @@ def test_other_processes_read_it(dataset: Path) -> None:
     assert [sample.label for sample in labels] == ["class 2", "class 0"]
 
 
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_plain_data_loader_makes_batches_of_it(dataset: Path, clips: Path, workers: int) -> None:
+    from torch.utils.data import DataLoader
+
+    train = open_dataset(dataset)
+    first, second = DataLoader(
+        train, batch_size=2, num_workers=workers, multiprocessing_context="spawn" if workers else None
+    )
+    for name in ("measurement", "noiseless", "rgb", "depth_m", "valid"):
+        np.testing.assert_array_equal(first[name].numpy(), np.stack([getattr(train[n], name) for n in (0, 1)]))
+        assert len(second[name]) == 1
+    assert (first["label"], second["label"]) == (["class 0", "class 1"], ["class 2"])
+    assert set(first) == {"measurement", "noiseless", "rgb", "depth_m", "valid", "label"}
+    (batch,) = DataLoader(open_dataset(clips), batch_size=3)
+    assert batch["global_measurements"].shape == (3, 3, 3, 24, 36)
+    assert batch["extras"]["shape_id"].shape == (3, 3, 10, 12)
+    assert batch["frame_edges_s"].shape == (3, 4)
+    (alone,) = DataLoader(train[:1], batch_size=None)
+    assert alone["measurement"].shape == (3, 24, 36)
+
+
+def test_a_sample_is_a_mapping_of_what_it_has(samples: ModuleType) -> None:
+    sample = samples.make_sample(label=None)
+    assert list(sample) == ["measurement", "noiseless", "rgb", "depth_m", "valid"]
+    assert sample["rgb"] is sample.rgb
+    for name in ("label", "metadata", "extras", "frame_edges_s", "nothing"):
+        with pytest.raises(KeyError, match=name):
+            sample[name]
+    assert sample == sample
+    assert sample != samples.make_sample(label=None)
+
+
 def test_nothing_heavy_or_foreign_is_imported(samples: ModuleType, tmp_path: Path) -> None:
     camera = {"shutter": {"type": "windows", "function": "./evil.py:windows"}}
     dataset = samples.make_dataset(
