@@ -63,9 +63,7 @@ def evaluate(
     print(f"look at {files[0]}")
 
 
-Sample = Argument(
-    help="a sample's folder, or a linear image: EXR, TIFF, PNG (8 bit, 16 bit grey), npy", show_default=False
-)
+Sample = Argument(help="a sample's folder, or a linear image: EXR, TIFF, PNG, npy", show_default=False)
 Network = Option(help="a trained network: file, or name of a shipped one; default: the shipped one that fits")
 Stack = Option(help="its PSFs: folder of a stack or data set, image of one PSF; a sample's own: nominal, captured")
 Parameter = Option("--set", metavar="KEY=VALUE", help="one of its parameters, e.g. regularisation_lambda=0.01")

@@ -62,8 +62,8 @@ def endoslam(
     ``border: auto`` opens up to eight images at construction.
 
     EndoSLAM's UnityCam charts are bright where near, in 8 bits, and no formula was published: ``depth_code: inverse``, with
-    a ``depth_scale_cm`` of your choice. SimCol3D's own code reads 16 bit charts as code / 65280 x 20 cm:
-    ``depth_scale_cm: 20``, ``depth_code: linear``, ``depth_full_code: 65280``.
+    a ``depth_scale_cm`` of your choice. SimCol3D's images and charts are PNG of four channels of 16 bits; its own code reads
+    charts as code / 65280 x 20 cm: ``depth_scale_cm: 20``, ``depth_code: linear``, ``depth_full_code: 65280``.
 
     Args:
         view: the camera's view: size, angles, far depth.

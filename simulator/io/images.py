@@ -7,13 +7,14 @@ import warnings
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.colour import decode_srgb_image
 from simulator.errors import InputError
+from simulator.io.deep_png import decode_deep_png, is_deep_png
 from simulator.io.exr import read_exr
 from simulator.io.files import read_errors
 
@@ -29,46 +30,50 @@ _ORIENTATION = 274  # the tag of EXIF and of TIFF
 _CONVERT = dict.fromkeys(("1", "L", "LA", "La"), "L") | dict.fromkeys(("RGB", "RGBA", "RGBX", "P", "PA"), "RGB")
 
 
-def read_image(path: Path) -> NDArray[np.uint8] | NDArray[np.uint16]:
+Codes: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+def read_image(path: Path) -> Codes:
     """Read one image without loss; an alpha channel is ignored, not multiplied in.
 
     Args:
         path: a file that Pillow reads.
 
     Returns:
-        ``(H, W)`` for grey or ``(H, W, 3)`` for colour, row 0 at the top, uint8, or uint16 for 16 bit grey.
+        ``(H, W)`` for grey or ``(H, W, 3)`` for colour, row 0 at the top, uint8, or uint16 of 16 bit grey and of PNG.
 
     Raises:
-        InputError: when the file is missing, broken, too large, or of a kind that would lose bits (16 bit colour).
+        InputError: when the file is missing, broken, too large, or of a kind that would lose bits.
     """
     with _open(path) as image:
+        if (deep := _deep(image, path)) is not None:
+            return deep[0]
         mode = image.mode
         if mode.startswith("I;16"):
             return np.asarray(_load(image, path)).astype(np.uint16)
         if mode not in _CONVERT:
-            raise InputError(path, f"got pixels of kind {mode!r}; expected 8 bit grey or RGB, or 16 bit grey")
+            raise InputError(path, f"got pixels of kind {mode!r}; expected grey or RGB of 8 bits, or of 16")
         loaded = _load(image, path)
         return np.asarray(loaded if loaded.mode == _CONVERT[mode] else loaded.convert(_CONVERT[mode]))
 
 
-def read_shown_image(path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint16], NDArray[np.uint8] | None]:
+def read_shown_image(path: Path) -> tuple[Codes, Codes | None]:
     """Read one image as it is meant to be seen: rotated as its EXIF data say, and with its transparency.
 
     Args:
         path: a file that Pillow reads.
 
     Returns:
-        The image as :func:`read_image` gives it, but upright; and its straight alpha ``(H, W)``, 255 for opaque, or None
-        where it has none.
+        The image as :func:`read_image` gives it, but upright; and its straight alpha ``(H, W)``, of which the type's largest
+        number is opaque, or None where it has none.
 
     Raises:
         InputError: as for :func:`read_image`; when its EXIF data are damaged, or 16 bit grey has a transparent value.
     """
-    values = read_image(path)
-    alpha = None
     with _open(path) as image:
+        values, alpha = _deep(image, path) or (read_image(path), None)
         loaded = _load(image, path)
-        if loaded.has_transparency_data:
+        if alpha is None and loaded.has_transparency_data:
             if values.dtype == np.uint16:
                 raise InputError(path, "got 16 bit grey with a transparent value; save it without transparency")
             alpha = np.asarray(loaded.convert("RGBA"))[..., 3]
@@ -107,7 +112,6 @@ def _open(path: Path) -> Image:
     # Pillow is a dependency of the core, but listing sources and `flatlight --help` need none of it.
     from PIL import Image, UnidentifiedImageError
 
-    _refuse_deep_colour(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # from half the limit on
@@ -132,13 +136,20 @@ def _load(image: Image, path: Path) -> Image:
     return image
 
 
-def _refuse_deep_colour(path: Path) -> None:
-    """Pillow silently keeps the upper byte of 16 bit colour; better to refuse than to lose half of the bits."""
-    with read_errors(path), path.open("rb") as file:
-        head = file.read(26)
-    grey = 0
-    if head[:8] == b"\x89PNG\r\n\x1a\n" and len(head) == 26 and head[24] == 16 and head[25] != grey:
-        raise InputError(path, "got a 16 bit colour PNG, which would lose bits here: save it as TIFF or .npy")
+def _deep(image: Image, path: Path) -> tuple[NDArray[np.uint16], NDArray[np.uint16] | None] | None:
+    """Return image and alpha of an open PNG of 16 bits with several channels; None for every other file."""
+    if image.format != "PNG":
+        return None
+    with read_errors(path):
+        data = path.read_bytes()
+    if not is_deep_png(data):
+        return None
+    try:
+        pixels = decode_deep_png(data)
+    except _BROKEN as error:
+        raise InputError(path, f"damaged, cut short or of a rare kind ({error}): fetch it again") from error
+    values = pixels[..., 0] if pixels.shape[2] == 2 else pixels[..., :3]
+    return values, pixels[..., -1] if pixels.shape[2] in (2, 4) else None
 
 
 def read_light(path: Path) -> NDArray[np.float32]:

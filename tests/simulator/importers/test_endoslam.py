@@ -4,6 +4,7 @@ import json
 import pickle
 import warnings
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -83,6 +84,23 @@ class TestDepth:
         assert clip.source["without_depth_share"] == 1 / 65536
         whole = clip_of(tmp_path, **choice | {"depth_full_code": None})  # 65535 is then the full code
         np.testing.assert_allclose(whole.depth_m[0].ravel()[1:], np.arange(1, 65536) / 65535 * 0.20, rtol=2**-23)
+
+    def test_simcol3d_s_own_files_of_four_channels_of_16_bits(self, tmp_path):
+        codes = RNG.integers(1, 32000, (*SHAPE, 4), dtype=np.uint16)
+        codes[..., 3] = 65535
+        colour = codes[..., :3].copy()
+        codes[..., :3] = codes[..., :1]
+        folder = tmp_path / "SyntheticColon_I/Frames_S1"
+        folder.mkdir(parents=True)
+        cv2.imwrite(str(folder / "FrameBuffer_0000.png"), np.dstack((colour[..., ::-1], codes[..., 3])))
+        cv2.imwrite(str(folder / "Depth_0000.png"), codes)
+        found = survey(tmp_path, depth_scale_cm=20, depth_code="linear", depth_full_code=65280)
+        assert (found.usable, found.problems) == (1, ())
+        clip = clip_of(tmp_path, field="angles", depth_full_code=65280)
+        np.testing.assert_allclose(clip.depth_m[0], codes[..., 0] / 65280 * 0.2, rtol=2**-22)
+        encoded = colour / 65535
+        light = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+        np.testing.assert_allclose(clip.rgb[0], light, rtol=0, atol=1e-6)
 
     @pytest.mark.parametrize(
         ("choice", "formula"),
