@@ -1,5 +1,7 @@
-"""The galleries are whole and say what the designs and the scene families say of themselves."""
+"""The galleries are whole and say what the designs and the scene families say of themselves; the README's family works."""
 
+import re
+import shutil
 from pathlib import Path
 from types import ModuleType
 
@@ -10,7 +12,8 @@ from PIL import Image
 from psf_library import load_mask
 from simulator.plugins import available, import_file, resolve
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+TOP = Path(__file__).resolve().parents[1]
+DOCS = TOP / "docs"
 # Largest number of bytes, least and greatest width of an image.
 IMAGES = {"designs": (150_000, 720, 720), "scenes": (250_000, 800, 1500)}
 
@@ -59,3 +62,26 @@ def test_the_families_take_their_examples_parameters_files_and_view(galleries, t
         view = galleries.view_of(shown, folder)
         assert view.shape == (galleries.SIDE, galleries.SIDE)
         plugin.function(view, **plugin.bind(shown.parameters), renderer=Renderer("scalar_rgb"))
+
+
+def test_the_readme_s_family_takes_the_default_file_s_keys_and_gives_a_good_image(tmp_path: Path) -> None:
+    """Nothing is changed but ``scene.family``: stripes and shading on a wall that is neither black nor white."""
+    from simulator.assembly import Assembly
+    from simulator.config import load_config
+
+    blocks = re.findall(r"```python\n(.*?)```", (TOP / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    (code,) = [block for block in blocks if "def marbles(" in block]
+    (tmp_path / "my_scenes.py").write_text(code, encoding="utf-8")
+    shutil.copy(TOP / "sim_config.yaml", tmp_path)
+    config = load_config(tmp_path / "sim_config.yaml", ["scene.family=./my_scenes.py:marbles"])
+    clip = Assembly(config, backend="scalar_rgb").source.clip(0, np.random.default_rng(1))
+    assert clip.rgb.shape == (1, *config.scene.size, 3)
+    assert clip.source["samples_per_pixel"] == config.scene.params["samples_per_pixel"]
+    assert clip.valid.all()
+    grey = clip.rgb[0].mean(axis=-1)
+    middle = np.median(grey)
+    assert np.mean(grey > 5 * middle) < 0.01  # hardly anything is burnt out
+    assert np.mean(np.abs(grey / middle - 1) > 0.3) > 0.2  # and much is not of one brightness
+    marble = clip.depth_m[0] < 0.9 * clip.depth_m.max()
+    assert 0.1 < marble.mean() < 0.6
+    assert clip.depth_m[0][marble].std() > 0.01
