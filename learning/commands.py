@@ -71,6 +71,9 @@ Output = Option(help="folder for the result; default: SPLIT_NAME_METHOD here", s
 Bits = Option(help="the sensor's bit depth, where the file's type is wider, e.g. 12 in 16 bit files")
 Background = Option(help="to subtract: a number in the file's units, or an image of darkness")
 PsfBackground = Option(help="the same for the image of a PSF; or border (its frame's median), none; default: border")
+How = "physical, as read from the sensor, or stored, rotated by 180 degrees so that a pinhole's image is upright"
+InFrame = Option(help=f"how an image's file lies: {How}; samples say it themselves")
+PsfFrame = Option(help="the same for the image of a PSF; default: as the measurement")
 Crop = Option(help="ROWSxCOLUMNS about the centre, or ROWSxCOLUMNS+TOP+LEFT, of the file's pixels")
 Scene = Option(help="ROWSxCOLUMNS of the result without data set or network; default: the sensor's")
 
@@ -90,6 +93,9 @@ def reconstruct(
     psf_background: Annotated[str | None, PsfBackground] = None,
     psf_crop: Annotated[str | None, Option(help="the same as --crop for the image of a PSF")] = None,
     crop: Annotated[str | None, Crop] = None,
+    frame: Annotated[str | None, InFrame] = None,
+    psf_frame: Annotated[str | None, PsfFrame] = None,
+    accept_frame: Annotated[bool, Option("--accept-frame", help="go on where the frames look mixed up")] = False,
     binning: Annotated[int, Option(help="pixels per side that become one, of the PSF's image too")] = 1,
     scene: Annotated[str | None, Scene] = None,
     white: Annotated[float | None, Option(help="radiance that image.png shows as white; default: its own")] = None,

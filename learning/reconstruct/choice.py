@@ -14,7 +14,7 @@ from learning.checkpoint import find_checkpoint, load_checkpoint, shipped_checkp
 from learning.classical.method import DEFAULTS, PLANAR_DEFAULTS, PlanarMethod, build_classical, check_parameters
 from learning.method import Method
 from learning.models.flatnet import LearnedMethod
-from learning.reconstruct.inputs import RGB, Measurement, load_psf_image
+from learning.reconstruct.inputs import RGB, Frame, Measurement, check_frame, load_psf_image
 from learning.tune.study import load_tuned
 from simulator.dataset.dataset_info import FILE
 from simulator.dataset.reader import Dataset, open_dataset
@@ -34,6 +34,7 @@ class Request:
     stack: str | None = None
     psf_background: str | None = None
     psf_crop: str | None = None
+    psf_frame: Frame | None = None
     binning: int = 1
     scene: tuple[int, int] | None = None
     tuned: Path | None = None
@@ -63,8 +64,8 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
     if request.noise_db is not None and request.tuned is None:
         raise InputError("--noise-db", "chooses among tuned parameters; add --tuned, or leave it out")
     image = request.method is not None and request.stack is not None and expanded(request.stack).is_file()
-    for option, value in (("--psf-background", request.psf_background), ("--psf-crop", request.psf_crop)):
-        if value is not None and not image:
+    for option in ("--psf-background", "--psf-crop", "--psf-frame"):
+        if getattr(request, option[2:].replace("-", "_")) is not None and not image:
             raise InputError(option, "applies to the image of a PSF; name one by --stack, or leave it out")
     if request.method is not None:
         return _classical(measurement, request, request.method)
@@ -177,7 +178,9 @@ def camera_of(measurement: Measurement, request: Request) -> tuple[CaptureModel,
             found = f"{place} is an image, but {measurement.path} is a sample of a data set"
             raise InputError("--stack", f"{found}; give a stack's folder")
         channels = RGB if len(measurement.channels) == 3 else measurement.channels
-        options: dict[str, Any] = {"background": request.psf_background, "crop": request.psf_crop}
+        frame = request.psf_frame or measurement.frame or "stored"
+        check_frame(frame, "--psf-frame")
+        options: dict[str, Any] = {"background": request.psf_background, "crop": request.psf_crop, "frame": frame}
         found = load_psf_image(place, channels, binning=request.binning, **options)
     elif (place / FILE).is_file() and dataset is None:
         train = open_dataset(place, "train")
@@ -255,7 +258,7 @@ def _white(
 
 def _camera_record(capture: CaptureModel, numbers: str, white_from: str) -> dict[str, Any]:
     """Return what a camera is, and where its numbers and its white come from, JSON-serialisable."""
-    shown = ("kind", "background", "crop", "binning", "images")
+    shown = ("kind", "frame", "background", "crop", "binning", "images")
     return {
         "numbers_from": numbers,
         "sensor_shape": list(capture.sensor_shape),

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,21 +59,25 @@ def binned(light: NDArray[np.floating[Any]], binning: int, path: Path) -> NDArra
 
 
 RGB = ("R", "G", "B")
+Frame: TypeAlias = Literal["physical", "stored"]
+"""As read from the sensor, or rotated by 180 degrees, so that a pinhole's image is upright."""
 _MOST_OF_SHARES = 2.0  # noise that was not clipped goes beyond full scale, but not so far
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What a camera stored: ``values`` ``(C, H, W)`` float32, DN / 2^bits, background removed, cropped and binned.
+    """What a camera stored: ``values`` ``(C, H, W)`` float32, DN / 2^bits, background removed, cropped, binned, in our frame.
 
     ``path`` is the file or the sample's folder, ``dataset`` the folder of the data set that it is a sample of; ``channels``
-    is ``("grey",)`` for one; ``record`` says what was done to the file's numbers and what was assumed.
+    is ``("grey",)`` for one; ``frame`` is that of the file: samples say ``stored`` themselves, of other files it is what was
+    told, or None; ``record`` says what was done to the file's numbers and what was assumed.
     """
 
     values: NDArray[np.float32]
     path: Path
     channels: tuple[str, ...]
     dataset: Path | None
+    frame: Frame | None
     record: dict[str, Any]
 
     @property
@@ -89,6 +93,7 @@ def load_measurement(
     background: str | float | None = None,
     crop: str | None = None,
     binning: int = 1,
+    frame: Frame | None = None,
 ) -> Measurement:
     """Read a measurement; what is done to it follows the order of the arguments.
 
@@ -100,10 +105,12 @@ def load_measurement(
         background: what the sensor shows without light, in the file's numbers: one number, or an image's path.
         crop: ``ROWSxCOLUMNS`` about the centre, or ``ROWSxCOLUMNS+TOP+LEFT``, in the file's pixels.
         binning: pixels per side whose mean becomes one.
+        frame: of an image's file: ``physical`` is rotated here; None leaves it as it is, to be told later.
 
     Raises:
         InputError: a file that cannot be read or holds NaN, a clip, numbers above 2^bits, floats far above 1 without
-            ``bits``, a background of another size, a crop beyond the image, or a size that the binning does not divide.
+            ``bits``, a background of another size, a crop beyond the image, a size that the binning does not divide, or a
+            frame for a sample, which says it itself.
     """
     path = Path(path)
     if bits is not None and not 1 <= bits <= 32:
@@ -119,6 +126,9 @@ def load_measurement(
             raise InputError(sample, f"a clip of {stored.frames} frames; reconstruct takes stills, of one frame")
         values, channels = stored.measurement()[0], stored.channels
         scale, assumed = (1.0, "as stored: DN / 2^bits") if bits is None else (2.0**bits, "as told")
+        if frame is not None:
+            raise InputError("frame", f"got {frame}, but {sample} is a sample, which is stored; leave it out")
+        frame = "stored"
         dataset = sample.parents[2] if (sample.parents[2] / FILE).is_file() else None
     record: dict[str, Any] = {"file": str(path), "shape": list(values.shape), "divided_by": scale, "scale": assumed}
     light = values / scale
@@ -132,7 +142,18 @@ def load_measurement(
     if binning != 1:
         light = binned(light, binning, path)
         record["binning"] = binning
-    return Measurement(light.astype(np.float32), sample or path, channels, dataset, record)
+    if frame is not None:
+        check_frame(frame, "frame")
+        record["frame"] = frame
+    if frame == "physical":
+        light = light[:, ::-1, ::-1]
+    return Measurement(light.astype(np.float32), sample or path, channels, dataset, frame, record)
+
+
+def check_frame(frame: str, option: str) -> None:
+    """Refuse other words than those of `Frame`; ``option`` is for the message."""
+    if frame not in get_args(Frame):
+        raise InputError(option, f"got {frame!r}, expected physical (as read from the sensor) or stored (rotated)")
 
 
 def _sample_folder(path: Path) -> Path | None:
@@ -197,12 +218,19 @@ _PITCH_M = 1e-5  # nothing here depends on it: values are scaled to a sum of 1
 
 
 def load_psf_image(
-    path: Path, channels: tuple[str, ...], *, background: str | None = None, crop: str | None = None, binning: int = 1
+    path: Path,
+    channels: tuple[str, ...],
+    *,
+    background: str | None = None,
+    crop: str | None = None,
+    binning: int = 1,
+    frame: Frame = "stored",
 ) -> PsfStack:
     """Return the linear image of a PSF as a stack of one plane, infinitely far, with values that add up to 1 on average.
 
     ``background`` is ``border`` (also None), the median of the cropped image's outer frame; ``none``; counts; or an image of
     darkness, of the same size before the crop. ``crop`` see `crop_window`: the PSF's origin is the centre of what is left.
+    ``frame`` is the file's; a physical image is rotated.
 
     Raises:
         InputError: a file that cannot be read, a crop beyond it, a binning that does not divide it, or no light.
@@ -212,7 +240,7 @@ def load_psf_image(
     cut = image[(slice(None), *window)]
     check_binning(binning, path, cut.shape, "--psf-crop")
     level = _level(background)
-    options: dict[str, Any] = {"frame": "stored", "binning": binning, "channels": channels}
+    options: dict[str, Any] = {"frame": frame, "binning": binning, "channels": channels}
     options["throughput_m2"] = _PITCH_M**2
     if crop is None:
         return load_measured_psf([path], [np.inf], _PITCH_M, background=level, **options)

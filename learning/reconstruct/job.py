@@ -19,7 +19,8 @@ from learning.method import Clock, Method, choose_device, linear_to_srgb, srgb_t
 from learning.models.flatnet import LearnedMethod
 from learning.provenance import is_own_folder
 from learning.reconstruct.choice import Request, choose_method
-from learning.reconstruct.inputs import Measurement, load_measurement
+from learning.reconstruct.inputs import Frame, Measurement, load_measurement
+from learning.reconstruct.orientation import check_frame_fits
 from simulator import __version__
 from simulator.arrays import to_numpy
 from simulator.config.yaml import parse_scalar
@@ -46,6 +47,8 @@ class Options(Request):
     bits: int | None = None
     background: str | None = None
     crop: str | None = None
+    frame: Frame | None = None
+    accept_frame: bool = False
     white: float | None = None
     device: str = "auto"
 
@@ -60,11 +63,14 @@ def reconstruct_file(options: Options) -> str:
     if options.white is not None and not (math.isfinite(options.white) and options.white > 0):
         raise InputError("--white", f"got {options.white}, expected a positive radiance")
     device = choose_device(options.device)
-    of_file = {name: getattr(options, name) for name in ("bits", "background", "crop", "binning")}
+    of_file = {name: getattr(options, name) for name in ("bits", "background", "crop", "binning", "frame")}
     measurement = load_measurement(options.measurement, **of_file)
     if options.output is not None:
         is_own_folder(options.output, RECORD, "reconstruction", "--output")
     setup = choose_method(measurement, options)
+    if measurement.frame is None or options.frame is not None:  # an image's file
+        evidence = check_frame_fits(measurement, setup.method.capture, options, accept=options.accept_frame)
+        measurement.record["frame_evidence"] = round(evidence, 4)
     # The sample's split and name, or the file's, and the method's, e.g. test_s00000002_cls.
     place = measurement.path.absolute()
     split = "" if measurement.dataset is None else f"{place.parents[1].name}_"
@@ -115,8 +121,9 @@ def _report(measurement: Measurement, name: str, record: dict[str, Any], result:
     if result.depth_m is not None:
         depth = f"{centimetres(result.depth_m.min())} to {centimetres(result.depth_m.max())}"
     size = " x ".join(map(str, result.image.shape[1:]))
+    frame = "rotated by 180 degrees" if measurement.frame == "physical" else "in the stored frame"
     lines = {
-        "measurement": f"{rows} x {columns}, {', '.join(measurement.channels)}; {scale}",
+        "measurement": f"{rows} x {columns}, {', '.join(measurement.channels)}; {frame}; {scale}",
         "method": f"{name} ({how})",
         "camera": record["camera"]["numbers_from"],
         "image": f"{size}, white = {result.white:.4g} ({record['white_from']})",

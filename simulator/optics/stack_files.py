@@ -118,6 +118,9 @@ def _description(folder: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_bytes())
         depths, files = [float(depth) for depth in content["depths_m"]], dict(content["files"])
+        if content["frame"] != "stored":
+            msg = f"frame is {content['frame']!r}, not 'stored'"
+            raise ValueError(msg)
         if list(files) != [_file_name(k) for k in range(len(depths))] or not files:
             msg = f"{len(files)} files for {len(depths)} depths"
             raise ValueError(msg)
