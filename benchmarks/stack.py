@@ -1,4 +1,4 @@
-"""What whole PSF stacks cost: the default camera's PhlatCam, scaled and exact, with their sampling proof and error budget.
+"""What whole PSF stacks cost: the default camera's PhlatCam, scaled and exact, with their sampling proof.
 
 The camera: a PhlatCam of 7.01 mm and 3505 x 3505 pixels of 2 um, 1.9 mm before a sensor of 19.2 um pixels; depths from 3.6
 to 20 cm. For each stack: wall and CPU seconds (all threads), the share of CPU time inside FFTs, and the time that the

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from simulator.arrays import to_numpy
 from simulator.camera.colour import CameraColour, fit_camera_colour
 from simulator.camera.field import (
+    LIGHT_LEFT_OUT,
     Arrival,
     FieldOfView,
     automatic_margin,
@@ -62,7 +63,7 @@ EQUIVALENT_WAVELENGTH_M = 550e-9
 """Where a layer's thickness becomes a distance in air: the middle of the visible."""
 
 _OWN_PACKAGES = ("simulator", "scenes", "psf_library")
-_CHECKS = {"model": "exact PSFs", "direct_sum": "direct sums", "field_angle": "field angles"}
+_CHECKS = {"model": "exact PSFs", "planes": "planes", "direct_sum": "direct sums", "field": "directions"}
 
 Progress = Callable[[str, int, int], None]  # (what, done, total)
 
@@ -199,11 +200,20 @@ class Assembly:
         Args:
             simulated: False: from beside the image and through no stop, as if there were neither margin nor stop.
         """
-        stack, field = self.psf_stack, self.field_of_view
+        return self._light_from_outside(self.psf_stack, simulated)
+
+    def _light_from_outside(self, stack: PsfStack, simulated: bool = True) -> float:
+        field = self.field_of_view if simulated else replace(self.field_of_view, stop=None)
         ends = to_numpy(stack.values)[[0, -1]].sum(axis=1)
-        field = field if simulated else replace(field, stop=None)
         arrival = Arrival(ends, self.config.camera.sensor.shape, self._image_view, field)
         return arrival.left_out(self._margin if simulated else (0, 0))
+
+    def _light_row(self, stack: PsfStack) -> budget.BudgetRow:
+        """Return what the light that is neither simulated nor stopped adds to the error budget."""
+        left_out = self._light_from_outside(stack)
+        kind = "of a uniform half space's light, not simulated"
+        change = "scene.margin: auto, or camera.field_stop_deg"
+        return budget.BudgetRow("light from outside", left_out, kind, change, left_out > 1.5 * LIGHT_LEFT_OUT)
 
     @property
     def field_record(self) -> dict[str, Any]:
@@ -321,7 +331,7 @@ class Assembly:
         # The limit is not part of the values, but a stack cached under a loose one must not pass a tight one.
         key = repr((fingerprint, psf_config.accept_error, code_digest(budget.__name__)))
         arrays, described = cached("psf", hashlib.sha256(key.encode()).hexdigest(), compute)
-        return PsfStack(
+        stack = PsfStack(
             arrays["values"],
             arrays["depths_m"],
             geometry.pixel_pitch_m,
@@ -329,6 +339,15 @@ class Assembly:
             fingerprint,
             described["provenance"],
         )
+
+        def judge() -> Entry:
+            return {}, budget.quick_errors(
+                mask, geometry, psf_config, self._image_view, stack=stack, threads=self.threads
+            )
+
+        key = repr((fingerprint, self._image_view, code_digest(budget.__name__)))
+        _, errors = cached("budget", hashlib.sha256(key.encode()).hexdigest(), judge)
+        return budget.with_budget(stack, errors, [self._light_row(stack)])
 
     @property
     def wants_full_check(self) -> bool:
@@ -348,19 +367,16 @@ class Assembly:
                 "--check",
                 "the PSF of this configuration was measured, so there is no model to check; leave --check out",
             )
-        rows, columns = self.config.scene.size
-        per_pixel = self.pixel_pitch_m / self.mask_to_sensor_m
-        corner = (columns / 2 * per_pixel, rows / 2 * per_pixel)
         told = {} if self.progress is None else {part: partial(self.progress, name) for part, name in _CHECKS.items()}
 
         def compute() -> Entry:
             return {}, budget.full_errors(
-                mask, self.geometry, self.psf_config, corner, threads=self.threads, progress=told
+                mask, self.geometry, self.psf_config, self._image_view, stack=stack, threads=self.threads, progress=told
             )
 
-        key = repr((stack.fingerprint, corner, llvm_works(), code_digest(budget.__name__)))
+        key = repr((stack.fingerprint, self._image_view, llvm_works(), code_digest(budget.__name__)))
         _, errors = cached("check", hashlib.sha256(key.encode()).hexdigest(), compute)
-        return replace(stack, provenance=stack.provenance | {"errors": errors})
+        return budget.with_budget(stack, errors, [self._light_row(stack)])
 
     # ---- sensor
 

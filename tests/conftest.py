@@ -270,6 +270,14 @@ def private_cache(shared_tmp: Path) -> Iterator[Path]:
         yield folder
 
 
+@pytest.fixture(scope="session", autouse=True)
+def few_directions() -> Iterator[None]:
+    """Let tests judge the field by 2 x 2 directions: every stack of every test would pay for more."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("simulator.optics.error_budget.field.PATCHES", 2)
+        yield
+
+
 @pytest.fixture
 def trial(tmp_path: Path) -> Trial:
     """A tiny configuration in ``tmp_path``."""

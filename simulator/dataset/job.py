@@ -42,6 +42,7 @@ from simulator.dataset.sample import SPLITS, sample_id
 from simulator.errors import InputError
 from simulator.io.files import TEMPORARY_PREFIX, StorageError, expanded, remove_leftovers, storage_errors
 from simulator.io.json import canonical_json
+from simulator.optics.error_budget.budget import budget_lines, read_budget
 from simulator.optics.error_budget.sampling import SamplingWarning
 from simulator.optics.metrics import light_off_sensor
 from simulator.optics.stack import UNPROVEN, PsfStack
@@ -307,7 +308,7 @@ class _Job:
                     time={"shutter": shutter_record(shutter), **self._slivers()},
                 )
             write_info(self.root, replace(existing, counts=self._counts(), config=dump(self.config)))
-            self._warn(stack, existing.field_of_view)
+            self._warn(stack)
             if self.problems:
                 self.say(list_problems(self.root, self.problems))
             made, kept, failed = self._samples(
@@ -447,17 +448,10 @@ class _Job:
         with closing(outcomes):
             yield from outcomes
 
-    def _warn(self, stack: PsfStack, field: Mapping[str, Any]) -> None:
+    def _warn(self, stack: PsfStack) -> None:
         """Say what the user should know before relying on the data."""
-        if (outside := field.get("light_from_outside")) is not None:
-            cure = "; scene.margin: auto simulates it, camera.field_stop_deg keeps it out"
-            self.say(
-                f"of a uniform half space's light, {outside:.1%} comes from outside what is simulated (recorded)"
-                + (cure if outside > LIGHT_LEFT_OUT else "")
-            )
-        sampling = stack.provenance.get("sampling")
-        if sampling and sampling != UNPROVEN:
-            self.say(f"sampling error of the PSFs on the sensor's pixels: {sampling['error']:.1%} (recorded)")
+        for line in budget_lines(read_budget(stack)):
+            self.say(line)
         lost = stack.provenance.get("light_off_sensor", 0.0)
         if lost > OFF_SENSOR_WARNING and self.config.forward.boundary == "linear":
             self.say(

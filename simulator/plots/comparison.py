@@ -21,7 +21,7 @@ from simulator.optics.metrics import (
 )
 from simulator.optics.stack import UNPROVEN, PsfStack
 from simulator.plots.psf import DepthView
-from simulator.plots.psf_facts import psf_facts
+from simulator.plots.psf_facts import budget_facts, psf_facts
 from simulator.text import length, share
 
 if TYPE_CHECKING:
@@ -201,7 +201,7 @@ def measure(name: str, config: Config, *, threads: int = 1, progress: Progress |
         f"{length(assembly.mask_to_sensor_m)} from the mask; scene of {scene[0]} x {scene[1]}; "
         f"{len(stack.depths_m)} depths, {length(stack.depths_m[0])} to {length(stack.depths_m[-1])}"
     )
-    facts = psf_facts(stack, assembly.mask, scene, sensor.shape)
+    facts = psf_facts(stack, assembly.mask, scene, sensor.shape) + budget_facts(stack)
     return judge(name, stack, camera, facts, light_off_sensor(stack, sensor.shape, scene))
 
 

@@ -15,7 +15,7 @@ from simulator.optics.mask import Mask
 from simulator.optics.metrics import autocorrelation, radial_mtf
 from simulator.optics.stack import PsfStack
 from simulator.plots.drawing import figure_png, new_figure
-from simulator.plots.psf_facts import psf_facts
+from simulator.plots.psf_facts import budget_facts, psf_facts
 from simulator.text import length
 
 if TYPE_CHECKING:
@@ -283,7 +283,7 @@ def psf_figure(
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     views = _views(stack)
-    facts = psf_facts(stack, mask, scene_shape, sensor_shape)
+    facts = psf_facts(stack, mask, scene_shape, sensor_shape) + budget_facts(stack)
     layout = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08)
     figure = new_figure(SIZE_INCH, DPI, layout)
     figure.suptitle(_title(stack, mask), x=0.012, ha="left", fontsize=16, fontweight="bold", color=INK)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from simulator.arrays import to_numpy
+from simulator.optics.error_budget.budget import read_budget
 from simulator.optics.mask import Mask
 from simulator.optics.metrics import depth_limit_m, light_off_sensor
 from simulator.optics.stack import UNPROVEN, PsfStack
@@ -48,10 +49,7 @@ def psf_facts(
     if sampling == UNPROVEN:
         facts.append(("sampling", UNPROVEN))
     elif sampling:
-        coarse, fine = sampling["oversampling"]
-        facts.append(("sampling error", f"{share(sampling['error'])} (s = {coarse} vs {fine})"))
         facts.append(("error bar", f"{share(sampling['error_bar'])} of sampling"))
-    facts += _error_facts(provenance.get("errors", {}), stack.channels)
     if provenance.get("kind") == "measured":
         files = sorted({image["file"] for image in provenance["images"]})
         facts.append(("measured", files[0] if len(files) == 1 else f"{len(files)} images"))
@@ -120,20 +118,6 @@ def _range(shares: np.ndarray) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _error_facts(errors: dict[str, Any], channels: tuple[str, ...]) -> list[tuple[str, str]]:
-    facts = []
-    if "spectrum" in errors:
-        by_channel = errors["spectrum"]["channels"]  # whose order is lost in a file
-        worst = ", ".join(f"{channel} {share(by_channel[channel])}" for channel in channels)
-        facts.append(("spectral error", worst))
-    if "model" in errors:
-        facts.append(("model error", f"{share(errors['model']['error'])} (against exact)"))
-    if "field_angle" in errors:
-        worst = errors["field_angle"]["table"][-1]
-        facts.append(("one PSF for all", f"{share(worst['error'])} at {worst['degrees']:.0f}°"))
-    return facts
-
-
 def _spectrum_facts(provenance: dict[str, Any]) -> list[tuple[str, str]]:
     facts = []
     lines: dict[str, list[float]] = {}
@@ -149,19 +133,32 @@ def _spectrum_facts(provenance: dict[str, Any]) -> list[tuple[str, str]]:
     return facts
 
 
+# ---- the error budget
+
+
+def budget_facts(stack: PsfStack) -> list[tuple[str, str]]:
+    """Return a stack's budget as one (what, value) line, worst first; none where nobody judged it."""
+    worst: dict[str, str] = {}  # of the rows that share a cause
+    for row in read_budget(stack):
+        worst.setdefault(row.name, f"{row.name} {share(row.value)}")
+    return [("errors", ", ".join(worst.values()))] if worst else []
+
+
 _NM = 1e9
 
 
 def budget_tables(errors: dict[str, Any], sampling: dict[str, Any] | str) -> str:
-    """Return the full error budget as tables: per depth and wavelength, per channel, per field angle.
+    """Return the full error budget as tables: per depth and wavelength, per channel, per gap between planes, per angle.
 
     Args:
         errors: from ``full_errors``.
         sampling: from ``sampling_error``, or ``UNPROVEN``.
     """
     parts = [_by_depth(errors, sampling), _by_channel(errors["spectrum"])]
-    if "field_angle" in errors:
-        parts.append(_by_angle(errors["field_angle"]))
+    if "planes" in errors:
+        parts.append(_by_gap(errors["planes"]))
+    if "field" in errors:
+        parts.append(_by_angle(errors["field"]))
     return "\n\n".join(parts)
 
 
@@ -198,11 +195,24 @@ def _by_channel(spectrum: dict[str, Any]) -> str:
     return f"{title}\n{_table(['channel', 'error'], rows)}"
 
 
-def _by_angle(angles: dict[str, Any]) -> str:
-    rows = [[f"{row['degrees']:.1f}°", share(row["error"])] for row in angles["table"]]
+def _by_gap(planes: dict[str, Any]) -> str:
+    rows = [
+        [length(row["near_m"]), length(row["far_m"]), length(row["depth_m"]), share(row["error"])]
+        for row in planes["table"]
+    ]
+    title = "light between planes, taken from both, against its own PSF"
+    return f"{title}\n{_table(['plane', 'plane', 'light from', 'error'], rows)}"
+
+
+def _by_angle(field: dict[str, Any]) -> str:
+    rows = sorted(field["table"], key=lambda row: row["degrees"])
+    by_angle: dict[str, list[float]] = {}
+    for row in rows:
+        by_angle.setdefault(f"{row['degrees']:.1f}°", []).append(row["error"])
+    rows = [[angle, share(float(np.sqrt(np.mean(np.square(errors)))))] for angle, errors in by_angle.items()]
     title = (
-        f"one PSF for the whole field, against the exact one off axis ({length(angles['crop_m'])} of the mask, "
-        f"{angles['wavelength_m'] * _NM:.0f} nm, source at {length(angles['depth_m'])})"
+        f"one PSF for all directions, against exact oblique ones ({length(field['crop_m'])} of the mask, "
+        f"{field['wavelength_m'] * _NM:.0f} nm, source at {length(field['depth_m'])})"
     )
     return f"{title}\n{_table(['field angle', 'error'], rows)}"
 

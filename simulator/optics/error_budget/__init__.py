@@ -1,1 +1,1 @@
-"""What a PSF stack's errors are: sampling, depth model, field, spectrum, each against a reference."""
+"""What a PSF stack's errors are: sampling, wavelengths, depth model, planes, directions, each against a reference."""

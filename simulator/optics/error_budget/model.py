@@ -1,21 +1,27 @@
-"""How far the configured depth model is from its references: the direct sum at random points, ``exact`` by pixel."""
+"""How far the configured depth model is from its references: ``exact`` by pixel, the direct sum at random points."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from simulator.arrays import to_numpy
 from simulator.optics.error_budget.direct_sum import reference_intensity
 from simulator.optics.error_budget.sampling import compared, judged_crop
 from simulator.optics.mask import Mask
-from simulator.optics.psf import Progress, PsfConfig, sampled_intensity, stack_size
+from simulator.optics.psf import Progress, PsfConfig, depth_images, sampled_intensity, stack_size
 from simulator.optics.spectra import quantile_lines
 from simulator.types import CameraGeometry
 
 POINTS = 20  # per depth and wavelength: the error of an error of 20 points is a quarter of it
-CROP_M = 1.5e-3
+LEAST = 2  # oversampling with which models are compared
+RIM_CROP_M = 1e-3
+RIM = 0.63
+"""Where the piece that stands for a mask lies on its diagonal, as a share of the way to the corner: there the distance
+from the axis, to the fourth power, has its mean over a square."""
 
 
 def pixel_error(
@@ -24,26 +30,72 @@ def pixel_error(
     psf_config: PsfConfig,
     wavelengths_m: list[float],
     *,
-    crop_m: float | None = None,
     threads: int = 1,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Measure the relative L2 difference of the model's PSFs from the exact ones, on the sensor's pixels.
 
-    A crop of the mask ``crop_m`` wide is judged, or all of it; ``progress`` is called with (done, total) after every PSF.
+    Both follow twice as many diffraction orders as the stack, at least: models part in the few that only one of them
+    follows, and that belongs to the sampling error. ``progress`` is called with (done, total) after every PSF.
 
     Returns:
         ``error`` (the largest) and ``table``, one row per depth and wavelength; JSON-serialisable.
     """
-    part = judged_crop(mask, max(mask.shape) * mask.pitch_m if crop_m is None else crop_m)
-    exact = replace(psf_config, model="exact")
-    size = max(stack_size(part, camera, config) for config in (psf_config, exact))
-    table = compared(part, camera, psf_config, exact, wavelengths_m, size, threads=threads, progress=progress)
+    found = replace(psf_config, oversampling=max(psf_config.oversampling, LEAST))
+    exact = replace(found, model="exact")
+    size = max(stack_size(mask, camera, config) for config in (found, exact))
+    table = compared(mask, camera, found, exact, wavelengths_m, size, threads=threads, progress=progress)
     return {
         "error": max(row["error"] for row in table),
         "model": psf_config.model,
-        "crop_m": max(part.shape) * part.pitch_m,
+        "oversampling": found.oversampling,
+        "crop_m": max(mask.shape) * mask.pitch_m,
         "table": table,
+    }
+
+
+def rim_error(
+    mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, wavelength_m: float, *, crop_m: float = RIM_CROP_M
+) -> dict[str, Any]:
+    """Estimate ``pixel_error`` of a wide mask at the nearest depth, within a factor of two, from a piece ``crop_m`` wide.
+
+    What a scaled model takes for parabolas is worst at the rim, which the source lights obliquely. Its error there grows
+    with the square of the distance from the axis, so a piece where the fourth power of that has its mean stands for all.
+
+    Returns:
+        As ``pixel_error``, with ``from_axis_m``, the piece's distance from the axis; the whole mask's error where it is no
+        wider than the piece. Behind a window, where oblique rays land elsewhere, the middle of the mask is judged.
+    """
+    nearest = replace(psf_config, depths_m=psf_config.depths_m[:1])
+    depth_m, samples = nearest.depths_m[0], max(round(crop_m / mask.pitch_m), 1)
+    if camera.window or max(mask.shape) <= samples:
+        return pixel_error(judged_crop(mask, crop_m), camera, nearest, [wavelength_m]) | {"from_axis_m": 0.0}
+    starts = [round(max(n - samples, 0) * (1 + RIM) / 2) for n in mask.shape]
+    rows, columns = (slice(start, start + samples) for start in starts)
+    piece = replace(
+        mask, height_m=to_numpy(mask.height_m[rows, columns]), amplitude=to_numpy(mask.amplitude[rows, columns])
+    )
+    if not np.any(piece.amplitude > 0):
+        return pixel_error(judged_crop(mask, crop_m), camera, nearest, [wavelength_m]) | {"from_axis_m": 0.0}
+    y_m, x_m = (
+        (start + length / 2 - n / 2) * mask.pitch_m
+        for start, length, n in zip(starts, piece.shape, mask.shape, strict=True)
+    )
+    found = replace(nearest, oversampling=max(psf_config.oversampling, LEAST))
+    exact = replace(found, model="exact")
+    size = max(stack_size(piece, camera, config) for config in (found, exact))
+    (model,) = depth_images(piece, camera, found, wavelength_m, size)
+    # Both magnify the piece's place alike. The wave's unit modulus is meant at the mask's middle, not at the piece's.
+    (reference,) = depth_images(piece, camera, exact, wavelength_m, size, direction=(-x_m / depth_m, -y_m / depth_m))
+    reference = reference / (1 + (x_m**2 + y_m**2) / depth_m**2)
+    error = float(np.linalg.norm(model - reference) / np.linalg.norm(reference))
+    return {
+        "error": error,
+        "model": psf_config.model,
+        "oversampling": found.oversampling,
+        "crop_m": max(piece.shape) * piece.pitch_m,
+        "from_axis_m": math.hypot(x_m, y_m),
+        "table": [{"wavelength_m": wavelength_m, "depth_m": depth_m, "error": error}],
     }
 
 

@@ -99,7 +99,7 @@ class TestGenerate:
         assert f"look at {trial.folder / 'out' / 'contact_sheet.png'}" in out
         assert verify(trial.folder / "out").ok
         assert "samples: 4 of 4" in err  # plain lines, since this is no terminal
-        assert "sampling error" in err
+        assert "error budget, worst first" in err
         code, out, _ = flatlight("generate", path)
         assert code == 0
         assert "1 samples made in " in out

@@ -20,7 +20,8 @@ def test_writes_and_describes_the_stack(flatlight, one_error, trial, tmp_path: P
     code, out, err = flatlight("psf", path, "--output", tmp_path / "stack")
     assert code == 0, err
     assert "3, 3.6 cm to 20 cm" in out
-    assert "sampling error" in out
+    assert "error budget, worst first" in out
+    assert all(f" {cause} " in out for cause in ("sampling", "wavelengths", "depth model", "planes", "field"))
     assert "as captured" not in out
     assert not (tmp_path / "stack_captured").exists()
     stack = Assembly(load_config(path)).psf_stack
@@ -91,7 +92,9 @@ def test_the_check_is_printed_and_travels_with_the_stack(trial, flatlight, tmp_p
         assert expected in out
     provenance = json.loads((tmp_path / "stack" / "psf.json").read_text())["provenance"]
     assert provenance["errors"]["check"] == "full"
-    assert provenance["errors"]["field_angle"]["table"][-1]["degrees"] == pytest.approx(7.4, abs=0.1)
+    assert provenance["errors"]["field"]["table"][-1]["degrees"] == pytest.approx(3.7, abs=0.1)
+    values = [row["value"] for row in provenance["budget"]]
+    assert values == sorted(values, reverse=True)
     assert provenance["sampling"]["error_bar"] == 2 * provenance["sampling"]["error"]
 
 
