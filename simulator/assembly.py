@@ -188,7 +188,7 @@ class Assembly:
         # How far beside the image light matters does not hang on the PSFs' pattern, so none needs to be computed.
         mask = self.mask
         if mask is None:
-            shadow = to_numpy(self.psf_stack.values)[0].sum(axis=0)
+            shadow = to_numpy(self._measured_stack.values)[0].sum(axis=0)
         else:
             shadow = mask_shadow(to_numpy(mask.amplitude), mask.pitch_m, view, self.depths_m[0])
         bare = Arrival(shadow[None], self.config.camera.sensor.shape, view, replace(field, stop=None))
@@ -308,13 +308,7 @@ class Assembly:
     def psf_stack(self) -> PsfStack:
         """The PSF stack: computed (and cached on disk), or measured."""
         if not isinstance(self.config.psf, ComputedPsf):
-            return measured_stack(
-                self.config,
-                self.config.psf,
-                self.config.camera.sensor.sensor(NoNoise()),
-                self.mask_to_sensor_m,
-                self.gap,
-            )
+            return budget.with_rows(self._measured_stack, [self._light_row(self._measured_stack)])
         mask, geometry, psf_config = self.mask, self.geometry, self.psf_config
         assert mask is not None
         lines = quantile_lines(geometry.response, psf_config.wavelengths_per_channel)
@@ -348,6 +342,13 @@ class Assembly:
         key = repr((fingerprint, self._image_view, code_digest(budget.__name__)))
         _, errors = cached("budget", hashlib.sha256(key.encode()).hexdigest(), judge)
         return budget.with_budget(stack, errors, [self._light_row(stack)])
+
+    @part("psf")
+    def _measured_stack(self) -> PsfStack:
+        assert not isinstance(self.config.psf, ComputedPsf)
+        return measured_stack(
+            self.config, self.config.psf, self.config.camera.sensor.sensor(NoNoise()), self.mask_to_sensor_m, self.gap
+        )
 
     @property
     def wants_full_check(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,7 +15,6 @@ import numpy as np
 
 from simulator.assembly import Assembly
 from simulator.camera.exposure import ExposureShares
-from simulator.camera.field import LIGHT_LEFT_OUT
 from simulator.camera.shutter import Shutter, shutter_record
 from simulator.captured_psf import captured_stack, check_calibration
 from simulator.config import Config, dump, load_config

@@ -52,19 +52,19 @@ class BudgetRow:
 
 
 def with_budget(stack: PsfStack, errors: dict[str, Any], more: Sequence[BudgetRow] = ()) -> PsfStack:
-    """Return a stack that carries measured errors and, as ``provenance["budget"]``, their rows, worst first.
+    """Return a computed stack that carries measured errors, from ``quick_errors`` or ``full_errors``, and their rows."""
+    judged = replace(stack, provenance=stack.provenance | {"errors": errors})
+    return with_rows(judged, [*budget_rows(stack.provenance["sampling"], errors), *more])
 
-    Args:
-        stack: a computed one.
-        errors: from ``quick_errors`` or ``full_errors``.
-        more: rows that others measured, such as of light that does not belong to the PSF.
-    """
-    rows = sorted([*budget_rows(stack.provenance["sampling"], errors), *more], key=lambda row: -row.value)
-    return replace(stack, provenance=stack.provenance | {"errors": errors, "budget": [asdict(row) for row in rows]})
+
+def with_rows(stack: PsfStack, rows: Sequence[BudgetRow]) -> PsfStack:
+    """Return a stack that carries rows as ``provenance["budget"]``, worst first."""
+    worst_first = sorted(rows, key=lambda row: -row.value)
+    return replace(stack, provenance=stack.provenance | {"budget": [asdict(row) for row in worst_first]})
 
 
 def read_budget(stack: PsfStack) -> list[BudgetRow]:
-    """Return a stack's rows, worst first; none for a measured stack or one that nobody judged."""
+    """Return a stack's rows, worst first; none for one that nobody judged."""
     return [BudgetRow(**row) for row in stack.provenance.get("budget", [])]
 
 
