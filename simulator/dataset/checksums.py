@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from simulator.dataset.dataset_info import FILE
-from simulator.dataset.manifest import MANIFEST, PROBLEMS, SKIPPED
+from simulator.dataset.manifest import FAILED, MANIFEST, PROBLEMS, SKIPPED
 from simulator.errors import InputError
 from simulator.io.files import read_text, sha256_bytes, sha256_file, storage_errors, sync_folder, write_atomic
 from simulator.io.json import canonical_json, readable_json
@@ -26,7 +26,7 @@ _STACKS = (PSF_FOLDER, CAPTURED_FOLDER)
 
 def files_to_seal(root: Path) -> list[str]:
     """Return the names, below ``root``, of the files there that no sample's digest covers, but the seal itself."""
-    names = [name for name in (FILE, MANIFEST, SKIPPED, PROBLEMS, CONTACT_SHEET) if (root / name).exists()]
+    names = [name for name in (FILE, MANIFEST, SKIPPED, FAILED, PROBLEMS, CONTACT_SHEET) if (root / name).exists()]
     stacks = [path for folder in _STACKS for path in sorted((root / folder).glob("*")) if is_stack_file(path)]
     return names + [path.relative_to(root).as_posix() for path in stacks]
 

@@ -223,14 +223,14 @@ def test_no_flipped_bit_passes(samples: ModuleType, tmp_path: Path) -> None:
     with SkippedWriter(root) as skipped:
         skipped.append("train", 3, "clip.webm is truncated")
     shutil.copytree(root / "psf", root / "psf_captured")
-    for name in ("source_problems.txt", "contact_sheet.png"):
+    for name in ("failed.jsonl", "source_problems.txt", "contact_sheet.png"):
         (root / name).write_text("3.webm: has no frames")
     edit(root / "dataset.json", counts={"train": 4, "validation": 1})
     write_seal(root)
     assert verify(root).ok
     files = sorted(path for path in root.rglob("*") if path.is_file())
     kinds = {re.sub(r"\d+", "N", f"{path.parent.name}/{path.name}"): path for path in files}
-    assert len(kinds) == 14
+    assert len(kinds) == 15
     rng = np.random.default_rng(5)
     missed = []
     for number in range(300):
