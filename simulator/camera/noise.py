@@ -9,6 +9,8 @@ from simulator.arrays import Array, namespace, normal, number, poisson
 from simulator.errors import InputError
 from simulator.settings import Range, Settings
 
+_CERTAIN = 6.0  # standard deviations beyond which no pixel lies
+_DRAWN = 2**20  # pixels at a time
 _SURELY_FULL = 1e6
 """Times the full well beyond which nothing changes, where Poisson numbers still fit 64 bits."""
 
@@ -89,10 +91,44 @@ def read_errors(shape_of: Array, pixels: Array, read_noise_e: float, dn_per_elec
     return normal(rng, shape_of) * namespace(shape_of).sqrt(pixels * read_noise_e**2 + rounding_e2)
 
 
+def clip_pixels(electrons: Array, pixels: Array, spread_e: Array, low_e: float, high_e: float, rng: Any) -> Array:
+    """Return the summed electrons of the pixels behind each value with every pixel clipped by itself, to the same shape.
+
+    Given their sum, Gaussian pixels lie about its share with their own spread, less that of their mean: so only bins within
+    six deviations of a limit draw their pixels, and nothing else changes.
+
+    Args:
+        electrons: ``(C, H, W)`` sums.
+        pixels: ``(C, 1, 1)`` pixels in each.
+        spread_e: ``(C, H, W)`` standard deviation of one pixel, electrons.
+        low_e: where the converter's range begins, electrons per pixel.
+        high_e: where it, or the well, ends.
+        rng: as in ``normal``.
+    """
+    xp = namespace(electrons)
+    mean, reach = electrons / pixels, _CERTAIN * spread_e
+    near = (abs(mean - low_e) < reach) | (abs(mean - high_e) < reach)
+    clipped = electrons + 0
+    for channel, count in enumerate(map(int, pixels.reshape(-1))):
+        if count == 1 or not bool(near[channel].any()):
+            continue
+        means, spreads = mean[channel][near[channel]], spread_e[channel][near[channel]]
+        parts, step = [], max(_DRAWN // count, 1)
+        for start in range(0, means.shape[0], step):
+            part = xp.broadcast_to(means[start : start + step, None], (means[start : start + step].shape[0], count))
+            away = normal(rng, part)
+            away = away - xp.mean(away, axis=1, keepdims=True)
+            each = xp.clip(part + away * spreads[start : start + step, None], low_e, high_e)
+            parts.append(xp.sum(each, axis=1))
+        clipped[channel][near[channel]] = xp.concat(parts)
+    return clipped
+
+
 def convert(electrons: Array, pixels: Array, dn_per_electron: float, black_level_dn: float, bit_depth: int) -> Array:
     """Return the mean DN of the pixels behind each value: gain, black level, the converter's range, rounding.
 
-    The range ends at the full well, so one clip is both; charge does not spill over.
+    The range ends at the full well, so one clip is both; charge does not spill over. Bins near a limit are clipped pixel by
+    pixel before: ``clip_pixels``.
     """
     xp = namespace(electrons)
     numbers = electrons * dn_per_electron + pixels * black_level_dn

@@ -17,6 +17,7 @@ from simulator.camera.noise import (
     NoNoise,
     PhysicalNoise,
     add_gaussian,
+    clip_pixels,
     convert,
     photo_electrons,
     read_errors,
@@ -213,8 +214,9 @@ class Sensor:
         dark current, dark-signal non-uniformity, read noise, row errors, gain and black level, the converter's range,
         rounding, white balance. Every physical pixel is read and digitised by itself; a stored value is the digital mean of
         the ``n`` pixels of its colour in the bin. These see one irradiance, so their electrons are drawn as one Poisson
-        number. At last a channel of responsivity r is divided by r, above the black level. Source: EMVA standard 1288,
-        release 4.0, section 2.
+        number; near a limit of the range their differences are drawn too (their fixed patterns among them, anew for every
+        image), and each is clipped. At last a channel of responsivity r is divided by r, above the black level. Source: EMVA
+        standard 1288, release 4.0, section 2.
 
         Args:
             irradiance: radiant exposure ``(C, H, W)`` from a forward model; ``full_scale`` of it fills a pixel.
@@ -239,6 +241,13 @@ class Sensor:
         electrons = electrons + poisson(rng, dark) + like(self.dark_map(shape), signal) * pixels  # DSNU
         electrons = electrons + read_errors(signal, pixels, self.read_noise_e, self.dn_per_electron, rng)
         electrons = electrons + self._readout.row_errors(signal, self.row_noise_e, rng) * pixels
+        spread_e = namespace(signal).sqrt(
+            namespace(signal).clip(electrons / pixels, 0, 2 * self.full_well_e)
+            + (self.read_noise_e**2 + self.dsnu_e**2)
+            + (self.prnu * self.full_well_e * namespace(signal).clip(light, 0, 2)) ** 2
+        )
+        darkest_e = -self.black_level_dn / self.dn_per_electron
+        electrons = clip_pixels(electrons, pixels, spread_e, darkest_e, self.full_well_e, rng)
         numbers = convert(electrons, pixels, self.dn_per_electron, self.black_level_dn, self.bit_depth)
         if self.responsivity is not None:
             numbers = (numbers - self.black_level_dn) / balance + self.black_level_dn

@@ -78,6 +78,34 @@ def test_physical_noise_clips_at_full_well_and_quantises():
     np.testing.assert_array_equal(dim, np.round(dim))
 
 
+@pytest.mark.parametrize("binning", [8, 3])
+@pytest.mark.parametrize("level", [0.97, 1.0, 1.02])
+def test_every_pixel_of_a_bin_is_clipped_by_itself(binning, level):
+    """Against all physical pixels, drawn one by one: at full well half of them are clipped, their mean lies below."""
+    sensor = _sensor(noise=PhysicalNoise(), binning=binning, shape=(150, 150), row_noise_e=0.0)
+    numbers = sensor.expose(np.full((1, 150, 150), level, np.float32), np.random.default_rng(0))[0] * 4096
+    rng = np.random.default_rng(1)
+    shape = (150, binning, 150, binning)
+    light = level * sensor.full_well_e * (1 + sensor.prnu * rng.standard_normal(shape))
+    electrons = rng.poisson(light) + sensor.dsnu_e * rng.standard_normal(shape)
+    electrons += sensor.read_noise_e * rng.standard_normal(shape)
+    each = np.clip(np.round(electrons * sensor.dn_per_electron + sensor.black_level_dn), 0, 4095)
+    expected = each.mean((1, 3))
+    uncertainty = expected.std() / 150
+    assert numbers.mean() == pytest.approx(expected.mean(), abs=6 * uncertainty)
+    assert numbers.std() == pytest.approx(expected.std(), rel=0.05)
+
+
+def test_a_full_well_without_fixed_pattern_reads_4082():
+    """The mean of a clipped half of a Gaussian: 0.4 standard deviations of one pixel's 122 electrons below the top."""
+    sensor = _sensor(noise=PhysicalNoise(), binning=8, shape=(150, 150), row_noise_e=0.0, prnu=0.0, dsnu_e=0.0)
+    numbers = sensor.expose(np.ones((1, 150, 150), np.float32), np.random.default_rng(0)) * 4096
+    one = np.sqrt(sensor.full_well_e + sensor.read_noise_e**2) * sensor.dn_per_electron
+    assert numbers.mean() == pytest.approx(4095 - one / np.sqrt(2 * np.pi), abs=0.15)
+    assert numbers.mean() == pytest.approx(4081.9, abs=0.2)
+    assert numbers.std() == pytest.approx(one * np.sqrt((0.5 - 0.5 / np.pi) / 64), rel=0.03)
+
+
 def test_a_converter_without_black_level_has_no_numbers_below_zero():
     sensor = _sensor(noise=PhysicalNoise(), black_level_dn=0, dark_current_e_per_s=0.0, read_noise_e=20.0)
     numbers = sensor.expose(np.zeros((3, *SHAPE), np.float32), np.random.default_rng(0))
