@@ -62,7 +62,9 @@ def exact_images(
 ) -> Iterator[Array]:
     """Yield the PSF ``(size, size)`` of each source (one wavelength), in the stored frame (rotated by 180 degrees).
 
-    Each is the irradiance on the sensor's pixels per unit |U|^2 of the incident wave at the mask's centre. Its middle is the
+    Each is the irradiance on the sensor's pixels per unit irradiance of the incident wave on the mask's plane, at its centre:
+    off the axis |U|^2 cos(theta_out) / cos(theta_in). On it |U|^2 stands for irradiance, as in all other models, so that the
+    PSF's sum is the transmitted area; the cosines of 1.5 diffraction orders of 2 um are above 0.92. Its middle is the
     sensor's point (-x d, -y d) for a source in the direction (x, y) and the camera's distance d in air, where a convolution
     puts it: without layers that is where the ray through the mask's centre arrives.
 
@@ -75,7 +77,7 @@ def exact_images(
         threads: NumPy only; they share one grid.
     """
     centres = (np.arange(size) - size // 2) * camera.pixel_pitch_m
-    light = waves(mask, camera, sources, oversampling=oversampling, threads=threads)
+    light = waves(mask, camera, sources, oversampling=oversampling, threads=threads, irradiance=True)
     for source, wave in zip(sources, light, strict=True):
         grid, real = wave.grid, wave.real
         bin_columns, bin_rows = (
@@ -151,11 +153,18 @@ class Wave:
 
 
 def waves(
-    mask: Mask, camera: CameraGeometry, sources: Sequence[Source], *, oversampling: int = 1, threads: int = 1
+    mask: Mask,
+    camera: CameraGeometry,
+    sources: Sequence[Source],
+    *,
+    oversampling: int = 1,
+    threads: int = 1,
+    irradiance: bool = False,
 ) -> Iterator[Wave]:
     """Yield the wave of each source on the sensor; each is only good until the next is asked for.
 
-    Arguments as for ``exact_images``; a grid that would not fit into memory is refused.
+    Arguments as for ``exact_images``; a grid that would not fit into memory is refused. With ``irradiance`` oblique waves
+    are weighted so that |U|^2 is irradiance per irradiance; without it U is the field.
     """
     plans = [plan(mask, camera, oversampling, source) for source in sources]
     grids = [each.grid(mask, oversampling) for each in plans]
@@ -172,7 +181,7 @@ def waves(
     for part in _shared([grid.samples for grid in grids], [source.carrier for source in sources]):
         widest = max(range(part.start, part.stop), key=lambda k: grids[k].samples)
         several = part.stop - part.start > 1
-        light = _Light(mask, plans[widest], grids[widest], oversampling, several, threads)
+        light = _Light(mask, plans[widest], grids[widest], oversampling, several, irradiance, threads)
         for source in sources[part]:
             yield Wave(light.grid, light.on_torch(source) if on_torch else light.on_numpy(source, memory))
         del light  # before the next one takes its memory
@@ -203,7 +212,14 @@ class _Light:
     """The mask on a fine grid and the way to the sensor, for sources that share grid, wavelength and carrier."""
 
     def __init__(
-        self, mask: Mask, plan: Plan, grid: FineGrid, oversampling: int, keep_transfer: bool, threads: int
+        self,
+        mask: Mask,
+        plan: Plan,
+        grid: FineGrid,
+        oversampling: int,
+        keep_transfer: bool,
+        irradiance: bool,
+        threads: int,
     ) -> None:
         source, factor = plan.source, oversampling if mask.profile == "smooth" else 1
         transmission = mask.transmission(source.wavelength_m, factor, math.hypot(*source.carrier))
@@ -215,7 +231,12 @@ class _Light:
         self._transfer: Callable[[slice], Array]
         if not self._even:
             tilted = TiltedTransfer(shape, grid.pitch_m, source.wavelength_m, source.carrier, like=self._fine)
-            self._transfer = lambda columns: tilted.block(plan.gap, reach, columns=columns)
+
+            def oblique(columns: slice) -> Array:
+                transfer = tilted.block(plan.gap, reach, columns=columns)
+                return transfer * tilted.obliquity(plan.gap, columns) if irradiance else transfer
+
+            self._transfer = oblique
             return
         even = Transfer(shape, grid.pitch_m, source.wavelength_m, like=self._fine)
         self._transfer = lambda columns: even.quadrant(plan.gap, reach, columns=columns)

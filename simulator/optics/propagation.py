@@ -203,6 +203,20 @@ class TiltedTransfer:
         sine_y, sine_x = self._sine_y[rows, None], self._sine_x[None, columns]
         return _transfer(sine_y, sine_x, self._carrier, as_strata(distance_m), self._wavelength_m, self._real, reach_m)
 
+    def obliquity(self, distance_m: Distance, columns: slice = _ALL) -> Array:
+        """Return sqrt(cos(theta_out) / cos(theta_in)) for columns in FFT order: |U|^2 of waves so weighted is irradiance.
+
+        A plane wave of the sines s carries |U|^2 cos(theta) through a plane (the flux Im(U* dU/dz) / k of a scalar wave);
+        theta is taken in the first layer, since layers do not reflect. Where waves of two directions meet, their product
+        takes the geometric mean of both cosines, not the arithmetic one: 1 % less at 0.7 and 0.9.
+        """
+        xp = namespace(self._sine_x)
+        carrier_x, carrier_y = self._carrier
+        index_squared = as_strata(distance_m)[0][1] ** 2
+        sine_squared = (self._sine_y[:, None] + carrier_y) ** 2 + (self._sine_x[None, columns] + carrier_x) ** 2
+        cosine = xp.sqrt(xp.clip(index_squared - sine_squared, 0, None))
+        return xp.astype(xp.sqrt(cosine / math.sqrt(index_squared - carrier_x**2 - carrier_y**2)), self._real)
+
 
 def _transfer(
     offset_y: Array,

@@ -70,6 +70,18 @@ def incident(mask: Mask, source: Source) -> tuple[np.ndarray, np.ndarray, float]
     return r0 / r * np.exp(1j * k * (r - r0)), chief, float(np.hypot(*chief))
 
 
+def mean_cosine(mask: Mask, source: Source) -> float:
+    """The mean of cos(theta) of the light behind the mask, by its power |U|^2 in each direction."""
+    wave, chief, sine = incident(mask, source)
+    y, x = grid(mask.shape[0], mask.pitch_m)
+    k = 2 * np.pi / source.wavelength_m
+    field = mask.transmission(source.wavelength_m, 1, sine) * wave * np.exp(-1j * k * (chief[0] * x + chief[1] * y))
+    power = np.abs(np.fft.fft2(field, (400, 400))) ** 2
+    s = np.fft.fftfreq(400, mask.pitch_m) * source.wavelength_m
+    cosine = np.sqrt(np.clip(1 - (s[:, None] + chief[1]) ** 2 - (s[None, :] + chief[0]) ** 2, 0, None))
+    return float(np.sum(power * cosine) / np.sum(power))
+
+
 def direct(mask: Mask, source: Source, points_m: np.ndarray, d: float = D) -> np.ndarray:
     """|U|^2 by the direct sum at points around the PSF's centre."""
     wave, chief, sine = incident(mask, source)
@@ -77,6 +89,18 @@ def direct(mask: Mask, source: Source, points_m: np.ndarray, d: float = D) -> np
     transmission = np.asarray(mask.transmission(source.wavelength_m, 1, sine), complex)
     field = rayleigh_sommerfeld(transmission * wave, mask.pitch_m, source.wavelength_m, d, points_m + centre)
     return np.abs(field) ** 2
+
+
+def direct_flux(mask: Mask, source: Source, points_m: np.ndarray, d: float = D) -> np.ndarray:
+    """Im(U* dU/dz) / k by direct sums, per that of the incident wave: irradiance per irradiance, at the same points."""
+    wave, chief, sine = incident(mask, source)
+    light = wave * np.asarray(mask.transmission(source.wavelength_m, 1, sine), complex)
+    cosine, k, h = np.sqrt(1 - sine**2), 2 * np.pi / source.wavelength_m, 2e-9
+    points = points_m + d * chief / cosine
+    below, here, above = (
+        rayleigh_sommerfeld(light, mask.pitch_m, source.wavelength_m, d + z, points) for z in (-h, 0, h)
+    )
+    return np.imag(np.conj(here) * (above - below)) / (2 * h * k * cosine)
 
 
 def error(found: np.ndarray, truth: np.ndarray) -> float:
@@ -121,7 +145,7 @@ def test_a_staircase_equals_its_direct_sum():
     truth = []
     for row, column in pixels:
         px, py = np.meshgrid((column + nodes / 2) * pitch_m, (row + nodes / 2) * pitch_m)
-        values = direct(fine, source, np.stack([px.ravel(), py.ravel()], 1), d)
+        values = direct_flux(fine, source, np.stack([px.ravel(), py.ravel()], 1), d)
         truth.append(np.sum(np.outer(weights, weights).ravel() / 4 * values))
     for oversampling in (1, 2):
         (stored,) = exact_images(mask, camera, [source], 41, oversampling=oversampling)
@@ -152,18 +176,37 @@ def staircase() -> Mask:
     return Mask(height, np.ones_like(height), 2e-6, FUSED_SILICA, "staircase")
 
 
+@pytest.mark.parametrize("make", MASKS)
+@pytest.mark.parametrize("direction", DIRECTIONS[1:])
+def test_oblique_irradiance_is_the_flux_of_the_direct_sum(make, direction):
+    """|U|^2 alone is off by 10 to 90 times as much: up to 1.4 % behind these masks, which bend light little."""
+    mask, source = make(), Source(532e-9, 0.02, direction)
+    (wave,) = waves(mask, CAMERA, [source], irradiance=True)
+    half = round(0.4 * mask.shape[0] * mask.pitch_m / wave.grid.pitch_m)
+    index, middle = np.random.default_rng(0).integers(-half, half, (200, 2)), wave.grid.samples // 2
+    found = wave.intensity(index[:, 1] + middle)[np.arange(200), index[:, 0] + middle]
+    truth, modulus = (by(mask, source, index * wave.grid.pitch_m) for by in (direct_flux, direct))
+    assert error(found, truth) < 1e-3
+    assert error(found, truth) < 0.1 * error(modulus, truth)
+
+
 # --- energy, symmetry, reciprocity
 
 
 @pytest.mark.parametrize("direction", DIRECTIONS)
 @pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-9), (np.float32, 1e-6)])
 def test_all_light_of_a_smooth_mask_arrives(direction, dtype, tolerance):
-    """Parseval; from 2 cm the wave itself falls off by (r0 / r)^2, which the sum over the mask knows."""
+    """Parseval; from 2 cm the wave itself falls off by (r0 / r)^2, which the sum over the mask knows.
+
+    Off the axis every plane wave behind the mask carries its own cosine, per cosine of the chief ray's.
+    """
     mask = random_phase(dtype)
     for depth_m in (0.02, np.inf):
         source = Source(532e-9, depth_m, direction)
-        wave, _, _ = incident(mask, source)
+        wave, _, sine = incident(mask, source)
         sent = np.sum(np.abs(wave) ** 2 * np.asarray(mask.amplitude, float) ** 2) * mask.pitch_m**2
+        if direction != (0.0, 0.0):
+            sent *= mean_cosine(mask, source) / np.sqrt(1 - sine**2)
         (image,) = exact_images(mask, CAMERA, [source], 301)
         assert float(np.sum(image, dtype=np.float64)) * CAMERA.pixel_pitch_m**2 == pytest.approx(sent, rel=tolerance)
 

@@ -210,7 +210,7 @@ def test_the_field_error_is_that_of_the_psfs_in_the_middles_of_patches():
     found = field.field_error(mask, CAMERA, config, 532e-9, view)
     exact = replace(config, model="exact")
     size = stack_size(mask, CAMERA, exact)
-    axis = _image(mask, CAMERA, exact, 532e-9, size)
+    axis = _image(mask, CAMERA, exact, 532e-9, size, direction=(1e-9, 0.0))
     per_pixel = view.pixel_pitch_m / D
     at = np.arange(field.PATCHES) - (field.PATCHES - 1) / 2
     middles = [(12 / field.PATCHES * c * per_pixel, 8 / field.PATCHES * r * per_pixel) for r in at for c in at]
