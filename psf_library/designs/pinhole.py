@@ -20,7 +20,10 @@ def pinhole(
     """Return a round hole with an area-weighted edge.
 
     The weights stand for a sharp round edge, not for a staircase of grey pixels, hence the smooth profile: the PSF of a
-    40 um hole, 1.9 mm away, comes within 0.2 % of the Rayleigh-Sommerfeld integral with 1 um pixels, 0.8 % with 2 um.
+    40 um hole, 1.9 mm away, comes within 0.2 % of the Rayleigh-Sommerfeld integral with 1 um pixels, 0.8 % with 2 um. They
+    weigh the amplitude, as a sharp edge's wave does within the grid's band; the light that they take away (1.2 % of a 60 um
+    hole's with 1 um pixels, half as much with 0.5 um) the edge sends more steeply than about 15 degrees. Square roots of
+    the weights would keep it, but straight ahead, where the PSF would be wrong by 0.6 % (60 um) to 7 % (20 um).
 
     Args:
         diameter_um: diameter of the hole.
