@@ -240,8 +240,10 @@ class _Guarded(TorchDataset[Any]):
 
 
 def _ignore_interrupts(_: int) -> None:
-    """Let a worker live on after Ctrl-C, which the terminal sends to it too, until the loop has finished."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Let a worker live on after Ctrl-C or the end of its terminal, which reach it too, until the loop has finished."""
+    for name in ("SIGINT", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
 
 
 class Arrays(NamedTuple):

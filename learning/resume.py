@@ -155,12 +155,17 @@ class Stop:
 
 @contextmanager
 def stop_signals() -> Iterator[Stop]:
-    """Turn the first Ctrl-C or SIGTERM into a wish that the loop sees after its step; the second acts at once."""
+    """Turn the first Ctrl-C, SIGTERM or SIGHUP into a wish that the loop sees after its step; the second acts at once.
+
+    A SIGHUP that is ignored (``nohup``) stays so.
+    """
     stop = Stop()
     if threading.current_thread() is not threading.main_thread():  # Python lets no other thread listen
         yield stop
         return
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        before[signal.SIGHUP] = signal.getsignal(signal.SIGHUP)
 
     def ask(number: int, _: FrameType | None) -> None:
         stop.wanted = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,33 @@ import pytest
 import torch
 from torch import nn
 
-from learning.resume import DESCRIPTION, STATE, Progress, check_folder, load_state, save_state, sole_use
+from learning.resume import DESCRIPTION, STATE, Progress, check_folder, load_state, save_state, sole_use, stop_signals
 from learning.resume import described as described_with
 from simulator.errors import InputError
 
 CONFIG: dict[str, Any] = {"output": "a", "steps": 5, "seed": 1, "data": {"train": "x", "workers": 2, "cache": True}}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_first_signal_is_a_wish_the_second_acts(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    with stop_signals() as stop:
+        assert not stop.wanted
+        signal.raise_signal(number)
+        assert stop.wanted
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(number)
+    assert signal.getsignal(number) is before
+
+
+def test_nohup_stays_nohup() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with stop_signals() as stop:
+            signal.raise_signal(signal.SIGHUP)
+            assert not stop.wanted
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def described(config: dict[str, Any], data: dict[str, Any], **decided: Any) -> dict[str, Any]:
