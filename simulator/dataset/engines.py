@@ -126,6 +126,7 @@ ENGINES = ("inline", "local")
 _TRIES = 3  # of a task that ends its worker, tries to, or does not finish in time
 _IN_A_ROW = 3  # workers that die while they start, or tasks whose workers are killed: the next will not do better
 _TICK_S = 0.5
+_START_S = 600.0  # for the initializer, or a task's time where that is longer
 _GRACE_S = 1.0  # from the end of a worker's pipe to its own
 
 
@@ -271,7 +272,7 @@ def _run_inline(
 class _Worker:
     """A process with a pipe of its own, which does one task at a time: its death is that task's alone."""
 
-    def __init__(self, start: bytes) -> None:
+    def __init__(self, start: bytes, timeout_s: float | None) -> None:
         self.pipe, theirs = _SPAWN.Pipe()
         self._process = _SPAWN.Process(target=work, args=(theirs, start))
         try:
@@ -281,12 +282,14 @@ class _Worker:
             theirs.close()
         self.ready = False  # whether its initializer is done
         self.job: _Job | None = None
-        self.due = math.inf
         self.tasks = 0
+        self._timeout_s = math.inf if timeout_s is None else timeout_s
+        self.allowed_s = max(self._timeout_s, _START_S)
+        self.due = time.monotonic() + self.allowed_s
 
-    def give(self, job: _Job, payload: bytes, timeout_s: float | None) -> None:
-        self.job, self.tasks = job, self.tasks + 1
-        self.due = math.inf if timeout_s is None else time.monotonic() + timeout_s
+    def give(self, job: _Job, payload: bytes) -> None:
+        self.job, self.tasks, self.allowed_s = job, self.tasks + 1, self._timeout_s
+        self.due = time.monotonic() + self.allowed_s
         with suppress(OSError):  # a dead one is found when its reply is asked for
             self.pipe.send_bytes(payload)
 
@@ -367,13 +370,13 @@ class _Pool:
                 break
             job = self._waiting.popleft()
             try:
-                worker.give(job, pickle.dumps((self._function, (job.task,))), self._timeout_s)
+                worker.give(job, pickle.dumps((self._function, (job.task,))))
             except Exception as error:
                 reason = f"the task cannot be sent to a worker process: {described(error)}"
                 self._done.append(Outcome(job.task, None, WorkerError(reason)))
         try:
             while self._waiting and len(self._workers) < self._count:
-                self._workers.append(_Worker(self._start))
+                self._workers.append(_Worker(self._start, self._timeout_s))
         except OSError as error:
             self._failed_starts.append(described(error))
         return bool(self._waiting) or any(worker.job is not None for worker in self._workers)
@@ -390,27 +393,25 @@ class _Pool:
             try:
                 reply = worker.reply()
             except EOFError:
-                self._workers.remove(worker)
-                self._mourn(worker, worker.end(_GRACE_S))
+                code = worker.end(_GRACE_S)
+                self._lose(worker, f"the worker process ended {_cause_of_death(code)}", killed=code == -signal.SIGKILL)
                 continue
             if reply is not None and not worker.ready:
                 _check_start(reply.failure)
-                worker.ready = True
+                worker.ready, worker.due = True, math.inf
                 self._failed_starts.clear()
             elif reply is not None:
                 self._finish(worker, reply)
-            elif worker.job is not None and time.monotonic() > worker.due:
-                self._workers.remove(worker)
+            elif time.monotonic() > worker.due:
                 worker.end()
-                self._try_again(worker.job, f"not finished after {self._timeout_s:g} s, so it was stopped")
+                self._lose(worker, f"not finished after {worker.allowed_s:g} s, so it was stopped")
 
-    def _mourn(self, worker: _Worker, code: int) -> None:
-        cause = _cause_of_death(code)
+    def _lose(self, worker: _Worker, cause: str, killed: bool = False) -> None:
+        self._workers.remove(worker)
         if not worker.ready:
             self._failed_starts.append(cause)
         elif worker.job is not None:
-            given_up = self._try_again(worker.job, f"its worker process ended {cause}")
-            self._killed += given_up and code == -signal.SIGKILL
+            self._killed += self._try_again(worker.job, cause) and killed
 
     def _finish(self, worker: _Worker, reply: Reply) -> None:
         job, worker.job, worker.due = worker.job, None, math.inf
@@ -449,9 +450,8 @@ class _Pool:
         if len(self._failed_starts) >= _IN_A_ROW:
             raise InputError(
                 "workers",
-                f"{len(self._failed_starts)} in a row ended before their first task, the last one {self._failed_starts[-1]}. "
-                "Run once with engine inline to see the reason; a script that starts workers needs "
-                "`if __name__ == '__main__':` around its calls",
+                f"{len(self._failed_starts)} in a row came to no task: {self._failed_starts[-1]}; run once with engine "
+                "inline to see why, and put a script that starts workers under `if __name__ == '__main__':`",
             )
 
 

@@ -139,6 +139,12 @@ def test_a_task_that_takes_too_long_is_stopped_three_times(tasks: ModuleType) ->
     assert [found[task].error for task in (0.0, 0.01, 0.02)] == [None] * 3
 
 
+def test_an_initializer_that_hangs_ends_the_run(tasks: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("simulator.dataset.engines._START_S", 0.2)
+    with pytest.raises(InputError, match=r"^workers: .*not finished after 0\.5 s"):
+        list(run("local", tasks.square, [1], workers=1, initializer=time.sleep, initargs=(60,), timeout_s=0.5))
+
+
 def test_results_and_functions_that_cannot_travel(tasks: ModuleType) -> None:
     found = by_task(run("local", tasks.unpicklable, range(3), workers=1))
     assert "pickle" in str(found[1].error)
