@@ -1,4 +1,4 @@
-"""The layered forward model against the ray-traced lensless camera: agreement, occlusion, hidden layers.
+"""The layered forward model against the ray-traced lensless camera: agreement, occlusion, hidden layers, light from outside.
 
 Both are geometric optics: coded masks of 60 um cells, open at random, PSFs that are their exact shadows. So the difference
 is that of the model alone: depth planes, shift invariance, and one pinhole picture instead of what each opening sees.
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy import ndimage, stats
 
 from scenes.flying_things import draw_scene
-from simulator.camera.field import FieldOfView
-from simulator.camera.forward import ForwardModel
+from simulator.camera.field import Arrival, FieldOfView
+from simulator.camera.forward import DepthRule, ForwardModel
 from simulator.optics.stack import PsfStack, depth_planes
 from simulator.render import Environment, Material, Renderer, Scene, TriangleMesh, activate, choose_backend
 from simulator.render.lensless import lensless_render, shadow_psfs
@@ -240,23 +240,55 @@ def flying_things(rays: float) -> None:
         scene = replace(draw_scene(view(FIELD), 30, np.random.default_rng(index)), hide_lights=True)
         traced = camera.trace(scene, rays, max_depth=5)
         wide = see(scene, 2 * FIELD + 32, 64, ("hidden",), max_depth=5)
-        narrow = see(scene, FIELD, 64, max_depth=5)
         behind = camera.model([hidden(clip) for clip in wide])
         modelled = camera.model(wide)
-        print(f"  scene {index}: {'picture of all that the sensor sees':35} {errors(traced, modelled)}")
-        print(f"  {'':9}{'  + hidden layer':35} {errors(traced, modelled + behind)}")
-        print(f"  {'':9}{f'picture of {FIELD} x {FIELD} alone':35} {errors(traced, camera.model(narrow))}", flush=True)
+        print(f"  scene {index}: {'image of all that the sensor sees':35} {errors(traced, modelled)}")
+        print(f"  {'':9}{'  + hidden layer':35} {errors(traced, modelled + behind)}", flush=True)
+
+
+def margins(rays: float) -> None:
+    """Print what data sets measure with the default camera's sizes, over the whole sensor, with rooms and lamps in view."""
+    sensor, mask, depths_m = (456, 684), coded_mask(7e-3), depth_planes(0.036, WALL_M, 25)
+    psfs = shadow_psfs(mask, CELL_M, DISTANCE_M, depths_m, PITCH_M).astype(np.float32)
+    stack = PsfStack(np.repeat(psfs[:, None], 3, axis=1), depths_m, PITCH_M, ("R", "G", "B"), "benchmark")
+    image = view(FIELD)
+    arrival = Arrival(psfs[[0, -1]], sensor, image, FieldOfView())
+    auto = arrival.margin()
+    spp = max(1, round(np.sqrt(rays / SEEDS / sensor[0] / sensor[1]))) ** 2
+    print(
+        f"\nflying_things, mask 7 mm, whole sensor of {sensor[0]} x {sensor[1]}, rooms and lamps seen; automatic margin {auto}"
+    )
+    print(f"  {'':14} {'margin':>12} {'uniform left out %':>18} {'of this scene %':>16} {HEADER.strip():>60}")
+    for index in range(3):
+        scene = draw_scene(replace(image, margin=auto), 30, np.random.default_rng(index))
+        options: dict[str, Any] = {"samples_per_pixel": spp, "seeds": range(SEEDS), "max_depth": 5}
+        traced = lensless_render(scene, image, mask, CELL_M, sensor, **options).astype(np.float64)
+        for margin in ((0, 0), (64, 64), (128, 128), auto):
+            wide = replace(image, margin=margin)
+            renderer = Renderer("llvm_ad_rgb")
+            clips = [renderer.still(scene, wide, samples_per_pixel=16, seed=100 + s, source={}) for s in range(SEEDS)]
+            light = FieldOfView().irradiance(wide.field)
+            model = ForwardModel(stack, sensor, wide.field.shape, irradiance=light, depth_rule=DepthRule(max_clamped=1))
+            modelled = np.stack([np.moveaxis(model.forward_clip(clip), 0, -1) for clip in clips]).astype(np.float64)
+            missing = 100 * (1 - modelled.sum() / traced.sum())
+            name, size = f"scene {index}", f"{margin[0]} x {margin[1]}"
+            left = 100 * arrival.left_out(margin)
+            print(f"  {name:14} {size:>12} {left:18.1f} {missing:16.1f} {errors(traced, modelled)}", flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="a quarter of the rays")
-    rays = 5e6 if parser.parse_args().quick else 2e7
+    parser.add_argument(
+        "--only", choices=("agreement", "occlusion", "rim", "flying_things", "margins"), help="one part"
+    )
+    chosen = parser.parse_args()
+    rays = 5e6 if chosen.quick else 2e7
     activate(choose_backend("llvm").variant)
-    agreement(rays)
-    occlusion(rays)
-    rim(rays / 4)
-    flying_things(rays)
+    parts = {"agreement": rays, "occlusion": rays, "rim": rays / 4, "flying_things": rays, "margins": rays}
+    for part, count in parts.items():
+        if chosen.only in (None, part):
+            globals()[part](count)
 
 
 if __name__ == "__main__":
