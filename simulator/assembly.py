@@ -212,7 +212,8 @@ class Assembly:
         """Return what the light that is neither simulated nor stopped adds to the error budget."""
         left_out = self._light_from_outside(stack)
         kind = "of a uniform half space's light, not simulated"
-        change = "scene.margin: auto, or camera.field_stop_deg"
+        wider = "a wider scene.margin" if self._margin != (0, 0) else "scene.margin: auto"
+        change = f"{wider}, or camera.field_stop_deg"
         return budget.BudgetRow("light from outside", left_out, kind, change, left_out > 1.5 * LIGHT_LEFT_OUT)
 
     @property
