@@ -255,9 +255,7 @@ def margins(rays: float) -> None:
     arrival = Arrival(psfs[[0, -1]], sensor, image, FieldOfView())
     auto = arrival.margin()
     spp = max(1, round(np.sqrt(rays / SEEDS / sensor[0] / sensor[1]))) ** 2
-    print(
-        f"\nflying_things, mask 7 mm, whole sensor of {sensor[0]} x {sensor[1]}, rooms and lamps seen; automatic margin {auto}"
-    )
+    print(f"\nflying_things, mask 7 mm, whole sensor of {sensor[0]} x {sensor[1]}, rooms and lamps seen; auto: {auto}")
     print(f"  {'':14} {'margin':>12} {'uniform left out %':>18} {'of this scene %':>16} {HEADER.strip():>60}")
     for index in range(3):
         scene = draw_scene(replace(image, margin=auto), 30, np.random.default_rng(index))
