@@ -59,9 +59,10 @@ class Reply:
 def work(pipe: Connection, start: bytes) -> None:
     """Be a worker: perform the initializer, then one task after the other, and reply to each; the parent ends it."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    pipe.send(perform(start))
-    while True:
-        pipe.send(perform(pipe.recv_bytes()))
+    with suppress(EOFError, OSError):  # the parent hangs up
+        pipe.send(perform(start))
+        while True:
+            pipe.send(perform(pipe.recv_bytes()))
 
 
 def perform(payload: bytes) -> Reply:
@@ -278,6 +279,10 @@ class _Worker:
         try:
             with _worker_environment():
                 self._process.start()
+        except BaseException:  # such as a Ctrl-C that came meanwhile
+            if self._process.pid is not None:
+                self._process.kill()
+            raise
         finally:
             theirs.close()
         self.ready = False  # whether its initializer is done
