@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from simulator.dataset.dataset_info import FILE
 from simulator.dataset.sample import DESCRIPTION, MEASUREMENT, StoredSample
 from simulator.errors import InputError
+from simulator.io.exr import read_exr
 from simulator.io.measurements import read_measurement
 from simulator.optics.measured import Background, load_measured_psf
 from simulator.optics.stack import PsfStack
@@ -69,8 +70,8 @@ class Measurement:
     """What a camera stored: ``values`` ``(C, H, W)`` float32, DN / 2^bits, background removed, cropped, binned, in our frame.
 
     ``path`` is the file or the sample's folder, ``dataset`` the folder of the data set that it is a sample of; ``channels``
-    is ``("grey",)`` for one; ``frame`` is that of the file: samples say ``stored`` themselves, of other files it is what was
-    told, or None; ``record`` says what was done to the file's numbers and what was assumed.
+    is ``("grey",)`` for one; ``frame`` is that of the file: samples and copies of their files say ``stored`` themselves, of
+    others it is what was told, or None; ``record`` says what was done to the file's numbers and what was assumed.
     """
 
     values: NDArray[np.float32]
@@ -120,6 +121,8 @@ def load_measurement(
         values, channels = _channels_first(path)
         scale, assumed = _scale(values, bits, path)
         dataset = None
+        if frame is None and path.suffix.lower() == ".exr" and "sensor_shape" in read_exr(path)[1]:
+            frame = "stored"  # a file of ours that was copied out of its sample says so itself
     else:
         stored = StoredSample(sample)
         if stored.frames != 1:

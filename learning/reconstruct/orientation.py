@@ -32,8 +32,9 @@ _NOISE_TO_SIGNAL, _BLUR_PX = 1.0, 1.0
 def frame_evidence(measurement: NDArray[np.floating], capture: CaptureModel) -> float:
     """Return how much better a measurement ``(C, H, W)`` fits a camera's PSFs as it is than rotated by 180 degrees.
 
-    The log of the ratio of how sparse the gradients are, negative where it fits better rotated. Beyond `CLEAR` its sign was
-    right in all of 2 520 simulated captures (7 masks, 10 scenes, also beyond the image, 20 to 40 dB of noise).
+    The log of the ratio of how sparse the gradients are, negative where it fits better rotated. Of 5 040 simulated captures
+    (7 masks, 10 scenes, half of them wider than the image) none was clear in the wrong sense; 96 % were clear with noise of
+    40 dB, 75 % with 30 dB, 21 % with 20 dB.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -68,16 +69,16 @@ def check_frame_fits(measurement: Measurement, capture: CaptureModel, request: R
     """
     evidence = frame_evidence(measurement.values, capture)
     told, other = measurement.frame, "physical" if measurement.frame == "stored" else "stored"
-    psf_is_told = request.psf_frame is not None or request.stack is None or Path(request.stack).expanduser().is_dir()
+    image = request.stack is not None and Path(request.stack).expanduser().is_file()
     if told is None:
         likely = (
             "as read from the sensor: physical; or rotated by 180 degrees, so that a pinhole's image is upright: stored"
         )
-        if psf_is_told and abs(evidence) > CLEAR:
+        if (not image or request.psf_frame is not None) and abs(evidence) > CLEAR:
             likely = f"{likely}. By the PSFs it is {'stored' if evidence > 0 else 'physical'}"
         raise InputError("--frame", f"missing; {measurement.path} does not say how it lies ({likely})")
     if evidence < -CLEAR and not accept:
-        cure = f"give --frame {other}" if psf_is_told else "give another --frame, or the PSF's own by --psf-frame"
+        cure = f"give --frame {other}{', or the right --psf-frame' if image else ''}"
         found = f"got {told}, but rotated by 180 degrees {measurement.path} fits the PSFs better"
         raise InputError("--frame", f"{found} ({-evidence:.2f}, clear from {CLEAR}); {cure}; --accept-frame goes on")
     return evidence
@@ -85,7 +86,9 @@ def check_frame_fits(measurement: Measurement, capture: CaptureModel, request: R
 
 def _sparsity(images: NDArray[np.floating]) -> NDArray[np.floating]:
     """Return ``-log(mean(|g|)^2 / mean(|g|^2))`` of the gradients g of images ``(B, h, w)``: 0 where all are alike."""
-    squares = np.diff(images, axis=-1)[:, :-1] ** 2 + np.diff(images, axis=-2)[..., :-1] ** 2
+    squares = (
+        np.diff(images, axis=-1)[:, :-1] ** 2 + np.diff(images, axis=-2)[..., :-1] ** 2 + np.finfo(np.float32).tiny
+    )
     return np.log(squares.mean(axis=(-2, -1)) / np.sqrt(squares).mean(axis=(-2, -1)) ** 2)
 
 

@@ -153,10 +153,17 @@ def test_a_stack_in_another_frame_is_not_taken_for_ours(physical: Physical) -> N
         physical.likeness("stack", frame="physical")
 
 
-def test_samples_say_their_frame_themselves(tiny_dataset: Path) -> None:
+def test_samples_and_their_files_say_their_frame_themselves(tiny_dataset: Path, tmp_path: Path) -> None:
     sample = tiny_dataset / "test" / "0000" / "s00000000"
     with pytest.raises(InputError, match=r"^frame: "):
         reconstruct_file(Options(measurement=sample, method="cls", frame="stored"))
+    copied = tmp_path / "copy.exr"
+    copied.write_bytes((sample / "measurement.exr").read_bytes())
+    reconstruct_file(Options(measurement=copied, method="cls", stack=str(tiny_dataset), output=tmp_path / "out"))
+
+
+def test_an_empty_capture_says_nothing(tiny_capture: Any) -> None:
+    assert frame_evidence(np.ones((3, 48, 48)), tiny_capture) == 0
 
 
 def test_a_network_is_given_stored_images_too(tiny_dataset: Path, checkpoints: list[Path], tmp_path: Path) -> None:
