@@ -20,6 +20,7 @@ from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack
+from simulator.text import show
 from simulator.types import View
 
 _WHITE_PERCENTILE, _WHITE_SAMPLES = 99.0, 64
@@ -60,7 +61,9 @@ class CaptureModel:
             ("scene_to_camera", self.scene_to_camera.shape, (channels, 3)),
         ):
             if tuple(shape) != tuple(wanted):
-                raise InputError(name, f"got shape {tuple(shape)}, expected {tuple(wanted)} for this stack and scene")
+                raise InputError(
+                    name, f"got shape {tuple(shape)}, expected {tuple(wanted)} for this stack and scene_shape"
+                )
         for axis, sensor, scene in zip(("rows", "columns"), self.sensor_shape, self.scene_shape, strict=True):
             if scene > sensor or (sensor - scene) % 2:
                 got = f"got {scene} {axis} on a sensor of {sensor}"
@@ -156,29 +159,37 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
             such stack, or one that does not fit.
     """
     info = dataset.info
-    config = config_from_dict(info.config, dataset.root, check_plugins=False)
+    try:
+        config = config_from_dict(info.config, dataset.root, check_plugins=False)
+    except InputError as error:
+        first, *more = str(error).splitlines()
+        others = f" (and {len(more)} more)" if more else ""
+        raise InputError(dataset.root / FILE, f"config.{first[:300]}{others}; restore it from a copy") from error
     if config.forward.boundary != "linear":
         reason = f"got forward.boundary {config.forward.boundary}, expected linear: light that misses a sensor is lost"
         raise InputError(dataset.root, reason)
     nominal = read_psf_stack(dataset.root / PSF_FOLDER)
     if tuple(info.channels) != nominal.channels:
-        got = f"got channels {', '.join(info.channels)}, the PSFs have {', '.join(nominal.channels)}"
-        raise InputError(dataset.root, f"{got}; take camera.sensor.readout: binned_rgb")
+        got = f"channels: got {show(list(info.channels))}, the PSFs have {show(list(nominal.channels))}"
+        raise InputError(dataset.root / FILE, f"{got}; take camera.sensor.readout: binned_rgb")
     sensor = recorded_sensor(info, config)
     gain, offset = gain_and_offset(sensor, len(nominal.channels), mean=config.forward.time == "mean")
     view = View(
         info.scene_shape, sensor.binned_pitch_m, Assembly(config).mask_to_sensor_m, *nominal.depths_m[[0, -1]].tolist()
     )
-    model = CaptureModel(
-        stack=nominal,
-        sensor_shape=info.sensor_shape,
-        scene_shape=info.scene_shape,
-        gain=gain,
-        offset=offset,
-        irradiance=_recorded_field(info, config).irradiance(view),
-        scene_to_camera=np.array(info.scene_to_camera["matrix"], np.float64),
-        white=white,
-    )
+    try:
+        model = CaptureModel(
+            stack=nominal,
+            sensor_shape=info.sensor_shape,
+            scene_shape=info.scene_shape,
+            gain=gain,
+            offset=offset,
+            irradiance=_recorded_field(info, config).irradiance(view),
+            scene_to_camera=info.colour_matrix,
+            white=white,
+        )
+    except InputError as error:
+        raise InputError(dataset.root / FILE, f"{error}; restore it from a copy") from error
     if isinstance(stack, PsfStack):
         return model.with_stack(stack)
     if stack == "nominal":
@@ -208,10 +219,16 @@ def recorded_sensor(info: DatasetInfo, config: Config) -> Sensor:
         responsivity = info.exposure.get("responsivity")
         if responsivity is not None:
             responsivity = tuple(float(responsivity[channel]) for channel in info.channels)
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(FILE, f"damaged exposure ({type(error).__name__}: {error}); restore it from a copy") from error
-    # Without the illuminance: what it decides is recorded, and its files of spectra may be elsewhere.
-    camera = config.camera.model_copy(update={"exposure": ExposureConfig(full_scale=full_scale)})
+        if not all(0 < number < np.inf for number in responsivity or ()):
+            msg = "not positive"
+            raise ValueError(msg)
+        # Without the illuminance: what it decides is recorded, and its files of spectra may be elsewhere.
+        exposure = ExposureConfig(full_scale=full_scale)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        found = {name: show(info.exposure.get(name)) for name in ("full_scale", "responsivity")}
+        reason = f"exposure: damaged, got {', '.join(f'{name} {text}' for name, text in found.items())}"
+        raise InputError(config.base_dir / FILE, f"{reason}; restore it from a copy") from error
+    camera = config.camera.model_copy(update={"exposure": exposure})
     recorded = Assembly(config.model_copy(update={"camera": camera}))
     if info.shutter is not None:
         recorded = recorded.having(shutter=info.shutter)

@@ -7,7 +7,7 @@ metadata hold one JSON text, under ``flatlight``, with format, version, architec
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,9 @@ from learning.camera import CaptureModel
 from learning.models.flatnet import FlatNet, build_network, full_architecture
 from simulator.errors import InputError
 from simulator.io.files import expanded, write_atomic
-from simulator.io.json import canonical_json
+from simulator.io.json import are_names, canonical_json, check_keys, is_positive, is_shape
 from simulator.optics.stack import PsfStack
+from simulator.text import show
 from simulator.validation import renamed
 
 FORMAT, VERSION = "flatlight checkpoint", 1
@@ -35,6 +36,14 @@ _FIRST = "enhancement.down.0.0.weight"
 FOLDER = Path(__file__).parent / "checkpoints"
 """The trained networks that come with Flatlight: one small file each."""
 _BEST = "flatnet3d"  # where several fit
+_NUMBERS: dict[str, Callable[[Any], object]] = {
+    **dict.fromkeys(("sensor_shape", "scene_shape"), is_shape),
+    **dict.fromkeys(("gain", "white", "pixel_pitch_m"), is_positive),
+    "channels": are_names,
+    "fingerprint": lambda text: isinstance(text, str),
+    "provenance": lambda record: isinstance(record, dict),
+}
+_LARGEST_SENSOR, _MOST_VALUES = 16, 2**25  # times the area on which light falls; of all planes: seconds of work
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,28 +138,36 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
     """
     path = Path(path)
     content, tensors = _read(path)
+    cure = "restore it from a copy"
+    check_keys(
+        path, content, dict.fromkeys(("architecture", "camera", "record"), lambda part: isinstance(part, dict)), cure
+    )
+    check_keys(path, content["architecture"], {"network": lambda name: isinstance(name, str)}, cure)
+    check_keys(path, content["camera"], _NUMBERS, cure)
     try:
-        architecture, record = renamed(content["architecture"]), renamed(content["record"])
-        name = str(architecture["network"])
         own = _capture(content["camera"], tensors)
-    except (KeyError, TypeError, ValueError) as error:
-        reason = f"damaged: camera or architecture cannot be read ({type(error).__name__}: {error}); restore it"
-        raise InputError(path, reason) from error
+    except (KeyError, ValueError) as error:  # arrays that are not there, or do not fit the numbers
+        raise InputError(path, f"damaged: camera: {error}; {cure}") from error
+    architecture, record = renamed(content["architecture"]), renamed(content["record"])
+    name = architecture["network"]
     if network not in (None, name):
         raise InputError(path, f"got a checkpoint of {name}, expected {network}; name another file or another network")
     if capture is not None:
         _check_camera(path, own, capture)
     try:
-        built = _build(architecture, capture or own)
-    except (InputError, TypeError) as error:
+        # Without memory for weights, whatever the header asks for: those of the file take their places.
+        with torch.device("meta"):
+            built = _build(architecture, capture or own)
+    except (InputError, TypeError, ValueError, RuntimeError, OverflowError) as error:
         reason = f"this version of Flatlight cannot build its network ({error}); use the version that the record names"
         raise InputError(path, reason) from error
     weights = {key.removeprefix(_WEIGHTS): value for key, value in tensors.items() if key.startswith(_WEIGHTS)}
-    _check_shapes(built.state_dict(), weights, str(path))
+    expected = built.state_dict()
+    _check_shapes(expected, weights, str(path))
     for key, value in weights.items():
         if not bool(torch.isfinite(value).all()):
             raise InputError(path, f"{key} holds NaN or infinite numbers; take an earlier checkpoint")
-    built.load_state_dict(weights)
+    built.load_state_dict({key: value.to(expected[key].dtype) for key, value in weights.items()}, assign=True)
     return Checkpoint(built.eval(), capture or own, own.stack.fingerprint, architecture, record)
 
 
@@ -198,10 +215,18 @@ def _capture(numbers: dict[str, Any], tensors: dict[str, Tensor]) -> CaptureMode
         arrays["depths_m"],
         float(numbers["pixel_pitch_m"]),
         tuple(numbers["channels"]),
-        str(numbers["fingerprint"]),
-        dict(numbers["provenance"]),
+        numbers["fingerprint"],
+        numbers["provenance"],
     )
-    shapes: Any = {name: tuple(map(int, numbers[name])) for name in ("sensor_shape", "scene_shape")}
+    shapes: Any = {name: tuple(numbers[name]) for name in ("sensor_shape", "scene_shape")}
+    # The file holds scene and PSFs; of the sensor it only says the size, on which depends how long a reader computes.
+    rows, columns = shapes["sensor_shape"]
+    (height, width), psf = shapes["scene_shape"], stack.values.shape
+    light = (height + psf[-2]) * (width + psf[-1])
+    if rows * columns > max(_LARGEST_SENSOR * light, _MOST_VALUES // (psf[0] * psf[1])):
+        raise InputError(
+            "sensor_shape", f"got {show([rows, columns])}, beyond where light of this scene and PSFs falls"
+        )
     scalars: Any = {name: float(numbers[name]) for name in ("gain", "white")}
     own: Any = {name: arrays[name] for name in ("offset", "irradiance", "scene_to_camera")}
     return CaptureModel(stack, **shapes, **scalars, **own)
@@ -211,7 +236,7 @@ def _check_camera(path: Path, own: CaptureModel, asked: CaptureModel) -> None:
     """Refuse a camera for which the weights mean something else: other channels, pixels, or planes at other depths."""
     mine, other = own.stack, asked.stack
     if mine.channels != other.channels:
-        names, wanted = ", ".join(mine.channels), ", ".join(other.channels)
+        names, wanted = show(list(mine.channels)), show(list(other.channels))
         raise InputError(path, f"its network takes the channels {names}, the stack has {wanted}")
     # A share of 1e-3 forgives numbers that were written with few digits.
     if not np.isclose(mine.pixel_pitch_m, other.pixel_pitch_m, rtol=1e-3, atol=0):

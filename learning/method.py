@@ -15,6 +15,7 @@ from torch import Tensor
 
 from learning.camera import CaptureModel
 from simulator.errors import InputError
+from simulator.text import show
 
 
 def linear_to_srgb(radiance: Tensor, white: float, *, clip: bool = True) -> Tensor:
@@ -99,7 +100,7 @@ def check_choices(*choices: tuple[str, Any, Iterable[str]]) -> None:
     """
     for name, value, known in choices:
         if value not in known:
-            raise InputError(name, f"got {value!r}, expected one of {', '.join(known)}")
+            raise InputError(name, f"got {show(value)}, expected one of {', '.join(known)}")
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -14,6 +14,7 @@ import torch.nn.functional as nnf
 from torch import Tensor, nn
 
 from simulator.errors import InputError
+from simulator.text import show
 
 
 class GridAttention(nn.Module):
@@ -66,18 +67,18 @@ class UNet(nn.Module):
             start: about what the output begins at: Adam takes hundreds of steps from 0 to the middle of a range.
 
         Raises:
-            InputError: for numbers below one, other dimensions, or a stem in 3D.
+            InputError: for numbers below one or far beyond any network's, other dimensions, or a stem in 3D.
         """
         super().__init__()
-        for name, value in {
-            "inputs": inputs,
-            "outputs": outputs,
-            "filters": filters,
-            "levels": levels,
-            "stem": stem,
-        }.items():
-            if value < 1:
-                raise InputError(name, f"got {value}, expected at least 1")
+        for name, value, most in (
+            ("inputs", inputs, 2**16),
+            ("outputs", outputs, 2**16),
+            ("filters", filters, 2**12),
+            ("levels", levels, 12),
+            ("stem", stem, 32),
+        ):
+            if not isinstance(value, int) or not 1 <= value <= most:
+                raise InputError(name, f"got {show(value)}, expected 1 to {most}")
         if dimensions not in (2, 3) or (dimensions == 3 and stem > 1):
             raise InputError("dimensions", f"got {dimensions} with stem {stem}; expected 2, or 3 with stem 1")
         self.dimensions, self.stem, self.levels = dimensions, stem, levels

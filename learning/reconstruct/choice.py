@@ -236,7 +236,7 @@ def _check_fit(measurement: Measurement, capture: CaptureModel, whose: str) -> N
 
 def _check_channels(measurement: Measurement, channels: tuple[str, ...], whose: str) -> None:
     if len(measurement.channels) != len(channels):
-        got, wanted = ", ".join(measurement.channels), ", ".join(channels)
+        got, wanted = ", ".join(measurement.channels), ", ".join(channels)[:60]
         cure = "give a stack or checkpoint of this camera"
         raise InputError(measurement.path, f"got the channels {got}, {whose} is for {wanted}; {cure}")
 

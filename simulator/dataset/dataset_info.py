@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from simulator.camera.shutter import KINDS, Shutter, shutter_from_record, shutter_record
 from simulator.dataset.fingerprint import deciding, difference, hash_parts
 from simulator.dataset.sample import SPLITS
 from simulator.errors import InputError
+from simulator.io.exr import MAX_VALUES
 from simulator.io.files import write_atomic
 from simulator.io.json import plain, readable_json
 from simulator.settings import fields_from
+from simulator.text import show
 
 FILE = "dataset.json"
 _SHUTTER = f"{FILE}: time.shutter"
@@ -86,9 +92,25 @@ class DatasetInfo:
         for name in ("scene_shape", "sensor_shape"):
             shape = getattr(self, name)
             fits = isinstance(shape, tuple) and len(shape) == 2 and all(_whole(size, 1) for size in shape)
-            _expect(name, fits, "a tuple of two sizes", shape)
+            _expect(name, fits and math.prod(shape) <= MAX_VALUES, f"two sizes, {MAX_VALUES} pixels at most", shape)
         texts = isinstance(self.channels, tuple) and all(isinstance(name, str) for name in self.channels)
         _expect("channels", texts and len(self.channels) > 0, "a tuple of names", self.channels)
+
+    @property
+    def colour_matrix(self) -> NDArray[np.float64]:
+        """The rows ``(C, 3)`` that take linear sRGB to the channels.
+
+        Raises:
+            InputError: none is recorded, or a damaged one.
+        """
+        rows = self.scene_to_camera.get("matrix")
+        try:
+            matrix = np.array(rows, np.float64)
+        except (TypeError, ValueError, OverflowError):
+            matrix = np.empty(0)
+        fits = matrix.shape == (len(self.channels), 3) and bool(np.all(np.isfinite(matrix)))
+        _expect(f"{FILE}: scene_to_camera.matrix", fits, "three finite numbers for each channel", rows)
+        return matrix
 
     @property
     def shutter(self) -> Shutter | None:
@@ -159,7 +181,7 @@ def _whole(value: object, least: int) -> bool:
 
 def _expect(name: str, fits: bool, wanted: str, value: object) -> None:
     if not fits:
-        raise InputError(name, f"expected {wanted}, got {value!r}")
+        raise InputError(name, f"expected {wanted}, got {show(value)}")
 
 
 _CURE = "restore it from a copy"

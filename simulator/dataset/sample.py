@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ from simulator.errors import InputError
 from simulator.io.clips import TRUTH, describe_extras, frame_channels, frame_extras, layout_channels
 from simulator.io.exr import decode_exr, write_exr
 from simulator.io.files import committed_folder, read_errors, sha256_bytes, write_atomic
-from simulator.io.json import plain, readable_json
+from simulator.io.json import are_names, check_keys, plain, readable_json
 
 MEASUREMENT, GROUND_TRUTH, DESCRIPTION = "measurement.exr", "ground_truth.exr", "sample.json"
 FRAMES = "frames"  # the folder inside a sample's
@@ -72,28 +72,27 @@ def read_description(folder: Path) -> tuple[dict[str, Any], bytes]:
         data = path.read_bytes()
     try:
         description = json.loads(data)
-        complete = set(description) >= _FIELDS and _files_fit(description)
-        complete = complete and all(isinstance(name, str) for name in description["channels"])
-        complete = complete and isinstance(description["metadata"], dict)
-        layout_channels(description.get("extras", {}) if complete else {})
+        layout_channels(description.get("extras", {}) if isinstance(description, dict) else {})
     except (ValueError, TypeError, RecursionError) as error:
-        raise InputError(path, f"not a sample description ({error}); {cure}") from error
-    if not complete:
-        raise InputError(path, f"lacks fields of a sample description; {cure}")
+        raise InputError(path, f"not a sample description ({str(error)[:200]}); {cure}") from error
+    check_keys(path, description, dict.fromkeys(sorted(_FIELDS), lambda _: True), cure)
+    frames, measured = description.get("frames", 1), description.get("global_measurements", False)
+    checks: dict[str, Callable[[Any], object]] = {
+        "channels": are_names,
+        "metadata": lambda metadata: isinstance(metadata, dict),
+        "frames": lambda frames: type(frames) is int and 1 <= frames <= MOST_FRAMES,
+        "global_measurements": lambda measured: type(measured) is bool,
+        "frame_edges_s": lambda edges_s: (edges_s is None and frames == 1) or _are_edges(edges_s, frames),
+        "files": lambda files: set(files) == set(file_names(frames, measured)),
+    }
+    optional = {"frames": frames, "global_measurements": measured, "frame_edges_s": None}
+    check_keys(path, optional | description, checks, cure)
     return description, data
 
 
-def _files_fit(description: dict[str, Any]) -> bool:
-    """Whether a description lists just the files, and the times, of the frames that it speaks of."""
-    frames, measured = description.get("frames", 1), description.get("global_measurements", False)
-    if type(frames) is not int or not 1 <= frames <= MOST_FRAMES or type(measured) is not bool:
-        return False
-    edges_s = description.get("frame_edges_s")
-    if edges_s is not None:
-        edges = np.array(edges_s, np.float64)
-        if edges.shape != (frames + 1,) or not np.all(np.isfinite(edges)) or not np.all(np.diff(edges) > 0):
-            return False
-    return set(description["files"]) == set(file_names(frames, measured)) and (edges_s is not None or frames == 1)
+def _are_edges(edges_s: Any, frames: int) -> bool:
+    edges = np.array(edges_s, np.float64)
+    return edges.shape == (frames + 1,) and bool(np.all(np.isfinite(edges)) and np.all(np.diff(edges) > 0))
 
 
 SPLITS = ("train", "validation", "test")

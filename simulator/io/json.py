@@ -1,4 +1,4 @@
-"""Python values as plain JSON, the same value always as the same bytes.
+"""Python values as plain JSON, the same value always as the same bytes; and checks of what was read.
 
 Configurations and metadata hold paths, tuples, NumPy numbers and infinite depths; JSON knows none of them.
 """
@@ -8,13 +8,14 @@ from __future__ import annotations
 import enum
 import json
 import math
-from collections.abc import Mapping
-from pathlib import PurePath
+from collections.abc import Callable, Mapping
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
 
 from simulator.errors import InputError
+from simulator.text import show
 
 
 def plain(value: Any, where: str = "value") -> Any:
@@ -75,3 +76,44 @@ def readable_json(value: Any) -> bytes:
         b'{\n "a": 1,\n "b": null\n}\n'
     """
     return (json.dumps(plain(value), sort_keys=True, indent=1, allow_nan=False) + "\n").encode()
+
+
+def check_keys(path: Path | str, content: Any, checks: Mapping[str, Callable[[Any], object]], cure: str) -> None:
+    """Refuse content of a file where a key is missing, or its value fails the check: is false, or raises.
+
+    Raises:
+        InputError: naming the file and the first such key.
+
+    Example:
+        >>> check_keys("a.json", {"gain": -2}, {"gain": lambda gain: gain > 0}, "restore it")
+        Traceback (most recent call last):
+        simulator.errors.InputError: a.json: gain: got -2, which makes no sense; restore it
+    """
+    if not isinstance(content, Mapping):
+        raise InputError(path, f"{', '.join(checks)}: missing, got {show(content)}; {cure}")
+    for key, fits in checks.items():
+        if key not in content:
+            raise InputError(path, f"{key}: missing; {cure}")
+        try:
+            good = bool(fits(content[key]))
+        except (TypeError, ValueError, OverflowError, AttributeError, KeyError, RecursionError):
+            good = False
+        if not good:
+            raise InputError(path, f"{key}: got {show(content[key])}, which makes no sense; {cure}")
+
+
+def is_shape(value: Any) -> bool:
+    """Whether a value is a list of two whole numbers from 1."""
+    return len(value) == 2 and all(type(size) is int and size > 0 for size in value)
+
+
+def is_positive(value: Any) -> bool:
+    """Whether a value is a positive number that float32 can hold."""
+    return type(value) in (int, float) and 1e-37 < value < 1e37
+
+
+def are_names(value: Any) -> bool:
+    """Whether a value is a list of different texts, at least one."""
+    return (
+        isinstance(value, list) and all(isinstance(name, str) for name in value) and 0 < len(set(value)) == len(value)
+    )

@@ -51,6 +51,8 @@ class PsfStack:
                 "depths_m, channels",
                 f"got {len(self.depths_m)} and {len(self.channels)} for values of shape {tuple(self.values.shape)}",
             )
+        if not 0 < self.pixel_pitch_m <= 1:
+            raise InputError("pixel_pitch_m", f"got {self.pixel_pitch_m}, expected metres (2.4 um is 2.4e-6)")
         energy = self.energy_m2()
         if not np.all(np.isfinite(energy)) or to_numpy(self.values).min() < 0:
             raise InputError("values", "expected finite and not negative: a PSF is an intensity")

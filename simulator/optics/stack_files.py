@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.io.exr import decode_exr, write_exr
 from simulator.io.files import committed_folder, sha256_bytes, write_atomic
-from simulator.io.json import plain, readable_json
+from simulator.io.json import are_names, check_keys, is_positive, plain, readable_json
 from simulator.optics.stack import PsfStack
+from simulator.text import show
 
 DESCRIPTION = "psf.json"
 PSF_FOLDER = "psf"  # of a data set: the stack that was used
@@ -59,7 +61,10 @@ def read_psf_stack(folder: Path) -> PsfStack:
         _read_planes(folder / name, digest, channels, _metadata(depth_m, pitch_m))
         for (name, digest), depth_m in zip(files.items(), content["depths_m"], strict=True)
     ]
-    return PsfStack(np.stack(planes), **content)
+    try:
+        return PsfStack(np.stack(planes), **content)
+    except InputError as error:
+        raise InputError(folder / DESCRIPTION, f"damaged ({error}); compute the stack again") from error
 
 
 def read_depths_m(folder: Path) -> NDArray[np.float64]:
@@ -115,30 +120,30 @@ def is_stack_file(path: Path) -> bool:
 def _description(folder: Path) -> dict[str, Any]:
     """Return the content of psf.json: the fields of a PsfStack but its values, and ``files`` with their hashes."""
     path = folder / DESCRIPTION
+    cure = "delete its folder and compute the stack again"
     try:
         content = json.loads(path.read_bytes())
-        depths, files = [float(depth) for depth in content["depths_m"]], dict(content["files"])
-        if content["frame"] != "stored":
-            msg = f"frame is {content['frame']!r}, not 'stored'"
-            raise ValueError(msg)
-        if list(files) != [_file_name(k) for k in range(len(depths))] or not files:
-            msg = f"{len(files)} files for {len(depths)} depths"
-            raise ValueError(msg)
-        return {
-            "depths_m": np.array(depths),
-            "pixel_pitch_m": float(content["pixel_pitch_m"]),
-            "channels": tuple(content["channels"]),
-            "fingerprint": str(content["fingerprint"]),
-            "provenance": dict(content["provenance"]),
-            "files": files,
-        }
     except FileNotFoundError as error:
         raise InputError(
             folder, f"not a PSF stack: it has no {DESCRIPTION}; `flatlight psf --output FOLDER` writes one"
         ) from error
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise InputError(path, f"damaged ({reason}); delete its folder and compute the stack again") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(path, f"damaged ({type(error).__name__}: {error}); {cure}") from error
+    checks: dict[str, Callable[[Any], object]] = {
+        "frame": lambda frame: frame == "stored",
+        "depths_m": lambda depths: [float(depth) for depth in depths],
+        "pixel_pitch_m": is_positive,
+        "channels": are_names,
+        "fingerprint": lambda text: isinstance(text, str),
+        "provenance": lambda record: isinstance(record, dict),
+        "files": lambda files: list(files) == [_file_name(k) for k in range(len(content["depths_m"]))] and dict(files),
+    }
+    check_keys(path, content, checks, cure)
+    own = {name: content[name] for name in ("pixel_pitch_m", "fingerprint", "provenance", "files")}
+    return own | {
+        "depths_m": np.array([float(depth) for depth in content["depths_m"]]),
+        "channels": tuple(content["channels"]),
+    }
 
 
 def _file_name(k: int) -> str:
@@ -166,5 +171,7 @@ def _read_planes(file: Path, digest: str, channels: tuple[str, ...], metadata: d
     if written != metadata:
         raise InputError(file, f"was written for {written}, {DESCRIPTION} says {metadata}: restore both")
     if set(found) != set(channels):
-        raise InputError(file, f"has the channels {sorted(found)}, {DESCRIPTION} says {sorted(channels)}: restore both")
+        raise InputError(
+            file, f"has the channels {sorted(found)}, {DESCRIPTION} says {show(sorted(channels))}: restore both"
+        )
     return np.stack([found[name] for name in channels])

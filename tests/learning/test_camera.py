@@ -101,7 +101,7 @@ def test_gain_and_offset_are_those_of_the_sensor(learning_trial: Any) -> None:
 def test_a_damaged_record_of_the_exposure_is_refused(train: Dataset) -> None:
     for exposure in ({}, {"full_scale": "much"}, {"full_scale": 1.0, "responsivity": {"R": 1.0}}):
         info = replace(train.info, exposure=exposure)
-        with pytest.raises(InputError, match=r"^dataset\.json: "):
+        with pytest.raises(InputError, match=r"out/dataset\.json: exposure: "):
             capture_model(Dataset(train.root, train.split, train.ids, info))
 
 
