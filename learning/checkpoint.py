@@ -7,6 +7,7 @@ metadata hold one JSON text, under ``flatlight``, with format, version, architec
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +44,7 @@ _NUMBERS: dict[str, Callable[[Any], object]] = {
     "fingerprint": lambda text: isinstance(text, str),
     "provenance": lambda record: isinstance(record, dict),
 }
-_LARGEST_SENSOR, _MOST_VALUES = 16, 2**25  # times the area on which light falls; of all planes: seconds of work
+_LARGEST_PERIOD, _MOST_VALUES = 16, 2**25  # times the pixels that the file holds; of all planes: seconds of work
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,13 +221,15 @@ def _capture(numbers: dict[str, Any], tensors: dict[str, Tensor]) -> CaptureMode
     )
     shapes: Any = {name: tuple(numbers[name]) for name in ("sensor_shape", "scene_shape")}
     # The file holds scene and PSFs; of the sensor it only says the size, on which depends how long a reader computes.
-    rows, columns = shapes["sensor_shape"]
-    (height, width), psf = shapes["scene_shape"], stack.values.shape
-    light = (height + psf[-2]) * (width + psf[-1])
-    if rows * columns > max(_LARGEST_SENSOR * light, _MOST_VALUES // (psf[0] * psf[1])):
-        raise InputError(
-            "sensor_shape", f"got {show([rows, columns])}, beyond where light of this scene and PSFs falls"
+    psf = stack.values.shape
+    sides = zip(shapes["sensor_shape"], shapes["scene_shape"], psf[-2:], strict=True)
+    period = math.prod(max(sensor, scene + size) for sensor, scene, size in sides)
+    held = psf[-2] * psf[-1] + math.prod(shapes["scene_shape"])
+    if period > max(_LARGEST_PERIOD * held, _MOST_VALUES // (psf[0] * psf[1])):
+        sizes = (
+            f"{show(numbers['sensor_shape'])} for a scene of {show(numbers['scene_shape'])}, PSFs of {list(psf[-2:])}"
         )
+        raise InputError("sensor_shape", f"got {sizes} pixels, which no camera has")
     scalars: Any = {name: float(numbers[name]) for name in ("gain", "white")}
     own: Any = {name: arrays[name] for name in ("offset", "irradiance", "scene_to_camera")}
     return CaptureModel(stack, **shapes, **scalars, **own)

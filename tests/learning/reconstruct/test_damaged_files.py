@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from learning.checkpoint import load_checkpoint
+from learning.checkpoint import load_checkpoint, shipped_checkpoints
 from learning.reconstruct.choice import Request, choose_method
 from learning.reconstruct.inputs import load_measurement
 from simulator.errors import InputError
@@ -153,3 +153,16 @@ def test_a_damaged_checkpoint(checkpoints: list[Path], tmp_path: Path) -> None:
         load_checkpoint(path)
 
     check_refusals(CHECKPOINT, path.name, read)
+
+
+def test_a_checkpoint_whose_psfs_lie_in_one_row_is_refused(tmp_path: Path) -> None:
+    """The same bytes under another shape: the period of the FFT would have hundreds of times as many pixels as the file."""
+    data = next(iter(shipped_checkpoints().values())).read_bytes()
+    (size,) = struct.unpack("<Q", data[:8])
+    header = json.loads(data[8 : 8 + size])
+    planes, channels, rows, columns = header["camera.psf"]["shape"]
+    header["camera.psf"]["shape"] = [planes, channels, 1, rows * columns]
+    text = json.dumps(header).encode()
+    (tmp_path / "row.safetensors").write_bytes(struct.pack("<Q", len(text)) + text + data[8 + size :])
+    with pytest.raises(InputError, match=r"row\.safetensors: .*sensor_shape: "):
+        load_checkpoint(tmp_path / "row.safetensors")
