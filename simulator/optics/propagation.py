@@ -213,9 +213,9 @@ class TiltedTransfer:
         xp = namespace(self._sine_x)
         carrier_x, carrier_y = self._carrier
         index_squared = as_strata(distance_m)[0][1] ** 2
-        sine_squared = (self._sine_y[:, None] + carrier_y) ** 2 + (self._sine_x[None, columns] + carrier_x) ** 2
-        cosine = xp.sqrt(xp.clip(index_squared - sine_squared, 0, None))
-        return xp.astype(xp.sqrt(cosine / math.sqrt(index_squared - carrier_x**2 - carrier_y**2)), self._real)
+        y, x = (xp.astype(part, self._real) for part in (self._sine_y[:, None], self._sine_x[None, columns]))
+        cosine_squared = index_squared - (y + carrier_y) ** 2 - (x + carrier_x) ** 2
+        return (xp.clip(cosine_squared, 0, None) / (index_squared - carrier_x**2 - carrier_y**2)) ** 0.25
 
 
 def _transfer(

@@ -8,6 +8,7 @@ the same on the whole mask and between all planes, and the model against the dir
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
@@ -153,19 +154,20 @@ def quick_errors(
         psf_config: depths, model, wavelengths, sampling.
         view: directions and depths of the scene.
         stack: the PSFs of these arguments, where they are there already.
-        threads: as in ``compute_psf_stack``.
+        threads: parts that are measured at a time.
     """
     camera = _plain(camera)
     wavelength_m = _middle(three_wavelengths(camera, psf_config))
-    errors: dict[str, Any] = {"check": "quick", "spectrum": spectral_error(mask, camera, psf_config)}
-    if psf_config.model != "exact":
-        errors["model"] = rim_error(mask, camera, psf_config, wavelength_m)
-    planes = planes_error(mask, camera, psf_config, stack, view, threads=threads)
-    if planes is not None:
-        errors["planes"] = planes
-    if view is not None:
-        errors["field"] = field_error(mask, camera, psf_config, wavelength_m, view, threads=threads)
-    return errors
+    with ThreadPoolExecutor(threads) as pool:
+        parts: dict[str, Future[dict[str, Any] | None]] = {}
+        if view is not None:  # the longest first
+            parts["field"] = pool.submit(field_error, mask, camera, psf_config, wavelength_m, view)
+        if psf_config.model != "exact":
+            parts["model"] = pool.submit(rim_error, mask, camera, psf_config, wavelength_m)
+        parts["planes"] = pool.submit(planes_error, mask, camera, psf_config, stack, view)
+        parts["spectrum"] = pool.submit(spectral_error, mask, camera, psf_config)
+        found = {name: part.result() for name, part in parts.items()}
+    return {"check": "quick"} | {name: report for name, report in found.items() if report is not None}
 
 
 def full_errors(
