@@ -213,7 +213,7 @@ class Assembly:
         left_out = self._light_from_outside(stack)
         kind = "of a uniform half space's light, not simulated"
         wider = "a wider scene.margin" if self._margin != (0, 0) else "scene.margin: auto"
-        change = f"{wider}, or camera.field_stop_deg"
+        change = f"{wider}, or camera.field_stop_deg" if left_out > 1e-3 else "nothing: all is simulated or stopped"
         return budget.BudgetRow("light from outside", left_out, kind, change, left_out > 1.5 * LIGHT_LEFT_OUT)
 
     @property

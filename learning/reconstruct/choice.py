@@ -20,7 +20,9 @@ from simulator.dataset.dataset_info import FILE
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.io.files import expanded, sha256_file
+from simulator.optics.stack import PsfStack
 from simulator.optics.stack_files import DESCRIPTION, read_psf_stack, stack_folder
+from simulator.plots.drawing import centimetres
 
 _TYPICAL = "twice the mean radiance of a scene that sends this much light"
 
@@ -88,11 +90,15 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
     checkpoint = load_checkpoint(path)
     capture = checkpoint.capture
     numbers = "the checkpoint's: the measurement is taken to be exposed like its training set"
+    psfs = shown_stack(capture.stack)
     dataset = _own_dataset(measurement)
     _check_fit(measurement, capture, f"the network of {path.name}")
     if dataset is not None:
         try:
-            capture = capture_model(dataset).with_assumed(capture)
+            own = capture_model(dataset)
+            if own.stack.fingerprint != capture.stack.fingerprint:
+                psfs += f", those that the network was trained with; the data set has {shown_stack(own.stack)}"
+            capture = own.with_assumed(capture)
         except InputError as error:
             raise InputError(path, f"was trained for another camera than that of {dataset.root}: {error}") from error
         numbers = _of_own(dataset)
@@ -106,7 +112,7 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
         "checkpoint": str(path),
         "sha256": sha256_file(path),
         "architecture": checkpoint.architecture,
-        "camera": _camera_record(capture, numbers, "the checkpoint's"),
+        "camera": _camera_record(capture, numbers, "the checkpoint's") | {"psfs": psfs},
     }
     return Setup(LearnedMethod(name, checkpoint.network, capture), name, record)
 
@@ -261,6 +267,7 @@ def _camera_record(capture: CaptureModel, numbers: str, white_from: str) -> dict
     shown = ("kind", "frame", "background", "crop", "binning", "images")
     return {
         "numbers_from": numbers,
+        "psfs": shown_stack(capture.stack),
         "sensor_shape": list(capture.sensor_shape),
         "scene_shape": list(capture.scene_shape),
         "channels": list(capture.stack.channels),
@@ -272,6 +279,14 @@ def _camera_record(capture: CaptureModel, numbers: str, white_from: str) -> dict
         "white": capture.white,
         "white_from": white_from,
     }
+
+
+def shown_stack(stack: PsfStack) -> str:
+    """Return how many depths a stack has, from where to where, on which pixels, and whose it is."""
+    depths_m = stack.depths_m
+    ends = " to ".join(centimetres(float(depth)) for depth in dict.fromkeys((depths_m[0], depths_m[-1])))
+    count = f"{len(depths_m)} plane{'s' if len(depths_m) > 1 else ''}"
+    return f"{count}, {ends}, {stack.pixel_pitch_m * 1e6:.4g} um pixels ({stack.fingerprint[:8]})"
 
 
 def _size(shape: tuple[int, int], between: str = " x ") -> str:

@@ -126,6 +126,7 @@ def _report(measurement: Measurement, name: str, record: dict[str, Any], result:
         "measurement": f"{rows} x {columns}, {', '.join(measurement.channels)}; {frame}; {scale}",
         "method": f"{name} ({how})",
         "camera": record["camera"]["numbers_from"],
+        "PSFs": record["camera"]["psfs"],
         "image": f"{size}, white = {result.white:.4g} ({record['white_from']})",
         "depth": depth,
         "time": ", ".join(f"{stage} {seconds:.2g} s" for stage, seconds in result.seconds.items()),

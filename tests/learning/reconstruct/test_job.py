@@ -92,12 +92,16 @@ def test_parameters_come_from_defaults_then_tuning_then_the_user(sample: Path, t
 def test_a_network_takes_its_own_psfs(tiny_dataset: Path, sample: Path, checkpoint: Path, tmp_path: Path) -> None:
     # A camera that was exposed twice as long, as far as the checkpoint knows.
     loaded = load_checkpoint(checkpoint)
-    other = CaptureModel(**{**vars(loaded.capture), "gain": loaded.capture.gain * 2, "white": 0.9})
+    stack = replace(loaded.capture.stack, fingerprint="f" * 64)
+    other = CaptureModel(**{**vars(loaded.capture), "stack": stack, "gain": loaded.capture.gain * 2, "white": 0.9})
     path = tmp_path / "other.safetensors"
     save_checkpoint(path, loaded.network, architecture=NETWORK, capture=other, record={})
     setup = choose_method(load_measurement(sample), Request(checkpoint=str(path)))
     assert setup.method.capture.gain == loaded.capture.gain
     assert setup.method.capture.white == 0.9
+    known, own = setup.record["camera"]["psfs"].split(", those that the network was trained with; the data set has ")
+    assert "(ffffffff)" in known
+    assert f"({stack.fingerprint[:8]})" not in own
     loose = tmp_path / "m.npy"
     np.save(loose, load_measurement(sample).values)
     assert choose_method(load_measurement(loose), Request(checkpoint=str(path))).method.capture.gain == other.gain
