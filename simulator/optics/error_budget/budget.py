@@ -94,7 +94,8 @@ def budget_rows(sampling: dict[str, Any] | str, errors: dict[str, Any]) -> list[
         change = "more psf.wavelengths_per_channel"
         rows.append(BudgetRow("wavelengths", spectrum["error"], f"PSF, channel {worst}", change))
     if "model" in errors:
-        rows.append(BudgetRow("depth model", errors["model"]["error"], "PSF, against exact", "psf.model: exact"))
+        kind = "PSF, against exact" + (", estimated" if errors["model"].get("from_axis_m") else "")
+        rows.append(BudgetRow("depth model", errors["model"]["error"], kind, "psf.model: exact"))
     if "planes" in errors:
         planes = errors["planes"]
         enough = planes.get("enough")

@@ -61,6 +61,7 @@ def rim_error(
 
     What a scaled model takes for parabolas is worst at the rim, which the source lights obliquely. Its error there grows
     with the square of the distance from the axis, so a piece where the fourth power of that has its mean stands for all.
+    (PhlatCams of 2.5 mm at 7 mm, 3 and 7 mm at 3.6 cm: 3.0, 1.0, 5.2 %, where the whole masks err by 5.8, 1.6, 4.1 %.)
 
     Returns:
         As ``pixel_error``, with ``from_axis_m``, the piece's distance from the axis; the whole mask's error where it is no
