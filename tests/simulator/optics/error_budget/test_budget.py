@@ -233,13 +233,14 @@ def test_measurements_err_less_than_psfs_and_textures_least():
 
 
 @pytest.mark.slow
-def test_a_phlatcam_errs_off_axis_as_published():
+def test_a_phlatcam_errs_off_axis_as_published(monkeypatch):
     """PHYSICS: 1 mm of a PhlatCam, 1.9 mm, 532 nm, tangents to 0.65: PSF 0.70 and 0.44, textures 1.7 %, points 13 %.
 
     The figures there come from another part of another mask; a fifth of them is the spread among crops and scenes.
     """
     from psf_library.designs.phlatcam import phlatcam
 
+    monkeypatch.setattr(field, "PATCHES", 4)  # as outside of tests
     mask = phlatcam(width_mm=1.0)
     for pitch_m, pixels, psf in ((19.2e-6, 128, 0.70), (38.4e-6, 64, 0.44)):
         camera = replace(CAMERA, mask_to_sensor_m=1.9e-3, pixel_pitch_m=pitch_m)
