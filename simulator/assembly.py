@@ -45,14 +45,13 @@ from simulator.optics.error_budget.direct_sum import llvm_works
 from simulator.optics.mask import Mask
 from simulator.optics.materials import AIR, Material, load_material, material_file
 from simulator.optics.propagation import air_equivalent_m
-from simulator.optics.psf import PsfConfig, psf_fingerprint
+from simulator.optics.psf import PsfConfig, psf_fingerprint, psf_lines
 from simulator.optics.spectra import (
     NOMINAL_CAMERA,
     Led,
     check_materials,
     curve_file,
     electron_rates,
-    quantile_lines,
     spectral_response,
 )
 from simulator.optics.stack import PsfStack
@@ -303,6 +302,7 @@ class Assembly:
             chosen.wavelengths_per_channel,
             chosen.oversampling,
             chosen.accept_error,
+            chosen.shared_wavelengths,
         )
 
     @part("psf")
@@ -312,7 +312,7 @@ class Assembly:
             return budget.with_rows(self._measured_stack, [self._light_row(self._measured_stack)])
         mask, geometry, psf_config = self.mask, self.geometry, self.psf_config
         assert mask is not None
-        lines = quantile_lines(geometry.response, psf_config.wavelengths_per_channel)
+        lines = psf_lines(geometry.response, psf_config)
         layers = [layer.material for layer in (*geometry.gap, *geometry.window)]
         check_materials(geometry.response, lines, [mask.material, *layers])
         fingerprint = psf_fingerprint(mask, geometry, psf_config)

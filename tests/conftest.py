@@ -56,13 +56,16 @@ def python() -> Callable[..., subprocess.CompletedProcess[str]]:
 
 @pytest.fixture
 def ctrl_c() -> Iterator[None]:
-    """Let Ctrl-C interrupt this process and the children that the test starts.
+    """Let Ctrl-C and SIGHUP reach this process and the children that the test starts.
 
-    A shell starts its background jobs with SIGINT ignored, children inherit that, and Python then installs no handler.
+    A shell starts its background jobs with SIGINT ignored, nohup with SIGHUP ignored; children inherit that, and Python then
+    installs no handler.
     """
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGHUP: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in usual.items()}
     yield
-    signal.signal(signal.SIGINT, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session")

@@ -154,6 +154,11 @@ class ComputedPsf(Planes):
     wavelengths_per_channel: Annotated[int, Range(1, 100)] = Field(
         default=3, description="wavelengths that stand for a channel"
     )
+    shared_wavelengths: Annotated[int, Range(1, 100)] | None = Field(
+        default=None,
+        description="wavelengths that all channels share, each with its own weights, in place of wavelengths_per_channel: "
+        "5 of them err less than 3 for each of three channels, at 5/9 of the cost",
+    )
     oversampling: Annotated[int, Range(1, 16)] = Field(default=1, description="samples per mask pixel and axis")
     accept_error: Annotated[float, Range(1e-6, 10)] | None = Field(
         default=None, description="sampling error up to which the stack is accepted (0.05 when left out)"

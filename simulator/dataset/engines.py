@@ -368,8 +368,11 @@ class _Pool:
             self._workers.pop().end()
 
     def _hand_out(self) -> bool:
-        """Give every free worker a task and start missing ones; returns whether any task is left."""
-        while self._waiting or self._take():
+        """Give every free worker a task and start missing ones; returns whether any task is left.
+
+        Where outcomes wait to be taken, no more tasks are begun.
+        """
+        while len(self._done) < self._count and (self._waiting or self._take()):
             worker = next((worker for worker in self._workers if worker.ready and worker.job is None), None)
             if worker is None:
                 break

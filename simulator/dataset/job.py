@@ -280,7 +280,7 @@ class _Job:
         fingerprint, parts = build_fingerprint(dump(self.config), variant, assembly.input_files, packages)
         existing = existing_info(self.root, self._counts(), fingerprint, parts, shutter)
         folder = (self.root / PSF_FOLDER).resolve()
-        recipe = Recipe(self.config, variant, folder, source if plugin.path is None else None, shutter)
+        recipe = Recipe(self.config, variant, folder, source if plugin.path is None else None, shutter, assembly.view)
         if existing is None and not timed and not renders:
             self._look_at_a_clip(recipe)
         with made_folder(self.root), ManifestWriter(self.root) as manifest, all_or_nothing(self.root):

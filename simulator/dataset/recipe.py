@@ -25,7 +25,7 @@ from simulator.dataset.sample import Sample, SampleRecord, write_sample
 from simulator.optics.stack_files import read_psf_stack
 from simulator.plugins import plugin_errors
 from simulator.seeds import generator
-from simulator.types import FARTHEST_M, Clip, SceneSource
+from simulator.types import FARTHEST_M, Clip, SceneSource, View
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ class Recipe:
         source: the scene source, or None where workers must build it themselves (classes in a user's own file).
         full_scale: exposure at full scale; None while it is being found from pilot samples.
         shutter: the shutter, built once so that all samples share its windows.
+        view: what scenes are drawn for; an automatic margin takes a second to find.
     """
 
     config: Config
@@ -46,6 +47,7 @@ class Recipe:
     psf_folder: Path
     source: SceneSource | None
     shutter: Shutter
+    view: View
     full_scale: float | None = None
 
 
@@ -56,11 +58,13 @@ class SampleMaker:
         """Read the PSF stack and prepare the forward model: about a second."""
         self._seed, self._chosen = recipe.config.seed, recipe.config.dataset
         self._stack = read_psf_stack(recipe.psf_folder)
-        assembly = Assembly(recipe.config, recipe.backend).having(psf_stack=self._stack, shutter=recipe.shutter)
+        assembly = Assembly(recipe.config, recipe.backend).having(
+            psf_stack=self._stack, shutter=recipe.shutter, view=recipe.view
+        )
         self._model, self._plugin = assembly.forward_model, assembly.scene_plugin
         self._source = recipe.source or assembly.source
         self._order = clip_order(self._source)
-        self._view, self._beside = assembly.view, assembly.surroundings
+        self._view, self._beside = recipe.view, assembly.surroundings
         self._sensor = replace(assembly.sensor, full_scale=recipe.full_scale or 1.0)
         self._channels = self._sensor.channels(self._stack.channels)
 

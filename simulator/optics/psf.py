@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -19,9 +19,9 @@ from simulator.optics.propagation import angular_spectrum
 from simulator.optics.resample import box_integral
 from simulator.optics.scaled import scaled_images, scaled_points, scaled_width_m
 from simulator.optics.sources import Source
-from simulator.optics.spectra import Line, quantile_lines
+from simulator.optics.spectra import Line, quantile_lines, shared_lines
 from simulator.optics.stack import UNPROVEN, PsfStack, check_depths
-from simulator.types import CameraGeometry, Layer
+from simulator.types import CameraGeometry, Layer, SpectralResponse
 
 Model = Literal["scaled_distance", "scaled_psf", "exact"]
 Progress = Callable[[int, int], None]
@@ -90,6 +90,7 @@ class PsfConfig:
         model: ``scaled_distance`` keeps the change of the diffraction distance with depth and is fast; ``scaled_psf`` (the
             thesis's eq. 2.1, for comparison) only magnifies the PSF of infinity; ``exact`` scales nothing.
         wavelengths_per_channel: quantile lines per channel.
+        shared_wavelengths: wavelengths that all channels share, in place of each channel's own; None for its own.
         oversampling: grid samples per mask pixel and axis.
         accept_error: sampling error up to which the stack is accepted; None accepts 0.05 and warns above 0.01.
     """
@@ -99,12 +100,20 @@ class PsfConfig:
     wavelengths_per_channel: int = 3
     oversampling: int = 1
     accept_error: float | None = None
+    shared_wavelengths: int | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         check_depths(np.asarray(self.depths_m))
         object.__setattr__(self, "depths_m", tuple(float(depth) for depth in self.depths_m))
         if self.model not in get_args(Model):
             raise InputError("model", f"got {self.model!r}, expected one of {', '.join(get_args(Model))}")
+
+
+def psf_lines(response: SpectralResponse, psf_config: PsfConfig) -> list[Line]:
+    """Return the wavelengths that stand for each channel, with their weights."""
+    if psf_config.shared_wavelengths is not None:
+        return shared_lines(response, psf_config.shared_wavelengths)
+    return quantile_lines(response, psf_config.wavelengths_per_channel)
 
 
 def compute_psf_stack(
@@ -135,16 +144,20 @@ def compute_psf_stack(
         ``UNPROVEN``.
     """
     own_lines = lines is None
-    lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel) if lines is None else lines
+    lines = psf_lines(camera.response, psf_config) if lines is None else lines
     on_device = mask if is_torch(mask.height_m) else _to(mask, xp)
     size = max(_size(mask, camera, psf_config, line.wavelength_m) for line in lines)
-    total, done = len(lines) * len(psf_config.depths_m), 0
+    by_wavelength: dict[float, list[Line]] = {}
+    for line in lines:
+        by_wavelength.setdefault(line.wavelength_m, []).append(line)
+    total, done = len(by_wavelength) * len(psf_config.depths_m), 0
 
     planes: list[list[Any]] = [[0.0] * len(psf_config.depths_m) for _ in camera.response.channels]
-    for line in lines:
-        images = depth_images(on_device, camera, psf_config, line.wavelength_m, size, threads=threads)
+    for wavelength_m, shares in by_wavelength.items():
+        images = depth_images(on_device, camera, psf_config, wavelength_m, size, threads=threads)
         for k, image in enumerate(images):
-            planes[line.channel][k] = planes[line.channel][k] + line.weight * image
+            for line in shares:
+                planes[line.channel][k] = planes[line.channel][k] + line.weight * image
             done += 1
             if progress is not None:
                 progress(done, total)
@@ -247,7 +260,7 @@ def sampled_intensity(
 
 def stack_size(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -> int:
     """Return the odd width in sensor pixels that holds all the light that is followed, at the nearest depth."""
-    lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel)
+    lines = psf_lines(camera.response, psf_config)
     return max(_size(mask, camera, psf_config, line.wavelength_m) for line in lines)
 
 
@@ -279,6 +292,8 @@ def psf_fingerprint(
         np.ascontiguousarray(response.wavelengths_m).tobytes() + np.ascontiguousarray(response.weights).tobytes()
     )
     sha.update(repr(replace(psf_config, accept_error=None)).encode())
+    if psf_config.shared_wavelengths is not None:
+        sha.update(f"shared {psf_config.shared_wavelengths}".encode())
     if lines is not None:
         sha.update(repr([(line.channel, line.wavelength_m, number(line.weight)) for line in lines]).encode())
     return sha.hexdigest()

@@ -57,9 +57,13 @@ def read_psf_stack(folder: Path) -> PsfStack:
     """
     content = _description(folder)
     files, channels, pitch_m = content.pop("files"), content["channels"], content["pixel_pitch_m"]
+    try:
+        written = [_metadata(depth_m, pitch_m) for depth_m in content["depths_m"]]
+    except InputError as error:
+        raise InputError(folder / DESCRIPTION, f"damaged depths_m or pixel_pitch_m ({error.reason})") from error
     planes = [
-        _read_planes(folder / name, digest, channels, _metadata(depth_m, pitch_m))
-        for (name, digest), depth_m in zip(files.items(), content["depths_m"], strict=True)
+        _read_planes(folder / name, digest, channels, metadata)
+        for (name, digest), metadata in zip(files.items(), written, strict=True)
     ]
     try:
         return PsfStack(np.stack(planes), **content)
@@ -169,7 +173,10 @@ def _read_planes(file: Path, digest: str, channels: tuple[str, ...], metadata: d
         )
     found, written = decode_exr(data, file)
     if written != metadata:
-        raise InputError(file, f"was written for {written}, {DESCRIPTION} says {metadata}: restore both")
+        raise InputError(
+            file.parent / DESCRIPTION,
+            f"its depths_m and pixel_pitch_m say {metadata}, {file.name} was written for {written}: restore both",
+        )
     if set(found) != set(channels):
         raise InputError(
             file, f"has the channels {sorted(found)}, {DESCRIPTION} says {show(sorted(channels))}: restore both"

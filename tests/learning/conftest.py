@@ -84,8 +84,14 @@ class LearningTrial:
 
     def generate(self, *overrides: str, **changes: dict[str, Any]) -> Path:
         """Make the data set and return its folder; keys of a section replace those of `LEARNING` one by one."""
-        merged = {section: values | changes.get(section, {}) for section, values in LEARNING.items()}
-        return self.trial.generate(*overrides, **(changes | merged))
+        return self.trial.generate(*overrides, **self._merged(changes))
+
+    def write(self, **changes: dict[str, Any]) -> Path:
+        """Write the configuration alone."""
+        return self.trial.write(**self._merged(changes))
+
+    def _merged(self, changes: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        return changes | {section: values | changes.get(section, {}) for section, values in LEARNING.items()}
 
 
 @pytest.fixture

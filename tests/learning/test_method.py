@@ -12,6 +12,7 @@ import torch
 from learning.camera import CaptureModel, measure_reference_white
 from learning.method import Estimate, linear_to_srgb, srgb_to_linear
 from simulator import colour
+from simulator.dataset import generate
 from simulator.dataset.reader import open_dataset
 from simulator.errors import InputError
 
@@ -56,7 +57,8 @@ def test_white_is_the_99th_percentile_of_all_scenes(tiny_dataset: Path) -> None:
 
 def test_black_scenes_and_empty_splits_have_no_white(learning_trial: Any) -> None:
     counts = {"train": 1, "validation": 0, "test": 0}
-    folder = learning_trial.generate("scene.black=true", dataset=counts, psf={"as_captured": None})
+    path = learning_trial.write(dataset=counts, psf={"as_captured": None})
+    folder = generate(path, ["scene.black=true"], accept_exposure=True).path
     with pytest.raises(InputError, match="out: "):
         measure_reference_white(open_dataset(folder))
     with pytest.raises(InputError, match="out: "):

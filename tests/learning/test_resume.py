@@ -18,6 +18,7 @@ from simulator.errors import InputError
 CONFIG: dict[str, Any] = {"output": "a", "steps": 5, "seed": 1, "data": {"train": "x", "workers": 2, "cache": True}}
 
 
+@pytest.mark.usefixtures("ctrl_c")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_the_first_signal_is_a_wish_the_second_acts(number: signal.Signals) -> None:
     before = signal.getsignal(number)

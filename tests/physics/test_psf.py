@@ -14,6 +14,7 @@ from simulator.optics.mask import Mask, steepest_frequency
 from simulator.optics.materials import FUSED_SILICA
 from simulator.optics.psf import PsfConfig, compute_psf_stack, depth_images, plain_psf, sampled_intensity
 from simulator.optics.rayleigh_sommerfeld import rayleigh_sommerfeld
+from simulator.optics.spectra import shared_lines
 from simulator.types import CameraGeometry, Clip, SpectralResponse, View
 
 GREEN = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")
@@ -326,3 +327,20 @@ def test_only_open_samples_are_steep():
     assert steepest_frequency(mask, 532e-9) * STEEP_PITCH_M == pytest.approx(0.4, rel=1e-9)
     open_ = replace(mask, amplitude=np.ones((40, 40)))
     assert steepest_frequency(open_, 532e-9) * STEEP_PITCH_M == pytest.approx(10.4, rel=1e-9)
+
+
+def test_one_psf_of_a_shared_wavelength_serves_all_channels():
+    """Each channel is the weighted sum of the plain PSFs; no wavelength is computed twice."""
+    at = np.arange(500e-9, 601e-9, 10e-9)
+    response = SpectralResponse(at, np.array([at - 490e-9, 610e-9 - at]), ("R", "G"), "two ramps")
+    height = np.random.default_rng(0).integers(0, 4, (20, 20)) * 0.2e-6
+    mask, camera = Mask(height, np.ones_like(height), 2e-6), CameraGeometry(0.2e-3, 6e-6, response)
+    config, told = PsfConfig((0.02, np.inf), shared_wavelengths=3), []
+    stack = compute_psf_stack(mask, camera, config, progress=lambda done, total: told.append((done, total)))
+    assert told[-1] == (6, 6)
+    expected = np.zeros_like(stack.values)
+    for line in shared_lines(response, 3):
+        for k, image in enumerate(depth_images(mask, camera, config, line.wavelength_m, stack.values.shape[-1])):
+            expected[k, line.channel] += line.weight * image
+    np.testing.assert_allclose(stack.values, expected, rtol=1e-9)
+    assert np.linalg.norm(stack.values[:, 0] - stack.values[:, 1]) > 0.01 * np.linalg.norm(stack.values[:, 0])

@@ -91,7 +91,7 @@ def budget_rows(sampling: dict[str, Any] | str, errors: dict[str, Any]) -> list[
     if "spectrum" in errors:
         spectrum = errors["spectrum"]
         worst = max(spectrum["channels"], key=spectrum["channels"].get)
-        change = "more psf.wavelengths_per_channel"
+        change = f"psf.shared_wavelengths: {spectrum['better']}"
         rows.append(BudgetRow("wavelengths", spectrum["error"], f"PSF, channel {worst}", change))
     if "model" in errors:
         kind = "PSF, against exact" + (", estimated" if errors["model"].get("from_axis_m") else "")

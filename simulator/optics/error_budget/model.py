@@ -12,8 +12,7 @@ from simulator.arrays import to_numpy
 from simulator.optics.error_budget.direct_sum import reference_intensity
 from simulator.optics.error_budget.sampling import compared, judged_crop
 from simulator.optics.mask import Mask
-from simulator.optics.psf import Progress, PsfConfig, depth_images, sampled_intensity, stack_size
-from simulator.optics.spectra import quantile_lines
+from simulator.optics.psf import Progress, PsfConfig, depth_images, psf_lines, sampled_intensity, stack_size
 from simulator.types import CameraGeometry
 
 POINTS = 20  # per depth and wavelength: the error of an error of 20 points is a quarter of it
@@ -149,6 +148,6 @@ def three_depths(depths_m: tuple[float, ...]) -> tuple[float, ...]:
 
 def three_wavelengths(camera: CameraGeometry, psf_config: PsfConfig) -> list[float]:
     """Return the shortest, the middle and the longest wavelength of the configuration, metres."""
-    lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel)
+    lines = psf_lines(camera.response, psf_config)
     ordered = sorted({line.wavelength_m for line in lines})
     return list(dict.fromkeys((ordered[0], ordered[len(ordered) // 2], ordered[-1])))

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from simulator.arrays import to_numpy
 from simulator.optics.mask import Mask
-from simulator.optics.psf import Progress, PsfConfig, depth_images, stack_size
-from simulator.optics.spectra import quantile_lines
+from simulator.optics.psf import Progress, PsfConfig, depth_images, psf_lines, stack_size
 from simulator.optics.stack import PsfStack, depth_planes
 from simulator.types import CameraGeometry, View
 
@@ -107,9 +106,7 @@ def _judged(
         margin = (size - shown.shape[-1]) // 2
         images = {z: np.pad(shown[k], margin) for k, z in enumerate(planes)}
     config = replace(psf_config, depths_m=tuple(wanted))
-    lines = [
-        line for line in quantile_lines(camera.response, psf_config.wavelengths_per_channel) if line.channel == channel
-    ]
+    lines = [line for line in psf_lines(camera.response, psf_config) if line.channel == channel]
     for number, line in enumerate(lines):
         made = depth_images(mask, camera, config, line.wavelength_m, size, threads=threads)
         for k, (depth_m, image) in enumerate(zip(wanted, made, strict=True)):

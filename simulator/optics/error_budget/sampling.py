@@ -15,8 +15,7 @@ import numpy as np
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
 from simulator.optics.mask import Mask, steepest_frequency
-from simulator.optics.psf import Progress, PsfConfig, depth_images, stack_size
-from simulator.optics.spectra import quantile_lines
+from simulator.optics.psf import Progress, PsfConfig, depth_images, psf_lines, stack_size
 from simulator.types import CameraGeometry
 
 
@@ -47,7 +46,7 @@ def sampling_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
     depths = tuple(dict.fromkeys(ends))
     coarse = replace(psf_config, depths_m=depths)
     fine = replace(coarse, oversampling=2 * psf_config.oversampling)
-    wavelength = min(line.wavelength_m for line in quantile_lines(camera.response, psf_config.wavelengths_per_channel))
+    wavelength = min(line.wavelength_m for line in psf_lines(camera.response, psf_config))
     table = compared(crop, camera, coarse, fine, [wavelength], stack_size(crop, camera, fine))
     return {
         "error": max(row["error"] for row in table),
@@ -125,7 +124,7 @@ def prove_sampling(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) ->
 
 def _refuse_steep_phase(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig) -> None:
     """Refuse a smooth mask whose phase turns by more than half a turn per sample: beyond Nyquist it is another mask."""
-    shortest = min(line.wavelength_m for line in quantile_lines(camera.response, psf_config.wavelengths_per_channel))
+    shortest = min(line.wavelength_m for line in psf_lines(camera.response, psf_config))
     turns = steepest_frequency(mask, shortest) * mask.pitch_m / psf_config.oversampling
     if turns > 0.5:
         needed = int(np.ceil(2 * turns * psf_config.oversampling))

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.optics.error_budget.sampling import judged_crop
 from simulator.optics.mask import Mask
-from simulator.optics.psf import PsfConfig, depth_images, stack_size
-from simulator.optics.spectra import quantile_lines
+from simulator.optics.psf import PsfConfig, depth_images, psf_lines, stack_size
 from simulator.types import CameraGeometry, SpectralResponse
 
 CROP_M = 0.75e-3  # wavelengths part by angle, not by place on the mask: a crop of 1.5 mm gives the same within a tenth
@@ -24,25 +23,27 @@ def spectral_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, ma
     """Measure the relative L2 error that the configured number of wavelengths causes, at the nearest depth.
 
     Returns:
-        ``error`` (the largest) and ``channels``, the error per channel; ``lines`` of the reference; JSON-serialisable.
+        ``error`` (the largest) and ``channels``, the error per channel; ``lines`` of the reference; ``better``, a number of
+        shared wavelengths that errs less: as many as there are, where channels have their own; JSON-serialisable.
     """
     crop = judged_crop(mask, CROP_M)
     # The quadrature does not know the depth model, so the fast one stands for all.
     nearest = replace(psf_config, depths_m=psf_config.depths_m[:1], model="scaled_distance")
-    lines = quantile_lines(camera.response, psf_config.wavelengths_per_channel)
+    lines = psf_lines(camera.response, psf_config)
     size = stack_size(crop, camera, nearest)
 
     def image(wavelength_m: float) -> NDArray[np.floating]:
         return next(iter(depth_images(crop, camera, nearest, wavelength_m, size)))
 
     few: list[Any] = [0.0] * len(camera.response.channels)
+    shown = {wavelength_m: image(wavelength_m) for wavelength_m in {line.wavelength_m for line in lines}}
     for line in lines:
-        few[line.channel] = few[line.channel] + line.weight * image(line.wavelength_m)
+        few[line.channel] = few[line.channel] + line.weight * shown[line.wavelength_m]
     reference: list[Any] = [0.0] * len(camera.response.channels)
     wavelengths_m, weights = _known(mask, camera, *common_lines(camera.response, many))
     for wavelength_m, shares in zip(wavelengths_m, weights.T, strict=True):
-        shown = image(float(wavelength_m))
-        reference = [total + share * shown for total, share in zip(reference, shares, strict=True)]
+        one = image(float(wavelength_m))
+        reference = [total + share * one for total, share in zip(reference, shares, strict=True)]
     errors = {
         channel: float(np.linalg.norm(a - b) / np.linalg.norm(b))
         for channel, a, b in zip(camera.response.channels, few, reference, strict=True)
@@ -51,6 +52,7 @@ def spectral_error(mask: Mask, camera: CameraGeometry, psf_config: PsfConfig, ma
         "error": max(errors.values()),
         "channels": errors,
         "lines": len(wavelengths_m),
+        "better": len(shown) + (2 if psf_config.shared_wavelengths is not None or len(errors) == 1 else 0),
         "crop_m": max(crop.shape) * crop.pitch_m,
     }
 

@@ -46,6 +46,7 @@ DECIDES: list[tuple[str, str, Any]] = [
     ("config", "model", "scaled_psf"),
     ("config", "wavelengths_per_channel", 2),
     ("config", "oversampling", 2),
+    ("config", "shared_wavelengths", 5),
     ("line", "channel", 1),
     ("line", "wavelength_m", 533e-9),
     ("line", "weight", 0.5),

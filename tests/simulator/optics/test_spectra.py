@@ -16,6 +16,7 @@ from simulator.optics.spectra import (
     electron_rates,
     illuminant_curve,
     quantile_lines,
+    shared_lines,
     spectral_response,
 )
 from simulator.types import SpectralResponse
@@ -236,10 +237,44 @@ def test_the_lines_of_a_camera_integrate_ever_better():
     assert errors[-1] < 0.02
 
 
+@pytest.mark.parametrize("count", [1, 4, 7])
+def test_shared_wavelengths_hold_every_channels_photons(count):
+    """Each takes an equal share of the channels' mean, whose centroid the wavelengths keep."""
+    response = spectral_response()
+    lines = shared_lines(response, count)
+    wavelengths_m = sorted({line.wavelength_m for line in lines})
+    assert len(wavelengths_m) == count
+    totals = [sum(line.weight for line in lines if line.channel == channel) for channel in range(3)]
+    np.testing.assert_allclose(totals, 1, rtol=1e-9)
+    shares = [sum(line.weight for line in lines if line.wavelength_m == at) / 3 for at in wavelengths_m]
+    np.testing.assert_allclose(shares, 1 / count, rtol=1e-2)
+    mean = np.mean(response.weights / response.weights.sum(1, keepdims=True), axis=0)
+    assert np.dot(shares, wavelengths_m) == pytest.approx(mean @ response.wavelengths_m, abs=0.1 * NM)
+
+
+def test_five_shared_wavelengths_integrate_better_than_nine_of_the_channels_own():
+    """RMS over heights and channels, as above."""
+    response = spectral_response()
+    heights = np.linspace(0.1e-6, 2e-6, 60)
+    shares = response.weights / response.weights.sum(1, keepdims=True)
+    reference = np.cos(2 * np.pi * heights[:, None] / response.wavelengths_m) @ shares.T
+
+    def error(lines):
+        got = np.zeros_like(reference)
+        for line in lines:
+            got[:, line.channel] += line.weight * np.cos(2 * np.pi * heights / line.wavelength_m)
+        return np.sqrt(np.mean((got - reference) ** 2))
+
+    assert error(shared_lines(response, 5)) < error(quantile_lines(response, 3))
+    assert error(shared_lines(response, 40)) < 5e-3
+
+
 @pytest.mark.parametrize("count", [0, -1])
 def test_no_lines_are_refused(count):
     with pytest.raises(InputError, match=r"^wavelengths_per_channel: "):
         quantile_lines(spectral_response(), count)
+    with pytest.raises(InputError, match=r"^shared_wavelengths: "):
+        shared_lines(spectral_response(), count)
 
 
 def test_a_dark_channel_is_refused():

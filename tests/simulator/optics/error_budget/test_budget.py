@@ -85,6 +85,16 @@ def test_the_spectral_error_is_the_distance_from_a_sum_over_many_quantile_lines(
     assert found["error"] == max(found["channels"].values()) > 0.02
 
 
+def test_the_number_of_shared_wavelengths_that_is_named_errs_less():
+    mask, config = _mask(), _config(np.inf, lines=2)
+    own = spectral_error(mask, CAMERA, config)
+    assert own["better"] == 4
+    shared = spectral_error(mask, CAMERA, replace(config, shared_wavelengths=4))
+    assert shared["error"] < own["error"]
+    more = spectral_error(mask, CAMERA, replace(config, shared_wavelengths=shared["better"]))
+    assert more["error"] < shared["error"]
+
+
 def test_wavelengths_without_material_data_are_left_out():
     class Narrow:
         name, source = "narrow", "none"
