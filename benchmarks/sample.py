@@ -2,7 +2,7 @@
 
     uv run python benchmarks/sample.py [--backend scalar]
 
-The default camera and scenes (456 x 684 sensor, 128 x 128 image, 25 depths) with a random stack of the default size, so that
+The default camera and scenes (456 x 684 sensor, 128 x 128 image, all depths) with a random stack of the default size, so that
 it needs no PSF computation; the cost does not depend on the values. One thread.
 """
 
@@ -39,7 +39,7 @@ class Maker:
 
     def __init__(self, margin: str, backend: str) -> None:
         bare = Assembly(load_config(CONFIG, [f"scene.margin={margin}"]), backend)
-        values = np.random.default_rng(0).random((25, 3, 401, 401), np.float32)
+        values = np.random.default_rng(0).random((len(bare.depths_m), 3, 401, 401), np.float32)
         stack = PsfStack(values, np.array(bare.depths_m), bare.pixel_pitch_m, ("R", "G", "B"), "benchmark")
         self.assembly = bare.having(psf_stack=stack, view=bare.view)  # as workers get them
         self.prepared, self.model = cpu(lambda: self.assembly.forward_model)

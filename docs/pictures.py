@@ -17,7 +17,7 @@ from simulator.colour import linear_to_srgb
 from simulator.dataset import open_dataset
 from simulator.plots.drawing import depth_colours
 
-INDEX, PLANES, NOISE_TO_SIGNAL = 7, (1, 7, 13, 20), 3e-4
+INDEX, PLANES, NOISE_TO_SIGNAL = 7, (1, 8, 15, 23), 3e-4
 HEIGHT, GAP = 256, 8
 OUT = Path(__file__).parent / "images"
 
