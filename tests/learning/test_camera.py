@@ -63,7 +63,12 @@ DARK = ("camera.sensor.black_level_dn=100", "camera.sensor.dark_current_e_per_s=
         ("camera.noise={type: none}", "forward.vignetting=false"),
         pytest.param(
             # Channels that count different numbers of electrons; counting them takes colour-science seconds to import.
-            (PHYSICAL, *DARK, "camera.exposure={illuminance_lux: 1000}", "camera.sensor.peak_quantum_efficiency=0.5"),
+            (
+                PHYSICAL,
+                *DARK,
+                "camera.exposure={illuminance_lux: 1000000}",
+                "camera.sensor.peak_quantum_efficiency=0.5",
+            ),
             marks=pytest.mark.slow,
         ),
     ],

@@ -29,14 +29,15 @@ def write(path: Path, content: dict[str, Any]) -> Path:
 def scores(folder: Path, stored: Any, white: float) -> tuple[float, float]:
     """Return PSNR and depth RMSE in cm of a reconstruction's files, by NumPy."""
     frame = stored.frame(0)
-    planes, _ = read_exr(folder / "image.exr")
+    planes, told = read_exr(folder / "image.exr")
     linear = np.stack([planes[name] for name in "RGB"], axis=-1)
     both = (torch.from_numpy(np.ascontiguousarray(values)) for values in (linear, frame.rgb))
     found, truth = (linear_to_srgb(values, white).numpy() for values in both)
     depth_m: NDArray[np.float32] = read_exr(folder / "depth.exr")[0]["Z"]
     shown = np.asarray(Image.open(folder / "image.png"))
     assert shown.shape == truth.shape
-    assert np.abs(shown - found * 255.0).max() <= 0.51  # rounding to 8 bit
+    as_shown = linear_to_srgb(torch.from_numpy(np.ascontiguousarray(linear)), told["white"]).numpy()
+    assert np.abs(shown - as_shown * 255.0).max() <= 0.51  # rounding to 8 bit
     squares = (depth_m.astype(np.float64) - frame.depth_m)[frame.valid] ** 2
     return -10 * np.log10(np.mean((found.astype(np.float64) - truth) ** 2)), 100 * np.sqrt(squares.mean())
 
