@@ -162,7 +162,7 @@ def view_of(shown: Family, folder: Path) -> View:
     """Return the preset's view in as many pixels as the gallery shows."""
     path = folder / "camera.yaml"
     path.write_text(preset_text(shown.preset), encoding="utf-8")
-    view = Assembly(load_config(path)).view
+    view = Assembly(load_config(path)).image_view
     return replace(view, shape=(SIDE, SIDE), pixel_pitch_m=view.pixel_pitch_m * view.shape[1] / SIDE)
 
 

@@ -202,10 +202,7 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
 
 def _recorded_field(info: DatasetInfo, config: Config) -> FieldOfView:
     """Return how much of the light from each direction counts, from the record: the file of a response may be gone."""
-    try:
-        return field_from_record(info.field_of_view) if info.field_of_view else FieldOfView(config.forward.vignetting)
-    except InputError as error:
-        raise InputError(FILE, f"{error}; restore it from a copy") from error
+    return field_from_record(info.field_of_view) if info.field_of_view else FieldOfView(config.forward.vignetting)
 
 
 def recorded_sensor(info: DatasetInfo, config: Config) -> Sensor:

@@ -86,8 +86,9 @@ def place_balls_beside(view: View, count: int, before: list[Ball], rng: np.rando
         edge = np.minimum(_EDGE * image + max(0.0, 1.3 * (size - usual[1])), whole)
         tangents = rng.uniform(-1, 1, (100 * _TRIES, 2)) * whole
         lit = rng.random(len(tangents)) < (1 + np.sum(tangents**2, axis=1)) ** -2
-        across = tangents[np.argsort(~(np.any(np.abs(tangents) >= edge, axis=1) & lit), kind="stable")[:_TRIES]]
-        balls.append(_freest(across, size, depth, balls))
+        across = tangents[np.any(np.abs(tangents) >= edge, axis=1) & lit][:_TRIES]
+        if len(across):  # none where the margin is narrower than what the image's own balls reach into
+            balls.append(_freest(across, size, depth, balls))
     return balls[len(before) :]
 
 

@@ -22,7 +22,6 @@ from simulator.camera.field import (
     automatic_margin,
     check_margin,
     margin_of_angle,
-    mask_shadow,
     read_angular_response,
     stop_tangents,
 )
@@ -45,7 +44,7 @@ from simulator.optics.error_budget.direct_sum import llvm_works
 from simulator.optics.mask import Mask
 from simulator.optics.materials import AIR, Material, load_material, material_file
 from simulator.optics.propagation import air_equivalent_m
-from simulator.optics.psf import PsfConfig, psf_fingerprint, psf_lines
+from simulator.optics.psf import PsfConfig, compute_psf_stack, psf_fingerprint, psf_lines
 from simulator.optics.spectra import (
     NOMINAL_CAMERA,
     Led,
@@ -142,7 +141,11 @@ class Assembly:
     @part("camera")
     def geometry(self) -> CameraGeometry:
         """What the optics need to know of the camera."""
-        return CameraGeometry(self.mask_to_sensor_m, self.pixel_pitch_m, self.response, self.gap, self._plate("scene"))
+        return self.geometry_of(self.response)
+
+    def geometry_of(self, response: SpectralResponse) -> CameraGeometry:
+        """Return the same of another spectral response."""
+        return CameraGeometry(self.mask_to_sensor_m, self.pixel_pitch_m, response, self.gap, self._plate("scene"))
 
     @part("psf")
     def depths_m(self) -> tuple[float, ...]:
@@ -153,10 +156,11 @@ class Assembly:
     @part("scene")
     def view(self) -> View:
         """The pinhole view that scenes are drawn for; its depths are the stack's unless the scene has its own."""
-        return replace(self._image_view, margin=self._margin)
+        return replace(self.image_view, margin=self._margin)
 
     @cached_property
-    def _image_view(self) -> View:
+    def image_view(self) -> View:
+        """The view without its margin."""
         near_cm, far_cm = self.config.scene.near_cm, self.config.scene.far_cm
         return View(
             self.config.scene.size,
@@ -173,25 +177,45 @@ class Assembly:
         response, stop = camera.sensor.angular_response, camera.field_stop_deg
         if isinstance(response, str):
             response = read_angular_response(self.config.resolve_path(response))
-        edges = None if stop is None else stop_tangents(self._image_view, stop)
+        edges = None if stop is None else stop_tangents(self.image_view, stop)
         return FieldOfView(self.config.forward.vignetting, edges, response)
 
     @part("scene")
     def _margin(self) -> tuple[int, int]:
         """Rows and columns beside each edge of the image from which light is simulated."""
-        scene, view, field = self.config.scene, self._image_view, self.field_of_view
+        scene, view, field = self.config.scene, self.image_view, self.field_of_view
         if scene.margin_deg:
             return margin_of_angle(view, scene.margin_deg)
         if scene.margin != "auto":
             return check_margin(view, (scene.margin, scene.margin))
-        # How far beside the image light matters does not hang on the PSFs' pattern, so none needs to be computed.
-        mask = self.mask
-        if mask is None:
-            shadow = to_numpy(self._measured_stack.values)[0].sum(axis=0)
-        else:
-            shadow = mask_shadow(to_numpy(mask.amplitude), mask.pitch_m, view, self.depths_m[0])
-        bare = Arrival(shadow[None], self.config.camera.sensor.shape, view, replace(field, stop=None))
+        bare = self._arrival(self._reach[None], replace(field, stop=None))
         return automatic_margin(bare, view, field.stop)
+
+    @cached_property
+    def _reach(self) -> NDArray[np.floating]:
+        """Where the light of the nearest depth falls, ``(rows, columns)``: how far beside the image light matters.
+
+        One PSF of one wavelength says that in about a second, before any other is computed (cached).
+        """
+        mask, near_m = self.mask, self.depths_m[0]
+        if mask is None:
+            return to_numpy(self._measured_stack.values)[0].sum(axis=0)
+        green = SpectralResponse(
+            EQUIVALENT_WAVELENGTH_M + np.array([-5e-9, 0, 5e-9]), np.eye(3)[1:2], ("G",), "one line"
+        )
+        geometry = self.geometry_of(green)
+        config = PsfConfig((near_m,), "scaled_distance", 1, self.psf_config.oversampling)
+
+        def compute() -> Entry:
+            return {"light": to_numpy(compute_psf_stack(mask, geometry, config).values)[0, 0]}, {}
+
+        key = repr((psf_fingerprint(mask, geometry, config), code_digest("simulator.optics.psf")))
+        return cached("reach", hashlib.sha256(key.encode()).hexdigest(), compute)[0]["light"]
+
+    def _arrival(self, light: NDArray[np.floating], field: FieldOfView) -> Arrival:
+        """Return from where a uniform half space's light arrives; it falls off as cos^4, whatever the simulation does."""
+        whole = replace(field, vignetting=True)
+        return Arrival(light, self.config.camera.sensor.shape, self.image_view, whole)
 
     def light_from_outside(self, *, simulated: bool = True) -> float:
         """Return the share of a uniform half space's light on the sensor that comes from beside what is simulated.
@@ -204,8 +228,7 @@ class Assembly:
     def _light_from_outside(self, stack: PsfStack, simulated: bool = True) -> float:
         field = self.field_of_view if simulated else replace(self.field_of_view, stop=None)
         ends = to_numpy(stack.values)[[0, -1]].sum(axis=1)
-        arrival = Arrival(ends, self.config.camera.sensor.shape, self._image_view, field)
-        return arrival.left_out(self._margin if simulated else (0, 0))
+        return self._arrival(ends, field).left_out(self._margin if simulated else (0, 0))
 
     def _light_row(self, stack: PsfStack) -> budget.BudgetRow:
         """Return what the light that is neither simulated nor stopped adds to the error budget."""
@@ -337,10 +360,10 @@ class Assembly:
 
         def judge() -> Entry:
             return {}, budget.quick_errors(
-                mask, geometry, psf_config, self._image_view, stack=stack, threads=self.threads
+                mask, geometry, psf_config, self.image_view, stack=stack, threads=self.threads
             )
 
-        key = repr((fingerprint, self._image_view, code_digest(budget.__name__)))
+        key = repr((fingerprint, self.image_view, code_digest(budget.__name__)))
         _, errors = cached("budget", hashlib.sha256(key.encode()).hexdigest(), judge)
         return budget.with_budget(stack, errors, [self._light_row(stack)])
 
@@ -373,10 +396,10 @@ class Assembly:
 
         def compute() -> Entry:
             return {}, budget.full_errors(
-                mask, self.geometry, self.psf_config, self._image_view, stack=stack, threads=self.threads, progress=told
+                mask, self.geometry, self.psf_config, self.image_view, stack=stack, threads=self.threads, progress=told
             )
 
-        key = repr((stack.fingerprint, self._image_view, llvm_works(), code_digest(budget.__name__)))
+        key = repr((stack.fingerprint, self.image_view, llvm_works(), code_digest(budget.__name__)))
         _, errors = cached("check", hashlib.sha256(key.encode()).hexdigest(), compute)
         return budget.with_budget(stack, errors, [self._light_row(stack)])
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from simulator.camera.convolution import StackConvolution
 from simulator.errors import InputError
 from simulator.io.files import read_text
-from simulator.optics.resample import Band, box_integral
 from simulator.settings import Range, Settings
 from simulator.types import View
 
@@ -102,7 +101,7 @@ def read_angular_response(path: Path) -> AngularTable:
         try:
             angle, value = map(float, cells)
         except ValueError:
-            if begun:
+            if begun or any(_is_number(cell) for cell in cells):
                 raise InputError(
                     f"{path}:{number}", f"got {line.strip()[:60]!r}, expected angle_deg,response"
                 ) from None
@@ -114,6 +113,14 @@ def read_angular_response(path: Path) -> AngularTable:
         return AngularTable(*(tuple(column) for column in zip(*rows, strict=True)) if rows else ((), ()))
     except InputError as error:
         raise InputError(path, error.reason) from error
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 AngularResponse = CosinePower | AngularTable
@@ -206,8 +213,14 @@ def field_from_record(record: Mapping[str, Any]) -> FieldOfView:
                 if table
                 else CosinePower(float(response["cosine_power"]))
             )
+            if isinstance(response, CosinePower) and not 0 <= response.cosine_power <= 50:
+                raise ValueError(f"cosine_power {response.cosine_power}")
         edges = None if stop is None else (float(stop[0]), float(stop[1]))
-        return FieldOfView(bool(record["vignetting"]), edges, response)
+        if edges is not None and not all(0 < edge < math.inf for edge in edges):
+            raise ValueError(f"stop_tangents {stop}")
+        if not isinstance(record["vignetting"], bool):
+            raise TypeError(f"vignetting {record['vignetting']!r}")
+        return FieldOfView(record["vignetting"], edges, response)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise InputError("field", f"damaged record ({type(error).__name__}: {error})") from error
 
@@ -229,7 +242,7 @@ class Arrival:
 
         Args:
             psfs: ``(N, rows, columns)``, each alike in weight; only where their light lies counts, so that channels may be
-                added up, and a mask's shadow serves.
+                added up.
             sensor_shape: H, W.
             view: the image's; its margin does not count.
             field: of the camera.
@@ -269,26 +282,6 @@ class Arrival:
             else:
                 columns, left = columns + _STEP, wider
         return rows, columns
-
-
-def mask_shadow(amplitude: NDArray[np.floating], pitch_m: float, view: View, depth_m: float) -> NDArray[np.float64]:
-    """Return the shadow of a mask from a point in a depth, ``(rows, columns)`` on the view's pixels, in any unit.
-
-    Args:
-        amplitude: of the mask's cells; light passes as its square.
-        pitch_m: of the cells, metres.
-        view: the distance to the sensor, and its pixels.
-        depth_m: of the point, metres; may be ``inf``.
-    """
-    magnified_m = pitch_m * (1 + view.distance_m / depth_m)
-    light = np.asarray(amplitude, np.float64) ** 2
-    for axis, size in ((-2, light.shape[0]), (-1, light.shape[1])):
-        half = math.ceil(size * magnified_m / view.pixel_pitch_m / 2)
-        centres_m = np.arange(-half, half + 1) * view.pixel_pitch_m
-        boxes = box_integral((size - 1) / 2, magnified_m, centres_m, view.pixel_pitch_m)
-        assert isinstance(boxes, Band)
-        light = boxes.apply(light, axis)
-    return light
 
 
 def automatic_margin(bare: Arrival, view: View, stop: tuple[float, float] | None) -> tuple[int, int]:

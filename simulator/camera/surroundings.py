@@ -65,9 +65,14 @@ def surrounded(clip: Clip, view: View, rule: str | NDArray[np.float32] | None) -
             depth.
 
     Raises:
-        InputError: there is no rule, and the clip has no surroundings.
+        InputError: there is no rule and the clip has no surroundings, or there are both.
     """
-    if clip.surroundings is not None or view.margin == (0, 0):
+    if view.margin == (0, 0):
+        return clip
+    if clip.surroundings is not None:
+        if rule is not None:
+            text = "given, but these scenes know what is beside their images; leave it out"
+            raise InputError("scene.surroundings", text)
         return clip
     coarse, coarseness = view.coarse_field
     far_m = min(view.far_m, FARTHEST_M)

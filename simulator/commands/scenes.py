@@ -90,7 +90,7 @@ def _view(family: str) -> View:
     from simulator.presets import DEFAULT, preset_names, preset_text
 
     chosen = next((name for name in preset_names() if name.startswith(family)), DEFAULT)
-    view = Assembly(config_from_dict(yaml.safe_load(preset_text(chosen)))).view
+    view = Assembly(config_from_dict(yaml.safe_load(preset_text(chosen)))).image_view
     return replace(view, shape=(_SIDE, _SIDE), pixel_pitch_m=view.pixel_pitch_m * view.shape[1] / _SIDE)
 
 

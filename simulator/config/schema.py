@@ -88,6 +88,9 @@ class SceneConfig(PluginSection):
         if self.margin_deg is not None and self.margin != 0:
             text = f"got {self.margin_deg:g} beside margin, which says the same in pixels; keep one of the two"
             raise refusal(text, "margin_deg", on_key=True)
+        if self.surroundings is not None and not self.has_margin:
+            text = f"got {self.surroundings!r}, but there is no margin to be filled; add margin: auto, or leave it out"
+            raise refusal(text, "surroundings", on_key=True)
         if self.source is not None and self.has_margin and self.surroundings is None:
             text = (
                 "missing; imported images end at their edges, and the margin asks for what is beside them; give black, "

@@ -365,6 +365,8 @@ class _Job:
         for outcome in self._outcomes(make_pilot, range(wanted), start_worker, (recipe,)):
             if outcome.error is None:
                 pilots[outcome.task] = outcome.value
+            elif isinstance(outcome.error, InputError) and outcome.error.path == "scene.surroundings":
+                raise outcome.error  # which fails every sample alike
             elif self._skips(outcome.error) or (fixed is not None and not isinstance(outcome.error, StorageError)):
                 bad[outcome.task] = outcome.error
             elif isinstance(outcome.error, GivenUpError):

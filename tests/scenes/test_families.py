@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
+from scenes.layout import place_balls, place_balls_beside
 from simulator.render import Renderer
 from simulator.types import SceneSource, View
 
@@ -77,6 +78,17 @@ def test_scenes_fill_a_margin_to_62_degrees_and_show_the_same_in_the_image(famil
     lit = around.rgb.max(axis=-1) > 0.01 * clip.rgb.mean()
     assert lit.mean() > 0.97
     assert 0.2 < around.rgb.mean() / clip.rgb.mean() < 5
+
+
+@pytest.mark.parametrize("margin", [1, 3, 4, 8, 100])
+def test_things_beside_the_image_have_their_middles_there(margin: int) -> None:
+    view = View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2, (margin, margin))
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        for ball in place_balls_beside(view, 30, place_balls(view, 30, rng), rng):
+            across = np.abs(ball.centre_m[:2]) / ball.centre_m[2]
+            assert max(across) > view.tan_half_width
+            assert max(across) < view.field.tan_half_width
 
 
 @pytest.mark.slow

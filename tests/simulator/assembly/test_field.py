@@ -34,16 +34,27 @@ def assembly(trial, scene=None, camera=None) -> Assembly:
     ],
 )
 def test_margins_reach_as_far_as_they_are_asked_to(trial, scene, camera, margin) -> None:
-    view = assembly(trial, scene={"surroundings": "black"} | scene, camera=camera).view
+    view = assembly(trial, scene={"surroundings": "black"} | scene if scene else {}, camera=camera).view
     assert view.margin == margin
     assert view.field.shape == (16 + 2 * margin[0], 20 + 2 * margin[1])
 
 
+ROUGH = """
+
+def rough() -> Mask:
+    heights = np.random.default_rng(0).uniform(0, 1.2e-6, (150, 150))
+    return Mask(heights, np.ones(heights.shape), pitch_m=2e-6)
+"""
+
+
 def test_what_an_automatic_margin_leaves_out_is_little_and_said(trial) -> None:
+    trial.plugins.write_text(trial.plugins.read_text() + ROUGH)
+    # A mask that throws most of its light beyond its shadow; the margin is found from one of its PSFs, of one wavelength.
+    wide = assembly(trial, {"margin": "auto", "surroundings": "black"}, {"mask": {"design": "./plugins.py:rough"}})
+    assert wide.light_from_outside() < 0.025
     bare = assembly(trial, scene={"margin": "auto", "surroundings": "black"})
-    assert (
-        bare.light_from_outside() < 0.025
-    )  # of the shadow it is 0.02 at most; light that is diffracted lies beyond it
+    assert bare.light_from_outside() < 0.025
+    assert wide.view.margin > bare.view.margin
     without = assembly(trial)
     outside = without.light_from_outside()
     assert outside == bare.light_from_outside(simulated=False) > 0.5
@@ -99,6 +110,7 @@ def test_fields_that_cannot_be_are_refused_in_one_line(trial, scene, camera, key
         ({"scene": {"margin": -1}}, "scene.margin"),
         ({"scene": {"margin": "wide"}}, "scene.margin"),
         ({"scene": {"surroundings": "no_such.png", "margin": 4}}, "scene.surroundings"),
+        ({"scene": {"surroundings": "black"}}, "scene.surroundings"),
         ({"camera": {"field_stop_deg": 180.0}}, "camera.field_stop_deg"),
         ({"camera": {"field_stop_deg": "picture"}}, "camera.field_stop_deg"),
         ({"camera": {"sensor": {"shape": [48, 60], "angular_response": "none.csv"}}}, "camera.sensor.angular_response"),

@@ -12,7 +12,6 @@ from simulator.camera.field import (
     check_margin,
     field_from_record,
     margin_of_angle,
-    mask_shadow,
     read_angular_response,
     stop_tangents,
 )
@@ -73,6 +72,7 @@ def test_responses_to_oblique_light_multiply_by_the_angle_to_the_axis(tmp_path):
         ("0,1\n90,nan\n", ""),
         ("0,1\nfourty,0.5\n90,0\n", ":2"),
         ("angle,response\n0,1\n90,0,3\n", ":3"),
+        ("0.0,1,x\n0,1\n90,0\n", ":1"),
     ],
 )
 def test_tables_that_are_no_response_are_refused(tmp_path, text, named):
@@ -94,7 +94,19 @@ def test_a_record_gives_the_field_back(field):
     assert field_from_record(field.record()) == field
 
 
-@pytest.mark.parametrize("changed", [{"angular_response": {}}, {"stop_tangents": [1]}, {"stop_tangents": "wide"}])
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"angular_response": {}},
+        {"angular_response": {"cosine_power": -5}},
+        {"angular_response": {"cosine_power": float("inf")}},
+        {"stop_tangents": [1]},
+        {"stop_tangents": [float("nan"), 1]},
+        {"stop_tangents": [-1, -1]},
+        {"stop_tangents": "wide"},
+        {"vignetting": "no"},
+    ],
+)
 def test_a_damaged_record_is_refused(changed):
     with pytest.raises(InputError, match=r"^field: "):
         field_from_record(FieldOfView().record() | changed)
@@ -128,8 +140,8 @@ def test_the_light_left_out_is_that_of_every_direction_times_what_of_its_psf_lan
 
 def test_an_automatic_margin_leaves_out_as_little_as_asked_and_no_less_would_do():
     """The default camera's aperture and sensor; 58.6, 22, 7.8 and 2.8 % are an independent brute force's."""
-    shadow = mask_shadow(np.ones((701, 701)), 10e-6, VIEW, 0.036)
-    arrival = Arrival(shadow[None], (456, 684), VIEW, FieldOfView())
+    shadow = shadow_psfs(np.ones((701, 701)), 10e-6, 1.9e-3, [0.036], 19.2e-6)
+    arrival = Arrival(shadow, (456, 684), VIEW, FieldOfView())
     found = [100 * arrival.left_out((margin, margin)) for margin in (0, 64, 128, 192)]
     np.testing.assert_allclose(found, [58.6, 22.0, 7.8, 2.8], atol=0.1)
     rows, columns = arrival.margin()
@@ -137,21 +149,6 @@ def test_an_automatic_margin_leaves_out_as_little_as_asked_and_no_less_would_do(
     assert arrival.left_out((rows, columns)) <= 0.02 < arrival.left_out((rows - 4, columns - 4))
     assert automatic_margin(arrival, VIEW, stop_tangents(VIEW, "image")) == (0, 0)
     assert automatic_margin(arrival, VIEW, stop_tangents(VIEW, (70.0, 178.0))) == (6, columns)
-
-
-def test_a_masks_shadow_is_that_of_its_rays():
-    amplitude = np.random.default_rng(3).random((9, 6))
-    found = mask_shadow(amplitude, 60e-6, VIEW, 0.05)
-    expected = shadow_psfs(amplitude, 60e-6, 1.9e-3, [0.05], 19.2e-6)[0][::-1, ::-1]
-    for axis in (0, 1):
-        np.testing.assert_allclose(
-            found.sum(axis) / found.sum(), _cut(expected.sum(axis), found.shape[1 - axis]) / expected.sum(), atol=1e-9
-        )
-
-
-def _cut(profile, size):
-    more = (len(profile) - size) // 2
-    return profile[more : len(profile) - more]
 
 
 def test_margins_in_degrees_and_how_far_they_may_reach():

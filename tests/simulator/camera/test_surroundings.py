@@ -90,7 +90,9 @@ def test_black_and_images_lie_at_the_far_depth():
 
 def test_scenes_that_bring_their_own_or_need_none_stay_as_they_are():
     own = clip(surroundings=Surroundings(np.ones((1, 3, 3, 3), np.float32), np.ones((1, 3, 3), np.float32), 4))
-    assert surrounded(own, VIEW, "black") is own
+    assert surrounded(own, VIEW, None) is own
+    with pytest.raises(InputError, match=r"^scene\.surroundings: "):
+        surrounded(own, VIEW, "black")
     bare = clip()
     assert surrounded(bare, replace(VIEW, margin=(0, 0)), None) is bare
     with pytest.raises(InputError, match=r"^scene\.surroundings: "):
