@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from simulator.arrays import Array
 from simulator.camera.colour import to_camera
 from simulator.camera.convolution import StackConvolution
-from simulator.camera.planes import clamped_share, split_planes
+from simulator.camera.planes import clamped_share, outside_planes, split_planes
 from simulator.camera.shutter import Shutter
 from simulator.camera.slivers import exposed_part, frame_shares, sliver_edges, sliver_length
 from simulator.camera.surroundings import whole_frames
@@ -176,6 +176,15 @@ class ForwardModel:
         """Return the exposure times of the stored image's rows, ``(H,)`` seconds; ones without a shutter."""
         rows = self.sensor_shape[0]
         return np.ones(rows) if self.shutter is None else self.shutter.exposures_s(rows)[::-1]
+
+    def clamped_light(self, clip: Clip) -> float:
+        """Return the share of a clip's light, image and surroundings, that ``forward_clip`` moves onto an outermost plane."""
+        whole = clamped = 0.0
+        for rgb, depth_m in whole_frames(clip, self.scene_shape):
+            light = rgb.sum(axis=-1) * self._irradiance
+            whole += float(light.sum())
+            clamped += float(light[outside_planes(depth_m, self.stack.depths_m)].sum())
+        return clamped / whole if whole else 0.0
 
     def _exposures(self) -> NDArray[np.float64]:
         """Return what an irradiance of 1 that lasts gives in the stored image's rows, ``(H,)``."""

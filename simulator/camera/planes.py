@@ -58,14 +58,18 @@ def split_planes(
     return volume
 
 
-def clamped_share(depth_m: NDArray[np.floating], valid: NDArray[np.bool_], depths_m: NDArray[np.float64]) -> float:
-    """Return the share of valid pixels whose depth lies outside the planes' range; a single plane clamps nothing.
+def outside_planes(depth_m: NDArray[np.floating], depths_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return where depths lie outside the planes' range; a single plane clamps nothing.
 
     A relative 1e-6 is forgiven: float32 depths of a surface exactly at the range's end.
     """
     if len(depths_m) == 1:
-        return 0.0
-    nearest, farthest = depths_m[0] * (1 - 1e-6), depths_m[-1] * (1 + 1e-6)
+        return np.zeros(depth_m.shape, bool)
+    return (depth_m < depths_m[0] * (1 - 1e-6)) | (depth_m > depths_m[-1] * (1 + 1e-6))
+
+
+def clamped_share(depth_m: NDArray[np.floating], valid: NDArray[np.bool_], depths_m: NDArray[np.float64]) -> float:
+    """Return the share of valid pixels whose depth lies outside the planes' range."""
     frames = zip(*(values.reshape(-1, *values.shape[-2:]) for values in (depth_m, valid)), strict=True)
-    outside = sum(np.count_nonzero(seen & ((z < nearest) | (z > farthest))) for z, seen in frames)  # one frame's memory
+    outside = sum(np.count_nonzero(seen & outside_planes(z, depths_m)) for z, seen in frames)  # one frame's memory
     return outside / max(np.count_nonzero(valid), 1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +13,6 @@ from numpy.typing import NDArray
 from simulator.camera.exposure import ExposureShares
 from simulator.camera.noise import GaussianNoise, PhysicalNoise
 from simulator.camera.sensor import PERCENTILE, PILOTS, TARGET, Sensor, full_scale_from_pilots
-from simulator.dataset.manifest import load_manifest
-from simulator.dataset.sample import read_description, sample_folder, sample_index
 from simulator.errors import InputError
 
 LOOKED_AT = 4
@@ -57,17 +54,6 @@ def exposure_record(
     lit = replace(sensor, full_scale=record["full_scale"])
     shares = ExposureShares.mean([lit.shares(exposure) for exposure in exposures])
     return record | {"pilots": len(exposures), "pilot_shares": asdict(shares)}
-
-
-def recorded_shares(root: Path) -> tuple[int, ExposureShares] | None:
-    """Return the shares over all samples of a data set that record them, and how many do; None where none does."""
-    found = []
-    for split, name in load_manifest(root).entries:
-        with suppress(InputError):  # a damaged one, which `verify` names
-            metadata = read_description(sample_folder(root, split, sample_index(name)))[0]["metadata"]
-            found.append(ExposureShares.from_record(metadata))
-    known = [shares for shares in found if shares is not None]
-    return (len(known), ExposureShares.mean(known)) if known else None
 
 
 def refuse_useless(shares: ExposureShares, record: Mapping[str, Any], sensor: Sensor) -> None:

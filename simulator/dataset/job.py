@@ -23,7 +23,7 @@ from simulator.dataset.checksums import unseal, write_seal
 from simulator.dataset.clips import ClipTimesError, check_parameters, clip_order
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info, write_info
 from simulator.dataset.engines import GivenUpError, Outcome, WorkerError, available_cpus, run
-from simulator.dataset.exposure import complaints, exposure_record, pilots_wanted, recorded_shares, refuse_useless
+from simulator.dataset.exposure import complaints, exposure_record, pilots_wanted, refuse_useless
 from simulator.dataset.fingerprint import build_fingerprint, difference
 from simulator.dataset.manifest import (
     FAILED,
@@ -36,6 +36,7 @@ from simulator.dataset.manifest import (
     load_skipped,
     refuse_problems,
 )
+from simulator.dataset.reader import all_metadata
 from simulator.dataset.recipe import Recipe, check_first_clip, make_pilot, make_sample, start_worker
 from simulator.dataset.sample import SPLITS, sample_id
 from simulator.errors import InputError
@@ -178,6 +179,7 @@ def data_set_stack(assembly: Assembly, root: Path, say: Callable[[str], None]) -
 
 
 OFF_SENSOR_WARNING = 0.01
+CLAMPED_LIGHT_WARNING = 0.05
 
 Report = Callable[[str, int, int], None]  # (stage, done, total)
 Say = Callable[[str], None]
@@ -313,8 +315,8 @@ class _Job:
             made, kept, failed = self._samples(
                 replace(recipe, full_scale=float(existing.exposure["full_scale"])), manifest
             )
-            if made and (recorded := recorded_shares(self.root)):
-                self._say_exposure(f"{recorded[0]} samples", recorded[1], existing.exposure)
+            if made:
+                self._sum_up(existing.exposure)
             if made + kept:
                 finish(self.root)
             manifest.drop_duplicates()
@@ -386,6 +388,19 @@ class _Job:
             refuse_useless(shares, record, self.assembly.sensor)
         self._say_exposure(f"{len(pilots)} pilot samples", shares, record)
         return record
+
+    def _sum_up(self, exposure: dict[str, Any]) -> None:
+        """Say what the samples' metadata tell of the whole data set."""
+        metadata = list(all_metadata(self.root))
+        if shares := [found for one in metadata if (found := ExposureShares.from_record(one)) is not None]:
+            self._say_exposure(f"{len(shares)} samples", ExposureShares.mean(shares), exposure)
+        clamped = [one["clamped_light_share"] for one in metadata if "clamped_light_share" in one]
+        if clamped and (mean := float(np.mean(clamped))) > CLAMPED_LIGHT_WARNING:
+            depths_m = self.assembly.depths_m
+            self.say(
+                f"note: psf: {mean:.0%} of the light comes from depths outside the planes, {depths_m[0] * 100:g} to "
+                f"{depths_m[-1] * 100:g} cm, and is blurred as if from the nearest plane; a wider range holds more of it"
+            )
 
     def _say_exposure(self, of: str, shares: ExposureShares, record: dict[str, Any]) -> None:
         self.say(f"exposure, {of}: {shares}")

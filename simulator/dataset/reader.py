@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, overload
 
@@ -12,7 +13,14 @@ from numpy.typing import NDArray
 from simulator.camera.shutter import Shutter
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info
 from simulator.dataset.manifest import load_manifest
-from simulator.dataset.sample import SPLITS, Sample, StoredSample, sample_folder, sample_index
+from simulator.dataset.sample import (
+    SPLITS,
+    Sample,
+    StoredSample,
+    read_description,
+    sample_folder,
+    sample_index,
+)
 from simulator.errors import InputError
 
 
@@ -148,3 +156,10 @@ def open_dataset(path: Path | str, split: str = "train") -> Dataset:
     if split not in SPLITS or split not in info.counts:
         raise InputError("split", f"expected one of {', '.join(info.counts)} for {root}, got {split!r}")
     return Dataset(root, split, tuple(load_manifest(root).ids(split)), info)
+
+
+def all_metadata(root: Path | str) -> Iterator[dict[str, Any]]:
+    """Yield the metadata of each finished sample of a data set; damaged ones, which `verify` names, are left out."""
+    for split, name in load_manifest(root).entries:
+        with suppress(InputError):
+            yield read_description(sample_folder(Path(root), split, sample_index(name)))[0]["metadata"]

@@ -96,10 +96,8 @@ class SampleMaker:
             "full_scale": self._sensor.full_scale,
             **self._sensor.shares(exposure).record,
             "clamped_depth_share": clamped_share(clip.depth_m, clip.valid, self._stack.depths_m),
+            "clamped_light_share": self._model.clamped_light(clip),
         }
-        if (around := clip.surroundings) is not None:
-            every = np.ones(around.depth_m.shape, bool)
-            metadata["clamped_surroundings_share"] = clamped_share(around.depth_m, every, self._stack.depths_m)
         if self._sensor.stored_cfa is not None:
             metadata["cfa"] = self._sensor.stored_cfa
         noise = self._sensor.noise

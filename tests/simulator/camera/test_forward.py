@@ -1,5 +1,7 @@
 """The forward model against a brute-force double sum, its adjoint, its symmetries, torch."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +11,7 @@ from simulator.camera.convolution import StackConvolution
 from simulator.camera.forward import DepthRule, ForwardModel
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
-from simulator.types import Clip
+from simulator.types import Clip, Surroundings
 
 
 def _stack(rng, depths=3, size=(9, 7), dtype=np.float64, depths_m=None):
@@ -128,6 +130,27 @@ def test_depths_outside_the_planes_are_refused_unless_allowed():
     with pytest.raises(InputError, match=r"^clip: "):
         ForwardModel(stack, (12, 12), (4, 4)).forward_clip(clip)
     ForwardModel(stack, (12, 12), (4, 4), depth_rule=DepthRule(max_clamped=1.0)).forward_clip(clip)
+
+
+def test_light_beside_the_image_counts_where_it_is_clamped():
+    """By its brightness and the irradiance of its direction, in image and surroundings; a single plane clamps nothing."""
+    rng = np.random.default_rng(0)
+    irradiance = rng.uniform(size=(8, 8)).astype(np.float32)
+    light, depth = np.zeros((1, 2, 2, 3), np.float32), np.full((1, 2, 2), 0.1, np.float32)
+    light[0, 0, 0], light[0, 0, 1], depth[0, 0, 1] = 1, (2, 3, 4), 0.5  # as seen: a quarter of the field each
+    image = np.full((1, 4, 4, 3), 0.25)
+    clip = replace(_clip(image, 0.1), surroundings=Surroundings(light, depth, 4))
+    clip.depth_m[0, 3, 3] = 0.01
+    field = np.zeros((8, 8))
+    field[:4, :4], field[:4, 4:] = 3, 9
+    field[2:6, 2:6] = 0.75
+    clamped = np.zeros((8, 8), bool)
+    clamped[:4, 4:], clamped[2:6, 2:6], clamped[5, 5] = True, False, True
+    expected = (field * irradiance)[clamped].sum() / (field * irradiance).sum()
+    stack = _stack(rng, 3, dtype=np.float32)
+    share = ForwardModel(stack, (12, 12), (8, 8), irradiance=irradiance).clamped_light(clip)
+    assert share == pytest.approx(expected, rel=1e-5)  # sums in float32
+    assert ForwardModel(_stack(rng, 1), (12, 12), (8, 8)).clamped_light(clip) == 0
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 
 from simulator.camera.exposure import ExposureShares
 from simulator.dataset import generate, open_dataset, verify
-from simulator.dataset.exposure import recorded_shares
 from simulator.errors import InputError
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
@@ -110,8 +108,8 @@ def test_pilots_that_cannot_be_made_hinder_no_given_exposure(trial) -> None:
         assert any("1 of 4 exposure pilots" in line for line in said) == ("fail_at" in scene)
 
 
-def test_a_data_set_that_records_no_shares(dataset: Path) -> None:
-    assert recorded_shares(dataset) is None
+def test_shares_are_read_from_metadata_that_hold_all_of_them() -> None:
+    assert ExposureShares.from_record({"saturated_share": 0.5}) is None
     shares = ExposureShares(0.25, 0.5, 0.5, 0.125)
     assert ExposureShares.from_record({"clamped": 1, **shares.record}) == shares
     assert ExposureShares.mean([shares, ExposureShares(0.75, 0, 0, 0.25)]) == ExposureShares(0.5, 0.25, 0.25, 0.1875)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulator.dataset import open_dataset
+from simulator.dataset import generate, open_dataset
 from simulator.dataset.recipe import scene_clip
 from simulator.plugins import import_file
 from simulator.types import Clip, View
@@ -100,9 +100,11 @@ def test_metadata_count_what_carries_no_signal(trial) -> None:
 
 def test_depths_beyond_the_stack_are_clamped_and_counted(trial, irradiance: Truth) -> None:
     scene = {"family": "./plugins.py:boxes", "size": [16, 20], "depth_m": 0.5}
-    root = trial.generate("forward.max_clamped=1", scene=scene, dataset={"train": 1})
+    said: list[str] = []
+    root = generate(trial.write(scene=scene, dataset={"train": 1}), ["forward.max_clamped=1"], say=said.append).path
     sample = open_dataset(root)[0]
-    assert sample.metadata["clamped_depth_share"] == 1
+    assert sample.metadata["clamped_depth_share"] == sample.metadata["clamped_light_share"] == 1
+    assert any(line.startswith("note: psf: 100% of the light comes from depths outside") for line in said)
     assert np.all(sample.depth_m == 0.5)  # ground truth stays the truth
     expected = irradiance(root, sample.rgb[0], np.full_like(sample.depth_m[0], 0.2)) * EXPOSURE_S / 3e-6
     assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
