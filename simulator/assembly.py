@@ -15,16 +15,6 @@ from numpy.typing import NDArray
 
 from simulator.arrays import to_numpy
 from simulator.camera.colour import CameraColour, fit_camera_colour
-from simulator.camera.field import (
-    LIGHT_LEFT_OUT,
-    Arrival,
-    FieldOfView,
-    automatic_margin,
-    check_margin,
-    margin_of_angle,
-    read_angular_response,
-    stop_tangents,
-)
 from simulator.camera.forward import DepthRule, ForwardModel
 from simulator.camera.noise import NoNoise
 from simulator.camera.sensor import Sensor
@@ -37,7 +27,6 @@ from simulator.design.load import load_mask, mask_arguments
 from simulator.errors import InputError
 from simulator.io.cache import Entry, cached, code_digest
 from simulator.io.files import sha256_file
-from simulator.io.images import filled, read_light
 from simulator.measured_psf import measured_depths_m, measured_files, measured_stack
 from simulator.optics.error_budget import budget
 from simulator.optics.error_budget.direct_sum import llvm_works
@@ -55,6 +44,7 @@ from simulator.optics.spectra import (
 )
 from simulator.optics.stack import PsfStack
 from simulator.plugins import Plugin, plugin_errors, resolve
+from simulator.simulated_field import SimulatedField
 from simulator.types import CameraGeometry, Layer, SceneSource, SpectralResponse, View
 
 EQUIVALENT_WAVELENGTH_M = 550e-9
@@ -156,7 +146,7 @@ class Assembly:
     @part("scene")
     def view(self) -> View:
         """The pinhole view that scenes are drawn for; its depths are the stack's unless the scene has its own."""
-        return replace(self.image_view, margin=self._margin)
+        return replace(self.image_view, margin=self.simulated_field.margin)
 
     @cached_property
     def image_view(self) -> View:
@@ -170,26 +160,10 @@ class Assembly:
             self.depths_m[-1] if far_cm is None else far_cm * 1e-2,
         )
 
-    @part("camera", "camera.sensor")
-    def field_of_view(self) -> FieldOfView:
-        """How much of the light from each direction counts: vignetting, field stop and angular response."""
-        camera = self.config.camera
-        response, stop = camera.sensor.angular_response, camera.field_stop_deg
-        if isinstance(response, str):
-            response = read_angular_response(self.config.resolve_path(response))
-        edges = None if stop is None else stop_tangents(self.image_view, stop)
-        return FieldOfView(self.config.forward.vignetting, edges, response)
-
-    @part("scene")
-    def _margin(self) -> tuple[int, int]:
-        """Rows and columns beside each edge of the image from which light is simulated."""
-        scene, view, field = self.config.scene, self.image_view, self.field_of_view
-        if scene.margin_deg:
-            return margin_of_angle(view, scene.margin_deg)
-        if scene.margin != "auto":
-            return check_margin(view, (scene.margin, scene.margin))
-        bare = self._arrival(self._reach[None], replace(field, stop=None))
-        return automatic_margin(bare, view, field.stop)
+    @cached_property
+    def simulated_field(self) -> SimulatedField:
+        """What beside the image is simulated, how light from each direction counts, and what is left out."""
+        return SimulatedField(self.config, self.image_view, lambda: self._reach)
 
     @cached_property
     def _reach(self) -> NDArray[np.floating]:
@@ -211,46 +185,6 @@ class Assembly:
 
         key = repr((psf_fingerprint(mask, geometry, config), code_digest("simulator.optics.psf")))
         return cached("reach", hashlib.sha256(key.encode()).hexdigest(), compute)[0]["light"]
-
-    def _arrival(self, light: NDArray[np.floating], field: FieldOfView) -> Arrival:
-        """Return from where a uniform half space's light arrives; it falls off as cos^4, whatever the simulation does."""
-        whole = replace(field, vignetting=True)
-        return Arrival(light, self.config.camera.sensor.shape, self.image_view, whole)
-
-    def light_from_outside(self, *, simulated: bool = True) -> float:
-        """Return the share of a uniform half space's light on the sensor that comes from beside what is simulated.
-
-        Args:
-            simulated: False: from beside the image and through no stop, as if there were neither margin nor stop.
-        """
-        return self._light_from_outside(self.psf_stack, simulated)
-
-    def _light_from_outside(self, stack: PsfStack, simulated: bool = True) -> float:
-        field = self.field_of_view if simulated else replace(self.field_of_view, stop=None)
-        ends = to_numpy(stack.values)[[0, -1]].sum(axis=1)
-        return self._arrival(ends, field).left_out(self._margin if simulated else (0, 0))
-
-    def _light_row(self, stack: PsfStack) -> budget.BudgetRow:
-        """Return what the light that is neither simulated nor stopped adds to the error budget."""
-        left_out = self._light_from_outside(stack)
-        kind = "of a uniform half space's light, not simulated"
-        wider = "a wider scene.margin" if self._margin != (0, 0) else "scene.margin: auto"
-        change = f"{wider}, or camera.field_stop_deg" if left_out > 1e-3 else "nothing: all is simulated or stopped"
-        return budget.BudgetRow("light from outside", left_out, kind, change, left_out > 1.5 * LIGHT_LEFT_OUT)
-
-    @property
-    def field_record(self) -> dict[str, Any]:
-        """The field of view as a data set records it: responses by direction, margin, and what light is left out."""
-        left_out = {"light_from_outside": self.light_from_outside()}
-        return self.field_of_view.record() | {"margin": list(self._margin)} | left_out
-
-    @cached_property
-    def surroundings(self) -> str | NDArray[np.float32] | None:
-        """What shines beside images that say nothing of it; see `simulator.camera.surroundings.surrounded`."""
-        chosen = self.config.scene.surroundings
-        if chosen is None or chosen in WORDS:
-            return chosen
-        return filled(read_light(self.config.resolve_path(chosen)), self.view.coarse_field[0].shape)
 
     # ---- light
 
@@ -332,7 +266,7 @@ class Assembly:
     def psf_stack(self) -> PsfStack:
         """The PSF stack: computed (and cached on disk), or measured."""
         if not isinstance(self.config.psf, ComputedPsf):
-            return budget.with_rows(self._measured_stack, [self._light_row(self._measured_stack)])
+            return budget.with_rows(self._measured_stack, [self.simulated_field.budget_row(self._measured_stack)])
         mask, geometry, psf_config = self.mask, self.geometry, self.psf_config
         assert mask is not None
         lines = psf_lines(geometry.response, psf_config)
@@ -365,7 +299,7 @@ class Assembly:
 
         key = repr((fingerprint, self.image_view, code_digest(budget.__name__)))
         _, errors = cached("budget", hashlib.sha256(key.encode()).hexdigest(), judge)
-        return budget.with_budget(stack, errors, [self._light_row(stack)])
+        return budget.with_budget(stack, errors, [self.simulated_field.budget_row(stack)])
 
     @part("psf")
     def _measured_stack(self) -> PsfStack:
@@ -401,7 +335,7 @@ class Assembly:
 
         key = repr((stack.fingerprint, self.image_view, llvm_works(), code_digest(budget.__name__)))
         _, errors = cached("check", hashlib.sha256(key.encode()).hexdigest(), compute)
-        return budget.with_budget(stack, errors, [self._light_row(stack)])
+        return budget.with_budget(stack, errors, [self.simulated_field.budget_row(stack)])
 
     # ---- sensor
 
@@ -481,7 +415,7 @@ class Assembly:
             self.shutter,
             chosen.boundary,
             time=chosen.time,
-            irradiance=self.field_of_view.irradiance(self.view.field),
+            irradiance=self.simulated_field.of_view.irradiance(self.view.field),
             scene_to_camera=self.camera_colour(self.psf_stack.channels).matrix,
             depth_rule=DepthRule(chosen.depth_assignment, chosen.max_clamped),
         )

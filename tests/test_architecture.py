@@ -62,7 +62,7 @@ def _room(module: str) -> str:
         return package
     if first in GROUND or not first:
         return "ground"
-    if first in ("assembly", "captured_psf", "measured_psf"):
+    if first in ("assembly", "simulated_field", "captured_psf", "measured_psf"):
         return "assembly"
     return "error_budget" if rest.startswith("optics.error_budget") else first
 

@@ -305,7 +305,7 @@ class _Job:
                     sensor_shape=self.config.camera.sensor.shape,
                     channels=assembly.sensor.channels(stack.channels),
                     scene_to_camera=colour.origin | {"matrix": colour.matrix.tolist()},
-                    field_of_view=assembly.field_record,
+                    field_of_view=assembly.simulated_field.record(stack),
                     time={"shutter": shutter_record(shutter), **self._slivers()},
                 )
             write_info(self.root, replace(existing, counts=self._counts(), config=dump(self.config)))

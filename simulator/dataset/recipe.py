@@ -64,7 +64,7 @@ class SampleMaker:
         self._model, self._plugin = assembly.forward_model, assembly.scene_plugin
         self._source = recipe.source or assembly.source
         self._order = clip_order(self._source)
-        self._view, self._beside = recipe.view, assembly.surroundings
+        self._view, self._beside = recipe.view, assembly.simulated_field.surroundings(recipe.view)
         self._sensor = replace(assembly.sensor, full_scale=recipe.full_scale or 1.0)
         self._channels = self._sensor.channels(self._stack.channels)
 

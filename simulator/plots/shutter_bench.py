@@ -167,7 +167,7 @@ class Bench:
         self.rows = self.sensor_shape[0]
         self.duration_s = self.shutter.duration_s(self.rows)
         self._boundary = config.forward.boundary
-        self._irradiance = assembly.field_of_view.irradiance(assembly.view)
+        self._irradiance = assembly.simulated_field.of_view.irradiance(assembly.view)
         self.ends = _ends(assembly)
         values = np.asarray(self.ends.values)
         far = replace(self.ends, values=values[-1:], depths_m=self.ends.depths_m[-1:])

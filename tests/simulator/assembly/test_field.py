@@ -47,20 +47,23 @@ def rough() -> Mask:
 """
 
 
+def outside(built: Assembly, *, simulated: bool = True) -> float:
+    return built.simulated_field.light_from_outside(built.psf_stack, simulated=simulated)
+
+
 def test_what_an_automatic_margin_leaves_out_is_little_and_said(trial) -> None:
     trial.plugins.write_text(trial.plugins.read_text() + ROUGH)
     # A mask that throws most of its light beyond its shadow; the margin is found from one of its PSFs, of one wavelength.
     wide = assembly(trial, {"margin": "auto", "surroundings": "black"}, {"mask": {"design": "./plugins.py:rough"}})
-    assert wide.light_from_outside() < 0.025
+    assert outside(wide) < 0.025
     bare = assembly(trial, scene={"margin": "auto", "surroundings": "black"})
-    assert bare.light_from_outside() < 0.025
+    assert outside(bare) < 0.025
     assert wide.view.margin > bare.view.margin
     without = assembly(trial)
-    outside = without.light_from_outside()
-    assert outside == bare.light_from_outside(simulated=False) > 0.5
-    assert assembly(trial, camera={"field_stop_deg": "image"}).light_from_outside() == pytest.approx(0, abs=1e-6)
-    record = without.field_record
-    assert (record["margin"], record["light_from_outside"]) == ([0, 0], outside)
+    assert outside(without) == outside(bare, simulated=False) > 0.5
+    assert outside(assembly(trial, camera={"field_stop_deg": "image"})) == pytest.approx(0, abs=1e-6)
+    record = without.simulated_field.record(without.psf_stack)
+    assert (record["margin"], record["light_from_outside"]) == ([0, 0], outside(without))
 
 
 def test_the_model_takes_the_whole_field_and_weighs_it_by_direction(trial) -> None:
