@@ -296,3 +296,20 @@ def test_white_is_twice_the_mean_of_a_uniform_scene() -> None:
         typical_white(capture, np.full((3, 12, 12), 0.5))  # dark
     with pytest.raises(InputError, match=r"^stack: "):
         plain_capture(random_stack(("a", "b")), (8, 8))
+
+
+def test_what_counts_of_each_direction_is_the_data_sets_record(learning_trial: Any) -> None:
+    """Also where the file of the response is gone."""
+    folder = learning_trial.trial.folder
+    response = folder / "angles.csv"
+    response.write_text("0,1\n90,0\n")
+    plain = learning_trial.generate(f"dataset.output={folder / 'plain'}")
+    weighed = learning_trial.generate(
+        f"dataset.output={folder / 'weighed'}", "camera.sensor.angular_response=angles.csv"
+    )
+    response.unlink()
+    one, other = (capture_model(open_dataset(root, "train")).irradiance for root in (plain, weighed))
+    pixel = 19.2e-6 / 1.9e-3
+    tangents = (np.arange(16) - 7.5) * pixel
+    angle = np.degrees(np.arctan(np.hypot(tangents[:, None], tangents)))
+    np.testing.assert_allclose(other / one, 1 - angle / 90, rtol=1e-5)

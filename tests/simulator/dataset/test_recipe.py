@@ -67,6 +67,30 @@ def test_noiseless_measurement_is_the_brute_force_convolution(
     assert expected.max() > 0.1  # the exposure put the picture into the sensor's range
 
 
+def test_a_margin_is_in_the_measurement_and_not_in_the_ground_truth(
+    tmp_path: Path, make_trial: Callable, irradiance: Truth
+) -> None:
+    trial = make_trial(tmp_path)
+    scene = {"family": "./plugins.py:boxes", "size": [16, 20], "margin": 4, "surroundings": "continue"}
+    root = trial.generate(scene=scene)
+    sample, clip = open_dataset(root, "test")[0], redrawn(import_file(trial.plugins, "plugins"), "test", 0)
+    assert np.array_equal(sample.rgb, clip.rgb)
+    # Beside the image it goes on as in mirrors, in pixels of 4 x 4.
+    rgb, depth_m = (
+        np.pad(v, ((4, 4), (4, 4), (0, 0))[: v.ndim], mode="symmetric") for v in (clip.rgb[0], clip.depth_m[0])
+    )
+    coarse = rgb.reshape(6, 4, 7, 4, 3).mean(axis=(1, 3))
+    field, depths_m = (v.repeat(4, axis=0).repeat(4, axis=1) for v in (coarse, depth_m[2::4, 2::4]))
+    field[4:-4, 4:-4], depths_m[4:-4, 4:-4] = clip.rgb[0], clip.depth_m[0]
+    expected = irradiance(root, field, depths_m) * EXPOSURE_S / sample.metadata["full_scale"]
+    assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
+    alone = irradiance(root, clip.rgb[0], clip.depth_m[0]) * EXPOSURE_S / sample.metadata["full_scale"]
+    assert np.abs(sample.noiseless - alone).max() > 0.1 * expected.max()
+    recorded = json.loads((root / "dataset.json").read_text())["field_of_view"]
+    assert recorded["margin"] == [4, 4]
+    assert 0 < recorded["light_from_outside"] < 1
+
+
 @pytest.mark.parametrize(("split", "index"), CASES)
 def test_noise_is_that_of_the_documented_stream(made: Any, split: str, index: int) -> None:
     sample = open_dataset(made[0], split)[index]
