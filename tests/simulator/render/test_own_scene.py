@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,11 +42,16 @@ def write(folder: Path, *parts: str, name: str = "own.xml") -> Path:
 
 
 def render(
-    path: Path, *, metres_per_unit: float | None = None, outputs: tuple[str, ...] = (), samples: int = 4
+    path: Path,
+    *,
+    view: View = VIEW,
+    metres_per_unit: float | None = None,
+    outputs: tuple[str, ...] = (),
+    samples: int = 4,
 ) -> Clip:
     renderer = Renderer("scalar_rgb", outputs)
     return renderer.own_still(
-        path, VIEW, metres_per_unit=metres_per_unit, samples_per_pixel=samples, seed=1, source={"kind": "xml"}
+        path, view, metres_per_unit=metres_per_unit, samples_per_pixel=samples, seed=1, source={"kind": "xml"}
     )
 
 
@@ -112,6 +118,33 @@ def test_its_own_light_and_material_shine(tmp_path: Path) -> None:
     beside = np.isnan(ball_depth(3.0, 1.7))
     np.testing.assert_allclose(clip.rgb[0][beside], 0.5, rtol=1e-6)
     assert not clip.valid[0][beside].any()
+
+
+def test_a_margin_is_what_a_wider_picture_shows_there(tmp_path: Path) -> None:
+    """A quilt of lamps that face the camera, one for each coarse pixel: nothing in it is noise."""
+    view, rng = replace(VIEW, margin=(8, 12)), np.random.default_rng(2)
+    wide, coarseness = view.coarse_field
+    assert (wide.shape, coarseness) == ((10, 14), 4)
+    pixel, quilt = wide.pixel_pitch_m / wide.distance_m, [SENSOR]
+    for tangents in np.stack(np.meshgrid(*wide.tangents, indexing="ij"), axis=-1).reshape(-1, 2):
+        distance = rng.uniform(1, 3)
+        (down, right), half = tangents * distance, pixel * distance / 2
+        light = ", ".join(f"{value:.6f}" for value in rng.uniform(0.1, 1, 3))
+        quilt.append(
+            f'<shape type="rectangle"><transform name="to_world"><scale value="{half:.9f}"/><rotate y="1" angle="90"/>'
+            f'<translate x="{3 - distance:.9f}" y="{right:.9f}" z="{-down:.9f}"/></transform>'
+            f'<emitter type="area"><rgb name="radiance" value="{light}"/></emitter></shape>'
+        )
+    path = write(tmp_path, *quilt)
+    clip, alone, field = (render(path, view=each, metres_per_unit=0.05) for each in (view, VIEW, view.field))
+    np.testing.assert_array_equal(clip.rgb, alone.rgb)
+    np.testing.assert_array_equal(clip.depth_m, alone.depth_m)
+    around = clip.surroundings
+    assert around is not None
+    assert around.coarseness == 4
+    light = field.rgb[0].reshape(10, 4, 14, 4, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(around.rgb[0], light, rtol=1e-5)
+    np.testing.assert_allclose(around.depth_m[0], field.depth_m[0, 2::4, 2::4], rtol=1e-5)
 
 
 def test_without_a_camera_it_is_seen_from_the_origin_in_our_axes(tmp_path: Path) -> None:
