@@ -123,11 +123,14 @@ def _spectrum_facts(provenance: dict[str, Any]) -> list[tuple[str, str]]:
     lines: dict[str, list[float]] = {}
     for channel, wavelength_m, _ in provenance.get("lines", []):
         lines.setdefault(channel, []).append(wavelength_m * 1e9)
+    channels: dict[tuple[float, ...], list[str]] = {}
     for channel, wavelengths in lines.items():
+        channels.setdefault(tuple(wavelengths), []).append(channel)
+    for wavelengths, alike in channels.items():
         shown = [f"{w:.0f}" for w in wavelengths]
         if len(shown) > 5:
             shown = [*shown[:2], "…", *shown[-2:]]
-        facts.append((f"wavelengths {channel}", f"{' '.join(shown)} nm"))
+        facts.append((" ".join(["wavelengths", *(alike if len(channels) > 1 else ())]), f"{' '.join(shown)} nm"))
     if "response" in provenance:
         facts.append(("response", str(provenance["response"])))
     return facts

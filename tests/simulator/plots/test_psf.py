@@ -149,6 +149,24 @@ def test_facts_of_a_computed_stack():
     assert dict(psf_facts(unproven))["sampling"] == "unproven"
 
 
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        ({"R": [450, 600], "G": [450, 600], "B": [450, 600]}, {"wavelengths": "450 600 nm"}),
+        (
+            {"R": [550, 600], "G": [450, 550], "B": [450, 550]},
+            {"wavelengths R": "550 600 nm", "wavelengths G B": "450 550 nm"},
+        ),
+        ({"Y": [400, 450, 500, 550, 600, 650]}, {"wavelengths": "400 450 … 600 650 nm"}),
+    ],
+)
+def test_wavelengths_are_listed_once(lines, told):
+    record = [[channel, nm * 1e-9, 0.5] for channel, all_nm in lines.items() for nm in all_nm]
+    values = np.ones((1, len(lines), 1, 1))
+    stack = PsfStack(values, np.array([1.0]), 1e-5, tuple(lines), "f", {"lines": record})
+    assert [fact for fact in psf_facts(stack) if "wavelengths" in fact[0]] == list(told.items())
+
+
 def test_the_depth_limit_follows_the_open_part_of_the_mask():
     """An opaque rim does not count: it sends no light."""
     amplitude = np.pad(np.ones((30, 50)), 200)
