@@ -305,7 +305,7 @@ def margin_of_angle(view: View, margin_deg: float) -> tuple[int, int]:
     """
     edges_deg = [math.degrees(math.atan(edge)) for edge in (view.tan_half_height, view.tan_half_width)]
     if max(edges_deg) + margin_deg > STEEPEST_DEG:
-        raise InputError("margin_deg", _too_steep(f"{margin_deg:g}", f"{STEEPEST_DEG - max(edges_deg):.3g}"))
+        raise InputError("margin_deg", _too_steep(view, f"{margin_deg:g}", f"{STEEPEST_DEG - max(edges_deg):.3g}"))
     rows, columns = (math.tan(math.radians(edge + margin_deg)) for edge in edges_deg)
     return _reaching(view, (rows, columns))
 
@@ -319,7 +319,7 @@ def check_margin(view: View, margin: tuple[int, int]) -> tuple[int, int]:
     steepest = math.tan(math.radians(STEEPEST_DEG))
     most = [max(0, size - 1) for size in _reaching(view, (steepest, steepest))]
     if any(wanted > limit for wanted, limit in zip(margin, most, strict=True)):
-        raise InputError("margin", _too_steep(f"{max(margin)}", f"{min(most)}"))
+        raise InputError("margin", _too_steep(view, f"{max(margin)}", f"{min(most)}"))
     return margin
 
 
@@ -333,5 +333,11 @@ def _reaching(view: View, tangents: tuple[float, float]) -> tuple[int, int]:
     return rows, columns
 
 
-def _too_steep(got: str, most: str) -> str:
+def _too_steep(view: View, got: str, most: str) -> str:
+    edge_deg = math.degrees(math.atan(max(view.tan_half_height, view.tan_half_width)))
+    if edge_deg >= STEEPEST_DEG:
+        return (
+            f"got {got}, but the image itself reaches to {edge_deg:.4g} degrees to the axis, and no margin reaches beyond "
+            f"{STEEPEST_DEG:g}; expected none, a smaller image, or margin: auto, which adds what there is room for"
+        )
     return f"got {got}, which reaches beyond {STEEPEST_DEG:g} degrees to the axis; expected at most {most}, or margin: auto"

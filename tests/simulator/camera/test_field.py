@@ -162,3 +162,14 @@ def test_margins_in_degrees_and_how_far_they_may_reach():
     assert check_margin(VIEW, (most, most)) == (most, most)
     with pytest.raises(InputError, match=rf"^margin: .*{most}"):
         check_margin(VIEW, (most + 1, 0))
+
+
+def test_an_image_beyond_the_steepest_angle_leaves_no_room_for_a_margin():
+    """Its width reaches to 82.4 degrees: no number of degrees or pixels would do, and none is named as the most."""
+    wide = View((64, 1500), VIEW.pixel_pitch_m, VIEW.distance_m, 0.036, 0.2)
+    assert np.degrees(np.arctan(wide.tan_half_width)) == pytest.approx(82.48, abs=0.01)
+    with pytest.raises(InputError, match=r"^margin_deg: (?!.*at most).*82\.48"):
+        margin_of_angle(wide, 5.0)
+    with pytest.raises(InputError, match=r"^margin: (?!.*at most).*82\.48"):
+        check_margin(wide, (4, 4))
+    assert check_margin(wide, (4, 0)) == (4, 0)
