@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from simulator.camera.convolution import StackConvolution
 from simulator.errors import InputError
-from simulator.io.files import read_text
+from simulator.io.tables import read_number_table
 from simulator.settings import Range, Settings
 from simulator.types import View
 
@@ -85,42 +85,16 @@ def show_numbers(values: NDArray[np.float64]) -> str:
 
 
 def read_angular_response(path: Path) -> AngularTable:
-    """Read a CSV file with an angle to the axis in degrees and the response to it in each line.
-
-    A first line of names and lines that begin with # are passed over.
+    """Read a CSV file with an angle to the axis in degrees and the response to it in each row.
 
     Raises:
-        InputError: naming the file, and the line that is no such pair.
+        InputError: as `simulator.io.tables.read_number_table` and `AngularTable`, naming the file.
     """
-    rows: list[tuple[float, float]] = []
-    begun = False
-    for number, line in enumerate(read_text(path, "a table of angles").splitlines(), 1):
-        cells = [cell.strip() for cell in line.split(",")]
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        try:
-            angle, value = map(float, cells)
-        except ValueError:
-            if begun or any(_is_number(cell) for cell in cells):
-                raise InputError(
-                    f"{path}:{number}", f"got {line.strip()[:60]!r}, expected angle_deg,response"
-                ) from None
-            begun = True
-            continue
-        begun = True
-        rows.append((angle, value))
+    angles, values = read_number_table(path, "an angle in degrees and the response", columns=2).values.T
     try:
-        return AngularTable(*(tuple(column) for column in zip(*rows, strict=True)) if rows else ((), ()))
+        return AngularTable(tuple(angles.tolist()), tuple(values.tolist()))
     except InputError as error:
         raise InputError(path, error.reason) from error
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 AngularResponse = CosinePower | AngularTable

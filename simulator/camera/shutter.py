@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -14,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import InputError
-from simulator.io.files import read_text
 from simulator.io.measurements import read_npy
+from simulator.io.tables import read_number_table
 from simulator.settings import NO_KEY, Quantity, Settings
 
 ROUNDING = 1e-9
@@ -265,13 +263,13 @@ def read_row_shutter(path: Path, rows: int, binning: int) -> RowShutter:
     """Return the shutter of a file, for an image of so many rows.
 
     Args:
-        path: ``.csv``: two numbers per row, parted by a comma: seconds, or what a first line says, such as
-            ``open_ms,close_ms`` (s, ms or us); lines that begin with # are remarks. ``.npy``: ``(rows, 2)`` seconds.
+        path: ``.csv``: two numbers per row, seconds or what a header says, such as ``open_ms,close_ms`` (s, ms or us).
+            ``.npy``: ``(rows, 2)`` seconds.
         rows: of the image.
         binning: physical rows per row of the image.
 
     Raises:
-        InputError: naming the file, and of a CSV the line; as `row_shutter`.
+        InputError: as `row_shutter`, and of a CSV as `simulator.io.tables.read_number_table`.
     """
     if path.suffix.lower() == ".csv":
         return row_shutter(_read_csv(path), rows, binning, path)
@@ -302,50 +300,16 @@ def row_shutter(windows: Any, rows: int, binning: int, source: str | Path) -> Ro
 
 
 def _read_csv(path: Path) -> NDArray[np.float64]:
-    windows: list[tuple[float, float]] = []
-    units_s: tuple[float, float] | None = None
-    for line, text in enumerate(read_text(path, "a table of rows").splitlines(), 1):
-        if not text.strip() or text.lstrip().startswith("#"):
-            continue
-        cells = [cell.strip() for cell in next(csv.reader(io.StringIO(text)))]
-        if units_s is None:
-            units_s = _header(path, line, cells)
-            if units_s is not None:
-                continue
-            units_s = 1.0, 1.0
-        if len(cells) != 2:
-            raise InputError(f"{path}:{line}", f"got {len(cells)} cells, expected two: opening and closing")
-        try:
-            windows.append((float(cells[0]) * units_s[0], float(cells[1]) * units_s[1]))
-        except ValueError:
-            raise InputError(
-                f"{path}:{line}", f"got {text.strip()[:60]!r}, expected two numbers: opening and closing"
-            ) from None
-    if not windows:
-        raise InputError(path, f"holds no rows; expected {_EXPECTED}")
-    return np.array(windows)
-
-
-def _header(path: Path, line: int, cells: list[str]) -> tuple[float, float] | None:
-    """Return the units of both columns, seconds, if these cells are the header."""
-    if any(_is_number(cell) for cell in cells):
-        return None
-    names = [cell.lower().partition("_") for cell in cells]
+    table = read_number_table(path, "opening and closing", columns=2)
+    if table.header is None:
+        return table.values
+    names = [name.lower().partition("_") for name in table.header]
     if [name for name, _, _ in names] != ["open", "close"] or any(unit not in _UNITS_S for _, _, unit in names):
         raise InputError(
-            f"{path}:{line}",
-            f"got {','.join(cells)!r}, expected two numbers (seconds), or the header open_s,close_s (or _ms, _us)",
+            path,
+            f"got the header {','.join(table.header)!r}, expected open_s,close_s (or _ms, _us); without one: seconds",
         )
-    opening, closing = (_UNITS_S[unit] for _, _, unit in names)
-    return opening, closing
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+    return table.values * [_UNITS_S[unit] for _, _, unit in names]
 
 
 KINDS: dict[str, type[Shutter]] = {

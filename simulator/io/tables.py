@@ -1,7 +1,8 @@
-"""Reading a table of numbers against the wavelength (CSV), as data sheets, spectrometers and databases export it."""
+"""Reading tables of numbers (CSV), as data sheets, spectrometers, databases and spreadsheets export them."""
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from simulator.errors import InputError
 from simulator.io.files import read_text
+from simulator.text import show
 
 NM, UM = 1e-9, 1e-6
 _UNITS = (
@@ -19,6 +21,52 @@ _UNITS = (
     (r"\b(a|å|aa|angstroms?|ångströms?)\b", 1e-10),
 )
 _SHORTEST_M, _LONGEST_M = 10e-9, 10e-3
+
+
+@dataclass(frozen=True)
+class NumberTable:
+    """A table's numbers and what its file says of them.
+
+    Attributes:
+        values: ``(rows, columns)``, finite.
+        header: one name per column, or None for a table without a header.
+        remarks: its comment lines.
+    """
+
+    values: NDArray[np.float64]
+    header: tuple[str, ...] | None
+    remarks: str
+
+
+def read_number_table(path: Path, row: str, columns: int | None = None, least: int = 1) -> NumberTable:
+    """Read a CSV file of numbers.
+
+    Columns are parted by commas, semicolons, tabs or blanks; lines that begin with # are remarks. A first line that does not
+    begin with a number is the header.
+
+    Args:
+        path: the file.
+        row: what the numbers of a row are, for the messages, such as ``opening and closing``.
+        columns: how many there are; None takes as many as the first row has, at least two.
+        least: number of rows.
+
+    Raises:
+        InputError: naming the file and the line.
+    """
+    lines = [(n, line.strip()) for n, line in enumerate(read_text(path, "a table of numbers").splitlines(), 1)]
+    remarks = " ".join(line.lstrip("# ") for _, line in lines if line.startswith("#"))
+    rows = [(n, line, _cells(line)) for n, line in lines if line and not line.startswith("#")]
+    header = tuple(rows.pop(0)[2]) if rows and np.isnan(_number(rows[0][2][0])) else None
+    wanted = columns or max([2, *(len(cells) for _, _, cells in rows[:1])])
+    values = [[_number(cell) for cell in cells] for _, _, cells in rows]
+    for (n, line, _), numbers in zip(rows, values, strict=True):
+        if len(numbers) != wanted or not np.all(np.isfinite(numbers)):
+            raise InputError(f"{path}:{n}", f"got {show(line)}, expected {wanted} finite numbers: {row}")
+    if len(values) < least:
+        raise InputError(path, f"got {len(values)} rows of numbers, expected at least {least}: {row}")
+    if header is not None and len(header) != wanted:
+        raise InputError(path, f"its header names {len(header)} columns, but the rows hold {wanted}")
+    return NumberTable(np.array(values, np.float64), header, remarks)
 
 
 @dataclass(frozen=True)
@@ -41,33 +89,19 @@ class WavelengthTable:
 def read_wavelength_table(path: Path, unit_m: float | None = None) -> WavelengthTable:
     """Read a CSV file whose first column is the wavelength.
 
-    Columns are parted by commas, semicolons, tabs or blanks; lines that begin with # are remarks. The header, if there is
-    one, may say the wavelength's unit: ``wavelength_nm``, ``lambda (um)``, ``Wavelength [Angstrom]``.
+    The header, if there is one, may say the wavelength's unit: ``wavelength_nm``, ``lambda (um)``, ``Wavelength [Angstrom]``.
 
     Args:
         path: the file.
         unit_m: the wavelengths' unit where the header names none, metres; None refuses such a table.
 
     Raises:
-        InputError: naming the file and the line.
+        InputError: as `read_number_table`, and for wavelengths without a unit or that `ordered` refuses.
     """
-    lines = read_text(path, "a table of wavelengths").splitlines()
-    remarks = " ".join(line.lstrip("# ").strip() for line in lines if line.lstrip().startswith("#"))
-    rows = [(n, _cells(line)) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
-    header = rows.pop(0)[1] if rows and _number(rows[0][1][0]) is None else None
-    values = [[_number(cell) for cell in cells] for _, cells in rows]
-    for (line, cells), numbers in zip(rows, values, strict=True):
-        if len(cells) != len(rows[0][1]) or len(cells) < 2 or None in numbers:
-            wanted = f"{max(len(rows[0][1]), 2)} finite numbers, the wavelength first"
-            raise InputError(f"{path}:{line}", f"got {', '.join(cells)!r}; expected {wanted}")
-    if len(values) < 2:
-        raise InputError(path, f"got {len(values)} rows of numbers; expected at least two wavelengths")
-    if header is not None and len(header) != len(values[0]):
-        raise InputError(path, f"its header names {len(header)} columns, but the rows hold {len(values[0])}")
-    table = np.array(values, np.float64)
-    wavelengths_m = table[:, 0] * _unit_m(path, header[0] if header else "", unit_m)
-    names = tuple(name.strip() for name in header[1:]) if header else None
-    return WavelengthTable(*ordered(path, wavelengths_m, table[:, 1:]), names, remarks)
+    table = read_number_table(path, "a wavelength and its values", least=2)
+    wavelengths_m = table.values[:, 0] * _unit_m(path, table.header[0] if table.header else "", unit_m)
+    names = table.header[1:] if table.header else None
+    return WavelengthTable(*ordered(path, wavelengths_m, table.values[:, 1:]), names, table.remarks)
 
 
 def ordered(
@@ -96,12 +130,12 @@ def _cells(line: str) -> list[str]:
     return [cell.strip().strip('"') for cell in parted]
 
 
-def _number(cell: str) -> float | None:
+def _number(cell: str) -> float:
+    """Return a cell's number, NaN for a word."""
     try:
-        value = float(cell)
+        return float(cell)
     except ValueError:
-        return None
-    return value if np.isfinite(value) else None
+        return math.nan
 
 
 def _unit_m(path: Path, label: str, default: float | None) -> float:

@@ -69,7 +69,7 @@ def test_responses_to_oblique_light_multiply_by_the_angle_to_the_axis(tmp_path):
         ("5,1\n90,0\n", ""),
         ("0,1\n90,0.5\n45,0.1\n", ""),
         ("0,1\n90,-0.5\n", ""),
-        ("0,1\n90,nan\n", ""),
+        ("0,1\n90,nan\n", ":2"),
         ("0,1\nfourty,0.5\n90,0\n", ":2"),
         ("angle,response\n0,1\n90,0,3\n", ":3"),
         ("0.0,1,x\n0,1\n90,0\n", ":1"),

@@ -94,6 +94,7 @@ def test_every_kind_becomes_its_shutter_in_seconds(write: Callable[..., Path], y
         ("open_s,close_s\n", (1, 1)),
         ("# measured\nOpen_ms, close_ms\n", (1e3, 1e3)),
         ("open_us,close_ms\n\n", (1e6, 1e3)),
+        ("open_ms;close_ms\n", (1e3, 1e3)),
     ],
 )
 def test_windows_from_a_table(write: Callable[..., Path], tmp_path: Path, head: str, unit: tuple[float, float]) -> None:
@@ -157,14 +158,14 @@ def test_mistakes_are_refused_at_their_place(refused: Callable[..., None], new: 
 
 TABLES = [
     (_csv(_table(64)), ["256"]),
-    (_csv(np.vstack([_table(255), [(0.1, np.nan)]])), ["row 255"]),
+    (_csv(np.vstack([_table(255), [(0.1, np.nan)]])), ["rows.csv:256:"]),
     (_csv(np.vstack([_table(255), [(0.1, 0.05)]])), ["row 255"]),
     ("0,1\n0,1,2\n", ["rows.csv:2:"]),
-    ("0,1\n# remark\n0;1\n", ["rows.csv:3:"]),
+    ("0,1\n# remark\n0:1\n", ["rows.csv:3:"]),
     ("0,1\n0,one\n", ["rows.csv:2:", "'0,one'"]),
-    ("start,end\n0,1\n", ["rows.csv:1:", "open_s,close_s"]),
-    ("close_s,open_s\n", ["rows.csv:1:"]),
-    ("open_m,close_m\n", ["rows.csv:1:"]),
+    ("start,end\n0,1\n", ["'start,end'", "open_s,close_s"]),
+    ("close_s,open_s\n0,1\n", ["'close_s,open_s'"]),
+    ("open_m,close_m\n0,1\n", ["'open_m,close_m'"]),
     ("open_s,close_s\n", []),
     ("", []),
     ("\x00\xff", ["UTF-8"]),
