@@ -266,7 +266,8 @@ class PlanarMethod:
         build, _, self.stage = _VOLUMES[name]
         self._inversion = build(capture, **self.parameters)
 
-    def to(self, device: torch.device | str) -> Self:  # noqa: D102
+    def to(self, device: torch.device | str) -> Self:
+        """Move what makes images to a device, and return this."""
         self._inversion.to(device)
         return self
 

@@ -125,13 +125,15 @@ def _load(dataset: Dataset, noise_db: float | None, seed: int) -> Example:
 
 
 class VolumeMethod(Protocol):
-    """A method in two steps, so that the first, which is the costly one, is done once where only the second changes.
+    """A method in two steps, so that the first, which is the costly one, is done once where only the second changes."""
 
-    ``volume`` makes ``(B, K, C, h, w)`` of measurements ``(B, C, H, W)``, ``estimate`` image and depth of that.
-    """
+    def volume(self, measurement: Tensor) -> Tensor:
+        """Return ``(B, K, C, h, w)`` of measurements ``(B, C, H, W)``."""
+        ...
 
-    def volume(self, measurement: Tensor) -> Tensor: ...  # noqa: D102
-    def estimate(self, volume: Tensor) -> Estimate: ...  # noqa: D102
+    def estimate(self, volume: Tensor) -> Estimate:
+        """Return image and depth of a volume."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,10 @@ def test_defocus_is_the_thesis_formula_averaged_by_a_gaussian(volume):
     cost = cost_of(volume, contrast=0.7, window_px=1.3).numpy()
     slopes = sharpness(volume).numpy()
     raw = np.exp(-0.7 * slopes / slopes.mean(axis=(1, 2, 3), keepdims=True))
-    average = lambda values: gaussian_filter(values, 1.3, mode="constant", truncate=20, axes=(2, 3))  # noqa: E731
+
+    def average(values: np.ndarray) -> np.ndarray:
+        return gaussian_filter(values, 1.3, mode="constant", truncate=20, axes=(2, 3))
+
     np.testing.assert_allclose(cost, average(raw) / average(np.ones_like(raw)), rtol=1e-10)
 
 

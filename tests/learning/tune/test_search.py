@@ -108,7 +108,10 @@ def test_a_score_that_improves_for_ever_ends() -> None:
 
 def test_only_the_sweep_sees_a_second_minimum() -> None:
     values = {1.0: 5.0, 2.0: 6.0, 4.0: 6.0, 8.0: 1.0}
-    score = lambda p: values.get(float(p["a"]), 9.0)  # noqa: E731
+
+    def score(parameters: Parameters) -> float:
+        return values.get(float(parameters["a"]), 9.0)
+
     space = {"a": Axis(tuple(values))}
     assert coordinate_search(space, [{"a": 1.0}], score).parameters["a"] == 8.0
     assert coordinate_search(space, [{"a": 1.0}], score, sweep=False).parameters["a"] == 1.0

@@ -3,6 +3,7 @@
 import hashlib
 import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +98,7 @@ class TestMasks:
             "    return Mask(np.zeros_like(open_), open_, 1e-5)\n"
         )
         (trial.folder / "drawing.txt").write_text("0 1\n1 1")
-        load = lambda: load_mask("./plugins.py:drawn", trial.folder, file="drawing.txt")  # noqa: E731
+        load = partial(load_mask, "./plugins.py:drawn", trial.folder, file="drawing.txt")
         assert load().amplitude.tolist() == [[0, 1], [1, 1]]
         (trial.folder / "drawing.txt").write_text("1 0\n1 1")
         assert load().amplitude.tolist() == [[1, 0], [1, 1]]
@@ -199,7 +200,7 @@ class TestSources:
     def test_a_renderer_goes_to_those_who_want_it(self, trial) -> None:
         path = trial.write(scene={"family": "flying_things", "size": [16, 20]})
         source = Assembly(load_config(path), "scalar_rgb").source
-        assert getattr(source, "renderer").backend == "scalar_rgb"  # noqa: B009
+        assert source.renderer.backend == "scalar_rgb"
         assert not Assembly(load_config(trial.write())).scene_plugin.takes_renderer
 
     @pytest.mark.parametrize(
@@ -219,7 +220,7 @@ class TestSources:
         scene = {"family": "flying_things", "size": [16, 20]}
         config = load_config(trial.write(scene=scene, render={"backend": "scalar"} | render))
         variant = "scalar_spectral" if "bands" in render else "scalar_rgb"
-        renderer = getattr(Assembly(config, variant).source, "renderer")  # noqa: B009
+        renderer = Assembly(config, variant).source.renderer
         assert {name: getattr(renderer, name) for name in fields} == fields
         assert renderer.backend == variant
 

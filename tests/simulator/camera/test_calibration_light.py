@@ -123,7 +123,9 @@ class TestPlaces:
         np.testing.assert_allclose(found.blurs_m, 50e-6 * D / found.depths_m)
 
     def test_one_error_switched_off_leaves_the_others(self) -> None:
-        draw = lambda **errors: CalibrationSource(**errors).place((0.05, 0.1), D, np.random.default_rng(4))  # noqa: E731
+        def draw(**errors: float) -> SourcePlaces:
+            return CalibrationSource(**errors).place((0.05, 0.1), D, np.random.default_rng(4))
+
         both, depth_only = draw(depth_std_m=1e-3, shift_std_m=1e-4), draw(depth_std_m=1e-3)
         np.testing.assert_array_equal(both.depths_m, depth_only.depths_m)
         np.testing.assert_array_equal(depth_only.shifts_m, 0)
