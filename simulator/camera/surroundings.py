@@ -27,7 +27,7 @@ def whole_frames(clip: Clip, field_shape: tuple[int, int]) -> Iterator[tuple[NDA
             raise InputError(
                 "clip",
                 f"its frames are {image_shape} without surroundings, but the model was made for a field of "
-                f"{tuple(field_shape)}",
+                f"{tuple(field_shape)}; simulator.camera.surroundings.surrounded adds them",
             )
         yield from zip(clip.rgb, clip.depth_m, strict=True)
         return
