@@ -189,7 +189,9 @@ def _by_depth(errors: dict[str, Any], sampling: dict[str, Any] | str) -> str:
     ]
     judged = {"model": model, "points": direct, "sampling": None if isinstance(sampling, str) else sampling}
     widths = [f"{name}: {length(part['crop_m'])} of the mask" for name, part in judged.items() if part]
-    return f"relative L2 errors ({', '.join(widths)})\n{_table(['depth', 'wavelength', *columns], rows)}"
+    remark = "\npoints are no pixels: faint orders beyond the grid and shifts of a micrometre count there in full"
+    table = f"relative L2 errors ({', '.join(widths)})\n{_table(['depth', 'wavelength', *columns], rows)}"
+    return table + (remark if direct else "")
 
 
 def _by_channel(spectrum: dict[str, Any]) -> str:
