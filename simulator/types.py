@@ -100,6 +100,10 @@ class Surroundings:
         if self.coarseness < 1:
             raise InputError("Surroundings.coarseness", f"got {self.coarseness}, expected at least 1")
 
+    def within(self, farthest_m: float) -> Surroundings:
+        """Return the same with depths that end there: files hold no infinite ones."""
+        return replace(self, depth_m=np.minimum(self.depth_m, np.float32(farthest_m)))
+
     def frames(self, chosen: slice) -> Surroundings:
         """Return those of some frames."""
         still = len(self.rgb) == 1

@@ -82,17 +82,21 @@ def split_measurement(measurement: Array, weights: NDArray[np.float64]) -> Array
 def sliver_means(clip: Clip, slivers: int) -> Clip:
     """Return a clip of N frames, the slivers': mean radiance; depth, validity and extras of the frame in the middle.
 
-    Depths are not averaged: a mean of fore- and background is neither. What lies beside the image is left out.
+    Depths are not averaged: a mean of fore- and background is neither.
     """
-    frames = len(clip.rgb)
-    length = sliver_length(frames, slivers)
-    clip = replace(clip, surroundings=None)
+    length = sliver_length(len(clip.rgb), slivers)
     if length == 1:
         return clip
     edges_s = sliver_edges(clip.frame_edges_s, slivers)
     shares = frame_shares(clip.frame_edges_s, slivers).astype(np.float32)
-    means = np.einsum("nt,nthwc->nhwc", shares, clip.rgb.reshape(slivers, length, *clip.rgb.shape[1:]))
-    return replace(_frames_of(clip, slice(length // 2, None, length), edges_s), rgb=means)
+
+    def means(rgb: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.einsum("nt,nthwc->nhwc", shares, rgb.reshape(slivers, length, *rgb.shape[1:]))
+
+    middle = _frames_of(clip, slice(length // 2, None, length), edges_s)
+    if (around := middle.surroundings) is not None and clip.surroundings is not None and len(clip.surroundings.rgb) > 1:
+        middle = replace(middle, surroundings=replace(around, rgb=means(clip.surroundings.rgb)))
+    return replace(middle, rgb=means(clip.rgb))
 
 
 def _frames_of(clip: Clip, frames: slice, frame_edges_s: NDArray[np.float64]) -> Clip:

@@ -130,6 +130,7 @@ class SampleMaker:
             truth.extras,
             frame_edges_s=truth.frame_edges_s if frames > 1 else None,
             global_measurements=measured,
+            surroundings=None if truth.surroundings is None else truth.surroundings.within(FARTHEST_M),
         )
 
 

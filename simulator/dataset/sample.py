@@ -17,8 +17,10 @@ from simulator.io.clips import TRUTH, describe_extras, frame_channels, frame_ext
 from simulator.io.exr import decode_exr, write_exr
 from simulator.io.files import committed_folder, read_errors, sha256_bytes, write_atomic
 from simulator.io.json import are_names, check_keys, plain, readable_json
+from simulator.types import Clip, Surroundings
 
 MEASUREMENT, GROUND_TRUTH, DESCRIPTION = "measurement.exr", "ground_truth.exr", "sample.json"
+SURROUNDINGS = "surroundings.exr"
 FRAMES = "frames"  # the folder inside a sample's
 NOISELESS = "noiseless."
 MOST_FRAMES = 10_000  # names have four digits, so that they sort
@@ -40,10 +42,16 @@ def global_file(frame: int) -> str:
     return f"{FRAMES}/global.{frame:04d}.exr"
 
 
-def file_names(frames: int, global_measurements: bool) -> list[str]:
-    """Return the names of the EXR files of a sample."""
+def surroundings_file(frame: int, frames: int) -> str:
+    """Return the name of a frame of what shines beside the image, of so many frames; see `truth_file`."""
+    return SURROUNDINGS if frames == 1 else f"{FRAMES}/surroundings.{frame:04d}.exr"
+
+
+def file_names(frames: int, global_measurements: bool, surroundings: int) -> list[str]:
+    """Return the names of the EXR files of a sample; ``surroundings`` counts their frames."""
     names = [MEASUREMENT, *(truth_file(frame, frames) for frame in range(frames))]
-    return names + [global_file(frame) for frame in range(frames if global_measurements else 0)]
+    names += [global_file(frame) for frame in range(frames if global_measurements else 0)]
+    return names + [surroundings_file(frame, surroundings) for frame in range(surroundings)]
 
 
 def file_metadata(description: Mapping[str, Any], frame: int | None) -> dict[str, Any]:
@@ -77,17 +85,26 @@ def read_description(folder: Path) -> tuple[dict[str, Any], bytes]:
         raise InputError(path, f"not a sample description ({str(error)[:200]}); {cure}") from error
     check_keys(path, description, dict.fromkeys(sorted(_FIELDS), lambda _: True), cure)
     frames, measured = description.get("frames", 1), description.get("global_measurements", False)
+    around = description.get("surroundings")
+    beside: int = around.get("frames", 0) if isinstance(around, dict) else 0
     checks: dict[str, Callable[[Any], object]] = {
         "channels": are_names,
         "metadata": lambda metadata: isinstance(metadata, dict),
         "frames": lambda frames: type(frames) is int and 1 <= frames <= MOST_FRAMES,
         "global_measurements": lambda measured: type(measured) is bool,
         "frame_edges_s": lambda edges_s: (edges_s is None and frames == 1) or _are_edges(edges_s, frames),
-        "files": lambda files: set(files) == set(file_names(frames, measured)),
+        "surroundings": lambda around: (
+            around is None or (beside in (1, frames) and _is_count(around.get("coarseness")))
+        ),
+        "files": lambda files: set(files) == set(file_names(frames, measured, beside)),
     }
-    optional = {"frames": frames, "global_measurements": measured, "frame_edges_s": None}
+    optional = {"frames": frames, "global_measurements": measured, "frame_edges_s": None, "surroundings": None}
     check_keys(path, optional | description, checks, cure)
     return description, data
+
+
+def _is_count(value: Any) -> bool:
+    return type(value) is int and value >= 1
 
 
 def _are_edges(edges_s: Any, frames: int) -> bool:
@@ -121,6 +138,7 @@ class Sample(Mapping[str, Any]):
             ``t`` to ``t + 1``; None for a still, which lasts.
         global_measurements: float32 ``(T, C, H, W)``, DN / 2^bits: what a global shutter would have given of each frame; or
             None.
+        surroundings: what shone beside the image, of one frame or of T; None where nothing else was simulated.
 
     Raises:
         InputError: shapes, types or channel names that contradict each other.
@@ -138,6 +156,7 @@ class Sample(Mapping[str, Any]):
     extras: dict[str, NDArray[Any]] = field(default_factory=dict)
     frame_edges_s: NDArray[np.float64] | None = None
     global_measurements: NDArray[np.float32] | None = None
+    surroundings: Surroundings | None = None
 
     def __post_init__(self) -> None:
         _expect("measurement", self.measurement, np.float32, "(C, H, W)", self.measurement.ndim == 3)
@@ -162,6 +181,17 @@ class Sample(Mapping[str, Any]):
         if (measured := self.global_measurements) is not None:
             every = (frames[0], *shape)
             _expect("global_measurements", measured, np.float32, f"{every} like measurement", measured.shape == every)
+        if (around := self.surroundings) is not None and len(around.rgb) not in (1, frames[0]):
+            raise InputError("Sample.surroundings", f"got {len(around.rgb)} frames, expected 1 or {frames[0]} like rgb")
+
+    def clip(self) -> Clip:
+        """Return the scene, to be simulated anew, by other cameras too; a still lasts a second.
+
+        Its surroundings' depths, like its own, end at `FARTHEST_M`.
+        """
+        edges_s = np.array([0.0, 1.0]) if self.frame_edges_s is None else self.frame_edges_s
+        around = self.surroundings
+        return Clip(self.rgb, self.depth_m, self.valid, edges_s, self.label, extras=self.extras, surroundings=around)
 
     def __getitem__(self, name: str) -> Any:
         """Return the attribute of a name that `_IN_BATCHES` lists, where the sample has it."""
@@ -305,6 +335,8 @@ def _describe(sample: Sample, split: str, index: int) -> dict[str, Any]:
         description["frame_edges_s"] = sample.frame_edges_s
     if sample.global_measurements is not None:
         description["global_measurements"] = True
+    if (around := sample.surroundings) is not None:
+        description["surroundings"] = {"frames": len(around.rgb), "coarseness": around.coarseness}
     return plain(description, f"sample {identifier}")
 
 
@@ -323,6 +355,11 @@ def _files(folder: Path, sample: Sample) -> Iterator[tuple[str, int | None, dict
         if sample.global_measurements is not None:
             planes = sample.global_measurements[frame]
             yield global_file(frame), frame, dict(zip(sample.channels, planes, strict=True))
+    if (around := sample.surroundings) is not None:
+        beside = len(around.rgb)
+        for frame, (rgb, depth_m) in enumerate(zip(around.rgb, around.depth_m, strict=True)):
+            light = dict(zip("RGB", np.moveaxis(rgb, -1, 0), strict=True))
+            yield surroundings_file(frame, beside), frame if beside > 1 else None, light | {"Z": depth_m}
 
 
 def _check_edges(frames: int, edges_s: NDArray[np.float64] | None) -> None:
@@ -416,6 +453,26 @@ class StoredSample:
             raise InputError(self.folder, "has no global measurements; make it with dataset.global_measurements=true")
         return self._stacked(self._read(global_file(number), number, list(self.channels)))
 
+    def surroundings(self) -> Surroundings | None:
+        """Return what shone beside the image; None where nothing else was simulated.
+
+        Raises:
+            InputError: a file is missing, damaged, of no use, or belongs elsewhere; it is named.
+        """
+        described = self.description.get("surroundings")
+        if described is None:
+            return None
+        frames, found = described["frames"], []
+        for number in range(frames):
+            name = surroundings_file(number, frames)
+            planes = self._read(name, number if frames > 1 else None, [*"RGB", "Z"])
+            found.append((np.stack([planes[channel] for channel in "RGB"], axis=-1), planes["Z"]))
+        light, depths_m = (np.stack(values) for values in zip(*found, strict=True))
+        try:
+            return Surroundings(light, depths_m, described["coarseness"])
+        except InputError as error:
+            raise InputError(self.folder / surroundings_file(0, frames), f"{error}; make the sample again") from error
+
     def sample(self) -> Sample:
         """Return all of the sample.
 
@@ -441,6 +498,7 @@ class StoredSample:
             extras={name: np.stack([frame.extras[name] for frame in frames]) for name in frames[0].extras},
             frame_edges_s=self.frame_edges_s,
             global_measurements=measured,
+            surroundings=self.surroundings(),
         )
 
     def _stacked(self, planes: dict[str, NDArray[np.float32]], prefix: str = "") -> NDArray[np.float32]:
@@ -466,7 +524,11 @@ class StoredSample:
         folder = self.folder / FRAMES
         if self.frames == 1 or not folder.is_dir():
             return
-        names = [path.name for path in folder.iterdir() if re.fullmatch(r"(ground_truth|global)\.\d+\.exr", path.name)]
+        names = [
+            path.name
+            for path in folder.iterdir()
+            if re.fullmatch(r"(ground_truth|global|surroundings)\.\d+\.exr", path.name)
+        ]
         unknown = sorted(f"{FRAMES}/{name}" for name in names if f"{FRAMES}/{name}" not in self.description["files"])
         if unknown:
             raise InputError(self.folder / unknown[0], f"not one of this sample's {self.frames} frames; remove it")

@@ -17,7 +17,7 @@ from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingS
 from simulator.camera.slivers import exposed_part, sliver_edges, sliver_means, split_measurement
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
-from simulator.types import Clip
+from simulator.types import Clip, Surroundings
 
 SENSOR, SCENE = (24, 18), (10, 8)
 LINE_S, OPEN_S, FRAME_S = 1e-4, 6e-4, 2.5e-4
@@ -210,6 +210,18 @@ def test_global_measurements_are_those_of_the_slivers_mean_scenes():
     np.testing.assert_allclose(means.rgb[1], clip.rgb[4:8].mean(axis=0), rtol=1e-6)
     np.testing.assert_array_equal(means.depth_m[1], clip.depth_m[6])  # the frame in the middle, not a mean
     np.testing.assert_allclose(means.frame_edges_s, clip.frame_edges_s[::4])
+
+
+def test_what_shines_beside_the_image_is_averaged_like_it():
+    rng = np.random.default_rng(3)
+    light, depth = rng.random((12, 3, 3, 3)).astype(np.float32), rng.uniform(1, 2, (12, 3, 3)).astype(np.float32)
+    clip = _clip(12)
+    moving = sliver_means(replace(clip, surroundings=Surroundings(light, depth, 4)), 3).surroundings
+    assert moving is not None
+    np.testing.assert_allclose(moving.rgb[1], light[4:8].mean(axis=0), rtol=1e-6)
+    np.testing.assert_array_equal(moving.depth_m[1], depth[6])
+    still = Surroundings(light[:1], depth[:1], 4)
+    assert sliver_means(replace(clip, surroundings=still), 3).surroundings is still
 
 
 def test_moving_3d_measurements_of_a_sliver_keep_every_frames_depth():

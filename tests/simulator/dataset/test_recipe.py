@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simulator.camera.surroundings import whole_frames
 from simulator.dataset import generate, open_dataset
 from simulator.dataset.recipe import scene_clip
 from simulator.plugins import import_file
@@ -86,6 +87,14 @@ def test_a_margin_is_in_the_measurement_and_not_in_the_ground_truth(
     assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
     alone = irradiance(root, clip.rgb[0], clip.depth_m[0]) * EXPOSURE_S / sample.metadata["full_scale"]
     assert np.abs(sample.noiseless - alone).max() > 0.1 * expected.max()
+    # What shone beside the image is stored with it: the scene can be simulated anew, by another camera too.
+    around = sample.surroundings
+    assert around is not None
+    assert around.coarseness == 4
+    np.testing.assert_array_equal(around.rgb[0], coarse)
+    light, depth = next(whole_frames(sample.clip(), (24, 28)))
+    assert np.array_equal(light, field)
+    assert np.array_equal(depth, depths_m)
     recorded = json.loads((root / "dataset.json").read_text())["field_of_view"]
     assert recorded["margin"] == [4, 4]
     assert 0 < recorded["light_from_outside"] < 1

@@ -17,6 +17,7 @@ from simulator.dataset.sample import MOST_FRAMES, Sample, StoredSample, file_nam
 from simulator.errors import InputError
 from simulator.io.exr import read_exr
 from simulator.io.files import sha256_file
+from simulator.types import Surroundings
 
 ARRAYS = ("measurement", "noiseless", "rgb", "depth_m", "valid", "frame_edges_s", "global_measurements")
 DTYPES = ("bool", "uint8", "int16", "uint16", "int32", "float16", "float32")
@@ -63,6 +64,12 @@ def clip_samples(draw: st.DrawFn) -> Sample:
     for name in draw(st.sets(st.sampled_from(["shape_id", "normal", "hidden1_rgb", "bands", "own"]))):
         components = [int(rng.integers(1, 4))] if name == "bands" or rng.random() < 0.5 else []
         extras[name] = strided(frames, *scene, *components, dtype=str(rng.choice(DTYPES)))
+
+    def around(count: int, coarseness: int) -> Surroundings:
+        beside = draw(st.tuples(sizes, sizes))
+        depths_m = np.abs(strided(count, *beside)) + np.float32(1e-30)
+        return Surroundings(np.abs(strided(count, *beside, 3)), depths_m, coarseness)
+
     times = st.floats(allow_nan=False, allow_infinity=False)
     edges = st.lists(times, min_size=frames + 1, max_size=frames + 1, unique=True).map(sorted)
     with_edges, with_global = frames > 1 or draw(st.booleans()), draw(st.booleans())
@@ -77,6 +84,7 @@ def clip_samples(draw: st.DrawFn) -> Sample:
         extras=extras,
         frame_edges_s=np.array(draw(edges)) if with_edges else None,
         global_measurements=strided(frames, channels, *sensor) if with_global else None,
+        surroundings=draw(st.none() | st.builds(around, st.sampled_from([1, frames]), st.integers(1, 9))),
     )
 
 
@@ -99,7 +107,16 @@ def test_any_clip_comes_back_bit_by_bit(tmp_path_factory: pytest.TempPathFactory
     assert set(back.extras) == set(sample.extras)
     for name, values in sample.extras.items():
         assert_same_bits(back.extras[name], values)
-    expected = {"sample.json", *file_names(len(sample.rgb), sample.global_measurements is not None)}
+    beside, found = sample.surroundings, back.surroundings
+    assert (found is None) == (beside is None)
+    if found is not None and beside is not None:
+        assert_same_bits(found.rgb, beside.rgb)
+        assert_same_bits(found.depth_m, beside.depth_m)
+        assert found.coarseness == beside.coarseness
+    names = file_names(
+        len(sample.rgb), sample.global_measurements is not None, 0 if beside is None else len(beside.rgb)
+    )
+    expected = {"sample.json", *names}
     found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     assert found == expected  # also after another sample lay in this folder
 
@@ -230,10 +247,11 @@ def test_every_fault_is_named(samples: ModuleType, tmp_path: Path, fault: str) -
 
 
 def test_names_of_frames_sort_and_end(samples: ModuleType, tmp_path: Path) -> None:
-    names = file_names(MOST_FRAMES, global_measurements=True)
-    assert len(set(names)) == 2 * MOST_FRAMES + 1
+    names = file_names(MOST_FRAMES, global_measurements=True, surroundings=MOST_FRAMES)
+    assert len(set(names)) == 3 * MOST_FRAMES + 1
     truths = names[1 : 1 + MOST_FRAMES]
-    assert file_names(1, global_measurements=True) == ["measurement.exr", "ground_truth.exr", "frames/global.0000.exr"]
+    still = ["measurement.exr", "ground_truth.exr", "frames/global.0000.exr", "surroundings.exr"]
+    assert file_names(1, global_measurements=True, surroundings=1) == still
     assert truths == sorted(truths)
     frames = (MOST_FRAMES + 1, 1, 1)
     pixel = {
