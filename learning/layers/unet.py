@@ -13,8 +13,7 @@ import torch
 import torch.nn.functional as nnf
 from torch import Tensor, nn
 
-from simulator.errors import InputError
-from simulator.text import show
+from learning.layers.multiscale import MultiScaleNetwork
 
 
 class GridAttention(nn.Module):
@@ -38,7 +37,7 @@ class GridAttention(nn.Module):
         return self.mix(skip * weights)
 
 
-class UNet(nn.Module):
+class UNet(MultiScaleNetwork):
     """An encoder that halves the image at each level, a decoder that doubles it, and skips between them."""
 
     def __init__(
@@ -56,32 +55,19 @@ class UNet(nn.Module):
         """Build the network; weights are drawn by Xavier's rule (Glorot and Bengio 2010) from torch's generator.
 
         Args:
-            inputs: channels of the input.
-            outputs: channels of the output, linear.
-            filters: channels of the first level; each further level has twice as many.
-            levels: how many, the first included.
-            dimensions: 2 for ``(B, C, h, w)``, 3 for ``(B, C, T, h, w)``.
+            inputs: see `MultiScaleNetwork` for this and the other sizes.
+            outputs: linear.
+            filters: of the first level.
+            levels: how many.
+            dimensions: 2 or 3.
             attention: gate the skips.
-            stem: blocks of so many pixels per side become channels before, and pixels again after the network: 2 makes it
-                four times cheaper per filter; 1 for none. Only in 2D.
+            stem: pixels per side that become channels.
             start: about what the output begins at: Adam takes hundreds of steps from 0 to the middle of a range.
 
         Raises:
-            InputError: for numbers below one or far beyond any network's, other dimensions, or a stem in 3D.
+            InputError: for sizes that `MultiScaleNetwork` refuses.
         """
-        super().__init__()
-        for name, value, most in (
-            ("inputs", inputs, 2**16),
-            ("outputs", outputs, 2**16),
-            ("filters", filters, 2**12),
-            ("levels", levels, 12),
-            ("stem", stem, 32),
-        ):
-            if not isinstance(value, int) or not 1 <= value <= most:
-                raise InputError(name, f"got {show(value)}, expected 1 to {most}")
-        if dimensions not in (2, 3) or (dimensions == 3 and stem > 1):
-            raise InputError("dimensions", f"got {dimensions} with stem {stem}; expected 2, or 3 with stem 1")
-        self.dimensions, self.stem, self.levels = dimensions, stem, levels
+        super().__init__(inputs, outputs, filters=filters, levels=levels, dimensions=dimensions, stem=stem)
         conv = nn.Conv2d if dimensions == 2 else nn.Conv3d
         widths = [filters * 2**level for level in range(levels)]
         ins = [inputs * stem**2, *widths[:-1]]
@@ -99,16 +85,8 @@ class UNet(nn.Module):
         assert self.head.bias is not None
         nn.init.constant_(self.head.bias, start)
 
-    def forward(self, image: Tensor) -> Tensor:
-        """Return ``(B, outputs, ...)`` of ``(B, inputs, ...)``, any size: odd ones are continued at their ends."""
-        size = image.shape[2:]
-        multiple = self.stem * 2 ** (self.levels - 1)
-        depth = [multiple // self.stem] * (self.dimensions - 2)
-        missing = [-length % many for length, many in zip(size, [*depth, multiple, multiple], strict=True)]
-        if any(missing):
-            image = nnf.pad(image, [n for extra in reversed(missing) for n in (0, extra)], mode="replicate")
-        if self.stem > 1:
-            image = nnf.pixel_unshuffle(image, self.stem)
+    def body(self, image: Tensor) -> Tensor:
+        """Return ``(B, outputs * stem ** 2, ...)`` of ``(B, inputs * stem ** 2, ...)``, sides divisible by 2^(levels - 1)."""
         skips: list[Tensor] = []
         for level, block in enumerate(self.down):
             if level:
@@ -121,10 +99,7 @@ class UNet(nn.Module):
                 skip = self.gates[level](skip, image)
             image = self.up[level](nnf.interpolate(image, scale_factor=2.0, mode="nearest"))
             image = self.merge[level](torch.cat([skip, image], dim=1))
-        image = self.head(image)
-        if self.stem > 1:
-            image = nnf.pixel_shuffle(image, self.stem)
-        return image[(..., *(slice(length) for length in size))]
+        return self.head(image)
 
 
 def _block(inputs: int, outputs: int, dimensions: int) -> nn.Sequential:
