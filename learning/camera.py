@@ -36,7 +36,8 @@ class CaptureModel:
         scene_shape: h, w of the image; pixels lie on pixels, the centres coincide.
         gain: DN / 2^bits per unit of exposed irradiance x PSF.
         offset: DN / 2^bits without light, ``(C,)``.
-        irradiance: ``(h, w)``, irradiance at the mask per unit radiance; see `simulator.camera.field.FieldOfView`.
+        irradiance: at the mask per unit radiance (see `simulator.camera.field.FieldOfView`), of the whole field from which
+            light comes: the image, and around it the margin that was simulated, with the same middle.
         scene_to_camera: M, ``(C, 3)``, from linear sRGB to the camera's channels.
         white: reference white, the radiance that images show as 1: one number for training, tests and every method.
 
@@ -57,20 +58,41 @@ class CaptureModel:
         channels = len(self.stack.channels)
         for name, shape, wanted in (
             ("offset", self.offset.shape, (channels,)),
-            ("irradiance", self.irradiance.shape, self.scene_shape),
             ("scene_to_camera", self.scene_to_camera.shape, (channels, 3)),
         ):
             if tuple(shape) != tuple(wanted):
                 raise InputError(
                     name, f"got shape {tuple(shape)}, expected {tuple(wanted)} for this stack and scene_shape"
                 )
-        for axis, sensor, scene in zip(("rows", "columns"), self.sensor_shape, self.scene_shape, strict=True):
-            if scene > sensor or (sensor - scene) % 2:
-                got = f"got {scene} {axis} on a sensor of {sensor}"
-                raise InputError("scene_shape", f"{got}; expected at most as many, even or odd like it")
+        sides = zip(("rows", "columns"), self.sensor_shape, self.scene_shape, self.field_shape, strict=True)
+        for axis, sensor, scene, field in sides:
+            for name, large, small in (("scene_shape", sensor, scene), ("irradiance", field, scene)):
+                if small > large or (large - small) % 2:
+                    got = f"got {scene} {axis} on a sensor of {sensor}, in a field of {field}"
+                    raise InputError(name, f"{got}; expected at most as many, all even or all odd")
         for name, value in (("gain", self.gain), ("white", self.white)):
             if not (np.isfinite(value) and value > 0):
                 raise InputError(name, f"got {value!r}, expected a positive number")
+
+    @property
+    def field_shape(self) -> tuple[int, int]:
+        """Rows and columns of the field from which light comes, the image included."""
+        rows, columns = self.irradiance.shape
+        return rows, columns
+
+    @property
+    def scene_irradiance(self) -> NDArray[np.float32]:
+        """`irradiance` of the image alone, ``(h, w)``."""
+        return self.irradiance[self.scene_in_field]
+
+    @property
+    def scene_in_field(self) -> tuple[slice, slice]:
+        """Where the image lies in the field."""
+        first, second = (
+            slice((field - scene) // 2, (field + scene) // 2)
+            for field, scene in zip(self.field_shape, self.scene_shape, strict=True)
+        )
+        return first, second
 
     @property
     def near_m(self) -> float:
@@ -104,13 +126,14 @@ class CaptureModel:
         return namespace(light).einsum("ac,...chw->...ahw", inverse, light)
 
     def forward_model(self, reference: Array | None = None) -> ForwardModel:
-        """Return the convolution: ``offset + gain forward(V)`` is the measurement of irradiance V, ``(1, K, C, h, w)``.
+        """Return the convolution: ``offset + gain forward(V)`` is the measurement of the field's irradiance V.
 
-        V is irradiance at the mask in the camera's channels, ``irradiance M L_k``; the result lacks gain and offset.
+        V, ``(1, K, C, rows, columns)``, is irradiance at the mask in the camera's channels, ``irradiance M L_k``; the result
+        lacks gain and offset.
         ``reference`` is an array of the kind, type and device to work on; None is NumPy in float32.
         """
         stack = self.stack if reference is None else replace(self.stack, values=like(self.stack.values, reference))
-        return ForwardModel(stack, self.sensor_shape, self.scene_shape)
+        return ForwardModel(stack, self.sensor_shape, self.field_shape)
 
     def with_stack(self, stack: PsfStack) -> CaptureModel:
         """Return the same camera assumed to have other PSFs; an InputError refuses other channels or another pixel pitch."""
@@ -174,9 +197,9 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
         raise InputError(dataset.root / FILE, f"{got}; take camera.sensor.readout: binned_rgb")
     sensor = recorded_sensor(info, config)
     gain, offset = gain_and_offset(sensor, len(nominal.channels), mean=config.forward.time == "mean")
-    view = View(
-        info.scene_shape, sensor.binned_pitch_m, Assembly(config).mask_to_sensor_m, *nominal.depths_m[[0, -1]].tolist()
-    )
+    near_m, far_m = nominal.depths_m[[0, -1]].tolist()
+    mask_to_sensor_m = Assembly(config).mask_to_sensor_m
+    view = View(info.scene_shape, sensor.binned_pitch_m, mask_to_sensor_m, near_m, far_m, margin=_recorded_margin(info))
     try:
         model = CaptureModel(
             stack=nominal,
@@ -184,7 +207,7 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
             scene_shape=info.scene_shape,
             gain=gain,
             offset=offset,
-            irradiance=_recorded_field(info, config).irradiance(view),
+            irradiance=_recorded_field(info, config).irradiance(view.field),
             scene_to_camera=info.colour_matrix,
             white=white,
         )
@@ -203,6 +226,13 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
 def _recorded_field(info: DatasetInfo, config: Config) -> FieldOfView:
     """Return how much of the light from each direction counts, from the record: the file of a response may be gone."""
     return field_from_record(info.field_of_view) if info.field_of_view else FieldOfView(config.forward.vignetting)
+
+
+def _recorded_margin(info: DatasetInfo) -> tuple[int, int]:
+    margin = info.field_of_view.get("margin", [0, 0])
+    if not (isinstance(margin, list) and len(margin) == 2 and all(type(size) is int and size >= 0 for size in margin)):
+        raise InputError("field_of_view.margin", f"got {show(margin)}, expected two numbers of pixels")
+    return margin[0], margin[1]
 
 
 def recorded_sensor(info: DatasetInfo, config: Config) -> Sensor:

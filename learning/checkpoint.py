@@ -21,7 +21,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from learning.camera import CaptureModel
-from learning.models.flatnet import FlatNet, build_network, full_architecture
+from learning.models.flatnet import FIRST_VERSION, FlatNet, build_network, full_architecture
 from simulator.errors import InputError
 from simulator.io.files import expanded, write_atomic
 from simulator.io.json import are_names, canonical_json, check_keys, is_positive, is_shape
@@ -29,11 +29,9 @@ from simulator.optics.stack import PsfStack
 from simulator.text import show
 from simulator.validation import renamed
 
-FORMAT, VERSION = "flatlight checkpoint", 1
+FORMAT, VERSION = "flatlight checkpoint", 2
 _KEY = "flatlight"
 _WEIGHTS, _CAMERA = "network.", "camera."
-_PER_PLANE = ("inversion.filters", "inversion.log_lambda")
-_FIRST = "enhancement.down.0.0.weight"
 FOLDER = Path(__file__).parent / "checkpoints"
 """The trained networks that come with Flatlight: one small file each."""
 _BEST = "flatnet3d"  # where several fit
@@ -150,6 +148,8 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
     except (KeyError, ValueError) as error:  # arrays that are not there, or do not fit the numbers
         raise InputError(path, f"damaged: camera: {error}; {cure}") from error
     architecture, record = renamed(content["architecture"]), renamed(content["record"])
+    if content["version"] == 1:
+        architecture = FIRST_VERSION | architecture
     name = architecture["network"]
     if network not in (None, name):
         raise InputError(path, f"got a checkpoint of {name}, expected {network}; name another file or another network")
@@ -284,9 +284,10 @@ def find_checkpoint(text: str) -> Path:
 def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
     """Put a checkpoint's weights into a network of the same architecture for another camera.
 
-    P and lambda of a plane are interpolated linearly between the checkpoint's planes, at the same share of the range of
-    disparities (0 for the farthest plane, 1 for the nearest, whatever their depths are). The first convolution then sees the
-    new volume interpolated at the checkpoint's planes, so that a volume that is linear over the planes has the same response.
+    What belongs to a plane (P, lambda, the soft head's choice) is interpolated linearly between the checkpoint's planes, at
+    the same share of the range of disparities (0 for the farthest plane, 1 for the nearest, whatever their depths are). The
+    first convolution then sees the new volumes interpolated at the checkpoint's planes, so that a volume that is linear over
+    the planes has the same response.
 
     Args:
         network: for the other camera; changed in place.
@@ -307,15 +308,18 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
         raise InputError("checkpoint", f"its camera has the channels {', '.join(other)}, expected {', '.join(mine)}")
     new, old = network.inversion.disparities, checkpoint.network.inversion.disparities
     same = len(new) == len(old) and np.allclose(new, old, atol=1e-6)
-    taken = dict(found) if same else found | _resampled(found, old, new)
+    taken = dict(found) if same else found | _resampled(network, found, old, new)
     cure = f"take a checkpoint of the same size, or build the network with its numbers: {checkpoint.architecture}"
     _check_shapes(own, taken, "checkpoint", f"; {cure}")
     network.load_state_dict(taken)
     if same:
         return [f"copied all {len(taken)} tensors: the planes lie alike"]
-    rest = len(taken) - len(_PER_PLANE) - 1
     planes = f"from {len(old)} to {len(new)} planes"
-    return [*(f"resampled {name} {planes}" for name in (*_PER_PLANE, _FIRST)), f"copied the other {rest} tensors"]
+    changed = [name for name in taken if taken[name] is not found[name]]
+    return [
+        *(f"resampled {name} {planes}" for name in changed),
+        f"copied the other {len(taken) - len(changed)} tensors",
+    ]
 
 
 def plane_mixing(old: NDArray[np.float64], new: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -329,11 +333,21 @@ def plane_mixing(old: NDArray[np.float64], new: NDArray[np.float64]) -> NDArray[
     return np.stack([np.interp(new, old[::-1], row[::-1]) for row in unit], axis=1)
 
 
-def _resampled(found: dict[str, Tensor], old: NDArray[np.float64], new: NDArray[np.float64]) -> dict[str, Tensor]:
+def _resampled(
+    network: FlatNet, found: dict[str, Tensor], old: NDArray[np.float64], new: NDArray[np.float64]
+) -> dict[str, Tensor]:
     """Return the weights that belong to planes, for the new ones."""
     forth, back = (torch.from_numpy(plane_mixing(*order)).float() for order in ((old, new), (new, old)))
-    changed = {name: torch.einsum("no,o...->n...", forth, found[name]) for name in _PER_PLANE}
-    first = found[_FIRST]
-    planes = first.unflatten(1, (len(old), -1))  # planes are the slowest of the channels, before those of a stem
-    changed[_FIRST] = torch.einsum("fo...,on->fn...", planes, back).flatten(1, 2)
+    planes = network.plane_weights
+    changed = {name: torch.einsum("no,o...->n...", forth, found[name]) for name in planes.per_plane}
+    # Planes are the slowest of a volume's channels, before those of a stem; what follows the volumes has no plane.
+    first = found[planes.first]
+    of_planes = planes.volumes * len(old) * planes.width
+    volumes = first[:, :of_planes].unflatten(1, (-1, len(old), planes.width))
+    mixed = torch.einsum("fvow...,on->fvnw...", volumes, back).flatten(1, 3)
+    changed[planes.first] = torch.cat([mixed, first[:, of_planes:]], dim=1)
+    for name in planes.last:
+        fixed, chosen = found[name].split([planes.fixed, len(old) * planes.stem], dim=0)
+        mixed = torch.einsum("no,os...->ns...", forth, chosen.unflatten(0, (len(old), planes.stem))).flatten(0, 1)
+        changed[name] = torch.cat([fixed, mixed])
     return changed

@@ -64,6 +64,17 @@ Weight = Annotated[float, Range(0, 1e6, below="a weight is not negative")]
 PositiveDecibels = Annotated[float, Range(1, 120, "dB")]
 
 
+class AugmentConfig(Section):
+    """How scenes are changed before they are seen anew; {} takes the defaults."""
+
+    flip: bool = True
+    """mirror rows and columns, each in half of the cases"""
+    colour: Annotated[float, Range(0, 2)] = 0.2
+    """standard deviation of the logarithm of what each of red, green and blue is multiplied by"""
+    exposure: Annotated[float, Range(0, 8, "stops")] = 0.5
+    """all light is multiplied by 2^x, x evenly between minus and plus this"""
+
+
 class DataConfig(Section):
     """What is learned from."""
 
@@ -74,7 +85,10 @@ class DataConfig(Section):
     stack: str = Field("nominal", min_length=1)
     """PSFs that the inversion knows: nominal, captured (psf.as_captured), or the folder of a stack"""
     noise_db: tuple[PositiveDecibels, PositiveDecibels] | None = None
-    """PSNRs, least and greatest, between which noise is drawn anew for every example; left out: as stored"""
+    """PSNRs, least and greatest, between which noise is drawn anew for every example, half of them in the upper quarter:
+    networks of all levels lose most there; left out: as stored"""
+    augment: AugmentConfig | None = None
+    """scenes changed and seen anew through the data set's own forward model, for every example; left out: as stored"""
     cache: bool | str = True
     """keep decoded samples, which then cost no time: in Flatlight's cache folder (true), in a folder, or not"""
     workers: Annotated[int, Range(0, 256)] | Literal["auto"] = "auto"
@@ -95,14 +109,24 @@ class NetworkConfig(Section):
     """inversion at all depths of the stack, or at the hyperfocal one only"""
     size: Literal["thesis", "compact", "tiny"] = "compact"
     """the numbers below that are left out"""
+    body: Literal["naf", "unet"] | None = None
+    """what enhances the inversion: NAF blocks (layer normalisation, gates), or the thesis's U-Net (batch normalisation)"""
     filters: Annotated[int, Range(1, 1024)] | None = None
-    """channels of the U-Net's first level; each further one has twice as many"""
+    """channels of the body's first level; each further one has twice as many"""
+    blocks: Annotated[int, Range(1, 64)] | None = None
+    """NAF blocks on each level and way"""
     levels: Annotated[int, Range(1, 8)] | None = None
-    """levels of the U-Net"""
+    """levels of the body"""
     attention: bool | None = None
     """attention gates on the U-Net's skips"""
     stem: Annotated[int, Range(1, 8)] | None = None
-    """pixels per side that the U-Net takes as one: 2 makes it four times cheaper"""
+    """pixels per side that the body takes as one: 2 makes it four times cheaper"""
+    noise_aware: bool | None = None
+    """lambda follows the noise, whose level, found in the measurement, is an input of the body"""
+    joint: bool | None = None
+    """invert all planes at once, too, beside each by itself"""
+    head: Literal["soft", "linear"] | None = None
+    """choose among the planes with softmax weights and add what they lack, or image and disparity as they come"""
     regularisation_lambda: Annotated[float, Range(1e-9, 1e6)] | None = None
     """initial, of the inversion, as a multiple of the PSF's mean spectral power"""
     tikhonov: Annotated[float, Range(0, 1e6)] | None = None
@@ -129,6 +153,8 @@ class LossConfig(Section):
     """of the error of the features, where there are any"""
     depth_weight: Weight = 1.0
     """of the mean absolute error of the disparity, 0..1"""
+    depth_cm_weight: Weight = 0.0
+    """of the Huber loss of the depth's error in centimetres"""
     perceptual_seed: Annotated[int, Range(0, 2**31 - 1)] = 0
     """of random_vgg: trainings with other seeds are to make the same loss small"""
     invalid_depth: bool = False
@@ -144,6 +170,10 @@ class OptimiserConfig(Section):
     """after the warm-up: down to zero along half a cosine, or constant"""
     warm_up: Annotated[float, Range(0, 0.9)] = 0.05
     """share of the steps over which the learning rate rises from zero"""
+    inversion_rate: Annotated[float, Range(0, 1e6)] = 10.0
+    """learning rate of the inversion's P and lambda, as a multiple of the others', with which they hardly move"""
+    freeze_statistics: Annotated[float, Range(0, 1)] = 0.5
+    """share of the steps after which batch normalisation (body: unet) keeps its statistics as they are, as it does in use"""
     weight_decay: Annotated[float, Range(0, 1)] = 0.0
     """decay of the convolutions' weights per unit of learning rate (Loshchilov and Hutter 2019)"""
     gradient_clip: Annotated[float, Range(1e-9, 1e9)] | None = None

@@ -22,6 +22,7 @@ from torch.utils.data import Dataset as TorchDataset
 
 from learning.camera import recorded_sensor
 from learning.provenance import sample_digests
+from learning.simulate import Augmentation, SceneCamera
 from simulator.camera.noise import GaussianNoise, PhysicalNoise, add_gaussian
 from simulator.camera.sensor import Sensor
 from simulator.config import config_from_dict
@@ -29,10 +30,14 @@ from simulator.dataset.reader import Dataset
 from simulator.dataset.sample import SPLITS, sample_index
 from simulator.errors import InputError
 from simulator.io.files import committed_folder, sha256_bytes, storage_errors
+from simulator.types import Clip, Surroundings
+
+Arrays = dict[str, NDArray[Any]]
+"""What is kept of a sample: the arrays of an `Example`; in place of the measurement also it without noise, or the scene."""
 
 _STREAM = 6  # apart from the simulator's streams of the same seed, whose keys are shorter
 _CHECKED = 16
-_CACHE_FORMAT = 1
+_CACHE_FORMAT = 2
 
 
 class Example(NamedTuple):
@@ -62,32 +67,39 @@ class ExampleSet(TorchDataset[Example]):
     """One split of a data set of stills, ``dataset``; picklable, for workers that are forked or spawned."""
 
     def __init__(
-        self, dataset: Dataset, *, noise_db: tuple[float, float] | None = None, seed: int = 0, cache: Path | None = None
+        self,
+        dataset: Dataset,
+        *,
+        noise_db: tuple[float, float] | None = None,
+        augment: Augmentation | None = None,
+        seed: int = 0,
+        cache: Path | None = None,
     ) -> None:
         """Look at the data set; samples are read when they are asked for, or now, where there is a cache to be filled.
 
         Args:
             dataset: the split.
-            noise_db: None gives the measurements as stored. A range redraws white Gaussian noise on the noiseless ones: the
-                PSNR is uniform in the range, in decibels; its peak is the sample's greatest noiseless value, black level
-                included; the result is clipped and quantised as the data set's own noise is (physical noise always is).
-            seed: decides, with the split, the sample's id and the draw's number, level and noise.
+            noise_db: None gives the measurements as stored. A range redraws white Gaussian noise on the noiseless ones: half
+                of the PSNRs lie in the upper quarter of the range, in decibels; the peak is the sample's greatest noiseless
+                value, black level included; the result is clipped and quantised as the data set's own noise is (physical
+                noise always is).
+            augment: how scenes are changed and seen anew, by the data set's own camera; None takes them as stored.
+            seed: decides, with the split, the sample's id and the draw's number, change, level and noise.
             cache: folder for decoded samples, shared by processes and runs; see `SampleCache`.
 
         Raises:
-            InputError: an empty split, mosaics, or levels that make no sense.
+            InputError: an empty split, mosaics, levels that make no sense, or samples that cannot be seen anew.
         """
         if len(dataset) == 0:
             cure = f"set dataset.{dataset.split} and run `flatlight generate` again, or give another data set"
             raise InputError(dataset.root, f"split {dataset.split!r} is empty; {cure}")
         if noise_db is not None and not 0 < noise_db[0] <= noise_db[1] <= 120:
             raise InputError("noise_db", f"got {noise_db}, expected a range of PSNRs such as (20, 50), in 0 to 120 dB")
-        self.dataset, self._noise_db, self._seed = dataset, noise_db, seed
+        self.dataset, self._noise_db, self._augment, self._seed = dataset, noise_db, augment, seed
         self._sensor, self._clip, self._quantise = _converter(dataset)
-        self._cache = None
-        if cache is not None:
-            kind = "measurement" if noise_db is None else "noiseless"
-            self._cache = SampleCache.filled(cache, dataset, kind, self._read)
+        self._camera = None if augment is None else SceneCamera(dataset)
+        self._kind = "scene" if augment else "measurement" if noise_db is None else "noiseless"
+        self._cache = None if cache is None else SampleCache.filled(cache, dataset, self._kind, self._read)
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -97,25 +109,53 @@ class ExampleSet(TorchDataset[Example]):
         """Return a sample; a plain position is draw number 0. An InputError names the file of a clip or a damaged sample."""
         position, number = draw if isinstance(draw, tuple) else (draw, 0)
         arrays = self._read(position) if self._cache is None else self._cache.read(position)
-        measurement = arrays.measurement
+        split, index = SPLITS.index(self.dataset.split), sample_index(self.dataset.ids[position])
+        rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_STREAM, split, index, number)))
+        if self._augment is not None and self._camera is not None:
+            clip = self._augment.apply(_clip_of(arrays), rng)
+            exposure = self._camera.exposure(clip)
+            sensor = self._camera.sensor
+            seen = sensor.expose(exposure, rng) if self._noise_db is None else sensor.noiseless(exposure)
+            arrays = {"measurement": seen, **_truth(clip.rgb[0], clip.depth_m[0], clip.valid[0])}
+        measurement = arrays["measurement"]
         if self._noise_db is not None:
-            split, index = SPLITS.index(self.dataset.split), sample_index(self.dataset.ids[position])
-            rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_STREAM, split, index, number)))
-            noise = GaussianNoise(psnr_db=rng.uniform(*self._noise_db), clip=self._clip, quantise=self._quantise)
+            least, greatest = self._noise_db
+            psnr_db = greatest - (greatest - least) * rng.random() ** 2
+            noise = GaussianNoise(psnr_db=psnr_db, clip=self._clip, quantise=self._quantise)
             measurement = add_gaussian(measurement, noise, self._sensor.bit_depth, rng)
-        return Example(*(torch.from_numpy(values) for values in (measurement, *arrays[1:])))
+        truth = (arrays[name] for name in ("radiance", "depth_m", "valid"))
+        return Example(*(torch.from_numpy(np.ascontiguousarray(values)) for values in (measurement, *truth)))
 
     def _read(self, position: int) -> Arrays:
         stored = self.dataset.stored(position)
         if stored.frame_edges_s is not None:
             raise InputError(stored.folder, f"got a clip of {stored.frames} frames, expected a still")
-        measurement, noiseless = stored.measurement()
         frame = stored.frame(0)
         if frame.depth_m.min() <= 0:
             raise InputError(stored.folder, f"got a depth of {frame.depth_m.min():g} m, expected depths above 0")
-        seen = measurement if self._noise_db is None else noiseless
-        radiance = np.ascontiguousarray(np.moveaxis(frame.rgb, -1, 0))
-        return Arrays(seen, radiance, frame.depth_m[None], frame.valid[None])
+        truth = _truth(frame.rgb, frame.depth_m, frame.valid)
+        if self._kind == "scene":
+            around = stored.surroundings()
+            if around is None:
+                return truth
+            beside = {"light_beside": around.rgb[0], "depth_beside": around.depth_m[0]}
+            return truth | beside | {"coarseness": np.array(around.coarseness)}
+        measurement, noiseless = stored.measurement()
+        return {"measurement": measurement if self._kind == "measurement" else noiseless, **truth}
+
+
+def _truth(rgb: NDArray[np.float32], depth_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> Arrays:
+    return {"radiance": np.moveaxis(rgb, -1, 0), "depth_m": depth_m[None], "valid": valid[None]}
+
+
+def _clip_of(arrays: Arrays) -> Clip:
+    """Return the scene of what was kept of a sample."""
+    around = None
+    if "light_beside" in arrays:
+        light, depth_m = arrays["light_beside"][None], arrays["depth_beside"][None]
+        around = Surroundings(light, depth_m, int(arrays["coarseness"]))
+    rgb = np.moveaxis(arrays["radiance"], 0, -1)[None]
+    return Clip(rgb, arrays["depth_m"], arrays["valid"], np.array([0.0, 1.0]), surroundings=around)
 
 
 def _converter(dataset: Dataset) -> tuple[Sensor, bool, bool]:
@@ -246,15 +286,6 @@ def _ignore_interrupts(_: int) -> None:
             signal.signal(getattr(signal, name), signal.SIG_IGN)
 
 
-class Arrays(NamedTuple):
-    """What is kept of a sample: the arrays of an `Example`, the measurement as stored or without noise."""
-
-    measurement: NDArray[np.float32]
-    radiance: NDArray[np.float32]
-    depth_m: NDArray[np.float32]
-    valid: NDArray[np.bool_]
-
-
 class SampleCache:
     """Decoded samples of one split, a memory-mapped .npy file per kind of array, opened anew in every process.
 
@@ -263,26 +294,26 @@ class SampleCache:
     disk; processes that want the same one wait for its writer.
     """
 
-    def __init__(self, folder: Path, shapes: dict[str, tuple[int, ...]]) -> None:
-        """Name a cache that was filled; see `filled`."""
-        self._folder, self._shapes = folder, shapes
-        self._maps: list[NDArray[np.generic]] | None = None
+    def __init__(self, folder: Path, like: Arrays, length: int) -> None:
+        """Name a cache that was filled, of so many samples like one; see `filled`."""
+        self._folder = folder
+        self._kinds = {name: (values.dtype, (length, *values.shape)) for name, values in like.items()}
+        self._maps: dict[str, NDArray[Any]] | None = None
 
     @classmethod
     def filled(cls, folder: Path, dataset: Dataset, kind: str, read: Callable[[int], Arrays]) -> SampleCache:
         """Return the cache of a split below ``folder``, which is written first where it is not there or not whole.
 
-        ``kind`` says what ``measurement`` is, so that caches of both kinds lie apart; ``read`` gives a sample.
+        ``kind`` says what of a sample is kept, so that caches of several kinds lie apart; ``read`` gives it, of one sample as
+        of all others.
 
         Raises:
             InputError: a sample cannot be read.
             StorageError: the cache cannot be written.
         """
         identity = repr((_CACHE_FORMAT, kind, dataset.split, dataset.ids, sample_digests(dataset)))
-        own, info = folder / sha256_bytes(identity.encode())[:32], dataset.info
-        scenes = ((len(dataset), channels, *info.scene_shape) for channels in (3, 1, 1))
-        shapes = ((len(dataset), len(info.channels), *info.sensor_shape), *scenes)
-        cache = cls(own, dict(zip(Arrays._fields, shapes, strict=True)))
+        own = folder / sha256_bytes(identity.encode())[:32]
+        cache = cls(own, read(0), len(dataset))
         with storage_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
         lock = own.with_name(f"{own.name}.lock")
@@ -296,8 +327,8 @@ class SampleCache:
     def read(self, position: int) -> Arrays:
         """Return a sample's arrays, copied: what the caller changes stays the caller's."""
         if self._maps is None:
-            self._maps = [self._open(name) for name in Arrays._fields]
-        return Arrays(*(np.array(values[position]) for values in self._maps))
+            self._maps = {name: self._open(name) for name in self._kinds}
+        return {name: np.array(values[position]) for name, values in self._maps.items()}
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the maps out: pickled, they would be the whole data set."""
@@ -309,9 +340,8 @@ class SampleCache:
     def _write(self, dataset: Dataset, read: Callable[[int], Arrays]) -> None:
         """Write one sample after another to plain files: a full disk is an error there, to a memory map it is the end."""
         with committed_folder(self._folder) as temporary, ExitStack() as stack:
-            files = {name: stack.enter_context(open(temporary / f"{name}.npy", "wb")) for name in self._shapes}
-            for name, shape in self._shapes.items():
-                kind = np.dtype(bool if name == "valid" else np.float32)
+            files = {name: stack.enter_context(open(temporary / f"{name}.npy", "wb")) for name in self._kinds}
+            for name, (kind, shape) in self._kinds.items():
                 header = {"descr": np.lib.format.dtype_to_descr(kind), "fortran_order": False, "shape": shape}
                 np.lib.format.write_array_header_1_0(files[name], header)
             for position in range(len(dataset)):
@@ -320,14 +350,14 @@ class SampleCache:
                 except OSError as error:  # not one to write the cache
                     cure = f"({error.strerror or error}); check the disk, or restore the sample"
                     raise InputError(dataset.folder(position), f"cannot be read {cure}") from error
-                for name, values in arrays._asdict().items():
-                    files[name].write(values.tobytes())
+                for name, file in files.items():
+                    file.write(arrays[name].tobytes())
             for file in files.values():
                 file.flush()
                 os.fsync(file.fileno())
 
     def _is_whole(self) -> bool:
         try:
-            return all(self._open(name).shape == shape for name, shape in self._shapes.items())
+            return all(self._open(name).shape == shape for name, (_, shape) in self._kinds.items())
         except (OSError, ValueError):  # absent, or a header or length that is not an array's
             return False

@@ -13,7 +13,6 @@ from typing import Any
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
-from torch.nn.modules.batchnorm import _BatchNorm
 from torch.nn.parallel import DistributedDataParallel
 
 from learning.method import Estimate, choose_device
@@ -90,67 +89,6 @@ def processes(device: str) -> Iterator[Processes]:
         yield Processes(place, dist.get_rank(), world_size)
     finally:
         dist.destroy_process_group()
-
-
-def synchronise_batch_norm(network: nn.Module, kind: str) -> nn.Module:
-    """Let batch normalisation, in place, take its statistics over the batches of all processes; names of weights stay.
-
-    ``kind`` is of the device: torch's own `torch.nn.SyncBatchNorm` knows CUDA only.
-    """
-    if kind == "cuda":
-        return nn.SyncBatchNorm.convert_sync_batchnorm(network)
-    for module in list(network.modules()):
-        for name, child in module.named_children():
-            if isinstance(child, _BatchNorm):
-                new = _SynchronisedBatchNorm(child.num_features)
-                new.__dict__.update(child.__dict__)  # the same options, and the same weights and statistics
-                setattr(module, name, new)
-    return network
-
-
-class _SumOverProcesses(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, values: Tensor) -> Tensor:
-        total = values.clone()
-        dist.all_reduce(total)
-        return total
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
-        return _SumOverProcesses.forward(ctx, gradients[0])
-
-
-def _sum(values: Tensor) -> Tensor:
-    return _SumOverProcesses.apply(values)  # pyright: ignore[reportReturnType]
-
-
-class _SynchronisedBatchNorm(_BatchNorm):
-    """Batch normalisation with mean and variance over all processes' batches, which have the same size."""
-
-    def _check_input_dim(self, input: Tensor) -> None:
-        """Any number of dimensions is normalised alike."""
-
-    def forward(self, input: Tensor) -> Tensor:
-        """Return the normalised ``(B, C, ...)``."""
-        if not self.training:
-            return super().forward(input)
-        values = input.to(torch.promote_types(input.dtype, torch.float32))  # of bfloat16, as torch's own does
-        axes = [axis for axis in range(values.ndim) if axis != 1]
-        shape = [1, -1] + [1] * (values.ndim - 2)
-        count = values.numel() // values.shape[1] * dist.get_world_size()
-        mean = _sum(values.sum(axes)) / count
-        centred = values - mean.reshape(shape)
-        variance = _sum(centred.square().sum(axes)) / count
-        if self.running_mean is not None and self.running_var is not None and self.momentum is not None:
-            with torch.no_grad():
-                self.running_mean.lerp_(mean, self.momentum)
-                self.running_var.lerp_(variance * (count / max(count - 1, 1)), self.momentum)
-        if self.num_batches_tracked is not None:
-            self.num_batches_tracked.add_(1)
-        normalised = centred * torch.rsqrt(variance + self.eps).reshape(shape)
-        if self.affine:
-            normalised = normalised * self.weight.reshape(shape) + self.bias.reshape(shape)
-        return normalised.to(input.dtype)
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,10 @@ import math
 from typing import Any, Literal
 
 import torch
+import torch.nn.functional as nnf
 from torch import Tensor, nn
 
+from learning.camera import CaptureModel
 from learning.method import Estimate, check_choices
 from learning.perceptual import PerceptualLoss
 from simulator.errors import InputError
@@ -18,7 +20,9 @@ class ReconstructionLoss(nn.Module):
 
     - ``intensity``: mean squared or mean absolute difference of sRGB codes;
     - ``perceptual``: see `learning.perceptual.PerceptualLoss`; absent with ``none``;
-    - ``depth``: mean absolute difference of disparity on the scale 0 (far) to 1 (near).
+    - ``depth``: mean absolute difference of disparity on the scale 0 (far) to 1 (near);
+    - ``depth_cm``: Huber's loss of the depth's error in centimetres, in which it is judged: squares up to 1 cm, from there on
+      absolute values. Disparity alone weighs errors far away too little.
 
     Each is the mean over scenes of the scene's mean, so that processes with equal parts of a batch average to the whole. What
     a weight means depends on the term's unit and scale (so it is with the thesis's alpha of 0.001 to 0.002): log both.
@@ -32,10 +36,14 @@ class ReconstructionLoss(nn.Module):
         intensity_weight: float = 1.0,
         perceptual_weight: float = 0.1,
         depth_weight: float = 0.1,
+        depth_cm_weight: float = 0.0,
         invalid_depth: bool = False,
         seed: int = 0,
+        capture: CaptureModel,
     ) -> None:
         """Build the loss; the arguments are those of `learning.config.LossConfig`, ``seed`` is that of ``random_vgg``.
+
+        ``capture`` says what depth a disparity is.
 
         Raises:
             InputError: an unknown name, weights that are negative or all zero, or no weight file.
@@ -44,7 +52,8 @@ class ReconstructionLoss(nn.Module):
         check_choices(
             ("intensity", intensity, ("mse", "l1")), ("perceptual", perceptual, ("none", "vgg", "random_vgg"))
         )
-        self.weights = {"intensity": intensity_weight, "depth": depth_weight}
+        self._capture = capture
+        self.weights = {"intensity": intensity_weight, "depth": depth_weight, "depth_cm": depth_cm_weight}
         if perceptual != "none":
             self.weights["perceptual"] = perceptual_weight
         for name, weight in self.weights.items():
@@ -71,6 +80,9 @@ class ReconstructionLoss(nn.Module):
             terms["perceptual"] = self.perceptual(estimate.image, image)
         counted = torch.ones_like(valid) if self.invalid_depth else valid
         terms["depth"] = _mean_over((estimate.disparity - disparity).abs(), counted)
+        if self.weights["depth_cm"]:
+            found, true = (100 * self._capture.depth_m(each) for each in (estimate.disparity, disparity))
+            terms["depth_cm"] = _mean_over(nnf.huber_loss(found, true, reduction="none"), counted)
         weighted = {f"{name}_weighted": self.weights[name] * value for name, value in terms.items()}
         return {"total": torch.stack(list(weighted.values())).sum(), **terms, **weighted}
 
@@ -78,7 +90,8 @@ class ReconstructionLoss(nn.Module):
         """Return what a checkpoint and a table of results must say of this loss."""
         perceptual = {"perceptual": "none"} if self.perceptual is None else self.perceptual.record()
         depth = "all pixels" if self.invalid_depth else "valid pixels"
-        return {"intensity": self.intensity, "depth": f"l1 of disparity 0..1, {depth}", **perceptual} | {
+        terms = {"depth": f"l1 of disparity 0..1, {depth}", "depth_cm": f"Huber of cm beyond 1 cm, {depth}"}
+        return {"intensity": self.intensity, **terms, **perceptual} | {
             f"{name}_weight": weight for name, weight in self.weights.items()
         }
 

@@ -18,13 +18,15 @@ from typing import Any, NoReturn
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.data import default_collate
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.checkpoint import load_checkpoint, save_checkpoint, transfer
 from learning.config import OptimiserConfig, TrainConfig, load_file
 from learning.data import Batches, Example, ExampleSet, Loader, check_dataset
-from learning.distributed import Precision, Processes, processes, synchronise_batch_norm
+from learning.distributed import Precision, Processes, processes
+from learning.layers.inversion import FourierInversion
 from learning.losses import ReconstructionLoss
 from learning.models import build_network
 from learning.models.flatnet import FlatNet
@@ -43,6 +45,7 @@ from learning.resume import (
     sole_use,
     stop_signals,
 )
+from learning.simulate import Augmentation
 from learning.validation import SHOWN, Log, draw, to_device, true_estimate, validate
 from simulator import __version__
 from simulator.dataset import open_dataset
@@ -175,7 +178,9 @@ def open_examples(dataset: Dataset, config: TrainConfig, say: Say) -> ExampleSet
     if place:
         cache = cache_folder() / "samples" if place is True else config.resolve_path(place)
         say(f"{dataset.split}: {len(dataset)} samples, kept decoded in {cache}")
-    return ExampleSet(dataset, noise_db=config.data.noise_db, seed=config.seed, cache=cache)
+    chosen = config.data.augment if dataset.split == "train" else None
+    augment = None if chosen is None else Augmentation(**chosen.model_dump())
+    return ExampleSet(dataset, noise_db=config.data.noise_db, augment=augment, seed=config.seed, cache=cache)
 
 
 def count_workers(config: TrainConfig, processes: int) -> int:
@@ -227,7 +232,9 @@ def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Pla
     }
     data |= {"stack": capture.stack.fingerprint, "white": capture.white}
     precision = Precision.choose(config.precision, group.device)
-    loss = ReconstructionLoss(**config.loss.model_dump(exclude={"perceptual_seed"}), seed=config.loss.perceptual_seed)
+    loss = ReconstructionLoss(
+        **config.loss.model_dump(exclude={"perceptual_seed"}), seed=config.loss.perceptual_seed, capture=capture
+    )
     torch.manual_seed(config.seed)
     network = build_network(capture, config.network.name, config.network.size, **config.network.changes)
     init_from, taken = None, []
@@ -260,13 +267,18 @@ def held_folder(plan: Plan) -> Iterator[None]:
 
 
 def build_optimiser(network: nn.Module, config: OptimiserConfig) -> torch.optim.Optimizer:
-    """Return AdamW over all parameters that learn; without weight decay it is Adam."""
-    learning = [parameter for parameter in network.parameters() if parameter.requires_grad]
-    groups = [
-        {"params": [each for each in learning if each.ndim >= _CONVOLUTION], "weight_decay": config.weight_decay},
-        {"params": [each for each in learning if each.ndim < _CONVOLUTION], "weight_decay": 0.0},
-    ]
-    return torch.optim.AdamW([group for group in groups if group["params"]], lr=config.learning_rate)
+    """Return AdamW over all parameters that learn; without weight decay it is Adam. Groups have their own ``rate``."""
+    groups: dict[tuple[float, float], list[nn.Parameter]] = {}
+    for module in network.modules():
+        rate = config.inversion_rate if isinstance(module, FourierInversion) else 1.0
+        for parameter in module.parameters(recurse=False):
+            decay = config.weight_decay if parameter.ndim >= _CONVOLUTION else 0.0
+            if parameter.requires_grad and rate:
+                groups.setdefault((rate, decay), []).append(parameter)
+    return torch.optim.AdamW(
+        [{"params": each, "rate": rate, "weight_decay": decay} for (rate, decay), each in groups.items()],
+        lr=config.learning_rate,
+    )
 
 
 def learning_rate(step: int, steps: int, config: OptimiserConfig) -> float:
@@ -402,8 +414,10 @@ class Training:
     def _step(self, wrapped: nn.Module, batch: Example, stop: Stop) -> bool:
         """Learn from a batch and return whether any process was asked to stop."""
         progress, config = self.progress, self._config
+        if progress.step >= config.optimiser.freeze_statistics * config.steps:
+            freeze_statistics(self._network)
         for group in self._optimiser.param_groups:
-            group["lr"] = learning_rate(progress.step, config.steps, config.optimiser)
+            group["lr"] = group["rate"] * learning_rate(progress.step, config.steps, config.optimiser)
         example = to_device(batch, self._group.device)
         self._optimiser.zero_grad(set_to_none=True)
         estimate = self._plan.precision.estimate(wrapped, example.measurement)
@@ -457,7 +471,7 @@ class Training:
             reason = f"non-finite metrics ({_listed(metrics)}); {self._kept()}; {cure}"
             raise DivergedError(f"validation after step {progress.step}", reason)
         progress.last = {"step": progress.step, **metrics}
-        better = metrics["total"] < progress.best.get("total", float("inf"))
+        better = metrics["score_db"] > progress.best.get("score_db", float("-inf"))
         if better:
             progress.best = progress.last
         if log is not None:
@@ -468,8 +482,8 @@ class Training:
             if better:
                 self._save_network(BEST)
         self._say(
-            f"step {progress.step}: validation loss {metrics['total']:.4g}, PSNR {metrics['psnr_db']:.2f} dB, depth RMSE "
-            f"{metrics['depth_rmse_cm']:.2f} cm{' (best)' if better else ''}"
+            f"step {progress.step}: validation PSNR {metrics['psnr_db']:.2f} dB, depth RMSE "
+            f"{metrics['depth_rmse_cm']:.2f} cm, loss {metrics['total']:.4g}{' (best)' if better else ''}"
         )
 
     def _save_network(self, name: str) -> None:
@@ -502,13 +516,20 @@ def _listed(numbers: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {value:.4g}" for name, value in numbers.items())
 
 
+def freeze_statistics(network: nn.Module) -> None:
+    """Let batch normalisation use the statistics that it has, as it does in use; with a batch's own it learns otherwise."""
+    for module in network.modules():
+        if isinstance(module, _BatchNorm):
+            module.eval()
+
+
 def _placed(network: nn.Module, group: Processes) -> nn.Module:
     """Bring a network to its device and to the processes that share a batch."""
     for module in network.modules():
         if isinstance(module, nn.Conv2d):
             module.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    if group.world_size > 1:
-        network = synchronise_batch_norm(network, group.device.type)
+    if group.on_cuda and group.world_size > 1:
+        network = nn.SyncBatchNorm.convert_sync_batchnorm(network)
     return network.to(group.device)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -48,10 +49,12 @@ def validate(
     precision: Precision,
     group: Processes,
 ) -> dict[str, float]:
-    """Return means over the scenes of a split: each term of the loss, ``psnr_db``, ``depth_rmse_cm``.
+    """Return means over the scenes of a split: each term of the loss, ``psnr_db``, ``depth_rmse_cm``; and ``score_db``.
 
-    PSNR is of sRGB codes, clamped. The depth's error is that of `learning.metrics.depth_scores` at valid pixels; a scene
-    without any counts in the other numbers only. The processes share the scenes. The network is left in training mode.
+    The score, by which the best checkpoint is chosen, is made of what is reported: PSNR minus the depth error's decibels, so
+    that halving either error is worth as much. PSNR is of sRGB codes, clamped. The depth's error is that of
+    `learning.metrics.depth_scores` at valid pixels; a scene without any counts in the other numbers only. The processes
+    share the scenes. The network is left in training mode.
     """
     network.eval()
     sums: dict[str, float] = {}
@@ -70,7 +73,8 @@ def validate(
     network.train()
     both = torch.tensor([list(sums.values()), list(counts.values())], dtype=torch.float64, device=group.device)
     means = torch.div(*group.add(both)).tolist()
-    return dict(zip(sums, means, strict=True))
+    found = dict(zip(sums, means, strict=True))
+    return found | {"score_db": found["psnr_db"] - 20 * math.log10(max(found["depth_rmse_cm"], _SMALLEST_ERROR))}
 
 
 def _errors(estimate: Estimate, truth: Estimate, example: Example, capture: CaptureModel) -> dict[str, Tensor]:

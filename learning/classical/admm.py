@@ -86,9 +86,9 @@ class Admm(nn.Module):
         check_choices(("light", light, ("scene", "anywhere")))
         self.tv, self.sparsity, self.iterations = tv, sparsity, iterations
         self.grid = AdmmGrid(capture, light, dtype)
-        brightest = float(capture.irradiance.max())
+        brightest = float(capture.scene_irradiance.max())
         scale = 1 / (capture.gain * capture.white * brightest * self.grid.norm)
-        brightness = brightest / capture.irradiance.astype(np.float64)
+        brightness = brightest / capture.scene_irradiance.astype(np.float64)
         buffers = {"scale": scale[:, None, None], "offset": capture.offset[:, None, None], "brightness": brightness}
         for name, values in buffers.items():
             self.register_buffer(name, torch.from_numpy(np.asarray(values)).to(dtype), persistent=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Self
 
 import numpy as np
@@ -38,16 +38,18 @@ class ConstrainedLeastSquares(RegularisedInversion):
         """Prepare the division; the parameters are those of `RegularisedInversion`."""
         super().__init__(capture, regularisation_lambda=regularisation_lambda, tikhonov=tikhonov, learned=False)
         # Pairs, three axes: as the layer's own spectra they follow a module to another precision or memory format unharmed.
-        self.register_buffer("divided", as_pairs(super().inverse()).flatten(0, 1), persistent=False)
+        divided = torch.stack(list(super().inverses()))
+        self.register_buffer("divided", as_pairs(divided).flatten(0, 1), persistent=False)
 
-    def inverse(self) -> Tensor:
-        """Return W(z), ``(K, C, L // 2 + 1, M)`` complex; see `RegularisedInversion.inverse`."""
-        return from_pairs(self.divided).unflatten(0, self.log_lambda.shape)
+    def inverses(self, noise: Tensor | None = None) -> Iterator[Tensor]:
+        """Yield W(z) plane by plane; see `RegularisedInversion.inverses`."""
+        del noise
+        yield from from_pairs(self.divided).unflatten(0, self.log_lambda.shape)
 
     @torch.no_grad()
-    def forward(self, measurement: Tensor, inverse: Tensor | None = None) -> Tensor:
+    def forward(self, measurement: Tensor) -> Tensor:
         """Return ``(B, K, C, h, w)`` radiance / white in the camera's channels of measurements ``(B, C, H, W)``."""
-        return super().forward(measurement, inverse)
+        return super().forward(measurement)
 
 
 VOLUME_PARAMETERS: dict[str, tuple[str, ...]] = {

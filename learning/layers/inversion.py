@@ -10,7 +10,7 @@ Wiener's: thesis equation 4.1; Khan et al., FlatNet, TPAMI 2020.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
+from learning.layers.noise import noise_level
 from learning.layers.padding import (
     as_pairs,
     axis_plans,
@@ -49,10 +50,17 @@ class FourierInversion(nn.Module):
     def __init__(self, capture: CaptureModel) -> None:
         super().__init__()
         self.rows, self.columns = axis_plans(capture)
-        self._keep(
-            "scale", torch.from_numpy(1 / (capture.gain * capture.white * capture.irradiance.astype(np.float64)))
-        )
+        irradiance = capture.scene_irradiance.astype(np.float64)
+        self._keep("scale", torch.from_numpy(1 / (capture.gain * capture.white * irradiance)))
         self._keep("offset", torch.from_numpy(capture.offset)[:, None, None])
+
+    def light(self, measurement: Tensor) -> Tensor:
+        """Return measurements ``(..., C, H, W)`` without their offset."""
+        return measurement.to(self.offset.dtype) - self.offset
+
+    def spectrum(self, light: Tensor) -> Tensor:
+        """Return the spectrum ``(..., C, L // 2 + 1, M)`` of light, continued to the period."""
+        return spectrum_of(pad_measurement(light, self.rows, self.columns))
 
     def _keep(self, name: str, values: Tensor) -> None:
         self.register_buffer(name, values.to(torch.get_default_dtype()), persistent=False)
@@ -61,17 +69,16 @@ class FourierInversion(nn.Module):
         """Return PSFs ``(..., h, w)`` with their origin at 0 of the period, float64."""
         return torch.from_numpy(self.columns.place(self.rows.place(psfs.astype(np.float64), -2), -1))
 
-    def _spectrum(self, measurement: Tensor) -> Tensor:
-        """Return the spectrum of a measurement ``(..., C, H, W)`` without its offset, continued to the period."""
-        light = measurement.to(self.offset.dtype) - self.offset
-        return spectrum_of(pad_measurement(light, self.rows, self.columns))
-
 
 class RegularisedInversion(FourierInversion):
     """From a measurement to one estimate of the whole scene per depth plane: sharp where the depth is right.
 
-    Learned are P, a 3 x 3 filter per plane that the channels share, and lambda per plane and channel,
-    ``lambda = exp(log_lambda) mean |FH|^2``, so that the same number means the same for every mask and scale.
+    Learned are P, a 3 x 3 filter per plane that the channels share, and lambda per plane and channel, in units of the PSF's
+    mean spectral power, so that the same number means the same for every mask and scale. Where lambda follows the noise it is
+    ``exp(log_lambda) + exp(log_noise_weight) sigma^2 / signal``: Wiener's ratio of noise to signal has the second term alone.
+
+    Joint, all planes share one denominator, the mean of their spectral powers: the least squares of the whole stack, each
+    plane of which gets the light that the others do not explain as well.
 
     Attributes:
         planes: indices of the stack's planes that it inverts at.
@@ -89,6 +96,8 @@ class RegularisedInversion(FourierInversion):
         *,
         regularisation_lambda: float = 1e-2,
         tikhonov: float = 0.0,
+        noise_weight: float | None = None,
+        joint: bool = False,
         learned: bool = True,
     ) -> None:
         """Prepare the spectra of the PSFs.
@@ -99,53 +108,68 @@ class RegularisedInversion(FourierInversion):
             regularisation_lambda: initial, as a multiple of the PSF's mean spectral power.
             tikhonov: Tikhonov term that P begins with beside the Laplacian, its response at frequency zero. A mask as wide as
                 the scene and more has zeros of FH so near to frequency zero that the Laplacian hardly holds them.
+            noise_weight: initial weight of the ratio of noise to signal in lambda; None: lambda does not follow the noise.
+            joint: invert all planes at once.
             learned: whether P and lambda are parameters or stay as they are.
 
         Raises:
-            InputError: a lambda that is not positive.
+            InputError: a lambda or weight that is not positive.
         """
         super().__init__(capture)
-        if not (math.isfinite(regularisation_lambda) and regularisation_lambda > 0):
-            raise InputError("regularisation_lambda", f"got {regularisation_lambda!r}, expected a positive number")
+        for name, value in (("regularisation_lambda", regularisation_lambda), ("noise_weight", noise_weight)):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise InputError(name, f"got {value!r}, expected a positive number")
         self.planes = tuple(range(len(capture.stack.depths_m))) if planes is None else tuple(planes)
         self.disparities = capture.plane_disparities()[list(self.planes)]
         self.channels = capture.stack.channels
         kernel = self._kernel(to_numpy(capture.stack.values)[list(self.planes)])
         # Parseval: the mean over all frequencies. PSFs of power 1 keep float32 far from its limits.
-        root = kernel.square().sum(dim=(-2, -1), keepdim=True).sqrt()
+        energy = kernel.square().sum(dim=(-2, -1), keepdim=True)
+        root = (energy.mean(dim=0, keepdim=True) if joint else energy).sqrt()
         spectrum = spectrum_of(kernel / root)
-        self._keep("power", spectrum.abs().square().flatten(0, 1))
+        power = spectrum.abs().square()
+        self._keep("power", (power.mean(dim=0, keepdim=True) if joint else power).flatten(0, 1))
         self._keep("numerator", as_pairs(spectrum.conj() / root).flatten(0, 1))
         kernels, channels = kernel.shape[:2]
         begin = torch.tensor(LAPLACIAN)
         begin[1, 1] += tikhonov
-        self.filters = nn.Parameter(begin.repeat(kernels, 1, 1), requires_grad=learned)
-        self.log_lambda = nn.Parameter(
-            torch.full((kernels, channels), math.log(regularisation_lambda)), requires_grad=learned
-        )
 
-    def forward(self, measurement: Tensor, inverse: Tensor | None = None) -> Tensor:
+        def weights(value: float) -> nn.Parameter:
+            return nn.Parameter(torch.full((kernels, channels), math.log(value)), requires_grad=learned)
+
+        self.filters = nn.Parameter(begin.repeat(kernels, 1, 1), requires_grad=learned)
+        self.log_lambda = weights(regularisation_lambda)
+        self.log_noise_weight = None if noise_weight is None else weights(noise_weight)
+
+    def forward(self, measurement: Tensor) -> Tensor:
         """Return ``(B, K, C, h, w)``, irradiance-corrected radiance in the camera's channels, 1 for white.
 
-        Args:
-            measurement: ``(B, C, H, W)`` DN / 2^bits; an InputError refuses another shape than the camera's.
-            inverse: what `inverse` returned for the present parameters, on this device; None works it out.
+        ``measurement`` is ``(B, C, H, W)`` DN / 2^bits; an InputError refuses another shape than the camera's.
         """
         check_measurement(measurement, self.offset, self.rows, self.columns)
         with torch.autocast(measurement.device.type, enabled=False):
-            spectrum = self._spectrum(measurement)
-            inverses = self.inverse() if inverse is None else inverse
-            # One plane at a time: what lies between stays in the processor's cache, three times faster than all at once.
-            planes = [scene_of(spectrum * one, self.rows, self.columns) for one in inverses]
-            return torch.stack(planes, dim=1) * self.scale
+            light = self.light(measurement)
+            return self.volume(self.spectrum(light), None if self.log_noise_weight is None else noise_ratio(light))
 
-    def inverse(self) -> Tensor:
-        """Return W(z), ``(K, C, L // 2 + 1, M)`` complex, of equation 4.11."""
-        penalty = self.log_lambda.exp()[..., None, None] * self._filter_power()[:, None]
-        # Of a P without response at a frequency where the PSF has none either, nothing is left to divide by.
-        denominator = self.power.view_as(penalty) + penalty + _LEAST
-        # Times the reciprocal: a complex division costs twice the time, forwards and backwards.
-        return from_pairs(self.numerator).view_as(penalty) * denominator.reciprocal()
+    def volume(self, spectrum: Tensor, noise: Tensor | None = None) -> Tensor:
+        """Return the volume of spectra ``(B, C, L // 2 + 1, M)`` of light, with ratios of noise to signal ``(B, C)``."""
+        # One plane at a time: what lies between stays in the processor's cache, three times faster than all at once.
+        inverses = self.inverses(noise)
+        return torch.stack([scene_of(spectrum * one, self.rows, self.columns) for one in inverses], dim=1) * self.scale
+
+    def inverses(self, noise: Tensor | None = None) -> Iterator[Tensor]:
+        """Yield W(z) of equation 4.11 plane by plane, ``(C, L // 2 + 1, M)`` complex, with a leading B where noise counts."""
+        numerators, filters = from_pairs(self.numerator).unflatten(0, self.log_lambda.shape), self._filter_power()
+        powers = self.power.unflatten(0, (-1, len(self.channels))).expand(len(self.planes), -1, -1, -1)
+        own = self.log_lambda.exp()
+        following = None if self.log_noise_weight is None else self.log_noise_weight.exp()
+        for plane, (numerator, power, weight) in enumerate(zip(numerators, powers, own, strict=True)):
+            if following is not None and noise is not None:
+                weight = weight + following[plane] * noise
+            penalty = weight[..., None, None] * filters[plane]
+            # Times the reciprocal: a complex division costs twice the time, forwards and backwards. Of a P without response
+            # at a frequency where the PSF has none either, nothing is left to divide by.
+            yield numerator * (power + penalty + _LEAST).reciprocal()
 
     def _filter_power(self) -> Tensor:
         """Return |FP|^2, ``(K, L // 2 + 1, M)``: nine terms, by the definition of the transform."""
@@ -158,6 +182,11 @@ class RegularisedInversion(FourierInversion):
         turns = torch.arange(length, device=self.filters.device, dtype=self.filters.dtype) / length
         angles = -2 * math.pi * turns[:, None] * taps
         return torch.complex(angles.cos(), angles.sin())
+
+
+def noise_ratio(light: Tensor) -> Tensor:
+    """Return the ratio of the noise's power to the light's, ``(B, C)``, of light ``(B, C, H, W)``; see `noise_level`."""
+    return noise_level(light).square()[:, None] / light.detach().square().mean(dim=(-2, -1)).clamp_min(1e-20)
 
 
 class WienerInversion(FourierInversion):
@@ -198,7 +227,9 @@ class WienerInversion(FourierInversion):
         """
         check_measurement(measurements, self.offset, self.rows, self.columns, frames=True)
         with torch.autocast(measurements.device.type, enabled=False):
-            return scene_of(self._spectrum(measurements) * self.inverse(), self.rows, self.columns) * self.scale
+            return (
+                scene_of(self.spectrum(self.light(measurements)) * self.inverse(), self.rows, self.columns) * self.scale
+            )
 
     def inverse(self) -> Tensor:
         """Return F(W), ``(C, L // 2 + 1, M)`` complex."""

@@ -31,9 +31,9 @@ class AxisPlan:
     size: int
 
     @classmethod
-    def fit(cls, sensor: int, scene: int, psf: int) -> AxisPlan:
-        """Return the plan for these numbers of samples: light of a scene falls on ``scene + psf - 1``."""
-        return cls(sensor, next_fast_len(max(sensor, scene + psf - 1)), (sensor - scene) // 2, scene)
+    def fit(cls, sensor: int, scene: int, psf: int, field: int | None = None) -> AxisPlan:
+        """Return the plan for these numbers of samples: light of a field (None: the scene) falls on ``field + psf - 1``."""
+        return cls(sensor, next_fast_len(max(sensor, (field or scene) + psf - 1)), (sensor - scene) // 2, scene)
 
     @property
     def scene(self) -> slice:
@@ -50,7 +50,8 @@ class AxisPlan:
 
 def axis_plans(capture: CaptureModel) -> tuple[AxisPlan, AxisPlan]:
     """Return the plans of rows and columns for a camera; see `AxisPlan.fit`."""
-    sizes = zip(capture.sensor_shape, capture.scene_shape, capture.stack.values.shape[-2:], strict=True)
+    psf = capture.stack.values.shape[-2:]
+    sizes = zip(capture.sensor_shape, capture.scene_shape, psf, capture.field_shape, strict=True)
     rows, columns = (AxisPlan.fit(*each) for each in sizes)
     return rows, columns
 

@@ -1,0 +1,84 @@
+"""Scenes of a data set seen anew: turned, recoloured, brighter, through the forward model that made the data set.
+
+Rendering a scene takes twenty times as long as seeing it: new views of the scenes at hand cost little, and a network that
+learns from them sees no measurement twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.camera import capture_model, recorded_sensor
+from simulator.camera.forward import DepthRule, ForwardModel
+from simulator.config import config_from_dict
+from simulator.dataset.reader import Dataset
+from simulator.errors import InputError
+from simulator.types import Clip
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """How scenes are changed before they are seen anew.
+
+    Attributes:
+        flip: mirror rows and columns, each in half of the cases: the PSFs stay, so the measurement is no mirror image.
+        colour: standard deviation of the logarithm of what each of red, green and blue is multiplied by.
+        exposure: all light is multiplied by 2^x, x evenly between minus and plus this.
+    """
+
+    flip: bool = True
+    colour: float = 0.2
+    exposure: float = 0.5
+
+    def apply(self, clip: Clip, rng: np.random.Generator) -> Clip:
+        """Return a clip changed by random numbers, alike in all frames and in what shines beside the image."""
+        turns = rng.random(2) < 0.5 if self.flip else (False, False)
+        gains = np.exp(self.colour * rng.standard_normal(3) + np.log(2) * rng.uniform(-self.exposure, self.exposure))
+        way = (slice(None), *(slice(None, None, -1 if turned else 1) for turned in turns))
+
+        def seen(part: Any) -> dict[str, Any]:
+            return {"rgb": part.rgb[way] * gains.astype(np.float32), "depth_m": part.depth_m[way]}
+
+        around = clip.surroundings
+        beside = None if around is None else replace(around, **seen(around))
+        return replace(clip, **seen(clip), valid=clip.valid[way], extras={}, surroundings=beside)
+
+
+class SceneCamera:
+    """The camera of a data set, for scenes like those that it saw."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        """Read the camera as the data set records it; no code that the data set names is run.
+
+        Raises:
+            InputError: what `learning.camera.capture_model` refuses.
+        """
+        self._capture = capture = capture_model(dataset)
+        config = config_from_dict(dataset.config, dataset.root, check_plugins=False)
+        self.sensor = recorded_sensor(dataset.info, config)
+        self._model = ForwardModel(
+            capture.stack,
+            capture.sensor_shape,
+            capture.field_shape,
+            dataset.shutter,
+            time=config.forward.time,
+            irradiance=capture.irradiance,
+            scene_to_camera=capture.scene_to_camera,
+            depth_rule=DepthRule(config.forward.depth_assignment, max_clamped=1.0),  # refused when the data were made
+        )
+
+    def exposure(self, clip: Clip) -> NDArray[np.float32]:
+        """Return the noiseless exposure ``(C, H, W)`` of a clip, which `sensor` turns into a measurement.
+
+        Raises:
+            InputError: scenes without what shines beside the image, where the camera sees that, too.
+        """
+        beside = self._capture.field_shape != self._capture.scene_shape
+        if beside and clip.surroundings is None:
+            reason = "its samples do not say what shone beside the image: made by an earlier version; make it again"
+            raise InputError("data.augment", reason)
+        return self._model.forward_clip(clip)
