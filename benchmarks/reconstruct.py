@@ -20,7 +20,7 @@ from learning.evaluate.scoring import take_times
 from learning.method import Method, describe_device
 from learning.models import build_network
 from learning.models.flatnet import LearnedMethod
-from learning.tune import load_tuned
+from learning.tune.study import load_tuned
 from simulator.dataset import open_dataset
 
 REFERENCE = "FlatNet3D"

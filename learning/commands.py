@@ -35,8 +35,8 @@ def tune(
 ) -> None:
     """Tune the classical methods on validation scenes, each noise level by itself; a run that stopped goes on."""
     from learning.config import TuneConfig, load_file
-    from learning.tune import load_tuned
     from learning.tune.job import table, tune_file
+    from learning.tune.study import load_tuned
     from simulator.console import Bar
 
     loaded = load_file(TuneConfig, config, set_ or [])

@@ -8,11 +8,9 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple, cast
 
-import flip_evaluator
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from skimage.metrics import structural_similarity
 from torch import Tensor
 
 from learning.camera import CaptureModel
@@ -93,6 +91,9 @@ def psnr(image: Tensor, truth: Tensor) -> Tensor:
 
 def image_scores(image: NDArray[np.float32], truth: NDArray[np.float32]) -> dict[str, float]:
     """Return ``ssim`` and ``flip`` of an image ``(h, w, 3)``, sRGB codes 0..1, float32."""
+    import flip_evaluator
+    from skimage.metrics import structural_similarity
+
     window: Any = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
     exact = (truth.astype(np.float64), image.astype(np.float64))
     similarity = structural_similarity(*exact, channel_axis=-1, data_range=1.0, **window)

@@ -77,9 +77,9 @@ def unary_cost(
     if cost == "defocus":
         mean = sharp.mean(dim=(1, 2, 3), keepdim=True)
         # A black stack is equally sharp everywhere; NaN stays NaN, for the graph cut to refuse.
-        return _averaged(torch.exp(-contrast * sharp / torch.where(mean == 0, 1.0, mean)), window_px)
+        return gaussian_mean(torch.exp(-contrast * sharp / torch.where(mean == 0, 1.0, mean)), window_px)
     check_choices(("cost", cost, COSTS))
-    return _spread(_averaged(sharp, window_px), contrast, steps_between_planes)
+    return _spread(gaussian_mean(sharp, window_px), contrast, steps_between_planes)
 
 
 def _spread(sharp: Tensor, contrast: float, steps: int) -> Tensor:
@@ -94,7 +94,8 @@ def _spread(sharp: Tensor, contrast: float, steps: int) -> Tensor:
     return torch.einsum("xk,bkhw->bxhw", (labels[:, None] - labels[::steps]).square(), weights)
 
 
-def _averaged(values: Tensor, window_px: float) -> Tensor:
+def gaussian_mean(values: Tensor, window_px: float) -> Tensor:
+    """Return the average of ``(..., h, w)`` in a Gaussian window, whose weights add up to one at edges too."""
     rows, columns = (_window(size, window_px, values) for size in values.shape[-2:])
     return rows @ values @ columns.mT
 

@@ -131,13 +131,13 @@ class RegularisedInversion(FourierInversion):
         self._keep("power", (power.mean(dim=0, keepdim=True) if joint else power).flatten(0, 1))
         self._keep("numerator", as_pairs(spectrum.conj() / root).flatten(0, 1))
         kernels, channels = kernel.shape[:2]
-        begin = torch.tensor(LAPLACIAN)
-        begin[1, 1] += tikhonov
+        begin = torch.tensor([LAPLACIAN] * kernels)  # Tensor.repeat would import SymPy where weights have no memory
+        begin[:, 1, 1] += tikhonov
 
         def weights(value: float) -> nn.Parameter:
             return nn.Parameter(torch.full((kernels, channels), math.log(value)), requires_grad=learned)
 
-        self.filters = nn.Parameter(begin.repeat(kernels, 1, 1), requires_grad=learned)
+        self.filters = nn.Parameter(begin, requires_grad=learned)
         self.log_lambda = weights(regularisation_lambda)
         self.log_noise_weight = None if noise_weight is None else weights(noise_weight)
 

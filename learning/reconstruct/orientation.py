@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from learning.camera import CaptureModel, plain_capture
+from learning.classical.focus import gaussian_mean
 from learning.layers.inversion import WienerInversion
 from learning.reconstruct.choice import Request
 from learning.reconstruct.inputs import Measurement
@@ -36,8 +37,6 @@ def frame_evidence(measurement: NDArray[np.floating], capture: CaptureModel) -> 
     (7 masks, 10 scenes, half of them wider than the image) none was clear in the wrong sense; 96 % were clear with noise of
     40 dB, 75 % with 30 dB, 21 % with 20 dB.
     """
-    from scipy.ndimage import gaussian_filter
-
     factor = -(-max(capture.sensor_shape) // _PIXELS)
     light = (measurement - border_level(measurement)).mean(axis=0)
     light = _blocks(light[: light.shape[0] // factor * factor, : light.shape[1] // factor * factor], factor)
@@ -53,10 +52,10 @@ def frame_evidence(measurement: NDArray[np.floating], capture: CaptureModel) -> 
     camera = plain_capture(small, (light.shape[0], light.shape[1]))
     with torch.no_grad():
         found = [
-            WienerInversion(camera, plane, noise_to_signal=_NOISE_TO_SIGNAL, learned=False)(both)[:, 0].numpy()
+            WienerInversion(camera, plane, noise_to_signal=_NOISE_TO_SIGNAL, learned=False)(both)[:, 0]
             for plane in range(len(planes))
         ]
-    sparse = [_sparsity(gaussian_filter(images, (0, _BLUR_PX, _BLUR_PX))) for images in found]
+    sparse = [_sparsity(gaussian_mean(images, _BLUR_PX).numpy()) for images in found]
     as_it_is, rotated = np.max(sparse, axis=0)  # each at the depth at which it is sharpest
     return float(as_it_is - rotated)
 

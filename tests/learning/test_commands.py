@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 from learning.commands import evaluate, reconstruct, train, tune
-from learning.tune import load_tuned
+from learning.tune.study import load_tuned
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
 from simulator.io.exr import read_exr
@@ -139,6 +142,37 @@ def test_a_sample_becomes_a_folder(tiny_dataset: Path, tmp_path: Path, capfd: py
     assert record["camera"]["depths_m"] == read_depths_m(tiny_dataset / "psf").tolist()
     assert set(record["seconds"]) == {"inversion", "graph cut", "assembly"}
     assert len(read_exr(folder / "volume.exr")[0]) == 9
+
+
+# What takes long to import and has no part in a reconstruction; ortools has in that of a depth by a graph cut.
+UNUSED = ["torch._dynamo", "torch._inductor", "torch.utils.tensorboard", "tensorboard", "torchvision", "lpips", "sympy"]
+UNUSED += ["skimage", "flip_evaluator", "scipy.ndimage", "scipy.signal", "scipy.interpolate", "matplotlib", "colour"]
+UNUSED += ["mitsuba", "drjit", "ortools", "learning.train", "learning.tune.job", "learning.evaluate", "learning.config"]
+UNUSED += ["learning.metrics"]
+
+
+def test_a_reconstruction_imports_only_what_it_uses(
+    tiny_dataset: Path, checkpoints: list[Path], tmp_path: Path
+) -> None:
+    """By a network, and by ADMM from the image of a PSF: SymPy alone, which a network once imported, takes a second."""
+    sample = open_dataset(tiny_dataset, "test").folder(0)
+    psf = np.zeros((16, 16))
+    psf[[8, 5, 9], [8, 3, 12]] = 1, 2, 3
+    np.save(tmp_path / "psf.npy", psf)
+    np.save(tmp_path / "m.npy", np.random.default_rng(0).uniform(size=(16, 16)))
+    image = {"method": "admm", "stack": str(tmp_path / "psf.npy"), "frame": "stored", "accept_frame": True}
+    code = f"""if True:
+        import sys
+        from pathlib import Path
+        from learning.commands import reconstruct
+        reconstruct(Path({str(sample)!r}), checkpoint={str(checkpoints[0])!r}, output=Path({str(tmp_path / "a")!r}))
+        image = {image!r}
+        reconstruct(Path({str(tmp_path / "m.npy")!r}), set_=["iterations=2"], output=Path({str(tmp_path / "b")!r}), **image)
+        print([name for name in {UNUSED} if name in sys.modules])
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_results_have_names_of_their_own(tiny_dataset: Path, tmp_path: Path, monkeypatch: Any, capfd: Any) -> None:

@@ -14,7 +14,6 @@ import torch
 import yaml
 from PIL import Image
 
-from learning import metrics
 from learning.camera import capture_model, measure_reference_white
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.classical.method import DEFAULTS, build_classical
@@ -35,7 +34,7 @@ Load = Callable[..., EvaluateConfig]
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw nothing and measure no FLIP: both take longer than all the rest, and have tests of their own."""
     monkeypatch.setattr(report, "_figures", lambda findings: {})
-    monkeypatch.setattr(metrics.flip_evaluator, "evaluate", lambda *_, **__: (None, 0.5, None))
+    monkeypatch.setattr("flip_evaluator.evaluate", lambda *_, **__: (None, 0.5, None))
 
 
 @pytest.fixture

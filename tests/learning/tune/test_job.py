@@ -16,10 +16,9 @@ from learning.config import TuneConfig, load_file
 from learning.data import Example
 from learning.method import Estimate, linear_to_srgb
 from learning.metrics import depth_scores, psnr
-from learning.tune import Tunable, load_tuned, tune
-from learning.tune.job import Errors, Score, classical, table, tune_file
+from learning.tune.job import Errors, Score, Tunable, classical, table, tune, tune_file
 from learning.tune.search import Axis, Parameters
-from learning.tune.study import Study
+from learning.tune.study import Study, load_tuned
 from simulator.dataset.manifest import load_manifest
 from simulator.errors import InputError
 from simulator.io.files import sha256_bytes
