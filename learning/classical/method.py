@@ -114,7 +114,7 @@ SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
 
 PLANAR_DEFAULTS: dict[str, dict[str, Value]] = {
     "cls": {"regularisation_lambda": 1e-2, "tikhonov": 0.0},
-    "admm": {"tv": 0.1, "sparsity": 0.01, "iterations": 100, "light": "anywhere"},
+    "admm": {"tv": 0.1, "sparsity": 0.01, "iterations": 60, "light": "anywhere"},
 }
 """Of one plane. ADMM lets light from around the image in: a real scene does not end where the image does."""
 

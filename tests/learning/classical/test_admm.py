@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.signal import fftconvolve
 
-from learning.camera import CaptureModel
+from learning.camera import CaptureModel, plain_capture, typical_white
 from learning.classical.admm import Admm, add_adjoint, difference_power, differences
+from learning.classical.method import PlanarMethod
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
@@ -116,6 +118,25 @@ def test_reaches_the_least_objective(planes: int) -> None:
     assert bound * (1 - 1e-9) <= objectives[2] <= bound * 1.001
     assert objectives[0] > objectives[1] > objectives[2]
     assert objectives[0] > 1.2 * objectives[2]
+
+
+def test_one_plane_has_converged_after_the_iterations_that_are_the_default() -> None:
+    """A letter through 25 points and the light around it; with the weights of several planes, 100 reach 27.7 dB."""
+    rng = np.random.default_rng(0)
+    psf = np.zeros((24, 24))
+    psf[rng.integers(0, 24, 25), rng.integers(0, 24, 25)] = rng.uniform(0.5, 1, 25)
+    light = np.full((87, 103), 0.1)
+    light[30:60, 35:45] = light[50:60, 35:65] = 1
+    measurement = fftconvolve(light, psf, mode="valid")
+    measurement += rng.normal(0, 0.01 * measurement.max(), measurement.shape)
+    stack = PsfStack(psf[None, None], np.array([np.inf]), 1e-5, ("grey",), "points")
+    unit = plain_capture(stack, measurement.shape)
+    capture = replace(unit, white=typical_white(unit, measurement[None]))
+    there, far = (
+        PlanarMethod(capture, "admm", given).volume(torch.from_numpy(measurement)[None, None])
+        for given in ({}, {"iterations": 1500})
+    )
+    assert float(-10 * (there - far).square().mean().log10()) > 35
 
 
 def test_parameters_mean_the_same_for_every_mask_gain_and_white() -> None:
