@@ -1,18 +1,20 @@
-"""Whose a folder is, and what made a result."""
+"""Whose a folder is, what made a result, and which scenes it has seen."""
 
 from __future__ import annotations
 
 import json
 import platform
+from collections.abc import Mapping
 from importlib import metadata
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from simulator import __version__
 from simulator.dataset.manifest import load_manifest
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
-from simulator.io.files import TEMPORARY_PREFIX
+from simulator.io.files import TEMPORARY_PREFIX, sha256_bytes
+from simulator.io.json import canonical_json
 from simulator.validation import renamed
 
 
@@ -52,6 +54,33 @@ def sample_digests(dataset: Dataset) -> list[str]:
     """Return the digest of each sample of a split, by which samples that were made again are told apart."""
     entries = load_manifest(dataset.root).entries
     return [entries[dataset.split, sample].digest for sample in dataset.ids]
+
+
+def scenes_of(dataset: Dataset) -> list[str]:
+    """Return what the scenes of a split are known by, whatever camera saw them: splits with a name in common show the same.
+
+    Scenes that a family draws follow from the root seed, the split and the index: the same numbers draw the same things,
+    through any mask, sensor and PSF, in any size, at any depth, more finely rendered or with other parameters. So the family
+    has one name per seed and split, in words. Imported scenes are known by their recordings, of which there are many: a hash
+    for each video or sequence, wherever it lies; of a source that names neither, for all that it says of a clip.
+    """
+    scene = dataset.config["scene"]
+    if scene.get("family") is not None:
+        return [f"{PurePosixPath(scene['family']).name}, seed {dataset.config['seed']}, {dataset.split}"]
+    source = PurePosixPath(scene["source"]).name
+    recordings = {
+        canonical_json([source, _recording(dataset.stored(position).description["metadata"]["scene"])])
+        for position in range(len(dataset))
+    }
+    return sorted(sha256_bytes(recording)[:16] for recording in recordings)
+
+
+def _recording(scene: Mapping[str, Any]) -> Any:
+    """Return what an imported clip is a part of: its video, its sequence, or the folder of its images."""
+    for key in ("video", "sequence"):
+        if key in scene:
+            return scene[key]
+    return PurePosixPath(scene["picture"]).parent.as_posix() if "picture" in scene else scene
 
 
 def versions(*packages: str) -> dict[str, str]:

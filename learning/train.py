@@ -30,6 +30,7 @@ from learning.layers.inversion import FourierInversion
 from learning.losses import ReconstructionLoss
 from learning.models import build_network
 from learning.models.flatnet import FlatNet
+from learning.provenance import scenes_of
 from learning.resume import (
     BEST,
     LAST,
@@ -199,8 +200,9 @@ class Plan:
         command: that started it; None where it was called from Python.
         capture: the camera, with the PSFs that the inversion knows and the reference white.
         data: what decides the numbers, of data sets and camera, plain.
+        scenes: what was seen of each split, see `learning.provenance.scenes_of`; an evaluation must not test on these.
         init_from: the checkpoint that it begins with, known by its content: a path says nothing of what lay there. With what
-            its network had learned from, which an evaluation must not test it on.
+            its network had learned from.
         taken: lines that say what was taken from that checkpoint.
         network: with the weights to begin with, on the CPU, as is the loss.
     """
@@ -212,6 +214,7 @@ class Plan:
     validation: Dataset
     capture: CaptureModel
     data: dict[str, Any]
+    scenes: dict[str, list[str]]
     precision: Precision
     init_from: dict[str, Any] | None
     taken: list[str]
@@ -243,8 +246,11 @@ def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Pla
         known = load_checkpoint(path, network=config.network.name)
         taken = [f"{path.name}: {line}" for line in transfer(network, known)]
         init_from = {"sha256": sha256_file(path), "architecture": known.architecture, "file": path.name}
-        init_from |= {key: known.record.get(key) for key in ("data sets", "init_from")}
-    return Plan(config, group, command, train, validation, capture, data, precision, init_from, taken, network, loss)
+        init_from |= {key: known.record.get(key) for key in ("data sets", "scenes", "init_from")}
+    scenes = {each.split: scenes_of(each) for each in (train, validation)}
+    return Plan(
+        config, group, command, train, validation, capture, data, scenes, precision, init_from, taken, network, loss
+    )
 
 
 @contextmanager
@@ -498,6 +504,7 @@ class Training:
                 "config": portable_config(config),
                 "command": plan.command or "learning.train.train, called from Python",
                 "data sets": plan.data,
+                "scenes": plan.scenes,
                 "init_from": plan.init_from,
                 "loss": self._loss.record(),
                 "validation": {"best": progress.best, "last": progress.last},

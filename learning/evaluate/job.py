@@ -13,7 +13,7 @@ from learning.camera import CaptureModel
 from learning.config import EvaluateConfig
 from learning.data import check_dataset
 from learning.evaluate.figures import Shown
-from learning.evaluate.methods import Entry, LearnedEntry, read_methods
+from learning.evaluate.methods import Entry, LearnedEntry, read_methods, says_scenes
 from learning.evaluate.outcome import Outcome, first_scenes, outcome
 from learning.evaluate.report import Findings, claim_folder, write_results
 from learning.evaluate.runs import Cameras, ResultCache, Run, Runner
@@ -97,6 +97,8 @@ def evaluate(
         montage=_montage(config, runner, methods),
         columns=["truth", *(method.name for method in config.methods)],
     )
+    for line in findings.unknown:
+        say(line)
     return findings, write_results(folder, findings)
 
 
@@ -187,5 +189,6 @@ def _about(seeds: Sequence[Entry], camera: CaptureModel) -> dict[str, Any]:
         "kind": seeds[0].kind,
         "planes": len(camera.stack.depths_m),
         "depth_range_m": [camera.near_m, camera.far_m],
+        "scenes_on_record": all(map(says_scenes, seeds)),
         "checkpoints": [entry.plain() for entry in seeds if isinstance(entry, LearnedEntry)],
     }

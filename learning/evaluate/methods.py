@@ -19,6 +19,7 @@ from learning.config import EvaluateConfig, MethodConfig
 from learning.evaluate.outcome import Kind
 from learning.method import Method
 from learning.models.flatnet import LearnedMethod
+from learning.provenance import scenes_of
 from learning.tune.study import load_tuned
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
@@ -132,29 +133,42 @@ _USED = {"train": "learned from", "validation": "was chosen among its own steps 
 def check_learned(name: str, path: Path, record: Mapping[str, Any], test: Dataset) -> None:
     """Refuse a network that knows the test scenes, be it from the training of the checkpoint that it began with.
 
-    They may be those of its train split, or of the validation split by which its best step was chosen: ``data sets`` in the
-    checkpoint's record, at any depth, hold fingerprints by split.
+    They may be those of its train split, or of the validation split by which its best step was chosen, seen by whatever
+    camera: ``scenes`` in the checkpoint's record, at any depth, see `learning.provenance.scenes_of`.
     """
-    for used in _data_sets(record):
+    for training in _trainings(record):
         for split, words in _USED.items():
-            known = used.get(split)
-            fingerprint = known.get("fingerprint") if isinstance(known, Mapping) else None
-            if (fingerprint, split) == (test.fingerprint, test.split):
-                scenes = f"the scenes that decide here, split {test.split!r} of {test.root}"
-                raise InputError(name, f"{path} {words} {scenes}; evaluate on its test split, or on another data set")
+            known, data = (dict(training.get(what) or {}).get(split) for what in ("scenes", "data sets"))
+            _refuse_known(test, known, dict(data or {}).get("fingerprint"), split, name, f"{path} {words}")
 
 
 def check_tuned(name: str, tuned: Path, test: Dataset) -> None:
-    """Refuse parameters of a method that `flatlight tune` found on the test scenes."""
-    content = load_tuned(tuned).content["identity"]
-    if (content.get("data"), content.get("split")) == (test.fingerprint, test.split):
-        scenes = f"the scenes that decide here, split {test.split!r}"
-        raise InputError(name, f"{tuned} was tuned on {scenes}; tune on validation scenes")
+    """Refuse parameters of a method that `flatlight tune` found on the test scenes, seen by whatever camera."""
+    identity = load_tuned(tuned).content["identity"]
+    known, fingerprint, split = (identity.get(what) for what in ("scenes", "data", "split"))
+    _refuse_known(test, known, fingerprint, split, name, f"{tuned} was tuned on")
 
 
-def _data_sets(record: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    for key, value in record.items():
+def says_scenes(entry: Entry) -> bool:
+    """Return whether it is on record which scenes a method has seen; earlier versions of Flatlight kept data sets only."""
+    if isinstance(entry, LearnedEntry):
+        trainings = list(_trainings(entry.record))
+        return bool(trainings) and all(training.get("scenes") for training in trainings)
+    return entry.tuned is None or "scenes" in load_tuned(entry.tuned).content["identity"]
+
+
+def _refuse_known(test: Dataset, known: Any, fingerprint: Any, split: Any, name: str, words: str) -> None:
+    """Refuse a method, ``words`` say how, that has seen the scenes ``known`` or, without these, the split of a data set."""
+    if set(known).isdisjoint(scenes_of(test)) if known else (fingerprint, split) != (test.fingerprint, test.split):
+        return
+    scenes = f"scenes that decide here, split {test.split!r} of {test.root}, through this camera or another"
+    raise InputError(name, f"{words} {scenes}; evaluate on another split, or on scenes of another seed")
+
+
+def _trainings(record: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """Yield what is on record of a checkpoint's training, and of those of the checkpoints that it began with."""
+    if record.get("data sets") or record.get("scenes"):
+        yield record
+    for value in record.values():
         if isinstance(value, Mapping):
-            if key == "data sets":
-                yield value
-            yield from _data_sets(value)
+            yield from _trainings(value)

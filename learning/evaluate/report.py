@@ -114,6 +114,14 @@ class Findings:
         return [one for one in stored if one.stack in self.config.data.compare_stacks]
 
     @property
+    def unknown(self) -> list[str]:
+        """A line for each method of which nobody knows whether it has seen these scenes."""
+        only = (
+            "its files are of an earlier version and do not say which scenes it has seen; only data sets were compared"
+        )
+        return [f"{method['name']}: {only}" for method in self.methods if not method["scenes_on_record"]]
+
+    @property
     def constant_cm(self) -> float | None:
         """Pooled depth RMSE of the best constant depth."""
         return next((one.pooled_depth_rmse_cm for one in self.naive if one.pooled_depth_rmse_cm is not None), None)
@@ -397,7 +405,9 @@ def _report(findings: Findings, times: Mapping[str, Times]) -> str:
         conditions(findings),
         markdown_table(rows, times, findings.constant_cm),
         how(findings),
-        "\n".join(f"- {one.method}: {one.note}" for one in rows if one.note),
+        "\n".join(
+            [*(f"- {one.method}: {one.note}" for one in rows if one.note), *(f"- {n}" for n in findings.unknown)]
+        ),
         left_out(rows),
         "## Further scores",
         markdown_further(rows),

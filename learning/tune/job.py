@@ -19,7 +19,7 @@ from learning.config import FEWEST_SCENES, TuneConfig
 from learning.data import Example, ExampleSet, check_dataset
 from learning.method import Estimate, aligned, choose_device, linear_to_srgb
 from learning.metrics import depth_scores, psnr
-from learning.provenance import sample_digests
+from learning.provenance import sample_digests, scenes_of
 from learning.tune.search import Axis, Parameters, coordinate_search
 from learning.tune.study import Study
 from simulator import __version__
@@ -96,6 +96,7 @@ def tune_file(
         "split": dataset.split,
         "samples": list(dataset.ids),
         "digests": sha256_bytes(canonical_json(sample_digests(dataset))),
+        "scenes": scenes_of(dataset),
         "stack": capture.stack.fingerprint,
         "white": capture.white,
         "objective": config.objective,

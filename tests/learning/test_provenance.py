@@ -1,9 +1,10 @@
-"""Keys of earlier versions: refused with the new name in files, read in results."""
+"""Keys of earlier versions: refused with the new name in files, read in results; what scenes are known by."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ import yaml
 
 from learning.checkpoint import load_checkpoint, shipped_checkpoints
 from learning.config import TrainConfig, TuneConfig, load_file
+from learning.provenance import scenes_of
 from learning.tune.study import load_tuned
 from simulator.errors import InputError
 
@@ -40,3 +42,43 @@ def test_what_earlier_versions_wrote_is_read_with_the_new_names(tmp_path: Path) 
     (tmp_path / "tuned.json").write_text(json.dumps(content))
     parameters, _ = load_tuned(tmp_path / "tuned.json").parameters("cls", 30.0)
     assert parameters == {"regularisation_lambda": 0.3, "tikhonov": 1.0}
+
+
+class _Split(SimpleNamespace):
+    """A split of a data set, as far as `scenes_of` looks at it; ``clips`` are what the source says of each sample."""
+
+    def __len__(self) -> int:
+        return len(self.clips)
+
+    def stored(self, position: int) -> Any:
+        return SimpleNamespace(description={"metadata": {"scene": self.clips[position]}})
+
+
+def _drawn(split: str = "test", seed: int = 7, **scene: Any) -> list[str]:
+    config = {"seed": seed, "scene": {"family": "flying_things", "size": [64, 64], **scene}}
+    return scenes_of(_Split(config=config, split=split, clips=[{}]))  # pyright: ignore[reportArgumentType]
+
+
+def _imported(*clips: dict[str, Any], source: str = "videos", **config: Any) -> list[str]:
+    made = {"seed": 7, "scene": {"source": source}, **config}
+    return scenes_of(_Split(config=made, split="test", clips=clips))  # pyright: ignore[reportArgumentType]
+
+
+def test_drawn_scenes_are_known_by_their_random_numbers() -> None:
+    assert _drawn() == _drawn(size=[32, 32], samples_per_pixel=64, near_cm=3)
+    apart = [_drawn(), _drawn("train"), _drawn(seed=8), _drawn(family="endoscopy")]
+    assert len({tuple(each) for each in apart}) == 4
+
+
+def test_own_families_are_known_by_their_name_wherever_they_lie() -> None:
+    assert _drawn(family="./mine.py:vortex") == _drawn(family="elsewhere/mine.py:vortex") != _drawn(family="vortex")
+
+
+def test_imported_scenes_are_known_by_their_recordings() -> None:
+    one, other = ({"importer": "v", "video": name, "first_frame": 3, "crop": {"corner_px": [0, 0]}} for name in "ab")
+    assert _imported(one, other) == _imported(other | {"first_frame": 9}, one | {"crop": {}}, one, seed=8)
+    assert not set(_imported(one)) & set(_imported(other))
+    assert not set(_imported(one)) & set(_imported(one, source="films"))
+    still, next_one, elsewhere = ({"picture": f"left/{name}.png"} for name in ("a/1", "a/2", "b/1"))
+    assert _imported(still) == _imported(next_one) != _imported(elsewhere)
+    assert _imported({"mine": 1}) == _imported({"mine": 1}) != _imported({"mine": 2})

@@ -25,6 +25,7 @@ from learning.config import OptimiserConfig, TrainConfig, load_file
 from learning.data import Batches, ExampleSet
 from learning.losses import ReconstructionLoss
 from learning.models import build_network
+from learning.provenance import scenes_of
 from learning.resume import BEST, DESCRIPTION, LAST, STATE, DivergedError
 from learning.train import build_optimiser, find_data, learning_rate, open_examples, train
 from learning.validation import METRICS, PREVIEW
@@ -414,6 +415,8 @@ def test_a_record_names_no_folder_of_this_machine(settings: Settings, tiny_datas
     dataset = open_dataset(tiny_dataset, "train")
     assert record["data sets"]["train"]["fingerprint"] == dataset.fingerprint
     assert record["data sets"]["train"]["name"] == dataset.info.name
+    splits = {split: scenes_of(open_dataset(dataset.root, split)) for split in ("train", "validation")}
+    assert record["scenes"] == record["init_from"]["scenes"] == splits
     assert record["init_from"]["architecture"] == load_checkpoint(first.folder / LAST).architecture
 
 

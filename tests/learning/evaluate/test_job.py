@@ -206,7 +206,9 @@ def test_all_files_are_written_and_the_report_shows_them(load: Load, tmp_path: P
         assert f"({name})" in report
         Image.open(tmp_path / "out" / name).verify()
     assert stages == {"FlatNet3D": (12, 12), "CLS": (6, 6), "times": (2, 2)}
-    assert said == ["no LPIPS: it was not asked for"]
+    assert said[0] == "no LPIPS: it was not asked for"
+    assert [line.partition(":")[0] for line in said[1:]] == ["FlatNet3D"]  # whose checkpoints say nothing of scenes
+    assert f"- {said[1]}" in report
     assert "1 of " in _results(tmp_path)["device"]
     times = {one["method"]: one["stages_s"] for one in _results(tmp_path)["times"]}
     assert set(times["FlatNet3D"]) == {"inversion", "network"}

@@ -1,15 +1,18 @@
-"""Methods that know the test scenes are refused, by the fingerprint and split that their files record."""
+"""Methods that know the test scenes are refused, by the scenes that their files record, or the data set of earlier files."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
-from learning.evaluate.methods import check_learned, check_tuned
+from learning.evaluate.methods import ClassicalEntry, LearnedEntry, check_learned, check_tuned, says_scenes
+from learning.provenance import scenes_of
 from learning.tune.study import Study
-from simulator.dataset.reader import open_dataset
+from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 
 
@@ -18,15 +21,16 @@ def _record(train: str, validation: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("split", "message"), [("train", "learned from the scenes"), ("validation", "was chosen among its own steps by")]
+    ("split", "message"), [("train", "learned from scenes"), ("validation", "was chosen among its own steps by")]
 )
 def test_a_network_that_knows_the_scenes_is_refused(tiny_dataset: Path, split: str, message: str) -> None:
     test = open_dataset(tiny_dataset, split)
     of_it = {"train": "0" * 64, "validation": "1" * 64} | {split: test.fingerprint}
     with pytest.raises(InputError, match=r"^Net: "):
         check_learned("Net", Path("net.safetensors"), _record(**of_it), test)
-    start = {"init_from": {"record": _record(**of_it)}, **_record("2" * 64, "3" * 64)}
-    with pytest.raises(InputError, match=message):  # what it was warm-started with knew them
+    # What it was warm-started with knew them.
+    start = {"init_from": {**_record(**of_it), "scenes": None, "init_from": None}, **_record("2" * 64, "3" * 64)}
+    with pytest.raises(InputError, match=message):
         check_learned("Net", Path("net.safetensors"), start, test)
     decides = open_dataset(tiny_dataset, "test")
     check_learned("Net", Path("net.safetensors"), _record(test.fingerprint, test.fingerprint), decides)
@@ -42,3 +46,51 @@ def test_only_the_split_that_was_tuned_on_is_refused(tiny_dataset: Path, tmp_pat
     check_tuned("CLS", tmp_path / "validation.json", test)
     with pytest.raises(InputError, match=r"^CLS: "):
         check_tuned("CLS", tmp_path / "test.json", test)
+
+
+@pytest.fixture
+def seen_again(tiny_dataset: Path) -> Callable[..., Dataset]:
+    """Return a function that gives a split as another camera's data set would have it, with another root seed if asked."""
+
+    def seen(split: str, **changes: Any) -> Dataset:
+        known = open_dataset(tiny_dataset, split)
+        camera = known.config["camera"] | {"mask_to_sensor_mm": 2.5, "noise": {"type": "none"}}
+        info = replace(known.info, config=known.config | {"camera": camera, **changes}, fingerprint="f" * 64)
+        return Dataset(known.root, split, known.ids, info)
+
+    return seen
+
+
+@pytest.mark.parametrize("split", ["train", "validation"])
+def test_scenes_are_known_through_another_camera(seen_again: Any, tiny_dataset: Path, split: str) -> None:
+    record = {"scenes": {name: scenes_of(open_dataset(tiny_dataset, name)) for name in ("train", "validation")}}
+    for knows in (record, {"scenes": {"train": ["other"]}, "init_from": record}):
+        with pytest.raises(InputError, match=r"^Net: "):
+            check_learned("Net", Path("net.safetensors"), knows, seen_again(split))
+        check_learned("Net", Path("net.safetensors"), knows, seen_again("test"))
+        check_learned("Net", Path("net.safetensors"), knows, seen_again(split, seed=12345))
+
+
+def test_scenes_that_were_tuned_on_are_known_through_another_camera(seen_again: Any, tmp_path: Path) -> None:
+    study = Study(tmp_path / "tuned.json", {"data": "0" * 64, "scenes": scenes_of(seen_again("validation"))}, {})
+    study.add_result({"method": "cls", "noise_db": 40.0, "parameters": {}, "score": 1.0})
+    with pytest.raises(InputError, match=r"^CLS: "):
+        check_tuned("CLS", study.path, seen_again("validation"))
+    check_tuned("CLS", study.path, seen_again("test"))
+
+
+def test_whether_scenes_are_on_record_is_told(tmp_path: Path) -> None:
+    def network(record: dict[str, Any]) -> bool:
+        return says_scenes(LearnedEntry("Net", Path(), "0" * 64, cast("Any", None), {}, record))
+
+    told = {"data sets": {}, "scenes": {"train": ["a"]}}
+    assert network(told)
+    assert network({**told, "init_from": told})
+    assert not network({})
+    assert not network(_record("1" * 64, "2" * 64))
+    assert not network({**told, "init_from": {"data sets": {"train": {}}, "scenes": None}})
+    assert says_scenes(ClassicalEntry("CLS", "cls", None, {}))
+    for identity, expected in (({"scenes": ["a"]}, True), ({"data": "0" * 64}, False)):
+        study = Study(tmp_path / f"{expected}.json", identity, {})
+        study.add_result({"method": "cls", "noise_db": 40.0, "parameters": {}, "score": 1.0})
+        assert says_scenes(ClassicalEntry("CLS", "cls", study.path, None)) == expected

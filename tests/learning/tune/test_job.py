@@ -16,10 +16,12 @@ from learning.config import TuneConfig, load_file
 from learning.data import Example
 from learning.method import Estimate, linear_to_srgb
 from learning.metrics import depth_scores, psnr
+from learning.provenance import scenes_of
 from learning.tune.job import Errors, Score, Tunable, classical, table, tune, tune_file
 from learning.tune.search import Axis, Parameters
 from learning.tune.study import Study, load_tuned
 from simulator.dataset.manifest import load_manifest
+from simulator.dataset.reader import open_dataset
 from simulator.errors import InputError
 from simulator.io.files import sha256_bytes
 from simulator.io.json import canonical_json
@@ -293,6 +295,7 @@ def test_a_file_is_tuned_on_noise_of_its_level_and_says_what_it_used(tiny_datase
     digests = [kept["validation", sample].digest for sample in content["identity"]["samples"]]
     assert content["identity"]["digests"] == sha256_bytes(canonical_json(digests))
     assert len(content["identity"]["code"]) == 64
+    assert content["identity"]["scenes"] == scenes_of(open_dataset(tiny_dataset, "validation"))
     with pytest.raises(InputError, match=r"tuned\.json: "):
         tune_file(load_file(TuneConfig, tmp_path / "tune.yaml", ["seed=3"]), tunables=tunables)
 
