@@ -53,13 +53,17 @@ def evaluate(
     """Compare networks and classical methods on test scenes; a run that stopped goes on from there."""
     from learning.config import EvaluateConfig, load_file
     from learning.evaluate.job import evaluate as run
-    from learning.evaluate.report import terminal_table
+    from learning.evaluate.tables import terminal_table, terminal_verdicts
     from simulator.console import Bar
 
     settings = load_file(EvaluateConfig, config, set_ or [])
     with Bar() as bar:
         findings, files = run(settings, progress=bar.update, say=bar.say)
     print(terminal_table([*findings.main, *findings.naive], {one.method: one for one in findings.times}))
+    if findings.differences:
+        print(
+            f"\n{terminal_verdicts(findings.differences)}\n+ the first one is better, - the second one, . not clear (95 %)\n"
+        )
     print(f"look at {files[0]}")
 
 

@@ -297,6 +297,8 @@ class EvaluateConfig(FileSection):
     """folder of results, tables and figures"""
     data: EvaluationData
     methods: list[MethodConfig] = Field(min_length=1)
+    reference: str | None = None
+    """the one that all others are compared with, scene by scene; null: the first"""
     noise_db: list[Decibels] | None = None
     """further levels at which noise is drawn anew from the noiseless measurements; null: only as stored"""
     ablation_scenes: Count | None = None
@@ -325,6 +327,9 @@ class EvaluateConfig(FileSection):
             if name in names[:at]:
                 text = f"{name!r} is the name of two methods"
                 raise refusal(text, "methods", at, "name")
+        if self.reference is not None and self.reference not in names:
+            text = f"got {self.reference!r}, expected one of the methods: {', '.join(names)}"
+            raise refusal(text, "reference")
         edges = self.depth_bins_cm
         if edges is not None and (len(edges) < 2 or any(a >= b for a, b in pairwise(edges))):
             text = "expected at least two depths, increasing"

@@ -4,11 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+
+SCORES: dict[str, tuple[str, int, bool]] = {
+    "psnr": ("PSNR dB", 2, True),
+    "ssim": ("SSIM", 3, True),
+    "lpips": ("LPIPS", 3, False),
+    "flip": ("FLIP", 3, False),
+    "linear_psnr": ("linear PSNR dB", 2, True),
+    "depth_rmse_cm": ("depth RMSE cm", 2, False),
+    "disparity_rmse": ("disparity RMSE", 3, False),
+    "disparity_rmse_per_m": ("1/z RMSE 1/m", 2, False),
+    "lit_depth_rmse_cm": ("lit depth RMSE cm", 2, False),
+}
+"""Title, digits and whether more is better; in this order, as far as they were measured."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +79,7 @@ OWN = "own"
 
 @dataclass(frozen=True)
 class Outcome:
-    """One line of the table.
+    """One line of the table: a method with all of its seeds, or with one of them.
 
     Attributes:
         method: its name.
@@ -80,6 +93,9 @@ class Outcome:
         scenes: how many were used.
         tuned_db: level at which its parameters were tuned; None where none were.
         details: more for results.json.
+        values: by score, what `scores` sums up: ``(seeds, scenes)``, NaN where a scene has none.
+        seed: which of the method's seeds it is alone, counted from 1 as they stand in the file; None for all together.
+        singly: the same of each seed alone, where there are several: the mean of three hides a bad one.
     """
 
     method: str
@@ -93,6 +109,14 @@ class Outcome:
     scenes: int = 0
     tuned_db: float | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
+    values: Mapping[str, NDArray[np.float64]] = field(default_factory=dict, repr=False, compare=False)
+    seed: int | None = None
+    singly: tuple[Outcome, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """The method's name, with the seed where it is one alone."""
+        return self.method if self.seed is None else f"{self.method}, seed {self.seed}"
 
     @property
     def tuned_elsewhere(self) -> bool:
@@ -101,9 +125,10 @@ class Outcome:
 
     def plain(self) -> dict[str, Any]:
         """Return the same for JSON."""
-        content = asdict(self)
-        details, bins = content.pop("details"), content.pop("bins_cm")
-        return content | details | {"depth_rmse_cm_by_bin": bins}
+        left_out = ("scores", "bins_cm", "details", "values", "singly")
+        content = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in left_out}
+        content |= {"scores": {name: asdict(summary) for name, summary in self.scores.items()}, **self.details}
+        return content | {"depth_rmse_cm_by_bin": self.bins_cm, "singly": [one.plain() for one in self.singly]}
 
 
 def outcome(
@@ -124,14 +149,28 @@ def outcome(
     """
     names = [name for name in seeds[0]["scores"][0] if only is None or name in only]
     tables = {name: np.array([[scene[name] for scene in seed["scores"]] for seed in seeds]) for name in names}
-    scores = {name: summarise(table) for name, table in tables.items() if not np.isnan(table).any(axis=0).all()}
+    tables = {name: table for name, table in tables.items() if not np.isnan(table).any(axis=0).all()}
     pooled, bins = None, ()
-    if "depth_rmse_cm" in scores:
+    if "depth_rmse_cm" in tables:
         sums = [[seed[name] for seed in seeds] for name in ("squares_cm2", "counts")]
         bins = pooled_rms(*sums)
         (pooled,) = pooled_rms(*([[[sum(scene)] for scene in seed] for seed in each] for each in sums))
-    scenes = len(seeds[0]["scores"])
-    return Outcome(method, kind, stack, noise_db, scores, pooled, bins, note, scenes, tuned_db, dict(details or {}))
+    about: Any = {"stack": stack, "noise_db": noise_db, "note": note, "tuned_db": tuned_db}
+    together = Outcome(
+        method,
+        kind,
+        scores={name: summarise(table) for name, table in tables.items()},
+        pooled_depth_rmse_cm=pooled,
+        bins_cm=bins,
+        scenes=len(seeds[0]["scores"]),
+        details=dict(details or {}),
+        values=tables,
+        **about,
+    )
+    if len(seeds) == 1:
+        return together
+    alone = (outcome(method, kind, [one], only=only, **about) for one in seeds)
+    return replace(together, singly=tuple(replace(one, seed=number) for number, one in enumerate(alone, start=1)))
 
 
 def first_scenes(result: Mapping[str, Any], scenes: int) -> dict[str, Any]:

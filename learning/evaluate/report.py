@@ -1,19 +1,16 @@
-"""All that an evaluation found, and its files: results.json, table.csv, report.md, and the table for the terminal."""
+"""All that an evaluation found, and its files: results.json, table.csv, paired.csv, report.md and figures."""
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from learning.camera import CaptureModel
 from learning.config import EvaluateConfig
 from learning.evaluate.figures import (
-    PANELS,
     Shown,
     depth_png,
     method_colours,
@@ -22,9 +19,21 @@ from learning.evaluate.figures import (
     stacks_png,
     times_png,
 )
-from learning.evaluate.outcome import Outcome
+from learning.evaluate.outcome import SCORES, Outcome
+from learning.evaluate.paired import COMPARED, RESAMPLES, Difference, compare
 from learning.evaluate.scoring import Times
-from learning.method import aligned
+from learning.evaluate.tables import (
+    TUNED_ELSEWHERE,
+    csv_differences,
+    csv_table,
+    markdown_bins,
+    markdown_differences,
+    markdown_further,
+    markdown_matrix,
+    markdown_table,
+    markdown_times,
+    markdown_verdicts,
+)
 from learning.metrics import DEFINITIONS, SSIM_DEFINITION
 from learning.provenance import is_own_folder, read_description, versions
 from simulator.dataset.reader import Dataset
@@ -35,12 +44,19 @@ from simulator.plots.drawing import depth_range
 
 DESCRIPTION = "evaluation.json"
 """Says that the folder is an evaluation's, and its name; written first."""
-RESULTS, TABLE, REPORT = "results.json", "table.csv", "report.md"
+RESULTS, TABLE, PAIRED, REPORT = "results.json", "table.csv", "paired.csv", "report.md"
 MONTAGE, NOISE, DEPTH, STACKS, TIMES = "montage.png", "noise.png", "depth.png", "stacks.png", "times.png"
-_OWN = (REPORT, TABLE, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES)
+_OWN = (REPORT, TABLE, PAIRED, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES)
 _FORMAT = "flatlight evaluation"
 _PACKAGES = ("torch", "numpy", "scikit-image", "flip-evaluator", "lpips", "ortools")
 _WHISKERS = "Whiskers are the standard deviation over seeds."
+_TUNED_ELSEWHERE = f"{TUNED_ELSEWHERE} with parameters that were tuned at another level, see below."
+_PAIRED = (
+    "The first one's score minus the second one's on the same scene, the mean over scenes (of several seeds the mean of each "
+    f"scene), and the interval that holds it with 95 % confidence: percentiles of {RESAMPLES} means of scenes that are drawn "
+    "anew with replacement. It tells how far other scenes of the kind might change the mean, not other seeds: these stand "
+    "singly. ▲ the first one is better and the interval clear of zero, ▼ the second one, ○ neither."
+)
 
 
 def claim_folder(folder: Path, name: str) -> None:
@@ -122,9 +138,22 @@ class Findings:
         return [f"{method['name']}: {only}" for method in self.methods if not method["scenes_on_record"]]
 
     @property
-    def constant_cm(self) -> float | None:
-        """Pooled depth RMSE of the best constant depth."""
-        return next((one.pooled_depth_rmse_cm for one in self.naive if one.pooled_depth_rmse_cm is not None), None)
+    def levels(self) -> dict[str, list[Outcome]]:
+        """Every method at each further level of noise, by a title for it, with the answers that look at nothing."""
+        levels = sorted({one.noise_db for one in self.ablation if one.noise_db is not None})
+        return {
+            f"{level:g} dB": [*(one for one in self.ablation if one.noise_db == level), *self.naive_part]
+            for level in levels
+        }
+
+    @cached_property
+    def differences(self) -> dict[str, list[Difference]]:
+        """The paired differences from the reference, as stored and at each further level of noise; empty for one method."""
+        reference = self.config.reference or self.config.methods[0].name
+        cases = {f"stored ({self.stored_db:.0f} dB)": self.main} | self.levels
+        methods = {title: [one for one in outcomes if one.kind != "naive"] for title, outcomes in cases.items()}
+        found = {title: compare(reference, judged, self.config.seed) for title, judged in methods.items()}
+        return found if len(self.config.methods) > 1 else {}
 
     def plain(self) -> dict[str, Any]:
         """Return all of it but the images, for JSON."""
@@ -148,157 +177,9 @@ class Findings:
             "methods": list(self.methods),
             "outcomes": [one.plain() for one in self.outcomes],
             "naive": [one.plain() for one in self.naive],
+            "paired": [one.plain() for found in self.differences.values() for one in found],
             "times": [one.plain() for one in self.times],
         }
-
-
-# Title, digits and whether more is better; in this order, as far as they were measured.
-SCORES: dict[str, tuple[str, int, bool]] = {
-    "psnr": ("PSNR dB", 2, True),
-    "ssim": ("SSIM", 3, True),
-    "lpips": ("LPIPS", 3, False),
-    "flip": ("FLIP", 3, False),
-    "linear_psnr": ("linear PSNR dB", 2, True),
-    "depth_rmse_cm": ("depth RMSE cm", 2, False),
-    "disparity_rmse": ("disparity RMSE", 3, False),
-    "disparity_rmse_per_m": ("1/z RMSE 1/m", 2, False),
-    "lit_depth_rmse_cm": ("lit depth RMSE cm", 2, False),
-}
-# Of the thesis's table 5.2, and FLIP, which needs no weights.
-MAIN = ("psnr", "ssim", "lpips", "flip", "depth_rmse_cm")
-
-
-def markdown(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table of text, its first column at the left, the others at the right."""
-    lines = [titles, ["---", *["---:"] * (len(titles) - 1)], *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in lines)
-
-
-def markdown_table(outcomes: Sequence[Outcome], times: Mapping[str, Times], constant_cm: float | None) -> str:
-    """Return the table: mean, spread over scenes, and over seeds in brackets where there are several; best in bold.
-
-    ``times`` are by method; ``constant_cm`` is the pooled depth RMSE of the best constant depth, None without one.
-    """
-    names = _measured(MAIN, outcomes)
-    rows = []
-    for one, cells in _with_any(names, outcomes):
-        pooled = one.pooled_depth_rmse_cm
-        share = "–" if pooled is None or not constant_cm else f"{100 * pooled / constant_cm:.0f} %"
-        seconds = [f"{times[one.method].total:.3g}" if one.method in times else "–"] if times else []
-        rows.append([_name(one), *cells, share, *seconds])
-    return markdown(["method", *_titles(names), "of constant", *(["s per scene ↓"] if times else [])], rows)
-
-
-def markdown_further(outcomes: Sequence[Outcome]) -> str:
-    """Return the scores that are not in the table, and the depth RMSE over all pixels of all scenes together."""
-    names = _measured([name for name in SCORES if name not in MAIN], outcomes)
-    best, pooled = _best(names, outcomes), "pooled depth RMSE cm ↓"
-    return markdown(
-        ["method", *_titles(names), pooled],
-        ([_name(one), *_cells(one, names, best), _or_dash(one.pooled_depth_rmse_cm, ".2f")] for one in outcomes),
-    )
-
-
-def markdown_matrix(outcomes: Sequence[Outcome], score: str, columns: Sequence[Any], pick: str, unit: str) -> str:
-    """Return one score of every method (rows) at several levels or with several stacks (columns).
-
-    ``columns`` are values of the attribute ``pick``, ``noise_db`` or ``stack``; ``unit`` stands behind them in the head.
-    """
-    shown = [f"{column:g}" if isinstance(column, float) else column for column in columns]
-    rows = []
-    for method in dict.fromkeys(one.method for one in outcomes):
-        found = {getattr(one, pick): one for one in outcomes if one.method == method}
-        rows.append([method, *(_cell(found[column], score) if column in found else "–" for column in columns)])
-    return markdown([SCORES[score][0], *(f"{column}{unit}" for column in shown)], rows)
-
-
-def markdown_times(times: Sequence[Times]) -> str:
-    """Return seconds per stage, and how many times slower each method is than the fastest one."""
-    stages = list(dict.fromkeys(stage for one in times for stage in one.stages))
-    least = min(one.total for one in times)
-    rows = []
-    for one in times:
-        cells = [_or_dash(one.stages.get(stage), ".3g") for stage in stages]
-        rows.append([one.method, *cells, f"{one.total:.3g}", f"{one.total / least:.3g}"])
-    return markdown(["method", *(f"{stage} s" for stage in stages), "all s", "times the fastest"], rows)
-
-
-def markdown_bins(outcomes: Sequence[Outcome], edges_cm: Sequence[float]) -> str:
-    """Return the depth RMSE in cm by bin of true depth."""
-    names = [f"{a:.3g}–{b:.3g} cm" for a, b in pairwise(edges_cm)]
-    rows = ([one.method, *(_or_dash(value, ".2f") for value in one.bins_cm)] for one in outcomes if one.bins_cm)
-    return markdown(["depth RMSE cm", *names], rows)
-
-
-def csv_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> str:
-    """Return all outcomes, one line each, in full precision; a spread that does not exist is empty."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    about = ["method", "kind", "stack", "noise_db", "tuned_db", "scenes"]
-    spreads = ("mean", "over_scenes", "over_seeds", "left_out")
-    columns = [(name, spread) for name in _measured(SCORES, outcomes) for spread in spreads]
-    head = [f"{name}_{spread}" for name, spread in columns]
-    writer.writerow([*about, "seeds", *head, "pooled_depth_rmse_cm", "seconds_per_scene"])
-    for one in outcomes:
-        own = replace(one, noise_db="stored" if one.noise_db is None else one.noise_db)  # pyright: ignore[reportArgumentType]
-        numbers = [getattr(one.scores.get(name), spread, None) for name, spread in columns]
-        seeds = len(next(iter(one.scores.values())).seeds)
-        seconds = times[one.method].total if one.method in times else None
-        writer.writerow([*(getattr(own, name) for name in about), seeds, *numbers, one.pooled_depth_rmse_cm, seconds])
-    return stream.getvalue()
-
-
-def terminal_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> str:
-    """Return the table in plain columns: mean ± spread over scenes (over seeds)."""
-    names = _measured(MAIN, outcomes)
-    rows = [["method", *(SCORES[name][0] for name in names), "s per scene"]]
-    for one, _ in _with_any(names, outcomes):
-        cells = [_cell(one, name).replace("–", "-") for name in names]
-        rows.append([one.method, *cells, f"{times[one.method].total:.3g}" if one.method in times else "-"])
-    return "\n".join(aligned(rows))
-
-
-def _measured(names: Iterable[str], outcomes: Sequence[Outcome]) -> list[str]:
-    return [name for name in names if any(name in one.scores for one in outcomes)]
-
-
-def _with_any(names: Sequence[str], outcomes: Sequence[Outcome]) -> list[tuple[Outcome, list[str]]]:
-    """Return those that have one of the scores, with their cells: a row of dashes says nothing."""
-    best = _best(names, outcomes)
-    return [(one, _cells(one, names, best)) for one in outcomes if any(name in one.scores for name in names)]
-
-
-def _titles(names: Sequence[str]) -> list[str]:
-    return [f"{SCORES[name][0]} {'↑' if SCORES[name][2] else '↓'}" for name in names]
-
-
-def _name(one: Outcome) -> str:
-    return f"*{one.method}*" if one.kind == "naive" else one.method
-
-
-def _best(names: Sequence[str], outcomes: Sequence[Outcome]) -> dict[str, float]:
-    """Return the best mean of each score."""
-    means = {name: [one.scores[name].mean for one in outcomes if name in one.scores] for name in names}
-    return {name: (max if SCORES[name][2] else min)(values) for name, values in means.items()}
-
-
-def _cells(one: Outcome, names: Sequence[str], best: Mapping[str, float]) -> list[str]:
-    bold = {name for name in names if name in one.scores and one.scores[name].mean == best[name]}
-    return [f"**{_cell(one, name)}**" if name in bold else _cell(one, name) for name in names]
-
-
-def _cell(one: Outcome, name: str) -> str:
-    if name not in one.scores:
-        return "–"
-    summary, digits = one.scores[name], SCORES[name][1]
-    text = f"{summary.mean:.{digits}f}"
-    if summary.over_scenes is not None:
-        text += f" ± {summary.over_scenes:.{digits}f}"
-    return text if summary.over_seeds is None else f"{text} ({summary.over_seeds:.{digits}f})"
-
-
-def _or_dash(value: float | None, digits: str) -> str:
-    return "–" if value is None else format(value, digits)
 
 
 PUBLISHED = """## Published, on other data
@@ -364,6 +245,8 @@ def write_results(folder: Path, findings: Findings) -> list[Path]:
     times = {one.method: one for one in findings.times}
     table = csv_table([*findings.outcomes, *findings.naive], times)
     files = {REPORT: _report(findings, times).encode(), TABLE: table.encode(), RESULTS: readable_json(findings.plain())}
+    if findings.differences:
+        files[PAIRED] = csv_differences(one for found in findings.differences.values() for one in found).encode()
     files |= _figures(findings)
     for name, content in files.items():
         write_atomic(folder / name, content)
@@ -403,7 +286,7 @@ def _report(findings: Findings, times: Mapping[str, Times]) -> str:
     parts = [
         f"# {findings.config.name}",
         conditions(findings),
-        markdown_table(rows, times, findings.constant_cm),
+        markdown_table(rows, times),
         how(findings),
         "\n".join(
             [*(f"- {one.method}: {one.note}" for one in rows if one.note), *(f"- {n}" for n in findings.unknown)]
@@ -414,14 +297,19 @@ def _report(findings: Findings, times: Mapping[str, Times]) -> str:
         "## Scenes\n\n![truth and estimates](montage.png)" if findings.montage else "",
     ]
     if ablation:
-        levels = sorted({one.noise_db for one in ablation if one.noise_db is not None})
         notes = [f"- {one.method} at {one.noise_db:g} dB: {one.note}" for one in ablation if one.kind == "classical"]
-        tables = [markdown_matrix(ablation, score, levels, "noise_db", " dB") for score, _ in PANELS]
-        parts += ["## Noise", on_part, *tables, "\n".join(notes), _WHISKERS, "![scores against noise](noise.png)"]
+        elsewhere = any(one.tuned_elsewhere for one in ablation)
+        tables = [markdown_matrix(score, findings.levels) for score in COMPARED]
+        parts += ["## Noise", on_part, *tables, _TUNED_ELSEWHERE if elsewhere else "", "\n".join(notes), _WHISKERS]
+        parts += ["![scores against noise](noise.png)"]
+    if findings.differences:
+        tables = [markdown_differences(score, findings.differences) for score in COMPARED]
+        parts += ["## Paired differences", _PAIRED, markdown_verdicts(findings.differences), *tables]
     parts += ["## Depth error against depth", markdown_bins(rows, findings.edges_cm), "![depth error](depth.png)"]
     if compared:
         stacks = findings.config.data.compare_stacks
-        tables = [markdown_matrix(compared, score, stacks, "stack", " PSFs") for score, _ in PANELS]
+        columns = {f"{stack} PSFs": [one for one in compared if one.stack == stack] for stack in stacks}
+        tables = [markdown_matrix(score, columns) for score in COMPARED]
         parts += ["## Which PSFs are assumed", on_part, *tables, _WHISKERS, "![scores by PSFs](stacks.png)"]
     if findings.times:
         words = (

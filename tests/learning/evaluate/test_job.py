@@ -75,6 +75,7 @@ def _psnr_db(measurement: np.ndarray, noiseless: np.ndarray) -> float:
 def test_the_table_is_of_the_estimates(load: Load, tmp_path: Path, tiny_dataset: Path, checkpoints: list[Path]) -> None:
     evaluate(load())
     rows = list(csv.DictReader((tmp_path / "out" / "table.csv").read_text(encoding="utf-8").splitlines()))
+    rows = [row for row in rows if not row["seed"]]
     assert [row["method"] for row in rows][:2] == ["FlatNet3D", "CLS"]
     test = open_dataset(tiny_dataset, "test")
     psnr, depth = np.zeros((2, TEST_SCENES)), np.zeros((2, TEST_SCENES))
@@ -118,6 +119,24 @@ def test_levels_of_noise_differ_and_are_as_asked(load: Load, tmp_path: Path) -> 
         example = ExampleSet(test, noise_db=(level, level))[0]
         found = _psnr_db(example.measurement.numpy(), test.stored(0).measurement()[1])
         assert level - 0.1 < found < level + 3.1  # clipping at 0 takes away at most half of the error's energy
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_methods_are_compared_at_every_level(load: Load, tmp_path: Path) -> None:
+    found, _ = evaluate(load(noise_db=[20], reference="CLS"))
+    assert [title.partition(" (")[0] for title in found.differences] == ["stored", "20 dB"]
+    pairs = [("CLS", "FlatNet3D"), ("CLS", "FlatNet3D, seed 1"), ("CLS", "FlatNet3D, seed 2")]
+    for outcomes, differences in zip((found.main, found.ablation), found.differences.values(), strict=True):
+        net, cls = (one.scores["psnr"].mean for one in outcomes)
+        of_psnr = [one for one in differences if one.score == "psnr"]
+        assert [(one.reference, one.other) for one in of_psnr] == pairs
+        assert of_psnr[0].mean == pytest.approx(cls - net)
+        assert np.mean([one.mean for one in of_psnr[1:]]) == pytest.approx(cls - net)
+    lines = (tmp_path / "out" / "paired.csv").read_text(encoding="utf-8").splitlines()
+    assert len(lines) == 1 + 2 * 3 * 4  # levels, pairs, scores
+    assert len(_results(tmp_path)["paired"]) == 2 * 3 * 4
+    with pytest.raises(InputError, match="reference: "):
+        load(reference="ADMM")
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -199,7 +218,7 @@ def test_all_files_are_written_and_the_report_shows_them(load: Load, tmp_path: P
     finally:
         torch.set_num_threads(threads)
     names = [path.name for path in files]
-    assert names[:3] == ["report.md", "table.csv", "results.json"]
+    assert names[:4] == ["report.md", "table.csv", "results.json", "paired.csv"]
     report = files[0].read_text(encoding="utf-8")
     for name in ("montage.png", "noise.png", "depth.png", "stacks.png", "times.png"):
         assert name in names

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from learning.evaluate.outcome import pooled_rms, summarise
+from learning.evaluate.outcome import outcome, pooled_rms, summarise
 
 
 def test_spreads_over_scenes_and_seeds_are_told_apart() -> None:
@@ -45,3 +45,21 @@ def test_pooling_weighs_pixels_not_scenes() -> None:
     squares = [[[8.0, 1.0], [1.0, 0.0]]]
     counts = [[[2, 1], [1, 0]]]
     assert pooled_rms(squares, counts) == (math.sqrt(3), 1.0)
+
+
+def test_each_seed_has_an_outcome_of_its_own() -> None:
+    seeds = [
+        {
+            "scores": [{"depth_rmse_cm": cm} for cm in depths],
+            "squares_cm2": [[cm * cm] for cm in depths],
+            "counts": [[1]] * 2,
+        }
+        for depths in ([1.0, 3.0], [2.0, 4.0])
+    ]
+    both = outcome("Net", "learned", seeds, noise_db=20.0)
+    assert [one.label for one in (both, *both.singly)] == ["Net", "Net, seed 1", "Net, seed 2"]
+    assert [one.scores["depth_rmse_cm"].mean for one in (both, *both.singly)] == [2.5, 2.0, 3.0]
+    assert [one.pooled_depth_rmse_cm for one in both.singly] == pytest.approx([math.sqrt(5), math.sqrt(10)])
+    assert {one.noise_db for one in both.singly} == {20.0}
+    assert [one["seed"] for one in both.plain()["singly"]] == [1, 2]
+    assert outcome("Net", "learned", seeds[:1]).singly == ()
