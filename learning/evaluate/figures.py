@@ -34,6 +34,7 @@ _DPI = 120
 # Told apart by colour-blind eyes too (Okabe and Ito, 2008); grey is for answers that look at nothing.
 _COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _GOLDEN = (5**0.5 - 1) / 2  # steps of it round the circle of hues never meet again
+_BEHIND = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.5}  # words, lest lines run through them
 _MARKS, _NAIVE = "osD^vP", "#8a9299"
 PANELS = (("psnr", "PSNR of images, dB"), ("depth_rmse_cm", "depth RMSE, cm"))
 
@@ -47,7 +48,7 @@ def method_colours(names: Sequence[str]) -> dict[str, str]:
 
 
 def noise_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], naive: Sequence[Outcome]) -> bytes:
-    """Return PSNR and depth RMSE against the measurement's PSNR; bars are the spread over seeds (thesis, figure 5.5).
+    """Return PSNR and depth RMSE against the measurement's PSNR (thesis, figure 5.5); small dots are single seeds.
 
     Points are hollow where parameters are used that were tuned at another level.
     """
@@ -59,8 +60,10 @@ def noise_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], naive: Se
             if points:
                 levels, found = [level for level, _ in points], [of_it[at] for _, at in points]
                 means = [one.scores[score].mean for one in found]
-                errors = [one.scores[score].over_seeds or 0.0 for one in found]
-                axes.errorbar(levels, means, errors, color=colour, capsize=3, lw=1.8)
+                axes.plot(levels, means, color=colour, lw=1.8)
+                for one, level in zip(found, levels, strict=True):
+                    for alone in one.singly:
+                        axes.plot(level, alone.scores[score].mean, color=colour, marker="o", ms=3.5, alpha=0.7)
                 mark = _MARKS[at % len(_MARKS)]
                 axes.plot([], [], color=colour, marker=mark, lw=1.8, label=name)
                 for one, level, mean in zip(found, levels, means, strict=True):
@@ -170,7 +173,7 @@ def _two_panels(width_inch: float, naive: Sequence[Outcome], draw: Callable[[Axe
                 if score in one.scores:
                     mean = one.scores[score].mean
                     axes.axhline(mean, color=_NAIVE, ls="--", lw=1.2)
-                    axes.annotate(one.method, (1.0, mean), (-2, 3), **where, fontsize=SMALL, color=FAINT)
+                    axes.annotate(one.method, (1.0, mean), (-2, 3), **where, fontsize=SMALL, color=FAINT, bbox=_BEHIND)
             style(axes, x_label, label)
         _legend(figure)
 

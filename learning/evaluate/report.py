@@ -222,7 +222,7 @@ def how(findings: Findings) -> str:
     depth = "Every method's depths are clamped to its range, and count where there is a surface."
     return (
         f"Mean ± standard deviation over scenes{brackets}; the best of each column is bold; answers in italics look at no "
-        f"measurement. {depth} Pooled: over all pixels of all scenes; beside it as a share of the best constant depth's. "
+        f"measurement. {depth} Pooled: over all pixels of all scenes; shares are those of the best constant depth's, pooled. "
         f"SSIM: {SSIM_DEFINITION}. {findings.perceptual[0].upper()}{findings.perceptual[1:]}."
     )
 
@@ -282,7 +282,9 @@ def _figures(findings: Findings) -> dict[str, bytes]:
 def _report(findings: Findings, times: Mapping[str, Times]) -> str:
     rows = [*findings.main, *findings.naive]
     ablation, compared, whole = findings.ablation, findings.compared, len(findings.test)
-    on_part = f"Of {'all' if findings.part == whole else 'the first'} {findings.part} of {whole} scenes."
+    on_part = (
+        f"Of all {whole} scenes." if findings.part == whole else f"Of the first {findings.part} of {whole} scenes."
+    )
     parts = [
         f"# {findings.config.name}",
         conditions(findings),
@@ -297,11 +299,14 @@ def _report(findings: Findings, times: Mapping[str, Times]) -> str:
         "## Scenes\n\n![truth and estimates](montage.png)" if findings.montage else "",
     ]
     if ablation:
-        notes = [f"- {one.method} at {one.noise_db:g} dB: {one.note}" for one in ablation if one.kind == "classical"]
+        notes: dict[tuple[str, str], list[str]] = {}
+        for one in (one for one in ablation if one.tuned_db is not None):
+            notes.setdefault((one.method, one.note), []).append(f"{one.noise_db:g}")
+        lines = [f"- {method} at {', '.join(levels)} dB: {note}" for (method, note), levels in notes.items()]
         elsewhere = any(one.tuned_elsewhere for one in ablation)
         tables = [markdown_matrix(score, findings.levels) for score in COMPARED]
-        parts += ["## Noise", on_part, *tables, _TUNED_ELSEWHERE if elsewhere else "", "\n".join(notes), _WHISKERS]
-        parts += ["![scores against noise](noise.png)"]
+        parts += ["## Noise", on_part, *tables, _TUNED_ELSEWHERE if elsewhere else "", "\n".join(lines)]
+        parts += ["![scores against noise](noise.png)", "Small dots are single seeds."]
     if findings.differences:
         tables = [markdown_differences(score, findings.differences) for score in COMPARED]
         parts += ["## Paired differences", _PAIRED, markdown_verdicts(findings.differences), *tables]

@@ -44,6 +44,16 @@ def test_the_ablation_draws_every_method_and_the_naive_baselines() -> None:
     assert not _has(pixels[:, :half], "#8a9299")
 
 
+def test_single_seeds_are_dots_in_the_ablation() -> None:
+    together = _outcome("CLS", 20.0)
+    spread = replace(together, singly=tuple(replace(_outcome("CLS", 20.0, psnr=psnr), seed=1) for psnr in (10.0, 30.0)))
+    with_dots, without = (_pixels(noise_png([one], {"CLS": "#0072b2"}, [])) for one in (spread, together))
+    rows = [
+        np.abs(pixels[100:, :600] - [0x00, 0x72, 0xB2]).max(axis=-1).min(axis=1) < 60 for pixels in (with_dots, without)
+    ]
+    assert np.ptp(np.flatnonzero(rows[0])) > 5 * np.ptp(np.flatnonzero(rows[1]))
+
+
 def test_bins_stacks_and_times_draw_every_method() -> None:
     outcomes = [_outcome(name) for name in NAMES]
     compared = [_outcome(name, stack=stack) for name in NAMES for stack in ("nominal", "captured")]
