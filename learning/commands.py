@@ -58,12 +58,15 @@ def evaluate(
 
     settings = load_file(EvaluateConfig, config, set_ or [])
     with Bar() as bar:
-        findings, files = run(settings, progress=bar.update, say=bar.say)
-    print(terminal_table([*findings.main, *findings.naive], {one.method: one for one in findings.times}))
-    if findings.differences:
-        print(
-            f"\n{terminal_verdicts(findings.differences)}\n+ the first one is better, - the second one, . not clear (95 %)\n"
-        )
+        evaluation, files = run(settings, progress=bar.update, say=bar.say)
+    for name, found in evaluation.findings.items():
+        if name:
+            print(f"{name}:")
+        print(terminal_table([*found.main, *found.naive], {one.method: one for one in found.times}))
+        if found.differences:
+            print(
+                f"\n{terminal_verdicts(found.differences)}\n+ the first one is better, - the second one, . not clear (95 %)\n"
+            )
     print(f"look at {files[0]}")
 
 

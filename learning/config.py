@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -211,6 +212,7 @@ class TrainConfig(FileSection):
     """seconds between states that are saved to go on from"""
 
 
+_SET = "<set>"
 Decibels = Annotated[float, Range(0, 100, "dB")]
 Count = Annotated[int, Range(1, 10_000_000, below="at least one")]
 
@@ -218,8 +220,9 @@ Count = Annotated[int, Range(1, 10_000_000, below="at least one")]
 class EvaluationData(Section):
     """The scenes that decide, and what the methods are told of the camera that saw them."""
 
-    test: str
-    """folder of the data set; its camera's gain, offset and exposure are known"""
+    test: str | Annotated[dict[str, str], Field(min_length=1)]
+    """folder of the data set, whose camera's gain, offset and exposure are known; of several, one table each and a joint one,
+    by name: {colon: out/colon, stomach: out/stomach}; <set> in any path of this file is then the name"""
     split: Literal["train", "validation", "test"] = "test"
     """which of its splits"""
     scenes: Count | None = None
@@ -237,6 +240,10 @@ class EvaluationData(Section):
         if wanted and self.training is None:
             text = f"{wanted[0]} PSFs are those of the training data set; name its folder in data.training"
             raise refusal(text)
+        for name in () if isinstance(self.test, str) else self.test:
+            if not re.fullmatch(r"\w[\w .()+-]*", name):
+                text = f"got the name {name!r}, expected one that a folder may have: letters, digits, spaces, - or _"
+                raise refusal(text, "test", name, on_key=True)
         return self
 
 
@@ -319,6 +326,24 @@ class EvaluateConfig(FileSection):
     """auto takes CUDA where there is some"""
     threads: Count | None = None
     """of torch on the CPU; null leaves them as they are"""
+
+    @property
+    def sets(self) -> dict[str, EvaluateConfig]:
+        """The same file for each of its data sets alone, by name; without a name where there is only one."""
+        test = self.data.test
+        return {"": self} if isinstance(test, str) else {name: self._alone(name, test[name]) for name in test}
+
+    def _alone(self, name: str, test: str) -> EvaluateConfig:
+        def named(value: Any) -> Any:
+            return [named(one) for one in value] if isinstance(value, list) else value and value.replace(_SET, name)
+
+        paths = {key: named(getattr(self.data, key)) for key in ("training", "stack", "compare_stacks")}
+        methods = [
+            method.model_copy(update={key: named(getattr(method, key)) for key in ("checkpoints", "tuned")})
+            for method in self.methods
+        ]
+        data = self.data.model_copy(update=paths | {"test": named(test)})
+        return self.model_copy(update={"data": data, "methods": methods})
 
     @model_validator(mode="after")
     def _sense(self) -> Self:

@@ -64,8 +64,8 @@ class Admm(nn.Module):
             tv: weight of the total variation.
             sparsity: weight of the sum of absolute values.
             iterations: of each call.
-            light: ``scene``: none comes from outside the image, as in the data sets; ``anywhere``: it comes from around it
-                too, on all of a period twice as large, as published: for real captures.
+            light: ``scene``: none comes from outside the field that was simulated, the image and its margin; ``anywhere``: it
+                comes from around it, too, on all of a period twice as large, as published: for real captures.
             weights: of the copies of image, gradient and volume (mu1, mu2, mu3 of the publication): how fast it converges,
                 not where to; None takes `planar_weights` for one plane, else `default_weights`.
             dtype: float32 or float64.
@@ -211,14 +211,21 @@ class AdmmGrid(nn.Module):
         super().__init__()
         values = to_numpy(capture.stack.values).astype(np.float64)
         self.norm = np.sqrt(np.mean(np.sum(values**2, axis=(-2, -1)), axis=0))
-        fit = _shortest if light == "scene" else AxisPlan.fit
-        rows, columns = (
-            fit(*sizes) for sizes in zip(capture.sensor_shape, capture.scene_shape, values.shape[-2:], strict=True)
-        )
+        within = light == "scene"
+        sizes = (capture.sensor_shape, capture.field_shape if within else capture.scene_shape, values.shape[-2:])
+        rows, columns = ((_shortest if within else AxisPlan.fit)(*axis) for axis in zip(*sizes, strict=True))
         self.plans, self.shape = (rows, columns), (rows.length, columns.length)
-        self.sensor = (..., slice(rows.sensor), slice(columns.sensor))
-        scene, everywhere = (..., rows.scene, columns.scene), (..., slice(None), slice(None))
-        self.light, self.scene_in_light = (scene, everywhere) if light == "scene" else (everywhere, scene)
+        # A field may be larger than the sensor, which then lies in its middle.
+        begins = [max(0, -plan.offset) for plan in self.plans]
+        self.sensor, lit = (
+            (..., *(slice(begin + at, begin + at + size) for begin, (at, size) in zip(begins, places, strict=True)))
+            for places in (
+                [(0, plan.sensor) for plan in self.plans],
+                [(plan.offset, plan.size) for plan in self.plans],
+            )
+        )
+        everywhere = (..., slice(None), slice(None))
+        self.light, self.scene_in_light = (lit, (..., *capture.scene_in_field)) if within else (everywhere, lit)
         kernel = columns.place(rows.place(values / self.norm[:, None, None], -2), -1)
         spectrum = torch.fft.rfft2(torch.from_numpy(kernel))
         self.register_buffer("power", spectrum.abs().square().sum(dim=0).to(dtype), persistent=False)
@@ -259,7 +266,7 @@ def _shortest(sensor: int, scene: int, psf: int) -> AxisPlan:
     """Return the plan whose period is just long enough that no light from the scene comes round onto the sensor."""
     offset = (sensor - scene) // 2
     first, last = offset - psf // 2, offset + scene - 1 + (psf - 1 - psf // 2)
-    return AxisPlan(sensor, next_fast_len(max(sensor, sensor - first, last + 1)), offset, scene)
+    return AxisPlan(sensor, next_fast_len(max(sensor, scene, sensor - first, last + 1)), offset, scene)
 
 
 def differences(values: Tensor) -> tuple[Tensor, Tensor]:

@@ -15,12 +15,12 @@ from learning.data import check_dataset
 from learning.evaluate.figures import Shown
 from learning.evaluate.methods import Entry, LearnedEntry, read_methods, says_scenes
 from learning.evaluate.outcome import Outcome, first_scenes, outcome
-from learning.evaluate.report import Findings, claim_folder, write_results
+from learning.evaluate.report import Evaluation, Findings, claim_folder, write_results
 from learning.evaluate.runs import Cameras, ResultCache, Run, Runner
 from learning.evaluate.scoring import Criteria, Times, naive_baselines, score, take_times
 from learning.method import choose_device, describe_device, linear_to_srgb
 from learning.perceptual import LpipsDistance, available_lpips
-from simulator.dataset.reader import open_dataset
+from simulator.dataset.reader import Dataset, open_dataset
 from simulator.io.files import storage_errors
 
 CACHE = "cache"
@@ -31,7 +31,7 @@ Progress = Callable[[str, int, int], None]
 
 def evaluate(
     config: EvaluateConfig, *, progress: Progress = lambda *_: None, say: Callable[[str], None] = lambda _: None
-) -> tuple[Findings, list[Path]]:
+) -> tuple[Evaluation, list[Path]]:
     """Evaluate as a file says, write results, tables and figures to its folder, and return findings and files, report first.
 
     ``progress`` is called with a stage, what is done and how much there is in all; ``say`` with lines for a person.
@@ -45,61 +45,99 @@ def evaluate(
     device = choose_device(config.device)
     if config.threads is not None:
         torch.set_num_threads(config.threads)
-    test = open_dataset(config.resolve_path(config.data.test), config.data.split)
-    test = test if config.data.scenes is None else test[: config.data.scenes]
-    check_dataset(test)
-    methods = read_methods(config, test)
+    opened = {name: _open(alone) for name, alone in config.sets.items()}
     claim_folder(folder, config.name)
     with storage_errors(folder):
         cache = ResultCache(folder / CACHE)
-    training = None if config.data.training is None else config.resolve_path(config.data.training)
-    cameras = Cameras(test, training, [entry for seeds in methods for entry in seeds], config.resolve_path)
     lpips, perceptual = _perceptual(config.perceptual, device)
     say(perceptual)
-    camera = cameras.assumed(methods[0][0], config.data.stack)
-    edges_cm = tuple(config.depth_bins_cm or ())
-    if not edges_cm:  # even in disparity: what a mask resolves
-        edges_cm = tuple((100 * camera.depth_m(np.linspace(1, 0, _BINS + 1))).tolist())
-    criteria = Criteria(edges_cm, config.dark_share, lpips)
-    runner = Runner(test, cameras, criteria, cache, device=device, batch=config.batch, seed=config.seed)
-    # PSFs and noise of all runs of a method, each once, the table's first.
-    usual, compared = config.data.stack, config.data.compare_stacks
-    levels = [(usual, None), *((usual, level) for level in config.noise_db or ())]
-    planned = list(dict.fromkeys([*levels, *((stack, None) for stack in compared)]))
-    # Each is built once for each of its cameras: what does not fit is said now, not after hours of work.
-    for entry in (entry for seeds in methods for entry in seeds):
-        for stack, level in planned:
-            runner.method(Run(entry, stack, level))
-    part = config.ablation_scenes
-    part = None if part is None or part >= len(test) else part
-    outcomes = [one for seeds in methods for one in _outcomes(runner, seeds, planned, part, compared, progress)]
-    examples = runner.examples(None)
-    naive = [
-        (one, score(one, examples, criteria, device=device, batch=config.batch))
-        for one in naive_baselines(examples, camera, config.batch)
-    ]
-    findings = Findings(
-        config=config,
-        test=test,
-        camera=camera,
-        stored_db=runner.stored_db,
-        edges_cm=edges_cm,
-        perceptual=perceptual,
-        device=describe_device(device),
-        methods=[_about(seeds, cameras.assumed(seeds[0], usual)) for seeds in methods],
-        outcomes=outcomes,
-        naive=[outcome(one.name, "naive", [found], only=one.scores, note=one.best_in) for one, found in naive],
-        naive_part=[
-            outcome(one.name, "naive", [first_scenes(found, part or len(test))], only=one.scores)
-            for one, found in naive
-        ],
-        times=_times(config, runner, methods, progress),
-        montage=_montage(config, runner, methods),
-        columns=["truth", *(method.name for method in config.methods)],
-    )
-    for line in findings.unknown:
-        say(line)
-    return findings, write_results(folder, findings)
+    # What does not fit is said of all data sets now, not after hours of work.
+    trials = {
+        name: Trial(alone, *opened[name], cache, device=device, lpips=lpips) for name, alone in config.sets.items()
+    }
+    findings: dict[str, Findings] = {}
+    for name, trial in trials.items():
+        whose = f"{name}: " if name else ""
+        findings[name] = trial.run(lambda stage, *counts, whose=whose: progress(whose + stage, *counts))
+        for line in findings[name].unknown:
+            say(whose + line)
+    evaluation = Evaluation(config, findings, perceptual, describe_device(device))
+    return evaluation, write_results(folder, evaluation)
+
+
+def _open(config: EvaluateConfig) -> tuple[Dataset, list[list[Entry]]]:
+    """Return the scenes of a file's only data set, and the methods, which do not know them."""
+    assert isinstance(config.data.test, str)
+    test = open_dataset(config.resolve_path(config.data.test), config.data.split)
+    test = test if config.data.scenes is None else test[: config.data.scenes]
+    check_dataset(test)
+    return test, read_methods(config, test)
+
+
+class Trial:
+    """All methods on one data set, every method built once for each of its cameras before anything runs."""
+
+    def __init__(
+        self,
+        config: EvaluateConfig,
+        test: Dataset,
+        methods: Sequence[Sequence[Entry]],
+        cache: ResultCache,
+        *,
+        device: torch.device,
+        lpips: LpipsDistance | None,
+    ) -> None:
+        """Find the cameras; an InputError says what of methods, PSFs and data does not fit."""
+        self.config, self.test, self.methods = config, test, methods
+        training = None if config.data.training is None else config.resolve_path(config.data.training)
+        entries = [entry for seeds in methods for entry in seeds]
+        self.cameras = Cameras(test, training, entries, config.resolve_path)
+        camera = self.cameras.assumed(methods[0][0], config.data.stack)
+        edges_cm = tuple(config.depth_bins_cm or ())
+        if not edges_cm:  # even in disparity: what a mask resolves
+            edges_cm = tuple((100 * camera.depth_m(np.linspace(1, 0, _BINS + 1))).tolist())
+        criteria = Criteria(edges_cm, config.dark_share, lpips)
+        self.runner = Runner(test, self.cameras, criteria, cache, device=device, batch=config.batch, seed=config.seed)
+        # PSFs and noise of all runs of a method, each once, the table's first.
+        usual = config.data.stack
+        levels = [(usual, None), *((usual, level) for level in config.noise_db or ())]
+        self.planned = list(dict.fromkeys([*levels, *((stack, None) for stack in config.data.compare_stacks)]))
+        for entry in entries:
+            for stack, level in self.planned:
+                self.runner.method(Run(entry, stack, level))
+
+    def run(self, progress: Progress) -> Findings:
+        """Return what comes out."""
+        config, test, runner = self.config, self.test, self.runner
+        criteria, device = runner.criteria, runner.device
+        usual, compared = config.data.stack, config.data.compare_stacks
+        part = config.ablation_scenes
+        part = None if part is None or part >= len(test) else part
+        outcomes = [
+            one for seeds in self.methods for one in _outcomes(runner, seeds, self.planned, part, compared, progress)
+        ]
+        examples, camera = runner.examples(None), self.cameras.assumed(self.methods[0][0], usual)
+        naive = [
+            (one, score(one, examples, criteria, device=device, batch=config.batch))
+            for one in naive_baselines(examples, camera, config.batch)
+        ]
+        return Findings(
+            config=config,
+            test=test,
+            camera=camera,
+            stored_db=runner.stored_db,
+            edges_cm=criteria.edges_cm,
+            methods=[_about(seeds, self.cameras.assumed(seeds[0], usual)) for seeds in self.methods],
+            outcomes=outcomes,
+            naive=[outcome(one.name, "naive", [found], only=one.scores, note=one.best_in) for one, found in naive],
+            naive_part=[
+                outcome(one.name, "naive", [first_scenes(found, part or len(test))], only=one.scores)
+                for one, found in naive
+            ],
+            times=_times(config, runner, self.methods, progress),
+            montage=_montage(config, runner, self.methods),
+            columns=["truth", *(method.name for method in config.methods)],
+        )
 
 
 def _perceptual(wanted: str, device: torch.device) -> tuple[LpipsDistance | None, str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from learning.camera import CaptureModel
 from learning.config import EvaluateConfig
@@ -78,13 +79,12 @@ def claim_folder(folder: Path, name: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What came out.
+    """What came out on one data set.
 
     Attributes:
         camera: what the first method was told.
         stored_db: PSNR of the measurements as stored.
         edges_cm: of the bins of depth.
-        perceptual: which perceptual metric was measured, or why none.
         methods: what is known of each method and seed.
         outcomes: of all methods, PSFs and levels.
         naive: of the answers that look at nothing; ``naive_part`` on the scenes of noise levels and of compared PSFs.
@@ -97,8 +97,6 @@ class Findings:
     camera: CaptureModel
     stored_db: float
     edges_cm: tuple[float, ...]
-    perceptual: str
-    device: str
     methods: Sequence[Mapping[str, Any]]
     outcomes: Sequence[Outcome]
     naive: Sequence[Outcome]
@@ -158,8 +156,6 @@ class Findings:
     def plain(self) -> dict[str, Any]:
         """Return all of it but the images, for JSON."""
         return {
-            "name": self.config.name,
-            "config": self.config.dump(),
             "data": {
                 "fingerprint": self.test.fingerprint,
                 "split": self.test.split,
@@ -170,16 +166,50 @@ class Findings:
             "white": self.camera.white,
             "depth_range_m": [self.camera.near_m, self.camera.far_m],
             "depth_bins_cm": list(self.edges_cm),
-            "perceptual": self.perceptual,
-            "definitions": DEFINITIONS,
-            "device": self.device,
-            "versions": versions(*_PACKAGES),
             "methods": list(self.methods),
             "outcomes": [one.plain() for one in self.outcomes],
             "naive": [one.plain() for one in self.naive],
             "paired": [one.plain() for found in self.differences.values() for one in found],
             "times": [one.plain() for one in self.times],
         }
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """All of a file: its findings by data set, whose name is empty where it is the only one.
+
+    ``perceptual`` says which perceptual metric was measured, or why none.
+    """
+
+    config: EvaluateConfig
+    findings: Mapping[str, Findings]
+    perceptual: str
+    device: str
+
+    @property
+    def side_by_side(self) -> dict[str, list[Outcome]]:
+        """The rows of each data set's table."""
+        return {name: [*found.main, *found.naive] for name, found in self.findings.items()}
+
+    @property
+    def differences(self) -> dict[str, list[Difference]]:
+        """The paired differences by data set, on the measurements as stored; empty for one method."""
+        return {
+            name: next(iter(found.differences.values())) for name, found in self.findings.items() if found.differences
+        }
+
+    def plain(self) -> dict[str, Any]:
+        """Return all of it but the images, for JSON."""
+        about = {
+            "name": self.config.name,
+            "config": self.config.dump(),
+            "perceptual": self.perceptual,
+            "definitions": DEFINITIONS,
+            "device": self.device,
+            "versions": versions(*_PACKAGES),
+        }
+        sets = {name: found.plain() for name, found in self.findings.items()}
+        return about | sets.get("", {"sets": sets})
 
 
 PUBLISHED = """## Published, on other data
@@ -215,15 +245,16 @@ def conditions(findings: Findings) -> str:
     )
 
 
-def how(findings: Findings) -> str:
-    """Return how the table is to be read."""
-    seeds = [len(next(iter(one.scores.values())).seeds) for one in findings.main if one.kind == "learned"]
+def how(evaluation: Evaluation) -> str:
+    """Return how the tables are to be read."""
+    rows = [one for found in evaluation.findings.values() for one in found.main]
+    seeds = [len(next(iter(one.scores.values())).seeds) for one in rows if one.kind == "learned"]
     brackets = f", in brackets over {max(seeds)} seeds" if seeds and max(seeds) > 1 else ""
     depth = "Every method's depths are clamped to its range, and count where there is a surface."
     return (
         f"Mean ± standard deviation over scenes{brackets}; the best of each column is bold; answers in italics look at no "
         f"measurement. {depth} Pooled: over all pixels of all scenes; shares are those of the best constant depth's, pooled. "
-        f"SSIM: {SSIM_DEFINITION}. {findings.perceptual[0].upper()}{findings.perceptual[1:]}."
+        f"SSIM: {SSIM_DEFINITION}. {evaluation.perceptual[0].upper()}{evaluation.perceptual[1:]}."
     )
 
 
@@ -240,15 +271,28 @@ def left_out(outcomes: Sequence[Outcome]) -> str:
     )
 
 
-def write_results(folder: Path, findings: Findings) -> list[Path]:
-    """Write everything, and delete what an earlier run left; returns the files, the report first."""
-    times = {one.method: one for one in findings.times}
-    table = csv_table([*findings.outcomes, *findings.naive], times)
-    files = {REPORT: _report(findings, times).encode(), TABLE: table.encode(), RESULTS: readable_json(findings.plain())}
-    if findings.differences:
-        files[PAIRED] = csv_differences(one for found in findings.differences.values() for one in found).encode()
-    files |= _figures(findings)
+def write_results(folder: Path, evaluation: Evaluation) -> list[Path]:
+    """Write everything, and delete what an earlier run left; returns the files, the report first.
+
+    Figures of several data sets lie in a folder for each.
+    """
+    tables, differences = {}, {}
+    figures: dict[str, bytes] = {}
+    for name, found in evaluation.findings.items():
+        times = {one.method: one for one in found.times}
+        tables[name] = [*found.outcomes, *found.naive], times
+        differences[name] = [one for each in found.differences.values() for one in each]
+        figures |= {_place(name, figure): content for figure, content in _figures(evaluation, name).items()}
+    files = {
+        REPORT: _report(evaluation).encode(),
+        TABLE: csv_table(tables).encode(),
+        RESULTS: readable_json(evaluation.plain()),
+        **({PAIRED: csv_differences(differences).encode()} if any(differences.values()) else {}),
+        **figures,
+    }
     for name, content in files.items():
+        with storage_errors(folder / name):
+            (folder / name).parent.mkdir(exist_ok=True)
         write_atomic(folder / name, content)
     remove_stale(folder, files)
     return [folder / name for name in files]
@@ -256,47 +300,85 @@ def write_results(folder: Path, findings: Findings) -> list[Path]:
 
 def remove_stale(folder: Path, written: Iterable[str]) -> None:
     """Delete the files of an earlier run that this one did not write: they show other scenes or settings."""
-    for name in set(_OWN) - set(written):
-        with storage_errors(folder / name):
-            (folder / name).unlink(missing_ok=True)
+    path = folder / DESCRIPTION
+    description = read_description(path, "evaluation")
+    for name in {*_OWN, *description.get("files", ())} - set(written):
+        *inside, own = str(name).split("/")
+        if own in _OWN and len(inside) <= 1 and all(part[:1] not in ("", ".") for part in inside):
+            with storage_errors(folder / name):
+                (folder / name).unlink(missing_ok=True)
+                if inside and not any((folder / name).parent.iterdir()):
+                    (folder / name).parent.rmdir()
+    write_atomic(path, readable_json(description | {"files": sorted(written)}))
 
 
-def _figures(findings: Findings) -> dict[str, bytes]:
+def _place(name: str, figure: str) -> str:
+    """Return the place of a data set's figure."""
+    return f"{name}/{figure}" if name else figure
+
+
+def _figures(evaluation: Evaluation, name: str) -> dict[str, bytes]:
+    findings = evaluation.findings[name]
     colours = method_colours([method.name for method in findings.config.methods])
     part, stacks = findings.naive_part, findings.config.data.compare_stacks
     figures = {DEPTH: depth_png(findings.main, colours, findings.naive, findings.edges_cm)}
     if findings.montage:
         camera = findings.camera
         line = f"white = radiance {camera.white:.3g}; depth z {depth_range(camera.near_m, camera.far_m)}"
-        depths_m = (camera.near_m, camera.far_m)
-        figures[MONTAGE] = montage_png(findings.columns, findings.montage, findings.config.name, line, *depths_m)
+        title = ": ".join(filter(None, [evaluation.config.name, name]))
+        figures[MONTAGE] = montage_png(findings.columns, findings.montage, title, line, camera.near_m, camera.far_m)
     if findings.ablation:
         figures[NOISE] = noise_png(findings.ablation, colours, part)
     if findings.compared:
         figures[STACKS] = stacks_png(findings.compared, colours, stacks, part)
     if findings.times:
-        figures[TIMES] = times_png(findings.times, colours, findings.device)
+        figures[TIMES] = times_png(findings.times, colours, evaluation.device)
     return figures
 
 
-def _report(findings: Findings, times: Mapping[str, Times]) -> str:
-    rows = [*findings.main, *findings.naive]
+def _report(evaluation: Evaluation) -> str:
+    """Return the whole report: what all data sets share stands before and behind the sections of each."""
+    parts = [f"# {evaluation.config.name}"]
+    several = "" not in evaluation.findings
+    if several:
+        parts += ["## All data sets", *(markdown_matrix(score, evaluation.side_by_side) for score in COMPARED)]
+        parts += [how(evaluation)]
+        if evaluation.differences:
+            parts += ["## Paired differences on all data sets", _PAIRED, markdown_verdicts(evaluation.differences)]
+            parts += [markdown_differences(score, evaluation.differences) for score in COMPARED]
+    for name, found in evaluation.findings.items():
+        heading = "###" if several else "##"
+        parts += [f"## {name}" if several else "", *_sections(found, evaluation, name, heading)]
+    parts += [
+        PUBLISHED,
+        "## Made with",
+        ", ".join(f"{name} {version}" for name, version in versions(*_PACKAGES).items()),
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _sections(findings: Findings, evaluation: Evaluation, name: str, heading: str) -> list[str]:
+    """Return what is said of one data set."""
+    rows, times = [*findings.main, *findings.naive], {one.method: one for one in findings.times}
     ablation, compared, whole = findings.ablation, findings.compared, len(findings.test)
     on_part = (
         f"Of all {whole} scenes." if findings.part == whole else f"Of the first {findings.part} of {whole} scenes."
     )
+
+    def shown(words: str, figure: str) -> str:
+        return f"![{words}]({quote(_place(name, figure))})"
+
     parts = [
-        f"# {findings.config.name}",
         conditions(findings),
         markdown_table(rows, times),
-        how(findings),
+        "" if name else how(evaluation),
         "\n".join(
             [*(f"- {one.method}: {one.note}" for one in rows if one.note), *(f"- {n}" for n in findings.unknown)]
         ),
         left_out(rows),
-        "## Further scores",
+        f"{heading} Further scores",
         markdown_further(rows),
-        "## Scenes\n\n![truth and estimates](montage.png)" if findings.montage else "",
+        f"{heading} Scenes\n\n{shown('truth and estimates', MONTAGE)}" if findings.montage else "",
     ]
     if ablation:
         notes: dict[tuple[str, str], list[str]] = {}
@@ -305,26 +387,26 @@ def _report(findings: Findings, times: Mapping[str, Times]) -> str:
         lines = [f"- {method} at {', '.join(levels)} dB: {note}" for (method, note), levels in notes.items()]
         elsewhere = any(one.tuned_elsewhere for one in ablation)
         tables = [markdown_matrix(score, findings.levels) for score in COMPARED]
-        parts += ["## Noise", on_part, *tables, _TUNED_ELSEWHERE if elsewhere else "", "\n".join(lines)]
-        parts += ["![scores against noise](noise.png)", "Small dots are single seeds."]
+        parts += [f"{heading} Noise", on_part, *tables, _TUNED_ELSEWHERE if elsewhere else "", "\n".join(lines)]
+        parts += [shown("scores against noise", NOISE), "Small dots are single seeds."]
     if findings.differences:
         tables = [markdown_differences(score, findings.differences) for score in COMPARED]
-        parts += ["## Paired differences", _PAIRED, markdown_verdicts(findings.differences), *tables]
-    parts += ["## Depth error against depth", markdown_bins(rows, findings.edges_cm), "![depth error](depth.png)"]
+        words = "" if name else _PAIRED
+        parts += [f"{heading} Paired differences", words, markdown_verdicts(findings.differences), *tables]
+    parts += [
+        f"{heading} Depth error against depth",
+        markdown_bins(rows, findings.edges_cm),
+        shown("depth error", DEPTH),
+    ]
     if compared:
         stacks = findings.config.data.compare_stacks
         columns = {f"{stack} PSFs": [one for one in compared if one.stack == stack] for stack in stacks}
         tables = [markdown_matrix(score, columns) for score in COMPARED]
-        parts += ["## Which PSFs are assumed", on_part, *tables, _WHISKERS, "![scores by PSFs](stacks.png)"]
+        parts += [f"{heading} Which PSFs are assumed", on_part, *tables, _WHISKERS, shown("scores by PSFs", STACKS)]
     if findings.times:
         words = (
-            f"{findings.device}; one scene at a time, the methods by turns, median of {findings.config.time.repeats} after "
+            f"{evaluation.device}; one scene at a time, the methods by turns, median of {findings.config.time.repeats} after "
             "one that does not count. The seconds of learned methods are those of their first seed."
         )
-        parts += ["## Time", words, markdown_times(findings.times), "![seconds per stage](times.png)"]
-    parts += [
-        PUBLISHED,
-        "## Made with",
-        ", ".join(f"{name} {version}" for name, version in versions(*_PACKAGES).items()),
-    ]
-    return "\n\n".join(part for part in parts if part) + "\n"
+        parts += [f"{heading} Time", words, markdown_times(findings.times), shown("seconds per stage", TIMES)]
+    return parts

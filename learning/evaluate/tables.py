@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -122,35 +121,40 @@ def markdown_bins(outcomes: Sequence[Outcome], edges_cm: Sequence[float]) -> str
     return markdown(["depth RMSE cm", *names], rows)
 
 
-def csv_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> str:
-    """Return all outcomes, one line each, in full precision; a spread that does not exist is empty.
+def csv_table(sets: Mapping[str, tuple[Sequence[Outcome], Mapping[str, Times]]]) -> str:
+    """Return the outcomes of all data sets, with the times by method, one line each, in full precision.
 
-    Lines with a number in ``seed`` are of that seed alone.
+    A spread that does not exist is empty; lines with a number in ``seed`` are of that seed alone.
     """
     about = ["method", "kind", "seed", "stack", "noise_db", "tuned_db", "scenes"]
     spreads = ("mean", "over_scenes", "over_seeds", "left_out")
-    columns = [(name, spread) for name in _measured(SCORES, outcomes) for spread in spreads]
+    measured = _measured(SCORES, [one for outcomes, _ in sets.values() for one in outcomes])
+    columns = [(name, spread) for name in measured for spread in spreads]
     head = [f"{name}_{spread}" for name, spread in columns]
-    lines: list[list[Any]] = [[*about, "seeds", *head, "pooled_depth_rmse_cm", "seconds_per_scene"]]
-    for one in _with_seeds(outcomes):
-        own = replace(one, noise_db="stored" if one.noise_db is None else one.noise_db)  # pyright: ignore[reportArgumentType]
-        numbers = [getattr(one.scores.get(name), spread, None) for name, spread in columns]
-        seeds = len(next(iter(one.scores.values())).seeds)
-        seconds = times[one.method].total if one.method in times else None
-        lines.append([*(getattr(own, name) for name in about), seeds, *numbers, one.pooled_depth_rmse_cm, seconds])
+    lines: list[list[Any]] = [["set", *about, "seeds", *head, "pooled_depth_rmse_cm", "seconds_per_scene"]]
+    for name, (outcomes, times) in sets.items():
+        for one in _with_seeds(outcomes):
+            own = [_stored(one.noise_db) if key == "noise_db" else getattr(one, key) for key in about]
+            numbers = [getattr(one.scores.get(score), spread, None) for score, spread in columns]
+            seeds = len(next(iter(one.scores.values())).seeds)
+            seconds = times[one.method].total if one.method in times else None
+            lines.append([name, *own, seeds, *numbers, one.pooled_depth_rmse_cm, seconds])
     return _csv(lines)
 
 
-def csv_differences(differences: Iterable[Difference]) -> str:
-    """Return all paired differences, one line each, in full precision."""
-    head = ["reference", "other", "noise_db", "score", "scenes", "mean", "low", "high", "favours"]
+def csv_differences(sets: Mapping[str, Iterable[Difference]]) -> str:
+    """Return all paired differences by data set, one line each, in full precision."""
+    head = ["set", "reference", "other", "noise_db", "score", "scenes", "mean", "low", "high", "favours"]
     lines: list[list[Any]] = [head]
-    for one in differences:
-        ends = one.interval or (None, None)
-        noise_db = "stored" if one.noise_db is None else one.noise_db
-        about = [one.reference, one.other, noise_db, one.score, one.scenes]
-        lines.append([*about, one.mean, *ends, one.favours])
+    for name, differences in sets.items():
+        for one in differences:
+            about = [name, one.reference, one.other, _stored(one.noise_db), one.score, one.scenes]
+            lines.append([*about, one.mean, *(one.interval or (None, None)), one.favours])
     return _csv(lines)
+
+
+def _stored(noise_db: float | None) -> float | str:
+    return "stored" if noise_db is None else noise_db
 
 
 def terminal_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ Load = Callable[..., EvaluateConfig]
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw nothing and measure no FLIP: both take longer than all the rest, and have tests of their own."""
-    monkeypatch.setattr(report, "_figures", lambda findings: {})
+    monkeypatch.setattr(report, "_figures", lambda *_: {})
     monkeypatch.setattr("flip_evaluator.evaluate", lambda *_, **__: (None, 0.5, None))
 
 
@@ -57,7 +58,7 @@ def load(tmp_path: Path, tiny_dataset: Path, checkpoints: list[Path]) -> Load:
         }
         data = content["data"] | changes.pop("data", {})
         path = tmp_path / "evaluate.yaml"
-        path.write_text(yaml.safe_dump(content | {"data": data} | changes), encoding="utf-8")
+        path.write_text(yaml.safe_dump(content | {"data": data} | changes, sort_keys=False), encoding="utf-8")
         return load_file(EvaluateConfig, path)
 
     return load
@@ -114,7 +115,7 @@ def test_levels_of_noise_differ_and_are_as_asked(load: Load, tmp_path: Path) -> 
     stored, noisy, clean = (one["scores"]["psnr"]["mean"] for one in _results(tmp_path)["outcomes"])
     assert noisy < stored < clean
     assert clean - noisy > 1
-    test = open_dataset(config.data.test, "test")
+    test = open_dataset(str(config.data.test), "test")
     for level in (20.0, 60.0):
         example = ExampleSet(test, noise_db=(level, level))[0]
         found = _psnr_db(example.measurement.numpy(), test.stored(0).measurement()[1])
@@ -123,7 +124,7 @@ def test_levels_of_noise_differ_and_are_as_asked(load: Load, tmp_path: Path) -> 
 
 @pytest.mark.usefixtures("no_figures")
 def test_methods_are_compared_at_every_level(load: Load, tmp_path: Path) -> None:
-    found, _ = evaluate(load(noise_db=[20], reference="CLS"))
+    found = evaluate(load(noise_db=[20], reference="CLS"))[0].findings[""]
     assert [title.partition(" (")[0] for title in found.differences] == ["stored", "20 dB"]
     pairs = [("CLS", "FlatNet3D"), ("CLS", "FlatNet3D, seed 1"), ("CLS", "FlatNet3D, seed 2")]
     for outcomes, differences in zip((found.main, found.ablation), found.differences.values(), strict=True):
@@ -164,14 +165,15 @@ def test_the_captured_stack_is_used(load: Load, tmp_path: Path) -> None:
 def test_noise_and_stacks_may_have_fewer_scenes(load: Load, tmp_path: Path) -> None:
     methods = [{"name": "CLS", "classical": "cls", "parameters": {"regularisation_lambda": 0.1}}]
     stacks = {"stack": "nominal", "compare_stacks": ["nominal", "captured"]}
-    found, files = evaluate(load(methods=methods, noise_db=[30], data=stacks, ablation_scenes=2))
+    evaluation, files = evaluate(load(methods=methods, noise_db=[30], data=stacks, ablation_scenes=2))
+    found = evaluation.findings[""]
     assert [one.scenes for one in found.main] == [TEST_SCENES]
     assert [(one.noise_db, one.scenes) for one in found.ablation] == [(30, 2)]
     assert [(one.stack, one.scenes) for one in found.compared] == [("nominal", 2), ("captured", 2)]
     assert {one.scenes for one in found.naive_part} == {2}
     assert files[0].read_text(encoding="utf-8").count("Of the first 2 of 3 scenes.") == 2
     # The same two scenes give the same numbers in an evaluation of two.
-    alone, _ = evaluate(load(methods=methods, noise_db=[30], data=stacks | {"scenes": 2}, output="two"))
+    alone = evaluate(load(methods=methods, noise_db=[30], data=stacks | {"scenes": 2}, output="two"))[0].findings[""]
     assert alone.ablation[0].scores == found.ablation[0].scores
     assert alone.compared[0].scores == found.compared[0].scores
     assert alone.compared[1].scores == found.compared[1].scores
@@ -219,6 +221,7 @@ def test_all_files_are_written_and_the_report_shows_them(load: Load, tmp_path: P
         torch.set_num_threads(threads)
     names = [path.name for path in files]
     assert names[:4] == ["report.md", "table.csv", "results.json", "paired.csv"]
+    assert set(json.loads((tmp_path / "out" / "evaluation.json").read_bytes())["files"]) == set(names)
     report = files[0].read_text(encoding="utf-8")
     for name in ("montage.png", "noise.png", "depth.png", "stacks.png", "times.png"):
         assert name in names
@@ -282,3 +285,57 @@ def test_scenes_without_depth_are_refused(learning_trial: Any, load: Load) -> No
     flat = learning_trial.generate("scene.flat=true", dataset={"train": 2, "validation": 0, "test": 2})
     with pytest.raises(InputError, match="out: "):
         evaluate(load(data={"test": str(flat)}))
+
+
+@pytest.fixture
+def other_camera(learning_trial: Any) -> Path:
+    """A small data set of another camera, at another distance from its mask."""
+    return learning_trial.generate(
+        "camera.mask_to_sensor_mm=2.3", "seed=8", dataset={"train": 2, "test": 2, "validation": 0}
+    )
+
+
+def test_several_data_sets_have_a_table_each_and_a_joint_one(
+    load: Load, tmp_path: Path, tiny_dataset: Path, other_camera: Path
+) -> None:
+    for name, folder in (("wide", tiny_dataset), ("narrow", other_camera)):
+        (tmp_path / name).symlink_to(folder)
+        study = Study(tmp_path / f"tuned_{name}.json", {"data": name}, {})
+        parameters = DEFAULTS["cls"] | {"regularisation_lambda": 0.1 if name == "wide" else 0.2}
+        study.add_result({"method": "cls", "noise_db": 40.0, "parameters": parameters, "score": 1.0})
+    methods = [
+        {"name": "tuned", "classical": "cls", "tuned": "tuned_<set>.json"},
+        {"name": "given", "classical": "cls", "parameters": {}},
+    ]
+    sets = {"test": {"wide": str(tiny_dataset), "narrow": "<set>"}, "training": "<set>"}
+    stages: set[str] = set()
+    evaluation, files = evaluate(
+        load(methods=methods, data=sets, output="sets"), progress=lambda stage, *_: stages.add(stage)
+    )
+    assert list(evaluation.findings) == ["wide", "narrow"]
+    assert stages == {"wide: tuned", "wide: given", "narrow: tuned", "narrow: given"}
+    for name, folder, value in (("wide", tiny_dataset, 0.1), ("narrow", other_camera, 0.2)):
+        given = [*methods[1:], {"name": "by hand", "classical": "cls", "parameters": {"regularisation_lambda": value}}]
+        data = {"test": str(folder), "training": str(folder)}
+        alone = evaluate(load(methods=given, data=data, output=f"alone_{name}"))[0].findings[""]
+        assert [one.scores for one in evaluation.findings[name].main] == [one.scores for one in reversed(alone.main)]
+        assert tmp_path / "sets" / name / "depth.png" in files
+    report = files[0].read_text(encoding="utf-8")
+    assert report.index("## All data sets") < report.index("## wide") < report.index("## narrow")
+    assert "| PSNR dB | wide | narrow |" in report
+    assert "](narrow/depth.png)" in report
+    rows = list(csv.DictReader((tmp_path / "sets" / "table.csv").read_text(encoding="utf-8").splitlines()))
+    assert {(row["set"], row["method"]) for row in rows if row["kind"] == "classical"} == {
+        (name, method) for name in ("wide", "narrow") for method in ("tuned", "given")
+    }
+    assert set(json.loads((tmp_path / "sets" / "results.json").read_bytes())["sets"]) == {"wide", "narrow"}
+    # Without one of them its figures go.
+    evaluate(load(methods=methods, data=sets | {"test": {"wide": str(tiny_dataset)}}, output="sets"))
+    assert not (tmp_path / "sets" / "narrow").exists()
+    assert (tmp_path / "sets" / "wide" / "depth.png").exists()
+
+
+@pytest.mark.parametrize(("test", "key"), [({}, "data.test"), ({"../up": "x"}, "data.test")])
+def test_names_of_data_sets_are_those_of_folders(load: Load, test: Any, key: str) -> None:
+    with pytest.raises(InputError, match=re.escape(key)):
+        load(data={"test": test})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -74,7 +75,32 @@ def test_a_folder_is_gone_on_with_under_its_own_name_only(tmp_path: Path) -> Non
 
 
 def test_what_was_not_written_this_time_goes_and_foreign_files_stay(tmp_path: Path) -> None:
-    for name in ("report.md", "noise.png", "times.png", "mine.png"):
+    names = (
+        "report.md",
+        "noise.png",
+        "times.png",
+        "mine.png",
+        "a/noise.png",
+        "a/mine.png",
+        "b/noise.png",
+        "c/noise.png",
+    )
+    for name in names:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("old")
-    report.remove_stale(tmp_path, ["report.md", "times.png"])
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.png", "report.md", "times.png"]
+
+    def left(*written: str, **recorded: Any) -> set[str]:
+        (tmp_path / "evaluation.json").write_text(json.dumps({"name": "trial", **recorded}))
+        report.remove_stale(tmp_path, written)
+        assert json.loads((tmp_path / "evaluation.json").read_text()) == {"name": "trial", "files": sorted(written)}
+        return {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")} - {"evaluation.json"}
+
+    kept = set(names) - {"noise.png"}
+    assert left("report.md", "times.png") == kept  # of an earlier version, without a record
+    others = ["../up/noise.png", "/noise.png", "a/b/noise.png", "mine.png", "c/./noise.png"]
+    assert left("report.md", files=["a/noise.png", "b/noise.png", "times.png", *others]) == kept - {
+        "times.png",
+        "a/noise.png",
+        "b/noise.png",
+    }
+    assert not (tmp_path / "b").exists()

@@ -141,16 +141,19 @@ def test_differences_have_intervals_and_verdicts() -> None:
 
 
 def test_the_csv_of_differences_has_full_precision() -> None:
-    rows = list(csv.DictReader(io.StringIO(tables.csv_differences(DIFFERENCES["20 dB"] + DIFFERENCES["30 dB"]))))
-    assert rows[0] == dict(
-        zip(rows[0], ["Net", "CLS", "20.0", "psnr", "9", "1.234", "0.9", "1.6", "reference"], strict=True)
+    rows = list(
+        csv.DictReader(io.StringIO(tables.csv_differences({"a": DIFFERENCES["20 dB"], "b": DIFFERENCES["30 dB"]})))
     )
+    assert rows[0] == dict(
+        zip(rows[0], ["a", "Net", "CLS", "20.0", "psnr", "9", "1.234", "0.9", "1.6", "reference"], strict=True)
+    )
+    assert [row["set"] for row in rows] == ["a", "a", "a", "b"]
     assert [row["favours"] for row in rows] == ["reference", "other", "", ""]
     assert rows[3]["low"] == rows[3]["high"] == ""
 
 
 def test_the_csv_has_full_precision() -> None:
-    rows = list(csv.DictReader(io.StringIO(tables.csv_table(ROWS, TIMES))))
+    rows = list(csv.DictReader(io.StringIO(tables.csv_table({"a": (ROWS, TIMES)}))))
     assert [row["method"] for row in rows] == ["Net", "Net", "Net", "C|S", "constant"]
     assert [row["seed"] for row in rows] == ["", "1", "2", "", ""]
     assert float(rows[0]["psnr_over_scenes"]) == NET.scores["psnr"].over_scenes
