@@ -60,13 +60,12 @@ def evaluate(
     with Bar() as bar:
         evaluation, files = run(settings, progress=bar.update, say=bar.say)
     for name, found in evaluation.findings.items():
-        if name:
-            print(f"{name}:")
-        print(terminal_table([*found.main, *found.naive], {one.method: one for one in found.times}))
+        table = terminal_table([*found.main, *found.naive], {one.method: one for one in found.times})
+        print(f"{name}:\n{table}" if name else table)
         if found.differences:
-            print(
-                f"\n{terminal_verdicts(found.differences)}\n+ the first one is better, - the second one, . not clear (95 %)\n"
-            )
+            print(f"\n{terminal_verdicts(found.differences)}\n")
+    if evaluation.differences:
+        print("+ the first one is better, 95 % sure; - the second one; . not clear")
     print(f"look at {files[0]}")
 
 

@@ -55,8 +55,9 @@ _TUNED_ELSEWHERE = f"{TUNED_ELSEWHERE} with parameters that were tuned at anothe
 _PAIRED = (
     "The first one's score minus the second one's on the same scene, the mean over scenes (of several seeds the mean of each "
     f"scene), and the interval that holds it with 95 % confidence: percentiles of {RESAMPLES} means of scenes that are drawn "
-    "anew with replacement. It tells how far other scenes of the kind might change the mean, not other seeds: these stand "
-    "singly. ▲ the first one is better and the interval clear of zero, ▼ the second one, ○ neither."
+    "anew with replacement. Of few scenes it is too narrow, by 6 % for 30, by 22 % for 8. It tells how far other scenes of "
+    "the kind might change the mean, not other seeds: these stand singly. ▲ the first one is better and the interval clear "
+    "of zero, ▼ the second one, ○ neither."
 )
 
 

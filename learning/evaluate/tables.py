@@ -80,7 +80,7 @@ def markdown_matrix(score: str, columns: Mapping[str, Sequence[Outcome]]) -> str
             words = [*_cells(one, [score], best), *([f"· {share}"] if share else [])]
             cells[row, title] = " ".join([*words, *([TUNED_ELSEWHERE] if one.tuned_elsewhere else [])])
     rows = ([name, *(cells.get((row, title), "–") for title in columns)] for row, name in names.items())
-    return markdown([SCORES[score][0], *columns], rows)
+    return markdown([*_titles([score]), *columns], rows)
 
 
 def markdown_differences(score: str, columns: Mapping[str, Sequence[Difference]]) -> str:
@@ -95,7 +95,7 @@ def markdown_differences(score: str, columns: Mapping[str, Sequence[Difference]]
         return f"{one.mean:{number}}{interval} {_VERDICTS[one.favours]}"
 
     of_it = {title: [one for one in found if one.score == score] for title, found in columns.items()}
-    return markdown(*_by_pair(SCORES[score][0], of_it, cell))
+    return markdown(*_by_pair(_titles([score])[0], of_it, cell))
 
 
 def markdown_verdicts(columns: Mapping[str, Sequence[Difference]]) -> str:

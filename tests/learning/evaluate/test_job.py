@@ -322,7 +322,7 @@ def test_several_data_sets_have_a_table_each_and_a_joint_one(
         assert tmp_path / "sets" / name / "depth.png" in files
     report = files[0].read_text(encoding="utf-8")
     assert report.index("## All data sets") < report.index("## wide") < report.index("## narrow")
-    assert "| PSNR dB | wide | narrow |" in report
+    assert "| PSNR dB ↑ | wide | narrow |" in report
     assert "](narrow/depth.png)" in report
     rows = list(csv.DictReader((tmp_path / "sets" / "table.csv").read_text(encoding="utf-8").splitlines()))
     assert {(row["set"], row["method"]) for row in rows if row["kind"] == "classical"} == {

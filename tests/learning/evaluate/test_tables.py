@@ -88,7 +88,7 @@ def test_a_matrix_has_a_column_for_each_level_and_a_row_for_each_seed() -> None:
         "30 dB": [NET, _at(30, 15, 20), CONSTANT, black, mean],
     }
     head, _, *rows = _rows(tables.markdown_matrix("psnr", columns))
-    assert head == ["PSNR dB", "20 dB", "30 dB"]
+    assert head == ["PSNR dB ↑", "20 dB", "30 dB"]
     assert rows == [
         ["CLS", "11.00 ± 1.41", "16.00 ± 1.41 †"],  # parameters of 20 dB at 30
         ["*mean image*", "**13.00 ± 0.00**", "13.00 ± 0.00"],
@@ -123,7 +123,7 @@ DIFFERENCES = {
 
 def test_differences_have_intervals_and_verdicts() -> None:
     head, _, *rows = _rows(tables.markdown_differences("psnr", DIFFERENCES))
-    assert head == ["PSNR dB", "20 dB", "30 dB"]
+    assert head == ["PSNR dB ↑", "20 dB", "30 dB"]
     assert rows == [
         ["Net − CLS", "+1.23 [+0.90, +1.60] ▲", "+2.00 ○"],
         ["Net, seed 1 − CLS", "-0.50 [-1.00, +0.10] ○", "–"],
