@@ -159,10 +159,16 @@ def says_scenes(entry: Entry) -> bool:
 
 def _refuse_known(test: Dataset, known: Any, fingerprint: Any, split: Any, name: str, words: str) -> None:
     """Refuse a method, ``words`` say how, that has seen the scenes ``known`` or, without these, the split of a data set."""
-    if set(known).isdisjoint(scenes_of(test)) if known else (fingerprint, split) != (test.fingerprint, test.split):
-        return
-    scenes = f"scenes that decide here, split {test.split!r} of {test.root}, through this camera or another"
-    raise InputError(name, f"{words} {scenes}; evaluate on another split, or on scenes of another seed")
+    if known:
+        shared = sorted(set(known).intersection(scenes_of(test)))
+    else:
+        shared = [f"data set {test.fingerprint[:12]}"] if (fingerprint, split) == (test.fingerprint, test.split) else []
+    if shared:
+        which = shared[0] + (f" and {len(shared) - 1} more" if shared[1:] else "")
+        scenes = (
+            f"scenes that decide here, split {test.split!r} of {test.root}, through this camera or another ({which})"
+        )
+        raise InputError(name, f"{words} {scenes}; evaluate on another split, or on scenes of another seed")
 
 
 def _trainings(record: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
