@@ -392,8 +392,8 @@ def _sections(findings: Findings, evaluation: Evaluation, name: str, heading: st
         parts += [shown("scores against noise", NOISE), "Small dots are single seeds."]
     if findings.differences:
         tables = [markdown_differences(score, findings.differences) for score in COMPARED]
-        words = "" if name else _PAIRED
-        parts += [f"{heading} Paired differences", words, markdown_verdicts(findings.differences), *tables]
+        words = ["" if name else _PAIRED, f"At further levels: {on_part.lower()}" if findings.part < whole else ""]
+        parts += [f"{heading} Paired differences", *words, markdown_verdicts(findings.differences), *tables]
     parts += [
         f"{heading} Depth error against depth",
         markdown_bins(rows, findings.edges_cm),

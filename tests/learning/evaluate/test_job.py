@@ -124,7 +124,8 @@ def test_levels_of_noise_differ_and_are_as_asked(load: Load, tmp_path: Path) -> 
 
 @pytest.mark.usefixtures("no_figures")
 def test_methods_are_compared_at_every_level(load: Load, tmp_path: Path) -> None:
-    found = evaluate(load(noise_db=[20], reference="CLS"))[0].findings[""]
+    evaluation, files = evaluate(load(noise_db=[20], reference="CLS", ablation_scenes=2))
+    found = evaluation.findings[""]
     assert [title.partition(" (")[0] for title in found.differences] == ["stored", "20 dB"]
     pairs = [("CLS", "FlatNet3D"), ("CLS", "FlatNet3D, seed 1"), ("CLS", "FlatNet3D, seed 2")]
     for outcomes, differences in zip((found.main, found.ablation), found.differences.values(), strict=True):
@@ -133,6 +134,9 @@ def test_methods_are_compared_at_every_level(load: Load, tmp_path: Path) -> None
         assert [(one.reference, one.other) for one in of_psnr] == pairs
         assert of_psnr[0].mean == pytest.approx(cls - net)
         assert np.mean([one.mean for one in of_psnr[1:]]) == pytest.approx(cls - net)
+        assert {one.scenes for one in differences} == {outcomes[0].scenes}
+    text = files[0].read_text(encoding="utf-8")
+    assert "At further levels: of the first 2 of 3 scenes." in text.partition("## Paired differences")[2]
     lines = (tmp_path / "out" / "paired.csv").read_text(encoding="utf-8").splitlines()
     assert len(lines) == 1 + 2 * 3 * 4  # levels, pairs, scores
     assert len(_results(tmp_path)["paired"]) == 2 * 3 * 4
@@ -333,6 +337,29 @@ def test_several_data_sets_have_a_table_each_and_a_joint_one(
     evaluate(load(methods=methods, data=sets | {"test": {"wide": str(tiny_dataset)}}, output="sets"))
     assert not (tmp_path / "sets" / "narrow").exists()
     assert (tmp_path / "sets" / "wide" / "depth.png").exists()
+
+
+def test_every_path_may_have_the_name_of_the_data_set(load: Load) -> None:
+    data = {"test": {"a": "<set>_test", "b": "other"}, "training": "<set>", "stack": "psf_<set>"}
+    methods = [
+        {"name": "Net", "checkpoints": ["<set>/0", "<set>/1"]},
+        {"name": "CLS", "classical": "cls", "tuned": "<set>.json"},
+        {"name": "ADMM", "classical": "admm", "parameters": {"light": "sum"}},
+    ]
+    config = load(data=data | {"compare_stacks": ["nominal", "<set>/psf"]}, methods=methods)
+    one, other = (alone.dump() for alone in config.sets.values())
+    assert one["data"]["test"] == "a_test"
+    assert other["data"]["test"] == "other"
+    for name, dumped in (("a", one), ("b", other)):
+        assert dumped["data"] | {"test": ""} == config.dump()["data"] | {
+            "test": "",
+            "training": name,
+            "stack": f"psf_{name}",
+            "compare_stacks": ["nominal", f"{name}/psf"],
+        }
+        assert [method["checkpoints"] for method in dumped["methods"]] == [[f"{name}/0", f"{name}/1"], None, None]
+        assert [method["tuned"] for method in dumped["methods"]] == [None, f"{name}.json", None]
+    assert config.sets["a"].resolve_path("x") == config.resolve_path("x")
 
 
 @pytest.mark.parametrize(("test", "key"), [({}, "data.test"), ({"../up": "x"}, "data.test")])
