@@ -29,7 +29,7 @@ from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from learning.layers.padding import AxisPlan, as_pairs, check_measurement, from_pairs
-from learning.method import check_choices
+from learning.method import check_choices, threads_for
 from simulator.arrays import next_fast_len, to_numpy
 from simulator.errors import InputError
 
@@ -99,15 +99,20 @@ class Admm(nn.Module):
     @torch.no_grad()
     def forward(self, measurement: Tensor) -> Tensor:
         """Return ``(B, K, C, h, w)`` radiance / white in the camera's channels of measurements ``(B, C, H, W)``."""
+        return self.light(measurement)[self.grid.scene_in_light] * self.brightness
+
+    @torch.no_grad()
+    def light(self, measurement: Tensor) -> Tensor:
+        """Return S, ``(B, K, C, ...)``, wherever light may come from; see `AdmmGrid.light`."""
         check_measurement(measurement, self.offset, *self.grid.plans)
         target = ((measurement.to(self.scale) - self.offset) * self.scale)[:, None]
         at = self._start(target)
-        for _ in range(self.iterations):
-            at = self._step(at, target)
-        # The copy of the volume, not the volume itself: it keeps the constraints exactly.
-        inside = self.grid.light
-        found = self.grid.inverse(at.volume)[inside] + at.old.volume[inside] - at.new.volume[inside]
-        return found[self.grid.scene_in_light] * self.brightness
+        with threads_for(at.new.volume.numel()):
+            for _ in range(self.iterations):
+                at = self._step(at, target)
+            # The copy of the volume, not the volume itself: it keeps the constraints exactly.
+            inside = self.grid.light
+            return self.grid.inverse(at.volume)[inside] + at.old.volume[inside] - at.new.volume[inside]
 
     def _start(self, target: Tensor) -> Iterate:
         """Return S = 0 and its multipliers."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from learning.camera import CaptureModel
 from learning.classical.method import ClassicalMethod, PlanarMethod
-from learning.method import Clock, Method, choose_device, linear_to_srgb, srgb_to_linear
+from learning.method import Clock, Method, choose_device, linear_to_srgb, srgb_to_linear, threads_for
 from learning.models.flatnet import LearnedMethod
 from learning.provenance import is_own_folder
 from learning.reconstruct.choice import Request, choose_method
@@ -67,18 +67,20 @@ def reconstruct_file(options: Options) -> str:
     measurement = load_measurement(options.measurement, **of_file)
     if options.output is not None:
         is_own_folder(options.output, RECORD, "reconstruction", "--output")
-    setup = choose_method(measurement, options)
-    if measurement.frame is None or options.frame is not None:  # an image's file
-        evidence = check_frame_fits(measurement, setup.method.capture, options, accept=options.accept_frame)
-        measurement.record["frame_evidence"] = round(evidence, 4)
-    # The sample's split and name, or the file's, and the method's, e.g. test_s00000002_cls.
-    place = measurement.path.absolute()
-    split = "" if measurement.dataset is None else f"{place.parents[1].name}_"
-    folder = options.output or Path(f"{split}{place.stem}_{setup.name}")
-    replaces = is_own_folder(folder, RECORD, "reconstruction", "--output")
-    method: Any = setup.method
-    (method.network if hasattr(method, "network") else method).to(device)
-    result = reconstruct(measurement.values, method, volume=options.volume, white=options.white, device=device)
+    # The FFT has a period up to twice as long per axis.
+    with threads_for(4 * measurement.values.size):
+        setup = choose_method(measurement, options)
+        if measurement.frame is None or options.frame is not None:  # an image's file
+            evidence = check_frame_fits(measurement, setup.method.capture, options, accept=options.accept_frame)
+            measurement.record["frame_evidence"] = round(evidence, 4)
+        # The sample's split and name, or the file's, and the method's, e.g. test_s00000002_cls.
+        place = measurement.path.absolute()
+        split = "" if measurement.dataset is None else f"{place.parents[1].name}_"
+        folder = options.output or Path(f"{split}{place.stem}_{setup.name}")
+        replaces = is_own_folder(folder, RECORD, "reconstruction", "--output")
+        method: Any = setup.method
+        (method.network if hasattr(method, "network") else method).to(device)
+        result = reconstruct(measurement.values, method, volume=options.volume, white=options.white, device=device)
     record = {
         "measurement": measurement.record,
         **setup.record,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,10 @@ import numpy as np
 import pytest
 import torch
 
+from learning import method
 from learning.camera import CaptureModel, measure_reference_white
-from learning.method import Estimate, linear_to_srgb, srgb_to_linear
+from learning.classical.admm import Admm
+from learning.method import Estimate, linear_to_srgb, srgb_to_linear, threads_for
 from simulator import colour
 from simulator.dataset import generate
 from simulator.dataset.reader import open_dataset
@@ -80,3 +83,34 @@ def test_depths_stay_within_the_stacks_range(tiny_capture: CaptureModel) -> None
     assert depth_m.shape == (1, 1, 1, 5)
     # 5 per metre, and a fifth of the 95 per metre to the nearest plane on top: 24 per metre.
     assert depth_m.ravel().tolist() == pytest.approx([0.2, 0.2, 1 / 24, 0.01, 0.01])
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    """Let torch have two threads, whatever the machine."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_small_arrays_have_one_thread() -> None:
+    with threads_for(method.WORTH_THREADS):
+        assert torch.get_num_threads() == 2
+    with threads_for(method.WORTH_THREADS - 1):
+        assert torch.get_num_threads() == 1
+    assert torch.get_num_threads() == 2
+
+
+@pytest.mark.usefixtures("two_threads")
+@pytest.mark.parametrize(("worth", "threads"), [(10**6, 1), (2, 2)])
+def test_admm_iterates_in_as_many_threads_as_pay(
+    tiny_capture: CaptureModel, monkeypatch: pytest.MonkeyPatch, worth: int, threads: int
+) -> None:
+    seen = set()
+    step = Admm._step
+    monkeypatch.setattr(method, "WORTH_THREADS", worth)
+    monkeypatch.setattr(Admm, "_step", lambda *given: (seen.add(torch.get_num_threads()), step(*given))[1])
+    Admm(tiny_capture, tv=0.1, sparsity=0.0, iterations=2)(torch.ones(1, 3, 48, 48))
+    assert seen == {threads}

@@ -16,6 +16,7 @@ from learning import checkpoint as checkpoint_module
 from learning.camera import CaptureModel, capture_model, measure_reference_white, plain_capture, typical_white
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.classical.method import DEFAULTS, ConstrainedLeastSquares, PlanarMethod, build_classical
+from learning.reconstruct import job
 from learning.reconstruct.choice import Request, choose_method
 from learning.reconstruct.inputs import load_measurement
 from learning.reconstruct.job import reconstruct, write_reconstruction
@@ -134,6 +135,21 @@ def test_the_shipped_checkpoint_that_fits_is_taken(
     assert named.endswith("flatnet2d.safetensors")
     with pytest.raises(InputError, match="s00000002: "):
         choose_method(load_measurement(sample, binning=2), Request())
+
+
+def test_a_small_measurement_has_one_thread(sample: Path, tmp_path: Path, monkeypatch: Any) -> None:
+    """From the choice of the method on: two threads that waited for each other took twice the command's CPU time."""
+    seen = []
+    for name in ("choose_method", "reconstruct"):
+        own = getattr(job, name)
+        monkeypatch.setattr(job, name, lambda *a, own=own, **b: (seen.append(torch.get_num_threads()), own(*a, **b))[1])
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        job.reconstruct_file(job.Options(measurement=sample, method="cls", output=tmp_path / "out"))
+        assert (seen, torch.get_num_threads()) == ([1, 1], 2)
+    finally:
+        torch.set_num_threads(before)
 
 
 def planar_scene(tmp_path: Path, channels: int) -> tuple[Path, Path, np.ndarray]:
