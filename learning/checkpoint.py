@@ -18,9 +18,10 @@ import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
-from torch import Tensor
+from torch import Tensor, nn
 
 from learning.camera import CaptureModel
+from learning.models.denoiser import Denoiser
 from learning.models.flatnet import FIRST_VERSION, FlatNet, build_network, full_architecture
 from simulator.errors import InputError
 from simulator.io.files import expanded, write_atomic
@@ -34,6 +35,8 @@ _KEY = "flatlight"
 _WEIGHTS, _CAMERA = "network.", "camera."
 FOLDER = Path(__file__).parent / "checkpoints"
 """The trained networks that come with Flatlight: one small file each."""
+DENOISER = "denoiser"
+"""Name of the network and of the shipped file; no method by itself."""
 _BEST = "flatnet3d"  # where several fit
 _NUMBERS: dict[str, Callable[[Any], object]] = {
     **dict.fromkeys(("sensor_shape", "scene_shape"), is_shape),
@@ -121,6 +124,37 @@ def save_checkpoint(
     write_atomic(Path(path), save(named, {_KEY: canonical_json(content).decode()}))
 
 
+def save_denoiser(
+    path: Path | str, network: Denoiser, *, architecture: Mapping[str, Any], record: Mapping[str, Any]
+) -> None:
+    """Write a denoiser, which belongs to no camera: the same file without one; see `save_checkpoint`."""
+    content = {"format": FORMAT, "version": VERSION, "architecture": dict(architecture), "record": dict(record)}
+    weights = {_WEIGHTS + name: value.cpu().contiguous() for name, value in network.state_dict().items()}
+    write_atomic(Path(path), save(weights, {_KEY: canonical_json(content).decode()}))
+
+
+def load_denoiser(path: Path | str) -> tuple[Denoiser, dict[str, Any]]:
+    """Read a denoiser, in evaluation mode on the CPU, and the record of how it was made.
+
+    Raises:
+        InputError: not a checkpoint, a damaged one, of a newer format, or of another network.
+    """
+    path = Path(path)
+    content, tensors = _read(path)
+    cure = "restore it from a copy"
+    check_keys(path, content, dict.fromkeys(("architecture", "record"), lambda part: isinstance(part, dict)), cure)
+    numbers = dict(content["architecture"])
+    if (name := numbers.pop("network", None)) != DENOISER:
+        raise InputError(path, f"got a checkpoint of {show(name)}, expected one of `flatlight train-denoiser`")
+    try:
+        with torch.device("meta"):
+            built = Denoiser(**numbers)
+    except (InputError, TypeError) as error:
+        raise InputError(path, f"this version of Flatlight cannot build its network ({error})") from error
+    _load_weights(built, path, tensors)
+    return built.eval(), content["record"]
+
+
 def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, network: str | None = None) -> Checkpoint:
     """Read a checkpoint and build its network.
 
@@ -162,6 +196,12 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
     except (InputError, TypeError, ValueError, RuntimeError, OverflowError) as error:
         reason = f"this version of Flatlight cannot build its network ({error}); use the version that the record names"
         raise InputError(path, reason) from error
+    _load_weights(built, path, tensors)
+    return Checkpoint(built.eval(), capture or own, own.stack.fingerprint, architecture, record)
+
+
+def _load_weights(built: nn.Module, path: Path, tensors: Mapping[str, Tensor]) -> None:
+    """Put the file's weights in the places of those of a network on the meta device."""
     weights = {key.removeprefix(_WEIGHTS): value for key, value in tensors.items() if key.startswith(_WEIGHTS)}
     expected = built.state_dict()
     _check_shapes(expected, weights, str(path))
@@ -169,7 +209,6 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
         if not bool(torch.isfinite(value).all()):
             raise InputError(path, f"{key} holds NaN or infinite numbers; take an earlier checkpoint")
     built.load_state_dict({key: value.to(expected[key].dtype) for key, value in weights.items()}, assign=True)
-    return Checkpoint(built.eval(), capture or own, own.stack.fingerprint, architecture, record)
 
 
 def _stored(name: str, value: Tensor, precision: torch.dtype) -> Tensor:
@@ -264,7 +303,7 @@ def _check_shapes(expected: Mapping[str, Tensor], found: Mapping[str, Tensor], w
 
 def shipped_checkpoints() -> dict[str, Path]:
     """Return the files by name, that of the best network first; empty where there are none."""
-    files = {path.stem: path for path in sorted(FOLDER.glob("*.safetensors"))}
+    files = {path.stem: path for path in sorted(FOLDER.glob("*.safetensors")) if path.stem != DENOISER}
     return dict(sorted(files.items(), key=lambda item: (item[0] != _BEST, item[0])))
 
 

@@ -29,6 +29,25 @@ def train(
     print(f"look at {folder / 'validation.png'}, or at the curves: tensorboard --logdir {folder}")
 
 
+def train_denoiser(
+    config: Annotated[
+        Path, Argument(help="training (YAML); `flatlight init --preset denoiser_64` writes one", show_default=False)
+    ],
+    set_: Overrides = None,
+) -> None:
+    """Train the denoiser of plug-and-play ADMM on a data set's clean pictures, or go on where it was interrupted."""
+    from learning.train_denoiser import train_denoiser as run
+    from simulator.console import Bar
+
+    with Bar() as bar:
+        result = run(config, set_ or [], show=bar.update, say=bar.say)
+    best, folder = result.best, result.folder
+    print(f"{folder}: {result.steps} steps, {result.seconds:.0f} s in all")
+    gain = f"PSNR {best['noisy_psnr_db']:.2f} -> {best['psnr_db']:.2f} dB on validation"
+    print(f"best after step {best['step']:.0f}: {gain}; {folder / 'best.safetensors'}")
+    print(f"use it: flatlight reconstruct SAMPLE --method pnp --set denoiser={folder / 'best.safetensors'}")
+
+
 def tune(
     config: Annotated[Path, Argument(help="YAML file: data, methods, noise levels, objective", show_default=False)],
     set_: Overrides = None,

@@ -134,6 +134,11 @@ class NetworkConfig(Section):
     """initial Tikhonov term: response of the inversion's P at frequency zero; 0 is the Laplacian alone"""
 
     @property
+    def numbers(self) -> dict[str, Any]:
+        """The size, and what differs from it: with the name, an architecture."""
+        return {"size": self.size, **self.changes}
+
+    @property
     def changes(self) -> dict[str, Any]:
         """What differs from the size; see `learning.models.build_network`."""
         return {
@@ -202,6 +207,65 @@ class TrainConfig(FileSection):
     """examples in a step, of all processes together"""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """of the U-Net; inversion and loss stay float32. auto takes bfloat16 (autocast), which is faster, on CUDA only"""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """auto takes CUDA where there is some"""
+    validate_every: Annotated[int, Range(1, 10**9)] = 500
+    """steps between validations"""
+    log_every: Annotated[int, Range(1, 10**9)] = 50
+    """steps whose mean is one line of metrics.jsonl and one point in TensorBoard"""
+    checkpoint_every_s: Annotated[float, Range(0, 1e6, "s")] = 60.0
+    """seconds between states that are saved to go on from"""
+
+
+class DenoiserData(Section):
+    """Whose pictures a denoiser learns."""
+
+    train: str = Field(min_length=1)
+    """folder of the data set whose train split is learned from"""
+    validation: str | None = None
+    """folder of the data set whose validation split is measured; the same when left out"""
+    cache: bool | str = True
+    """keep decoded samples: in Flatlight's cache folder (true), in a folder, or not"""
+    workers: Annotated[int, Range(0, 256)] | Literal["auto"] = "auto"
+    """processes that read examples; 0 reads between the steps"""
+
+
+class DenoiserNetwork(Section):
+    """How big the denoiser is; see `learning.layers.naf.NafNet`."""
+
+    name: Literal["denoiser"] = "denoiser"
+    """there is one kind"""
+    filters: Annotated[int, Range(1, 1024)] = 16
+    """channels of the first level; each further one has twice as many"""
+    blocks: Annotated[int, Range(1, 64)] = 1
+    """NAF blocks on each level, each way"""
+    levels: Annotated[int, Range(1, 8)] = 4
+    """how many"""
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """What `learning.models.denoiser.Denoiser` is built with."""
+        return self.model_dump(exclude={"name"})
+
+
+class DenoiserConfig(FileSection):
+    """One training of a denoiser: the prior of plug-and-play methods, learned from clean pictures."""
+
+    name: str = Field("denoiser", min_length=1)
+    """for its record"""
+    output: str = Field(min_length=1)
+    """folder of the checkpoints, the metrics and the state to go on from"""
+    seed: Annotated[int, Range(0, 2**31 - 1)] = 0
+    """of the initial weights, the order of the scenes, what is seen of them and the noise"""
+    data: DenoiserData
+    network: DenoiserNetwork = DenoiserNetwork()
+    optimiser: OptimiserConfig = OptimiserConfig()
+    steps: Annotated[int, Range(1, 10**9)]
+    """batches to learn from; may be raised later, a cosine then starts over higher up: every change is recorded"""
+    batch: Annotated[int, Range(1, 65536)] = 16
+    """pictures in a step, of all processes together"""
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """auto takes bfloat16 (autocast), which is faster, on CUDA only"""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """auto takes CUDA where there is some"""
     validate_every: Annotated[int, Range(1, 10**9)] = 500

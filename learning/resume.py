@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from learning.config import TrainConfig
+from learning.config import FileSection
 from learning.provenance import is_own_folder, read_description
 from simulator.dataset.fingerprint import difference
 from simulator.errors import InputError
@@ -184,7 +184,7 @@ class DivergedError(InputError):
     """A non-finite loss or gradient; the weights before that step are kept."""
 
 
-def portable_command(path: Path | str, overrides: Sequence[str]) -> str:
+def portable_command(path: Path | str, overrides: Sequence[str], command: str = "train") -> str:
     """Return the command of a training, with the last names of paths; other values with a folder in them become ``...``.
 
     A checkpoint says what one needs to make it again, and nothing of the machine's folders.
@@ -193,7 +193,7 @@ def portable_command(path: Path | str, overrides: Sequence[str]) -> str:
         >>> portable_command("/home/ann/net.yaml", ["seed=1", "output=/home/ann/my run", "data={train: /home/ann/set}"])
         "flatlight train net.yaml --set seed=1 --set 'output=my run' --set data=..."
     """
-    words = ["flatlight", "train", Path(path).name]
+    words = ["flatlight", command, Path(path).name]
     for override in overrides:
         key, _, value = override.partition("=")
         if key.strip() in _PATHS:
@@ -204,13 +204,14 @@ def portable_command(path: Path | str, overrides: Sequence[str]) -> str:
     return shlex.join(words)
 
 
-def portable_config(config: TrainConfig) -> dict[str, Any]:
+def portable_config(config: FileSection) -> dict[str, Any]:
     """Return a configuration as plain data, with the last names of paths; the data sets' fingerprints say what they held."""
     plain = config.dump()
     for key in _PATHS:
         section, _, name = key.rpartition(".")
         place = plain[section] if section else plain
-        place[name] = _last_name(place[name]) if isinstance(place[name], str) else place[name]
+        if isinstance(place.get(name), str):
+            place[name] = _last_name(place[name])
     return plain
 
 

@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.data import default_collate
@@ -329,8 +330,14 @@ class Training:
         if step > config.steps:
             raise InputError("steps", f"got {config.steps}, expected at least the {step} that {self.folder} has done")
         self._note_length()
-        self._examples, self._held_out = (open_examples(each, config, say) for each in (plan.train, plan.validation))
+        self._examples, self._held_out = (self._open(each) for each in (plan.train, plan.validation))
         self._workers = count_workers(config, group.world_size)
+
+    def _open(self, dataset: Dataset) -> ExampleSet:
+        return open_examples(dataset, self._config, self._say)
+
+    def _save(self, path: Path, network: Any, **parts: Any) -> None:
+        save_checkpoint(path, network, **parts)
 
     def _note_length(self) -> None:
         """Keep a record of the steps that the learning rate's schedule is stretched over, and say when they change."""
@@ -426,8 +433,7 @@ class Training:
             group["lr"] = group["rate"] * learning_rate(progress.step, config.steps, config.optimiser)
         example = to_device(batch, self._group.device)
         self._optimiser.zero_grad(set_to_none=True)
-        estimate = self._plan.precision.estimate(wrapped, example.measurement)
-        terms: dict[str, Tensor] = self._loss(estimate, *true_estimate(example, self._capture), example.valid)
+        terms = self._terms(wrapped, example)
         terms["total"].backward()
         longest = config.optimiser.gradient_clip or float("inf")
         norm = nn.utils.clip_grad_norm_(self._network.parameters(), longest)
@@ -442,6 +448,10 @@ class Training:
             progress.sums[name] = progress.sums.get(name, 0.0) + value
         progress.counted += 1
         return sums[-1] > 0
+
+    def _terms(self, wrapped: nn.Module, example: Example) -> dict[str, Tensor]:
+        estimate = self._plan.precision.estimate(wrapped, example.measurement)
+        return self._loss(estimate, *true_estimate(example, self._capture), example.valid)
 
     def _refuse(self, terms: dict[str, float], norm: float) -> NoReturn:
         """Raise the error of a non-finite step, with the samples of the processes whose loss it is."""
@@ -470,8 +480,7 @@ class Training:
             log.write(progress.step, "train", means)
 
     def _validate(self, batches: Loader, log: Log | None) -> None:
-        progress, precision = self.progress, self._plan.precision
-        metrics = validate(self._network, batches, self._loss, self._capture, precision=precision, group=self._group)
+        progress, metrics = self.progress, self._metrics(batches)
         if not all(map(math.isfinite, metrics.values())):
             cure = "try precision: float32, or a smaller optimiser.learning_rate, in another output folder"
             reason = f"non-finite metrics ({_listed(metrics)}); {self._kept()}; {cure}"
@@ -484,20 +493,26 @@ class Training:
             log.write(progress.step, "validation", metrics)
             shown = default_collate([self._held_out[n] for n in range(min(SHOWN, len(self._held_out)))])
             example = to_device(shown, self._group.device)
-            log.show(progress.step, draw(self._network, example, self._capture, precision=precision))
+            log.show(progress.step, self._drawn(example))
             if better:
                 self._save_network(BEST)
-        self._say(
-            f"step {progress.step}: validation PSNR {metrics['psnr_db']:.2f} dB, depth RMSE "
-            f"{metrics['depth_rmse_cm']:.2f} cm, loss {metrics['total']:.4g}{' (best)' if better else ''}"
-        )
+        depth = f", depth RMSE {metrics['depth_rmse_cm']:.2f} cm" if "depth_rmse_cm" in metrics else ""
+        errors = f"validation PSNR {metrics['psnr_db']:.2f} dB{depth}, loss {metrics['total']:.4g}"
+        self._say(f"step {progress.step}: {errors}{' (best)' if better else ''}")
+
+    def _metrics(self, batches: Loader) -> dict[str, float]:
+        precision, group = self._plan.precision, self._group
+        return validate(self._network, batches, self._loss, self._capture, precision=precision, group=group)
+
+    def _drawn(self, example: Example) -> NDArray[np.uint8]:
+        return draw(self._network, example, self._capture, precision=self._plan.precision)
 
     def _save_network(self, name: str) -> None:
         config, plan, progress = self._config, self._plan, self.progress
-        save_checkpoint(
+        self._save(
             self.folder / name,
-            self._network,  # pyright: ignore[reportArgumentType]
-            architecture={"network": config.network.name, "size": config.network.size, **config.network.changes},
+            self._network,
+            architecture={"network": config.network.name, **config.network.numbers},
             capture=self._capture,
             record={
                 "name": config.name,

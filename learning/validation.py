@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -35,9 +35,12 @@ def true_estimate(example: Example, capture: CaptureModel) -> Estimate:
     return Estimate(linear_to_srgb(example.radiance, capture.white), disparity)
 
 
-def to_device(example: Example, device: torch.device) -> Example:
-    """Return the example on a device; copies from pinned memory overlap with work there."""
-    return Example(*(values.to(device, non_blocking=True) for values in example))
+Batch = TypeVar("Batch", bound=tuple[Tensor, ...])
+
+
+def to_device(example: Batch, device: torch.device) -> Batch:
+    """Return a named tuple such as an example on a device; copies from pinned memory overlap with work there."""
+    return type(example)(*(values.to(device, non_blocking=True) for values in example))
 
 
 def validate(
