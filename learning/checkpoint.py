@@ -320,6 +320,17 @@ def find_checkpoint(text: str) -> Path:
     raise InputError("--checkpoint", f"got {text!r}, expected an existing file of `flatlight train`, or {known}")
 
 
+def find_denoiser(text: str) -> Path:
+    """Return the file of a denoiser: a path, or the shipped one's by the name ``denoiser``; an InputError says neither is."""
+    path, shipped = expanded(text), FOLDER / f"{DENOISER}.safetensors"
+    if text == DENOISER and not path.is_file():
+        path = shipped
+    if not path.is_file():
+        wanted = "an existing file of `flatlight train-denoiser`, or denoiser, the shipped one, where there is one"
+        raise InputError("denoiser", f"got {text!r}, expected {wanted}")
+    return path
+
+
 def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
     """Put a checkpoint's weights into a network of the same architecture for another camera.
 

@@ -106,7 +106,7 @@ Scene = Option(help="ROWSxCOLUMNS of the result without data set or network; def
 def reconstruct(
     measurement: Annotated[Path, Sample],
     checkpoint: Annotated[str | None, Network] = None,
-    method: Annotated[str | None, Option(help="a classical method instead: cls or admm")] = None,
+    method: Annotated[str | None, Option(help="a classical method instead: cls, admm or pnp")] = None,
     stack: Annotated[str | None, Stack] = None,
     tuned: Annotated[Path | None, Option(help="its parameters: what `flatlight tune` wrote")] = None,
     noise_db: Annotated[float | None, Option(help="PSNR of the measurement, which chooses among the tuned")] = None,

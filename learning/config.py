@@ -318,7 +318,7 @@ class MethodConfig(Section):
     """in tables and figures"""
     checkpoints: list[str] | None = None
     """files, one per seed"""
-    classical: Literal["cls", "admm"] | None = None
+    classical: Literal["cls", "admm", "pnp"] | None = None
     """instead of checkpoints"""
     tuned: str | None = None
     """what `flatlight tune` wrote; parameters of the nearest noise level"""
@@ -328,7 +328,7 @@ class MethodConfig(Section):
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         if (self.checkpoints is None) == (self.classical is None):
-            text = "give either checkpoints (of a network) or classical (cls, admm)"
+            text = "give either checkpoints (of a network) or classical (cls, admm, pnp)"
             raise refusal(text)
         if self.checkpoints is not None:
             if not self.checkpoints or len(set(self.checkpoints)) < len(self.checkpoints):
@@ -481,7 +481,7 @@ class TuneConfig(FileSection):
     """result with all trials; a run that stopped goes on from there"""
     data: TuneData
     """scenes"""
-    methods: list[Literal["cls", "admm"]] = Field(default_factory=lambda: ["cls", "admm"], min_length=1)
+    methods: list[Literal["cls", "admm", "pnp"]] = Field(default_factory=lambda: ["cls", "admm"], min_length=1)
     """classical methods"""
     noise_db: list[Annotated[float, Range(0.1, 120, "dB")]] = Field(
         default_factory=lambda: [20.0, 30.0, 40.0, 50.0], min_length=1

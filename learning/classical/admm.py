@@ -67,7 +67,8 @@ class Admm(nn.Module):
             light: ``scene``: none comes from outside the field that was simulated, the image and its margin; ``anywhere``: it
                 comes from around it, too, on all of a period twice as large, as published: for real captures.
             weights: of the copies of image, gradient and volume (mu1, mu2, mu3 of the publication): how fast it converges,
-                not where to; None takes `planar_weights` for one plane, else `default_weights`.
+                not where to; None takes `planar_weights` for one plane, else `default_weights`. Without a copy of the gradient
+                (0) where ``tv`` is 0.
             dtype: float32 or float64.
 
         Raises:
@@ -78,7 +79,10 @@ class Admm(nn.Module):
         for name, value in (("tv", tv), ("sparsity", sparsity)):
             if not 0 <= value < np.inf:
                 raise InputError(name, f"got {value!r}, expected a finite number that is not negative")
-        if weights is not None and (len(weights) != 3 or not all(0 < weight < np.inf for weight in weights)):
+        least = (0, 0 if tv > 0 else -1, 0)
+        if weights is not None and (
+            len(weights) != 3 or not all(a < b < np.inf for a, b in zip(least, weights, strict=True))
+        ):
             raise InputError("weights", f"got {weights}, expected three positive numbers")
         if iterations < 1:
             raise InputError("iterations", f"got {iterations}, expected at least 1")
@@ -108,8 +112,8 @@ class Admm(nn.Module):
         target = ((measurement.to(self.scale) - self.offset) * self.scale)[:, None]
         at = self._start(target)
         with threads_for(at.new.volume.numel()):
-            for _ in range(self.iterations):
-                at = self._step(at, target)
+            for number in range(self.iterations):
+                at = self._step(at, target, number)
             # The copy of the volume, not the volume itself: it keeps the constraints exactly.
             inside = self.grid.light
             return self.grid.inverse(at.volume)[inside] + at.old.volume[inside] - at.new.volume[inside]
@@ -120,35 +124,49 @@ class Admm(nn.Module):
         volume = spectrum.new_zeros((batch, len(spectrum), channels, *spectrum.shape[-2:]))
         dark = target.new_zeros((batch, len(spectrum), channels, *self.grid.shape))
         zero = Parts(torch.zeros_like(target), *differences(dark[self.grid.light]), dark)
-        return Iterate(
-            volume, torch.zeros_like(volume[:, :1]), zero, zero._replace(image=-target / (1 + self.weights[0]))
-        )
+        seen = zero._replace(image=-target / (1 + self.weights[0]))
+        return Iterate(volume, torch.zeros_like(volume[:, :1]), zero, seen)
 
-    def _step(self, at: Iterate, target: Tensor) -> Iterate:
+    def _step(self, at: Iterate, target: Tensor, number: int) -> Iterate:
         """Return the next iterate."""
-        of_image, of_gradient, of_volume = self.weights
-        move = Parts(*(torch.sub(old, new, alpha=2) for old, new in zip(at.old, at.new, strict=True)))
-        pull = move.volume.mul_(of_volume)
-        add_adjoint(pull[self.grid.light], of_gradient * move.rows, of_gradient * move.columns)
-        step, seen = self.grid.solve(
-            torch.fft.rfft2(pull), torch.fft.rfft2(of_image * move.image, self.grid.shape), self.weights
-        )
+        weights, rescaled = self._weights(number)
+        of_image, of_gradient, of_volume = weights
+        # Scaled by another weight than before, the volume's multiplier is another number.
+        new = at.new if rescaled == 1 else at.new._replace(volume=at.new.volume * rescaled)
+        pull = torch.sub(at.old.volume, at.new.volume, alpha=1 + rescaled).mul_(of_volume)
+        if of_gradient:
+            moves = (torch.sub(old, new, alpha=2) for old, new in zip(at.old[1:3], at.new[1:3], strict=True))
+            add_adjoint(pull[self.grid.light], *(move.mul_(of_gradient) for move in moves))
+        image = torch.sub(at.old.image, at.new.image, alpha=2).mul_(of_image)
+        step, seen = self.grid.solve(torch.fft.rfft2(pull), torch.fft.rfft2(image, self.grid.shape), weights)
         volume, image = step.add_(at.volume), seen.add_(at.image)
-        return Iterate(volume, image, at.new, self._multipliers(volume, image, at.new, target))
+        return Iterate(volume, image, new, self._multipliers(volume, image, new, target, number))
 
-    def _multipliers(self, volume: Tensor, image: Tensor, old: Parts, target: Tensor) -> Parts:
+    def _multipliers(self, volume: Tensor, image: Tensor, old: Parts, target: Tensor, number: int) -> Parts:
         """Return U after a step."""
-        of_image, of_gradient, of_volume = self.weights
+        (of_image, of_gradient, _), _ = self._weights(number)
         light = self.grid.inverse(volume)
-        limit = self.tv / of_gradient
-        rows, columns = (
-            part.add_(multiplier).clamp_(-limit, limit)
-            for part, multiplier in zip(differences(light[self.grid.light]), (old.rows, old.columns), strict=True)
-        )
+        rows, columns = old.rows, old.columns
+        if of_gradient:
+            limit = self.tv / of_gradient
+            rows, columns = (
+                part.add_(multiplier).clamp_(-limit, limit)
+                for part, multiplier in zip(differences(light[self.grid.light]), (rows, columns), strict=True)
+            )
         seen = self.grid.inverse(image)[self.grid.sensor]
         light = light.add_(old.volume)
-        light[self.grid.light].clamp_max_(self.sparsity / of_volume)
+        self._leave_multiplier(light[self.grid.light], number)
         return Parts((seen + old.image).sub_(target).div_(1 + of_image), rows, columns, light)
+
+    def _weights(self, number: int) -> tuple[tuple[float, float, float], float]:
+        """Return the weights of a step, and the volume's before it over this one; here the same for all steps."""
+        del number
+        return self.weights, 1.0
+
+    def _leave_multiplier(self, light: Tensor, number: int) -> None:
+        """Take the volume's copy prox(A S + U) from A S + U, given, in place; here of sparsity and non-negativity."""
+        del number
+        light.clamp_max_(self.sparsity / self.weights[2])
 
 
 def default_weights(tv: float) -> tuple[float, float, float]:

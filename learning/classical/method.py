@@ -1,4 +1,4 @@
-"""The classical methods: a volume by least squares or ADMM, depth from it by a graph cut, and the all-in-focus image."""
+"""The classical methods: a volume by least squares or ADMM, also with a denoiser as prior; a graph cut and the image."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from learning.camera import CaptureModel
 from learning.classical.admm import Admm
 from learning.classical.focus import COSTS, LIGHT, MEASURES, assemble, unary_cost
 from learning.classical.graph_cut import cut_labels
+from learning.classical.plug_and_play import PlugAndPlay
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.padding import as_pairs, from_pairs
 from learning.method import Clock, Estimate, check_choices, linear_to_srgb
@@ -55,8 +56,9 @@ class ConstrainedLeastSquares(RegularisedInversion):
 VOLUME_PARAMETERS: dict[str, tuple[str, ...]] = {
     "cls": ("regularisation_lambda", "tikhonov"),
     "admm": ("tv", "sparsity", "iterations"),
+    "pnp": ("denoiser", "prior", "noise_first", "noise_last", "iterations"),
 }
-"""Parameters of `ConstrainedLeastSquares` and `Admm`; all others are of `ClassicalMethod`."""
+"""Parameters of `ConstrainedLeastSquares`, `Admm` and `PlugAndPlay`; all others are of `ClassicalMethod`."""
 
 DEFAULTS: dict[str, dict[str, Value]] = {
     "cls": {
@@ -74,6 +76,20 @@ DEFAULTS: dict[str, dict[str, Value]] = {
         "tv": 0.02,
         "sparsity": 0.01,
         "iterations": 60,
+        "cost": "spread",
+        "measure": "light",
+        "contrast": 0.75,
+        "window_px": 1.0,
+        "pairwise": 0.2,
+        "steps_between_planes": 4,
+        "light": "sum",
+    },
+    "pnp": {
+        "denoiser": "denoiser",
+        "prior": 1e-4,
+        "noise_first": 0.1,
+        "noise_last": 0.005,
+        "iterations": 24,
         "cost": "spread",
         "measure": "light",
         "contrast": 0.75,
@@ -109,18 +125,37 @@ SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
         "contrast": (0.25, 0.5, 0.75, 1.0, 2.0),
         **_SEARCH_OF_DEPTH,
     },
+    "pnp": {
+        "prior": (3e-5, 1e-4, 3e-4, 1e-3),
+        "noise_first": (0.05, 0.1, 0.2),
+        "noise_last": (0.005, 0.01, 0.02),
+        "iterations": (12, 24, 48),
+        "cost": COSTS,
+        "measure": MEASURES,
+        "contrast": (0.25, 0.5, 0.75, 1.0, 2.0),
+        **_SEARCH_OF_DEPTH,
+    },
 }
 """Candidates for tuning, coarse, in the order of the search; numbers increase."""
 
 PLANAR_DEFAULTS: dict[str, dict[str, Value]] = {
     "cls": {"regularisation_lambda": 1e-2, "tikhonov": 0.0},
     "admm": {"tv": 0.1, "sparsity": 0.01, "iterations": 60, "light": "anywhere"},
+    "pnp": {
+        "denoiser": "denoiser",
+        "prior": 1e-4,
+        "noise_first": 0.1,
+        "noise_last": 0.005,
+        "iterations": 24,
+        "light": "anywhere",
+    },
 }
 """Of one plane. ADMM lets light from around the image in: a real scene does not end where the image does."""
 
 _VOLUMES: dict[str, tuple[Callable[..., nn.Module], str, str]] = {
     "cls": (ConstrainedLeastSquares, "CLS + graph cut", "inversion"),
     "admm": (Admm, "ADMM + graph cut", "admm"),
+    "pnp": (PlugAndPlay, "plug-and-play ADMM + graph cut", "pnp"),
 }
 
 
@@ -236,7 +271,7 @@ class ClassicalMethod:
 
 
 def build_classical(capture: CaptureModel, name: str, parameters: Mapping[str, Value] | None = None) -> ClassicalMethod:
-    """Return ``cls`` or ``admm`` for a camera, with `DEFAULTS` for the parameters that are not given.
+    """Return ``cls``, ``admm`` or ``pnp`` for a camera, with `DEFAULTS` for the parameters that are not given.
 
     Raises:
         InputError: another name, a parameter that the method does not have, or a value that it refuses.

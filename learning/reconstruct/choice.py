@@ -74,7 +74,7 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
     if request.checkpoint is not None:
         return _learned(measurement, find_checkpoint(request.checkpoint), request)
     if request.stack or request.tuned or request.parameters:
-        raise InputError("--method", "missing; --stack, --tuned and --set are for cls and admm: add one of them")
+        raise InputError("--method", "missing; --stack, --tuned and --set are for cls, admm and pnp: add one of them")
     refused: list[str] = []
     for name, path in shipped_checkpoints().items():
         try:
@@ -82,7 +82,7 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
         except InputError as error:
             refused.append(f"{name}: {error}")
     reasons = "; ".join(refused) or "none is shipped"
-    cure = "Give --checkpoint FILE of a network for this camera, or --method cls or admm with --stack, its PSFs"
+    cure = "Give --checkpoint FILE of a network for this camera, or --method cls, admm or pnp with --stack, its PSFs"
     raise InputError(measurement.path, f"no shipped checkpoint fits ({reasons}). {cure}")
 
 
@@ -119,7 +119,7 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
 
 def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
     if name not in DEFAULTS:
-        raise InputError("--method", f"got {name!r}, expected cls or admm; a network is named by --checkpoint")
+        raise InputError("--method", f"got {name!r}, expected cls, admm or pnp; a network is named by --checkpoint")
     capture, numbers_from, dataset = camera_of(measurement, request)
     _check_fit(measurement, capture, f"the stack {request.stack or 'of the data set'}")
     if request.scene is not None and capture.scene_shape != request.scene:

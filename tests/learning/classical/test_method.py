@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
+from learning.checkpoint import save_denoiser
 from learning.classical.admm import Admm
 from learning.classical.focus import assemble, unary_cost
 from learning.classical.graph_cut import cut_labels
 from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, ConstrainedLeastSquares, build_classical
+from learning.classical.plug_and_play import PlugAndPlay
 from learning.method import Clock
+from learning.models.denoiser import Denoiser
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
 
@@ -22,15 +27,26 @@ def measurement():
     return torch.from_numpy(np.random.default_rng(0).uniform(size=(2, 3, 48, 48)).astype(np.float32))
 
 
+@pytest.fixture
+def denoiser(tmp_path):
+    """The parameter of ``pnp`` that names a denoiser that has learned nothing."""
+    size = {"filters": 2, "blocks": 1, "levels": 2}
+    torch.manual_seed(0)
+    save_denoiser(tmp_path / "d.safetensors", Denoiser(**size), architecture={"network": "denoiser", **size}, record={})
+    return {"denoiser": str(tmp_path / "d.safetensors")}
+
+
 @pytest.mark.parametrize(
     ("name", "given", "volume_method", "stage"),
     [
         ("cls", {"regularisation_lambda": 0.05, "tikhonov": 0.2}, ConstrainedLeastSquares, "inversion"),
         ("admm", {"tv": 0.02, "sparsity": 0.03, "iterations": 3}, Admm, "admm"),
+        ("pnp", {"prior": 0.01, "noise_first": 0.1, "noise_last": 0.03, "iterations": 3}, PlugAndPlay, "pnp"),
     ],
 )
-def test_is_volume_graph_cut_and_assembly(tiny_capture, measurement, name, given, volume_method, stage):
+def test_is_volume_graph_cut_and_assembly(tiny_capture, measurement, denoiser, name, given, volume_method, stage):
     """Each given parameter arrives where it belongs; the labels are those of the energy that the parameters say."""
+    given |= denoiser if name == "pnp" else {}
     depth = {"cost": "defocus", "measure": "gradient", "contrast": 0.9, "window_px": 1.5, "steps_between_planes": 1}
     depth |= {"pairwise": 1.2, "light": "sum"}
     method = build_classical(tiny_capture, name, given | depth)
@@ -50,8 +66,9 @@ def test_is_volume_graph_cut_and_assembly(tiny_capture, measurement, name, given
 
 
 @pytest.mark.parametrize("name", DEFAULTS)
-def test_scenes_of_a_batch_do_not_touch(tiny_capture, measurement, name):
-    method = build_classical(tiny_capture, name, {"iterations": 3} if name == "admm" else {})
+def test_scenes_of_a_batch_do_not_touch(tiny_capture, measurement, denoiser, name):
+    few: dict[str, Any] = {"admm": {"iterations": 3}, "pnp": {"iterations": 3, **denoiser}}
+    method = build_classical(tiny_capture, name, few.get(name))
     both = method.reconstruct(measurement)
     for scene in range(2):
         one = method.reconstruct(measurement[scene : scene + 1])
@@ -61,14 +78,15 @@ def test_scenes_of_a_batch_do_not_touch(tiny_capture, measurement, name):
 
 
 @pytest.mark.parametrize("name", DEFAULTS)
-def test_every_candidate_builds(tiny_capture, name):
+def test_every_candidate_builds(tiny_capture, denoiser, name):
+    given = denoiser if name == "pnp" else {}
     assert set(SEARCH[name]) <= set(DEFAULTS[name])
-    assert set(VOLUME_PARAMETERS[name]) <= set(SEARCH[name])
+    assert set(VOLUME_PARAMETERS[name]) <= {*SEARCH[name], *given}
     for parameter, values in SEARCH[name].items():
         numbers = [value for value in values if not isinstance(value, str)]
         assert numbers == sorted(set(numbers))
         for value in values:
-            build_classical(tiny_capture, name, {parameter: value})
+            build_classical(tiny_capture, name, {parameter: value, **given})
 
 
 @pytest.mark.parametrize("steps", [1, 4])

@@ -1,0 +1,88 @@
+"""Plug-and-play ADMM: the volume that explains one measurement and that a denoiser finds nothing wrong with, plane by plane.
+
+Venkatakrishnan et al., Plug-and-Play Priors for Model Based Reconstruction, GlobalSIP 2013: in place of the proximal step of
+a penalty, a denoiser, followed here by the projection onto S >= 0. The splitting, the grid and the units are those of
+`learning.classical.admm`, without total variation and sparsity.
+
+With ``prior`` times an unknown penalty R and a weight c of the volume's copy, prox of prior R / c is a denoiser for noise of
+variance prior / c. As in DPIR (Zhang et al., Plug-and-Play Image Restoration with Deep Denoiser Prior, TPAMI 2021, section
+4.2) the noise falls from step to step, evenly in its logarithm, and c = prior / noise^2 rises: coarse structure first.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from learning.camera import CaptureModel
+from learning.checkpoint import find_denoiser, load_denoiser
+from learning.classical.admm import Admm
+from simulator.errors import InputError
+
+
+class PlaneDenoiser(Protocol):
+    """What a prior is: see `learning.models.denoiser.Denoiser.planes`."""
+
+    def planes(self, volume: Tensor, noise: float) -> Tensor:
+        """Return volumes ``(B, K, C, h, w)``, 1 for white, without noise of this standard deviation."""
+        ...
+
+
+class PlugAndPlay(Admm):
+    """Volumes of all planes at once from measurements; see `learning.classical.admm.Admm`."""
+
+    def __init__(
+        self,
+        capture: CaptureModel,
+        *,
+        denoiser: str | PlaneDenoiser,
+        prior: float,
+        noise_first: float,
+        noise_last: float,
+        iterations: int,
+        light: Literal["scene", "anywhere"] = "scene",
+        image_weight: float = 0.5,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        """Prepare the spectra and read the denoiser.
+
+        Args:
+            capture: the camera.
+            denoiser: file of `flatlight train-denoiser`, ``denoiser`` for the shipped one, or one that is ready.
+            prior: weight of the prior against half the squared misfit.
+            noise_first: standard deviation of the noise that the first step takes away, 1 for white.
+            noise_last: of the last step.
+            iterations: of each call.
+            light: see `Admm`.
+            image_weight: of the copy of the image: how fast it converges, not where to.
+            dtype: float32 or float64.
+
+        Raises:
+            InputError: no such denoiser, or numbers that are not positive.
+        """
+        for name, value in (("prior", prior), ("noise_first", noise_first), ("noise_last", noise_last)):
+            if not 0 < value < np.inf:
+                raise InputError(name, f"got {value!r}, expected a positive number")
+        weights = (image_weight, 0.0, prior / noise_first**2)
+        super().__init__(
+            capture, tv=0.0, sparsity=0.0, iterations=iterations, light=light, weights=weights, dtype=dtype
+        )
+        if isinstance(denoiser, str):
+            denoiser, _ = load_denoiser(find_denoiser(denoiser))
+        if isinstance(denoiser, nn.Module):
+            denoiser = denoiser.to(dtype)
+        self.denoiser = denoiser
+        self.noise = np.geomspace(noise_first, noise_last, iterations).tolist()
+        self._prior = prior
+
+    def _weights(self, number: int) -> tuple[tuple[float, float, float], float]:
+        """Return the weights of a step, and the volume's before it over this one."""
+        now, before = self.noise[number], self.noise[max(number - 1, 0)]
+        return (self.weights[0], 0.0, self._prior / now**2), (now / before) ** 2
+
+    def _leave_multiplier(self, light: Tensor, number: int) -> None:
+        """Take the denoised copy, not below zero, from the volume plus its multiplier."""
+        light.sub_(self.denoiser.planes(light, self.noise[number]).clamp_min_(0))
