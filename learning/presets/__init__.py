@@ -10,7 +10,7 @@ def preset_texts() -> dict[str, str]:
 
     Example:
         >>> [name for name in preset_texts() if name.endswith("_64")]
-        ['endoscopy_fine_tuning_64', 'evaluate_64', 'flatnet2d_64', 'flatnet3d_64', 'tune_64']
+        ['denoiser_64', 'endoscopy_fine_tuning_64', 'evaluate_64', 'flatnet2d_64', 'flatnet3d_64', 'tune_64']
     """
     found = sorted((entry for entry in files(__name__).iterdir() if entry.name.endswith(".yaml")), key=lambda e: e.name)
     return {entry.name.removesuffix(".yaml"): entry.read_text(encoding="utf-8") for entry in found}

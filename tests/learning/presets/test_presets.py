@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from learning.config import EvaluateConfig, TrainConfig, TuneConfig, load_file
+from learning.config import DenoiserConfig, EvaluateConfig, TrainConfig, TuneConfig, load_file
 from learning.presets import preset_texts
 from simulator.config import load_config
 from simulator.presets import preset_names, preset_text
@@ -16,9 +16,10 @@ from simulator.presets import preset_names, preset_text
 @pytest.mark.parametrize("name", sorted(name for name, text in preset_texts().items() if "\n# Train: " in text))
 def test_preset(name: str, tmp_path: Path) -> None:
     text = preset_texts()[name]
-    config = load_file(TrainConfig, _written(name, tmp_path))
+    denoiser = name.startswith("denoiser")
+    config = load_file(DenoiserConfig if denoiser else TrainConfig, _written(name, tmp_path))
     assert text.startswith("# ")
-    assert "flatlight train FILE" in text
+    assert f"flatlight {'train-denoiser' if denoiser else 'train'} FILE" in text
     assert config.output == f"out/{name}"
     outputs = {yaml.safe_load(preset_text(each))["dataset"]["output"] for each in preset_names()}
     assert config.data.train in outputs  # what `flatlight generate` writes beside it

@@ -1,0 +1,105 @@
+"""Pictures that a denoiser learns from, and its training: it learns, and goes on as if it had never stopped."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from learning.camera import CaptureModel
+from learning.checkpoint import load_denoiser
+from learning.config import DenoiserConfig
+from learning.data import Draw, ExampleSet
+from learning.pictures import Pictures
+from learning.resume import BEST, LAST
+from learning.train_denoiser import train_denoiser
+from simulator.dataset import open_dataset
+from simulator.errors import InputError
+
+pytestmark = pytest.mark.usefixtures("ctrl_c")
+
+
+@pytest.fixture
+def pictures(tiny_dataset: Path, tiny_camera: CaptureModel) -> Pictures:
+    return Pictures(ExampleSet(open_dataset(tiny_dataset, "train")), tiny_camera, (0.01, 0.3), seed=0)
+
+
+def test_pictures_are_decided_by_seed_sample_and_draw(pictures: Pictures) -> None:
+    one, same, other = (pictures[Draw(3, number)] for number in (5, 5, 6))
+    assert all(torch.equal(a, b) for a, b in zip(one, same, strict=True))
+    assert not torch.equal(one.noisy, other.noisy)
+
+
+def test_noise_is_white_and_as_strong_as_said(pictures: Pictures) -> None:
+    drawn = [pictures[Draw(n % 32, n)] for n in range(200)]
+    levels = np.array([float(each.noise) for each in drawn])
+    assert levels.min() >= 0.01
+    assert levels.max() <= 0.3
+    # Uniform in the logarithm: its mean is that of the ends, with a standard error of log(30) / sqrt(12 x 200)
+    assert abs(np.log(levels).mean() - np.log(0.01 * 0.3) / 2) < 3 * np.log(30) / (12 * 200) ** 0.5
+    units = torch.stack([(each.noisy - each.clean) / each.noise for each in drawn])
+    assert float(units.std()) == pytest.approx(1, abs=0.01)  # 150 000 numbers: 0.002
+    assert abs(float(units.mean())) < 0.01
+
+
+def test_pictures_are_whole_or_one_plane_of_linear_light(pictures: Pictures, tiny_camera: CaptureModel) -> None:
+    """Light over white in the camera's colours with vignetting, less where other planes have their share; never more."""
+    field = tiny_camera.irradiance / tiny_camera.irradiance.max() / tiny_camera.white
+    colours = torch.from_numpy(tiny_camera.scene_to_camera).float()
+    shares = []
+    for number in range(200):
+        position = number % 32
+        radiance = pictures._examples[position].radiance
+        whole = torch.einsum("ca,ahw->chw", colours, radiance) * torch.from_numpy(field)
+        clean = pictures[Draw(position, number)].clean
+        assert float(clean.min()) >= 0
+        shares.append(float(clean.sum() / whole.sum()))
+    # Times a brightness of 0.4 to 1.6: whole ones lie within, and planes below what a whole one has at least.
+    assert max(shares) < 1.6
+    assert sum(share > 0.4 for share in shares) > 0.2 * 200
+    assert sum(share < 0.4 for share in shares) > 0.2 * 200
+
+
+@pytest.fixture
+def denoiser_settings(tiny_dataset: Path, tmp_path: Path) -> Callable[..., DenoiserConfig]:
+    def make(output: str = "out", **changes: Any) -> DenoiserConfig:
+        plain: dict[str, Any] = {"output": str(tmp_path / output), "seed": 3, "device": "cpu"}
+        plain |= {"data": {"train": str(tiny_dataset), "cache": False, "workers": 0}}
+        plain |= {"network": {"filters": 4, "levels": 2}, "steps": 5, "batch": 4, "validate_every": 2, "log_every": 1}
+        return DenoiserConfig.model_validate(plain | changes)
+
+    return make
+
+
+def test_learns(denoiser_settings: Callable[..., DenoiserConfig]) -> None:
+    config = denoiser_settings(steps=30, validate_every=30, optimiser={"learning_rate": 1e-2})
+    best = train_denoiser(config).best
+    assert best["psnr_db"] > best["noisy_psnr_db"] + 2  # dB
+    _, record = load_denoiser(Path(config.output) / BEST)
+    assert record["data sets"]["train"]["samples"] == 32
+    assert record["step"] == best["step"]
+
+
+def test_goes_on_as_if_it_had_never_stopped(denoiser_settings: Callable[..., DenoiserConfig]) -> None:
+    def stop(stage: str, done: int, total: int) -> None:
+        if done == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    whole, parts = denoiser_settings("whole"), denoiser_settings("parts")
+    train_denoiser(whole)
+    with pytest.raises(KeyboardInterrupt):
+        train_denoiser(parts, show=stop)
+    assert train_denoiser(parts).steps == 3
+    one, two = (load_denoiser(Path(each.output) / LAST)[0].state_dict() for each in (whole, parts))
+    assert all(torch.equal(one[name], two[name]) for name in one)
+
+
+def test_refuses_another_training_in_its_folder(denoiser_settings: Callable[..., DenoiserConfig]) -> None:
+    train_denoiser(denoiser_settings(steps=1))
+    with pytest.raises(InputError, match=r"^output: "):
+        train_denoiser(denoiser_settings(steps=1, seed=4))
