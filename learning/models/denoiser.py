@@ -16,6 +16,8 @@ from learning.layers.naf import NafNet
 
 NOISE_RANGE = (0.002, 0.5)
 """Least and greatest standard deviation that it is trained for, 1 for white."""
+BRIGHTEST = 4.0
+"""Peak of pictures, 1 for white, up to which it is used as trained."""
 _SPREAD = 0.25  # about the root mean square of clean pictures and planes
 SIZE = {"filters": 16, "blocks": 1, "levels": 4}
 
@@ -42,11 +44,15 @@ class Denoiser(nn.Module):
         return (_SPREAD / both) ** 2 * picture + noise * _SPREAD / both * found
 
     def planes(self, volume: Tensor, noise: float) -> Tensor:
-        """Return volumes ``(B, K, C, h, w)``, each plane by itself; other than three channels as grey pictures, one each."""
+        """Return volumes ``(B, K, C, h, w)``, each plane by itself; other than three channels as grey pictures, one each.
+
+        What is brighter than anything it was trained on is seen darker, and the noise with it.
+        """
         pictures = volume.flatten(0, 1)
         if grey := volume.shape[2] != 3:
             pictures = pictures.flatten(0, 1)[:, None].expand(-1, 3, -1, -1)
-        found = self(pictures, pictures.new_full((len(pictures),), noise))
+        times = (pictures.amax(dim=(1, 2, 3)) / BRIGHTEST).clamp_min(1)
+        found = self(pictures / times[:, None, None, None], noise / times) * times[:, None, None, None]
         return (found.mean(dim=1) if grey else found).reshape(volume.shape)
 
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.utils.data import default_collate
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white
+from learning.checkpoint import find_denoiser
 from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
 from learning.config import FEWEST_SCENES, TuneConfig
 from learning.data import Example, ExampleSet, check_dataset
@@ -26,7 +27,7 @@ from simulator import __version__
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.io.cache import code_digest
-from simulator.io.files import sha256_bytes, storage_errors
+from simulator.io.files import sha256_bytes, sha256_file, storage_errors
 from simulator.io.json import canonical_json
 from simulator.validation import now_called
 
@@ -107,6 +108,8 @@ def tune_file(
         "version": __version__,
         "code": code_digest(*_DECIDING),
     }
+    if "pnp" in config.methods:
+        identity["denoiser"] = sha256_file(find_denoiser(str(DEFAULTS["pnp"]["denoiser"])))
     about = {
         "config": config.dump(),
         "scenes": data.scenes,

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from learning.checkpoint import find_denoiser, load_checkpoint, load_denoiser, save_denoiser, shipped_checkpoints
-from learning.models.denoiser import NOISE_RANGE, Denoiser, DenoisingLoss
+from learning.models.denoiser import BRIGHTEST, NOISE_RANGE, Denoiser, DenoisingLoss
 from simulator.errors import InputError
 
 SIZE = {"filters": 4, "blocks": 1, "levels": 2}
@@ -53,6 +53,15 @@ def test_planes_are_pictures_one_by_one(network: Denoiser, channels: int) -> Non
     assert found.shape == volume.shape
     expected = one if channels == 3 else one.mean(dim=0, keepdim=True)
     torch.testing.assert_close(found[1, 4, : len(expected)], expected)
+
+
+def test_brightness_beyond_white_is_only_a_factor(network: Denoiser) -> None:
+    """A point a thousand times as bright as white, in as much more noise, is the same picture."""
+    volume = torch.rand(1, 2, 3, 8, 8)
+    volume[..., 3, 4] = BRIGHTEST
+    with torch.no_grad():
+        bright, plain = network.planes(1000 * volume, 100.0), network.planes(volume, 0.1)
+    torch.testing.assert_close(bright / 1000, plain)
 
 
 def test_loss_weighs_all_noise_levels_alike(network: Denoiser) -> None:

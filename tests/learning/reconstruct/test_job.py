@@ -172,7 +172,7 @@ def planar_scene(tmp_path: Path, channels: int) -> tuple[Path, Path, np.ndarray]
     return tmp_path / "m.tif", tmp_path / "psf.npy", scene
 
 
-@pytest.mark.parametrize("method", ["cls", "admm"])
+@pytest.mark.parametrize("method", ["cls", "admm", "pnp"])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_the_image_of_one_psf_gives_a_image_and_no_depth(tmp_path: Path, method: str, channels: int) -> None:
     path, psf, scene = planar_scene(tmp_path, channels)
@@ -194,7 +194,7 @@ def test_the_image_of_one_psf_gives_a_image_and_no_depth(tmp_path: Path, method:
 
 
 @pytest.mark.parametrize("several", [False, True])
-@pytest.mark.parametrize("method", ["cls", "admm"])
+@pytest.mark.parametrize("method", ["cls", "admm", "pnp"])
 def test_a_sparse_bright_target_is_not_clipped(tmp_path: Path, tiny_capture: Any, method: str, several: bool) -> None:
     """Two points, one five times as bright: far above twice the mean radiance, which once was the brightest of the EXR."""
     stack = tiny_capture.stack

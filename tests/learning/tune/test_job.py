@@ -244,7 +244,7 @@ def test_lines_and_table_say_when_nothing_was_learned(truth: Truth, score: Score
 def test_searches_of_classical_methods_have_limits(tiny_capture: CaptureModel, tmp_path: Path) -> None:
     search = {"cls": {"regularisation_lambda": {"values": [1.0]}, "pairwise": {"high": 5000}}}
     config = load_file(TuneConfig, write_config(tmp_path, tmp_path, search=search))
-    for name in ("cls", "admm"):
+    for name in ("cls", "admm", "pnp"):
         axes = classical(tiny_capture, name, config, torch.device("cpu")).space
         for parameter, axis in axes.items():
             assert not axis.is_number or np.isfinite(axis.high), parameter
