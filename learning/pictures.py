@@ -40,7 +40,7 @@ class Pictures(TorchDataset[NoisyPicture]):
         """Take pictures of scenes, with noise whose standard deviation lies log-uniformly between two numbers."""
         self.dataset, self._examples = examples.dataset, examples
         self._noise, self._seed = noise, seed
-        field = capture.irradiance / capture.irradiance.max() / capture.white
+        field = capture.scene_irradiance / capture.scene_irradiance.max() / capture.white
         self._colours = (capture.scene_to_camera[:, :, None, None] * field).astype(np.float32)
         self._disparities = (1 / capture.near_m, 1 / capture.far_m)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -93,7 +94,7 @@ class DenoiserTraining(Training):
         return self._loss(self._denoised(wrapped, example), example.clean, example.noise)
 
     def _metrics(self, batches: Loader) -> dict[str, float]:
-        """Return means over the validation pictures: the loss, PSNR of linear light before and after."""
+        """Return means over the validation pictures: the loss, PSNR of linear light before and after, and the score."""
         sums, count = torch.zeros(3, dtype=torch.float64, device=self._group.device), 0
         self._network.eval()
         with torch.inference_mode():
@@ -107,7 +108,9 @@ class DenoiserTraining(Training):
         self._network.train()
         sums = self._group.add(sums)
         every = float(self._group.add(sums.new_tensor(count)))
-        return dict(zip(("total", "psnr_db", "noisy_psnr_db"), (sums / every).tolist(), strict=True))
+        total, psnr_db, noisy_db = (sums / every).tolist()
+        # Chosen by the loss: over levels of noise from faint to strong, PSNR says little.
+        return {"total": total, "psnr_db": psnr_db, "noisy_psnr_db": noisy_db, "score_db": -20 * math.log10(total)}
 
     def _drawn(self, example: Any) -> NDArray[np.uint8]:
         """Return an image: a row per picture, clean, noisy, denoised."""

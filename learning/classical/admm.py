@@ -67,8 +67,8 @@ class Admm(nn.Module):
             light: ``scene``: none comes from outside the field that was simulated, the image and its margin; ``anywhere``: it
                 comes from around it, too, on all of a period twice as large, as published: for real captures.
             weights: of the copies of image, gradient and volume (mu1, mu2, mu3 of the publication): how fast it converges,
-                not where to; None takes `planar_weights` for one plane, else `default_weights`. Without a copy of the gradient
-                (0) where ``tv`` is 0.
+                not where to; None takes `planar_weights` for one plane, else `default_weights`. Where ``tv`` is 0, a 0 leaves
+                the gradient's copy out.
             dtype: float32 or float64.
 
         Raises:
