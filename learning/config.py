@@ -276,7 +276,6 @@ class DenoiserConfig(FileSection):
     """seconds between states that are saved to go on from"""
 
 
-_SET = "<set>"
 Decibels = Annotated[float, Range(0, 100, "dB")]
 Count = Annotated[int, Range(1, 10_000_000, below="at least one")]
 
@@ -357,6 +356,9 @@ class Drawing(Section):
 
     montage: Annotated[int, Range(0, 100)] = 4
     """scenes side by side with all estimates; 0: none"""
+
+
+_SET = "<set>"  # in paths: the name of the data set that is evaluated on
 
 
 class EvaluateConfig(FileSection):

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -201,7 +202,6 @@ class Plan:
         command: that started it; None where it was called from Python.
         capture: the camera, with the PSFs that the inversion knows and the reference white.
         data: what decides the numbers, of data sets and camera, plain.
-        scenes: what was seen of each split, see `learning.provenance.scenes_of`; an evaluation must not test on these.
         init_from: the checkpoint that it begins with, known by its content: a path says nothing of what lay there. With what
             its network had learned from.
         taken: lines that say what was taken from that checkpoint.
@@ -215,12 +215,16 @@ class Plan:
     validation: Dataset
     capture: CaptureModel
     data: dict[str, Any]
-    scenes: dict[str, list[str]]
     precision: Precision
     init_from: dict[str, Any] | None
     taken: list[str]
     network: FlatNet
     loss: ReconstructionLoss
+
+    @cached_property
+    def scenes(self) -> dict[str, list[str]]:
+        """What is seen of each split, see `learning.provenance.scenes_of`: an evaluation must not test on these."""
+        return {each.split: scenes_of(each) for each in (self.train, self.validation)}
 
 
 def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Plan:
@@ -248,10 +252,7 @@ def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Pla
         taken = [f"{path.name}: {line}" for line in transfer(network, known)]
         init_from = {"sha256": sha256_file(path), "architecture": known.architecture, "file": path.name}
         init_from |= {key: known.record.get(key) for key in ("data sets", "scenes", "init_from")}
-    scenes = {each.split: scenes_of(each) for each in (train, validation)}
-    return Plan(
-        config, group, command, train, validation, capture, data, scenes, precision, init_from, taken, network, loss
-    )
+    return Plan(config, group, command, train, validation, capture, data, precision, init_from, taken, network, loss)
 
 
 @contextmanager
