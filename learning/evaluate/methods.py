@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from learning.camera import CaptureModel
-from learning.checkpoint import load_checkpoint
+from learning.checkpoint import find_denoiser, load_checkpoint, load_denoiser
 from learning.classical.method import DEFAULTS, build_classical
 from learning.config import EvaluateConfig, MethodConfig
 from learning.evaluate.outcome import Kind
@@ -71,9 +71,16 @@ class ClassicalEntry:
     capture: None = None
     kind: Kind = "classical"
 
+    @property
+    def denoiser(self) -> Path | None:
+        """The file of the denoiser that it trusts, where it has one; levels of noise share it."""
+        name = self._chosen(0.0)[0].get("denoiser")
+        return None if name is None else find_denoiser(str(name))
+
     def identity(self, noise_db: float) -> dict[str, Any]:
-        """Return algorithm and parameters."""
-        return {"classical": self.algorithm, "parameters": self._chosen(noise_db)[0]}
+        """Return algorithm and parameters, and the hash of a denoiser's file."""
+        learned = {} if self.denoiser is None else {"denoiser": sha256_file(self.denoiser)}
+        return {"classical": self.algorithm, "parameters": self._chosen(noise_db)[0], **learned}
 
     def note(self, noise_db: float) -> str:
         """Return the parameters and where they come from."""
@@ -118,7 +125,10 @@ def _read_method(config: EvaluateConfig, method: MethodConfig, test: Dataset) ->
         tuned = None if method.tuned is None else config.resolve_path(method.tuned)
         if tuned is not None:
             check_tuned(method.name, tuned, test)
-        return [ClassicalEntry(method.name, method.classical, tuned, method.parameters)]
+        entry = ClassicalEntry(method.name, method.classical, tuned, method.parameters)
+        if entry.denoiser is not None:
+            check_learned(method.name, entry.denoiser, load_denoiser(entry.denoiser)[1], test)
+        return [entry]
     entries: list[Entry] = []
     for path in map(config.resolve_path, method.checkpoints or ()):
         one = load_checkpoint(path)
@@ -152,9 +162,14 @@ def check_tuned(name: str, tuned: Path, test: Dataset) -> None:
 def says_scenes(entry: Entry) -> bool:
     """Return whether it is on record which scenes a method has seen; earlier versions of Flatlight kept data sets only."""
     if isinstance(entry, LearnedEntry):
-        trainings = list(_trainings(entry.record))
-        return bool(trainings) and all(training.get("scenes") for training in trainings)
-    return entry.tuned is None or "scenes" in load_tuned(entry.tuned).content["identity"]
+        return _all_say_scenes(entry.record)
+    learned = entry.denoiser is None or _all_say_scenes(load_denoiser(entry.denoiser)[1])
+    return learned and (entry.tuned is None or "scenes" in load_tuned(entry.tuned).content["identity"])
+
+
+def _all_say_scenes(record: Mapping[str, Any]) -> bool:
+    trainings = list(_trainings(record))
+    return bool(trainings) and all(training.get("scenes") for training in trainings)
 
 
 def _refuse_known(test: Dataset, known: Any, fingerprint: Any, split: Any, name: str, words: str) -> None:

@@ -9,7 +9,17 @@ from typing import Any, cast
 
 import pytest
 
-from learning.evaluate.methods import ClassicalEntry, LearnedEntry, check_learned, check_tuned, says_scenes
+from learning.checkpoint import save_denoiser
+from learning.config import EvaluateConfig
+from learning.evaluate.methods import (
+    ClassicalEntry,
+    LearnedEntry,
+    check_learned,
+    check_tuned,
+    read_methods,
+    says_scenes,
+)
+from learning.models.denoiser import Denoiser
 from learning.provenance import scenes_of
 from learning.tune.study import Study
 from simulator.dataset.reader import Dataset, open_dataset
@@ -94,3 +104,26 @@ def test_whether_scenes_are_on_record_is_told(tmp_path: Path) -> None:
         study = Study(tmp_path / f"{expected}.json", identity, {})
         study.add_result({"method": "cls", "noise_db": 40.0, "parameters": {}, "score": 1.0})
         assert says_scenes(ClassicalEntry("CLS", "cls", study.path, None)) == expected
+
+
+def test_a_denoiser_that_has_seen_the_scenes_is_refused(seen_again: Any, tiny_dataset: Path, tmp_path: Path) -> None:
+    numbers = {"filters": 4, "blocks": 1, "levels": 1}
+    train = scenes_of(open_dataset(tiny_dataset, "train"))
+
+    def methods(record: dict[str, Any], split: str, filters: int = 4) -> list[Any]:
+        made = numbers | {"filters": filters}
+        save_denoiser(path, Denoiser(**made), architecture={"network": "denoiser", **made}, record=record)
+        plain = {"name": "PnP", "classical": "pnp", "parameters": {"denoiser": str(path)}}
+        data = {"test": "t", "training": "t"}
+        config = EvaluateConfig.model_validate({"name": "n", "output": "o", "data": data, "methods": [plain]})
+        return read_methods(config, seen_again(split))[0]
+
+    path = tmp_path / "denoiser.safetensors"
+    with pytest.raises(InputError, match=r"^PnP: "):
+        methods({"scenes": {"train": train}}, "train")
+    (entry,) = methods({"scenes": {"train": train}}, "test")
+    assert says_scenes(entry)
+    before = entry.identity(40.0)
+    (entry,) = methods({"data sets": {"train": {}}}, "test", filters=8)
+    assert not says_scenes(entry)
+    assert entry.identity(40.0) != before  # another file under the same name
