@@ -86,7 +86,7 @@ DEFAULTS: dict[str, dict[str, Value]] = {
     },
     "pnp": {
         "denoiser": "denoiser",
-        "prior": 1e-4,
+        "prior": 3e-4,
         "noise_first": 0.1,
         "noise_last": 0.005,
         "iterations": 24,
@@ -94,7 +94,7 @@ DEFAULTS: dict[str, dict[str, Value]] = {
         "measure": "light",
         "contrast": 0.75,
         "window_px": 1.0,
-        "pairwise": 0.2,
+        "pairwise": 0.1,
         "steps_between_planes": 4,
         "light": "sum",
     },
@@ -143,7 +143,7 @@ PLANAR_DEFAULTS: dict[str, dict[str, Value]] = {
     "admm": {"tv": 0.1, "sparsity": 0.01, "iterations": 60, "light": "anywhere"},
     "pnp": {
         "denoiser": "denoiser",
-        "prior": 1e-4,
+        "prior": 3e-4,
         "noise_first": 0.1,
         "noise_last": 0.005,
         "iterations": 24,

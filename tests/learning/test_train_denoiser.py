@@ -13,6 +13,8 @@ import torch
 
 from learning.camera import CaptureModel
 from learning.checkpoint import load_denoiser
+from learning.classical.method import build_classical
+from learning.commands import train_denoiser as command
 from learning.config import DenoiserConfig
 from learning.data import Draw, ExampleSet
 from learning.pictures import Pictures
@@ -103,3 +105,17 @@ def test_refuses_another_training_in_its_folder(denoiser_settings: Callable[...,
     train_denoiser(denoiser_settings(steps=1))
     with pytest.raises(InputError, match=r"^output: "):
         train_denoiser(denoiser_settings(steps=1, seed=4))
+
+
+def test_the_command_trains_what_a_reconstruction_takes(
+    tiny_dataset: Path, tiny_capture: CaptureModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "denoiser.yaml"
+    text = f"output: out\ndata: {{train: {tiny_dataset}, cache: false, workers: 0}}\nsteps: 2\nbatch: 2\n"
+    file.write_text(text, encoding="utf-8")
+    command(file, ["network.filters=4", "network.levels=2"])
+    made = tmp_path / "out" / BEST
+    assert str(made) in capsys.readouterr().out
+    _, record = load_denoiser(made)
+    assert record["command"].startswith("flatlight train-denoiser denoiser.yaml --set network.filters=4")
+    build_classical(tiny_capture, "pnp", {"denoiser": str(made)})
