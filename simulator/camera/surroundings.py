@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from simulator.errors import InputError
 from simulator.types import FARTHEST_M, Clip, Surroundings, View
 
-BLACK, CONTINUE = WORDS = ("black", "continue")
+BLACK, CONTINUE, OWN = WORDS = ("black", "continue", "own")
 """What may stand in an image's place."""
 
 
@@ -61,8 +61,8 @@ def surrounded(clip: Clip, view: View, rule: str | NDArray[np.float32] | None) -
         clip: images of the view's shape.
         view: with the margin.
         rule: ``black``: nothing shines beside the image; ``continue``: the image goes on mirrored, again and again, at its
-            own depths; or an image of the whole field, linear RGB ``(h, w, 3)`` of `View.coarse_field`'s shape, at the far
-            depth.
+            own depths; ``own``: what the clip brings, as without a rule; or an image of the whole field, linear RGB
+            ``(h, w, 3)`` of `View.coarse_field`'s shape, at the far depth.
 
     Raises:
         InputError: there is no rule and the clip has no surroundings, or there are both.
@@ -70,19 +70,20 @@ def surrounded(clip: Clip, view: View, rule: str | NDArray[np.float32] | None) -
     if view.margin == (0, 0):
         return clip
     if clip.surroundings is not None:
-        if rule is not None:
+        if rule is not None and not _is(rule, OWN):
             text = "given, but these scenes know what is beside their images; leave it out"
             raise InputError("scene.surroundings", text)
         return clip
     coarse, coarseness = view.coarse_field
     far_m = min(view.far_m, FARTHEST_M)
-    if rule is None:
+    if rule is None or _is(rule, OWN):
         raise InputError(
             "scene.surroundings",
-            "missing, and these scenes say nothing of what is beside their images, for which scene.margin asks; expected "
-            "black, continue (the image goes on, mirrored) or an image file, or leave scene.margin out",
+            f"{'missing' if rule is None else 'got own'}, and these scenes say nothing of what is beside their images, for "
+            "which scene.margin asks; expected black, continue (the image goes on, mirrored) or an image file, or leave "
+            "scene.margin out",
         )
-    if isinstance(rule, str) and rule == CONTINUE:
+    if _is(rule, CONTINUE):
         frames = [_continued(*frame, coarse.shape, coarseness) for frame in zip(clip.rgb, clip.depth_m, strict=True)]
         light, depth = zip(*frames, strict=True)
         around = Surroundings(np.stack(light), np.stack(depth), coarseness)
@@ -90,6 +91,10 @@ def surrounded(clip: Clip, view: View, rule: str | NDArray[np.float32] | None) -
         light = np.zeros((*coarse.shape, 3), np.float32) if isinstance(rule, str) else rule
         around = Surroundings(light[None], np.full((1, *coarse.shape), far_m, np.float32), coarseness)
     return replace(clip, surroundings=around)
+
+
+def _is(rule: str | NDArray[np.float32], word: str) -> bool:
+    return isinstance(rule, str) and rule == word
 
 
 def _continued(

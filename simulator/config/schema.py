@@ -62,7 +62,7 @@ class SceneConfig(PluginSection):
     surroundings: Annotated[str, Field(min_length=1)] | None = Field(
         default=None,
         description="what shines in the margin of images that say nothing of it: black, continue (the image goes on, "
-        "mirrored), or an image file of the whole field",
+        "mirrored), own (samples of a data set know it), or an image file of the whole field",
     )
     near_cm: Annotated[float, Range(0.01, 1e7, "cm")] | None = Field(
         default=None, description="nearest depth of the scenes, centimetres; the PSF's nearest plane when left out"
@@ -94,7 +94,7 @@ class SceneConfig(PluginSection):
         if self.source is not None and self.has_margin and self.surroundings is None:
             text = (
                 "missing; imported images end at their edges, and the margin asks for what is beside them; give black, "
-                "continue (the image goes on, mirrored) or an image file, or leave the margin out"
+                "continue (the image goes on, mirrored), own (samples know it) or an image file, or leave the margin out"
             )
             raise refusal(text, "surroundings")
         return self

@@ -1,0 +1,87 @@
+"""Scenes of a data set that Flatlight made, seen by another camera: with another mask, sensor, shutter or noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from simulator.dataset.dataset_info import FILE
+from simulator.dataset.manifest import MANIFEST
+from simulator.dataset.reader import Dataset, open_dataset
+from simulator.dataset.sample import SPLITS
+from simulator.errors import InputError
+from simulator.types import Clip, View
+
+_ALIKE = 1e-3  # relative: numbers that were written with few digits
+
+
+def samples(view: View, *, path: Path) -> Samples:
+    """Read the scenes of a data set: light and depth of its ground truth, and what shone beside the images.
+
+    The samples of its train split come first, then those of validation and test; splits of the new data set share no scene.
+    The new camera must see the images under the same angles: pixel pitch and distance of the mask may change together. Its
+    margin may reach as far as the samples know; ``scene.surroundings: own`` takes what they know.
+
+    Args:
+        view: the new camera's view.
+        path: folder of the data set.
+
+    Returns:
+        A scene source; a scene's ``source`` says which sample it was, and where that came from.
+
+    Raises:
+        InputError: no data set, one without samples, images of another size or seen under other angles, a wider margin.
+    """
+    splits = tuple(dataset for split in SPLITS if len(dataset := open_dataset(path, split)))
+    if not splits:
+        raise InputError("path", f"{path} holds no finished sample; make some first")
+    shape, tangent = splits[0].info.scene_shape, splits[0].pixel_tangent
+    own = view.pixel_pitch_m / view.distance_m
+    if tuple(shape) != tuple(view.shape) or not np.isclose(tangent, own, rtol=_ALIKE, atol=0):
+        seen, wanted = (
+            f"{rows} x {columns} pixels of {np.degrees(np.arctan(each)):.4g} degrees"
+            for (rows, columns), each in ((shape, tangent), (view.shape, own))
+        )
+        cure = "let scene.size, the pixels and camera.mask_to_sensor_mm give the same view"
+        raise InputError("path", f"the images of {path} have {seen}, this camera's {wanted}; {cure}")
+    if view.margin != (0, 0):
+        around = splits[0].stored(0).surroundings()
+        known = shape if around is None else tuple(around.coarseness * size for size in around.rgb.shape[1:3])
+        if any(small > large for small, large in zip(view.field.shape, known, strict=True)):
+            got = f"the samples of {path} know {known[0]} x {known[1]} pixels, image and margin"
+            wanted = f"expected {' x '.join(map(str, view.field.shape))}: a narrower one, or camera.field_stop_deg"
+            raise InputError("margin", f"{got}, {wanted}")
+    return Samples(splits)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """All samples of a data set, split after split, as scenes."""
+
+    splits: tuple[Dataset, ...]
+
+    @property
+    def inputs(self) -> Sequence[Path]:
+        """What the data set is; its samples' files carry digests of their own in the manifest."""
+        root = self.splits[0].root
+        return [root / FILE, root / MANIFEST]
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return sum(map(len, self.splits))
+
+    def clip(self, index: int, rng: np.random.Generator) -> Clip:
+        """Return the scene of a sample; nothing is drawn from the generator."""
+        del rng
+        for dataset in self.splits:
+            if index < len(dataset):
+                sample = dataset[index]
+                source = {"data set": dataset.fingerprint, "sample": f"{dataset.split}/{dataset.ids[index]}"}
+                return replace(
+                    sample.clip(), source={**source, "scene": sample.metadata.get("scene"), "seed": sample.seed}
+                )
+            index -= len(dataset)
+        raise IndexError(index)

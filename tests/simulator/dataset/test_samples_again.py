@@ -1,0 +1,62 @@
+"""Scenes of a data set seen by another camera: against the convolution with that camera's own PSFs."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simulator.camera.surroundings import whole_frames
+from simulator.dataset import generate, open_dataset
+from simulator.errors import InputError
+
+pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
+
+MARGIN = {"margin": 4, "surroundings": "continue"}
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable) -> Any:
+    trial = make_trial(tmp_path_factory.mktemp("again"))
+    trial.root = trial.generate(scene={"family": "./plugins.py:boxes", "size": [16, 20], **MARGIN})
+    return trial
+
+
+def again(root: Path, **changes: Any) -> dict[str, Any]:
+    scene = {"source": "samples", "path": str(root), "size": [16, 20], "margin": 4, "surroundings": "own"}
+    return scene | changes
+
+
+def test_another_mask_sees_the_same_scenes(first: Any, irradiance: Callable) -> None:
+    camera = {"mask": {"design": "pinhole", "diameter_um": 200}, "noise": {"type": "none"}}
+    root = generate(
+        first.write(camera=camera, scene=again(first.root), dataset={"output": "other", "train": 3, "validation": 1})
+    ).path
+    one, other = open_dataset(first.root), open_dataset(root)
+    for known, sample in zip(one, other, strict=True):
+        for name in ("rgb", "depth_m", "valid"):
+            np.testing.assert_array_equal(getattr(sample, name), getattr(known, name))
+        (light, depth_m), *_ = whole_frames(known.clip(), (24, 28))
+        expected = irradiance(root, light, depth_m) * 5e-3 / sample.metadata["full_scale"]
+        assert np.abs(sample.noiseless - expected).max() < 2e-6 * expected.max()
+        assert np.abs(sample.noiseless - known.noiseless).max() > 0.1 * expected.max()
+    assert [sample.metadata["scene"]["sample"] for sample in other] == [f"train/s0000000{n}" for n in range(3)]
+    # No split shares a scene with another: validation begins at the other end.
+    (held_out,) = open_dataset(root, "validation")
+    assert not any(np.array_equal(held_out.rgb, sample.rgb) for sample in other)
+
+
+@pytest.mark.parametrize(
+    ("scene", "camera", "key"),
+    [
+        ({"size": [18, 20]}, {}, "path"),
+        ({}, {"mask_to_sensor_mm": 3.0}, "path"),
+        ({"path": "nowhere"}, {}, "nowhere"),
+        ({"margin": 8}, {}, "margin"),
+    ],
+)
+def test_what_another_camera_cannot_see(first: Any, scene: dict, camera: dict, key: str) -> None:
+    path = first.write(scene=again(first.root, **scene), camera=camera, dataset={"output": "refused", "train": 1})
+    with pytest.raises(InputError, match=key):
+        generate(path)
