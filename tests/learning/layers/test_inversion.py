@@ -7,7 +7,8 @@ import pytest
 import skimage.restoration
 import torch
 
-from learning.layers.inversion import RegularisedInversion, WienerInversion
+from learning.layers.inversion import RegularisedInversion, WienerInversion, noise_ratio
+from learning.layers.noise import noise_level
 from simulator.arrays import next_fast_len
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
@@ -22,16 +23,22 @@ SIZES = [
 
 
 def randomised(layer: RegularisedInversion, seed: int = 1) -> RegularisedInversion:
-    """Give the layer filters and lambdas that differ everywhere."""
+    """Give the layer filters, lambdas and weights of noise that differ everywhere."""
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():
-        layer.filters += 0.3 * torch.randn(layer.filters.shape, generator=generator, dtype=layer.filters.dtype)
-        layer.log_lambda += torch.randn(layer.log_lambda.shape, generator=generator, dtype=layer.filters.dtype)
+        for name, values in layer.named_parameters():
+            step = 0.3 if name == "filters" else 1.0
+            values += step * torch.randn(values.shape, generator=generator, dtype=values.dtype)
     return layer
 
 
-def equation_4_11(capture, layer, measurement):
-    """Invert in NumPy with full complex transforms, one plane and channel after the other; padding by its definition."""
+def equation_4_11(capture, layer, measurement, joint=False):
+    """Invert in NumPy with full complex transforms, one plane and channel after the other; padding by its definition.
+
+    Where lambda follows the noise, what this is, `learning.layers.noise` says; joint, |FH|^2 is the mean of all planes.
+    """
+    following = layer.log_noise_weight
+    variance = noise_level(torch.from_numpy(measurement - capture.offset[:, None, None])).numpy() ** 2
     (H, W), (h, w) = capture.sensor_shape, capture.scene_shape
     values = np.asarray(capture.stack.values, np.float64)
     K, C, P, Q = values.shape
@@ -45,16 +52,19 @@ def equation_4_11(capture, layer, measurement):
             for row, a in taper(i, H, L):
                 value += sum(a * e * light[row, column] for column, e in taper(j, W, M))
             padded[i, j] = value
-        psf, filt = np.zeros((L, M)), np.zeros((L, M))
+        psf, filt = np.zeros((K, L, M)), np.zeros((L, M))
         for i, j in np.ndindex(P, Q):
-            psf[(i - P // 2) % L, (j - Q // 2) % M] += values[k, c, i, j]
+            psf[:, (i - P // 2) % L, (j - Q // 2) % M] += values[:, c, i, j]
         for i, j in np.ndindex(3, 3):
             filt[(i - 1) % L, (j - 1) % M] += layer.filters[k, i, j].item()
         transfer, penalty = np.fft.fft2(psf), np.abs(np.fft.fft2(filt)) ** 2
-        weight = np.exp(layer.log_lambda[k, c].item()) * np.mean(np.abs(transfer) ** 2)
-        scene = np.fft.ifft2(np.fft.fft2(padded) * np.conj(transfer) / (np.abs(transfer) ** 2 + weight * penalty)).real[
-            (H - h) // 2 : (H + h) // 2, (W - w) // 2 : (W + w) // 2
-        ]
+        power = np.mean(np.abs(transfer if joint else transfer[k : k + 1]) ** 2, axis=0)
+        weight = np.exp(layer.log_lambda[k, c].item())
+        if following is not None:
+            weight += np.exp(following[k, c].item()) * variance[b] / np.mean(light**2)
+        scene = np.fft.ifft2(
+            np.fft.fft2(padded) * np.conj(transfer[k]) / (power + weight * np.mean(power) * penalty)
+        ).real[(H - h) // 2 : (H + h) // 2, (W - w) // 2 : (W + w) // 2]
         result[b, k, c] = scene / (capture.gain * capture.white * capture.irradiance)
     return result
 
@@ -70,23 +80,80 @@ def taper(index, sensor, length):
 
 @pytest.mark.usefixtures("double")
 @pytest.mark.parametrize(("sensor", "scene", "psf"), SIZES)
-def test_equals_equation_4_11_computed_directly(camera, sensor, scene, psf):
+@pytest.mark.parametrize("joint", [False, True])
+@pytest.mark.parametrize("noise_weight", [None, 1.0])
+def test_equals_equation_4_11_computed_directly(camera, sensor, scene, psf, joint, noise_weight):
     capture = camera(sensor, scene, psf, depths_m=(0.02, 0.05), channels=("R", "G"))
-    layer = randomised(RegularisedInversion(capture))
-    measurement = np.random.default_rng(2).random((2, 2, *sensor))
+    layer = randomised(RegularisedInversion(capture, noise_weight=noise_weight, joint=joint))
+    measurement = np.random.default_rng(2).random((2, 2, *sensor)) * [
+        [[[1.0]]],
+        [[[0.3]]],
+    ]  # one is noisier than the other
+    measurement[1] += 0.6
     with torch.no_grad():
         got = layer(torch.from_numpy(measurement)).numpy()
-    wanted = equation_4_11(capture, layer, measurement)
+    wanted = equation_4_11(capture, layer, measurement, joint)
     # The least denominator is 1e-8 of the mean power, lambda |FP|^2 about 1e-2 of it: 1e-6 of the largest value.
     np.testing.assert_allclose(got, wanted, rtol=0, atol=2e-6 * np.abs(wanted).max())
 
 
-def test_float32_is_as_exact_as_its_rounding(camera, double):
+def test_the_initial_lambda_is_the_sum_of_both_weights(camera):
+    layer = RegularisedInversion(camera(*SIZES[0]), regularisation_lambda=0.25, noise_weight=3.0)
+    ratio = torch.tensor([[0.0, 0.1, 0.2]])
+    sums = 0.25 + 3.0 * ratio[0]
+    following = torch.stack(list(layer.inverses(ratio)))[:, 0]
+    for channel, total in enumerate(sums.tolist()):
+        fixed = RegularisedInversion(camera(*SIZES[0]), regularisation_lambda=total)
+        alike = torch.stack(list(fixed.inverses()))[:, channel]
+        torch.testing.assert_close(following[:, channel], alike, rtol=1e-5, atol=0)
+
+
+@pytest.mark.usefixtures("double")
+def test_joint_planes_are_the_least_squares_of_the_stack(camera):
+    """At every frequency argmin |Y - sum_k H_k V_k|^2 + K lambda mean|H|^2 |P|^2 sum_k |V_k|^2, times the K planes."""
+    capture = camera(*SIZES[1], depths_m=(0.02, 0.03, 0.06), channels=("R", "G"))
+    layer = RegularisedInversion(capture, regularisation_lambda=0.02, tikhonov=1.0, joint=True)
+    alone = RegularisedInversion(capture, regularisation_lambda=1.0, tikhonov=1.0)
+    kernels = np.asarray(capture.stack.values, np.float64)
+    size = layer.rows.length, layer.columns.length
+    padded = np.zeros((3, 2, *size))
+    for i, j in np.ndindex(kernels.shape[-2:]):
+        padded[:, :, i - kernels.shape[-2] // 2, j - kernels.shape[-1] // 2] = kernels[:, :, i, j]
+    transfer = np.fft.fft2(padded)[:, :, : size[0] // 2 + 1]
+    turns = [2 - 2 * np.cos(2 * np.pi * np.arange(length) / length) for length in size]
+    response = 1 + turns[0][: size[0] // 2 + 1, None] + turns[1]  # of the Laplacian and 1 beside it
+    with torch.no_grad():
+        got = torch.stack(list(layer.inverses())).numpy()
+        plane_wise = torch.stack(list(alone.inverses())).numpy()
+    assert got.shape == transfer.shape
+    assert not np.allclose(got, plane_wise)
+    for c, y, x in [(0, 0, 0), (1, 0, 3), (0, 5, 0), (1, 7, 11), (0, size[0] // 2, size[1] - 1), (1, 2, size[1] // 2)]:
+        ridge = np.sqrt(3 * 0.02 * np.mean(np.sum(kernels[:, c] ** 2, axis=(1, 2)))) * response[y, x]
+        system = np.vstack([transfer[None, :, c, y, x], ridge * np.eye(3)])
+        wanted = 3 * np.linalg.lstsq(system, np.array([1, 0, 0, 0]), rcond=None)[0]
+        np.testing.assert_allclose(got[:, c, y, x], wanted, rtol=1e-5)  # the least denominator
+
+
+@pytest.mark.usefixtures("double")
+def test_planes_that_look_alike_share_what_one_would_get(camera):
+    one = camera(*SIZES[0], depths_m=(0.05,))
+    values = np.repeat(np.asarray(one.stack.values), 4, axis=0)
+    four = one.with_stack(replace(one.stack, values=values, depths_m=np.array([0.02, 0.03, 0.05, 0.1])))
+    measurement = torch.rand(2, 3, *SIZES[0][0])
+    joint = RegularisedInversion(four, noise_weight=0.7, joint=True)(measurement)
+    alone = RegularisedInversion(one, noise_weight=0.7)(measurement)
+    torch.testing.assert_close(joint, alone.expand(-1, 4, -1, -1, -1), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("following", [None, 1.0])
+@pytest.mark.parametrize("joint", [False, True])
+def test_float32_is_as_exact_as_its_rounding(camera, double, following, joint):
     capture = camera(*SIZES[1])
     measurement = torch.rand(1, 3, *SIZES[1][0])
-    wanted = randomised(RegularisedInversion(capture))(measurement).detach()
+    kind = {"noise_weight": following, "joint": joint}
+    wanted = randomised(RegularisedInversion(capture, **kind))(measurement).detach()
     torch.set_default_dtype(torch.float32)
-    single = randomised(RegularisedInversion(capture).double()).float()
+    single = randomised(RegularisedInversion(capture, **kind).double()).float()
     got = single(measurement.float()).detach()
     assert got.dtype == torch.float32
     # 1e-7 of rounding, amplified by the inverse: at lambda 1e-2 at most tenfold per operation
@@ -96,16 +163,30 @@ def test_float32_is_as_exact_as_its_rounding(camera, double):
 @pytest.mark.usefixtures("double")
 def test_gradients_by_finite_differences(camera):
     capture = camera((6, 5), (2, 3), (3, 4), depths_m=(0.02, 0.05), channels=("R", "G"))
-    layer = randomised(RegularisedInversion(capture))
-    measurement = torch.rand(1, 2, 6, 5, requires_grad=True)
+    for joint in (False, True):
+        layer = randomised(RegularisedInversion(capture, noise_weight=1.0, joint=joint))
+        light = layer.light(torch.rand(1, 2, 6, 5))
+        ratio = noise_ratio(light)  # which has no gradient, but changes with the measurement
 
-    def inverted(filters, log_lambda, measurement):
-        changed = {"filters": filters, "log_lambda": log_lambda}
-        return torch.func.functional_call(layer, changed, (measurement,))
+        def inverted(filters, log_lambda, log_noise_weight, light, layer=layer, ratio=ratio):
+            given = {"filters": filters, "log_lambda": log_lambda, "log_noise_weight": log_noise_weight}
+            return torch.func.functional_call(
+                _Inverted(layer), {f"layer.{k}": v for k, v in given.items()}, (light, ratio)
+            )
 
-    assert torch.autograd.gradcheck(
-        inverted, (layer.filters, layer.log_lambda, measurement), eps=1e-6, atol=1e-6, fast_mode=True
-    )
+        given = (*(value for _, value in layer.named_parameters()), light.requires_grad_())
+        assert torch.autograd.gradcheck(inverted, given, eps=1e-6, atol=1e-6, fast_mode=True)
+
+
+class _Inverted(torch.nn.Module):
+    """The inversion of light whose noise is known."""
+
+    def __init__(self, layer):
+        super().__init__()
+        self.layer = layer
+
+    def forward(self, light, ratio):
+        return self.layer.volume(self.layer.spectrum(light), ratio)
 
 
 @pytest.mark.usefixtures("double")
@@ -199,7 +280,8 @@ def test_refuses_measurements_of_another_camera(camera, shape):
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
 def test_refuses_what_is_not_positive(camera, value):
-    for kind, name in ((RegularisedInversion, "regularisation_lambda"), (WienerInversion, "noise_to_signal")):
+    pairs = [(RegularisedInversion, name) for name in ("regularisation_lambda", "noise_weight")]
+    for kind, name in (*pairs, (WienerInversion, "noise_to_signal")):
         with pytest.raises(InputError, match=rf"^{name}: "):
             kind(camera(*SIZES[0]), **{name: value})
     with pytest.raises(InputError, match=r"^plane: "):
