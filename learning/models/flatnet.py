@@ -173,10 +173,11 @@ class FlatNet(nn.Module):
         image, disparity = output[:, :3], output[:, 3:4]
         if not self.soft:
             return Estimate(image, disparity)
-        weights = output[:, 4:].float().softmax(dim=1)
-        chosen = torch.einsum("ac,bkchw,bkhw->bahw", self.to_srgb, volumes[:, 0], weights)
-        image = image + linear_to_srgb(chosen.clamp(0, _BRIGHTEST), 1.0, clip=False)
-        return Estimate(image, disparity + torch.einsum("k,bkhw->bhw", self.disparities, weights)[:, None])
+        with torch.autocast(volumes.device.type, enabled=False):
+            weights = output[:, 4:].to(volumes).softmax(dim=1)
+            chosen = torch.einsum("ac,bkchw,bkhw->bahw", self.to_srgb, volumes[:, 0], weights)
+            image = image + linear_to_srgb(chosen.clamp(0, _BRIGHTEST), 1.0, clip=False)
+            return Estimate(image, disparity + torch.einsum("k,bkhw->bhw", self.disparities, weights)[:, None])
 
 
 class FlatNet3D(FlatNet):
