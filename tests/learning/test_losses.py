@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from learning.camera import CaptureModel
 from learning.losses import ReconstructionLoss
 from learning.method import Estimate
 from simulator.errors import InputError
@@ -26,11 +30,17 @@ def scenes() -> Scenes:
     return Estimate(draw[0], draw[1]), draw[2], draw[3], valid
 
 
+@pytest.fixture
+def make_loss(tiny_capture: CaptureModel) -> Callable[..., ReconstructionLoss]:
+    """Make a loss for a camera of 1 to 20 cm."""
+    return partial(ReconstructionLoss, capture=tiny_capture)
+
+
 @pytest.mark.parametrize("intensity", ["mse", "l1"])
-def test_terms_are_their_formulas(scenes: Scenes, intensity: str) -> None:
+def test_terms_are_their_formulas(scenes: Scenes, make_loss: Any, intensity: str) -> None:
     """Against NumPy, scene by scene."""
     estimate, image, disparity, valid = scenes
-    loss = ReconstructionLoss(intensity, intensity_weight=0.7, depth_weight=0.2)  # pyright: ignore[reportArgumentType]
+    loss = make_loss(intensity, intensity_weight=0.7, depth_weight=0.2)
     terms = loss(estimate, image, disparity, valid)
     difference = estimate.image.numpy() - image.numpy()
     expected = np.mean(difference**2) if intensity == "mse" else np.mean(np.abs(difference))
@@ -46,16 +56,39 @@ def test_terms_are_their_formulas(scenes: Scenes, intensity: str) -> None:
     assert set(terms) == {"total", "intensity", "depth", "intensity_weighted", "depth_weighted"}
 
 
-def test_all_pixels_count_when_asked(scenes: Scenes) -> None:
+def huber_cm(estimate: Tensor, disparity: Tensor) -> np.ndarray:
+    """Return the loss of every pixel: depths from 1 / z between 1 / 20 and 1 / 1 cm, squares up to 1 cm, then absolute."""
+    found, true = (1 / (0.05 + each.numpy() * (1 - 0.05)) for each in (estimate, disparity))
+    error = np.abs(found - true)
+    return np.where(error <= 1, error**2 / 2, error - 0.5)
+
+
+def test_depth_counts_in_centimetres_too(scenes: Scenes, make_loss: Any) -> None:
     estimate, image, disparity, valid = scenes
-    terms = ReconstructionLoss(invalid_depth=True)(estimate, image, disparity, valid)
+    loss = make_loss(depth_weight=0.2, depth_cm_weight=0.03)
+    terms = loss(estimate, image, disparity, valid)
+    errors = huber_cm(estimate.disparity, disparity)
+    assert 0.05 < np.mean(errors < 0.5) < 0.95  # both parts of it
+    expected = sum(np.mean(errors[scene][valid[scene].numpy()]) / 3 for scene in range(2))
+    assert terms["depth_cm"].item() == pytest.approx(expected, rel=1e-6)
+    assert terms["depth_cm_weighted"].item() == pytest.approx(0.03 * expected, rel=1e-6)
+    weighted = terms["intensity_weighted"] + terms["depth_weighted"] + terms["depth_cm_weighted"]
+    assert terms["total"].item() == pytest.approx(weighted.item(), rel=1e-12)
+    assert loss.record()["depth_cm_weight"] == 0.03
+    everywhere = make_loss(depth_cm_weight=1.0, invalid_depth=True)(estimate, image, disparity, valid)
+    assert everywhere["depth_cm"].item() == pytest.approx(errors.mean(), rel=1e-6)
+
+
+def test_all_pixels_count_when_asked(scenes: Scenes, make_loss: Any) -> None:
+    estimate, image, disparity, valid = scenes
+    terms = make_loss(invalid_depth=True)(estimate, image, disparity, valid)
     assert terms["depth"].item() == pytest.approx(np.abs((estimate.disparity - disparity).numpy()).mean(), rel=1e-12)
 
 
-def test_parts_of_a_batch_average_to_the_whole(scenes: Scenes) -> None:
+def test_parts_of_a_batch_average_to_the_whole(scenes: Scenes, make_loss: Any) -> None:
     """So two processes with half a batch each follow one process, although their scenes have unlike numbers of pixels."""
     estimate, image, disparity, valid = scenes
-    loss = ReconstructionLoss("l1")
+    loss = make_loss("l1", depth_cm_weight=0.1)
     whole = loss(estimate, image, disparity, valid)
     parts = [loss(Estimate(*(v[n : n + 1] for v in estimate)), *(v[n : n + 1] for v in scenes[1:])) for n in range(3)]
     for name, value in whole.items():
@@ -64,14 +97,14 @@ def test_parts_of_a_batch_average_to_the_whole(scenes: Scenes) -> None:
 
 @pytest.mark.parametrize("perceptual", ["none", "random_vgg"])
 @pytest.mark.parametrize("perfect", [False, True])
-def test_gradients_are_always_finite(scenes: Scenes, perceptual: str, perfect: bool) -> None:
+def test_gradients_are_always_finite(scenes: Scenes, make_loss: Any, perceptual: str, perfect: bool) -> None:
     image, disparity, valid = (value.float() for value in scenes[1:])
     start = (image, disparity) if perfect else (image + 0.1, disparity + 0.1)
     estimate = Estimate(*(value.clone().requires_grad_() for value in start))
-    loss = ReconstructionLoss(perceptual=perceptual)  # pyright: ignore[reportArgumentType]
+    loss = make_loss(perceptual=perceptual, depth_cm_weight=0.1)
     terms = loss(estimate, image, disparity, torch.zeros_like(valid, dtype=torch.bool))
     terms["total"].backward()
-    assert terms["depth"].item() == 0
+    assert terms["depth"].item() == terms["depth_cm"].item() == 0
     for value in estimate:
         assert value.grad is not None
         assert value.grad.isfinite().all()
@@ -80,11 +113,11 @@ def test_gradients_are_always_finite(scenes: Scenes, perceptual: str, perfect: b
 
 
 @pytest.mark.slow
-def test_the_perceptual_term_is_that_of_its_seed(scenes: Scenes) -> None:
+def test_the_perceptual_term_is_that_of_its_seed(scenes: Scenes, make_loss: Any) -> None:
     from learning.perceptual import PerceptualLoss
 
     estimate, image, disparity, valid = scenes
-    loss = ReconstructionLoss(perceptual="random_vgg", intensity_weight=0, perceptual_weight=3, depth_weight=0, seed=9)
+    loss = make_loss(perceptual="random_vgg", intensity_weight=0, perceptual_weight=3, depth_weight=0, seed=9)
     terms = loss(estimate, image, disparity, valid)
     expected = PerceptualLoss("random_vgg", seed=9)(estimate.image, image)
     assert terms["perceptual"].item() == pytest.approx(expected.item(), rel=1e-5)
@@ -95,21 +128,22 @@ def test_the_perceptual_term_is_that_of_its_seed(scenes: Scenes) -> None:
     assert record.items() >= wanted.items()
 
 
-def test_nonsense_is_refused(scenes: Scenes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nonsense_is_refused(scenes: Scenes, make_loss: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     estimate, image, disparity, valid = scenes
     with pytest.raises(InputError, match=r"^intensity: "):
-        ReconstructionLoss("l2")  # pyright: ignore[reportArgumentType]
+        make_loss("l2")
     with pytest.raises(InputError, match=r"^perceptual: "):
-        ReconstructionLoss(perceptual="lpips")  # pyright: ignore[reportArgumentType]
+        make_loss(perceptual="lpips")
     for weight in (-1.0, math.nan, math.inf):
-        with pytest.raises(InputError, match=r"^depth_weight: "):
-            ReconstructionLoss(depth_weight=weight)
-    with pytest.raises(InputError, match=r"^intensity_weight, depth_weight: "):
-        ReconstructionLoss(intensity_weight=0, depth_weight=0)
+        for name in ("depth_weight", "depth_cm_weight"):
+            with pytest.raises(InputError, match=rf"^{name}: "):
+                make_loss(**{name: weight})
+    with pytest.raises(InputError, match=r"^intensity_weight, depth_weight, depth_cm_weight: "):
+        make_loss(intensity_weight=0, depth_weight=0)
     with pytest.raises(InputError, match=r"^disparity: "):
-        ReconstructionLoss()(estimate, image, disparity[:, 0], valid)
+        make_loss()(estimate, image, disparity[:, 0], valid)
     with pytest.raises(InputError, match=r"^valid: "):
-        ReconstructionLoss()(estimate, image, disparity, valid[:2])
+        make_loss()(estimate, image, disparity, valid[:2])
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     with pytest.raises(InputError, match=r"^weights of vgg19: "):
-        ReconstructionLoss(perceptual="vgg")
+        make_loss(perceptual="vgg")
