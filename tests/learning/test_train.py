@@ -59,22 +59,25 @@ def weights(path: Path) -> dict[str, torch.Tensor]:
 
 
 def test_learns_and_leaves_what_belongs_to_it(settings: Settings) -> None:
-    config = settings(steps=40, log_every=10, validate_every=20, optimiser={"learning_rate": 5e-3})
+    idle = train(settings("idle", steps=1, optimiser={"learning_rate": 1e-9}))
+    config = settings(steps=80, log_every=10, validate_every=20, optimiser={"learning_rate": 1e-2})
     said: list[str] = []
     result = train(config, say=said.append)
-    first, last = lines(result.folder, "train")[0], lines(result.folder, "train")[-1]
-    # The first ten steps wander about the grey that a network begins with; where it has learned nothing it stays there.
-    assert last["total"] < 0.65 < 0.9 < first["total"]
+    trained, validated = (lines(result.folder, kind) for kind in ("train", "validation"))
+    # Where it has learned nothing, the loss stays as it began: 0.51, of validation 0.52 and 11.9 dB.
+    assert trained[-1]["total"] < 0.85 * lines(idle.folder, "train")[0]["total"]
+    assert validated[-1]["total"] < 0.88 * idle.best["total"]
+    assert validated[-1]["psnr_db"] > idle.best["psnr_db"] + 1
+    last = trained[-1]
     assert last["total"] == pytest.approx(last["intensity_weighted"] + last["depth_weighted"], rel=1e-5)
-    assert lines(result.folder, "validation")[-1]["psnr_db"] > 8
     best = load_checkpoint(result.folder / BEST)
-    totals = {line["step"]: line["total"] for line in lines(result.folder, "validation")}
-    assert best.record["step"] == result.best["step"] == min(totals, key=lambda step: totals[step])
+    scores = {line["step"]: line["score_db"] for line in validated}
+    assert best.record["step"] == result.best["step"] == max(scores, key=lambda step: scores[step])
     assert best.record["config"]["batch"] == 5
     assert best.record["data sets"]["train"]["samples"] == 32
     files = {BEST, LAST, DESCRIPTION, METRICS, PREVIEW, STATE, "tensorboard"}
     assert {path.name for path in result.folder.iterdir()} == files
-    assert sum("validation loss" in line for line in said) == 2
+    assert sum("validation PSNR" in line for line in said) == 4
 
 
 @pytest.mark.parametrize("stops", [(1,), (4, 7)])
@@ -369,15 +372,16 @@ def test_gradient_clip_of_the_file(settings: Settings, monkeypatch: Patch) -> No
     assert norms[1] > 1e-3
 
 
-def test_best_is_the_least_loss(settings: Settings, monkeypatch: Patch) -> None:
-    totals = iter([3.0, 1.0, 2.0])
+def test_best_is_the_greatest_score(settings: Settings, monkeypatch: Patch) -> None:
+    """Whatever the loss says."""
+    scores, totals = iter([-3.0, 5.0, 4.0]), iter([2.0, 3.0, 1.0])
     others = {"psnr_db": 1.0, "depth_rmse_cm": 1.0}
-    monkeypatch.setattr(loop, "validate", lambda *_, **__: {"total": next(totals), **others})
+    monkeypatch.setattr(loop, "validate", lambda *_, **__: {"total": next(totals), "score_db": next(scores), **others})
     result = train(settings(steps=3, validate_every=1))
-    assert (result.best["step"], result.best["total"]) == (2, 1.0)
+    assert (result.best["step"], result.best["score_db"]) == (2, 5.0)
     assert load_checkpoint(result.folder / BEST).record["step"] == 2
     record = load_checkpoint(result.folder / LAST).record
-    assert (record["validation"]["best"]["step"], record["validation"]["last"]["total"]) == (2, 2.0)
+    assert (record["validation"]["best"]["step"], record["validation"]["last"]["total"]) == (2, 1.0)
 
 
 def test_seeds_make_the_same_loss_small(settings: Settings, monkeypatch: Patch) -> None:
@@ -476,20 +480,62 @@ def test_cosine_with_warm_up_and_constant() -> None:
     assert {learning_rate(step, 7, config) for step in range(7)} == {2.0}
 
 
-def test_only_convolutions_decay(tiny_capture: CaptureModel) -> None:
-    network = build_network(tiny_capture, "flatnet3d", "tiny")
+@pytest.mark.parametrize("body", ["naf", "unet"])
+def test_only_convolutions_decay(tiny_capture: CaptureModel, body: str) -> None:
+    network = build_network(tiny_capture, "flatnet3d", "tiny", body=body)
     optimiser = build_optimiser(network, OptimiserConfig(learning_rate=0.1, weight_decay=0.5))
     before = {name: value.detach().clone() for name, value in network.named_parameters()}
     for parameter in network.parameters():
         parameter.grad = torch.zeros_like(parameter)
     optimiser.step()
-    decayed = set()
+    convolutions = {f"{name}.weight" for name, module in network.named_modules() if isinstance(module, torch.nn.Conv2d)}
+    assert len(convolutions) > 5
     for name, value in network.named_parameters():
-        if not torch.equal(value, before[name]):
-            assert torch.allclose(value, before[name] * 0.95, rtol=1e-6)  # 1 - 0.1 x 0.5
-            decayed.add(name)
-    assert decayed == {name for name, value in before.items() if name.startswith("enhancement") and value.ndim == 4}
-    network.inversion.requires_grad_(False)  # what does not learn is left out
-    optimiser = build_optimiser(network, OptimiserConfig())
-    held = {id(parameter) for group in optimiser.param_groups for parameter in group["params"]}
-    assert held == {id(parameter) for parameter in network.enhancement.parameters()}
+        share = 0.95 if name in convolutions else 1.0  # 1 - 0.1 x 0.5
+        assert torch.allclose(value, before[name] * share, rtol=1e-6), name
+    assert network.joint is not None
+    for inversion in (network.inversion, network.joint):  # what does not learn is left out
+        inversion.requires_grad_(False)
+    assert held(build_optimiser(network, OptimiserConfig())) == {id(each) for each in network.enhancement.parameters()}
+
+
+def held(optimiser: torch.optim.Optimizer) -> set[int]:
+    return {id(parameter) for group in optimiser.param_groups for parameter in group["params"]}
+
+
+def test_the_inversions_learn_faster(settings: Settings, tiny_capture: CaptureModel) -> None:
+    """Adam's first step changes every number that has a gradient by the learning rate, here of a warm-up's first step."""
+    network = build_network(tiny_capture, "flatnet3d", "tiny")
+    assert network.joint is not None
+    optimiser = build_optimiser(network, OptimiserConfig(inversion_rate=7))
+    own = {id(each) for inversion in (network.inversion, network.joint) for each in inversion.parameters()}
+    fast = [group for group in optimiser.param_groups if group["rate"] == 7]
+    assert {id(each) for group in fast for each in group["params"]} == own
+    assert {group["rate"] for group in optimiser.param_groups} == {1, 7}
+    assert held(optimiser) == {id(each) for each in network.parameters()}
+    assert OptimiserConfig().inversion_rate == 10
+
+    rates = {"learning_rate": 1e-3, "schedule": "constant", "warm_up": 0.0}
+    begun = weights(train(settings("begun", steps=1, optimiser=rates | {"learning_rate": 1e-9})).folder / LAST)
+    ended = weights(train(settings("ended", steps=1, optimiser=rates)).folder / LAST)
+    for name, value in ended.items():
+        step = (value - begun[name]).abs().max().item()
+        kinds = ("inversion.", "joint.")
+        expected = 1e-2 if name.startswith(kinds) else 1e-3
+        assert step == 0 or step == pytest.approx(expected, rel=0.01), name  # what has no gradient yet stays
+
+
+def test_inversions_that_do_not_learn(tiny_capture: CaptureModel) -> None:
+    network = build_network(tiny_capture, "flatnet3d", "tiny")
+    optimiser = build_optimiser(network, OptimiserConfig(inversion_rate=0))
+    assert held(optimiser) == {id(each) for each in network.enhancement.parameters()}
+
+
+@pytest.mark.parametrize(("share", "moved"), [(0.5, 3), (0.0, 0), (1.0, 6)])
+def test_batch_statistics_stay_after_their_share_of_the_steps(settings: Settings, share: float, moved: int) -> None:
+    """Counted by batch normalisation itself, and used: what is learned from then on is what is validated."""
+    given = {"network": {"body": "unet"}, "optimiser": {"freeze_statistics": share}}
+    result = train(settings(steps=6, **given))
+    found = weights(result.folder / LAST)
+    counts = {int(value) for name, value in found.items() if name.endswith("num_batches_tracked")}
+    assert counts == {moved}
