@@ -1,4 +1,4 @@
-"""One process or several under torchrun: device and precision, sums over processes, batch statistics over all of a batch."""
+"""One process or several under torchrun: device and precision, sums over processes."""
 
 from __future__ import annotations
 
@@ -111,8 +111,7 @@ class Precision:
     def estimate(self, network: nn.Module, measurement: Tensor) -> Estimate:
         """Return a network's estimate, float32.
 
-        Autocast takes convolutions and matrix products only; the inversion, Fourier transforms and complex products, stays
-        float32, and batch statistics with it.
+        Autocast takes convolutions and matrix products of the body only; inversion, soft head and statistics stay float32.
         """
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.kind == "bfloat16"):
             image, disparity = network(measurement)

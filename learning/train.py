@@ -245,6 +245,9 @@ def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Pla
     )
     torch.manual_seed(config.seed)
     network = build_network(capture, config.network.name, config.network.size, **config.network.changes)
+    if group.world_size > 1 and not group.on_cuda and any(isinstance(each, _BatchNorm) for each in network.modules()):
+        reason = f"got unet, whose batch normalisation {group.world_size} processes share on GPUs only"
+        raise InputError("network.body", f"{reason}; take naf, or one process")
     init_from, taken = None, []
     if config.init_from is not None:
         path = config.resolve_path(config.init_from)

@@ -6,58 +6,24 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-import torch.distributed as dist
 import yaml
-from torch import nn
 
 from learning.camera import CaptureModel
-from learning.distributed import Precision, processes, synchronise_batch_norm
+from learning.config import TrainConfig
+from learning.distributed import Precision, Processes, processes
 from learning.models import build_network
 from learning.resume import LAST
-from learning.train import train
+from learning.train import make_plan, train
 from learning.validation import METRICS
 from simulator.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[3]
-
-
-@pytest.fixture
-def lone_group(tmp_path: Path) -> Iterator[None]:
-    """A group of one process."""
-    dist.init_process_group("gloo", init_method=f"file://{tmp_path / 'meet'}", rank=0, world_size=1)
-    yield
-    dist.destroy_process_group()
-
-
-@pytest.mark.usefixtures("lone_group")
-@pytest.mark.parametrize("affine", [True, False])
-def test_batch_norm_of_one_is_torchs(affine: bool) -> None:
-    torch.manual_seed(0)
-    own, theirs = (nn.Sequential(nn.BatchNorm2d(3, affine=affine)).double() for _ in range(2))
-    synchronise_batch_norm(own, "cpu")
-    assert type(own[0]) is not type(theirs[0])
-    images = 5 + 3 * torch.randn(4, 3, 6, 5, dtype=torch.float64)
-    inputs = [images.clone().requires_grad_() for _ in range(2)]
-    weights = torch.randn(4, 3, 6, 5, dtype=torch.float64)
-    outputs = [layer(given) for layer, given in zip((own, theirs), inputs, strict=True)]
-    for output in outputs:
-        (output * weights).sum().backward()
-    # Sums in another order, float64.
-    assert torch.allclose(outputs[0], outputs[1], atol=1e-12)
-    assert torch.allclose(inputs[0].grad, inputs[1].grad, atol=1e-12)  # pyright: ignore[reportArgumentType]
-    for name, value in theirs.state_dict().items():
-        assert torch.allclose(own.state_dict()[name], value, atol=1e-12), name
-    if affine:
-        assert torch.allclose(own[0].weight.grad, theirs[0].weight.grad, rtol=1e-12)  # pyright: ignore
-    own.eval()
-    theirs.eval()
-    assert torch.allclose(own(images), theirs(images), atol=1e-12)
 
 
 def test_cuda_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,10 +32,20 @@ def test_cuda_where_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
         pass
 
 
+def test_batch_statistics_of_one_process_are_not_those_of_all(settings: Callable[..., TrainConfig]) -> None:
+    """Only on GPUs, where torch takes them over all processes."""
+    config = settings(batch=6, network={"body": "unet"})
+    both = Processes(torch.device("cpu"), 0, 2)
+    with pytest.raises(InputError, match=r"^network\.body: "):
+        make_plan(config, both, None)
+    make_plan(config, Processes(torch.device("cpu")), None)
+    make_plan(settings(batch=6), both, None)
+
+
 @pytest.mark.slow
 def test_two_processes_are_one_with_the_whole_batch(tiny_dataset: Path, tmp_path: Path) -> None:
     data = {"train": str(tiny_dataset), "cache": str(tmp_path / "cache"), "workers": 0, "noise_db": [30.0, 40.0]}
-    plain = {"name": "tiny", "output": "one", "data": data, "network": {"size": "tiny", "attention": True}}
+    plain = {"name": "tiny", "output": "one", "data": data, "network": {"size": "tiny"}}
     plain |= {"steps": 10, "batch": 6, "log_every": 1, "validate_every": 5, "device": "cpu"}
     path = tmp_path / "tiny.yaml"
     path.write_text(yaml.safe_dump(plain))
@@ -101,16 +77,17 @@ def test_two_processes_are_one_with_the_whole_batch(tiny_dataset: Path, tmp_path
 CPU = torch.device("cpu")
 
 
-def test_inversion_stays_exact(tiny_capture: CaptureModel) -> None:
+@pytest.mark.parametrize("body", ["naf", "unet"])
+def test_inversion_stays_exact(tiny_capture: CaptureModel, body: str) -> None:
     torch.manual_seed(0)
-    network = build_network(tiny_capture, "flatnet3d", "tiny").eval()
-    volumes, kinds = [], []
-    network.inversion.register_forward_hook(lambda _, __, output: volumes.append(output))
+    network = build_network(tiny_capture, "flatnet3d", "tiny", body=body).eval()
+    given, kinds = [], []
+    network.enhancement.register_forward_pre_hook(lambda _, inputs: given.append(inputs[0]))
     network.enhancement.register_forward_hook(lambda _, __, output: kinds.append(output.dtype))
     measurement = 0.1 + 0.1 * torch.rand(2, 3, 48, 48)
     with torch.no_grad():
         exact, mixed = (Precision(kind, CPU).estimate(network, measurement) for kind in ("float32", "bfloat16"))
-    assert torch.equal(volumes[0], volumes[1])
+    assert torch.equal(given[0], given[1])
     assert kinds == [torch.float32, torch.bfloat16]
     assert mixed.image.dtype == mixed.disparity.dtype == torch.float32
     error = (mixed.image - exact.image).norm() / exact.image.norm()
