@@ -358,7 +358,8 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
         raise InputError("checkpoint", f"its camera has the channels {', '.join(other)}, expected {', '.join(mine)}")
     new, old = network.inversion.disparities, checkpoint.network.inversion.disparities
     same = len(new) == len(old) and np.allclose(new, old, atol=1e-6)
-    taken = dict(found) if same else found | _resampled(network, found, old, new)
+    alike = network.plane_weights == checkpoint.network.plane_weights  # else refused for its shapes
+    taken = found | _resampled(network, found, old, new) if alike and not same else dict(found)
     cure = f"take a checkpoint of the same size, or build the network with its numbers: {checkpoint.architecture}"
     _check_shapes(own, taken, "checkpoint", f"; {cure}")
     network.load_state_dict(taken)

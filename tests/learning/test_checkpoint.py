@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ import torch
 from safetensors import safe_open
 
 from learning.checkpoint import Checkpoint, load_checkpoint, plane_mixing, save_checkpoint, transfer
-from learning.models import LearnedMethod, build_network
+from learning.models import SIZES, LearnedMethod, build_network
 from simulator.errors import InputError
 from simulator.io.files import StorageError
 from simulator.optics.stack import depth_planes
@@ -52,7 +53,7 @@ def test_everything_comes_back(path, network, tiny_capture):
     checkpoint = load_checkpoint(path)
     assert torch.equal(torch.get_rng_state(), state)
     assert checkpoint.record == RECORD
-    assert checkpoint.architecture == ARCHITECTURE | {"levels": 3, "attention": False, "stem": 1}
+    assert checkpoint.architecture == SIZES["tiny"] | ARCHITECTURE
     back, mine = checkpoint.capture, tiny_capture
     for name in ("sensor_shape", "scene_shape", "gain", "white"):
         assert getattr(back, name) == getattr(mine, name)
@@ -69,6 +70,55 @@ def test_everything_comes_back(path, network, tiny_capture):
     got = LearnedMethod("ours", checkpoint.network, checkpoint.capture).reconstruct(measurement)
     assert torch.equal(got.image, wanted.image)
     assert torch.equal(got.disparity, wanted.disparity)
+
+
+def test_the_field_comes_back(path, tmp_path, tiny_capture):
+    """Light from beside the image is what ADMM wants to know of; the network has nothing of it."""
+    wide = np.random.default_rng(2).uniform(1e-4, 2e-4, (20, 22)).astype(np.float32)
+    wide[2:-2, 3:-3] = tiny_capture.irradiance
+    capture = replace(tiny_capture, irradiance=wide)
+    network = load_checkpoint(path).network
+    beside = tmp_path / "wide.safetensors"
+    save_checkpoint(beside, network, architecture=ARCHITECTURE, capture=capture, record={})
+    back = load_checkpoint(beside)
+    assert back.capture.field_shape == (20, 22)
+    np.testing.assert_array_equal(back.capture.irradiance, wide, strict=True)
+    np.testing.assert_array_equal(back.capture.scene_irradiance, tiny_capture.irradiance)
+    assert [part.shape for part in back.network(torch.rand(1, 3, 48, 48))] == [(1, 3, 16, 16), (1, 1, 16, 16)]
+
+
+FIRST = Path(__file__).parent / "files" / "first_version.safetensors"
+"""Of a tiny FlatNet3D, 4 filters on 2 levels with attention, as version 1 of the format wrote it."""
+
+
+def test_the_first_version_gives_what_it_gave():
+    """The estimate's means and deviations of each channel, and values here and there, as they were then."""
+    checkpoint = load_checkpoint(FIRST)
+    assert checkpoint.architecture == {
+        **{"network": "flatnet3d", "size": "tiny", "body": "unet", "blocks": 1, "filters": 4, "levels": 2},
+        **{"attention": True, "stem": 1, "noise_aware": False, "joint": False, "head": "linear"},
+    }
+    measurement = torch.from_numpy(np.random.default_rng(9).random((1, 3, 16, 16)).astype(np.float32))
+    with torch.no_grad():
+        found = torch.cat(checkpoint.network(measurement), dim=1)[0].double()
+    # Single precision behind some ten layers: 1e-5; batch statistics or a lambda of another kind would be off by tenths.
+    for got, wanted in (
+        (found.mean(dim=(1, 2)), [0.850069, 0.444989, 0.192768, 0.958672]),
+        (found.std(dim=(1, 2)), [0.417772, 0.241519, 0.345191, 0.243480]),
+        (found[:, 1, 1], [1.028299, 0.432928, 0.153357, 1.000154]),
+        (found[:, 3, 3], [0.972889, 0.843556, -0.180132, 1.134157]),
+    ):
+        assert got.tolist() == pytest.approx(wanted, abs=1e-4)
+
+
+def test_the_first_version_is_saved_as_the_newest_and_stays_the_same_network(tmp_path):
+    first = load_checkpoint(FIRST)
+    path = tmp_path / "again.safetensors"
+    save_checkpoint(path, first.network, architecture=first.architecture, capture=first.capture, record=first.record)
+    again = load_checkpoint(path)
+    assert (again.architecture, again.record) == (first.architecture, {"name": "first version"})
+    measurement = torch.rand(1, 3, 16, 16)
+    assert torch.equal(again.network(measurement).image, first.network(measurement).image)
 
 
 def test_same_content_is_the_same_file(path, tmp_path, network, tiny_capture):
@@ -132,7 +182,9 @@ def test_another_camera_of_the_same_planes(path, tiny_capture):
     own = load_checkpoint(path).network
     for (key, value), mine in zip(checkpoint.network.state_dict().items(), own.state_dict().values(), strict=True):
         assert torch.equal(value, mine), key
-    assert not torch.equal(checkpoint.network.inversion.inverse()[..., :9, :9], own.inversion.inverse()[..., :9, :9])
+    for name in ("inversion", "joint"):
+        inverses = [next(iter(getattr(each, name).inverses()))[:, :9, :9] for each in (checkpoint.network, own)]
+        assert not torch.allclose(*inverses)
 
 
 @pytest.mark.parametrize(
@@ -154,7 +206,7 @@ def test_refuses_a_stack_of_other_planes_pixels_or_channels(path, tiny_capture, 
 
 
 CHANGES = {
-    "newer": lambda content: content.update(version=2),
+    "newer": lambda content: content.update(version=3),
     "unknown": lambda content: content["architecture"].update(network="flatnet9"),
     "weights": lambda content: content["architecture"].update(filters=7),
     "camera": lambda content: content.pop("camera"),
@@ -240,9 +292,10 @@ def trained(capture, name="flatnet3d", **changes):
 
 
 @pytest.mark.parametrize("name", ["flatnet3d", "flatnet2d"])
-def test_same_camera_is_exact(tiny_capture, name):
-    checkpoint = trained(tiny_capture, name)
-    network = build_network(tiny_capture, name, "tiny").eval()
+@pytest.mark.parametrize("changes", [{}, {"body": "unet", "head": "linear"}])
+def test_same_camera_is_exact(tiny_capture, name, changes):
+    checkpoint = trained(tiny_capture, name, **changes)
+    network = build_network(tiny_capture, name, "tiny", **changes).eval()
     measurement = torch.rand(2, 3, 48, 48)
     lines = transfer(network, checkpoint)
     assert len(lines) == 1
@@ -251,31 +304,56 @@ def test_same_camera_is_exact(tiny_capture, name):
         assert torch.equal(network(measurement).image, checkpoint.network(measurement).image)
 
 
-@pytest.mark.parametrize(("old", "new", "stem"), [(8, 12, 1), (8, 5, 1), (3, 25, 2)])
-def test_linear_volumes_have_the_same_response(tiny_capture, old, new, stem):
-    checkpoint = trained(with_planes(tiny_capture, old), stem=stem)
+# What is resampled: P and lambda (and its weight of noise) of one or both inversions, the first convolution, and a soft
+# head's last one, weights and biases.
+@pytest.mark.parametrize(
+    ("changes", "resampled"),
+    [
+        ({}, 9),
+        ({"body": "unet"}, 9),
+        ({"stem": 2}, 9),
+        ({"body": "unet", "stem": 2, "attention": True}, 9),
+        ({"joint": False}, 6),
+        ({"head": "linear"}, 7),
+        ({"body": "unet", "noise_aware": False, "joint": False, "head": "linear"}, 3),
+        ({"stem": 2, "noise_aware": False}, 7),
+    ],
+)
+@pytest.mark.parametrize(("old", "new"), [(8, 12), (8, 5), (3, 25)])
+def test_linear_volumes_have_the_same_response(tiny_capture, old, new, changes, resampled):
+    """The estimate of a linear head, the residual of a soft one; whose choice, before softmax, is that at the same share."""
+    checkpoint = trained(with_planes(tiny_capture, old), **changes)
     other = with_planes(tiny_capture, new, near_m=0.05, far_m=float("inf"))
-    network = build_network(other, "flatnet3d", "tiny", stem=stem).eval()
+    network = build_network(other, "flatnet3d", "tiny", **changes).eval()
     lines = transfer(network, checkpoint)
-    assert [line.split()[0] for line in lines] == ["resampled"] * 3 + ["copied"]
-    flat, slope = torch.rand(2, 1, 3, 16, 16), torch.rand(2, 1, 3, 16, 16)
-    volumes = [flat + slope * torch.linspace(1, 0, n)[:, None, None, None] for n in (old, new)]
-    with torch.no_grad():
-        wanted, got = checkpoint.network.enhance(volumes[0]), network.enhance(volumes[1])
+    assert [line.split()[0] for line in lines] == ["resampled"] * resampled + ["copied"]
+    flat, slope = torch.rand(2, 2, 1, 3, 16, 16), torch.rand(2, 2, 1, 3, 16, 16)
+    outputs = []
+    for each, planes in ((checkpoint.network, old), (network, new)):
+        volumes = flat + slope * torch.linspace(1, 0, planes)[:, None, None, None]
+        noise = torch.tensor([-1.0, -3.0]) if each.noise_aware else None
+        each.enhancement.register_forward_hook(lambda _, __, output: outputs.append(output))
+        with torch.no_grad():
+            each.enhance(volumes[:, : 1 if each.joint is None else 2], noise)
+    wanted, got = (output.double().numpy() for output in outputs)
     # The whole network behind the first layer is the same, so its output is; float32 sums in another order.
-    torch.testing.assert_close(got.image, wanted.image, atol=1e-4, rtol=1e-4)
-    torch.testing.assert_close(got.disparity, wanted.disparity, atol=1e-4, rtol=1e-4)
+    np.testing.assert_allclose(got[:, :4], wanted[:, :4], atol=1e-4, rtol=1e-4)
+    if network.soft:
+        shares = [np.linspace(0, 1, planes) for planes in (new, old)]
+        chosen = np.apply_along_axis(lambda each: np.interp(shares[0], shares[1], each), 1, wanted[:, 4:])
+        np.testing.assert_allclose(got[:, 4:], chosen, atol=1e-4, rtol=1e-4)
 
 
 def test_filters_and_lambdas_are_interpolated_over_disparity(tiny_capture):
     checkpoint = trained(with_planes(tiny_capture, 8))
     network = build_network(with_planes(tiny_capture, 12), "flatnet3d", "tiny")
     transfer(network, checkpoint)
-    for name in ("filters", "log_lambda"):
-        old = getattr(checkpoint.network.inversion, name).detach().numpy().reshape(8, -1)
-        new = getattr(network.inversion, name).detach().numpy().reshape(12, -1)
-        wanted = np.stack([np.interp(np.linspace(0, 7, 12), np.arange(8), column) for column in old.T], 1)
-        np.testing.assert_allclose(new, wanted, atol=1e-6)  # float32
+    for part in ("inversion", "joint"):
+        for name in ("filters", "log_lambda", "log_noise_weight"):
+            old = getattr(getattr(checkpoint.network, part), name).detach().numpy().reshape(8, -1)
+            new = getattr(getattr(network, part), name).detach().numpy().reshape(12, -1)
+            wanted = np.stack([np.interp(np.linspace(0, 7, 12), np.arange(8), column) for column in old.T], 1)
+            np.testing.assert_allclose(new, wanted, atol=1e-6)  # float32
 
 
 def test_planes_need_not_be_even_in_disparity():
@@ -288,24 +366,34 @@ def test_one_plane_serves_another(tiny_capture):
     checkpoint = trained(with_planes(tiny_capture, 8), "flatnet2d")
     network = build_network(with_planes(tiny_capture, 3), "flatnet2d", "tiny").eval()
     transfer(network, checkpoint)
-    volume = torch.rand(1, 1, 3, 16, 16)
+    given = torch.rand(1, 2, 1, 3, 16, 16), torch.tensor([-2.0])
     with torch.no_grad():
-        torch.testing.assert_close(network.enhance(volume).image, checkpoint.network.enhance(volume).image)
+        got, wanted = network.enhance(*given), checkpoint.network.enhance(*given)
+    torch.testing.assert_close(got.image, wanted.image)
+    # What is added to the disparity of the plane is the same; the middle of 8 planes is at 4 / 7, of 3 at 1 / 2.
+    torch.testing.assert_close(got.disparity - 1 / 2, wanted.disparity - 4 / 7)
+
+
+OTHERS = [
+    *({"filters": 6}, {"levels": 4}, {"stem": 2}, {"blocks": 2}),
+    *({"body": "unet"}, {"head": "linear"}, {"joint": False}, {"noise_aware": False}),
+]
 
 
 @pytest.mark.parametrize(
-    ("name", "changes", "message"),
+    ("name", "changes", "other"),
     [
-        ("flatnet2d", {}, "^checkpoint: "),
-        ("flatnet3d", {"filters": 6}, "^checkpoint: "),
-        ("flatnet3d", {"levels": 4}, "^checkpoint: "),
+        ("flatnet2d", {}, {}),
+        *(("flatnet3d", change, {}) for change in OTHERS),
+        *(("flatnet3d", {}, other) for other in OTHERS),
     ],
 )
-def test_refuses_another_architecture_and_changes_nothing(tiny_capture, name, changes, message):
-    network = build_network(with_planes(tiny_capture, 5), name, "tiny", **changes)
+@pytest.mark.parametrize("planes", [3, 5])
+def test_refuses_another_architecture_and_changes_nothing(tiny_capture, name, changes, other, planes):
+    network = build_network(with_planes(tiny_capture, planes), name, "tiny", **changes)
     before = {key: value.clone() for key, value in network.state_dict().items()}
-    with pytest.raises(InputError, match=message):
-        transfer(network, trained(tiny_capture))
+    with pytest.raises(InputError, match=r"^checkpoint: "):
+        transfer(network, trained(tiny_capture, **other))
     assert all(torch.equal(value, before[key]) for key, value in network.state_dict().items())
 
 
