@@ -111,6 +111,17 @@ def tiny_dataset(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable[
 
 
 @pytest.fixture(scope="session")
+def wide_dataset(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable[[Path], Any]) -> Path:
+    """A data set like the tiny one, 4 train and 2 validation stills, whose scenes go on 20 pixels around the image.
+
+    The field, 56 x 56, is larger than the sensor. Do not write into it.
+    """
+    trial = LearningTrial(make_trial(tmp_path_factory.mktemp("wide")))
+    counts = {"train": 4, "validation": 2, "test": 0}
+    return trial.generate(dataset=counts, scene={"margin": 20, "surroundings": "continue"}, psf={"as_captured": None})
+
+
+@pytest.fixture(scope="session")
 def tiny_capture() -> CaptureModel:
     """A camera of random PSFs, 3 depths, 3 channels that differ, 48 x 48 sensor, 16 x 16 scene; nothing in it is 0 or 1."""
     rng = np.random.default_rng(1)
