@@ -37,7 +37,7 @@ Arrays = dict[str, NDArray[Any]]
 
 _STREAM = 6  # apart from the simulator's streams of the same seed, whose keys are shorter
 _CHECKED = 16
-_CACHE_FORMAT = 2
+CACHE, _CACHE_FORMAT = "samples.npy", 3
 
 
 class Example(NamedTuple):
@@ -287,18 +287,17 @@ def _ignore_interrupts(_: int) -> None:
 
 
 class SampleCache:
-    """Decoded samples of one split, a memory-mapped .npy file per kind of array, opened anew in every process.
+    """Decoded samples of one split: records in one memory-mapped .npy file, opened anew in every process.
 
     An epoch then costs no decoding, and processes share the memory. The folder's name is a hash of the samples' digests, so
     samples that were made again are never served from an older cache. It appears in one rename when all of it is on the
     disk; processes that want the same one wait for its writer.
     """
 
-    def __init__(self, folder: Path, like: Arrays, length: int) -> None:
-        """Name a cache that was filled, of so many samples like one; see `filled`."""
-        self._folder = folder
-        self._kinds = {name: (values.dtype, (length, *values.shape)) for name, values in like.items()}
-        self._maps: dict[str, NDArray[Any]] | None = None
+    def __init__(self, folder: Path, length: int) -> None:
+        """Name a cache that was filled, of so many samples; see `filled`."""
+        self._file, self._length = folder / CACHE, length
+        self._records: NDArray[np.void] | None = None
 
     @classmethod
     def filled(cls, folder: Path, dataset: Dataset, kind: str, read: Callable[[int], Arrays]) -> SampleCache:
@@ -313,7 +312,7 @@ class SampleCache:
         """
         identity = repr((_CACHE_FORMAT, kind, dataset.split, dataset.ids, sample_digests(dataset)))
         own = folder / sha256_bytes(identity.encode())[:32]
-        cache = cls(own, read(0), len(dataset))
+        cache = cls(own, len(dataset))
         with storage_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
         lock = own.with_name(f"{own.name}.lock")
@@ -326,38 +325,41 @@ class SampleCache:
 
     def read(self, position: int) -> Arrays:
         """Return a sample's arrays, copied: what the caller changes stays the caller's."""
-        if self._maps is None:
-            self._maps = {name: self._open(name) for name in self._kinds}
-        return {name: np.array(values[position]) for name, values in self._maps.items()}
+        if self._records is None:
+            self._records = self._open()
+        record = self._records[position]
+        return {name: np.array(record[name]) for name in record.dtype.names or ()}
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the maps out: pickled, they would be the whole data set."""
-        return self.__dict__ | {"_maps": None}
+        """Leave the map out: pickled, it would be the whole data set."""
+        return self.__dict__ | {"_records": None}
 
-    def _open(self, name: str) -> NDArray[np.generic]:
-        return np.load(self._folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
+    def _open(self) -> NDArray[np.void]:
+        return np.load(self._file, mmap_mode="r", allow_pickle=False)
 
     def _write(self, dataset: Dataset, read: Callable[[int], Arrays]) -> None:
-        """Write one sample after another to plain files: a full disk is an error there, to a memory map it is the end."""
-        with committed_folder(self._folder) as temporary, ExitStack() as stack:
-            files = {name: stack.enter_context(open(temporary / f"{name}.npy", "wb")) for name in self._kinds}
-            for name, (kind, shape) in self._kinds.items():
-                header = {"descr": np.lib.format.dtype_to_descr(kind), "fortran_order": False, "shape": shape}
-                np.lib.format.write_array_header_1_0(files[name], header)
+        """Write one sample after another to a plain file: a full disk is an error there, to a memory map it is the end."""
+        with committed_folder(self._file.parent) as temporary, open(temporary / CACHE, "wb") as file:
+            record = None
             for position in range(len(dataset)):
                 try:
                     arrays = read(position)
                 except OSError as error:  # not one to write the cache
                     cure = f"({error.strerror or error}); check the disk, or restore the sample"
                     raise InputError(dataset.folder(position), f"cannot be read {cure}") from error
-                for name, file in files.items():
-                    file.write(arrays[name].tobytes())
-            for file in files.values():
-                file.flush()
-                os.fsync(file.fileno())
+                if record is None:
+                    record = np.zeros((), [(name, values.dtype, values.shape) for name, values in arrays.items()])
+                    kind = np.lib.format.dtype_to_descr(record.dtype)
+                    header = {"descr": kind, "fortran_order": False, "shape": (len(dataset),)}
+                    np.lib.format.write_array_header_1_0(file, header)
+                for name in record.dtype.names or ():
+                    record[name] = arrays[name]
+                file.write(record.tobytes())
+            file.flush()
+            os.fsync(file.fileno())
 
     def _is_whole(self) -> bool:
         try:
-            return all(self._open(name).shape == shape for name, (_, shape) in self._kinds.items())
+            return self._open().shape == (self._length,)
         except (OSError, ValueError):  # absent, or a header or length that is not an array's
             return False

@@ -22,7 +22,7 @@ import learning.train as loop
 from learning.camera import CaptureModel, measure_reference_white
 from learning.checkpoint import FOLDER, load_checkpoint
 from learning.config import OptimiserConfig, TrainConfig, load_file
-from learning.data import Batches, ExampleSet
+from learning.data import CACHE, Batches, ExampleSet
 from learning.losses import ReconstructionLoss
 from learning.models import build_network
 from learning.provenance import scenes_of
@@ -464,7 +464,7 @@ def test_a_relative_cache_lies_beside_the_file(tiny_dataset: Path, tmp_path: Pat
     monkeypatch.chdir(tmp_path / "elsewhere")
     said: list[str] = []
     open_examples(open_dataset(tiny_dataset, "validation"), load_file(TrainConfig, path), said.append)
-    assert any((tmp_path / "work" / "kept").glob("*/measurement.npy"))
+    assert any((tmp_path / "work" / "kept").glob(f"*/{CACHE}"))
     assert list((tmp_path / "elsewhere").iterdir()) == []
     assert said == [f"validation: 8 samples, kept decoded in {tmp_path / 'work' / 'kept'}"]
 
