@@ -90,6 +90,7 @@ class FlatNet(nn.Module):
                 name, f"got {value} with body: {body}, which has none; leave it out, or take the other body"
             )
         planes = self.planes_of(capture)
+        joint = joint and len(planes) > 1  # of one plane it is the plane-wise one
         weight = _NOISE_WEIGHT if noise_aware else None
 
         def inversion(joint: bool) -> RegularisedInversion:
