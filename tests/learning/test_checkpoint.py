@@ -366,7 +366,7 @@ def test_one_plane_serves_another(tiny_capture):
     checkpoint = trained(with_planes(tiny_capture, 8), "flatnet2d")
     network = build_network(with_planes(tiny_capture, 3), "flatnet2d", "tiny").eval()
     transfer(network, checkpoint)
-    given = torch.rand(1, 2, 1, 3, 16, 16), torch.tensor([-2.0])
+    given = torch.rand(1, 1, 1, 3, 16, 16), torch.tensor([-2.0])
     with torch.no_grad():
         got, wanted = network.enhance(*given), checkpoint.network.enhance(*given)
     torch.testing.assert_close(got.image, wanted.image)
