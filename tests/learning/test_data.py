@@ -21,7 +21,9 @@ from scipy import stats
 from torch.utils.data import DataLoader, default_collate
 
 from learning.data import CACHE, Arrays, Batches, Draw, Example, ExampleSet, Loader, SampleCache, check_dataset
+from learning.simulate import Augmentation, SceneCamera
 from simulator.dataset.reader import Dataset, open_dataset
+from simulator.dataset.sample import StoredSample, sample_index
 from simulator.errors import InputError
 from simulator.io.exr import read_exr, write_exr
 from simulator.io.files import StorageError
@@ -143,6 +145,71 @@ def test_noise_depends_on_seed_split_sample_and_draw_alone(tiny_dataset: Path, t
         assert torch.corrcoef(torch.stack([first.ravel(), other.ravel()]))[0, 1].abs() < 0.07  # 5 / sqrt(6912)
 
 
+AUGMENT = Augmentation()
+
+
+@pytest.fixture(params=["tiny", "wide"])
+def either(request: pytest.FixtureRequest) -> Dataset:
+    """Scenes that end with their image, and scenes that go on beside it."""
+    return open_dataset(request.getfixturevalue(f"{request.param}_dataset"), "train")
+
+
+def test_scenes_are_seen_anew(either: Dataset) -> None:
+    """Truth and measurement of the same changed scene: what the camera sees of it, with the data set's own noise."""
+    dataset = with_noise(either, type="none")
+    examples, camera = ExampleSet(dataset, augment=AUGMENT, seed=3), SceneCamera(dataset)
+    assert len(examples) == len(dataset)
+    for number in range(6):
+        example, sample = examples[Draw(1, number)], dataset[1]
+        rng = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(6, 0, sample_index(dataset.ids[1]), number)))
+        clip = AUGMENT.apply(sample.clip(), rng)
+        assert (example.radiance.permute(1, 2, 0).numpy() == clip.rgb[0]).all()
+        assert (example.depth_m[0].numpy() == clip.depth_m[0]).all()
+        assert (example.valid[0].numpy() == clip.valid[0]).all()
+        assert [values.dtype for values in example] == [torch.float32] * 3 + [torch.bool]
+        noiseless = camera.sensor.noiseless(camera.exposure(clip))
+        stored = ExampleSet(either, augment=AUGMENT, seed=3)[Draw(1, number)]
+        assert torch.equal(stored.radiance, example.radiance)
+        sigma, seen = 0.01 * noiseless.max(), np.minimum(noiseless, 4095 / 4096)
+        error = stored.measurement.numpy() - seen
+        # 40 dB and 12 bits, clipped at both ends: a few deviations; all of it where there is light, but not too much.
+        assert np.abs(error).max() < 6 * sigma
+        middle = (noiseless > 5 * sigma) & (noiseless < 1 - 5 * sigma)
+        assert error[middle].std() == pytest.approx(sigma, rel=0.1)
+        redrawn = ExampleSet(either, augment=AUGMENT, seed=3, noise_db=(60, 60))[Draw(1, number)]
+        assert torch.equal(redrawn.radiance, example.radiance)
+        assert np.abs(redrawn.measurement.numpy() - seen).max() < 0.6 * sigma + 0.5 / 4096
+
+
+@pytest.mark.parametrize("noise_db", [None, (20, 50)])
+def test_changes_depend_on_seed_and_draw_alone(either: Dataset, tmp_path: Path, noise_db: Any) -> None:
+    plain, again, cached = (
+        ExampleSet(either, noise_db=noise_db, augment=AUGMENT, seed=3, cache=cache) for cache in (None, None, tmp_path)
+    )
+    for draw in (Draw(0, 0), Draw(3, 5), Draw(1, 2)):
+        assert same(plain[draw], again[draw])
+        assert same(plain[draw], cached[draw])
+    first = plain[Draw(2, 4)]
+    for other in (plain[Draw(2, 5)], ExampleSet(either, noise_db=noise_db, augment=AUGMENT, seed=4)[Draw(2, 4)]):
+        assert not torch.equal(other.measurement, first.measurement)
+        assert not torch.equal(other.radiance, first.radiance)
+    ExampleSet(either, noise_db=noise_db, cache=tmp_path)  # another kind of cache, which lies beside it
+    assert len(caches(tmp_path)) == 2
+
+
+def test_samples_that_do_not_say_what_was_beside_them_cannot_be_seen_anew(
+    wide_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As versions before this one stored them; what was measured of them serves as ever."""
+    monkeypatch.setattr(StoredSample, "surroundings", lambda stored: None)
+    dataset = open_dataset(wide_dataset, "validation")
+    assert ExampleSet(dataset, noise_db=(20, 50))[0].measurement.shape == (3, 48, 48)
+    for cache in (None, tmp_path):
+        examples = ExampleSet(dataset, augment=AUGMENT, cache=cache)
+        with pytest.raises(InputError, match=r"^data\.augment: "):
+            examples[0]
+
+
 @pytest.mark.parametrize("method", ["fork", pytest.param("spawn", marks=pytest.mark.slow)])
 def test_workers_change_nothing(train: Dataset, tmp_path: Path, method: str) -> None:
     def batches(examples: ExampleSet, workers: int) -> list[Example]:
@@ -151,10 +218,11 @@ def test_workers_change_nothing(train: Dataset, tmp_path: Path, method: str) -> 
         loader = DataLoader(examples, batch_sampler=sampler, num_workers=workers, multiprocessing_context=context)
         return [batch for batch, _ in zip(loader, range(7), strict=False)]
 
-    alone = batches(ExampleSet(train, noise_db=(20, 50), seed=2), 0)
+    chosen: Any = {"noise_db": (20, 50), "augment": AUGMENT, "seed": 2}
+    alone = batches(ExampleSet(train, **chosen), 0)
     assert len(alone) == 7
     for cache in (None, tmp_path):
-        shared = batches(ExampleSet(train, noise_db=(20, 50), seed=2, cache=cache), 2)
+        shared = batches(ExampleSet(train, **chosen, cache=cache), 2)
         assert all(same(one, other) for one, other in zip(alone, shared, strict=True))
 
 
@@ -164,6 +232,10 @@ def test_a_pickled_set_is_small_and_the_same(train: Dataset, tmp_path: Path) -> 
     pickled = pickle.dumps(examples)
     assert len(pickled) < 30_000  # the samples are 2 MB
     assert same(pickle.loads(pickled)[Draw(3, 1)], expected)
+    anew, few = (ExampleSet(each, augment=AUGMENT, cache=tmp_path) for each in (train, train[:4]))
+    expected = anew[Draw(3, 1)]
+    assert len(pickle.dumps(anew)) < len(pickle.dumps(few)) + 5_000  # with the camera's PSFs, but no samples
+    assert same(pickle.loads(pickle.dumps(anew))[Draw(3, 1)], expected)
 
 
 @pytest.mark.parametrize("noise_db", [(0, 20), (50, 20), (20, 121), (float("nan"), 30)])
@@ -223,16 +295,19 @@ def caches(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.is_dir())
 
 
+@pytest.mark.parametrize("augment", [None, AUGMENT])
 @pytest.mark.parametrize("noise_db", [None, (20, 50)])
-def test_a_cached_example_needs_no_sample(tiny_dataset: Path, tmp_path: Path, noise_db: Any) -> None:
+def test_a_cached_example_needs_no_sample(
+    tiny_dataset: Path, tmp_path: Path, noise_db: Any, augment: Augmentation | None
+) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(tiny_dataset, copy)
-    plain = ExampleSet(open_dataset(copy, "validation"), noise_db=noise_db)
+    plain = ExampleSet(open_dataset(copy, "validation"), noise_db=noise_db, augment=augment)
     expected = [plain[Draw(position, 2)] for position in range(8)]
     dataset = open_dataset(copy, "validation")
-    ExampleSet(dataset, noise_db=noise_db, cache=tmp_path / "cache")
+    ExampleSet(dataset, noise_db=noise_db, augment=augment, cache=tmp_path / "cache")
     shutil.rmtree(copy / "validation")
-    cached = ExampleSet(dataset, noise_db=noise_db, cache=tmp_path / "cache")
+    cached = ExampleSet(dataset, noise_db=noise_db, augment=augment, cache=tmp_path / "cache")
     assert all(same(cached[Draw(position, 2)], expected[position]) for position in range(8))
     assert same(cached[-1], cached[7])
     with pytest.raises(IndexError):
