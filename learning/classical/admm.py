@@ -238,18 +238,15 @@ class AdmmGrid(nn.Module):
         sizes = (capture.sensor_shape, capture.field_shape if within else capture.scene_shape, values.shape[-2:])
         rows, columns = ((_shortest if within else AxisPlan.fit)(*axis) for axis in zip(*sizes, strict=True))
         self.plans, self.shape = (rows, columns), (rows.length, columns.length)
-        # A field may be larger than the sensor, which then lies in its middle.
-        begins = [max(0, -plan.offset) for plan in self.plans]
-        self.sensor, lit = (
-            (..., *(slice(begin + at, begin + at + size) for begin, (at, size) in zip(begins, places, strict=True)))
-            for places in (
-                [(0, plan.sensor) for plan in self.plans],
-                [(plan.offset, plan.size) for plan in self.plans],
-            )
-        )
+        self.sensor = (..., slice(rows.sensor), slice(columns.sensor))
+        # A field larger than the sensor begins before it: light is counted from the field's first sample, by PSFs moved so.
+        before = [max(0, -plan.offset) for plan in self.plans]
+        begins = [plan.offset + moved for plan, moved in zip(self.plans, before, strict=True)]
+        lit = (..., *(slice(at, at + plan.size) for at, plan in zip(begins, self.plans, strict=True)))
         everywhere = (..., slice(None), slice(None))
         self.light, self.scene_in_light = (lit, (..., *capture.scene_in_field)) if within else (everywhere, lit)
         kernel = columns.place(rows.place(values / self.norm[:, None, None], -2), -1)
+        kernel = np.roll(kernel, [-moved for moved in before], axis=(-2, -1))
         spectrum = torch.fft.rfft2(torch.from_numpy(kernel))
         self.register_buffer("power", spectrum.abs().square().sum(dim=0).to(dtype), persistent=False)
         # As pairs of real numbers, in three axes: so they follow a module to another precision or memory format unharmed.

@@ -14,6 +14,7 @@ from scipy.signal import fftconvolve
 
 from learning.camera import CaptureModel, capture_model, plain_capture, typical_white
 from simulator.camera.forward import ForwardModel
+from simulator.camera.surroundings import whole_frames
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
@@ -38,11 +39,14 @@ def light(capture: CaptureModel, rgb: NDArray[np.float32], depth_m: NDArray[np.f
 def blurred(capture: CaptureModel, volume: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return sum_k H_k (*) V_k on the sensor, (C, H, W), by SciPy in float64."""
     rows, columns = capture.sensor_shape
-    top, left = ((full - part) // 2 for full, part in zip(capture.sensor_shape, capture.scene_shape, strict=True))
-    canvas = np.zeros((*volume.shape[:2], rows, columns))
+    sides = list(zip(capture.sensor_shape, volume.shape[-2:], strict=True))
+    canvas = np.zeros((*volume.shape[:2], *(max(side) for side in sides)))  # light may come from beyond the sensor
+    top, left = (max(sensor - field, 0) // 2 for sensor, field in sides)
     canvas[..., top : top + volume.shape[-2], left : left + volume.shape[-1]] = volume
     psfs = np.asarray(capture.stack.values, float)
-    down, right = psfs.shape[-2] // 2, psfs.shape[-1] // 2
+    down, right = (
+        size // 2 + max(field - sensor, 0) // 2 for size, (sensor, field) in zip(psfs.shape[-2:], sides, strict=True)
+    )
     full = fftconvolve(canvas, psfs, mode="full", axes=(-2, -1)).sum(axis=0)
     return full[:, down : down + rows, right : right + columns]
 
@@ -92,6 +96,57 @@ def test_measurements_are_offset_plus_gain_times_convolution(
         assert np.abs(by_scipy - sample.noiseless).max() < 1e-6 * peak
         ours = offset + capture.gain * model.forward(volume[None].astype(np.float32))
         assert np.abs(ours - sample.noiseless).max() < 1e-6 * peak
+
+
+def test_light_from_beside_the_image_is_in_the_model(wide_dataset: Path) -> None:
+    """The field is 56 pixels wide, the image 16, the sensor 48."""
+    dataset = open_dataset(wide_dataset, "train")
+    capture = capture_model(dataset)
+    assert (capture.field_shape, capture.scene_shape) == ((56, 56), (16, 16))
+    model = capture.forward_model()
+    for sample in dataset:
+        ((rgb, depth_m),) = whole_frames(sample.clip(), (56, 56))
+        assert (rgb[capture.scene_in_field] == sample.rgb[0]).all()
+        volume = light(capture, rgb, depth_m)
+        offset, peak = capture.offset[:, None, None], sample.noiseless.max()
+        by_scipy = offset + capture.gain * blurred(capture, volume)
+        assert np.abs(by_scipy - sample.noiseless).max() < 1e-6 * peak
+        ours = offset + capture.gain * model.forward(volume[None].astype(np.float32))
+        assert np.abs(ours - sample.noiseless).max() < 1e-6 * peak
+        inside = np.zeros_like(volume)
+        inside[..., 20:36, 20:36] = volume[..., 20:36, 20:36]
+        assert np.abs(offset + capture.gain * blurred(capture, inside) - sample.noiseless).max() > 0.05 * peak
+
+
+def test_the_image_lies_in_the_middle_of_the_field(tiny_capture: CaptureModel) -> None:
+    assert tiny_capture.field_shape == (16, 16)
+    assert np.array_equal(tiny_capture.scene_irradiance, tiny_capture.irradiance)
+    rows, columns = np.indices((22, 60), np.float32)
+    capture = replace(tiny_capture, irradiance=1 + rows + 100 * columns)
+    assert capture.field_shape == (22, 60)
+    assert capture.scene_irradiance.tolist() == (1 + rows + 100 * columns)[3:19, 22:38].tolist()
+    assert capture.scene_in_field == (slice(3, 19), slice(22, 38))
+    volume = np.random.default_rng(0).random((3, 3, 22, 60))
+    got = capture.forward_model(torch.zeros(1, dtype=torch.float64)).forward(torch.from_numpy(volume)[None])
+    assert got.numpy() == pytest.approx(blurred(capture, volume), abs=1e-12 * float(got.max()))
+
+
+@pytest.mark.parametrize(
+    "margin", [None, 20, [20], [20, 20, 0], [20.5, 20], [-1, 20], ["20", 20], [True, 20], {"rows": 20}]
+)
+def test_a_damaged_record_of_the_margin_is_refused(wide_dataset: Path, margin: Any) -> None:
+    dataset = open_dataset(wide_dataset, "train")
+    info = replace(dataset.info, field_of_view=dataset.info.field_of_view | {"margin": margin})
+    with pytest.raises(InputError, match=r"field_of_view\.margin: "):
+        capture_model(Dataset(dataset.root, dataset.split, dataset.ids, info))
+
+
+def test_data_of_versions_that_had_no_margin_have_none(train: Dataset) -> None:
+    older = {key: value for key, value in train.info.field_of_view.items() if key != "margin"}
+    for record in (older, {}):
+        info = replace(train.info, field_of_view=record)
+        capture = capture_model(Dataset(train.root, train.split, train.ids, info))
+        assert np.array_equal(capture.irradiance, capture_model(train).irradiance)
 
 
 def test_gain_and_offset_are_those_of_the_sensor(learning_trial: Any) -> None:
@@ -258,6 +313,7 @@ def test_belief_needs_the_same_camera_and_known_depths(tiny_capture: CaptureMode
     [
         ({"offset": np.zeros(4)}, "^offset: "),
         ({"irradiance": np.ones((16, 17))}, "^irradiance: "),
+        ({"irradiance": np.ones((14, 16))}, "^irradiance: "),
         ({"scene_to_camera": np.eye(4)}, "^scene_to_camera: "),
         ({"sensor_shape": (47, 48)}, "^scene_shape: "),
         ({"sensor_shape": (48, 14)}, "^scene_shape: "),

@@ -21,7 +21,7 @@ SENSOR, SCENE, PSF = (13, 12), (7, 6), 9
 TV, SPARSITY = 0.05, 0.02
 
 
-def camera(planes: int, channels: int = 1, scale: float = 1.0) -> CaptureModel:
+def camera(planes: int, channels: int = 1, scale: float = 1.0, field: tuple[int, int] = SCENE) -> CaptureModel:
     """Return a camera whose PSFs reach beyond the sensor, with vignetting, gain, offset and white of its own."""
     values = np.random.default_rng(0).random((planes, channels, PSF, PSF)) ** 6 * scale
     names = ("R", "G", "B")[:channels]
@@ -31,49 +31,54 @@ def camera(planes: int, channels: int = 1, scale: float = 1.0) -> CaptureModel:
         scene_shape=SCENE,
         gain=2.0,
         offset=np.full(channels, 0.1),
-        irradiance=np.random.default_rng(1).uniform(0.5, 0.8, SCENE).astype(np.float32),
+        irradiance=np.random.default_rng(1).uniform(0.5, 0.8, field).astype(np.float32),
         scene_to_camera=np.eye(channels, 3),
         white=1.5,
     )
 
 
-def scene(planes: int, channels: int = 1) -> np.ndarray:
-    """Return a volume ``(K, C, h, w)`` of radiance / white: boxes, one in each plane."""
-    volume = np.zeros((planes, channels, *SCENE))
+def scene(planes: int, channels: int = 1, field: tuple[int, int] = SCENE) -> np.ndarray:
+    """Return a volume ``(K, C, h, w)`` of radiance / white: boxes, one in each plane; and what shines beside the image."""
+    volume = np.full((planes, channels, *field), 0.6)
+    top, left = ((whole - part) // 2 for whole, part in zip(field, SCENE, strict=True))
+    image = volume[..., top : top + SCENE[0], left : left + SCENE[1]]
+    image[:] = 0
     for plane in range(planes):
-        volume[plane, :, 1 + plane : 4 + plane, 1 + plane : 3 + plane] = 1 - 0.3 * plane
+        image[plane, :, 1 + plane : 4 + plane, 1 + plane : 3 + plane] = 1 - 0.3 * plane
     return volume
 
 
 def measure(capture: CaptureModel, volume: np.ndarray, noise: float = 0.02) -> np.ndarray:
     """Return the measurement ``(C, H, W)`` by the simulator's forward model."""
-    model = ForwardModel(capture.stack, capture.sensor_shape, capture.scene_shape)
+    model = ForwardModel(capture.stack, capture.sensor_shape, capture.field_shape)
     clean = capture.gain * model.forward((volume * capture.white * capture.irradiance)[None])
     error = noise * clean.max() * np.random.default_rng(2).standard_normal(clean.shape)
     return clean + error + capture.offset[:, None, None]
 
 
 class DenseProblem:
-    """The problem of one channel with matrices that loops fill: A, D, target; and a bound on its objective."""
+    """The problem of one channel with matrices that loops fill: A, D, target; and a bound on its objective.
+
+    Of all light that may be there: of the whole field.
+    """
 
     def __init__(self, capture: CaptureModel, measurement: np.ndarray, channel: int = 0) -> None:
-        values = capture.stack.values[:, channel]
+        values, field = capture.stack.values[:, channel], capture.field_shape
         norm = np.sqrt(np.mean(np.sum(values**2, axis=(-2, -1))))
-        matrix = np.zeros((*SENSOR, len(values), *SCENE))
-        top, left = ((a - b) // 2 for a, b in zip(SENSOR, SCENE, strict=True))
+        matrix = np.zeros((*SENSOR, len(values), *field))
+        top, left = ((a - b) // 2 for a, b in zip(SENSOR, field, strict=True))
         for (k, a, b), value in np.ndenumerate(values / norm):
-            for i in range(SCENE[0]):
-                for j in range(SCENE[1]):
+            for i in range(field[0]):
+                for j in range(field[1]):
                     row, column = top + i + a - PSF // 2, left + j + b - PSF // 2
                     if 0 <= row < SENSOR[0] and 0 <= column < SENSOR[1]:
                         matrix[row, column, k, i, j] += value
         self.forward = matrix.reshape(np.prod(SENSOR), -1)
-        unit = np.eye(len(values) * SCENE[0] * SCENE[1]).reshape(-1, len(values), *SCENE)
+        unit = np.eye(len(values) * field[0] * field[1]).reshape(-1, len(values), *field)
         steps = [np.diff(unit, axis=axis).reshape(len(unit), -1) for axis in (-2, -1)]
         self.gradient = np.concatenate(steps, axis=1).T
-        irradiance = capture.irradiance.astype(np.float64)
-        brightest = irradiance.max()
-        self.brightness = np.broadcast_to(irradiance / brightest, (len(values), *SCENE))
+        brightest = capture.scene_irradiance.astype(np.float64).max()
+        self.brightness = np.broadcast_to(capture.irradiance.astype(np.float64) / brightest, (len(values), *field))
         signal = measurement[channel] - capture.offset[channel]
         self.target = (signal / (capture.gain * capture.white * brightest * norm)).ravel()
 
@@ -83,12 +88,22 @@ class DenseProblem:
         misfit = np.sum((self.forward @ light - self.target) ** 2) / 2
         return float(misfit + TV * np.abs(self.gradient @ light).sum() + SPARSITY * np.abs(light).sum())
 
-    def bound(self, iterations: int = 4000) -> float:
+    def bound(self) -> float:
         """Return a number that no volume's objective is below, nearly attained.
 
-        Chambolle and Pock, 2011, finds multipliers p of A S and t of D S, |t| <= tv; if A^T p + D^T t + sparsity >= 0, then
-        -|p|^2 / 2 - p . target bounds the objective from below (weak duality), which a last scaling makes exactly true.
+        Multipliers p of A S and t of D S, |t| <= tv: if A^T p + D^T t + sparsity >= 0, then -|p|^2 / 2 - p . target bounds
+        the objective from below (weak duality), which a last scaling makes exactly true.
         """
+        _, p, t = self._saddle_point(4000)
+        p *= min(1.0, SPARSITY / np.max(-(self.forward.T @ p + self.gradient.T @ t)))
+        return float(-np.sum(p**2) / 2 - p @ self.target)
+
+    def solution(self) -> np.ndarray:
+        """Return the light that the objective is least for, flat."""
+        return self._saddle_point(6000)[0]
+
+    def _saddle_point(self, iterations: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return light and multipliers by the method of Chambolle and Pock, 2011."""
         step = 0.99 / np.linalg.norm(np.concatenate([self.forward, self.gradient]), 2)
         light = np.zeros(self.forward.shape[1])
         ahead, p, t = light, np.zeros(len(self.forward)), np.zeros(len(self.gradient))
@@ -97,8 +112,7 @@ class DenseProblem:
             t = np.clip(t + step * (self.gradient @ ahead), -TV, TV)
             new = np.maximum(light - step * (self.forward.T @ p + self.gradient.T @ t + SPARSITY), 0)
             ahead, light = 2 * new - light, new
-        p *= min(1.0, SPARSITY / np.max(-(self.forward.T @ p + self.gradient.T @ t)))
-        return float(-np.sum(p**2) / 2 - p @ self.target)
+        return light, p, t
 
 
 @pytest.mark.parametrize("planes", [1, 2])
@@ -118,6 +132,29 @@ def test_reaches_the_least_objective(planes: int) -> None:
     assert bound * (1 - 1e-9) <= objectives[2] <= bound * 1.001
     assert objectives[0] > objectives[1] > objectives[2]
     assert objectives[0] > 1.2 * objectives[2]
+
+
+# Fields: two pixels around the image; wider than the sensor of 13 x 12, in one direction or both.
+FIELDS = [(11, 10), (9, 16), (17, 14)]
+
+
+@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("planes", [1, 2])
+def test_light_from_beside_the_image_stays_there(field: tuple[int, int], planes: int) -> None:
+    """What is given is the image of the whole field's solution, by the method that proves the bound; not of the image's."""
+    capture = camera(planes, field=field)
+    measurement = measure(capture, scene(planes, field=field))
+    problem = DenseProblem(capture, measurement)
+    light = problem.solution().reshape(planes, *field)
+    wanted = (light / problem.brightness)[:, *capture.scene_in_field]
+    settings: dict[str, Any] = {"tv": TV, "sparsity": SPARSITY, "iterations": 600, "dtype": torch.float64}
+    got = Admm(capture, **settings)(torch.from_numpy(measurement)[None])[0, :, 0].numpy()
+    assert got.shape == (planes, *SCENE)
+    np.testing.assert_allclose(got, wanted, atol=0.01)
+    # Whoever says that there is no other light finds it in the image.
+    alone = replace(capture, irradiance=capture.scene_irradiance)
+    pushed = Admm(alone, **settings)(torch.from_numpy(measurement)[None])[0, :, 0].numpy()
+    assert pushed.sum() > 1.5 * got.sum()
 
 
 def test_one_plane_has_converged_after_the_iterations_that_are_the_default() -> None:
