@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import EllipsisType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,11 +89,11 @@ class CaptureModel:
     @property
     def scene_in_field(self) -> tuple[slice, slice]:
         """Where the image lies in the field."""
-        first, second = (
-            slice((field - scene) // 2, (field + scene) // 2)
-            for field, scene in zip(self.field_shape, self.scene_shape, strict=True)
-        )
-        return first, second
+        return _middle(self.field_shape, self.scene_shape)
+
+    def middle(self, shape: tuple[int, int]) -> tuple[EllipsisType, slice, slice]:
+        """Return where a smaller image lies in this one, whose last axes are rows and columns."""
+        return (..., *_middle(self.scene_shape, shape))
 
     @property
     def near_m(self) -> float:
@@ -143,6 +144,16 @@ class CaptureModel:
             raise InputError("stack", f"got channels {got}, expected {wanted}: it belongs to another camera")
         return replace(self, stack=stack)
 
+    def with_border(self, pixels: int) -> CaptureModel:
+        """Return the same camera with a larger image: by so many pixels on each side, where field and sensor have them.
+
+        What lies farther out is no part of it any more.
+        """
+        sides = zip(self.scene_shape, self.field_shape, self.sensor_shape, strict=True)
+        rows, columns = (min(scene + 2 * pixels, field, sensor) for scene, field, sensor in sides)
+        irradiance = self.irradiance[_middle(self.field_shape, (rows, columns))]
+        return replace(self, scene_shape=(rows, columns), irradiance=irradiance)
+
     def with_assumed(self, known: CaptureModel) -> CaptureModel:
         """Return the camera that made this data with the PSFs of ``known``, for which a method was trained or tuned.
 
@@ -169,6 +180,11 @@ class CaptureModel:
     def _range_per_m(self) -> float:
         span = 1 / self.near_m - 1 / self.far_m
         return span if span > 0 else 1.0  # of a single plane: all depths are one
+
+
+def _middle(whole: tuple[int, int], part: tuple[int, int]) -> tuple[slice, slice]:
+    first, second = (slice((many - few) // 2, (many + few) // 2) for many, few in zip(whole, part, strict=True))
+    return first, second
 
 
 def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *, white: float = 1.0) -> CaptureModel:

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from learning.models.denoiser import Denoiser
-from learning.models.flatnet import FIRST_VERSION, FlatNet, build_network, full_architecture
+from learning.models.flatnet import FIRST_VERSION, FlatNet, PlaneWeights, build_network, full_architecture
 from simulator.errors import InputError
 from simulator.io.files import expanded, write_atomic
 from simulator.io.json import are_names, canonical_json, check_keys, is_positive, is_shape
@@ -337,7 +337,7 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
     What belongs to a plane (P, lambda, the soft head's choice) is interpolated linearly between the checkpoint's planes, at
     the same share of the range of disparities (0 for the farthest plane, 1 for the nearest, whatever their depths are). The
     first convolution then sees the new volumes interpolated at the checkpoint's planes, so that a volume that is linear over
-    the planes has the same response.
+    the planes has the same response. Refinements that the checkpoint has not begin anew.
 
     Args:
         network: for the other camera; changed in place.
@@ -358,18 +358,24 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
         raise InputError("checkpoint", f"its camera has the channels {', '.join(other)}, expected {', '.join(mine)}")
     new, old = network.inversion.disparities, checkpoint.network.inversion.disparities
     same = len(new) == len(old) and np.allclose(new, old, atol=1e-6)
-    alike = network.plane_weights == checkpoint.network.plane_weights  # else refused for its shapes
-    taken = found | _resampled(network, found, old, new) if alike and not same else dict(found)
+    known = checkpoint.network.plane_weights
+    alike = network.plane_weights[: len(known)] == known  # else refused for its shapes
+    taken = found | _resampled(known, found, old, new) if alike and not same else dict(found)
+    further = tuple(f"refinements.{n}." for n in range(len(known) - 1, len(network.further)))
+    anew = {key: value for key, value in own.items() if key.startswith(further)} if further else {}
     cure = f"take a checkpoint of the same size, or build the network with its numbers: {checkpoint.architecture}"
-    _check_shapes(own, taken, "checkpoint", f"; {cure}")
-    network.load_state_dict(taken)
-    if same:
-        return [f"copied all {len(taken)} tensors: the planes lie alike"]
-    planes = f"from {len(old)} to {len(new)} planes"
+    _check_shapes(own, taken | anew, "checkpoint", f"; {cure}")
+    network.load_state_dict(taken | anew)
     changed = [name for name in taken if taken[name] is not found[name]]
+    copied = f"copied the other {len(taken) - len(changed)} tensors"
     return [
-        *(f"resampled {name} {planes}" for name in changed),
-        f"copied the other {len(taken) - len(changed)} tensors",
+        *(f"resampled {name} from {len(old)} to {len(new)} planes" for name in changed),
+        f"copied all {len(taken)} tensors: the planes lie alike" if same else copied,
+        *(
+            [f"{len(further)} refinement{'s' * (len(further) > 1)} of {len(anew)} tensors, not in it, begin anew"]
+            if anew
+            else []
+        ),
     ]
 
 
@@ -385,20 +391,28 @@ def plane_mixing(old: NDArray[np.float64], new: NDArray[np.float64]) -> NDArray[
 
 
 def _resampled(
-    network: FlatNet, found: dict[str, Tensor], old: NDArray[np.float64], new: NDArray[np.float64]
+    bodies: list[PlaneWeights], found: dict[str, Tensor], old: NDArray[np.float64], new: NDArray[np.float64]
 ) -> dict[str, Tensor]:
     """Return the weights that belong to planes, for the new ones."""
     forth, back = (torch.from_numpy(plane_mixing(*order)).float() for order in ((old, new), (new, old)))
-    planes = network.plane_weights
+    changed: dict[str, Tensor] = {}
+    for planes in bodies:
+        changed |= _resampled_body(planes, found, forth, back)
+    return changed
+
+
+def _resampled_body(planes: PlaneWeights, found: dict[str, Tensor], forth: Tensor, back: Tensor) -> dict[str, Tensor]:
+    """Return these weights of one body and its inversions, by the mixing of planes forth, old to new, and back."""
+    old = len(back)
     changed = {name: torch.einsum("no,o...->n...", forth, found[name]) for name in planes.per_plane}
     # Planes are the slowest of a volume's channels, before those of a stem; what follows the volumes has no plane.
     first = found[planes.first]
-    of_planes = planes.volumes * len(old) * planes.width
-    volumes = first[:, :of_planes].unflatten(1, (-1, len(old), planes.width))
+    of_planes = planes.volumes * old * planes.width
+    volumes = first[:, :of_planes].unflatten(1, (-1, old, planes.width))
     mixed = torch.einsum("fvow...,on->fvnw...", volumes, back).flatten(1, 3)
     changed[planes.first] = torch.cat([mixed, first[:, of_planes:]], dim=1)
     for name in planes.last:
-        fixed, chosen = found[name].split([planes.fixed, len(old) * planes.stem], dim=0)
-        mixed = torch.einsum("no,os...->ns...", forth, chosen.unflatten(0, (len(old), planes.stem))).flatten(0, 1)
+        fixed, chosen = found[name].split([planes.fixed, old * planes.stem], dim=0)
+        mixed = torch.einsum("no,os...->ns...", forth, chosen.unflatten(0, (old, planes.stem))).flatten(0, 1)
         changed[name] = torch.cat([fixed, mixed])
     return changed

@@ -126,6 +126,8 @@ class NetworkConfig(Section):
     """lambda follows the noise, whose level, found in the measurement, is an input of the body"""
     joint: bool | None = None
     """invert all planes at once, too, beside each by itself"""
+    refinements: Annotated[int, Range(0, 10)] | None = None
+    """further looks: what the estimate leaves unexplained of the measurement is inverted and enhanced again"""
     head: Literal["soft", "linear"] | None = None
     """choose among the planes with softmax weights and add what they lack, or image and disparity as they come"""
     regularisation_lambda: Annotated[float, Range(1e-9, 1e6)] | None = None

@@ -10,7 +10,7 @@ Wiener's: thesis equation 4.1; Khan et al., FlatNet, TPAMI 2020.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import torch
@@ -27,6 +27,7 @@ from learning.layers.padding import (
     pad_measurement,
     scene_of,
     spectrum_of,
+    spectrum_of_scene,
 )
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
@@ -88,6 +89,7 @@ class RegularisedInversion(FourierInversion):
 
     power: Tensor
     numerator: Tensor
+    energy: Tensor
 
     def __init__(
         self,
@@ -130,6 +132,7 @@ class RegularisedInversion(FourierInversion):
         power = spectrum.abs().square()
         self._keep("power", (power.mean(dim=0, keepdim=True) if joint else power).flatten(0, 1))
         self._keep("numerator", as_pairs(spectrum.conj() / root).flatten(0, 1))
+        self._keep("energy", root.square().expand(len(kernel), -1, -1, -1).flatten(0, 1))
         kernels, channels = kernel.shape[:2]
         begin = torch.tensor([LAPLACIAN] * kernels)  # Tensor.repeat would import SymPy where weights have no memory
         begin[:, 1, 1] += tikhonov
@@ -149,13 +152,28 @@ class RegularisedInversion(FourierInversion):
         check_measurement(measurement, self.offset, self.rows, self.columns)
         with torch.autocast(measurement.device.type, enabled=False):
             light = self.light(measurement)
-            return self.volume(self.spectrum(light), None if self.log_noise_weight is None else noise_ratio(light))
+            return self.volume(light, None if self.log_noise_weight is None else noise_ratio(light))
 
-    def volume(self, spectrum: Tensor, noise: Tensor | None = None) -> Tensor:
-        """Return the volume of spectra ``(B, C, L // 2 + 1, M)`` of light, with ratios of noise to signal ``(B, C)``."""
+    def volume(self, light: Tensor, noise: Tensor | None = None) -> Tensor:
+        """Return the volume of light ``(B, C, H, W)``, with ratios of noise to signal ``(B, C)``."""
+        return self._divided(light, self.inverses(noise))
+
+    def _divided(self, light: Tensor, inverses: Iterable[Tensor]) -> Tensor:
+        spectrum = self.spectrum(light)
         # One plane at a time: what lies between stays in the processor's cache, three times faster than all at once.
-        inverses = self.inverses(noise)
         return torch.stack([scene_of(spectrum * one, self.rows, self.columns) for one in inverses], dim=1) * self.scale
+
+    def seen(self, volume: Tensor) -> Tensor:
+        """Return the light ``(B, C, H, W)`` that a volume as `volume` gives it sends to the sensor: what this inverts.
+
+        On the same grid, of a batch: `simulator.camera.forward` has the same for whole scenes over time.
+        """
+        radiated = (volume / self.scale).unbind(1)
+        psfs = from_pairs(self.numerator).conj() * self.energy
+        planes = zip(radiated, psfs.unflatten(0, self.log_lambda.shape), strict=True)
+        spectrum = sum(spectrum_of_scene(plane, self.rows, self.columns) * psf for plane, psf in planes)
+        tall = torch.fft.ifft(torch.as_tensor(spectrum), dim=-1)[..., : self.columns.sensor]
+        return torch.fft.irfft(tall, self.rows.length, dim=-2)[..., : self.rows.sensor, :]
 
     def inverses(self, noise: Tensor | None = None) -> Iterator[Tensor]:
         """Yield W(z) of equation 4.11 plane by plane, ``(C, L // 2 + 1, M)`` complex, with a leading B where noise counts."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+import torch.nn.functional as nnf
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -68,6 +69,13 @@ def scene_of(spectrum: Tensor, rows: AxisPlan, columns: AxisPlan) -> Tensor:
     """Return the scene ``(..., h, w)`` of an image's spectrum ``(..., L // 2 + 1, M)``: the rest is not transformed."""
     part = torch.fft.ifft(spectrum, dim=-1)[..., columns.scene]
     return torch.fft.irfft(part, rows.length, dim=-2)[..., rows.scene, :]
+
+
+def spectrum_of_scene(scene: Tensor, rows: AxisPlan, columns: AxisPlan) -> Tensor:
+    """Return the spectrum ``(..., L // 2 + 1, M)`` of a scene ``(..., h, w)`` in the dark: `scene_of` turned round."""
+    tall = nnf.pad(scene, (0, 0, rows.offset, rows.length - rows.scene.stop))
+    part = torch.fft.rfft(tall, dim=-2)
+    return torch.fft.fft(nnf.pad(part, (columns.offset, columns.length - columns.scene.stop)), dim=-1)
 
 
 def as_pairs(spectrum: Tensor) -> Tensor:

@@ -16,19 +16,36 @@ import torch
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
+from learning.layers.choice import PlaneChoice
 from learning.layers.inversion import RegularisedInversion, noise_ratio
 from learning.layers.multiscale import MultiScaleNetwork
 from learning.layers.naf import NafNet
 from learning.layers.padding import check_measurement
 from learning.layers.unet import UNet
 from learning.method import Clock, Estimate, check_choices, linear_to_srgb
+from learning.models.refinement import BRIGHTEST, Refinement, Surface
 from simulator.errors import InputError
 from simulator.validation import now_called
 
-_NOISE_WEIGHT = 1.0
-"""Initial weight of noise / signal in lambda, the published Wiener filter's for scenes as bright at all frequencies."""
-_BRIGHTEST = 4.0  # of what the soft head chooses, in white: noise in the inversion is no light
+_NOISE_WEIGHT = 30.0
+"""Initial weight of noise / signal in lambda, about what is learned: at high frequencies scenes are faint."""
+_BORDER = 8
+"""Pixels around the image that a network with refinements estimates, too: all that a narrow stop leaves of the field."""
 _FAINTEST, _DECADES = 1e-8, 3.0  # of noise / signal: the least that counts, and what makes its logarithm about 0 to 1
+
+
+class Inverted(NamedTuple):
+    """What an enhancement sees.
+
+    Attributes:
+        volumes: ``(B, V, K, C, h, w)``, plane-wise and joint.
+        light: ``(B, C, H, W)``, the measurement without its offset.
+        noise: ratio of noise to signal ``(B, C)``, where it counts.
+    """
+
+    volumes: Tensor
+    light: Tensor
+    noise: Tensor | None
 
 
 class PlaneWeights(NamedTuple):
@@ -58,7 +75,8 @@ class FlatNet(nn.Module):
 
     The thesis's is a U-Net with a linear output. Beyond it: NAF blocks as ``body``; lambda that follows the noise, and the
     noise's level as a further input; a ``joint`` inversion of all planes beside the plane-wise one; a ``soft`` head that
-    chooses among the planes, with softmax weights, image and disparity alike, and adds what these lack.
+    chooses among the planes, with softmax weights, image and disparity alike, and adds what these lack; ``refinements``,
+    which look again at what the estimate leaves unexplained.
     """
 
     def __init__(
@@ -73,6 +91,7 @@ class FlatNet(nn.Module):
         stem: int = 1,
         noise_aware: bool = False,
         joint: bool = False,
+        refinements: int = 0,
         head: Literal["soft", "linear"] = "linear",
         regularisation_lambda: float = 0.1,
         tikhonov: float = 1.0,
@@ -80,7 +99,8 @@ class FlatNet(nn.Module):
         """Build the network for a camera; see `NafNet`, `UNet` for sizes, `RegularisedInversion` for lambda and P at first.
 
         Raises:
-            InputError: an unknown body or head, or what this body has not: blocks of the U-Net, attention of NAF blocks.
+            InputError: an unknown body or head, or what this one has not: blocks of the U-Net, attention of NAF blocks,
+                refinements of the U-Net or a linear head.
         """
         super().__init__()
         check_choices(("body", body, ("naf", "unet")), ("head", head, ("soft", "linear")))
@@ -89,60 +109,52 @@ class FlatNet(nn.Module):
             raise InputError(
                 name, f"got {value} with body: {body}, which has none; leave it out, or take the other body"
             )
+        if refinements and (body, head) != ("naf", "soft"):
+            got = f"got {refinements} with body: {body} and head: {head}"
+            raise InputError("refinements", f"{got}, expected 0; or take body: naf and head: soft")
         planes = self.planes_of(capture)
         joint = joint and len(planes) > 1  # of one plane it is the plane-wise one
-        weight = _NOISE_WEIGHT if noise_aware else None
-
-        def inversion(joint: bool) -> RegularisedInversion:
-            return RegularisedInversion(
-                capture,
-                planes,
-                regularisation_lambda=regularisation_lambda,
-                tikhonov=tikhonov,
-                noise_weight=weight,
-                joint=joint,
-            )
-
-        self.inversion = inversion(joint=False)
-        self.joint = inversion(joint=True) if joint else None
+        image = capture.scene_shape
+        capture = capture.with_border(_BORDER) if refinements else capture
+        self.image = capture.middle(image)
+        options: dict[str, Any] = {
+            "regularisation_lambda": regularisation_lambda,
+            "tikhonov": tikhonov,
+            "noise_weight": _NOISE_WEIGHT if noise_aware else None,
+        }
+        self.inversion = RegularisedInversion(capture, planes, **options)
+        self.joint = RegularisedInversion(capture, planes, joint=True, **options) if joint else None
         self.noise_aware, self.soft = noise_aware, head == "soft"
         channels, count = len(capture.stack.channels), len(planes)
         inputs = count * channels * (1 + joint) + noise_aware
         outputs = 4 + (count if self.soft else 0)
+        sizes: dict[str, Any] = {"filters": filters, "levels": levels, "stem": stem}
         # What a linear head begins at: the middle of both ranges; a soft one adds to what it chose.
-        sizes: dict[str, Any] = {"filters": filters, "levels": levels, "stem": stem, "start": 0.0 if self.soft else 0.5}
+        start = 0.0 if self.soft else 0.5
         if body == "naf":
-            self.enhancement: MultiScaleNetwork = NafNet(inputs, outputs, blocks=blocks, **sizes)
+            self.enhancement: MultiScaleNetwork = NafNet(inputs, outputs, blocks=blocks, start=start, **sizes)
         else:
-            self.enhancement = UNet(inputs, outputs, attention=attention, **sizes)
-        to_srgb = torch.from_numpy(np.linalg.pinv(capture.scene_to_camera)).to(torch.get_default_dtype())
-        self.register_buffer("to_srgb", to_srgb, persistent=False)
-        disparities = torch.from_numpy(self.inversion.disparities).to(torch.get_default_dtype())
-        self.register_buffer("disparities", disparities, persistent=False)
-
-    to_srgb: Tensor
-    disparities: Tensor
+            self.enhancement = UNet(inputs, outputs, attention=attention, start=start, **sizes)
+        self.choice = PlaneChoice(capture, planes)
+        self.refinements = nn.ModuleList(
+            Refinement(capture, planes, options, noise_aware, blocks=blocks, **sizes) for _ in range(refinements)
+        )
 
     @property
-    def plane_weights(self) -> PlaneWeights:
-        """Which weights belong to planes."""
+    def further(self) -> list[Refinement]:
+        """The refinements in their order."""
+        return [each for each in self.refinements if isinstance(each, Refinement)]
+
+    @property
+    def plane_weights(self) -> list[PlaneWeights]:
+        """Which weights belong to planes, of each body."""
+        channels = len(self.inversion.channels)
         inversions = {"inversion": self.inversion, "joint": self.joint}
-        of_inversions = [
-            f"{name}.{key}"
-            for name, each in inversions.items()
-            if each is not None
-            for key, _ in each.named_parameters()
+        own = _plane_weights("", self.enhancement, inversions, channels, self.soft)
+        return [own] + [
+            _plane_weights(f"refinements.{n}.", each.enhancement, {"inversion": each.inversion}, channels + 1, True)
+            for n, each in enumerate(self.further)
         ]
-        body, naf = self.enhancement, isinstance(self.enhancement, NafNet)
-        return PlaneWeights(
-            per_plane=tuple(of_inversions),
-            first="enhancement.intro.weight" if naf else "enhancement.down.0.0.weight",
-            volumes=1 if self.joint is None else 2,
-            width=len(self.inversion.channels) * body.stem**2,
-            last=("enhancement.head.weight", "enhancement.head.bias") if self.soft else (),
-            fixed=4 * body.stem**2,
-            stem=body.stem**2,
-        )
 
     @staticmethod
     @abstractmethod
@@ -151,34 +163,70 @@ class FlatNet(nn.Module):
 
     def forward(self, measurement: Tensor) -> Estimate:
         """Return the estimate of measurements ``(B, C, H, W)``, DN / 2^bits."""
-        return self.enhance(*self.invert(measurement))
+        inverted = self.invert(measurement)
+        return self.refine(self.enhance(inverted), inverted)
 
-    def invert(self, measurement: Tensor) -> tuple[Tensor, Tensor | None]:
-        """Return volumes ``(B, V, K, C, h, w)``, plane-wise and joint, and log10 of noise / signal ``(B,)`` if it counts."""
+    def invert(self, measurement: Tensor) -> Inverted:
+        """Return what the measurements are inverted to."""
         first = self.inversion
         check_measurement(measurement, first.offset, first.rows, first.columns)
         with torch.autocast(measurement.device.type, enabled=False):
             light = first.light(measurement)
-            spectrum, noise = first.spectrum(light), noise_ratio(light) if self.noise_aware else None
-            volumes = [each.volume(spectrum, noise) for each in (first, self.joint) if each is not None]
-            level = None if noise is None else noise.mean(dim=1).clamp_min(_FAINTEST).log10()
-            return torch.stack(volumes, dim=1), level
+            noise = noise_ratio(light) if self.noise_aware else None
+            volumes = [each.volume(light, noise) for each in (first, self.joint) if each is not None]
+            return Inverted(torch.stack(volumes, dim=1), light, noise)
 
-    def enhance(self, volumes: Tensor, noise: Tensor | None) -> Estimate:
-        """Return the estimate of what `invert` gave."""
+    def enhance(self, inverted: Inverted) -> Surface:
+        """Return the first estimate; without a soft head it has no odds of planes."""
+        volumes, _, noise = inverted
         inputs = volumes.flatten(1, 3)
         if noise is not None:
-            level = (noise / _DECADES + 1)[:, None, None, None].expand(-1, 1, *volumes.shape[-2:])
-            inputs = torch.cat([inputs, level.to(inputs)], dim=1)
-        output = self.enhancement(inputs)
-        image, disparity = output[:, :3], output[:, 3:4]
+            inputs = torch.cat([inputs, self._level(noise, inputs)], dim=1)
+        image, disparity, odds = self.enhancement(inputs).split(
+            [3, 1, len(self.choice.disparities) if self.soft else 0], 1
+        )
         if not self.soft:
-            return Estimate(image, disparity)
+            return Surface(image, disparity, odds)
         with torch.autocast(volumes.device.type, enabled=False):
-            weights = output[:, 4:].to(volumes).softmax(dim=1)
-            chosen = torch.einsum("ac,bkchw,bkhw->bahw", self.to_srgb, volumes[:, 0], weights)
-            image = image + linear_to_srgb(chosen.clamp(0, _BRIGHTEST), 1.0, clip=False)
-            return Estimate(image, disparity + torch.einsum("k,bkhw->bhw", self.disparities, weights)[:, None])
+            odds = odds.to(volumes)
+            weights = odds.softmax(dim=1)
+            chosen = self.choice.light(volumes[:, 0], weights).clamp(0, BRIGHTEST)
+            image = image + linear_to_srgb(chosen, 1.0, clip=False)
+            return Surface(image, disparity + self.choice.disparity(weights), odds)
+
+    def refine(self, surface: Surface, inverted: Inverted) -> Estimate:
+        """Return the estimate of the image after all further looks."""
+        _, light, noise = inverted
+        level = None if noise is None else self._level(noise, surface.image)
+        for each in self.further:
+            surface = each(surface, light, noise, level)
+        return Estimate(surface.image[self.image], surface.disparity[self.image])
+
+    @staticmethod
+    def _level(noise: Tensor, image: Tensor) -> Tensor:
+        """Return how noisy a measurement is as an image, about 0 to 1."""
+        level = noise.mean(dim=1).clamp_min(_FAINTEST).log10() / _DECADES + 1
+        return level[:, None, None, None].expand(-1, 1, *image.shape[-2:]).to(image)
+
+
+def _plane_weights(
+    prefix: str,
+    body: MultiScaleNetwork,
+    inversions: Mapping[str, RegularisedInversion | None],
+    width: int,
+    soft: bool,
+) -> PlaneWeights:
+    own = {name: each for name, each in inversions.items() if each is not None}
+    first = "intro.weight" if isinstance(body, NafNet) else "down.0.0.weight"
+    return PlaneWeights(
+        per_plane=tuple(f"{prefix}{name}.{key}" for name, each in own.items() for key, _ in each.named_parameters()),
+        first=f"{prefix}enhancement.{first}",
+        volumes=len(own),
+        width=width * body.stem**2,
+        last=tuple(f"{prefix}enhancement.head.{key}" for key in ("weight", "bias")) if soft else (),
+        fixed=4 * body.stem**2,
+        stem=body.stem**2,
+    )
 
 
 class FlatNet3D(FlatNet):
@@ -208,8 +256,11 @@ def hyperfocal_plane(capture: CaptureModel) -> int:
 
 
 NETWORKS: dict[str, type[FlatNet3D] | type[FlatNet2D]] = {"flatnet3d": FlatNet3D, "flatnet2d": FlatNet2D}
-_THESIS: dict[str, Any] = {"noise_aware": False, "joint": False, "head": "linear"}
-_OURS: dict[str, Any] = {"body": "naf", "blocks": 1, "stem": 1, "noise_aware": True, "joint": True, "head": "soft"}
+_THESIS: dict[str, Any] = {"noise_aware": False, "joint": False, "refinements": 0, "head": "linear"}
+_OURS: dict[str, Any] = {
+    **{"body": "naf", "blocks": 1, "stem": 1, "noise_aware": True},
+    **{"joint": True, "refinements": 0, "head": "soft"},
+}
 SIZES: dict[str, dict[str, Any]] = {
     "thesis": {"body": "unet", "filters": 64, "levels": 5, "attention": True, "stem": 1} | _THESIS,
     "compact": _OURS | {"filters": 24, "levels": 4},
@@ -260,7 +311,7 @@ class LearnedMethod:
         self.name, self.network, self.capture = name, network, capture
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
-        """Return the estimate of measurements ``(B, C, H, W)``; stages ``inversion`` and ``network``."""
+        """Return the estimate of measurements ``(B, C, H, W)``; stages ``inversion``, ``network`` and ``refinement``."""
         clock = clock or Clock(measurement.device)
         training = self.network.training
         self.network.eval()  # batch normalisation by what training saw, not by this batch
@@ -269,6 +320,8 @@ class LearnedMethod:
                 with clock.stage("inversion"):
                     inverted = self.network.invert(measurement)
                 with clock.stage("network"):
-                    return self.network.enhance(*inverted)
+                    surface = self.network.enhance(inverted)
+                with clock.stage("refinement" if self.network.further else "network"):
+                    return self.network.refine(surface, inverted)
         finally:
             self.network.train(training)

@@ -131,6 +131,18 @@ def test_the_image_lies_in_the_middle_of_the_field(tiny_capture: CaptureModel) -
     assert got.numpy() == pytest.approx(blurred(capture, volume), abs=1e-12 * float(got.max()))
 
 
+def test_a_border_is_as_wide_as_field_and_sensor_allow(tiny_capture: CaptureModel) -> None:
+    """Image 16 x 16, sensor 48 x 48; a field of 22 rows and 60 columns."""
+    irradiance = np.random.default_rng(0).random((22, 60)).astype(np.float32)
+    capture = replace(tiny_capture, irradiance=irradiance)
+    for pixels, shape in ((0, (16, 16)), (2, (20, 20)), (8, (22, 32)), (50, (22, 48))):
+        larger = capture.with_border(pixels)
+        assert larger.scene_shape == larger.field_shape == shape
+        rows, columns = ((whole - part) // 2 for whole, part in zip((22, 60), shape, strict=True))
+        assert (larger.irradiance == irradiance[rows : rows + shape[0], columns : columns + shape[1]]).all()
+        assert (larger.scene_irradiance[larger.middle((16, 16))] == capture.scene_irradiance).all()
+
+
 @pytest.mark.parametrize(
     "margin", [None, 20, [20], [20, 20, 0], [20.5, 20], [-1, 20], ["20", 20], [True, 20], {"rows": 20}]
 )

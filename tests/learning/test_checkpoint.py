@@ -15,6 +15,7 @@ from safetensors import safe_open
 
 from learning.checkpoint import Checkpoint, load_checkpoint, plane_mixing, save_checkpoint, transfer
 from learning.models import SIZES, LearnedMethod, build_network
+from learning.models.flatnet import Inverted
 from simulator.errors import InputError
 from simulator.io.files import StorageError
 from simulator.optics.stack import depth_planes
@@ -96,7 +97,7 @@ def test_the_first_version_gives_what_it_gave():
     checkpoint = load_checkpoint(FIRST)
     assert checkpoint.architecture == {
         **{"network": "flatnet3d", "size": "tiny", "body": "unet", "blocks": 1, "filters": 4, "levels": 2},
-        **{"attention": True, "stem": 1, "noise_aware": False, "joint": False, "head": "linear"},
+        **{"attention": True, "stem": 1, "noise_aware": False, "joint": False, "refinements": 0, "head": "linear"},
     }
     measurement = torch.from_numpy(np.random.default_rng(9).random((1, 3, 16, 16)).astype(np.float32))
     with torch.no_grad():
@@ -317,6 +318,7 @@ def test_same_camera_is_exact(tiny_capture, name, changes):
         ({"head": "linear"}, 7),
         ({"body": "unet", "noise_aware": False, "joint": False, "head": "linear"}, 3),
         ({"stem": 2, "noise_aware": False}, 7),
+        ({"refinements": 1}, 15),
     ],
 )
 @pytest.mark.parametrize(("old", "new"), [(8, 12), (8, 5), (3, 25)])
@@ -331,10 +333,10 @@ def test_linear_volumes_have_the_same_response(tiny_capture, old, new, changes, 
     outputs = []
     for each, planes in ((checkpoint.network, old), (network, new)):
         volumes = flat + slope * torch.linspace(1, 0, planes)[:, None, None, None]
-        noise = torch.tensor([-1.0, -3.0]) if each.noise_aware else None
+        noise = torch.tensor([0.1, 0.001])[:, None] if each.noise_aware else None
         each.enhancement.register_forward_hook(lambda _, __, output: outputs.append(output))
         with torch.no_grad():
-            each.enhance(volumes[:, : 1 if each.joint is None else 2], noise)
+            each.enhance(Inverted(volumes[:, : 1 if each.joint is None else 2], torch.empty(0), noise))
     wanted, got = (output.double().numpy() for output in outputs)
     # The whole network behind the first layer is the same, so its output is; float32 sums in another order.
     np.testing.assert_allclose(got[:, :4], wanted[:, :4], atol=1e-4, rtol=1e-4)
@@ -342,6 +344,23 @@ def test_linear_volumes_have_the_same_response(tiny_capture, old, new, changes, 
         shares = [np.linspace(0, 1, planes) for planes in (new, old)]
         chosen = np.apply_along_axis(lambda each: np.interp(shares[0], shares[1], each), 1, wanted[:, 4:])
         np.testing.assert_allclose(got[:, 4:], chosen, atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("planes", [3, 5])
+def test_refinements_that_a_checkpoint_has_not_begin_anew(tiny_capture, planes):
+    checkpoint = trained(tiny_capture, refinements=1)
+    network = build_network(with_planes(tiny_capture, planes), "flatnet3d", "tiny", refinements=2)
+    before = {key: value.clone() for key, value in network.state_dict().items()}
+    *_, line = transfer(network, checkpoint)
+    further = {key for key in before if key.startswith("refinements.1.")}
+    assert line == f"1 refinement of {len(further)} tensors, not in it, begin anew"
+    after, found = network.state_dict(), checkpoint.network.state_dict()
+    assert all(torch.equal(after[key], before[key]) for key in further)
+    assert after.keys() - further == found.keys()
+    if planes == 3:
+        assert all(torch.equal(after[key], found[key]) for key in found)
+    with pytest.raises(InputError, match=r"^checkpoint: refinements\."):
+        transfer(build_network(tiny_capture, "flatnet3d", "tiny"), checkpoint)
 
 
 def test_filters_and_lambdas_are_interpolated_over_disparity(tiny_capture):
@@ -366,9 +385,9 @@ def test_one_plane_serves_another(tiny_capture):
     checkpoint = trained(with_planes(tiny_capture, 8), "flatnet2d")
     network = build_network(with_planes(tiny_capture, 3), "flatnet2d", "tiny").eval()
     transfer(network, checkpoint)
-    given = torch.rand(1, 1, 1, 3, 16, 16), torch.tensor([-2.0])
+    given = Inverted(torch.rand(1, 1, 1, 3, 16, 16), torch.empty(0), torch.full((1, 3), 0.01))
     with torch.no_grad():
-        got, wanted = network.enhance(*given), checkpoint.network.enhance(*given)
+        got, wanted = network.enhance(given), checkpoint.network.enhance(given)
     torch.testing.assert_close(got.image, wanted.image)
     # What is added to the disparity of the plane is the same; the middle of 8 planes is at 4 / 7, of 3 at 1 / 2.
     torch.testing.assert_close(got.disparity - 1 / 2, wanted.disparity - 4 / 7)

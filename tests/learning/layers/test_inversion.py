@@ -186,7 +186,21 @@ class _Inverted(torch.nn.Module):
         self.layer = layer
 
     def forward(self, light, ratio):
-        return self.layer.volume(self.layer.spectrum(light), ratio)
+        return self.layer.volume(light, ratio)
+
+
+@pytest.mark.usefixtures("double")
+@pytest.mark.parametrize("joint", [False, True])
+@pytest.mark.parametrize("sizes", SIZES)
+def test_what_is_seen_is_what_the_forward_model_says(camera, sizes, joint):
+    capture = camera(*sizes)
+    volume = np.random.default_rng(3).random((2, 2, 3, *sizes[1]))
+    got = RegularisedInversion(capture, [0, 2], joint=joint).seen(torch.from_numpy(volume))
+    whole = np.zeros((2, 3, 3, *sizes[1]))
+    whole[:, [0, 2]] = volume * capture.irradiance * (capture.gain * capture.white)
+    model = capture.forward_model(whole)
+    for one, light in zip(got, whole, strict=True):
+        np.testing.assert_allclose(one, model.forward(light[None]), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.usefixtures("double")

@@ -11,7 +11,7 @@ from learning.layers.noise import noise_level
 from learning.layers.unet import UNet
 from learning.method import Clock, linear_to_srgb
 from learning.models import SIZES, LearnedMethod, build_network
-from learning.models.flatnet import hyperfocal_plane
+from learning.models.flatnet import Inverted, hyperfocal_plane
 from simulator.errors import InputError
 from simulator.optics.stack import depth_planes
 
@@ -21,7 +21,9 @@ KINDS = [
     {"body": "unet"},
     {"body": "unet", "attention": True, "stem": 2},
     {"stem": 2, "blocks": 2},
-    {"noise_aware": False, "joint": False, "head": "linear"},
+    {"refinements": 1},
+    {"refinements": 2, "stem": 2, "noise_aware": False},
+    {"noise_aware": False, "joint": False, "refinements": 0, "head": "linear"},
     {"body": "unet", "noise_aware": False},
     {"joint": False},
     {"body": "unet", "head": "linear"},
@@ -31,14 +33,14 @@ KINDS = [
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("name", "planes"), [("flatnet3d", (0, 1, 2)), ("flatnet2d", (1,))])
 def test_everything_learns(tiny_capture, name, planes, kind):
-    """After one step: the residuals of NAF blocks begin at nothing, and all behind them learns from then on."""
+    """After two steps: refinements and NAF blocks begin at nothing, and all behind them learns from then on."""
     torch.manual_seed(0)
     network = build_network(tiny_capture, name, "tiny", **kind)
     assert network.inversion.planes == planes
     assert network.joint is None or network.joint.planes == planes
     measurement, weights = torch.rand(2, 3, 48, 48), torch.randn(2, 4, 16, 16)
     optimiser = torch.optim.Adam(network.parameters(), 1e-2)
-    for _ in range(2):
+    for _ in range(3):
         optimiser.step()
         optimiser.zero_grad()
         estimate = network(measurement)
@@ -70,7 +72,7 @@ def test_the_body_sees_all_planes_and_how_noisy_it_is(tiny_capture, noise_aware,
     output = torch.rand(2, 4, 16, 16)
     network.enhancement = body = Recorded(output)
     measurement = 0.3 + torch.rand(2, 3, 48, 48) * torch.tensor([0.05, 0.5])[:, None, None, None]
-    own = {"regularisation_lambda": 0.1, "tikhonov": 1.0, "noise_weight": 1.0 if noise_aware else None}
+    own = {"regularisation_lambda": 0.1, "tikhonov": 1.0, "noise_weight": 30.0 if noise_aware else None}
     with torch.no_grad():
         estimate = network(measurement)
         kinds = [False, True][: 1 + joint]
@@ -103,9 +105,9 @@ def test_a_soft_head_chooses_among_the_planes(tiny_capture, name):
     volumes = rng.normal(0.3, 1.5, (2, 2, len(planes), 3, 16, 16))  # some of it negative, some far above white
     network.enhancement = Recorded(torch.from_numpy(output))
     network.double()
-    network.to_srgb = torch.linalg.inv(torch.from_numpy(tiny_capture.scene_to_camera))
-    network.disparities = torch.from_numpy(tiny_capture.plane_disparities())[list(planes)]
-    got = network.enhance(torch.from_numpy(volumes), torch.zeros(2))
+    network.choice.to_srgb = torch.linalg.inv(torch.from_numpy(tiny_capture.scene_to_camera))
+    network.choice.disparities = torch.from_numpy(tiny_capture.plane_disparities())[list(planes)]
+    got = network.enhance(Inverted(torch.from_numpy(volumes), torch.zeros(2, 3, 48, 48), torch.ones(2, 3)))
     weights = np.exp(output[:, 4:]) / np.exp(output[:, 4:]).sum(axis=1, keepdims=True)
     light = sum(weights[:, [k]] * volumes[:, 0, k] for k in range(len(planes)))
     linear = np.moveaxis(np.linalg.solve(tiny_capture.scene_to_camera, np.moveaxis(light, 1, -2)), -2, 1)
@@ -121,19 +123,20 @@ def test_a_soft_head_chooses_in_float32_under_autocast(tiny_capture):
     """bfloat16 has 8 bits: planes and disparities would be as coarse."""
     network = build_network(tiny_capture, "flatnet3d", "tiny")
     output = torch.randn(1, 7, 16, 16).bfloat16()
-    volumes = torch.rand(1, 2, 3, 3, 16, 16)
+    given = Inverted(torch.rand(1, 2, 3, 3, 16, 16), torch.zeros(1, 3, 48, 48), torch.ones(1, 3))
     network.enhancement = Recorded(output)
     with torch.autocast("cpu", torch.bfloat16):
-        mixed = network.enhance(volumes, torch.zeros(1))
+        mixed = network.enhance(given)
     network.enhancement = Recorded(output.float())
-    torch.testing.assert_close(mixed, network.enhance(volumes, torch.zeros(1)), rtol=0, atol=0)
+    wanted = network.enhance(given)
+    torch.testing.assert_close(mixed[:2], wanted[:2], rtol=0, atol=0)
 
 
 def test_colours_and_disparities_of_the_soft_head_are_the_cameras(tiny_capture):
     network = build_network(tiny_capture, "flatnet3d", "tiny")
-    np.testing.assert_allclose(network.to_srgb, np.linalg.inv(tiny_capture.scene_to_camera), atol=1e-6)
-    np.testing.assert_allclose(network.disparities, [1, 0.5, 0], atol=1e-6)
-    assert not {"to_srgb", "disparities"} & set(network.state_dict())
+    np.testing.assert_allclose(network.choice.to_srgb, np.linalg.inv(tiny_capture.scene_to_camera), atol=1e-6)
+    np.testing.assert_allclose(network.choice.disparities, [1, 0.5, 0], atol=1e-6)
+    assert not any("choice" in key for key in network.state_dict())
 
 
 @pytest.mark.parametrize("body", ["naf", "unet"])
@@ -150,10 +153,10 @@ def test_a_soft_head_begins_at_the_planes_mean(tiny_capture, body):
     """Without the last convolution's weights: nothing is added, and no plane is preferred."""
     network = build_network(tiny_capture, "flatnet3d", "tiny", body=body)
     torch.nn.init.zeros_(network.enhancement.head.weight)
-    volumes, _ = network.invert(measurement := torch.rand(1, 3, 48, 48))
+    volumes = network.invert(measurement := torch.rand(1, 3, 48, 48)).volumes
     estimate = network(measurement)
     torch.testing.assert_close(estimate.disparity, torch.full((1, 1, 16, 16), 0.5))
-    mean = torch.einsum("ac,bchw->bahw", network.to_srgb, volumes[:, 0].mean(dim=1)).clamp(0, 4)
+    mean = torch.einsum("ac,bchw->bahw", network.choice.to_srgb, volumes[:, 0].mean(dim=1)).clamp(0, 4)
     torch.testing.assert_close(estimate.image, linear_to_srgb(mean, 1.0, clip=False))
 
 
@@ -168,7 +171,7 @@ def test_hyperfocal_plane_is_in_the_middle_of_the_disparities(tiny_capture, dept
 def test_thesis_size_is_the_theses_network(tiny_capture):
     """A U-Net of 64 to 1024 filters with attention behind the plane-wise inversion of fixed lambda, its output linear."""
     wanted = {"body": "unet", "filters": 64, "levels": 5, "attention": True, "stem": 1}
-    assert SIZES["thesis"] == wanted | {"noise_aware": False, "joint": False, "head": "linear"}
+    assert SIZES["thesis"] == wanted | {"noise_aware": False, "joint": False, "refinements": 0, "head": "linear"}
     torch.manual_seed(0)
     network = build_network(tiny_capture, "flatnet3d", "thesis", filters=2).eval()
     unet = UNet(9, 4, filters=2, levels=5, attention=True)
@@ -187,7 +190,7 @@ def test_thesis_size_is_the_theses_network(tiny_capture):
 
 
 def test_smaller_sizes_are_ours(tiny_capture):
-    ours = {"body": "naf", "blocks": 1, "stem": 1, "noise_aware": True, "joint": True, "head": "soft"}
+    ours = {"body": "naf", "blocks": 1, "stem": 1, "noise_aware": True, "joint": True, "refinements": 0, "head": "soft"}
     for size, numbers in (("compact", {"filters": 24, "levels": 4}), ("tiny", {"filters": 8, "levels": 3})):
         assert SIZES[size] == ours | numbers
     networks = (build_network(tiny_capture, "flatnet3d", size) for size in ("tiny", "compact"))
