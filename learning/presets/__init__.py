@@ -9,8 +9,8 @@ def preset_texts() -> dict[str, str]:
     """Return the YAML of each preset, by name.
 
     Example:
-        >>> [name for name in preset_texts() if name.endswith("_64")]
-        ['denoiser_64', 'endoscopy_fine_tuning_64', 'evaluate_64', 'flatnet2d_64', 'flatnet3d_64', 'tune_64']
+        >>> [name for name in preset_texts() if name.startswith("flatnet")]
+        ['flatnet2d_64', 'flatnet3d_64', 'flatnet3d_refined_64', 'flatnet3d_thesis', 'flatnet3d_tiny']
     """
     found = sorted((entry for entry in files(__name__).iterdir() if entry.name.endswith(".yaml")), key=lambda e: e.name)
     return {entry.name.removesuffix(".yaml"): entry.read_text(encoding="utf-8") for entry in found}

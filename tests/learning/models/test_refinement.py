@@ -59,7 +59,9 @@ def test_a_look_is_its_definition(tiny_capture, noise_aware):
     volume = inversion.volume(torch.from_numpy(left), noise).detach().numpy()
     wanted = np.concatenate([volume, weights[:, :, None]], axis=2).reshape(2, 12, 16, 16)
     wanted = [wanted, image, disparity] + ([level.numpy()] if noise_aware else [])
-    np.testing.assert_allclose(body.given.detach(), np.concatenate(wanted, axis=1), rtol=1e-5, atol=1e-5)  # colour is float32
+    np.testing.assert_allclose(
+        body.given.detach(), np.concatenate(wanted, axis=1), rtol=1e-5, atol=1e-5
+    )  # colour is float32
 
     chosen = softmax(odds + output[:, 4:])
     added = np.einsum("ac,bkchw,bkhw->bahw", np.linalg.inv(colours), volume, chosen)

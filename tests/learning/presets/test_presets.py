@@ -45,17 +45,27 @@ def test_the_tuning_is_on_the_validation_split_of_the_training_data(tmp_path: Pa
     assert config.data.split == "validation"
 
 
+def test_the_refinement_goes_on_from_what_the_training_writes(tmp_path: Path) -> None:
+    first, further = (
+        load_file(TrainConfig, _written(name, tmp_path)) for name in ("flatnet3d_64", "flatnet3d_refined_64")
+    )
+    assert further.init_from == f"{first.output}/best.safetensors"
+    assert further.network.numbers == first.network.numbers | {"refinements": 1}
+    assert (further.data, further.loss) == (first.data, first.loss)
+
+
 def test_the_evaluation_reads_what_trainings_and_tuning_write(tmp_path: Path) -> None:
     config = load_file(EvaluateConfig, _written("evaluate_64", tmp_path))
     presets = preset_texts()
-    for method, preset in zip(config.methods, ("flatnet3d_64", "flatnet2d_64"), strict=False):
+    networks = ("flatnet3d_refined_64", "flatnet3d_64", "flatnet2d_64")
+    for method, preset in zip(config.methods, networks, strict=False):
         output = yaml.safe_load(presets[preset])["output"]
         assert method.checkpoints is not None
         assert method.checkpoints[0] == f"{output}/best.safetensors"
         assert len(method.checkpoints) == 3
     tuning = load_file(TuneConfig, _written("tune_64", tmp_path))
-    assert [method.classical for method in config.methods[2:]] == tuning.methods
-    assert {method.tuned for method in config.methods[2:]} == {str(tuning.output)}
+    assert [method.classical for method in config.methods[len(networks) :]] == tuning.methods
+    assert {method.tuned for method in config.methods[len(networks) :]} == {str(tuning.output)}
     assert config.noise_db == tuning.noise_db
     assert config.data.training == yaml.safe_load(preset_text("flying_things_64"))["dataset"]["output"]
 
