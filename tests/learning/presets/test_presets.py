@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
-from learning.config import DenoiserConfig, EvaluateConfig, TrainConfig, TuneConfig, load_file
+from learning.config import FEWEST_SCENES, DenoiserConfig, EvaluateConfig, TrainConfig, TuneConfig, load_file
 from learning.presets import preset_texts
-from simulator.config import load_config
+from scenes.endoscopy.organs import ORGANS
+from simulator.config import Config, load_config
 from simulator.presets import preset_names, preset_text
 
 
@@ -70,14 +73,68 @@ def test_the_evaluation_reads_what_trainings_and_tuning_write(tmp_path: Path) ->
     assert config.data.training == yaml.safe_load(preset_text("flying_things_64"))["dataset"]["output"]
 
 
+def _commands(preset: str, verb: str) -> list[list[str]]:
+    """Return the words after `flatlight VERB` at a preset's head, the shell's loops unrolled."""
+    comments = (line[1:] for line in preset_texts()[preset].splitlines() if line.startswith("#"))
+    lines = []
+    for line in "\n".join(comments).replace("\\\n", " ").splitlines():
+        loop = re.search(r"for (\w+) in (.*); do (.*); done", line)
+        lines += [loop[3].replace(f"${loop[1]}", word) for word in loop[2].split()] if loop else [line]
+    found = (call for line in lines for call in re.findall(rf"flatlight {verb} ([^(&]*)", line))
+    return [call.split() for call in found]
+
+
+def _made(preset: str, data: str, folder: Path) -> list[Config]:
+    """Return the data sets, all of one preset of the simulator, that the commands at a preset's head make."""
+    path = folder / f"{data}.yaml"
+    path.write_text(preset_text(data), encoding="utf-8")
+    commands = _commands(preset, "generate")
+    assert {words[0] for words in commands} == {path.name}
+    return [load_config(path, words[2::2]) for words in commands]
+
+
 def test_the_commands_at_its_head_make_the_data_that_it_reads(tmp_path: Path) -> None:
-    head = preset_texts()["evaluate_64"].split("# First:")[0].replace("\\\n#", " ")
-    commands = [line.split("flatlight generate ", 1)[1].split() for line in head.splitlines() if "generate" in line]
-    path = tmp_path / "flying_things_64.yaml"
-    path.write_text(preset_text("flying_things_64"), encoding="utf-8")
     config = load_file(EvaluateConfig, _written("evaluate_64", tmp_path))
-    made = [load_config(path, words[2::2]) for words in commands]
+    made = _made("evaluate_64", "flying_things_64", tmp_path)
     assert [str(one.dataset.output) for one in made] == [config.data.training, config.data.test]
     assert made[0].psf.as_captured is not None  # pyright: ignore[reportAttributeAccessIssue]
     assert (made[1].psf.model, made[1].psf.depths) == ("exact", 25)  # pyright: ignore[reportAttributeAccessIssue]
     assert (made[1].dataset.train, made[1].dataset.validation, made[1].dataset.test) == (0, 0, 240)
+
+
+def test_three_organs_are_judged_through_psfs_and_in_scenes_that_are_new(tmp_path: Path) -> None:
+    config = load_file(EvaluateConfig, _written("evaluate_endoscopy_64", tmp_path))
+    colon, *tests = _made("evaluate_endoscopy_64", "endoscopy_64", tmp_path)
+    assert isinstance(config.data.test, dict)
+    assert str(colon.dataset.output) == config.data.training
+    assert colon.scene.params["organ"] == "colon"
+    assert colon.dataset.validation >= FEWEST_SCENES
+    organs = {str(one.scene.params["organ"]).replace("_", " "): str(one.dataset.output) for one in tests}
+    assert list(organs.items()) == list(config.data.test.items())
+    assert {name.replace(" ", "_") for name in organs} == set(ORGANS)
+    for one in tests:
+        assert (one.dataset.train, one.dataset.validation, one.dataset.test) == (0, 0, 96)
+        assert one.seed != colon.seed
+        seen, known = (each.psf.depths_m for each in (one, colon))  # pyright: ignore[reportAttributeAccessIssue]
+        assert set(np.round(seen, 9)) & set(np.round(known, 9)) == set(np.round([known[0], known[-1]], 9))
+
+
+def test_the_trainings_and_the_tuning_for_endoscopy_are_the_methods_that_are_judged(tmp_path: Path) -> None:
+    config = load_file(EvaluateConfig, _written("evaluate_endoscopy_64", tmp_path))
+    path = _written("endoscopy_fine_tuning_64", tmp_path)
+    commands = _commands("endoscopy_fine_tuning_64", "train")
+    taught, scratch, untaught = (load_file(TrainConfig, path, words[2::2]) for words in commands)
+    outputs = [each.output for each in (taught, scratch, untaught)]
+    assert [[f"{output}/best.safetensors"] for output in outputs] == [each.checkpoints for each in config.methods[:3]]
+    assert taught.init_from == f"{yaml.safe_load(preset_texts()['flatnet3d_64'])['output']}/best.safetensors"
+    assert scratch.init_from is None
+    assert (scratch.steps, scratch.data, scratch.loss) == (taught.steps, taught.data, taught.loss)
+    assert untaught.init_from == taught.init_from
+    assert (untaught.steps, untaught.optimiser.learning_rate) == (1, 1e-9)
+    (words,) = _commands("endoscopy_fine_tuning_64", "tune")
+    tuning = load_file(TuneConfig, _written("tune_64", tmp_path), words[2::2])
+    assert [method.classical for method in config.methods[3:]] == tuning.methods
+    assert {method.tuned for method in config.methods[3:]} == {str(tuning.output)}
+    assert str(tuning.data.validation) == taught.data.train == config.data.training
+    noise = yaml.safe_load(preset_text("endoscopy_64"))["camera"]["noise"]
+    assert tuning.noise_db == [noise["psnr_db"]]
