@@ -1,4 +1,4 @@
-"""Seconds per scene and stage of FlatNet3D, FlatNet2D and the classical methods, in one run on one device.
+"""Seconds per scene and stage of the FlatNets and the classical methods, in one run on one device.
 
     uv run --extra learn python benchmarks/reconstruct.py DATASET [--tuned tuned.json] [--device cuda] [--repeats 7]
 
@@ -24,6 +24,7 @@ from learning.tune.study import load_tuned
 from simulator.dataset import open_dataset
 
 REFERENCE = "FlatNet3D"
+NETWORKS = ((REFERENCE, "flatnet3d", 0), ("FlatNet3D refined", "flatnet3d", 1), ("FlatNet2D", "flatnet2d", 0))
 
 
 def main() -> None:
@@ -40,10 +41,10 @@ def main() -> None:
     train = open_dataset(chosen.dataset, "train")
     capture = capture_model(train, white=measure_reference_white(train))
     methods: list[Method] = [
-        LearnedMethod(name, build_network(capture, name.lower(), chosen.size).to(device), capture)
-        for name in (REFERENCE, "FlatNet2D")
+        LearnedMethod(name, build_network(capture, network, chosen.size, refinements=looks).to(device), capture)
+        for name, network, looks in NETWORKS
     ]
-    for name in ("cls", "admm"):
+    for name in ("cls", "admm", "pnp"):
         parameters, where = DEFAULTS[name], "by default"
         if chosen.tuned is not None:
             parameters, level = load_tuned(chosen.tuned).parameters(name, chosen.noise_db)
@@ -57,7 +58,7 @@ def main() -> None:
     print(f"{describe_device(device)}; medians of {chosen.repeats} scenes, ms")
     for each in times:
         stages = ", ".join(f"{stage} {1e3 * seconds:.1f}" for stage, seconds in each.stages.items())
-        print(f"{each.method:<18} {1e3 * each.total:8.1f}  {each.total / reference:6.2f} x {REFERENCE}   ({stages})")
+        print(f"{each.method:<32} {1e3 * each.total:8.1f}  {each.total / reference:6.2f} x {REFERENCE}   ({stages})")
 
 
 if __name__ == "__main__":
