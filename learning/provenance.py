@@ -62,17 +62,23 @@ def scenes_of(dataset: Dataset) -> list[str]:
     Scenes that a family draws follow from the root seed, the split and the index: the same numbers draw the same things,
     through any mask, sensor and PSF, in any size, at any depth, more finely rendered or with other parameters. So the family
     has one name per seed and split, in words. Imported scenes are known by their recordings, of which there are many: a hash
-    for each video or sequence, wherever it lies; of a source that names neither, for all that it says of a clip.
+    for each video or sequence, wherever it lies; of a source that names neither, for all that it says of a clip. Scenes of a
+    data set, seen again, are known by what they were known by there.
     """
-    scene = dataset.config["scene"]
+    scene, seed, split = dataset.config["scene"], dataset.config["seed"], dataset.split
     if scene.get("family") is not None:
-        return [f"{PurePosixPath(scene['family']).name}, seed {dataset.config['seed']}, {dataset.split}"]
-    source = PurePosixPath(scene["source"]).name
-    recordings = {
-        canonical_json([source, _recording(dataset.stored(position).description["metadata"]["scene"])])
-        for position in range(len(dataset))
-    }
-    return sorted(sha256_bytes(recording)[:16] for recording in recordings)
+        return [_known_by(scene, {}, seed, split)]
+    said = (dataset.stored(position).description["metadata"]["scene"] for position in range(len(dataset)))
+    return sorted({_known_by(scene, clip, seed, split) for clip in said})
+
+
+def _known_by(made_by: Mapping[str, Any], clip: Mapping[str, Any], seed: int, split: str) -> str:
+    """Return what a scene of a family or a source is known by; ``clip`` is what the source says of it."""
+    if made_by.get("family") is not None:
+        return f"{PurePosixPath(made_by['family']).name}, seed {seed}, {split}"
+    if made_by["source"] == "samples":
+        return _known_by(clip["made by"], clip["scene"], clip["seed"], clip["sample"].partition("/")[0])
+    return sha256_bytes(canonical_json([PurePosixPath(made_by["source"]).name, _recording(clip)]))[:16]
 
 
 def _recording(scene: Mapping[str, Any]) -> Any:

@@ -190,6 +190,8 @@ class SceneSource(Protocol):
 
     - ``groups``: the number of the video (or sequence) that each clip comes from, ``len(source)`` whole numbers that never
       fall; no two splits of a data set share a video. Without it every clip is a video of its own.
+    - ``splits``: by name (``train``, ``validation``, ``test``) the clips that only this split may show, in their order, where
+      the source keeps them apart itself; a split that it does not name takes from all.
     - ``problems``: lines ``"file: reason"`` about what was found and cannot be used; a job refuses them unless it is asked to
       go on without.
 

@@ -28,12 +28,17 @@ class ClipOrder:
         ([0, 1, 2], [6, 2, 3])
     """
 
-    def __init__(self, groups: int | Sequence[int] | NDArray[np.integer]) -> None:
+    def __init__(
+        self,
+        groups: int | Sequence[int] | NDArray[np.integer],
+        splits: Mapping[str, Sequence[int]] | None = None,
+    ) -> None:
         """Prepare the walks.
 
         Args:
             groups: the number of the video that each clip comes from, never falling; or how many clips there are, each of
                 which is a video of its own.
+            splits: the clips of splits that the source itself keeps apart, in their order; any other split takes from all.
 
         Raises:
             InputError: there is no clip, or the numbers are not such.
@@ -45,10 +50,14 @@ class ClipOrder:
         self._video = np.unique(numbers, return_inverse=True)[1]
         self.clips, self.videos = len(numbers), int(self._video[-1]) + 1
         self._walks: dict[str, NDArray[np.intp]] = {}
+        for split, own in (splits or {}).items():
+            if len(own):
+                self._walks |= dict.fromkeys(_FRONT if split in _FRONT else (split,), _places(own, self.clips))
 
     def place(self, split: str, index: int) -> int:
         """Return which clip of the source a sample shows, from 0; after the last clip the walk begins anew."""
-        return int(self._walk(split)[index % self.clips])
+        walk = self._walk(split)
+        return int(walk[index % len(walk)])
 
     def shortage(self, counts: Mapping[str, int]) -> str | None:
         """Say why so many samples would make two splits share a video; None where none is shared.
@@ -70,7 +79,7 @@ class ClipOrder:
         )
 
     def _walk(self, split: str) -> NDArray[np.intp]:
-        """Return all places in the order in which a split takes them."""
+        """Return the places in the order in which a split takes them."""
         if split not in self._walks:
             if split in _FRONT:
                 self._walks[split] = np.arange(self.clips)
@@ -92,14 +101,14 @@ def clip_order(source: SceneSource) -> ClipOrder | None:
     if not isinstance(source, Sized):
         return None
     length = len(source)
-    groups = getattr(source, "groups", None)
+    groups, splits = getattr(source, "groups", None), getattr(source, "splits", None)
     if groups is None:
-        return ClipOrder(length)
+        return ClipOrder(length, splits)
     if len(groups) != length:
         raise InputError(
             "scene", f"its source has {length} clips but {len(groups)} groups; groups must hold the video of each clip"
         )
-    return ClipOrder(np.asarray(groups))
+    return ClipOrder(np.asarray(groups), splits)
 
 
 def _checked(groups: ArrayLike) -> NDArray[np.integer]:
@@ -111,6 +120,12 @@ def _checked(groups: ArrayLike) -> NDArray[np.integer]:
             "the groups of its source must be whole numbers that never fall, one per clip: the number of its video",
         )
     return numbers
+
+
+def _places(own: Sequence[int], clips: int) -> NDArray[np.intp]:
+    if min(own) < 0 or max(own) >= clips:
+        raise InputError("scene", f"the splits of its source name clips {min(own)} to {max(own)}, but it has {clips}")
+    return np.asarray(own, np.intp)
 
 
 class ClipTimesError(InputError):

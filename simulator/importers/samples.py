@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,16 +21,17 @@ _ALIKE = 1e-3  # relative: numbers that were written with few digits
 def samples(view: View, *, path: Path) -> Samples:
     """Read the scenes of a data set: light and depth of its ground truth, and what shone beside the images.
 
-    The samples of its train split come first, then those of validation and test; splits of the new data set share no scene.
-    The new camera must see the images under the same angles: pixel pitch and distance of the mask may change together. Its
-    margin may reach as far as the samples know; ``scene.surroundings: own`` takes what they know.
+    Splits stay apart: that of the same name is seen again, in its order; a split that the data set does not have takes from
+    all scenes, and shares none with the others. The new camera must see the images under the same angles: pixel pitch and
+    distance of the mask may change together. Its margin may reach as far as the samples know; ``scene.surroundings: own``
+    takes what they know.
 
     Args:
         view: the new camera's view.
         path: folder of the data set.
 
     Returns:
-        A scene source; a scene's ``source`` says which sample it was, and where that came from.
+        A scene source; a scene's ``source`` says which sample it was, and what made that: a family or a source of its own.
 
     Raises:
         InputError: no data set, one without samples, images of another size or seen under other angles, a wider margin.
@@ -61,27 +62,39 @@ def samples(view: View, *, path: Path) -> Samples:
 class Samples:
     """All samples of a data set, split after split, as scenes."""
 
-    splits: tuple[Dataset, ...]
+    parts: tuple[Dataset, ...]
+
+    @property
+    def splits(self) -> Mapping[str, range]:
+        """The clips of each split of the data set."""
+        ends = np.cumsum([0, *map(len, self.parts)]).tolist()
+        return {each.split: range(*ends[at : at + 2]) for at, each in enumerate(self.parts)}
 
     @property
     def inputs(self) -> Sequence[Path]:
         """What the data set is; its samples' files carry digests of their own in the manifest."""
-        root = self.splits[0].root
+        root = self.parts[0].root
         return [root / FILE, root / MANIFEST]
 
     def __len__(self) -> int:
         """Return the number of samples."""
-        return sum(map(len, self.splits))
+        return sum(map(len, self.parts))
 
     def clip(self, index: int, rng: np.random.Generator) -> Clip:
         """Return the scene of a sample; nothing is drawn from the generator."""
         del rng
-        for dataset in self.splits:
+        for dataset in self.parts:
             if index < len(dataset):
-                sample = dataset[index]
-                source = {"data set": dataset.fingerprint, "sample": f"{dataset.split}/{dataset.ids[index]}"}
+                sample, scene = dataset[index], dataset.config["scene"]
                 return replace(
-                    sample.clip(), source={**source, "scene": sample.metadata.get("scene"), "seed": sample.seed}
+                    sample.clip(),
+                    source={
+                        "data set": dataset.fingerprint,
+                        "sample": f"{dataset.split}/{dataset.ids[index]}",
+                        "made by": {key: scene[key] for key in ("family", "source") if scene.get(key) is not None},
+                        "scene": sample.metadata["scene"],
+                        "seed": sample.seed,
+                    },
                 )
             index -= len(dataset)
         raise IndexError(index)

@@ -82,3 +82,14 @@ def test_imported_scenes_are_known_by_their_recordings() -> None:
     still, next_one, elsewhere = ({"picture": f"left/{name}.png"} for name in ("a/1", "a/2", "b/1"))
     assert _imported(still) == _imported(next_one) != _imported(elsewhere)
     assert _imported({"mine": 1}) == _imported({"mine": 1}) != _imported({"mine": 2})
+
+
+def test_scenes_that_are_seen_again_are_known_by_what_they_were_known_by() -> None:
+    film = {"importer": "v", "video": "a"}
+    seen = {"sample": "validation/s00000003", "seed": 9}
+    drawn = seen | {"made by": {"family": "flying_things"}, "scene": {"index": 3}}
+    assert _imported(drawn, source="samples") == _drawn("validation", seed=9)
+    filmed = seen | {"made by": {"source": "videos"}, "scene": film}
+    assert _imported(filmed, source="samples") == _imported(film)
+    again = {"sample": "test/s00000000", "seed": 1, "made by": {"source": "samples"}, "scene": drawn}
+    assert _imported(again, source="samples") == _drawn("validation", seed=9)

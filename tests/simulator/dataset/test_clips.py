@@ -78,13 +78,32 @@ def test_what_is_missing_is_said() -> None:
 class Source:
     inputs: tuple[Path, ...] = ()
 
-    def __init__(self, length: int, groups: object = None) -> None:
-        self.length = length
+    def __init__(self, length: int, groups: object = None, splits: object = None) -> None:
+        self.length, self.splits = length, splits
         if groups is not None:
             self.groups = groups
 
     def __len__(self) -> int:
         return self.length
+
+
+def test_splits_that_a_source_keeps_apart_stay_apart() -> None:
+    order = clip_order(Source(9, splits={"train": range(4), "validation": [6, 4, 5], "test": []}))  # type: ignore[arg-type]
+    assert order is not None
+    assert places(order, {"train": 5, "pilot": 2, "validation": 3}) == {
+        "train": [0, 1, 2, 3, 0],
+        "pilot": [0, 1],
+        "validation": [6, 4, 5],
+    }
+    assert places(order, {"test": 2})["test"] == [7, 5]  # has none of its own: from all, where any source's test lies
+    assert order.shortage({"train": 4, "validation": 3, "test": 1}) is None
+    assert order.shortage({"train": 4, "validation": 3, "test": 2}) is not None
+
+
+@pytest.mark.parametrize("own", [[-1], [2, 3]])
+def test_splits_of_clips_that_are_not_there(own: list[int]) -> None:
+    with pytest.raises(InputError, match=r"^scene: "):
+        clip_order(Source(3, splits={"train": own}))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

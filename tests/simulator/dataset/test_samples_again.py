@@ -47,6 +47,20 @@ def test_another_mask_sees_the_same_scenes(first: Any, irradiance: Callable) -> 
     assert not any(np.array_equal(held_out.rgb, sample.rgb) for sample in other)
 
 
+def test_splits_are_seen_again_as_they_are(first: Any, tmp_path: Path) -> None:
+    scene = {"family": "./plugins.py:boxes", "size": [16, 20], **MARGIN}
+    counts = {"train": 2, "validation": 3, "test": 1}
+    root = first.generate(scene=scene, dataset={"output": str(tmp_path / "known"), **counts})
+    other = {"output": str(tmp_path / "other"), "train": 1, "validation": 2, "test": 1}
+    again_root = generate(first.write(scene=again(root), dataset=other)).path
+    for split, count in (("train", 1), ("validation", 2), ("test", 1)):
+        known, seen = open_dataset(root, split), open_dataset(again_root, split)
+        assert len(seen) == count
+        for one, sample in zip(known, seen, strict=False):
+            np.testing.assert_array_equal(sample.rgb, one.rgb)
+        assert seen[0].metadata["scene"]["made by"] == {"family": "./plugins.py:boxes"}
+
+
 @pytest.mark.parametrize(
     ("scene", "camera", "key"),
     [
