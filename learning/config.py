@@ -487,10 +487,10 @@ class TuneConfig(FileSection):
     """scenes"""
     methods: list[Literal["cls", "admm", "pnp"]] = Field(default_factory=lambda: ["cls", "admm"], min_length=1)
     """classical methods"""
-    noise_db: list[Annotated[float, Range(0.1, 120, "dB")]] = Field(
+    noise_db: list[Annotated[float, Range(0.1, 120, "dB")] | Literal["stored"]] = Field(
         default_factory=lambda: [20.0, 30.0, 40.0, 50.0], min_length=1
     )
-    """PSNR of the measurements, decibels; each level is tuned by itself"""
+    """PSNR of the measurements, decibels, each tuned by itself; stored takes them with the noise that they have"""
     objective: Literal["both", "image", "depth"] = "both"
     """minimised error, in units of the constant guess's: depth (RMSE), image (by PSNR), or their sum"""
     search: dict[str, dict[str, AxisSection]] = Field(default_factory=dict)

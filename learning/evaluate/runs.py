@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white
-from learning.data import Example, ExampleSet
+from learning.data import Example, ExampleSet, measured_psnr_db
 from learning.evaluate.methods import Entry
 from learning.evaluate.outcome import OWN
 from learning.evaluate.scoring import Criteria, Progress, checked, score
@@ -31,7 +31,6 @@ from simulator.optics.stack import PsfStack
 from simulator.optics.stack_files import read_psf_stack
 
 _WHITES_ALIKE = 1e-6
-_PILOTS, _NOISELESS_DB = 16, 120.0
 # By these, and what they import, a measurement becomes a score.
 _DECIDING = (
     "learning.classical.method",
@@ -240,13 +239,3 @@ class Runner:
             "torch": torch.__version__,
             "code": self._code,
         }
-
-
-def measured_psnr_db(dataset: Dataset) -> float:
-    """Return the mean PSNR of a data set's first 16 measurements, peak the noiseless one's; 120 dB without noise."""
-    levels = []
-    for position in range(min(len(dataset), _PILOTS)):
-        measurement, noiseless = dataset.stored(position).measurement()
-        error = float(np.sqrt(np.mean((measurement - noiseless).astype(np.float64) ** 2)))
-        levels.append(20 * np.log10(float(noiseless.max()) / error) if error > 0 else _NOISELESS_DB)
-    return float(min(np.mean(levels), _NOISELESS_DB))

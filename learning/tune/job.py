@@ -17,7 +17,7 @@ from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.checkpoint import find_denoiser
 from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
 from learning.config import FEWEST_SCENES, TuneConfig
-from learning.data import Example, ExampleSet, check_dataset
+from learning.data import Example, ExampleSet, check_dataset, measured_psnr_db
 from learning.method import Estimate, aligned, choose_device, linear_to_srgb
 from learning.metrics import depth_scores, psnr
 from learning.provenance import sample_digests, scenes_of
@@ -120,8 +120,12 @@ def tune_file(
         "torch": torch.__version__,
     }
     study = Study(output, identity, about)
-    levels = dict.fromkeys(config.noise_db)
-    measurements = {level: _load(dataset, level, config.seed).measurement.to(device) for level in levels}
+    # Noise as stored is known by its measured level, by which `flatlight evaluate` looks for the nearest.
+    stored_db = round(measured_psnr_db(dataset), 2)
+    levels = {
+        stored_db if level == "stored" else level: None if level == "stored" else level for level in config.noise_db
+    }
+    measurements = {name: _load(dataset, level, config.seed).measurement.to(device) for name, level in levels.items()}
     tune(methods, measurements, score, study, progress=progress, say=say)
     return output
 

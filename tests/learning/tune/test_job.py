@@ -300,6 +300,35 @@ def test_a_file_is_tuned_on_noise_of_its_level_and_says_what_it_used(tiny_datase
         tune_file(load_file(TuneConfig, tmp_path / "tune.yaml", ["seed=3"]), tunables=tunables)
 
 
+def test_noise_as_stored_is_a_level_too(tiny_dataset: Path, tmp_path: Path) -> None:
+    seen: list[np.ndarray] = []
+
+    class Sees:
+        def __init__(self, parameters: Parameters) -> None:
+            del parameters
+
+        def volume(self, measurement: Tensor) -> Tensor:
+            seen.append(measurement.numpy())
+            return measurement[:, None, :, :16, :16]
+
+        def estimate(self, volume: Tensor) -> Estimate:
+            image = torch.full((len(volume), 3, 16, 16), 0.5)
+            return Estimate(image, image[:, :1])
+
+    def tunables(capture: CaptureModel) -> list[Tunable]:
+        del capture
+        return [Tunable("sees", Sees, {"level": 0.5}, {"level": Axis((0.5,), 0.5, 0.5)}, frozenset())]
+
+    file = write_config(tmp_path, tiny_dataset, noise_db=["stored", 30], data={"scenes": 2})
+    tuned = load_tuned(tune_file(load_file(TuneConfig, file), tunables=tunables))
+    stored = open_dataset(tiny_dataset, "validation")[:2]
+    np.testing.assert_array_equal(seen[0], [stored.stored(position).measurement()[0] for position in range(2)])
+    assert not np.array_equal(seen[1], seen[0])
+    low, high = tuned.levels_db("sees")
+    assert low == 30.0
+    assert 40.0 < high < 42.0  # noise of 40 dB, less what was clipped
+
+
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
