@@ -82,8 +82,8 @@ class ExampleSet(TorchDataset[Example]):
             dataset: the split.
             noise_db: None gives the measurements as stored. A range redraws white Gaussian noise on the noiseless ones: half
                 of the PSNRs lie in the upper quarter of the range, in decibels; the peak is the sample's greatest noiseless
-                value, black level included; the result is clipped and quantised as the data set's own noise is (physical
-                noise always is).
+                value above darkness; the result is clipped and quantised as the data set's own noise is (physical noise is
+                always clipped; a mean of binned pixels has steps too fine to matter).
             augment: how scenes are changed and seen anew, by the data set's own camera; None takes them as stored.
             seed: decides, with the split, the sample's id and the draw's number, change, level and noise.
             cache: folder for decoded samples, shared by processes and runs; see `SampleCache`.
@@ -97,7 +97,7 @@ class ExampleSet(TorchDataset[Example]):
         if noise_db is not None and not 0 < noise_db[0] <= noise_db[1] <= 120:
             raise InputError("noise_db", f"got {noise_db}, expected a range of PSNRs such as (20, 50), in 0 to 120 dB")
         self.dataset, self._noise_db, self._augment, self._seed = dataset, noise_db, augment, seed
-        self._sensor, self._clip, self._quantise = _converter(dataset)
+        self._sensor, self._dark, self._clip, self._quantise = _converter(dataset)
         self._camera = None if augment is None else SceneCamera(dataset)
         self._kind = "scene" if augment else "measurement" if noise_db is None else "noiseless"
         self._cache = None if cache is None else SampleCache.filled(cache, dataset, self._kind, self._read)
@@ -122,7 +122,8 @@ class ExampleSet(TorchDataset[Example]):
         if self._noise_db is not None:
             least, greatest = self._noise_db
             psnr_db = greatest - (greatest - least) * rng.random() ** 2
-            noise = GaussianNoise(psnr_db=psnr_db, clip=self._clip, quantise=self._quantise)
+            std = max(float(measurement.max()) - self._dark, 0.0) * 10 ** (-psnr_db / 20)
+            noise = GaussianNoise(std=std, clip=self._clip, quantise=self._quantise)
             measurement = add_gaussian(measurement, noise, self._sensor.bit_depth, rng)
         truth = (arrays[name] for name in ("radiance", "depth_m", "valid"))
         return Example(*(torch.from_numpy(np.ascontiguousarray(values)) for values in (measurement, *truth)))
@@ -159,8 +160,8 @@ def _clip_of(arrays: Arrays) -> Clip:
     return Clip(rgb, arrays["depth_m"], arrays["valid"], np.array([0.0, 1.0]), surroundings=around)
 
 
-def _converter(dataset: Dataset) -> tuple[Sensor, bool, bool]:
-    """Return the sensor, and whether measurements are clipped and quantised."""
+def _converter(dataset: Dataset) -> tuple[Sensor, float, bool, bool]:
+    """Return the sensor, what it stores in darkness, and whether measurements are clipped, and rounded to whole DN."""
     config = config_from_dict(dataset.config, dataset.root, check_plugins=False)
     if (readout := config.camera.sensor.readout) != "binned_rgb":
         reason = f"camera.sensor.readout is {readout}; reconstruction needs all colours in a pixel (binned_rgb)"
@@ -168,9 +169,10 @@ def _converter(dataset: Dataset) -> tuple[Sensor, bool, bool]:
     sensor = recorded_sensor(dataset.info, config)
     noise = config.camera.noise
     if isinstance(noise, GaussianNoise):
-        return sensor, noise.clip, noise.quantise
-    physical = isinstance(noise, PhysicalNoise)  # whose converter always does both
-    return sensor, physical, physical
+        return sensor, 0.0, noise.clip, noise.quantise
+    if not isinstance(noise, PhysicalNoise):
+        return sensor, 0.0, False, False
+    return sensor, sensor.black_level_dn / 2**sensor.bit_depth, True, sensor.binning == 1
 
 
 def check_dataset(dataset: Dataset) -> None:
@@ -193,12 +195,16 @@ def check_dataset(dataset: Dataset) -> None:
 
 
 def measured_psnr_db(dataset: Dataset) -> float:
-    """Return the mean PSNR of a data set's first 16 measurements, peak the noiseless one's; 120 dB without noise."""
-    levels = []
+    """Return the mean PSNR of a data set's first 16 measurements; 120 dB without noise.
+
+    The peak is the noiseless measurement's above darkness: of a dim image nearly all is black level.
+    """
+    levels, (_, dark, *_) = [], _converter(dataset)
     for position in range(min(len(dataset), _NOISE_PILOTS)):
         measurement, noiseless = dataset.stored(position).measurement()
         error = float(np.sqrt(np.mean((measurement - noiseless).astype(np.float64) ** 2)))
-        levels.append(20 * np.log10(float(noiseless.max()) / error) if error > 0 else _NOISELESS_DB)
+        peak = max(float(noiseless.max()) - dark, 0.0)
+        levels.append(20 * np.log10(peak / error) if error > 0 and peak > 0 else _NOISELESS_DB)
     return float(min(np.mean(levels), _NOISELESS_DB))
 
 

@@ -20,7 +20,18 @@ import torch
 from scipy import stats
 from torch.utils.data import DataLoader, default_collate
 
-from learning.data import CACHE, Arrays, Batches, Draw, Example, ExampleSet, Loader, SampleCache, check_dataset
+from learning.data import (
+    CACHE,
+    Arrays,
+    Batches,
+    Draw,
+    Example,
+    ExampleSet,
+    Loader,
+    SampleCache,
+    check_dataset,
+    measured_psnr_db,
+)
 from learning.simulate import Augmentation, SceneCamera
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.dataset.sample import StoredSample, sample_index
@@ -115,20 +126,40 @@ def test_half_of_the_levels_lie_in_the_upper_quarter(train: Dataset) -> None:
 def test_redrawn_measurements_are_clipped_and_quantised_as_the_data_sets_are(train: Dataset) -> None:
     plain = ExampleSet(with_noise(train, type="gaussian", psnr_db=40), noise_db=(20, 20))
     levels = 2.0**12
-    for dataset in (train, with_noise(train, type="physical")):
-        stored = ExampleSet(dataset, noise_db=(20, 20))
-        clipped = 0
-        for position in range(4):
-            noisy = plain[position].measurement.double().numpy()
-            expected = np.clip(noisy, 0, 1 - 1 / levels)
-            got = stored[position].measurement.double().numpy()
-            clipped += np.count_nonzero(expected != noisy)
-            assert (got * levels == np.round(got * levels)).all()
-            # Half a step, and float32 on top.
-            assert np.abs(got - expected).max() <= 0.5 / levels + 1e-7
-        assert clipped > 0
+    stored = ExampleSet(train, noise_db=(20, 20))
+    clipped = 0
+    for position in range(4):
+        noisy = plain[position].measurement.double().numpy()
+        expected = np.clip(noisy, 0, 1 - 1 / levels)
+        got = stored[position].measurement.double().numpy()
+        clipped += np.count_nonzero(expected != noisy)
+        assert (got * levels == np.round(got * levels)).all()
+        # Half a step, and float32 on top.
+        assert np.abs(got - expected).max() <= 0.5 / levels + 1e-7
+    assert clipped > 0
     none = ExampleSet(with_noise(train, type="none"), noise_db=(20, 20))
     assert same(none[3], plain[3])
+
+
+def test_levels_of_noise_are_of_the_light_above_the_black_level(learning_trial: Any) -> None:
+    """A dim image: its light is a hundredth of its black level, 64 of 4096, and means of 8 x 8 pixels have fine steps."""
+    noise = {"type": "physical"}
+    root = learning_trial.generate(camera={"noise": noise}, dataset={"train": 2, "validation": 0, "test": 0})
+    bright = open_dataset(root, "train")
+    factor = 100 * (bright[0].noiseless.max() - 64 / 4096) / (64 / 4096)
+    full_scale = float(bright.info.exposure["full_scale"] * factor)
+    dim = {"camera": {"noise": noise, "exposure": {"full_scale": full_scale}}, "dataset": {"output": "dim", "train": 2}}
+    train = open_dataset(learning_trial.generate("dataset.validation=0", "dataset.test=0", **dim), "train")
+    examples = ExampleSet(train, noise_db=(30, 30))
+    for position in range(2):
+        noiseless = train[position].noiseless.astype(np.float64)
+        light = noiseless.max() - 64 / 4096
+        assert light < 2e-2 * noiseless.max()
+        error = examples[position].measurement.double().numpy() - noiseless
+        assert 20 * np.log10(light / error.std()) == pytest.approx(30, abs=0.2)
+    own = [train.stored(position).measurement() for position in range(2)]
+    by_hand = [20 * np.log10((clean.max() - 64 / 4096) / (noisy - clean).std()) for noisy, clean in own]
+    assert measured_psnr_db(train) == pytest.approx(np.mean(by_hand), abs=0.1)
 
 
 def test_noise_depends_on_seed_split_sample_and_draw_alone(tiny_dataset: Path, train: Dataset) -> None:
