@@ -1,4 +1,4 @@
-"""The commands that learning adds to `flatlight`: train, tune, evaluate, reconstruct."""
+"""The commands that learning adds to `flatlight`: train, tune, evaluate, swap masks, reconstruct."""
 
 from __future__ import annotations
 
@@ -86,6 +86,24 @@ def evaluate(
     if evaluation.differences:
         print("+ the first one is better, 95 % sure; - the second one; . not clear")
     print(f"look at {files[0]}")
+
+
+def swap_masks(
+    config: Annotated[
+        Path, Argument(help="masks, scenes and methods (YAML); the preset masks_64 is one", show_default=False)
+    ],
+    set_: Overrides = None,
+) -> None:
+    """Judge masks by what is reconstructed through them, beside the merits of their PSFs; a run that stopped goes on."""
+    from learning.config import SwapConfig, load_file
+    from learning.method import aligned
+    from learning.swap import swap_masks as run
+    from simulator.console import Bar
+
+    settings = load_file(SwapConfig, config, set_ or [])
+    with Bar() as bar:
+        found = run(settings, progress=bar.update, say=bar.say)
+    print("\n".join([*aligned(found.table), "", found.light, f"look at {found.report}"]))
 
 
 Sample = Argument(help="a sample's folder, or a linear image: EXR, TIFF, PNG, npy", show_default=False)

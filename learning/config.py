@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -282,6 +282,13 @@ Decibels = Annotated[float, Range(0, 100, "dB")]
 Count = Annotated[int, Range(1, 10_000_000, below="at least one")]
 
 
+def _refuse_folder_names(names: Iterable[str], key: str) -> None:
+    for name in names:
+        if not re.fullmatch(r"\w[\w .()+-]*", name):
+            text = f"got the name {name!r}, expected one that a folder may have: letters, digits, spaces, - or _"
+            raise refusal(text, key, name, on_key=True)
+
+
 class EvaluationData(Section):
     """The scenes that decide, and what the methods are told of the camera that saw them."""
 
@@ -305,10 +312,7 @@ class EvaluationData(Section):
         if wanted and self.training is None:
             text = f"{wanted[0]} PSFs are those of the training data set; name its folder in data.training"
             raise refusal(text)
-        for name in () if isinstance(self.test, str) else self.test:
-            if not re.fullmatch(r"\w[\w .()+-]*", name):
-                text = f"got the name {name!r}, expected one that a folder may have: letters, digits, spaces, - or _"
-                raise refusal(text, "test", name, on_key=True)
+        _refuse_folder_names(() if isinstance(self.test, str) else self.test, "test")
         return self
 
 
@@ -506,4 +510,79 @@ class TuneConfig(FileSection):
             if name not in self.methods:
                 text = f"{name!r} is not tuned here; methods: {', '.join(self.methods)}"
                 raise refusal(text, "search", name, on_key=True)
+        return self
+
+
+class SeenAgain(Section):
+    """Whose scenes all masks see: data sets of Flatlight; nothing is rendered."""
+
+    train: str = Field(min_length=1)
+    """folder of the data set whose train and validation splits are for training and tuning"""
+    test: str | None = None
+    """folder of the data set whose test split decides; the same when left out"""
+    train_scenes: Count = 1000
+    """the first so many of the train split"""
+    validation_scenes: Count = 64
+    """the first so many of the validation split; methods are tuned on 32 of them"""
+    test_scenes: Count = 64
+    """the first so many of the test split"""
+
+
+class WarmStart(Section):
+    """A network that goes on learning with each mask from where it stands; it has the checkpoint's architecture."""
+
+    init_from: str = Field(min_length=1)
+    """checkpoint (.safetensors) or name of a shipped one"""
+    steps: Annotated[int, Range(0, 10**9)] = 300
+    """batches to learn from, for each mask; 0 only gives it the PSFs of the mask"""
+    batch: Annotated[int, Range(1, 65536)] = 8
+    """examples in a step"""
+    augment: AugmentConfig | None = AugmentConfig()
+    """scenes changed and seen anew through the camera with the mask, for every example; null: as stored"""
+    loss: LossConfig = LossConfig()
+    optimiser: OptimiserConfig = OptimiserConfig()
+    validate_every: Annotated[int, Range(1, 10**9)] = 100
+    """steps between validations, by which the best one is chosen"""
+
+
+Classical = Literal["cls", "admm", "pnp"]
+
+
+class SwapConfig(FileSection):
+    """Masks judged by what is reconstructed: one camera, the same scenes and light, the same methods."""
+
+    name: str = Field(min_length=1)
+    """title of the report"""
+    output: str = Field(min_length=1)
+    """folder of the data sets, trainings, evaluation and report"""
+    seed: Annotated[int, Range(0, 2**31 - 1)] = 0
+    """of trainings, tuning and noise that is drawn anew"""
+    config: str = Field(min_length=1)
+    """configuration (sim_config.yaml) whose camera and depths all masks share"""
+    settings: list[str] = Field(default_factory=list)
+    """what differs from it for all masks, KEY=VALUE each, as for --set"""
+    test_settings: list[str] = Field(default_factory=list)
+    """what else differs in the test: PSFs that no method is told of, e.g. psf.model=exact"""
+    masks: dict[str, dict[str, Any]] = Field(min_length=1)
+    """by name, each as in camera.mask; the others are compared with the first one"""
+    scenes: SeenAgain
+    network: WarmStart | None = None
+    """null: classical methods only"""
+    tuned: list[Classical] = Field(default_factory=lambda: ["cls"])
+    """classical methods whose parameters are tuned for each mask"""
+    untuned: list[Classical] = Field(default_factory=list)
+    """classical methods with their default parameters"""
+    noise_db: list[Decibels] = Field(default_factory=list)
+    """further levels: the same PSNR for all masks, white noise; what they pass of the light then counts for nothing"""
+    perceptual: Literal["none", "auto", "lpips"] = "none"
+    """see `EvaluateConfig`"""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """auto takes CUDA where there is some"""
+
+    @model_validator(mode="after")
+    def _something_to_do(self) -> Self:
+        _refuse_folder_names(self.masks, "masks")
+        if self.network is None and not self.tuned + self.untuned:
+            text = "nothing reconstructs: give network, or a classical method in tuned or untuned"
+            raise refusal(text)
         return self

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 import yaml
 
-from learning.config import FEWEST_SCENES, DenoiserConfig, EvaluateConfig, TrainConfig, TuneConfig, load_file
+from learning.config import (
+    FEWEST_SCENES,
+    DenoiserConfig,
+    EvaluateConfig,
+    SwapConfig,
+    TrainConfig,
+    TuneConfig,
+    load_file,
+)
 from learning.presets import preset_texts
 from scenes.endoscopy.organs import ORGANS
 from simulator.config import Config, load_config
@@ -138,3 +146,22 @@ def test_the_trainings_and_the_tuning_for_endoscopy_are_the_methods_that_are_jud
     assert str(tuning.data.validation) == taught.data.train == config.data.training
     noise = yaml.safe_load(preset_text("endoscopy_64"))["camera"]["noise"]
     assert tuning.noise_db == [noise["psnr_db"]]
+
+
+def test_masks_are_compared_by_scenes_and_a_network_of_other_presets(tmp_path: Path) -> None:
+    config = load_file(SwapConfig, _written("masks_64", tmp_path))
+    evaluation = load_file(EvaluateConfig, _written("evaluate_64", tmp_path))
+    assert (config.scenes.train, config.scenes.test) == (evaluation.data.training, evaluation.data.test)
+    training = load_file(TrainConfig, _written("flatnet3d_64", tmp_path))
+    assert config.network is not None
+    assert config.network.init_from == f"{training.output}/best.safetensors"
+    assert config.network.loss == training.loss
+    camera = tmp_path / config.config
+    camera.write_text(preset_text(camera.stem), encoding="utf-8")
+    made = {}
+    for name, mask in config.masks.items():
+        made[name] = load_config(camera, [f"camera.mask={mask}", *config.settings, *config.test_settings])
+    assert {each.camera.mask.design for each in made.values()} == {  # pyright: ignore[reportOptionalMemberAccess]
+        *("phlatcam", "diffusercam", "flatcam", "random_lenslets"),
+    }
+    assert {(each.psf.model, each.camera.noise.type) for each in made.values()} == {("exact", "physical")}  # pyright: ignore[reportAttributeAccessIssue]
