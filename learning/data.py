@@ -27,7 +27,7 @@ from simulator.camera.noise import GaussianNoise, PhysicalNoise, add_gaussian
 from simulator.camera.sensor import Sensor
 from simulator.config import config_from_dict
 from simulator.dataset.reader import Dataset
-from simulator.dataset.sample import SPLITS, sample_index
+from simulator.dataset.sample import SPLITS, StoredSample, sample_index
 from simulator.errors import InputError
 from simulator.io.files import committed_folder, sha256_bytes, storage_errors
 from simulator.types import Clip, Surroundings
@@ -129,21 +129,31 @@ class ExampleSet(TorchDataset[Example]):
         return Example(*(torch.from_numpy(np.ascontiguousarray(values)) for values in (measurement, *truth)))
 
     def _read(self, position: int) -> Arrays:
-        stored = self.dataset.stored(position)
-        if stored.frame_edges_s is not None:
-            raise InputError(stored.folder, f"got a clip of {stored.frames} frames, expected a still")
-        frame = stored.frame(0)
-        if frame.depth_m.min() <= 0:
-            raise InputError(stored.folder, f"got a depth of {frame.depth_m.min():g} m, expected depths above 0")
-        truth = _truth(frame.rgb, frame.depth_m, frame.valid)
         if self._kind == "scene":
-            around = stored.surroundings()
-            if around is None:
-                return truth
-            beside = {"light_beside": around.rgb[0], "depth_beside": around.depth_m[0]}
-            return truth | beside | {"coarseness": np.array(around.coarseness)}
+            return read_scene(self.dataset, position)
+        stored = self.dataset.stored(position)
+        truth = _read_truth(stored)
         measurement, noiseless = stored.measurement()
         return {"measurement": measurement if self._kind == "measurement" else noiseless, **truth}
+
+
+def read_scene(dataset: Dataset, position: int) -> Arrays:
+    """Return what was there, by the names of `Example`, and what shone beside it, where that is known."""
+    stored = dataset.stored(position)
+    truth, around = _read_truth(stored), stored.surroundings()
+    if around is None:
+        return truth
+    beside = {"light_beside": around.rgb[0], "depth_beside": around.depth_m[0]}
+    return truth | beside | {"coarseness": np.array(around.coarseness)}
+
+
+def _read_truth(stored: StoredSample) -> Arrays:
+    if stored.frame_edges_s is not None:
+        raise InputError(stored.folder, f"got a clip of {stored.frames} frames, expected a still")
+    frame = stored.frame(0)
+    if frame.depth_m.min() <= 0:
+        raise InputError(stored.folder, f"got a depth of {frame.depth_m.min():g} m, expected depths above 0")
+    return _truth(frame.rgb, frame.depth_m, frame.valid)
 
 
 def _truth(rgb: NDArray[np.float32], depth_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> Arrays:

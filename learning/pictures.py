@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +13,9 @@ from torch import Tensor
 from torch.utils.data import Dataset as TorchDataset
 
 from learning.camera import CaptureModel
-from learning.data import Draw, ExampleSet
+from learning.data import Draw, SampleCache, read_scene
 from simulator.camera.planes import split_planes
+from simulator.dataset.reader import Dataset
 from simulator.dataset.sample import SPLITS, sample_index
 
 _STREAM = 7  # apart from those of `learning.data`
@@ -30,33 +33,40 @@ class NoisyPicture(NamedTuple):
 
 
 class Pictures(TorchDataset[NoisyPicture]):
-    """The scenes of `learning.data.ExampleSet` as ADMM's volumes hold them: linear light over white, vignetting included.
+    """The scenes of one split of a data set as ADMM's volumes hold them: linear light over white, vignetting included.
 
     Some are whole, some one plane of a random stack: surfaces on black. Flipped, turned, brighter or darker, colours
     exchanged. All of it is decided by the seed, the sample and the number of the draw.
     """
 
-    def __init__(self, examples: ExampleSet, capture: CaptureModel, noise: tuple[float, float], seed: int) -> None:
-        """Take pictures of scenes, with noise whose standard deviation lies log-uniformly between two numbers."""
-        self.dataset, self._examples = examples.dataset, examples
-        self._noise, self._seed = noise, seed
+    def __init__(
+        self, dataset: Dataset, capture: CaptureModel, noise: tuple[float, float], seed: int, cache: Path | None = None
+    ) -> None:
+        """Take pictures of scenes, with noise whose standard deviation lies log-uniformly between two numbers.
+
+        ``cache`` is a folder for decoded scenes, the same as those of `learning.data.ExampleSet` with ``augment``.
+        """
+        self.dataset, self._noise, self._seed = dataset, noise, seed
+        self._read = partial(read_scene, dataset)
+        if cache is not None:
+            self._read = SampleCache.filled(cache, dataset, "scene", self._read).read
         field = capture.scene_irradiance / capture.scene_irradiance.max() / capture.white
         self._colours = (capture.scene_to_camera[:, :, None, None] * field).astype(np.float32)
         self._disparities = (1 / capture.near_m, 1 / capture.far_m)
 
     def __len__(self) -> int:
         """Return the number of scenes."""
-        return len(self._examples)
+        return len(self.dataset)
 
     def __getitem__(self, draw: Draw | int) -> NoisyPicture:
         """Return a picture of a scene; a plain position is draw number 0."""
         position, number = draw if isinstance(draw, tuple) else (draw, 0)
-        example = self._examples[position]
+        scene = self._read(position)
         split, index = SPLITS.index(self.dataset.split), sample_index(self.dataset.ids[position])
         rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_STREAM, split, index, number)))
-        light = np.einsum("cahw,ahw->chw", self._colours, example.radiance.numpy())
+        light = np.einsum("cahw,ahw->chw", self._colours, scene["radiance"])
         if rng.random() > _WHOLE:
-            light = self._plane(light, example.depth_m[0].numpy(), rng)
+            light = self._plane(light, scene["depth_m"][0], rng)
         picture = torch.from_numpy(np.ascontiguousarray(_varied(light, rng), np.float32))
         noise = float(np.exp(rng.uniform(*np.log(self._noise))))
         noisy = picture + noise * torch.from_numpy(rng.standard_normal(picture.shape, np.float32))

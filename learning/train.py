@@ -177,13 +177,24 @@ def _camera(dataset: Dataset) -> dict[str, Any]:
 
 def open_examples(dataset: Dataset, config: TrainConfig, say: Say) -> ExampleSet:
     """Return the examples of a split, with the noise and the cache of the configuration; ``say`` is told of the cache."""
-    cache, place = None, config.data.cache
-    if place:
-        cache = cache_folder() / "samples" if place is True else config.resolve_path(place)
-        say(f"{dataset.split}: {len(dataset)} samples, kept decoded in {cache}")
     chosen = config.data.augment if dataset.split == "train" else None
     augment = None if chosen is None else Augmentation(**chosen.model_dump())
-    return ExampleSet(dataset, noise_db=config.data.noise_db, augment=augment, seed=config.seed, cache=cache)
+    return ExampleSet(
+        dataset,
+        noise_db=config.data.noise_db,
+        augment=augment,
+        seed=config.seed,
+        cache=find_cache(dataset, config, say),
+    )
+
+
+def find_cache(dataset: Dataset, config: TrainConfig, say: Say) -> Path | None:
+    """Return where decoded samples are kept, of which ``say`` is told; None where they are not."""
+    if not (place := config.data.cache):
+        return None
+    cache = cache_folder() / "samples" if place is True else config.resolve_path(place)
+    say(f"{dataset.split}: {len(dataset)} samples, kept decoded in {cache}")
+    return cache
 
 
 def count_workers(config: TrainConfig, processes: int) -> int:

@@ -15,18 +15,17 @@ from torch import Tensor, nn
 from learning.camera import capture_model, measure_reference_white
 from learning.checkpoint import save_denoiser
 from learning.config import DenoiserConfig, load_file
-from learning.data import ExampleSet, Loader, check_dataset
+from learning.data import Loader, check_dataset
 from learning.distributed import Precision, processes
 from learning.method import linear_to_srgb
 from learning.models.denoiser import NOISE_RANGE, Denoiser, DenoisingLoss
 from learning.pictures import NoisyPicture, Pictures
 from learning.resume import portable_command, stop_signals
-from learning.train import Plan, Say, Show, Training, TrainResult, held_folder
+from learning.train import Plan, Say, Show, Training, TrainResult, find_cache, held_folder
 from learning.validation import to_device
 from simulator.dataset import open_dataset
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
-from simulator.io.cache import cache_folder
 
 
 def train_denoiser(
@@ -80,10 +79,8 @@ class DenoiserTraining(Training):
     """The same loop: what differs is what is read, the loss, what is measured and what is saved."""
 
     def _open(self, dataset: Dataset) -> Any:
-        config: Any = self._config
-        place = config.data.cache
-        cache = None if not place else cache_folder() / "samples" if place is True else config.resolve_path(place)
-        return Pictures(ExampleSet(dataset, cache=cache), self._capture, NOISE_RANGE, config.seed)
+        cache = find_cache(dataset, self._config, self._say)
+        return Pictures(dataset, self._capture, NOISE_RANGE, self._config.seed, cache)
 
     def _denoised(self, network: nn.Module, example: NoisyPicture) -> Tensor:
         kind = self._plan.precision.kind

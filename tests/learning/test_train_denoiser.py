@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -16,9 +17,10 @@ from learning.checkpoint import load_denoiser
 from learning.classical.method import build_classical
 from learning.commands import train_denoiser as command
 from learning.config import DenoiserConfig
-from learning.data import Draw, ExampleSet
+from learning.data import CACHE, Draw, ExampleSet
 from learning.pictures import Pictures
 from learning.resume import BEST, LAST
+from learning.simulate import Augmentation
 from learning.train_denoiser import train_denoiser
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
@@ -28,13 +30,28 @@ pytestmark = pytest.mark.usefixtures("ctrl_c")
 
 @pytest.fixture
 def pictures(tiny_dataset: Path, tiny_camera: CaptureModel) -> Pictures:
-    return Pictures(ExampleSet(open_dataset(tiny_dataset, "train")), tiny_camera, (0.01, 0.3), seed=0)
+    return Pictures(open_dataset(tiny_dataset, "train"), tiny_camera, (0.01, 0.3), seed=0)
 
 
 def test_pictures_are_decided_by_seed_sample_and_draw(pictures: Pictures) -> None:
     one, same, other = (pictures[Draw(3, number)] for number in (5, 5, 6))
     assert all(torch.equal(a, b) for a, b in zip(one, same, strict=True))
     assert not torch.equal(one.noisy, other.noisy)
+
+
+def test_a_cache_keeps_scenes_without_measurements_and_gives_the_same_pictures(
+    pictures: Pictures, tiny_dataset: Path, tiny_camera: CaptureModel, tmp_path: Path
+) -> None:
+    """The scenes that are seen anew in training, kept once for both."""
+    train = open_dataset(tiny_dataset, "train")
+    cached = pickle.loads(pickle.dumps(Pictures(train, tiny_camera, (0.01, 0.3), 0, tmp_path)))  # as a worker gets it
+    for position in (0, 31):
+        assert all(torch.equal(a, b) for a, b in zip(cached[position], pictures[position], strict=True))
+    before = sorted(tmp_path.rglob("*"))
+    ExampleSet(train, augment=Augmentation(), cache=tmp_path)
+    assert sorted(tmp_path.rglob("*")) == before
+    scene = next(each for each in before if each.name == CACHE)
+    assert "measurement" not in (np.load(scene, mmap_mode="r").dtype.names or ())
 
 
 def test_noise_is_white_and_as_strong_as_said(pictures: Pictures) -> None:
@@ -49,14 +66,17 @@ def test_noise_is_white_and_as_strong_as_said(pictures: Pictures) -> None:
     assert abs(float(units.mean())) < 0.01
 
 
-def test_pictures_are_whole_or_one_plane_of_linear_light(pictures: Pictures, tiny_camera: CaptureModel) -> None:
+def test_pictures_are_whole_or_one_plane_of_linear_light(
+    pictures: Pictures, tiny_dataset: Path, tiny_camera: CaptureModel
+) -> None:
     """Light over white in the camera's colours with vignetting, less where other planes have their share; never more."""
     field = tiny_camera.irradiance / tiny_camera.irradiance.max() / tiny_camera.white
     colours = torch.from_numpy(tiny_camera.scene_to_camera).float()
+    examples = ExampleSet(open_dataset(tiny_dataset, "train"))
     shares = []
     for number in range(200):
         position = number % 32
-        radiance = pictures._examples[position].radiance
+        radiance = examples[position].radiance
         whole = torch.einsum("ca,ahw->chw", colours, radiance) * torch.from_numpy(field)
         clean = pictures[Draw(position, number)].clean
         assert float(clean.min()) >= 0
