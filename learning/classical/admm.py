@@ -21,7 +21,8 @@ spaced.
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from collections.abc import Callable
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
@@ -32,6 +33,9 @@ from learning.layers.padding import AxisPlan, as_pairs, check_measurement, from_
 from learning.method import check_choices, threads_for
 from simulator.arrays import next_fast_len, to_numpy
 from simulator.errors import InputError
+
+Leave: TypeAlias = Callable[[Tensor, int], Tensor]
+"""Of A S + U and a step's number, the multiplier, in place."""
 
 
 class Admm(nn.Module):
@@ -110,10 +114,10 @@ class Admm(nn.Module):
         """Return S, ``(B, K, C, ...)``, wherever light may come from; see `AdmmGrid.light`."""
         check_measurement(measurement, self.offset, *self.grid.plans)
         target = ((measurement.to(self.scale) - self.offset) * self.scale)[:, None]
-        at = self._start(target)
+        at, leave = self._start(target), self._multiplier_of_volume(target)
         with threads_for(at.new.volume.numel()):
             for number in range(self.iterations):
-                at = self._step(at, target, number)
+                at = self._step(at, target, number, leave)
             # The copy of the volume, not the volume itself: it keeps the constraints exactly.
             inside = self.grid.light
             return self.grid.inverse(at.volume)[inside] + at.old.volume[inside] - at.new.volume[inside]
@@ -127,7 +131,7 @@ class Admm(nn.Module):
         seen = zero._replace(image=-target / (1 + self.weights[0]))
         return Iterate(volume, torch.zeros_like(volume[:, :1]), zero, seen)
 
-    def _step(self, at: Iterate, target: Tensor, number: int) -> Iterate:
+    def _step(self, at: Iterate, target: Tensor, number: int, leave: Leave) -> Iterate:
         """Return the next iterate."""
         weights, rescaled = self._weights(number)
         of_image, of_gradient, of_volume = weights
@@ -140,9 +144,11 @@ class Admm(nn.Module):
         image = torch.sub(at.old.image, at.new.image, alpha=2).mul_(of_image)
         step, seen = self.grid.solve(torch.fft.rfft2(pull), torch.fft.rfft2(image, self.grid.shape), weights)
         volume, image = step.add_(at.volume), seen.add_(at.image)
-        return Iterate(volume, image, new, self._multipliers(volume, image, new, target, number))
+        return Iterate(volume, image, new, self._multipliers(volume, image, new, target, number, leave))
 
-    def _multipliers(self, volume: Tensor, image: Tensor, old: Parts, target: Tensor, number: int) -> Parts:
+    def _multipliers(
+        self, volume: Tensor, image: Tensor, old: Parts, target: Tensor, number: int, leave: Leave
+    ) -> Parts:
         """Return U after a step."""
         (of_image, of_gradient, _), _ = self._weights(number)
         light = self.grid.inverse(volume)
@@ -155,7 +161,7 @@ class Admm(nn.Module):
             )
         seen = self.grid.inverse(image)[self.grid.sensor]
         light = light.add_(old.volume)
-        self._leave_multiplier(light[self.grid.light], number)
+        leave(light[self.grid.light], number)
         return Parts((seen + old.image).sub_(target).div_(1 + of_image), rows, columns, light)
 
     def _weights(self, number: int) -> tuple[tuple[float, float, float], float]:
@@ -163,10 +169,11 @@ class Admm(nn.Module):
         del number
         return self.weights, 1.0
 
-    def _leave_multiplier(self, light: Tensor, number: int) -> None:
-        """Take the volume's copy prox(A S + U) from A S + U, given, in place; here of sparsity and non-negativity."""
-        del number
-        light.clamp_max_(self.sparsity / self.weights[2])
+    def _multiplier_of_volume(self, target: Tensor) -> Leave:
+        """Return what takes prox(A S + U), the volume's copy, from A S + U; here of sparsity and non-negativity."""
+        del target
+        limit = self.sparsity / self.weights[2]
+        return lambda light, number: light.clamp_max_(limit)
 
 
 def default_weights(tv: float) -> tuple[float, float, float]:

@@ -4,9 +4,11 @@ Venkatakrishnan et al., Plug-and-Play Priors for Model Based Reconstruction, Glo
 a penalty, a denoiser, followed here by the projection onto S >= 0. The splitting, the grid and the units are those of
 `learning.classical.admm`, without total variation and sparsity.
 
-With ``prior`` times an unknown penalty R and a weight c of the volume's copy, prox of prior R / c is a denoiser for noise of
-variance prior / c. As in DPIR (Zhang et al., Plug-and-Play Image Restoration with Deep Denoiser Prior, TPAMI 2021, section
-4.2) the noise falls from step to step, evenly in its logarithm, and c = prior / noise^2 rises: coarse structure first.
+With an unknown penalty R, weighted by ``prior`` times the variance s^2 of the measurement's noise, and a weight c of the
+volume's copy, prox of prior s^2 R / c is a denoiser for noise of variance prior s^2 / c. As in DPIR (Zhang et al.,
+Plug-and-Play Image Restoration with Deep Denoiser Prior, TPAMI 2021, section 4.2) the denoiser's noise falls from step to
+step, evenly in its logarithm, and c rises: coarse structure first. In units of s, which is found in the measurement, the same
+numbers serve from little noise to much: s decides how strongly is denoised, and c = prior / noise^2 is what it was.
 """
 
 from __future__ import annotations
@@ -19,15 +21,16 @@ from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from learning.checkpoint import find_denoiser, load_denoiser
-from learning.classical.admm import Admm
+from learning.classical.admm import Admm, Leave
+from learning.layers.noise import noise_level
 from simulator.errors import InputError
 
 
 class PlaneDenoiser(Protocol):
     """What a prior is: see `learning.models.denoiser.Denoiser.planes`."""
 
-    def planes(self, volume: Tensor, noise: float) -> Tensor:
-        """Return volumes ``(B, K, C, h, w)``, 1 for white, without noise of this standard deviation."""
+    def planes(self, volume: Tensor, noise: Tensor) -> Tensor:
+        """Return volumes ``(B, K, C, h, w)``, 1 for white, without noise of standard deviations ``(B,)``."""
         ...
 
 
@@ -52,8 +55,8 @@ class PlugAndPlay(Admm):
         Args:
             capture: the camera.
             denoiser: file of `flatlight train-denoiser`, ``denoiser`` for the shipped one, or one that is ready.
-            prior: weight of the prior against half the squared misfit.
-            noise_first: standard deviation of the noise that the first step takes away, 1 for white.
+            prior: weight of the prior against half the squared misfit over the noise's variance.
+            noise_first: standard deviation of what the first step takes away, as a multiple of the measurement's noise.
             noise_last: of the last step.
             iterations: of each call.
             light: see `Admm`.
@@ -83,6 +86,11 @@ class PlugAndPlay(Admm):
         now, before = self.noise[number], self.noise[max(number - 1, 0)]
         return (self.weights[0], 0.0, self._prior / now**2), (now / before) ** 2
 
-    def _leave_multiplier(self, light: Tensor, number: int) -> None:
-        """Take the denoised copy, not below zero, from the volume plus its multiplier."""
-        light.sub_(self.denoiser.planes(light, self.noise[number]).clamp_min_(0))
+    def _multiplier_of_volume(self, target: Tensor) -> Leave:
+        """Return what takes the denoised copy, not below zero, from the volume plus its multiplier."""
+        measured = noise_level(target[:, 0])
+
+        def leave(light: Tensor, number: int) -> Tensor:
+            return light.sub_(self.denoiser.planes(light, self.noise[number] * measured).clamp_min_(0))
+
+        return leave

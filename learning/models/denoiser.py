@@ -43,16 +43,18 @@ class Denoiser(nn.Module):
         found = self.body(torch.cat([picture / both, level], dim=1))
         return (_SPREAD / both) ** 2 * picture + noise * _SPREAD / both * found
 
-    def planes(self, volume: Tensor, noise: float) -> Tensor:
+    def planes(self, volume: Tensor, noise: Tensor) -> Tensor:
         """Return volumes ``(B, K, C, h, w)``, each plane by itself; other than three channels as grey pictures, one each.
 
-        What is brighter than anything it was trained on is seen darker, and the noise with it.
+        What is brighter than anything it was trained on is seen darker, and the noise, of standard deviations ``(B,)``, with
+        it; less or more noise than it was trained for is taken for the least or the most.
         """
         pictures = volume.flatten(0, 1)
         if grey := volume.shape[2] != 3:
             pictures = pictures.flatten(0, 1)[:, None].expand(-1, 3, -1, -1)
         times = (pictures.amax(dim=(1, 2, 3)) / BRIGHTEST).clamp_min(1)
-        found = self(pictures / times[:, None, None, None], noise / times) * times[:, None, None, None]
+        level = (noise.repeat_interleave(len(times) // len(noise)) / times).clamp(*NOISE_RANGE)
+        found = self(pictures / times[:, None, None, None], level) * times[:, None, None, None]
         return (found.mean(dim=1) if grey else found).reshape(volume.shape)
 
 

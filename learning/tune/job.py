@@ -49,9 +49,9 @@ _LIMITS: dict[str, tuple[float, float]] = {
     "tikhonov": (1e-4, 1000.0),  # far from the Laplacian's greatest response, 8, on either side
     "tv": (1e-6, 10.0),  # white is 1: ten times that on every step or value leaves a grey plane, or nothing
     "sparsity": (1e-6, 10.0),
-    "prior": (1e-8, 10.0),
-    "noise_first": (0.002, 0.5),  # what a denoiser is trained for
-    "noise_last": (0.002, 0.5),
+    "prior": (1e-4, 100.0),  # 1 is right for white noise and a perfect prior
+    "noise_first": (0.1, 100.0),  # multiples of the measurement's noise
+    "noise_last": (1e-3, 10.0),
     "iterations": (1, 1000),  # more is for the file to ask
     "contrast": (0.01, 1000.0),  # costs are alike for all planes below, and those of a single plane above
     "window_px": (0.25, math.inf),  # a window of a quarter of a pixel is that pixel

@@ -14,6 +14,7 @@ from torch import Tensor
 from learning.camera import CaptureModel
 from learning.classical.admm import Admm
 from learning.classical.plug_and_play import PlugAndPlay
+from learning.layers.noise import noise_level
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
 from simulator.optics.stack import PsfStack
@@ -25,9 +26,9 @@ class Plain:
     """A prior that finds nothing wrong, and remembers what it was told."""
 
     def __init__(self) -> None:
-        self.told: list[float] = []
+        self.told: list[Tensor] = []
 
-    def planes(self, volume: Tensor, noise: float) -> Tensor:
+    def planes(self, volume: Tensor, noise: Tensor) -> Tensor:
         self.told.append(noise)
         return volume.clone()
 
@@ -35,9 +36,10 @@ class Plain:
 class Smooth:
     """Blurs each plane, more where there is more noise: the exact denoiser of a prior |grad S|^2 on a periodic grid."""
 
-    def planes(self, volume: Tensor, noise: float) -> Tensor:
+    def planes(self, volume: Tensor, noise: Tensor) -> Tensor:
         rows, columns = (2 - 2 * torch.cos(2 * torch.pi * torch.fft.fftfreq(size)) for size in volume.shape[-2:])
-        spectrum = torch.fft.fft2(volume) / (1 + 400 * noise**2 * (rows[:, None] + columns))
+        strength = 400 * noise[:, None, None, None, None] ** 2
+        spectrum = torch.fft.fft2(volume) / (1 + strength * (rows[:, None] + columns))
         return torch.fft.ifft2(spectrum).real.to(volume)
 
 
@@ -82,7 +84,8 @@ def test_without_a_prior_it_is_non_negative_least_squares(noise_last: float, tol
     found = method(torch.from_numpy(measurement)[None])[0].numpy()
     assert found.min() >= 0
     np.testing.assert_allclose(found.ravel(), best, atol=tolerance)
-    np.testing.assert_allclose(prior.told, 0.3 * (noise_last / 0.3) ** (np.arange(300) / 299))
+    unit = noise_level((torch.from_numpy(measurement)[None] - 0.1) * method.scale)
+    np.testing.assert_allclose(torch.cat(prior.told) / unit, 0.3 * (noise_last / 0.3) ** (np.arange(300) / 299))
 
 
 def test_without_a_prior_it_is_admm_step_by_step() -> None:
@@ -109,6 +112,20 @@ def test_a_prior_finds_a_smooth_picture_at_its_depth() -> None:
     errors = [np.sqrt(np.mean((each - volume) ** 2)) for each in (found, alone)]
     assert errors[0] < 0.6 * errors[1]
     assert [int(each.sum(axis=(1, 2, 3)).argmax()) for each in (found, alone)] == [1, 0]
+
+
+def test_what_is_taken_away_follows_the_noise_of_each_measurement() -> None:
+    """White noise on a grey wall, a hundred times as much in the second measurement of a batch."""
+    evenly = np.ones((30, 30), np.float32)  # structure as fine as pixels would count as noise
+    capture, prior = replace(camera(2, (30, 30), (40, 40)), irradiance=evenly), Plain()
+    grey, dark = measure(capture, np.full((2, 1, 30, 30), 0.5), 0.0), 0.1
+    noise = np.array([0.002, 0.2]) * (grey.max() - dark)
+    drawn = grey + noise[:, None, None, None] * np.random.default_rng(5).standard_normal((2, *grey.shape))
+    settings: dict[str, Any] = {"prior": 0.3, "noise_first": 2.0, "noise_last": 0.1, "iterations": 2}
+    method = PlugAndPlay(capture, denoiser=prior, dtype=torch.float64, **settings)
+    method(torch.from_numpy(drawn))
+    np.testing.assert_allclose(prior.told[0], 2.0 * noise * float(method.scale), rtol=0.2)  # 300 values: 0.06
+    np.testing.assert_allclose(prior.told[1], prior.told[0] / 20)
 
 
 def test_the_misfit_falls_as_iterations_go_on() -> None:

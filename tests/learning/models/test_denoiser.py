@@ -47,7 +47,7 @@ def test_planes_are_pictures_one_by_one(network: Denoiser, channels: int) -> Non
     """Three channels are colours; others are grey pictures, each by itself."""
     volume = torch.rand(2, 5, channels, 8, 8)
     with torch.no_grad():
-        found = network.planes(volume, 0.1)
+        found = network.planes(volume, torch.tensor([0.05, 0.1]))
         picture = volume[1, 4] if channels == 3 else volume[1, 4, :1].expand(3, -1, -1)
         one = network(picture[None], torch.tensor([0.1]))[0]
     assert found.shape == volume.shape
@@ -60,8 +60,17 @@ def test_brightness_beyond_white_is_only_a_factor(network: Denoiser) -> None:
     volume = torch.rand(1, 2, 3, 8, 8)
     volume[..., 3, 4] = BRIGHTEST
     with torch.no_grad():
-        bright, plain = network.planes(1000 * volume, 100.0), network.planes(volume, 0.1)
+        bright, plain = (network.planes(times * volume, torch.tensor([0.1 * times])) for times in (1000, 1))
     torch.testing.assert_close(bright / 1000, plain)
+
+
+def test_noise_beyond_what_it_was_trained_for_is_the_nearest_that_was(network: Denoiser) -> None:
+    volume = torch.rand(4, 2, 3, 8, 8)
+    volume[1], volume[3] = volume[0], volume[2]
+    least, most = NOISE_RANGE
+    with torch.no_grad():
+        found = network.planes(volume, torch.tensor([0.0, least, most, 9.0]))
+    torch.testing.assert_close(found[::2], found[1::2])
 
 
 def test_loss_weighs_all_noise_levels_alike(network: Denoiser) -> None:
