@@ -80,9 +80,9 @@ def test_learns_and_leaves_what_belongs_to_it(settings: Settings) -> None:
     assert sum("validation PSNR" in line for line in said) == 4
 
 
-@pytest.mark.parametrize("stops", [(1,), (4, 7)])
-def test_goes_on_as_if_it_had_never_stopped(settings: Settings, stops: tuple[int, ...]) -> None:
-    whole, parts = settings("whole"), settings("parts", data={"workers": 1})
+@pytest.mark.parametrize(("stops", "augment"), [((1,), None), ((4, 7), None), ((5,), {})])
+def test_goes_on_as_if_it_had_never_stopped(settings: Settings, stops: tuple[int, ...], augment: Any) -> None:
+    whole, parts = (settings(n, data={"workers": w, "augment": augment}) for n, w in (("whole", 0), ("parts", 1)))
     train(whole)
     for stop in stops:
         with pytest.raises(KeyboardInterrupt):
@@ -344,6 +344,22 @@ def test_noise_of_the_file(settings: Settings, monkeypatch: Patch, tiny_dataset:
     examples = ExampleSet(dataset, noise_db=(20.0, 20.0), seed=3)
     for draw, measurement in zip(Batches(32, 32, seed=3).batch(0), seen[0], strict=True):
         assert torch.equal(examples[draw].measurement, measurement)
+
+
+def test_scenes_are_seen_anew_to_learn_from_and_not_to_validate_on(settings: Settings, tiny_dataset: Path) -> None:
+    """Of a network that stays as it is: ``data.augment`` changes what is learned from, and nothing that is validated."""
+    idle: dict[str, Any] = {"steps": 2, "log_every": 1, "optimiser": {"learning_rate": 1e-9}}
+    both = settings("plain", **idle), settings("anew", data={"augment": {}}, **idle)
+    plain, anew = (train(config) for config in both)
+    assert anew.best == pytest.approx(plain.best, rel=1e-4)
+    for one, other in zip(lines(plain.folder, "train"), lines(anew.folder, "train"), strict=True):
+        assert one["total"] != other["total"]
+    for split, same in (("train", False), ("validation", True)):
+        dataset = open_dataset(tiny_dataset, split)
+        sets = [open_examples(dataset, config, lambda _: None) for config in both]
+        for position in range(len(dataset)):
+            one, other = (examples[position] for examples in sets)
+            assert [torch.equal(a, b) for a, b in zip(one[:2], other[:2], strict=True)] == [same, same]
 
 
 def test_white_and_network_of_the_file(settings: Settings, tiny_dataset: Path) -> None:
