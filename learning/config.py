@@ -76,13 +76,22 @@ class AugmentConfig(Section):
     """all light is multiplied by 2^x, x evenly between minus and plus this"""
 
 
-class DataConfig(Section):
-    """What is learned from."""
+class SplitsConfig(Section):
+    """Whose scenes are learned from and measured."""
 
     train: str = Field(min_length=1)
     """folder of the data set whose train split is learned from"""
     validation: str | None = None
     """folder of the data set whose validation split is measured; the same when left out"""
+    cache: bool | str = True
+    """keep decoded samples, which then cost no time: in Flatlight's cache folder (true), in a folder, or not"""
+    workers: Annotated[int, Range(0, 256)] | Literal["auto"] = "auto"
+    """processes that read examples; 0 reads between the steps"""
+
+
+class DataConfig(SplitsConfig):
+    """What is learned from."""
+
     stack: str = Field("nominal", min_length=1)
     """PSFs that the inversion knows: nominal, captured (psf.as_captured), or the folder of a stack"""
     noise_db: tuple[PositiveDecibels, PositiveDecibels] | None = None
@@ -90,10 +99,6 @@ class DataConfig(Section):
     networks of all levels lose most there; left out: as stored"""
     augment: AugmentConfig | None = None
     """scenes changed and seen anew through the data set's own forward model, for every example; left out: as stored"""
-    cache: bool | str = True
-    """keep decoded samples, which then cost no time: in Flatlight's cache folder (true), in a folder, or not"""
-    workers: Annotated[int, Range(0, 256)] | Literal["auto"] = "auto"
-    """processes that read examples; 0 reads between the steps"""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -148,6 +153,24 @@ class NetworkConfig(Section):
         }
 
 
+class DenoiserNetwork(Section):
+    """How big the denoiser is; see `learning.layers.naf.NafNet`."""
+
+    name: Literal["denoiser"] = "denoiser"
+    """there is one kind"""
+    filters: Annotated[int, Range(1, 1024)] = 16
+    """channels of the first level; each further one has twice as many"""
+    blocks: Annotated[int, Range(1, 64)] = 1
+    """NAF blocks on each level, each way"""
+    levels: Annotated[int, Range(1, 8)] = 4
+    """how many"""
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """What `learning.models.denoiser.Denoiser` is built with."""
+        return self.model_dump(exclude={"name"})
+
+
 class LossConfig(Section):
     """What is made small: the sum of the weighted terms."""
 
@@ -188,27 +211,24 @@ class OptimiserConfig(Section):
     """greatest norm of the gradient; longer ones are shortened to it"""
 
 
-class TrainConfig(FileSection):
-    """One training."""
+class LoopConfig(FileSection):
+    """What every training says."""
 
     name: str = Field(min_length=1)
     """of the method in tables and figures"""
     output: str = Field(min_length=1)
     """folder of the checkpoints, the metrics and the state to go on from"""
     seed: Annotated[int, Range(0, 2**31 - 1)] = 0
-    """of the initial weights, the order of the examples and their noise"""
-    data: DataConfig
-    network: NetworkConfig = NetworkConfig()
-    init_from: str | None = None
-    """checkpoint (.safetensors) of a network of the same kind to begin with, for fine-tuning"""
-    loss: LossConfig = LossConfig()
+    """of the initial weights, the order of the examples and all that is drawn for them, such as their noise"""
+    data: SplitsConfig
+    network: NetworkConfig | DenoiserNetwork
     optimiser: OptimiserConfig = OptimiserConfig()
     steps: Annotated[int, Range(1, 10**9)]
     """batches to learn from; may be raised later, a cosine then starts over higher up: every change is recorded"""
     batch: Annotated[int, Range(1, 65536)] = 8
     """examples in a step, of all processes together"""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """of the U-Net; inversion and loss stay float32. auto takes bfloat16 (autocast), which is faster, on CUDA only"""
+    """of the network's body; all else stays float32. auto takes bfloat16 (autocast), which is faster, on CUDA only"""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """auto takes CUDA where there is some"""
     validate_every: Annotated[int, Range(1, 10**9)] = 500
@@ -219,63 +239,24 @@ class TrainConfig(FileSection):
     """seconds between states that are saved to go on from"""
 
 
-class DenoiserData(Section):
-    """Whose pictures a denoiser learns."""
+class TrainConfig(LoopConfig):
+    """One training."""
 
-    train: str = Field(min_length=1)
-    """folder of the data set whose train split is learned from"""
-    validation: str | None = None
-    """folder of the data set whose validation split is measured; the same when left out"""
-    cache: bool | str = True
-    """keep decoded samples: in Flatlight's cache folder (true), in a folder, or not"""
-    workers: Annotated[int, Range(0, 256)] | Literal["auto"] = "auto"
-    """processes that read examples; 0 reads between the steps"""
+    data: DataConfig
+    network: NetworkConfig = NetworkConfig()
+    init_from: str | None = None
+    """checkpoint (.safetensors) of a network of the same kind to begin with, for fine-tuning"""
+    loss: LossConfig = LossConfig()
 
 
-class DenoiserNetwork(Section):
-    """How big the denoiser is; see `learning.layers.naf.NafNet`."""
-
-    name: Literal["denoiser"] = "denoiser"
-    """there is one kind"""
-    filters: Annotated[int, Range(1, 1024)] = 16
-    """channels of the first level; each further one has twice as many"""
-    blocks: Annotated[int, Range(1, 64)] = 1
-    """NAF blocks on each level, each way"""
-    levels: Annotated[int, Range(1, 8)] = 4
-    """how many"""
-
-    @property
-    def numbers(self) -> dict[str, Any]:
-        """What `learning.models.denoiser.Denoiser` is built with."""
-        return self.model_dump(exclude={"name"})
-
-
-class DenoiserConfig(FileSection):
+class DenoiserConfig(LoopConfig):
     """One training of a denoiser: the prior of plug-and-play methods, learned from clean pictures."""
 
     name: str = Field("denoiser", min_length=1)
     """for its record"""
-    output: str = Field(min_length=1)
-    """folder of the checkpoints, the metrics and the state to go on from"""
-    seed: Annotated[int, Range(0, 2**31 - 1)] = 0
-    """of the initial weights, the order of the scenes, what is seen of them and the noise"""
-    data: DenoiserData
     network: DenoiserNetwork = DenoiserNetwork()
-    optimiser: OptimiserConfig = OptimiserConfig()
-    steps: Annotated[int, Range(1, 10**9)]
-    """batches to learn from; may be raised later, a cosine then starts over higher up: every change is recorded"""
     batch: Annotated[int, Range(1, 65536)] = 16
     """pictures in a step, of all processes together"""
-    precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """auto takes bfloat16 (autocast), which is faster, on CUDA only"""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """auto takes CUDA where there is some"""
-    validate_every: Annotated[int, Range(1, 10**9)] = 500
-    """steps between validations"""
-    log_every: Annotated[int, Range(1, 10**9)] = 50
-    """steps whose mean is one line of metrics.jsonl and one point in TensorBoard"""
-    checkpoint_every_s: Annotated[float, Range(0, 1e6, "s")] = 60.0
-    """seconds between states that are saved to go on from"""
 
 
 Decibels = Annotated[float, Range(0, 100, "dB")]

@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -34,6 +34,9 @@ from simulator.types import Clip, Surroundings
 
 Arrays = dict[str, NDArray[Any]]
 """What is kept of a sample: the arrays of an `Example`; in place of the measurement also it without noise, or the scene."""
+
+Item = TypeVar("Item", bound=tuple[Tensor, ...])
+Item_co = TypeVar("Item_co", bound=tuple[Tensor, ...], covariant=True)
 
 _STREAM = 6  # apart from the simulator's streams of the same seed, whose keys are shorter
 _CHECKED = 16
@@ -260,11 +263,30 @@ class Batches(Sampler[list[Draw]]):
         return Draw(int(self._order[1][place]), epoch)
 
 
-class Loader:
+class Examples(Protocol[Item_co]):
+    """What a training reads: a named tuple of tensors for each sample of a split, and for each draw of it."""
+
+    dataset: Dataset
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        ...
+
+    def __getitem__(self, draw: Draw | int, /) -> Item_co:
+        """Return a sample; a plain position is draw number 0."""
+        ...
+
+
+class Loader(Generic[Item]):
     """Batches of examples, read by worker processes that end with `close`; bad input comes out of them as it is raised."""
 
     def __init__(
-        self, examples: ExampleSet, order: Batches | Sequence[Sequence[int]], workers: int, *, pin_memory: bool = False
+        self,
+        examples: Examples[Item],
+        order: Batches | Sequence[Sequence[int]],
+        workers: int,
+        *,
+        pin_memory: bool = False,
     ) -> None:
         """Set up the workers, which begin to read with the first batch; 0 read in this process."""
         self._loader = DataLoader(
@@ -278,7 +300,7 @@ class Loader:
             generator=torch.Generator(),  # its own: the loader draws a number from it that nothing uses
         )
 
-    def __iter__(self) -> Iterator[Example]:
+    def __iter__(self) -> Iterator[Item]:
         """Yield batches in their order; an InputError is that of `ExampleSet`."""
         for found in self._loader:
             if isinstance(found, InputError):
@@ -297,9 +319,9 @@ class Loader:
 class _Guarded(TorchDataset[Any]):
     """One batch, or the refusal to read it as a value: raised, torch would wrap it in a traceback's text."""
 
-    examples: ExampleSet
+    examples: Examples[Any]
 
-    def __getitems__(self, draws: Iterable[Draw | int]) -> list[Example | InputError]:
+    def __getitems__(self, draws: Iterable[Draw | int]) -> list[Any]:
         try:
             return [default_collate([self.examples[draw] for draw in draws])]
         except InputError as error:

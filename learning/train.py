@@ -14,7 +14,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Generic, NoReturn, Protocol, Self
 
 import numpy as np
 import torch
@@ -25,8 +25,8 @@ from torch.utils.data import default_collate
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.checkpoint import load_checkpoint, save_checkpoint, transfer
-from learning.config import OptimiserConfig, TrainConfig, load_file
-from learning.data import Batches, Example, ExampleSet, Loader, check_dataset
+from learning.config import LoopConfig, OptimiserConfig, TrainConfig, load_file
+from learning.data import Batches, Example, Examples, ExampleSet, Item, Loader, check_dataset
 from learning.distributed import Precision, Processes, processes
 from learning.layers.inversion import FourierInversion
 from learning.losses import ReconstructionLoss
@@ -112,17 +112,42 @@ def train(
     command = None
     if not isinstance(config, TrainConfig):
         command, config = portable_command(config, overrides), load_file(TrainConfig, config, overrides)
+    return run(FlatNetTraining, lambda group: make_plan(config, group, command), config, show, say)
+
+
+def run(
+    kind: type[Training[Any]],
+    make: Callable[[Processes], Plan],
+    config: LoopConfig,
+    show: Show | None = None,
+    say: Say | None = None,
+) -> TrainResult:
+    """Train as a plan says; see `train`."""
     with processes(config.device) as group, torch.random.fork_rng([group.device] if group.on_cuda else []):
-        plan = make_plan(config, group, command)
+        plan = make(group)
         with held_folder(plan):
             heard = group.is_rank_zero
-            training = Training(plan, (heard and show) or (lambda *_: None), (heard and say) or (lambda _: None))
+            training = kind(plan, (heard and show) or (lambda *_: None), (heard and say) or (lambda _: None))
             first = training.progress.step
             if first < config.steps:
                 with stop_signals() as stop:
                     training.run(stop)
     progress = training.progress
     return TrainResult(training.folder, progress.step - first, progress.seconds, progress.best)
+
+
+def open_splits(config: LoopConfig) -> tuple[Dataset, Dataset]:
+    """Open what is learned from and what is measured, and look at some of their samples.
+
+    Raises:
+        InputError: no such data set, an empty split, or data that nothing can be learned from.
+    """
+    root = config.resolve_path(config.data.train)
+    other = root if config.data.validation is None else config.resolve_path(config.data.validation)
+    train, validation = open_dataset(root, "train"), open_dataset(other, "validation")
+    for dataset in (train, validation):
+        check_dataset(dataset)
+    return train, validation
 
 
 def find_data(config: TrainConfig) -> tuple[Dataset, Dataset, CaptureModel]:
@@ -136,13 +161,9 @@ def find_data(config: TrainConfig) -> tuple[Dataset, Dataset, CaptureModel]:
         InputError: no such data set or stack, an empty split, data that nothing can be learned from, or a validation split of
             another camera: what differs is named.
     """
-    root = config.resolve_path(config.data.train)
-    other = root if config.data.validation is None else config.resolve_path(config.data.validation)
-    train, validation = open_dataset(root, "train"), open_dataset(other, "validation")
-    for dataset in (train, validation):
-        check_dataset(dataset)
+    train, validation = open_splits(config)
     capture = capture_model(train, config.resolve_stack(config.data.stack), white=measure_reference_white(train))
-    if other != root:
+    if validation.root != train.root:
         _check_same_camera(train, validation)
     return train, validation, capture
 
@@ -188,7 +209,7 @@ def open_examples(dataset: Dataset, config: TrainConfig, say: Say) -> ExampleSet
     )
 
 
-def find_cache(dataset: Dataset, config: TrainConfig, say: Say) -> Path | None:
+def find_cache(dataset: Dataset, config: LoopConfig, say: Say) -> Path | None:
     """Return where decoded samples are kept, of which ``say`` is told; None where they are not."""
     if not (place := config.data.cache):
         return None
@@ -197,12 +218,26 @@ def find_cache(dataset: Dataset, config: TrainConfig, say: Say) -> Path | None:
     return cache
 
 
-def count_workers(config: TrainConfig, processes: int) -> int:
+def count_workers(config: LoopConfig, processes: int) -> int:
     """Return how many workers each process has for reading: at most one less than there are cores for it."""
     if config.data.workers != "auto":
         return config.data.workers
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(max(cores // processes - 1, 0), _MOST_WORKERS)
+
+
+class RecordedLoss(Protocol):
+    """What is made small: a module that gives its terms by name, ``total`` among them, and a record of what they are."""
+
+    __call__: Callable[..., dict[str, Tensor]]
+
+    def to(self, device: torch.device, /) -> Self:
+        """Return it on a device."""
+        ...
+
+    def record(self) -> dict[str, Any]:
+        """Return what a checkpoint says of it."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,25 +247,46 @@ class Plan:
     Attributes:
         command: that started it; None where it was called from Python.
         capture: the camera, with the PSFs that the inversion knows and the reference white.
-        data: what decides the numbers, of data sets and camera, plain.
+        camera: what of it decides the numbers, beside the data sets; plain.
+        network: with the weights to begin with, on the CPU, as is the loss.
         init_from: the checkpoint that it begins with, known by its content: a path says nothing of what lay there. With what
             its network had learned from.
         taken: lines that say what was taken from that checkpoint.
-        network: with the weights to begin with, on the CPU, as is the loss.
     """
 
-    config: TrainConfig
+    config: LoopConfig
     group: Processes
     command: str | None
     train: Dataset
     validation: Dataset
     capture: CaptureModel
-    data: dict[str, Any]
-    precision: Precision
-    init_from: dict[str, Any] | None
-    taken: list[str]
-    network: FlatNet
-    loss: ReconstructionLoss
+    camera: dict[str, Any]
+    network: nn.Module
+    loss: RecordedLoss
+    init_from: dict[str, Any] | None = None
+    taken: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what the processes cannot share."""
+        size = self.group.world_size
+        for what, count in (("batch", self.config.batch), ("validation split", len(self.validation))):
+            if count < size or (what == "batch" and count % size):
+                sharing = f"{size} processes, which share it"
+                raise InputError(what, f"got {count} for {sharing}; choose a multiple, or other processes")
+
+    @cached_property
+    def precision(self) -> Precision:
+        """That of the network's body."""
+        return Precision.choose(self.config.precision, self.group.device)
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """What decides the numbers, of data sets and camera, plain."""
+        splits = {
+            each.split: {"name": each.info.name, "fingerprint": each.fingerprint, "samples": len(each)}
+            for each in (self.train, self.validation)
+        }
+        return splits | self.camera
 
     @cached_property
     def scenes(self) -> dict[str, list[str]]:
@@ -241,16 +297,6 @@ class Plan:
 def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Plan:
     """Read what a training needs and build its network, which is seeded; a mistake then leaves no folder behind."""
     train, validation, capture = find_data(config)
-    for what, count in (("batch", config.batch), ("validation split", len(validation))):
-        if count < group.world_size or (what == "batch" and count % group.world_size):
-            sharing = f"{group.world_size} processes, which share it"
-            raise InputError(what, f"got {count} for {sharing}; choose a multiple, or other processes")
-    data: dict[str, Any] = {
-        each.split: {"name": each.info.name, "fingerprint": each.fingerprint, "samples": len(each)}
-        for each in (train, validation)
-    }
-    data |= {"stack": capture.stack.fingerprint, "white": capture.white}
-    precision = Precision.choose(config.precision, group.device)
     loss = ReconstructionLoss(
         **config.loss.model_dump(exclude={"perceptual_seed"}), seed=config.loss.perceptual_seed, capture=capture
     )
@@ -266,7 +312,8 @@ def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Pla
         taken = [f"{path.name}: {line}" for line in transfer(network, known)]
         init_from = {"sha256": sha256_file(path), "architecture": known.architecture, "file": path.name}
         init_from |= {key: known.record.get(key) for key in ("data sets", "scenes", "init_from")}
-    return Plan(config, group, command, train, validation, capture, data, precision, init_from, taken, network, loss)
+    camera = {"stack": capture.stack.fingerprint, "white": capture.white}
+    return Plan(config, group, command, train, validation, capture, camera, network, loss, init_from, taken)
 
 
 @contextmanager
@@ -320,8 +367,8 @@ def learning_rate(step: int, steps: int, config: OptimiserConfig) -> float:
     return config.learning_rate * (1 + math.cos(math.pi * share)) / 2
 
 
-class Training:
-    """The loop: batches, steps, the log, validations, states to go on from.
+class Training(Generic[Item]):
+    """The loop: batches, steps, the log, validations, states to go on from; what is trained fills in the last five methods.
 
     Attributes:
         folder: where it writes; held, see `held_folder`.
@@ -347,12 +394,6 @@ class Training:
         self._note_length()
         self._examples, self._held_out = (self._open(each) for each in (plan.train, plan.validation))
         self._workers = count_workers(config, group.world_size)
-
-    def _open(self, dataset: Dataset) -> ExampleSet:
-        return open_examples(dataset, self._config, self._say)
-
-    def _save(self, path: Path, network: Any, **parts: Any) -> None:
-        save_checkpoint(path, network, **parts)
 
     def _note_length(self) -> None:
         """Keep a record of the steps that the learning rate's schedule is stretched over, and say when they change."""
@@ -391,7 +432,7 @@ class Training:
             self._run(*loaders, stop, log)
         self._show("steps", self.progress.step, self._config.steps)
 
-    def _loaders(self) -> tuple[Loader, Loader]:
+    def _loaders(self) -> tuple[Loader[Item], Loader[Item]]:
         """Return what reads the batches of this process, to learn from and to validate on."""
         config, group, pin = self._config, self._group, self._group.on_cuda
         own = list(range(group.rank, len(self._held_out), group.world_size))
@@ -407,7 +448,7 @@ class Training:
         ranks = {"rank": group.rank, "world_size": group.world_size}
         return Batches(len(self._examples), config.batch, seed=config.seed, first=first, **ranks)
 
-    def _run(self, examples: Loader, held_out: Loader, stop: Stop, log: Log | None) -> None:
+    def _run(self, examples: Loader[Item], held_out: Loader[Item], stop: Stop, log: Log | None) -> None:
         progress, config = self.progress, self._config
         wrapped = self._group.wrap(self._network)
         batches = iter(examples)
@@ -439,7 +480,7 @@ class Training:
                 self._say(f"stopped after step {progress.step} of {config.steps}; the same command goes on from there")
                 raise KeyboardInterrupt
 
-    def _step(self, wrapped: nn.Module, batch: Example, stop: Stop) -> bool:
+    def _step(self, wrapped: nn.Module, batch: Item, stop: Stop) -> bool:
         """Learn from a batch and return whether any process was asked to stop."""
         progress, config = self.progress, self._config
         if progress.step >= config.optimiser.freeze_statistics * config.steps:
@@ -463,10 +504,6 @@ class Training:
             progress.sums[name] = progress.sums.get(name, 0.0) + value
         progress.counted += 1
         return sums[-1] > 0
-
-    def _terms(self, wrapped: nn.Module, example: Example) -> dict[str, Tensor]:
-        estimate = self._plan.precision.estimate(wrapped, example.measurement)
-        return self._loss(estimate, *true_estimate(example, self._capture), example.valid)
 
     def _refuse(self, terms: dict[str, float], norm: float) -> NoReturn:
         """Raise the error of a non-finite step, with the samples of the processes whose loss it is."""
@@ -494,7 +531,7 @@ class Training:
         if log is not None:
             log.write(progress.step, "train", means)
 
-    def _validate(self, batches: Loader, log: Log | None) -> None:
+    def _validate(self, batches: Loader[Item], log: Log | None) -> None:
         progress, metrics = self.progress, self._metrics(batches)
         if not all(map(math.isfinite, metrics.values())):
             cure = "try precision: float32, or a smaller optimiser.learning_rate, in another output folder"
@@ -515,38 +552,70 @@ class Training:
         errors = f"validation PSNR {metrics['psnr_db']:.2f} dB{depth}, loss {metrics['total']:.4g}"
         self._say(f"step {progress.step}: {errors}{' (best)' if better else ''}")
 
-    def _metrics(self, batches: Loader) -> dict[str, float]:
+    def _save_network(self, name: str) -> None:
+        config, plan, progress = self._config, self._plan, self.progress
+        record = {
+            "name": config.name,
+            "config": portable_config(config),
+            "command": plan.command or f"{type(self).__module__}, called from Python",
+            "data sets": plan.data,
+            "scenes": plan.scenes,
+            "init_from": plan.init_from,
+            "loss": self._loss.record(),
+            "validation": {"best": progress.best, "last": progress.last},
+            "step": progress.step,
+            "steps": [{"from": first, "of": steps} for first, steps in progress.lengths],
+            "seconds": progress.seconds,
+            "precision": plan.precision.kind,
+            "device": _device_name(self._group.device),
+            "processes": self._group.world_size,
+            "versions": {"flatlight": __version__, "torch": str(torch.__version__)},
+        }
+        self._save(self.folder / name, {"network": config.network.name, **config.network.numbers}, record)
+
+    def _open(self, dataset: Dataset) -> Examples[Item]:
+        """Return what is read of a split."""
+        raise NotImplementedError
+
+    def _terms(self, wrapped: nn.Module, example: Item) -> dict[str, Tensor]:
+        """Return the terms of the loss of a batch, ``total`` among them."""
+        raise NotImplementedError
+
+    def _metrics(self, batches: Loader[Item]) -> dict[str, float]:
+        """Return means over the validation split, ``score_db`` among them; the network is left in training mode."""
+        raise NotImplementedError
+
+    def _drawn(self, example: Item) -> NDArray[np.uint8]:
+        """Return an image of a batch, for people."""
+        raise NotImplementedError
+
+    def _save(self, path: Path, architecture: dict[str, Any], record: dict[str, Any]) -> None:
+        """Write the network's file."""
+        raise NotImplementedError
+
+
+class FlatNetTraining(Training[Example]):
+    """From measurements to image and disparity."""
+
+    _config: TrainConfig
+    _network: FlatNet
+
+    def _open(self, dataset: Dataset) -> ExampleSet:
+        return open_examples(dataset, self._config, self._say)
+
+    def _terms(self, wrapped: nn.Module, example: Example) -> dict[str, Tensor]:
+        estimate = self._plan.precision.estimate(wrapped, example.measurement)
+        return self._loss(estimate, *true_estimate(example, self._capture), example.valid)
+
+    def _metrics(self, batches: Loader[Example]) -> dict[str, float]:
         precision, group = self._plan.precision, self._group
         return validate(self._network, batches, self._loss, self._capture, precision=precision, group=group)
 
     def _drawn(self, example: Example) -> NDArray[np.uint8]:
         return draw(self._network, example, self._capture, precision=self._plan.precision)
 
-    def _save_network(self, name: str) -> None:
-        config, plan, progress = self._config, self._plan, self.progress
-        self._save(
-            self.folder / name,
-            self._network,
-            architecture={"network": config.network.name, **config.network.numbers},
-            capture=self._capture,
-            record={
-                "name": config.name,
-                "config": portable_config(config),
-                "command": plan.command or "learning.train.train, called from Python",
-                "data sets": plan.data,
-                "scenes": plan.scenes,
-                "init_from": plan.init_from,
-                "loss": self._loss.record(),
-                "validation": {"best": progress.best, "last": progress.last},
-                "step": progress.step,
-                "steps": [{"from": first, "of": steps} for first, steps in progress.lengths],
-                "seconds": progress.seconds,
-                "precision": plan.precision.kind,
-                "device": _device_name(self._group.device),
-                "processes": self._group.world_size,
-                "versions": {"flatlight": __version__, "torch": str(torch.__version__)},
-            },
-        )
+    def _save(self, path: Path, architecture: dict[str, Any], record: dict[str, Any]) -> None:
+        save_checkpoint(path, self._network, architecture=architecture, capture=self._capture, record=record)
 
 
 def _listed(numbers: Mapping[str, float]) -> str:

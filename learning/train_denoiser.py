@@ -15,15 +15,14 @@ from torch import Tensor, nn
 from learning.camera import capture_model, measure_reference_white
 from learning.checkpoint import save_denoiser
 from learning.config import DenoiserConfig, load_file
-from learning.data import Loader, check_dataset
-from learning.distributed import Precision, processes
+from learning.data import Loader
+from learning.distributed import Processes
 from learning.method import linear_to_srgb
 from learning.models.denoiser import NOISE_RANGE, Denoiser, DenoisingLoss
 from learning.pictures import NoisyPicture, Pictures
-from learning.resume import portable_command, stop_signals
-from learning.train import Plan, Say, Show, Training, TrainResult, find_cache, held_folder
+from learning.resume import portable_command
+from learning.train import Plan, Say, Show, Training, TrainResult, find_cache, open_splits, run
 from learning.validation import to_device
-from simulator.dataset import open_dataset
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 
@@ -32,53 +31,35 @@ def train_denoiser(
     config: DenoiserConfig | Path | str,
     overrides: Sequence[str] = (),
     *,
-    show: Show = lambda *_: None,
-    say: Say = lambda _: None,
+    show: Show | None = None,
+    say: Say | None = None,
 ) -> TrainResult:
     """Train a denoiser, or go on with a training that was interrupted; see `learning.train.train`."""
     command = None
     if not isinstance(config, DenoiserConfig):
         command = portable_command(config, overrides, "train-denoiser")
         config = load_file(DenoiserConfig, config, overrides)
-    with processes(config.device) as group, torch.random.fork_rng([group.device] if group.on_cuda else []):
-        plan = _plan(config, group, command)
-        with held_folder(plan):
-            training = DenoiserTraining(plan, show, say)
-            first = training.progress.step
-            if first < config.steps:
-                with stop_signals() as stop:
-                    training.run(stop)
-    progress = training.progress
-    return TrainResult(training.folder, progress.step - first, progress.seconds, progress.best)
+    return run(DenoiserTraining, lambda group: _plan(config, group, command), config, show, say)
 
 
-def _plan(config: Any, group: Any, command: str | None) -> Plan:
+def _plan(config: DenoiserConfig, group: Processes, command: str | None) -> Plan:
     """Look at the data sets and build the network; of the camera only its colours, vignetting and white matter."""
-    root = config.resolve_path(config.data.train)
-    other = root if config.data.validation is None else config.resolve_path(config.data.validation)
-    train, validation = open_dataset(root, "train"), open_dataset(other, "validation")
-    for dataset in (train, validation):
-        check_dataset(dataset)
+    train, validation = open_splits(config)
     capture = capture_model(train, white=measure_reference_white(train))
     if len(capture.stack.channels) != 3:
         found = ", ".join(capture.stack.channels)
         raise InputError("data.train", f"got the channels {found}, expected pictures of three colours")
-    data: dict[str, Any] = {
-        each.split: {"name": each.info.name, "fingerprint": each.fingerprint, "samples": len(each)}
-        for each in (train, validation)
-    }
-    precision = Precision.choose(config.precision, group.device)
     torch.manual_seed(config.seed)
-    network: Any = Denoiser(**config.network.numbers)
-    loss: Any = DenoisingLoss()
-    data |= {"white": capture.white}
-    return Plan(config, group, command, train, validation, capture, data, precision, None, [], network, loss)
+    network = Denoiser(**config.network.numbers)
+    return Plan(config, group, command, train, validation, capture, {"white": capture.white}, network, DenoisingLoss())
 
 
-class DenoiserTraining(Training):
-    """The same loop: what differs is what is read, the loss, what is measured and what is saved."""
+class DenoiserTraining(Training[NoisyPicture]):
+    """From noisy pictures to clean ones."""
 
-    def _open(self, dataset: Dataset) -> Any:
+    _network: Denoiser
+
+    def _open(self, dataset: Dataset) -> Pictures:
         cache = find_cache(dataset, self._config, self._say)
         return Pictures(dataset, self._capture, NOISE_RANGE, self._config.seed, cache)
 
@@ -87,16 +68,16 @@ class DenoiserTraining(Training):
         with torch.autocast(self._group.device.type, torch.bfloat16, enabled=kind == "bfloat16"):
             return network(example.noisy, example.noise).float()
 
-    def _terms(self, wrapped: nn.Module, example: Any) -> dict[str, Tensor]:
+    def _terms(self, wrapped: nn.Module, example: NoisyPicture) -> dict[str, Tensor]:
         return self._loss(self._denoised(wrapped, example), example.clean, example.noise)
 
-    def _metrics(self, batches: Loader) -> dict[str, float]:
+    def _metrics(self, batches: Loader[NoisyPicture]) -> dict[str, float]:
         """Return means over the validation pictures: the loss, PSNR of linear light before and after, and the score."""
         sums, count = torch.zeros(3, dtype=torch.float64, device=self._group.device), 0
         self._network.eval()
         with torch.inference_mode():
             for batch in batches:
-                example: Any = to_device(batch, self._group.device)
+                example = to_device(batch, self._group.device)
                 found = self._denoised(self._network, example)
                 total = self._loss(found, example.clean, example.noise)["total"] * len(found)
                 psnrs = [_psnr_db(each, example.clean).sum() for each in (found, example.noisy)]
@@ -109,7 +90,7 @@ class DenoiserTraining(Training):
         # Chosen by the loss: over levels of noise from faint to strong, PSNR says little.
         return {"total": total, "psnr_db": psnr_db, "noisy_psnr_db": noisy_db, "score_db": -20 * math.log10(total)}
 
-    def _drawn(self, example: Any) -> NDArray[np.uint8]:
+    def _drawn(self, example: NoisyPicture) -> NDArray[np.uint8]:
         """Return an image: a row per picture, clean, noisy, denoised."""
         with torch.inference_mode():
             found = self._denoised(self._network, example)
@@ -117,9 +98,8 @@ class DenoiserTraining(Training):
         codes = linear_to_srgb(torch.cat(list(rows), dim=1), 1.0)
         return (codes * 255).round().byte().permute(1, 2, 0).cpu().numpy()
 
-    def _save(self, path: Path, network: Any, **parts: Any) -> None:
-        del parts["capture"]
-        save_denoiser(path, network, **parts)
+    def _save(self, path: Path, architecture: dict[str, Any], record: dict[str, Any]) -> None:
+        save_denoiser(path, self._network, architecture=architecture, record=record)
 
 
 def _psnr_db(found: Tensor, clean: Tensor) -> Tensor:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.data import Example
+from learning.data import Example, Item
 from learning.distributed import Precision, Processes
 from learning.method import Estimate, linear_to_srgb
 from learning.metrics import depth_scores
@@ -35,10 +35,7 @@ def true_estimate(example: Example, capture: CaptureModel) -> Estimate:
     return Estimate(linear_to_srgb(example.radiance, capture.white), disparity)
 
 
-Batch = TypeVar("Batch", bound=tuple[Tensor, ...])
-
-
-def to_device(example: Batch, device: torch.device) -> Batch:
+def to_device(example: Item, device: torch.device) -> Item:
     """Return a named tuple such as an example on a device; copies from pinned memory overlap with work there."""
     return type(example)(*(values.to(device, non_blocking=True) for values in example))
 
@@ -46,7 +43,7 @@ def to_device(example: Batch, device: torch.device) -> Batch:
 def validate(
     network: nn.Module,
     batches: Iterable[Example],
-    loss: nn.Module,
+    loss: Callable[..., dict[str, Tensor]],
     capture: CaptureModel,
     *,
     precision: Precision,
