@@ -89,7 +89,8 @@ class Study:
         if path.exists():
             old = load_tuned(path).content
             self._check(old["identity"])
-            self._content |= {"trials": old["trials"], "results": old["results"]}
+            identity = old["identity"] | self._content["identity"]
+            self._content |= {"identity": identity, "trials": old["trials"], "results": old["results"]}
         self._scores = {self._key(t["method"], t["noise_db"], t["parameters"]): t for t in self._content["trials"]}
 
     @property
@@ -125,9 +126,9 @@ class Study:
 
     def _check(self, old: dict[str, Any]) -> None:
         new = self._content["identity"]
-        for name in sorted(new.keys() | old.keys()):
-            if new.get(name) != old.get(name):
-                was, now = (str(content.get(name))[:60] for content in (old, new))
+        for name in sorted(new.keys() & old.keys()):  # what only one needs is of methods that only one has
+            if new[name] != old[name]:
+                was, now = (str(content[name])[:60] for content in (old, new))
                 differs = f"{name} was {was}, is now {now}"
                 cure = "choose another output, or delete it"
                 raise InputError(self.path, f"holds trials of other data or settings: {differs}; {cure}")

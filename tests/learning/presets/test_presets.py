@@ -75,7 +75,7 @@ def test_the_evaluation_reads_what_trainings_and_tuning_write(tmp_path: Path) ->
         assert method.checkpoints[0] == f"{output}/best.safetensors"
         assert len(method.checkpoints) == 3
     tuning = load_file(TuneConfig, _written("tune_64", tmp_path))
-    assert [method.classical for method in config.methods[len(networks) :]] == tuning.methods
+    assert [method.classical for method in config.methods[len(networks) :]] == tuning.methods == ["cls", "admm", "pnp"]
     assert {method.tuned for method in config.methods[len(networks) :]} == {str(tuning.output)}
     assert config.noise_db == tuning.noise_db
     assert config.data.training == yaml.safe_load(preset_text("flying_things_64"))["dataset"]["output"]

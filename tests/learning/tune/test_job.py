@@ -156,6 +156,21 @@ def test_a_study_of_other_data_is_refused_and_kept(tmp_path: Path) -> None:
     assert float(Study(path, {"data": "x", "seed": 0}, {}).trials[0]["score"]) == float("inf")
 
 
+def test_a_method_joins_a_study_with_what_decides_its_scores(tmp_path: Path) -> None:
+    """A denoiser, for plug-and-play ADMM: runs without it need not know it, others must have the same."""
+
+    def run(noise_db: float, **identity: str) -> Study:
+        study = Study(tmp_path / "tuned.json", {"data": "x", **identity}, {})
+        study.add_trial({"method": "any", "noise_db": noise_db, "parameters": {}, "score": 1.0})
+        return study
+
+    run(20)
+    run(30, denoiser="one")
+    assert len(run(40).trials) == len(run(40, denoiser="one").trials) - 1 == 3
+    with pytest.raises(InputError, match=r"tuned\.json: .*denoiser"):
+        run(50, denoiser="another")
+
+
 @pytest.mark.parametrize(
     "content",
     [
