@@ -8,7 +8,7 @@ With an unknown penalty R, weighted by ``prior`` times the variance s^2 of the m
 volume's copy, prox of prior s^2 R / c is a denoiser for noise of variance prior s^2 / c. As in DPIR (Zhang et al.,
 Plug-and-Play Image Restoration with Deep Denoiser Prior, TPAMI 2021, section 4.2) the denoiser's noise falls from step to
 step, evenly in its logarithm, and c rises: coarse structure first. In units of s, which is found in the measurement, the same
-numbers serve from little noise to much: s decides how strongly is denoised, and c = prior / noise^2 is what it was.
+numbers serve from little noise to much: s decides how strongly is denoised, and c = prior / noise^2 does not depend on it.
 """
 
 from __future__ import annotations
