@@ -126,10 +126,10 @@ SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
         **_SEARCH_OF_DEPTH,
     },
     "pnp": {
+        "iterations": (12, 24, 48),
         "prior": (0.03, 0.1, 0.3),
         "noise_first": (1.2, 2.5, 5.0),
         "noise_last": (0.03, 0.06, 0.12),
-        "iterations": (12, 24, 48),
         "cost": COSTS,
         "measure": MEASURES,
         "contrast": (0.25, 0.5, 0.75, 1.0, 2.0),
