@@ -32,7 +32,7 @@ MAY_IMPORT = {  # besides its own files
     "design": {"ground", "io", "optics"},
     "camera": {"ground", "io", "optics"},
     "render": {"ground", "io"},
-    "importers": {"ground", "io", "dataset"},
+    "importers": {"ground", "io", "config", "assembly", "dataset"},
     "config": {"ground", "io", "camera", "optics"},
     "assembly": BUILT,
     "dataset": BUILT | {"assembly"},

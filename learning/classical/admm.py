@@ -180,8 +180,8 @@ def default_weights(tv: float) -> tuple[float, float, float]:
     """Return weights of the copies for many planes.
 
     Where ``tv`` is 0.05 or more, near those at which residual balancing settled on rendered scenes (Wohlberg, ADMM Penalty
-    Parameter Selection by Residual Balancing, 2017, arXiv 1704.06209). Below, the volume's is smaller: with 5 in place of 0.5,
-    telling 13 planes apart at 50 dB (64 x 64 pixels, ``tv`` 0.005) takes four times the iterations, 240 in place of 60.
+    Parameter Selection by Residual Balancing, 2017, arXiv 1704.06209). Below, the volume's is smaller: with 5 in place of
+    0.5, telling 13 planes apart at 50 dB (``tv`` 0.005) takes four times the iterations, 240 in place of 60.
     """
     return 0.5, 60 * tv + 1e-3, 50 * tv + 0.5
 
@@ -190,8 +190,8 @@ def planar_weights(tv: float, greatest_power: float) -> tuple[float, float, floa
     """Return weights for one plane, where less is to be told apart; ``greatest_power`` is of |FH|^2, at frequency zero.
 
     Found by search on a real capture at two sizes, and on a photograph through PhlatCam, DiffuserCam and 25 points, light
-    from anywhere: after 60 iterations all are nearer to the solution than after 100 with a weight of 5 for the volume. The wider the
-    PSF, the more its frequency zero stands out, and the more must hold it.
+    from anywhere: after 60 iterations all are nearer to the solution than after 100 with a weight of 5 for the volume. The
+    wider the PSF, the more its frequency zero stands out, and the more must hold it.
     """
     return 0.15, 6 * tv + 1e-3, 5e-4 * greatest_power + 0.3
 

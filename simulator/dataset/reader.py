@@ -10,9 +10,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.assembly import Assembly
 from simulator.camera.shutter import Shutter
-from simulator.config import config_from_dict
 from simulator.dataset.dataset_info import FILE, DatasetInfo, read_info
 from simulator.dataset.manifest import load_manifest
 from simulator.dataset.sample import (
@@ -108,12 +106,6 @@ class Dataset(Sequence[Sample]):
                 folder, f"in the manifest but not on disk; `flatlight verify {self.root}` lists all faults"
             )
         return StoredSample(folder)
-
-    @property
-    def pixel_tangent(self) -> float:
-        """Tangent of the angle that a pixel in the middle of the image covers: its pitch over its distance from the mask."""
-        assembly = Assembly(config_from_dict(self.config, self.root, check_plugins=False))
-        return assembly.pixel_pitch_m / assembly.mask_to_sensor_m
 
     @property
     def shutter(self) -> Shutter | None:

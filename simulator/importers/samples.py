@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from simulator.assembly import Assembly
+from simulator.config import config_from_dict
 from simulator.dataset.dataset_info import FILE
 from simulator.dataset.manifest import MANIFEST
 from simulator.dataset.reader import Dataset, open_dataset
@@ -39,7 +41,8 @@ def samples(view: View, *, path: Path) -> Samples:
     splits = tuple(dataset for split in SPLITS if len(dataset := open_dataset(path, split)))
     if not splits:
         raise InputError("path", f"{path} holds no finished sample; make some first")
-    shape, tangent = splits[0].info.scene_shape, splits[0].pixel_tangent
+    shape, seen_by = splits[0].info.scene_shape, Assembly(config_from_dict(splits[0].config, path, check_plugins=False))
+    tangent = seen_by.pixel_pitch_m / seen_by.mask_to_sensor_m
     own = view.pixel_pitch_m / view.distance_m
     if tuple(shape) != tuple(view.shape) or not np.isclose(tangent, own, rtol=_ALIKE, atol=0):
         seen, wanted = (
