@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import torch
+import torch.nn.functional as nnf
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -190,16 +191,18 @@ class RegularisedInversion(FourierInversion):
             yield numerator * (power + penalty + _LEAST).reciprocal()
 
     def _filter_power(self) -> Tensor:
-        """Return |FP|^2, ``(K, L // 2 + 1, M)``: nine terms, by the definition of the transform."""
-        tall = self._phases(self.rows.length)[: self.rows.length // 2 + 1]
-        response = torch.einsum("ya,kab,xb->kyx", tall, self.filters.to(tall.dtype), self._phases(self.columns.length))
-        return response.real.square() + response.imag.square()
+        """Return |FP|^2, ``(K, L // 2 + 1, M)``: the transform of P's autocorrelation, which is real and has 25 terms."""
+        planes = len(self.filters)
+        taps = nnf.conv2d(self.filters[None], self.filters[:, None], padding=2, groups=planes)[0]
+        (tall_cos, tall_sin), (wide_cos, wide_sin) = (self._waves(axis.length) for axis in (self.rows, self.columns))
+        half = slice(self.rows.length // 2 + 1)
+        power = tall_cos[half] @ taps @ wide_cos.T - tall_sin[half] @ taps @ wide_sin.T
+        return power.relu()  # not below 0 where it is 0 but for rounding
 
-    def _phases(self, length: int) -> Tensor:
-        taps = torch.arange(-1, 2, device=self.filters.device, dtype=self.filters.dtype)
-        turns = torch.arange(length, device=self.filters.device, dtype=self.filters.dtype) / length
-        angles = -2 * math.pi * turns[:, None] * taps
-        return torch.complex(angles.cos(), angles.sin())
+    def _waves(self, length: int) -> tuple[Tensor, Tensor]:
+        shifts, turns = (torch.arange(n, device=self.filters.device, dtype=self.filters.dtype) for n in (5, length))
+        angles = 2 * math.pi / length * turns[:, None] * (shifts - 2)
+        return angles.cos(), angles.sin()
 
 
 def noise_ratio(light: Tensor) -> Tensor:

@@ -25,8 +25,13 @@ def noise_level(light: Tensor) -> Tensor:
     Args:
         light: measurements ``(B, C, H, W)`` without their offset, of three rows and columns at least.
     """
-    bent = light[..., 2:, :] - 2 * light[..., 1:-1, :] + light[..., :-2, :]
-    bent = (bent[..., 2:] - 2 * bent[..., 1:-1] + bent[..., :-2])[..., ::_STEP, ::_STEP] / 6
-    mean = nnf.avg_pool2d(light, 3, stride=1)[..., ::_STEP, ::_STEP].flatten(2)
+    bent = _second_difference(_second_difference(light).mT).mT / 6
+    mean = nnf.avg_pool2d(light, 3, stride=_STEP).flatten(2)
     brightest = mean.topk(-(-mean.shape[-1] // _BRIGHT), dim=-1, sorted=False).indices
     return bent.flatten(2).gather(-1, brightest).abs().flatten(1).median(dim=-1).values / _MAD
+
+
+def _second_difference(values: Tensor) -> Tensor:
+    """Return it along the rows of ``(..., H, W)``, of every so many."""
+    first, middle, last = (values[..., at : values.shape[-2] - 2 + at : _STEP, :] for at in range(3))
+    return first - 2 * middle + last
