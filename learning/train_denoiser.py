@@ -1,4 +1,4 @@
-"""Training a denoiser on a data set's clean pictures: the loop of `learning.train` with pictures in place of measurements."""
+"""Training a denoiser on a data set's clean pictures: the usual loop with pictures in place of measurements."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from learning.method import linear_to_srgb
 from learning.models.denoiser import NOISE_RANGE, Denoiser, DenoisingLoss
 from learning.pictures import NoisyPicture, Pictures
 from learning.resume import portable_command
-from learning.train import Plan, Say, Show, Training, TrainResult, find_cache, open_splits, run
+from learning.training_loop import Plan, Say, Show, Training, TrainResult, find_cache, open_splits, run
 from learning.validation import to_device
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError

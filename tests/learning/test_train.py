@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 import torch
 
-import learning.train as loop
+import learning.training_loop as loop
 from learning.camera import CaptureModel, measure_reference_white
 from learning.checkpoint import FOLDER, load_checkpoint
 from learning.config import OptimiserConfig, TrainConfig, load_file
@@ -27,7 +27,8 @@ from learning.losses import ReconstructionLoss
 from learning.models import build_network
 from learning.provenance import scenes_of
 from learning.resume import BEST, DESCRIPTION, LAST, STATE, DivergedError
-from learning.train import build_optimiser, find_data, learning_rate, open_examples, train
+from learning.train import find_data, open_examples, train
+from learning.training_loop import build_optimiser, learning_rate
 from learning.validation import METRICS, PREVIEW
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
@@ -212,21 +213,22 @@ def test_a_start_that_changed_is_another_training(settings: Settings, tmp_path: 
         train(settings("tuned", init_from=str(start), steps=3))
 
 
-@pytest.mark.parametrize("moment", ["build_network", "count_workers"])
+@pytest.mark.parametrize("moment", ["learning.train.build_network", "learning.training_loop.count_workers"])
 def test_another_training_in_between(settings: Settings, monkeypatch: Patch, moment: str) -> None:
     """It begins while this one prepares: before the lock this one is refused, after it the other; neither is lost."""
-    original, refused = getattr(loop, moment), []
+    module, name = moment.rsplit(".", 1)
+    original, refused = getattr(sys.modules[module], name), []
 
     def inject(*arguments: Any, **others: Any) -> Any:
-        monkeypatch.setattr(loop, moment, original)
+        monkeypatch.setattr(moment, original)
         try:
             train(settings(seed=99, steps=2))
         except InputError as error:
             refused.append(error.reason)
         return original(*arguments, **others)
 
-    monkeypatch.setattr(loop, moment, inject)
-    if moment == "build_network":
+    monkeypatch.setattr(moment, inject)
+    if name == "build_network":
         with pytest.raises(InputError, match=r"^output: "):
             train(settings(steps=1))
     else:
@@ -234,7 +236,7 @@ def test_another_training_in_between(settings: Settings, monkeypatch: Patch, mom
         assert len(refused) == 1
         assert "another process trains in" in refused[0]
     folder = Path(settings().output)
-    seed = 99 if moment == "build_network" else 3
+    seed = 99 if name == "build_network" else 3
     assert json.loads((folder / DESCRIPTION).read_text())["config"]["seed"] == seed
     assert load_checkpoint(folder / LAST).record["config"]["seed"] == seed
 
@@ -392,7 +394,9 @@ def test_best_is_the_greatest_score(settings: Settings, monkeypatch: Patch) -> N
     """Whatever the loss says."""
     scores, totals = iter([-3.0, 5.0, 4.0]), iter([2.0, 3.0, 1.0])
     others = {"psnr_db": 1.0, "depth_rmse_cm": 1.0}
-    monkeypatch.setattr(loop, "validate", lambda *_, **__: {"total": next(totals), "score_db": next(scores), **others})
+    monkeypatch.setattr(
+        "learning.train.validate", lambda *_, **__: {"total": next(totals), "score_db": next(scores), **others}
+    )
     result = train(settings(steps=3, validate_every=1))
     assert (result.best["step"], result.best["score_db"]) == (2, 5.0)
     assert load_checkpoint(result.folder / BEST).record["step"] == 2
