@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -241,7 +242,7 @@ def learning_rate(step: int, steps: int, config: OptimiserConfig) -> float:
     return config.learning_rate * (1 + math.cos(math.pi * share)) / 2
 
 
-class Training(Generic[Item]):
+class Training(ABC, Generic[Item]):
     """The loop: batches, steps, the log, validations, states to go on from; what is trained fills in the last five methods.
 
     Attributes:
@@ -447,25 +448,25 @@ class Training(Generic[Item]):
         }
         self._save(self.folder / name, {"network": config.network.name, **config.network.numbers}, record)
 
+    @abstractmethod
     def _open(self, dataset: Dataset) -> Examples[Item]:
         """Return what is read of a split."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _terms(self, wrapped: nn.Module, example: Item) -> dict[str, Tensor]:
         """Return the terms of the loss of a batch, ``total`` among them."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _metrics(self, batches: Loader[Item]) -> dict[str, float]:
         """Return means over the validation split, ``score_db`` among them; the network is left in training mode."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _drawn(self, example: Item) -> NDArray[np.uint8]:
         """Return an image of a batch, for people."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _save(self, path: Path, architecture: dict[str, Any], record: dict[str, Any]) -> None:
         """Write the network's file."""
-        raise NotImplementedError
 
 
 def _listed(numbers: Mapping[str, float]) -> str:

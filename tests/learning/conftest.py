@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -181,3 +181,12 @@ def checkpoints(tmp_path_factory: pytest.TempPathFactory, tiny_camera: CaptureMo
         save_checkpoint(path, network, architecture=architecture, capture=tiny_camera, record={"seed": seed})
         made.append(path)
     return made
+
+
+@pytest.fixture
+def double() -> Iterator[None]:
+    """Layers made in this test are of float64."""
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(before)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-import torch
 
 from learning.camera import CaptureModel
 from simulator.optics.stack import PsfStack
@@ -43,12 +42,3 @@ def random_capture(
 def camera() -> Callable[..., CaptureModel]:
     """Make a camera; see `random_capture`."""
     return random_capture
-
-
-@pytest.fixture
-def double():
-    """Layers made in this test are of float64."""
-    before = torch.get_default_dtype()
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(before)

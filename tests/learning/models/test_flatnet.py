@@ -52,25 +52,13 @@ def test_everything_learns(tiny_capture, name, planes, kind):
     assert idle == []
 
 
-class Recorded(torch.nn.Module):
-    """In place of a body: keeps what it is given and returns what it was told."""
-
-    def __init__(self, output):
-        super().__init__()
-        self.output, self.given = output, None
-
-    def forward(self, image):
-        self.given = image
-        return self.output
-
-
 @pytest.mark.parametrize("noise_aware", [False, True])
 @pytest.mark.parametrize("joint", [False, True])
-def test_the_body_sees_all_planes_and_how_noisy_it_is(tiny_capture, noise_aware, joint):
+def test_the_body_sees_all_planes_and_how_noisy_it_is(tiny_capture, recorded, noise_aware, joint):
     """Planes by themselves, then jointly, then the decades of noise / signal, of all channels together."""
     network = build_network(tiny_capture, "flatnet3d", "tiny", noise_aware=noise_aware, joint=joint, head="linear")
     output = torch.rand(2, 4, 16, 16)
-    network.enhancement = body = Recorded(output)
+    network.enhancement = body = recorded(output)
     measurement = 0.3 + torch.rand(2, 3, 48, 48) * torch.tensor([0.05, 0.5])[:, None, None, None]
     own = {"regularisation_lambda": 0.1, "tikhonov": 1.0, "noise_weight": 30.0 if noise_aware else None}
     with torch.no_grad():
@@ -88,22 +76,22 @@ def test_the_body_sees_all_planes_and_how_noisy_it_is(tiny_capture, noise_aware,
     assert torch.equal(torch.cat(estimate, dim=1), output)
 
 
-def test_no_noise_is_a_finite_level(tiny_capture):
+def test_no_noise_is_a_finite_level(tiny_capture, recorded):
     network = build_network(tiny_capture, "flatnet3d", "tiny", head="linear")
-    network.enhancement = body = Recorded(torch.rand(1, 4, 16, 16))
+    network.enhancement = body = recorded(torch.rand(1, 4, 16, 16))
     network(torch.from_numpy(tiny_capture.offset).float()[:, None, None].expand(1, 3, 48, 48))
     assert body.given[:, -1].unique().item() == pytest.approx(-8 / 3 + 1)
 
 
 @pytest.mark.parametrize("name", ["flatnet3d", "flatnet2d"])
-def test_a_soft_head_chooses_among_the_planes(tiny_capture, name):
+def test_a_soft_head_chooses_among_the_planes(tiny_capture, recorded, name):
     """In NumPy: softmax over planes, of radiance and of disparity; the codes of the former; and the body's residual."""
     network = build_network(tiny_capture, name, "tiny")
     planes = network.inversion.planes
     rng = np.random.default_rng(3)
     output = rng.normal(0, 1, (2, 4 + len(planes), 16, 16))
     volumes = rng.normal(0.3, 1.5, (2, 2, len(planes), 3, 16, 16))  # some of it negative, some far above white
-    network.enhancement = Recorded(torch.from_numpy(output))
+    network.enhancement = recorded(torch.from_numpy(output))
     network.double()
     network.choice.to_srgb = torch.linalg.inv(torch.from_numpy(tiny_capture.scene_to_camera))
     network.choice.disparities = torch.from_numpy(tiny_capture.plane_disparities())[list(planes)]
@@ -119,15 +107,15 @@ def test_a_soft_head_chooses_among_the_planes(tiny_capture, name):
     np.testing.assert_allclose(got.disparity.numpy()[:, 0], output[:, 3] + disparity, atol=1e-12)
 
 
-def test_a_soft_head_chooses_in_float32_under_autocast(tiny_capture):
+def test_a_soft_head_chooses_in_float32_under_autocast(tiny_capture, recorded):
     """bfloat16 has 8 bits: planes and disparities would be as coarse."""
     network = build_network(tiny_capture, "flatnet3d", "tiny")
     output = torch.randn(1, 7, 16, 16).bfloat16()
     given = Inverted(torch.rand(1, 2, 3, 3, 16, 16), torch.zeros(1, 3, 48, 48), torch.ones(1, 3))
-    network.enhancement = Recorded(output)
+    network.enhancement = recorded(output)
     with torch.autocast("cpu", torch.bfloat16):
         mixed = network.enhance(given)
-    network.enhancement = Recorded(output.float())
+    network.enhancement = recorded(output.float())
     wanted = network.enhance(given)
     torch.testing.assert_close(mixed[:2], wanted[:2], rtol=0, atol=0)
 

@@ -9,38 +9,19 @@ from learning.models.refinement import Refinement, Surface
 from simulator.colour import linear_to_srgb, srgb_to_linear
 
 
-class Recorded(torch.nn.Module):
-    """In place of a body: keeps what it is given and returns what it was told."""
-
-    def __init__(self, output):
-        super().__init__()
-        self.output, self.given = output, None
-
-    def forward(self, image):
-        self.given = image
-        return self.output
-
-
-@pytest.fixture
-def double():
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(torch.float32)
-
-
 def softmax(values):
     return np.exp(values) / np.exp(values).sum(axis=1, keepdims=True)
 
 
 @pytest.mark.usefixtures("double")
 @pytest.mark.parametrize("noise_aware", [False, True])
-def test_a_look_is_its_definition(tiny_capture, noise_aware):
+def test_a_look_is_its_definition(tiny_capture, recorded, noise_aware):
     """Image to planes, planes to sensor, what is left to volumes, their choice to the image; the body adds to all."""
     rng = np.random.default_rng(4)
     options = {"regularisation_lambda": 0.2, "noise_weight": 3.0 if noise_aware else None}
     look = Refinement(tiny_capture, range(3), options, noise_aware, filters=4, levels=2)
     output = rng.normal(0, 0.3, (2, 7, 16, 16))
-    look.enhancement = body = Recorded(torch.from_numpy(output))
+    look.enhancement = body = recorded(torch.from_numpy(output))
     image, disparity = rng.uniform(-0.2, 1.5, (2, 3, 16, 16)), rng.random((2, 1, 16, 16))
     odds, light = rng.normal(0, 2, (2, 3, 16, 16)), rng.uniform(0, 0.5, (2, 3, 48, 48))
     noise, level = (torch.full((2, 3), 0.1), torch.rand(2, 1, 16, 16)) if noise_aware else (None, None)
