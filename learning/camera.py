@@ -145,13 +145,18 @@ class CaptureModel:
         return replace(self, stack=stack)
 
     def with_border(self, pixels: int) -> CaptureModel:
-        """Return the same camera with a larger image: by so many pixels on each side, where field and sensor have them.
+        """Return the same camera with a larger image: by so many pixels on each side, or as many as have light.
 
-        What lies farther out is no part of it any more.
+        Field and sensor end it, and a stop: the least irradiance of the border is at least half of the image's, or what is
+        divided by it would be noise. What lies farther out is no part of the camera any more.
         """
-        sides = zip(self.scene_shape, self.field_shape, self.sensor_shape, strict=True)
-        rows, columns = (min(scene + 2 * pixels, field, sensor) for scene, field, sensor in sides)
-        irradiance = self.irradiance[_middle(self.field_shape, (rows, columns))]
+        sides = list(zip(self.scene_shape, self.field_shape, self.sensor_shape, strict=True))
+        least = self.scene_irradiance.min() / 2
+        for border in range(pixels, -1, -1):  # no border at all is light enough
+            rows, columns = (min(scene + 2 * border, field, sensor) for scene, field, sensor in sides)
+            irradiance = self.irradiance[_middle(self.field_shape, (rows, columns))]
+            if irradiance.min() >= least:
+                break
         return replace(self, scene_shape=(rows, columns), irradiance=irradiance)
 
     def with_assumed(self, known: CaptureModel) -> CaptureModel:

@@ -133,7 +133,7 @@ def test_the_image_lies_in_the_middle_of_the_field(tiny_capture: CaptureModel) -
 
 def test_a_border_is_as_wide_as_field_and_sensor_allow(tiny_capture: CaptureModel) -> None:
     """Image 16 x 16, sensor 48 x 48; a field of 22 rows and 60 columns."""
-    irradiance = np.random.default_rng(0).random((22, 60)).astype(np.float32)
+    irradiance = np.random.default_rng(0).uniform(0.6, 1, (22, 60)).astype(np.float32)
     capture = replace(tiny_capture, irradiance=irradiance)
     for pixels, shape in ((0, (16, 16)), (2, (20, 20)), (8, (22, 32)), (50, (22, 48))):
         larger = capture.with_border(pixels)
@@ -141,6 +141,18 @@ def test_a_border_is_as_wide_as_field_and_sensor_allow(tiny_capture: CaptureMode
         rows, columns = ((whole - part) // 2 for whole, part in zip((22, 60), shape, strict=True))
         assert (larger.irradiance == irradiance[rows : rows + shape[0], columns : columns + shape[1]]).all()
         assert (larger.scene_irradiance[larger.middle((16, 16))] == capture.scene_irradiance).all()
+
+
+def test_a_border_ends_where_a_stop_takes_half_of_the_light(tiny_capture: CaptureModel) -> None:
+    """A field of 32 x 32, its outer 3 pixels on each side behind the stop's rim."""
+    image = np.random.default_rng(0).uniform(1, 3, (16, 16)).astype(np.float32)
+    for rim, shape in ((0.0, 26), (0.49, 26), (0.51, 32)):
+        irradiance = np.full((32, 32), rim * image.min(), np.float32)
+        irradiance[3:-3, 3:-3] = 0.6 * image.min()
+        irradiance[8:24, 8:24] = image
+        larger = replace(tiny_capture, irradiance=irradiance).with_border(8)
+        assert larger.scene_shape == larger.field_shape == (shape, shape)
+        assert (larger.scene_irradiance[larger.middle((16, 16))] == image).all()
 
 
 @pytest.mark.parametrize(
