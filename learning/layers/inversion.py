@@ -50,9 +50,13 @@ class FourierInversion(nn.Module):
     offset: Tensor
 
     def __init__(self, capture: CaptureModel) -> None:
+        """Prepare what is divided by; an InputError refuses an image of which parts send no light to the sensor."""
         super().__init__()
         self.rows, self.columns = axis_plans(capture)
         irradiance = capture.scene_irradiance.astype(np.float64)
+        if dark := irradiance.size - np.count_nonzero(irradiance > 0):
+            got = f"got 0 at {dark} of the image's {irradiance.size} pixels, expected light from each"
+            raise InputError("irradiance", f"{got}: nothing can be known of the others; take a smaller scene.size")
         self._keep("scale", torch.from_numpy(1 / (capture.gain * capture.white * irradiance)))
         self._keep("offset", torch.from_numpy(capture.offset)[:, None, None])
 

@@ -284,6 +284,17 @@ def test_a_filter_without_any_response_divides_by_something(camera):
     assert bool(torch.isfinite(layer.filters.grad).all())
 
 
+@pytest.mark.parametrize("kind", [RegularisedInversion, WienerInversion])
+def test_refuses_an_image_that_sends_no_light_from_everywhere(camera, kind):
+    """A stop that hides a corner of it; what it hides of the field around the image does not matter."""
+    capture = camera(*SIZES[0])
+    irradiance = np.pad(capture.irradiance, 2)
+    kind(replace(capture, irradiance=irradiance))
+    irradiance[2, 2] = 0
+    with pytest.raises(InputError, match=r"^irradiance: "):
+        kind(replace(capture, irradiance=irradiance))
+
+
 @pytest.mark.parametrize("shape", [(1, 3, 24, 25), (1, 2, 24, 24), (3, 24, 24), (1, 2, 3, 24, 24)])
 def test_refuses_measurements_of_another_camera(camera, shape):
     with pytest.raises(InputError, match=r"^measurement: "):
