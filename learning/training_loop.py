@@ -211,13 +211,17 @@ def held_folder(plan: Plan) -> Iterator[None]:
 
 
 def build_optimiser(network: nn.Module, config: OptimiserConfig) -> torch.optim.Optimizer:
-    """Return AdamW over all parameters that learn; without weight decay it is Adam. Groups have their own ``rate``."""
+    """Return AdamW over all parameters that learn; without weight decay it is Adam. Groups have their own ``rate``.
+
+    What has a rate of 0 gets no gradients either: nothing would clear them, and they would count in the norm that is clipped.
+    """
     groups: dict[tuple[float, float], list[nn.Parameter]] = {}
     for module in network.modules():
         rate = config.inversion_rate if isinstance(module, FourierInversion) else 1.0
         for parameter in module.parameters(recurse=False):
             decay = config.weight_decay if parameter.ndim >= _CONVOLUTION else 0.0
-            if parameter.requires_grad and rate:
+            parameter.requires_grad_(parameter.requires_grad and rate > 0)
+            if parameter.requires_grad:
                 groups.setdefault((rate, decay), []).append(parameter)
     return torch.optim.AdamW(
         [{"params": each, "rate": rate, "weight_decay": decay} for (rate, decay), each in groups.items()],

@@ -549,6 +549,8 @@ def test_inversions_that_do_not_learn(tiny_capture: CaptureModel) -> None:
     network = build_network(tiny_capture, "flatnet3d", "tiny")
     optimiser = build_optimiser(network, OptimiserConfig(inversion_rate=0))
     assert held(optimiser) == {id(each) for each in network.enhancement.parameters()}
+    torch.cat(network(torch.rand(1, 3, 48, 48)), dim=1).sum().backward()
+    assert {id(each) for each in network.parameters() if each.grad is not None} == held(optimiser)
 
 
 @pytest.mark.parametrize(("share", "moved"), [(0.5, 3), (0.0, 0), (1.0, 6)])
