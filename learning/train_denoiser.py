@@ -49,6 +49,10 @@ def _plan(config: DenoiserConfig, group: Processes, command: str | None) -> Plan
     if len(capture.stack.channels) != 3:
         found = ", ".join(capture.stack.channels)
         raise InputError("data.train", f"got the channels {found}, expected pictures of three colours")
+    size, wanted = (" x ".join(map(str, each.info.scene_shape)) for each in (validation, train))
+    if size != wanted:
+        cure = "validate on pictures of the same size (scene.size)"
+        raise InputError("data.validation", f"got pictures of {size} pixels, data.train has {wanted}; {cure}")
     torch.manual_seed(config.seed)
     network = Denoiser(**config.network.numbers)
     return Plan(config, group, command, train, validation, capture, {"white": capture.white}, network, DenoisingLoss())
@@ -87,8 +91,8 @@ class DenoiserTraining(Training[NoisyPicture]):
         sums = self._group.add(sums)
         every = float(self._group.add(sums.new_tensor(count)))
         total, psnr_db, noisy_db = (sums / every).tolist()
-        # Chosen by the loss: over levels of noise from faint to strong, PSNR says little.
-        return {"total": total, "psnr_db": psnr_db, "noisy_psnr_db": noisy_db, "score_db": -20 * math.log10(total)}
+        # Chosen by the loss, a power: over levels of noise from faint to strong, PSNR says little.
+        return {"total": total, "psnr_db": psnr_db, "noisy_psnr_db": noisy_db, "score_db": -10 * math.log10(total)}
 
     def _drawn(self, example: NoisyPicture) -> NDArray[np.uint8]:
         """Return an image: a row per picture, clean, noisy, denoised."""

@@ -102,6 +102,7 @@ def test_learns(denoiser_settings: Callable[..., DenoiserConfig]) -> None:
     config = denoiser_settings(steps=30, validate_every=30, optimiser={"learning_rate": 1e-2})
     best = train_denoiser(config).best
     assert best["psnr_db"] > best["noisy_psnr_db"] + 2  # dB
+    assert best["score_db"] == pytest.approx(-10 * np.log10(best["total"]))  # of squared errors
     _, record = load_denoiser(Path(config.output) / BEST)
     assert record["data sets"]["train"]["samples"] == 32
     assert record["step"] == best["step"]
@@ -125,6 +126,18 @@ def test_refuses_another_training_in_its_folder(denoiser_settings: Callable[...,
     train_denoiser(denoiser_settings(steps=1))
     with pytest.raises(InputError, match=r"^output: "):
         train_denoiser(denoiser_settings(steps=1, seed=4))
+
+
+def test_pictures_of_another_size_are_refused_before_the_folder_is_made(
+    denoiser_settings: Callable[..., DenoiserConfig], tiny_dataset: Path, learning_trial: Any
+) -> None:
+    counts = {"train": 0, "validation": 1, "test": 0}
+    other = learning_trial.generate(dataset=counts, scene={"size": [16, 20]}, psf={"as_captured": None})
+    data = {"train": str(tiny_dataset), "validation": str(other), "cache": False, "workers": 0}
+    config = denoiser_settings("training", data=data)
+    with pytest.raises(InputError, match=r"^data\.validation: .*16 x 20.* 16 x 16"):
+        train_denoiser(config)
+    assert not Path(config.output).exists()
 
 
 def test_the_command_trains_what_a_reconstruction_takes(
