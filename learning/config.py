@@ -27,6 +27,12 @@ class FileSection(Section):
     """The whole of a YAML file; relative paths in it are taken from its folder."""
 
     _base_dir: Path = PrivateAttr(default_factory=Path.cwd)
+    _source: tuple[Path, tuple[str, ...]] | None = PrivateAttr(None)
+
+    @property
+    def source(self) -> tuple[Path, tuple[str, ...]] | None:
+        """The file and the overrides that it was loaded from, no part of what it says; None where Python made it."""
+        return self._source
 
     def resolve_path(self, text: str | Path) -> Path:
         """Return a path of this file as an absolute one."""
@@ -47,7 +53,7 @@ Model = TypeVar("Model", bound=FileSection)
 def load_file(model: type[Model], path: Path | str, overrides: Sequence[str] = ()) -> Model:
     """Load a YAML file; see `simulator.config.load.load_model`. Keys of earlier versions are refused with today's names."""
     loaded = load_model(model, path, overrides, _old_names)
-    loaded._base_dir = Path(path).resolve().parent
+    loaded._base_dir, loaded._source = Path(path).resolve().parent, (Path(path), tuple(overrides))
     return loaded
 
 

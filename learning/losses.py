@@ -46,8 +46,8 @@ class ReconstructionLoss(nn.Module):
         ``capture`` says what depth a disparity is.
 
         Raises:
-            InputError: an unknown name, weights that are negative or all zero, centimetres of a camera whose depths have no end,
-                or no weight file.
+            InputError: an unknown name, weights that are negative or all zero, centimetres of depths up to infinity, or no
+                weight file.
         """
         super().__init__()
         check_choices(

@@ -241,7 +241,7 @@ def test_another_training_in_between(settings: Settings, monkeypatch: Patch, mom
     assert load_checkpoint(folder / LAST).record["config"]["seed"] == seed
 
 
-def test_speed_is_that_of_this_sitting(settings: Settings, monkeypatch: Patch) -> None:
+def test_speed_is_that_of_this_session(settings: Settings, monkeypatch: Patch) -> None:
     """A step takes a second of a clock that only steps move; five samples are in each."""
     now, step = [0.0], loop.Training._step
 
@@ -304,7 +304,10 @@ def test_a_terminal_s_ctrl_c(settings: Settings, tmp_path: Path) -> None:
     config = settings(steps=100_000, data={"workers": 2}, log_every=1)
     path = tmp_path / "train.yaml"
     path.write_text(json.dumps(config.dump()))
-    code = "import sys; from learning.train import train; train(sys.argv[1], say=print)"
+    code = (
+        "import sys; from learning.config import TrainConfig, load_file; from learning.train import train; "
+        "train(load_file(TrainConfig, sys.argv[1]), say=print)"
+    )
     root = Path(__file__).resolve().parents[2]
     command = [sys.executable, "-u", "-c", code, str(path)]
     env = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
@@ -348,7 +351,9 @@ def test_noise_of_the_file(settings: Settings, monkeypatch: Patch, tiny_dataset:
         assert torch.equal(examples[draw].measurement, measurement)
 
 
-def test_scenes_are_seen_anew_to_learn_from_and_not_to_validate_on(settings: Settings, tiny_dataset: Path) -> None:
+def test_scenes_are_simulated_again_to_learn_from_and_not_to_validate_on(
+    settings: Settings, tiny_dataset: Path
+) -> None:
     """Of a network that stays as it is: ``data.augment`` changes what is learned from, and nothing that is validated."""
     idle: dict[str, Any] = {"steps": 2, "log_every": 1, "optimiser": {"learning_rate": 1e-9}}
     both = settings("plain", **idle), settings("anew", data={"augment": {}}, **idle)
@@ -425,7 +430,7 @@ def test_a_record_names_no_folder_of_this_machine(settings: Settings, tiny_datas
     path = tmp_path / "tiny.yaml"
     path.write_text(json.dumps(config.dump()))
     overrides = ["steps=1", f"output={tmp_path / 'over there'}", f"data.validation={tiny_dataset}"]
-    result = train(path, overrides)
+    result = train(load_file(TrainConfig, path, overrides))
     record = load_checkpoint(result.folder / LAST).record
     text = json.dumps(record)
     assert "/" not in text.replace("1/m", "")

@@ -148,7 +148,11 @@ def test_the_command_trains_what_a_reconstruction_takes(
     file.write_text(text, encoding="utf-8")
     command(file, ["network.filters=4", "network.levels=2"])
     made = tmp_path / "out" / BEST
-    assert str(made) in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "2 steps" in out
+    assert str(made) in out
+    command(file, ["network.filters=4", "network.levels=2"])
+    assert "finished before" in capsys.readouterr().out
     _, record = load_denoiser(made)
     assert record["command"].startswith("flatlight train-denoiser denoiser.yaml --set network.filters=4")
     build_classical(tiny_capture, "pnp", {"denoiser": str(made)})
