@@ -7,8 +7,8 @@ import pytest
 import skimage.restoration
 import torch
 
-from learning.layers.inversion import RegularisedInversion, WienerInversion, noise_ratio
-from learning.layers.noise import noise_level
+from learning.layers.inversion import RegularisedInversion, WienerInversion
+from learning.layers.noise import noise_level, noise_ratio
 from simulator.arrays import next_fast_len
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
@@ -192,10 +192,10 @@ class _Inverted(torch.nn.Module):
 @pytest.mark.usefixtures("double")
 @pytest.mark.parametrize("joint", [False, True])
 @pytest.mark.parametrize("sizes", SIZES)
-def test_what_is_seen_is_what_the_forward_model_says(camera, sizes, joint):
+def test_a_reprojection_is_the_forward_model(camera, sizes, joint):
     capture = camera(*sizes)
     volume = np.random.default_rng(3).random((2, 2, 3, *sizes[1]))
-    got = RegularisedInversion(capture, [0, 2], joint=joint).seen(torch.from_numpy(volume))
+    got = RegularisedInversion(capture, [0, 2], joint=joint).reproject(torch.from_numpy(volume))
     whole = np.zeros((2, 3, 3, *sizes[1]))
     whole[:, [0, 2]] = volume * capture.irradiance * (capture.gain * capture.white)
     model = capture.forward_model(whole)
