@@ -42,7 +42,7 @@ def equation_4_11(capture, layer, measurement, joint=False):
     (H, W), (h, w) = capture.sensor_shape, capture.scene_shape
     values = np.asarray(capture.stack.values, np.float64)
     K, C, P, Q = values.shape
-    L, M = next_fast_len(max(H, h + P - 1)), next_fast_len(max(W, w + Q - 1))
+    L, M = (next_fast_len(max(n, f + p - 1)) for n, f, p in zip((H, W), capture.field_shape, (P, Q), strict=True))
     result = np.zeros((len(measurement), K, C, h, w))
     for b, k, c in np.ndindex(len(measurement), K, C):
         light = measurement[b, c].astype(np.float64) - capture.offset[c]
@@ -65,7 +65,7 @@ def equation_4_11(capture, layer, measurement, joint=False):
         scene = np.fft.ifft2(
             np.fft.fft2(padded) * np.conj(transfer[k]) / (power + weight * np.mean(power) * penalty)
         ).real[(H - h) // 2 : (H + h) // 2, (W - w) // 2 : (W + w) // 2]
-        result[b, k, c] = scene / (capture.gain * capture.white * capture.irradiance)
+        result[b, k, c] = scene / (capture.gain * capture.white * capture.scene_irradiance)
     return result
 
 
@@ -79,11 +79,13 @@ def taper(index, sensor, length):
 
 
 @pytest.mark.usefixtures("double")
-@pytest.mark.parametrize(("sensor", "scene", "psf"), SIZES)
+@pytest.mark.parametrize(("sensor", "scene", "psf", "margin"), [*((*sizes, 0) for sizes in SIZES), (*SIZES[0], 6)])
 @pytest.mark.parametrize("joint", [False, True])
 @pytest.mark.parametrize("noise_weight", [None, 1.0])
-def test_equals_equation_4_11_computed_directly(camera, sensor, scene, psf, joint, noise_weight):
+def test_equals_equation_4_11_computed_directly(camera, sensor, scene, psf, margin, joint, noise_weight):
+    """A field that goes on around the scene makes the period longer: its light must not come back into the scene."""
     capture = camera(sensor, scene, psf, depths_m=(0.02, 0.05), channels=("R", "G"))
+    capture = replace(capture, irradiance=np.pad(capture.irradiance, margin, constant_values=0.7))
     layer = randomised(RegularisedInversion(capture, noise_weight=noise_weight, joint=joint))
     measurement = np.random.default_rng(2).random((2, 2, *sensor)) * [
         [[[1.0]]],

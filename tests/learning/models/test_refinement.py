@@ -1,5 +1,7 @@
 """A refinement step against its definition in NumPy with the simulator's forward model, and on scenes where it must help."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -16,21 +18,28 @@ def softmax(values):
 @pytest.mark.usefixtures("double")
 @pytest.mark.parametrize("noise_aware", [False, True])
 def test_a_step_is_its_definition(tiny_capture, recorded, noise_aware):
-    """Image to planes, planes to sensor, what is left to volumes, their choice to the image; the body adds to all."""
+    """Image to planes, planes to sensor, the residual to volumes, their choice to the image; the body adds to all.
+
+    Some pixels are brighter than a surface may be, and some have a colour that is negative in one of the camera's channels.
+    """
     rng = np.random.default_rng(4)
+    colours = np.array([[0.8, 0.2, -0.3], [0.1, 0.8, 0.1], [0.0, 0.3, 0.7]])
+    tiny_capture = replace(tiny_capture, scene_to_camera=colours)
     options = {"regularisation_lambda": 0.2, "noise_weight": 3.0 if noise_aware else None}
     step = Refinement(tiny_capture, range(3), options, noise_aware, filters=4, levels=2)
     output = rng.normal(0, 0.3, (2, 7, 16, 16))
     step.enhancement = body = recorded(torch.from_numpy(output))
-    image, disparity = rng.uniform(-0.2, 1.5, (2, 3, 16, 16)), rng.random((2, 1, 16, 16))
+    image, disparity = rng.uniform(-0.2, 3, (2, 3, 16, 16)), rng.random((2, 1, 16, 16))
     logits, light = rng.normal(0, 2, (2, 3, 16, 16)), rng.uniform(0, 0.5, (2, 3, 48, 48))
     noise, level = (torch.full((2, 3), 0.1), torch.rand(2, 1, 16, 16)) if noise_aware else (None, None)
     before = Surface(*map(torch.from_numpy, (image, disparity, logits)))
     got = step(before, torch.from_numpy(light), noise, level)
 
     linear = srgb_to_linear(image.clip(0, None)).astype(float).clip(0, 4)
-    weights, colours = softmax(logits), np.asarray(tiny_capture.scene_to_camera)
-    camera = np.einsum("ca,bahw->bchw", colours, linear).clip(0, None)
+    weights, camera = softmax(logits), np.einsum("ca,bahw->bchw", colours, linear)
+    assert (linear == 4).any()
+    assert (camera < 0).any()
+    camera = camera.clip(0, None)
     radiated = (
         weights[:, :, None] * camera[:, None] * tiny_capture.irradiance * (tiny_capture.gain * tiny_capture.white)
     )
