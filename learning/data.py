@@ -87,12 +87,12 @@ class ExampleSet(TorchDataset[Example]):
                 of the PSNRs lie in the upper quarter of the range, in decibels; the peak is the sample's greatest noiseless
                 value above darkness; the result is clipped and quantised as the data set's own noise is (physical noise is
                 always clipped; a mean of binned pixels has steps too fine to matter).
-            augment: how scenes are changed and seen anew, by the data set's own camera; None takes them as stored.
+            augment: how scenes are changed and re-simulated, by the data set's own camera; None takes them as stored.
             seed: decides, with the split, the sample's id and the draw's number, change, level and noise.
             cache: folder for decoded samples, shared by processes and runs; see `SampleCache`.
 
         Raises:
-            InputError: an empty split, mosaics, levels that make no sense, or samples that cannot be seen anew.
+            InputError: an empty split, mosaics, levels that make no sense, or samples that cannot be re-simulated.
         """
         if len(dataset) == 0:
             cure = f"set dataset.{dataset.split} and run `flatlight generate` again, or give another data set"

@@ -19,7 +19,6 @@ from learning.distributed import Processes
 from learning.losses import ReconstructionLoss
 from learning.models import build_network
 from learning.models.flatnet import FlatNet
-from learning.simulate import Augmentation
 from learning.training_loop import Plan, Say, Show, Training, TrainResult, find_cache, open_splits, run
 from learning.validation import draw, true_estimate, validate
 from simulator.dataset.reader import Dataset
@@ -95,12 +94,10 @@ def _camera(dataset: Dataset) -> dict[str, Any]:
 
 def open_examples(dataset: Dataset, config: TrainConfig, say: Say) -> ExampleSet:
     """Return the examples of a split, with the noise and the cache of the configuration; ``say`` is told of the cache."""
-    chosen = config.data.augment if dataset.split == "train" else None
-    augment = None if chosen is None else Augmentation(**chosen.model_dump())
     return ExampleSet(
         dataset,
         noise_db=config.data.noise_db,
-        augment=augment,
+        augment=config.data.augment if dataset.split == "train" else None,
         seed=config.seed,
         cache=find_cache(dataset, config, say),
     )

@@ -27,6 +27,7 @@ from learning.losses import ReconstructionLoss
 from learning.models import build_network
 from learning.provenance import scenes_of
 from learning.resume import BEST, DESCRIPTION, LAST, STATE, DivergedError
+from learning.simulate import Augmentation
 from learning.train import find_data, open_examples, train
 from learning.training_loop import build_optimiser, learning_rate
 from learning.validation import METRICS, PREVIEW
@@ -81,8 +82,8 @@ def test_learns_and_leaves_what_belongs_to_it(settings: Settings) -> None:
     assert sum("validation PSNR" in line for line in said) == 4
 
 
-@pytest.mark.parametrize(("stops", "augment"), [((1,), None), ((4, 7), None), ((5,), {})])
-def test_goes_on_as_if_it_had_never_stopped(settings: Settings, stops: tuple[int, ...], augment: Any) -> None:
+@pytest.mark.parametrize(("stops", "augment"), [((1,), None), ((4, 7), None), ((5,), Augmentation())])
+def test_goes_on_as_if_it_had_never_stopped(settings: Settings, stops: tuple[int, ...], augment: Augmentation | None) -> None:
     whole, parts = (settings(n, data={"workers": w, "augment": augment}) for n, w in (("whole", 0), ("parts", 1)))
     train(whole)
     for stop in stops:
@@ -351,12 +352,10 @@ def test_noise_of_the_file(settings: Settings, monkeypatch: Patch, tiny_dataset:
         assert torch.equal(examples[draw].measurement, measurement)
 
 
-def test_scenes_are_simulated_again_to_learn_from_and_not_to_validate_on(
-    settings: Settings, tiny_dataset: Path
-) -> None:
+def test_scenes_are_resimulated_to_learn_from_and_not_to_validate_on(settings: Settings, tiny_dataset: Path) -> None:
     """Of a network that stays as it is: ``data.augment`` changes what is learned from, and nothing that is validated."""
     idle: dict[str, Any] = {"steps": 2, "log_every": 1, "optimiser": {"learning_rate": 1e-9}}
-    both = settings("plain", **idle), settings("anew", data={"augment": {}}, **idle)
+    both = settings("plain", **idle), settings("anew", data={"augment": Augmentation()}, **idle)
     plain, anew = (train(config) for config in both)
     assert anew.best == pytest.approx(plain.best, rel=1e-4)
     for one, other in zip(lines(plain.folder, "train"), lines(anew.folder, "train"), strict=True):
@@ -367,6 +366,15 @@ def test_scenes_are_simulated_again_to_learn_from_and_not_to_validate_on(
         for position in range(len(dataset)):
             one, other = (examples[position] for examples in sets)
             assert [torch.equal(a, b) for a, b in zip(one[:2], other[:2], strict=True)] == [same, same]
+
+
+@pytest.mark.parametrize(("key", "value"), [("colour", "3"), ("exposure", "-1"), ("flip", "1"), ("tilt", "0")])
+def test_a_change_of_scenes_that_makes_no_sense_is_named(tmp_path: Path, key: str, value: str) -> None:
+    path = tmp_path / "train.yaml"
+    path.write_text("name: x\noutput: x\nsteps: 1\ndata: {train: set, augment: {colour: 0.1}}\n")
+    assert load_file(TrainConfig, path).data.augment == Augmentation(colour=0.1)
+    with pytest.raises(InputError, match=rf"data\.augment\.{key}: "):
+        load_file(TrainConfig, path, [f"data.augment.{key}={value}"])
 
 
 def test_white_and_network_of_the_file(settings: Settings, tiny_dataset: Path) -> None:

@@ -42,7 +42,7 @@ def test_pictures_are_decided_by_seed_sample_and_draw(pictures: Pictures) -> Non
 def test_a_cache_keeps_scenes_without_measurements_and_gives_the_same_pictures(
     pictures: Pictures, tiny_dataset: Path, tiny_camera: CaptureModel, tmp_path: Path
 ) -> None:
-    """The scenes that are seen anew in training, kept once for both."""
+    """The scenes that are re-simulated in training, kept once for both."""
     train = open_dataset(tiny_dataset, "train")
     cached = pickle.loads(pickle.dumps(Pictures(train, tiny_camera, (0.01, 0.3), 0, tmp_path)))  # as a worker gets it
     for position in (0, 31):
