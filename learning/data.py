@@ -283,7 +283,7 @@ class Loader(Generic[Item]):
     def __init__(
         self,
         examples: Examples[Item],
-        order: Batches | Sequence[Sequence[int]],
+        order: Sampler[list[Draw]] | Sequence[list[int]],
         workers: int,
         *,
         pin_memory: bool = False,
@@ -291,7 +291,7 @@ class Loader(Generic[Item]):
         """Set up the workers, which begin to read with the first batch; 0 read in this process."""
         self._loader = DataLoader(
             _Guarded(examples),
-            batch_sampler=order,  # pyright: ignore[reportArgumentType]
+            batch_sampler=order,
             collate_fn=itemgetter(0),
             num_workers=workers,
             pin_memory=pin_memory,
@@ -311,6 +311,7 @@ class Loader(Generic[Item]):
         """End the workers now: left to Python, they live as long as anything, such as a traceback, refers to them."""
         iterator = self._loader._iterator
         if iterator is not None:
+            # Torch has no public way, and of its iterators only that with workers has this one
             iterator._shutdown_workers()  # pyright: ignore[reportAttributeAccessIssue]
             self._loader._iterator = None
 

@@ -509,7 +509,7 @@ def _placed(network: nn.Module, group: Processes) -> nn.Module:
     """Bring a network to its device and to the processes that share a batch."""
     for module in network.modules():
         if isinstance(module, nn.Conv2d):
-            module.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+            module.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]  torch types no such call
     if group.on_cuda and group.world_size > 1:
         network = nn.SyncBatchNorm.convert_sync_batchnorm(network)
     return network.to(group.device)

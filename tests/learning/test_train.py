@@ -83,7 +83,9 @@ def test_learns_and_leaves_what_belongs_to_it(settings: Settings) -> None:
 
 
 @pytest.mark.parametrize(("stops", "augment"), [((1,), None), ((4, 7), None), ((5,), Augmentation())])
-def test_goes_on_as_if_it_had_never_stopped(settings: Settings, stops: tuple[int, ...], augment: Augmentation | None) -> None:
+def test_goes_on_as_if_it_had_never_stopped(
+    settings: Settings, stops: tuple[int, ...], augment: Augmentation | None
+) -> None:
     whole, parts = (settings(n, data={"workers": w, "augment": augment}) for n, w in (("whole", 0), ("parts", 1)))
     train(whole)
     for stop in stops:
