@@ -172,7 +172,9 @@ class Plan:
         """Refuse what the processes cannot share."""
         size, batch, scenes = self.group.world_size, self.config.batch, len(self.validation)
         if batch % size:
-            raise InputError("batch", f"got {batch} for {size} processes, which share it; choose a multiple, or others")
+            raise InputError(
+                "batch", f"got {batch} for {size} processes, which share it; choose a multiple, or other processes"
+            )
         if scenes < size:
             reason = f"its validation split has {scenes} samples for {size} processes, one each at least"
             raise InputError(

@@ -449,6 +449,7 @@ def test_a_record_names_no_folder_of_this_machine(settings: Settings, tiny_datas
     assert record["command"] == (
         f"flatlight train tiny.yaml --set steps=1 --set 'output=over there' --set data.validation={tiny_dataset.name}"
     )
+    assert load_checkpoint(first.folder / LAST).record["command"] == "learning.train, called from Python"
     assert record["config"]["init_from"] == LAST
     assert record["config"]["data"]["stack"] == "nominal"
     dataset = open_dataset(tiny_dataset, "train")
