@@ -361,7 +361,7 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
     known = checkpoint.network.plane_weights
     alike = network.plane_weights[: len(known)] == known  # else refused for its shapes
     taken = found | _resampled(known, found, old, new) if alike and not same else dict(found)
-    further = tuple(f"refinements.{n}." for n in range(len(known) - 1, len(network.further)))
+    further = tuple(f"refinements.{n}." for n in range(len(known) - 1, len(network.refinements)))
     anew = {key: value for key, value in own.items() if key.startswith(further)} if further else {}
     cure = f"take a checkpoint of the same size, or build the network with its numbers: {checkpoint.architecture}"
     _check_shapes(own, taken | anew, "checkpoint", f"; {cure}")

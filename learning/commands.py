@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
 from simulator.commands.shared import Overrides
+
+if TYPE_CHECKING:
+    from learning.training_loop import TrainResult
 
 
 def train(
@@ -17,15 +22,11 @@ def train(
     set_: Overrides = None,
 ) -> None:
     """Train a network on a data set, or go on with a training that was interrupted."""
+    from learning.config import TrainConfig, load_file
     from learning.train import train as run
-    from simulator.console import Bar
 
-    with Bar() as bar:
-        result = run(config, set_ or [], show=bar.update, say=bar.say)
-    best, folder, done = result.best, result.folder, f"{result.steps} steps, {result.seconds:.0f} s in all"
-    print(f"{folder}: {done if result.steps else 'was finished before; raise steps to go on'}")
-    errors = f"PSNR {best['psnr_db']:.2f} dB, depth RMSE {best['depth_rmse_cm']:.2f} cm on validation"
-    print(f"best after step {best['step']:.0f}: {errors}; {folder / 'best.safetensors'}")
+    settings = load_file(TrainConfig, config, set_ or [])
+    folder = _train(partial(run, settings), "PSNR {psnr_db:.2f} dB, depth RMSE {depth_rmse_cm:.2f} cm")
     print(f"look at {folder / 'validation.png'}, or at the curves: tensorboard --logdir {folder}")
 
 
@@ -36,16 +37,24 @@ def train_denoiser(
     set_: Overrides = None,
 ) -> None:
     """Train the denoiser of plug-and-play ADMM on a data set's clean pictures, or go on where it was interrupted."""
+    from learning.config import DenoiserConfig, load_file
     from learning.train_denoiser import train_denoiser as run
+
+    settings = load_file(DenoiserConfig, config, set_ or [])
+    folder = _train(partial(run, settings), "PSNR {noisy_psnr_db:.2f} -> {psnr_db:.2f} dB")
+    print(f"use it: flatlight reconstruct SAMPLE --method pnp --set denoiser={folder / 'best.safetensors'}")
+
+
+def _train(run: Callable[..., TrainResult], scores: str) -> Path:
+    """Run a training, say what became of it, with these of its best scores, and return its folder."""
     from simulator.console import Bar
 
     with Bar() as bar:
-        result = run(config, set_ or [], show=bar.update, say=bar.say)
-    best, folder = result.best, result.folder
-    print(f"{folder}: {result.steps} steps, {result.seconds:.0f} s in all")
-    gain = f"PSNR {best['noisy_psnr_db']:.2f} -> {best['psnr_db']:.2f} dB on validation"
-    print(f"best after step {best['step']:.0f}: {gain}; {folder / 'best.safetensors'}")
-    print(f"use it: flatlight reconstruct SAMPLE --method pnp --set denoiser={folder / 'best.safetensors'}")
+        result = run(show=bar.update, say=bar.say)
+    best, folder, done = result.best, result.folder, f"{result.steps} steps, {result.seconds:.0f} s in all"
+    print(f"{folder}: {done if result.steps else 'was finished before; raise steps to go on'}")
+    print(f"best after step {best['step']:.0f}: {scores.format(**best)} on validation; {folder / 'best.safetensors'}")
+    return folder
 
 
 def tune(

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 
+from learning.simulate import Augmentation
 from simulator import validation
 from simulator.config.load import load_model
 from simulator.io.files import expanded
@@ -27,6 +28,12 @@ class FileSection(Section):
     """The whole of a YAML file; relative paths in it are taken from its folder."""
 
     _base_dir: Path = PrivateAttr(default_factory=Path.cwd)
+    _source: tuple[Path, tuple[str, ...]] | None = PrivateAttr(None)
+
+    @property
+    def source(self) -> tuple[Path, tuple[str, ...]] | None:
+        """The file and the overrides that it was loaded from, no part of what it says; None where Python made it."""
+        return self._source
 
     def resolve_path(self, text: str | Path) -> Path:
         """Return a path of this file as an absolute one."""
@@ -47,7 +54,7 @@ Model = TypeVar("Model", bound=FileSection)
 def load_file(model: type[Model], path: Path | str, overrides: Sequence[str] = ()) -> Model:
     """Load a YAML file; see `simulator.config.load.load_model`. Keys of earlier versions are refused with today's names."""
     loaded = load_model(model, path, overrides, _old_names)
-    loaded._base_dir = Path(path).resolve().parent
+    loaded._base_dir, loaded._source = Path(path).resolve().parent, (Path(path), tuple(overrides))
     return loaded
 
 
@@ -63,17 +70,6 @@ def _old_names(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[Problem]
 
 Weight = Annotated[float, Range(0, 1e6, below="a weight is not negative")]
 PositiveDecibels = Annotated[float, Range(1, 120, "dB")]
-
-
-class AugmentConfig(Section):
-    """How scenes are changed before they are seen anew; {} takes the defaults."""
-
-    flip: bool = True
-    """mirror rows and columns, each in half of the cases"""
-    colour: Annotated[float, Range(0, 2)] = 0.2
-    """standard deviation of the logarithm of what each of red, green and blue is multiplied by"""
-    exposure: Annotated[float, Range(0, 8, "stops")] = 0.5
-    """all light is multiplied by 2^x, x evenly between minus and plus this"""
 
 
 class SplitsConfig(Section):
@@ -97,8 +93,8 @@ class DataConfig(SplitsConfig):
     noise_db: tuple[PositiveDecibels, PositiveDecibels] | None = None
     """PSNRs, least and greatest, between which noise is drawn anew for every example, half of them in the upper quarter:
     networks of all levels lose most there; left out: as stored"""
-    augment: AugmentConfig | None = None
-    """scenes changed and seen anew through the data set's own forward model, for every example; left out: as stored"""
+    augment: Augmentation | None = None
+    """scenes changed and re-simulated by the data set's own forward model, for every example; left out: as stored"""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -132,7 +128,7 @@ class NetworkConfig(Section):
     joint: bool | None = None
     """invert all planes at once, too, beside each by itself"""
     refinements: Annotated[int, Range(0, 10)] | None = None
-    """further looks: what the estimate leaves unexplained of the measurement is inverted and enhanced again"""
+    """refinement steps: what the estimate leaves unexplained of the measurement is inverted and enhanced again"""
     head: Literal["soft", "linear"] | None = None
     """choose among the planes with softmax weights and add what they lack, or image and disparity as they come"""
     regularisation_lambda: Annotated[float, Range(1e-9, 1e6)] | None = None
@@ -172,7 +168,7 @@ class DenoiserNetwork(Section):
 
 
 class LossConfig(Section):
-    """What is made small: the sum of the weighted terms."""
+    """The loss: the sum of the weighted terms."""
 
     intensity: Literal["mse", "l1"] = "l1"
     """error of the sRGB codes"""
@@ -187,7 +183,7 @@ class LossConfig(Section):
     depth_cm_weight: Weight = 0.0
     """of the Huber loss of the depth's error in centimetres"""
     perceptual_seed: Annotated[int, Range(0, 2**31 - 1)] = 0
-    """of random_vgg: trainings with other seeds are to make the same loss small"""
+    """of random_vgg: trainings with other seeds are to minimise the same loss"""
     invalid_depth: bool = False
     """whether pixels where nothing was seen count in the error of the disparity, as far ones"""
 
@@ -518,7 +514,7 @@ class WarmStart(Section):
     """batches to learn from, for each mask; 0 only gives it the PSFs of the mask"""
     batch: Annotated[int, Range(1, 65536)] = 8
     """examples in a step"""
-    augment: AugmentConfig | None = AugmentConfig()
+    augment: Augmentation | None = Augmentation()
     """scenes changed and seen anew through the camera with the mask, for every example; null: as stored"""
     loss: LossConfig = LossConfig()
     optimiser: OptimiserConfig = OptimiserConfig()

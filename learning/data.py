@@ -87,12 +87,12 @@ class ExampleSet(TorchDataset[Example]):
                 of the PSNRs lie in the upper quarter of the range, in decibels; the peak is the sample's greatest noiseless
                 value above darkness; the result is clipped and quantised as the data set's own noise is (physical noise is
                 always clipped; a mean of binned pixels has steps too fine to matter).
-            augment: how scenes are changed and seen anew, by the data set's own camera; None takes them as stored.
+            augment: how scenes are changed and re-simulated, by the data set's own camera; None takes them as stored.
             seed: decides, with the split, the sample's id and the draw's number, change, level and noise.
             cache: folder for decoded samples, shared by processes and runs; see `SampleCache`.
 
         Raises:
-            InputError: an empty split, mosaics, levels that make no sense, or samples that cannot be seen anew.
+            InputError: an empty split, mosaics, levels that make no sense, or samples that cannot be re-simulated.
         """
         if len(dataset) == 0:
             cure = f"set dataset.{dataset.split} and run `flatlight generate` again, or give another data set"
@@ -283,7 +283,7 @@ class Loader(Generic[Item]):
     def __init__(
         self,
         examples: Examples[Item],
-        order: Batches | Sequence[Sequence[int]],
+        order: Sampler[list[Draw]] | Sequence[list[int]],
         workers: int,
         *,
         pin_memory: bool = False,
@@ -291,7 +291,7 @@ class Loader(Generic[Item]):
         """Set up the workers, which begin to read with the first batch; 0 read in this process."""
         self._loader = DataLoader(
             _Guarded(examples),
-            batch_sampler=order,  # pyright: ignore[reportArgumentType]
+            batch_sampler=order,
             collate_fn=itemgetter(0),
             num_workers=workers,
             pin_memory=pin_memory,
@@ -311,6 +311,7 @@ class Loader(Generic[Item]):
         """End the workers now: left to Python, they live as long as anything, such as a traceback, refers to them."""
         iterator = self._loader._iterator
         if iterator is not None:
+            # Torch has no public way, and of its iterators only that with workers has this one
             iterator._shutdown_workers()  # pyright: ignore[reportAttributeAccessIssue]
             self._loader._iterator = None
 

@@ -108,11 +108,12 @@ class Precision:
         kind = wanted if wanted != "auto" else "bfloat16" if fits else "float32"
         return cls(kind, device)
 
-    def estimate(self, network: nn.Module, measurement: Tensor) -> Estimate:
-        """Return a network's estimate, float32.
+    def autocast(self) -> torch.autocast:
+        """Return the context for a network: it takes convolutions and matrix products, which come out in this precision."""
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.kind == "bfloat16")
 
-        Autocast takes convolutions and matrix products of the body only; inversion, soft head and statistics stay float32.
-        """
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.kind == "bfloat16"):
+    def estimate(self, network: nn.Module, measurement: Tensor) -> Estimate:
+        """Return a network's estimate, float32, as are inversion, soft head and statistics in it."""
+        with self.autocast():
             image, disparity = network(measurement)
         return Estimate(image.float(), disparity.float())

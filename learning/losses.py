@@ -46,7 +46,8 @@ class ReconstructionLoss(nn.Module):
         ``capture`` says what depth a disparity is.
 
         Raises:
-            InputError: an unknown name, weights that are negative or all zero, or no weight file.
+            InputError: an unknown name, weights that are negative or all zero, centimetres of depths up to infinity, or no
+                weight file.
         """
         super().__init__()
         check_choices(
@@ -61,6 +62,10 @@ class ReconstructionLoss(nn.Module):
                 raise InputError(f"{name}_weight", f"got {weight!r}, expected a number of at least 0")
         if not any(self.weights.values()):
             raise InputError(", ".join(f"{name}_weight" for name in self.weights), "all are 0: nothing to learn")
+        if depth_cm_weight and not math.isfinite(capture.far_m):
+            got = f"got {depth_cm_weight:g} with PSFs up to a depth of {capture.far_m:g}"
+            reason = "an error there has no length in centimetres; take 0 and depth_weight, or a finite psf.far_cm"
+            raise InputError("depth_cm_weight", f"{got}: {reason}")
         self.intensity, self.invalid_depth = intensity, invalid_depth
         self.perceptual = None if perceptual == "none" else PerceptualLoss(perceptual, "vgg19", seed=seed)
 

@@ -20,7 +20,7 @@ from simulator.dataset.sample import SPLITS, sample_index
 
 _STREAM = 7  # apart from those of `learning.data`
 _WHOLE, _ANY_PLANE = 0.3, 0.2  # shares of whole pictures, and of planes whether or not something is in them
-_PLANES = (4, 32)
+_PLANES = (4, 32)  # of a stack: the least number, and one more than the greatest
 _BRIGHTNESS = (0.4, 1.6)
 
 

@@ -94,7 +94,7 @@ class Progress:
 
     Attributes:
         step: steps done; the position in the endless series of batches.
-        seconds: spent on them, all sittings together.
+        seconds: spent on them, all sessions together.
         best: step and metrics of the best validation so far; empty before the first.
         last: the same of the last one.
         sums: of each logged number since the last line of the log.
@@ -184,14 +184,14 @@ class DivergedError(InputError):
     """A non-finite loss or gradient; the weights before that step are kept."""
 
 
-def portable_command(path: Path | str, overrides: Sequence[str], command: str = "train") -> str:
+def portable_command(command: str, path: Path | str, overrides: Sequence[str]) -> str:
     """Return the command of a training, with the last names of paths; other values with a folder in them become ``...``.
 
     A checkpoint says what one needs to make it again, and nothing of the machine's folders.
 
     Example:
-        >>> portable_command("/home/ann/net.yaml", ["seed=1", "output=/home/ann/my run", "data={train: /home/ann/set}"])
-        "flatlight train net.yaml --set seed=1 --set 'output=my run' --set data=..."
+        >>> portable_command("train", "/home/ann/net.yaml", ["output=/home/ann/my run", "data={train: /home/ann/set}"])
+        "flatlight train net.yaml --set 'output=my run' --set data=..."
     """
     words = ["flatlight", command, Path(path).name]
     for override in overrides:

@@ -1,13 +1,13 @@
-"""Scenes of a data set seen anew: turned, recoloured, brighter, through the forward model that made the data set.
+"""Scenes of a data set re-simulated: mirrored, recoloured, brighter, through the forward model that made the data set.
 
-Rendering a scene takes twenty times as long as seeing it: new views of the scenes at hand cost little, and a network that
-learns from them sees no measurement twice.
+Rendering a scene takes twenty times as long as its measurement: new measurements of the scenes at hand cost little, and a
+network that learns from them sees none of them twice.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,13 @@ from simulator.camera.forward import DepthRule, ForwardModel
 from simulator.config import config_from_dict
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
+from simulator.settings import Range, Settings
 from simulator.types import Clip
 
 
 @dataclass(frozen=True)
-class Augmentation:
-    """How scenes are changed before they are seen anew.
+class Augmentation(Settings):
+    """How scenes are changed before they are re-simulated; {} takes the defaults.
 
     Attributes:
         flip: mirror rows and columns, each in half of the cases: the PSFs stay, so the measurement is no mirror image.
@@ -31,21 +32,21 @@ class Augmentation:
     """
 
     flip: bool = True
-    colour: float = 0.2
-    exposure: float = 0.5
+    colour: Annotated[float, Range(0, 2)] = 0.2
+    exposure: Annotated[float, Range(0, 8, "stops")] = 0.5
 
     def apply(self, clip: Clip, rng: np.random.Generator) -> Clip:
         """Return a clip changed by random numbers, alike in all frames and in what shines beside the image."""
-        turns = rng.random(2) < 0.5 if self.flip else (False, False)
+        mirrored = rng.random(2) < 0.5 if self.flip else (False, False)
         gains = np.exp(self.colour * rng.standard_normal(3) + np.log(2) * rng.uniform(-self.exposure, self.exposure))
-        way = (slice(None), *(slice(None, None, -1 if turned else 1) for turned in turns))
+        way = (slice(None), *(slice(None, None, -1 if each else 1) for each in mirrored))
 
-        def seen(part: Any) -> dict[str, Any]:
+        def changed(part: Any) -> dict[str, Any]:
             return {"rgb": part.rgb[way] * gains.astype(np.float32), "depth_m": part.depth_m[way]}
 
         around = clip.surroundings
-        beside = None if around is None else replace(around, **seen(around))
-        return replace(clip, **seen(clip), valid=clip.valid[way], extras={}, surroundings=beside)
+        beside = None if around is None else replace(around, **changed(around))
+        return replace(clip, **changed(clip), valid=clip.valid[way], extras={}, surroundings=beside)
 
 
 class SceneCamera:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +13,12 @@ from torch.nn.modules.batchnorm import _BatchNorm
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.checkpoint import load_checkpoint, save_checkpoint, transfer
-from learning.config import TrainConfig, load_file
+from learning.config import TrainConfig
 from learning.data import Example, ExampleSet, Loader
 from learning.distributed import Processes
 from learning.losses import ReconstructionLoss
 from learning.models import build_network
 from learning.models.flatnet import FlatNet
-from learning.resume import (
-    portable_command,
-)
-from learning.simulate import Augmentation
 from learning.training_loop import Plan, Say, Show, Training, TrainResult, find_cache, open_splits, run
 from learning.validation import draw, true_estimate, validate
 from simulator.dataset.reader import Dataset
@@ -46,26 +41,9 @@ _CURES = {
 }
 
 
-def train(
-    config: TrainConfig | Path | str, overrides: Sequence[str] = (), *, show: Show | None = None, say: Say | None = None
-) -> TrainResult:
-    """Train a network, or go on with a training that was interrupted; under torchrun with all of its processes.
-
-    Args:
-        config: the training, or its YAML file.
-        overrides: ``a.b=c`` each; of a file.
-        show: called with a stage, and how much of how much is done.
-        say: called with lines for a person.
-
-    Raises:
-        InputError: a mistake in the file, data that nothing can be learned from, or another training in the folder.
-        KeyboardInterrupt: when it was asked to stop; the same call goes on from there.
-        StorageError: the disk is full or protected; the same call goes on from the last state.
-    """
-    command = None
-    if not isinstance(config, TrainConfig):
-        command, config = portable_command(config, overrides), load_file(TrainConfig, config, overrides)
-    return run(FlatNetTraining, lambda group: make_plan(config, group, command), config, show, say)
+def train(config: TrainConfig, *, show: Show | None = None, say: Say | None = None) -> TrainResult:
+    """Train a FlatNet, or go on with a training that was interrupted; see `learning.training_loop.run`."""
+    return run(FlatNetTraining, config, show, say)
 
 
 def find_data(config: TrainConfig) -> tuple[Dataset, Dataset, CaptureModel]:
@@ -116,44 +94,47 @@ def _camera(dataset: Dataset) -> dict[str, Any]:
 
 def open_examples(dataset: Dataset, config: TrainConfig, say: Say) -> ExampleSet:
     """Return the examples of a split, with the noise and the cache of the configuration; ``say`` is told of the cache."""
-    chosen = config.data.augment if dataset.split == "train" else None
-    augment = None if chosen is None else Augmentation(**chosen.model_dump())
     return ExampleSet(
         dataset,
         noise_db=config.data.noise_db,
-        augment=augment,
+        augment=config.data.augment if dataset.split == "train" else None,
         seed=config.seed,
         cache=find_cache(dataset, config, say),
     )
 
 
-def make_plan(config: TrainConfig, group: Processes, command: str | None) -> Plan:
-    """Read what a training needs and build its network, which is seeded; a mistake then leaves no folder behind."""
-    train, validation, capture = find_data(config)
-    loss = ReconstructionLoss(
-        **config.loss.model_dump(exclude={"perceptual_seed"}), seed=config.loss.perceptual_seed, capture=capture
-    )
-    torch.manual_seed(config.seed)
-    network = build_network(capture, config.network.name, config.network.size, **config.network.changes)
-    if group.world_size > 1 and not group.on_cuda and any(isinstance(each, _BatchNorm) for each in network.modules()):
-        reason = f"got unet, whose batch normalisation {group.world_size} processes share on GPUs only"
-        raise InputError("network.body", f"{reason}; take naf, or one process")
-    init_from, taken = None, []
-    if config.init_from is not None:
-        path = config.resolve_path(config.init_from)
-        known = load_checkpoint(path, network=config.network.name)
-        taken = [f"{path.name}: {line}" for line in transfer(network, known)]
-        init_from = {"sha256": sha256_file(path), "architecture": known.architecture, "file": path.name}
-        init_from |= {key: known.record.get(key) for key in ("data sets", "scenes", "init_from")}
-    camera = {"stack": capture.stack.fingerprint, "white": capture.white}
-    return Plan(config, group, command, train, validation, capture, camera, network, loss, init_from, taken)
-
-
 class FlatNetTraining(Training[Example]):
     """From measurements to image and disparity."""
 
+    command = "train"
     _config: TrainConfig
     _network: FlatNet
+
+    @classmethod
+    def plan(cls, config: TrainConfig, group: Processes) -> Plan:
+        """Find the data, build loss and network, which is seeded, and give it the weights that it begins with."""
+        train, validation, capture = find_data(config)
+        loss = ReconstructionLoss(
+            **config.loss.model_dump(exclude={"perceptual_seed"}), seed=config.loss.perceptual_seed, capture=capture
+        )
+        torch.manual_seed(config.seed)
+        network = build_network(capture, config.network.name, config.network.size, **config.network.changes)
+        if (
+            group.world_size > 1
+            and not group.on_cuda
+            and any(isinstance(each, _BatchNorm) for each in network.modules())
+        ):
+            reason = f"got unet, whose batch normalisation {group.world_size} processes share on GPUs only"
+            raise InputError("network.body", f"{reason}; take naf, or one process")
+        init_from, taken = None, []
+        if config.init_from is not None:
+            path = config.resolve_path(config.init_from)
+            known = load_checkpoint(path, network=config.network.name)
+            taken = [f"{path.name}: {line}" for line in transfer(network, known)]
+            init_from = {"sha256": sha256_file(path), "architecture": known.architecture, "file": path.name}
+            init_from |= {key: known.record.get(key) for key in ("data sets", "scenes", "init_from")}
+        camera = {"stack": capture.stack.fingerprint, "white": capture.white}
+        return Plan(config, group, train, validation, capture, camera, network, loss, init_from, taken)
 
     def _open(self, dataset: Dataset) -> ExampleSet:
         return open_examples(dataset, self._config, self._say)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,58 +13,51 @@ from torch import Tensor, nn
 
 from learning.camera import capture_model, measure_reference_white
 from learning.checkpoint import save_denoiser
-from learning.config import DenoiserConfig, load_file
+from learning.config import DenoiserConfig
 from learning.data import Loader
 from learning.distributed import Processes
 from learning.method import linear_to_srgb
 from learning.models.denoiser import NOISE_RANGE, Denoiser, DenoisingLoss
 from learning.pictures import NoisyPicture, Pictures
-from learning.resume import portable_command
 from learning.training_loop import Plan, Say, Show, Training, TrainResult, find_cache, open_splits, run
 from learning.validation import to_device
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 
 
-def train_denoiser(
-    config: DenoiserConfig | Path | str,
-    overrides: Sequence[str] = (),
-    *,
-    show: Show | None = None,
-    say: Say | None = None,
-) -> TrainResult:
-    """Train a denoiser, or go on with a training that was interrupted; see `learning.train.train`."""
-    command = None
-    if not isinstance(config, DenoiserConfig):
-        command = portable_command(config, overrides, "train-denoiser")
-        config = load_file(DenoiserConfig, config, overrides)
-    return run(DenoiserTraining, lambda group: _plan(config, group, command), config, show, say)
-
-
-def _plan(config: DenoiserConfig, group: Processes, command: str | None) -> Plan:
-    """Look at the data sets and build the network; of the camera only its colours, vignetting and white matter."""
-    train, validation = open_splits(config)
-    capture = capture_model(train, white=measure_reference_white(train))
-    if len(capture.stack.channels) != 3:
-        found = ", ".join(capture.stack.channels)
-        raise InputError("data.train", f"got the channels {found}, expected pictures of three colours")
-    torch.manual_seed(config.seed)
-    network = Denoiser(**config.network.numbers)
-    return Plan(config, group, command, train, validation, capture, {"white": capture.white}, network, DenoisingLoss())
+def train_denoiser(config: DenoiserConfig, *, show: Show | None = None, say: Say | None = None) -> TrainResult:
+    """Train a denoiser, or go on with a training that was interrupted; see `learning.training_loop.run`."""
+    return run(DenoiserTraining, config, show, say)
 
 
 class DenoiserTraining(Training[NoisyPicture]):
     """From noisy pictures to clean ones."""
 
+    command = "train-denoiser"
     _network: Denoiser
+
+    @classmethod
+    def plan(cls, config: DenoiserConfig, group: Processes) -> Plan:
+        """Look at the data sets and build the network; of the camera only its colours, vignetting and white matter."""
+        train, validation = open_splits(config)
+        capture = capture_model(train, white=measure_reference_white(train))
+        if len(capture.stack.channels) != 3:
+            found = ", ".join(capture.stack.channels)
+            raise InputError("data.train", f"got the channels {found}, expected pictures of three colours")
+        size, wanted = (" x ".join(map(str, each.info.scene_shape)) for each in (validation, train))
+        if size != wanted:
+            cure = "validate on pictures of the same size (scene.size)"
+            raise InputError("data.validation", f"got pictures of {size} pixels, data.train has {wanted}; {cure}")
+        torch.manual_seed(config.seed)
+        network = Denoiser(**config.network.numbers)
+        return Plan(config, group, train, validation, capture, {"white": capture.white}, network, DenoisingLoss())
 
     def _open(self, dataset: Dataset) -> Pictures:
         cache = find_cache(dataset, self._config, self._say)
         return Pictures(dataset, self._capture, NOISE_RANGE, self._config.seed, cache)
 
     def _denoised(self, network: nn.Module, example: NoisyPicture) -> Tensor:
-        kind = self._plan.precision.kind
-        with torch.autocast(self._group.device.type, torch.bfloat16, enabled=kind == "bfloat16"):
+        with self._plan.precision.autocast():
             return network(example.noisy, example.noise).float()
 
     def _terms(self, wrapped: nn.Module, example: NoisyPicture) -> dict[str, Tensor]:
@@ -87,8 +79,8 @@ class DenoiserTraining(Training[NoisyPicture]):
         sums = self._group.add(sums)
         every = float(self._group.add(sums.new_tensor(count)))
         total, psnr_db, noisy_db = (sums / every).tolist()
-        # Chosen by the loss: over levels of noise from faint to strong, PSNR says little.
-        return {"total": total, "psnr_db": psnr_db, "noisy_psnr_db": noisy_db, "score_db": -20 * math.log10(total)}
+        # Chosen by the loss, a power: over levels of noise from faint to strong, PSNR says little.
+        return {"total": total, "psnr_db": psnr_db, "noisy_psnr_db": noisy_db, "score_db": -10 * math.log10(total)}
 
     def _drawn(self, example: NoisyPicture) -> NDArray[np.uint8]:
         """Return an image: a row per picture, clean, noisy, denoised."""

@@ -1,7 +1,7 @@
 """The loop of every training: steps, log, validations, checkpoints and states; what is interrupted goes on by itself.
 
 Read downwards: the folder and the data, what is decided before the folder is touched, the optimiser, and the loop, of which
-each training says what an example is, what its loss and metrics are, and what is drawn and saved.
+each training says how it is planned, what an example is, what its loss and metrics are, and what is drawn and saved.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Generic, NoReturn, Protocol, Self
+from typing import Any, ClassVar, Generic, NoReturn, Protocol, Self
 
 import numpy as np
 import torch
@@ -39,6 +39,7 @@ from learning.resume import (
     Stop,
     described,
     load_state,
+    portable_command,
     portable_config,
     save_state,
     sole_use,
@@ -61,7 +62,7 @@ Say = Callable[[str], None]
 class TrainResult:
     """What became of a training: ``folder`` holds ``best.safetensors``, ``last.safetensors`` and the rest.
 
-    ``steps`` are those of this sitting, 0 of a training that was finished before; ``seconds`` are of all sittings; ``best``
+    ``steps`` are those of this session, 0 of a training that was finished before; ``seconds`` are of all sessions; ``best``
     has step and metrics of the best validation.
     """
 
@@ -71,16 +72,22 @@ class TrainResult:
     best: dict[str, float]
 
 
-def run(
-    kind: type[Training[Any]],
-    make: Callable[[Processes], Plan],
-    config: LoopConfig,
-    show: Show | None = None,
-    say: Say | None = None,
-) -> TrainResult:
-    """Train as a plan says; see `train`."""
+def run(kind: type[Training[Any]], config: LoopConfig, show: Show | None = None, say: Say | None = None) -> TrainResult:
+    """Train, or go on with a training that was interrupted; under torchrun with all of its processes.
+
+    Args:
+        kind: what is trained.
+        config: the training, of this kind.
+        show: called with a stage, and how much of how much is done.
+        say: called with lines for a person.
+
+    Raises:
+        InputError: a mistake in the file, data that nothing can be learned from, or another training in the folder.
+        KeyboardInterrupt: when it was asked to stop; the same call goes on from there.
+        StorageError: the disk is full or protected; the same call goes on from the last state.
+    """
     with processes(config.device) as group, torch.random.fork_rng([group.device] if group.on_cuda else []):
-        plan = make(group)
+        plan = kind.plan(config, group)
         with held_folder(plan):
             heard = group.is_rank_zero
             training = kind(plan, (heard and show) or (lambda *_: None), (heard and say) or (lambda _: None))
@@ -124,7 +131,7 @@ def count_workers(config: LoopConfig, processes: int) -> int:
 
 
 class RecordedLoss(Protocol):
-    """What is made small: a module that gives its terms by name, ``total`` among them, and a record of what they are."""
+    """The loss: a module that gives its terms by name, ``total`` among them, and a record of what they are."""
 
     __call__: Callable[..., dict[str, Tensor]]
 
@@ -142,7 +149,6 @@ class Plan:
     """What can be known of a training without its folder.
 
     Attributes:
-        command: that started it; None where it was called from Python.
         capture: the camera, with the PSFs that the inversion knows and the reference white.
         camera: what of it decides the numbers, beside the data sets; plain.
         network: with the weights to begin with, on the CPU, as is the loss.
@@ -153,7 +159,6 @@ class Plan:
 
     config: LoopConfig
     group: Processes
-    command: str | None
     train: Dataset
     validation: Dataset
     capture: CaptureModel
@@ -165,11 +170,16 @@ class Plan:
 
     def __post_init__(self) -> None:
         """Refuse what the processes cannot share."""
-        size = self.group.world_size
-        for what, count in (("batch", self.config.batch), ("validation split", len(self.validation))):
-            if count < size or (what == "batch" and count % size):
-                sharing = f"{size} processes, which share it"
-                raise InputError(what, f"got {count} for {sharing}; choose a multiple, or other processes")
+        size, batch, scenes = self.group.world_size, self.config.batch, len(self.validation)
+        if batch % size:
+            raise InputError(
+                "batch", f"got {batch} for {size} processes, which share it; choose a multiple, or other processes"
+            )
+        if scenes < size:
+            reason = f"its validation split has {scenes} samples for {size} processes, one each at least"
+            raise InputError(
+                "data.validation", f"{reason}; generate more (dataset.validation), or take fewer processes"
+            )
 
     @cached_property
     def precision(self) -> Precision:
@@ -211,13 +221,17 @@ def held_folder(plan: Plan) -> Iterator[None]:
 
 
 def build_optimiser(network: nn.Module, config: OptimiserConfig) -> torch.optim.Optimizer:
-    """Return AdamW over all parameters that learn; without weight decay it is Adam. Groups have their own ``rate``."""
+    """Return AdamW over all parameters that learn; without weight decay it is Adam. Groups have their own ``rate``.
+
+    What has a rate of 0 gets no gradients either: nothing would clear them, and they would count in the norm that is clipped.
+    """
     groups: dict[tuple[float, float], list[nn.Parameter]] = {}
     for module in network.modules():
         rate = config.inversion_rate if isinstance(module, FourierInversion) else 1.0
         for parameter in module.parameters(recurse=False):
             decay = config.weight_decay if parameter.ndim >= _CONVOLUTION else 0.0
-            if parameter.requires_grad and rate:
+            parameter.requires_grad_(parameter.requires_grad and rate > 0)
+            if parameter.requires_grad:
                 groups.setdefault((rate, decay), []).append(parameter)
     return torch.optim.AdamW(
         [{"params": each, "rate": rate, "weight_decay": decay} for (rate, decay), each in groups.items()],
@@ -243,12 +257,15 @@ def learning_rate(step: int, steps: int, config: OptimiserConfig) -> float:
 
 
 class Training(ABC, Generic[Item]):
-    """The loop: batches, steps, the log, validations, states to go on from; what is trained fills in the last five methods.
+    """The loop: batches, steps, the log, validations, states to go on from; what is trained fills in the last six methods.
 
     Attributes:
+        command: of `flatlight`, that starts it.
         folder: where it writes; held, see `held_folder`.
         progress: how far it is.
     """
+
+    command: ClassVar[str]
 
     def __init__(self, plan: Plan, show: Show, say: Say) -> None:
         """Build everything, and read the state where there is one."""
@@ -336,7 +353,7 @@ class Training(ABC, Generic[Item]):
             progress.seconds += time.monotonic() - begin
             self._show("steps", progress.step, config.steps)
             if progress.step % config.log_every == 0 or progress.step == config.steps:
-                # Of this sitting: an earlier one may have counted steps of this line before it was stopped.
+                # Of this session: an earlier one may have counted steps of this line before it was stopped.
                 self._write_log(log, (progress.step - logged) * config.batch / (time.monotonic() - since))
                 since, logged = time.monotonic(), progress.step
             if progress.step % config.validate_every == 0 or progress.step == config.steps:
@@ -428,11 +445,12 @@ class Training(ABC, Generic[Item]):
         self._say(f"step {progress.step}: {errors}{' (best)' if better else ''}")
 
     def _save_network(self, name: str) -> None:
-        config, plan, progress = self._config, self._plan, self.progress
+        config, plan, progress, source = self._config, self._plan, self.progress, self._config.source
+        called = f"{type(self).__module__}, called from Python"
         record = {
             "name": config.name,
             "config": portable_config(config),
-            "command": plan.command or f"{type(self).__module__}, called from Python",
+            "command": called if source is None else portable_command(self.command, *source),
             "data sets": plan.data,
             "scenes": plan.scenes,
             "init_from": plan.init_from,
@@ -448,6 +466,11 @@ class Training(ABC, Generic[Item]):
         }
         self._save(self.folder / name, {"network": config.network.name, **config.network.numbers}, record)
 
+    @classmethod
+    @abstractmethod
+    def plan(cls, config: Any, group: Processes) -> Plan:
+        """Read what a configuration of its kind needs, and build the network; a mistake then leaves no folder behind."""
+
     @abstractmethod
     def _open(self, dataset: Dataset) -> Examples[Item]:
         """Return what is read of a split."""
@@ -458,7 +481,11 @@ class Training(ABC, Generic[Item]):
 
     @abstractmethod
     def _metrics(self, batches: Loader[Item]) -> dict[str, float]:
-        """Return means over the validation split, ``score_db`` among them; the network is left in training mode."""
+        """Return means over the validation split by name; the network is left in training mode.
+
+        Among them: ``total``, the loss; ``psnr_db``; ``score_db``, by whose maximum the best checkpoint is chosen; and, where
+        there are depths, ``depth_rmse_cm``. All are logged, and all must be finite.
+        """
 
     @abstractmethod
     def _drawn(self, example: Item) -> NDArray[np.uint8]:
@@ -484,7 +511,7 @@ def _placed(network: nn.Module, group: Processes) -> nn.Module:
     """Bring a network to its device and to the processes that share a batch."""
     for module in network.modules():
         if isinstance(module, nn.Conv2d):
-            module.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+            module.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]  torch types no such call
     if group.on_cuda and group.world_size > 1:
         network = nn.SyncBatchNorm.convert_sync_batchnorm(network)
     return network.to(group.device)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.layers.noise import noise_level
+from learning.layers.noise import noise_ratio
 from learning.layers.padding import (
     as_pairs,
     axis_plans,
@@ -50,9 +50,13 @@ class FourierInversion(nn.Module):
     offset: Tensor
 
     def __init__(self, capture: CaptureModel) -> None:
+        """Prepare what is divided by; an InputError refuses an image of which parts send no light to the sensor."""
         super().__init__()
         self.rows, self.columns = axis_plans(capture)
         irradiance = capture.scene_irradiance.astype(np.float64)
+        if dark := irradiance.size - np.count_nonzero(irradiance > 0):
+            got = f"got 0 at {dark} of the image's {irradiance.size} pixels, expected light from each"
+            raise InputError("irradiance", f"{got}: nothing can be known of the others; take a smaller scene.size")
         self._keep("scale", torch.from_numpy(1 / (capture.gain * capture.white * irradiance)))
         self._keep("offset", torch.from_numpy(capture.offset)[:, None, None])
 
@@ -164,7 +168,7 @@ class RegularisedInversion(FourierInversion):
         # One plane at a time: what lies between stays in the processor's cache, three times faster than all at once.
         return torch.stack([scene_of(spectrum * one, self.rows, self.columns) for one in inverses], dim=1) * self.scale
 
-    def seen(self, volume: Tensor) -> Tensor:
+    def reproject(self, volume: Tensor) -> Tensor:
         """Return the light ``(B, C, H, W)`` that a volume as `volume` gives it sends to the sensor: what this inverts.
 
         On the same grid, of a batch: `simulator.camera.forward` has the same for whole scenes over time.
@@ -203,11 +207,6 @@ class RegularisedInversion(FourierInversion):
         shifts, turns = (torch.arange(n, device=self.filters.device, dtype=self.filters.dtype) for n in (5, length))
         angles = 2 * math.pi / length * turns[:, None] * (shifts - 2)
         return angles.cos(), angles.sin()
-
-
-def noise_ratio(light: Tensor) -> Tensor:
-    """Return the ratio of the noise's power to the light's, ``(B, C)``, of light ``(B, C, H, W)``; see `noise_level`."""
-    return noise_level(light).square()[:, None] / light.detach().square().mean(dim=(-2, -1)).clamp_min(1e-20)
 
 
 class WienerInversion(FourierInversion):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import torch.nn.functional as nnf
 from torch import Tensor, nn
@@ -12,7 +13,15 @@ from simulator.text import show
 
 
 class MultiScaleNetwork(nn.Module):
-    """An image-to-image network whose body wants sides that halve ``levels - 1`` times, for images of any size."""
+    """An image-to-image network whose body wants sides that halve ``levels - 1`` times, for images of any size.
+
+    Attributes:
+        first_weight: name of the first convolution's weights, whose inputs are the network's.
+        head: the last convolution, whose outputs are the network's.
+    """
+
+    first_weight: ClassVar[str]
+    head: nn.Conv2d | nn.Conv3d
 
     def __init__(
         self, inputs: int, outputs: int, *, filters: int, levels: int, dimensions: int, stem: int, **others: int

@@ -65,6 +65,8 @@ def _gate(image: Tensor) -> Tensor:
 class NafNet(MultiScaleNetwork):
     """An encoder that halves the image and doubles its channels at each level, a decoder back, and sums between them."""
 
+    first_weight = "intro.weight"
+
     def __init__(
         self,
         inputs: int,

@@ -1,4 +1,8 @@
-"""How noisy a measurement is, from the measurement alone."""
+"""How noisy a measurement is, from the measurement alone.
+
+Where a simulation knows the noise, it is estimated all the same: simulated and real captures go one way, and a network
+learns with the estimate that it will meet.
+"""
 
 from __future__ import annotations
 
@@ -29,6 +33,11 @@ def noise_level(light: Tensor) -> Tensor:
     mean = nnf.avg_pool2d(light, 3, stride=_STEP).flatten(2)
     brightest = mean.topk(-(-mean.shape[-1] // _BRIGHT), dim=-1, sorted=False).indices
     return bent.flatten(2).gather(-1, brightest).abs().flatten(1).median(dim=-1).values / _MAD
+
+
+def noise_ratio(light: Tensor) -> Tensor:
+    """Return the ratio of the noise's power to the light's, ``(B, C)``, of light ``(B, C, H, W)``; see `noise_level`."""
+    return noise_level(light).square()[:, None] / light.detach().square().mean(dim=(-2, -1)).clamp_min(1e-20)
 
 
 def _second_difference(values: Tensor) -> Tensor:

@@ -40,6 +40,8 @@ class GridAttention(nn.Module):
 class UNet(MultiScaleNetwork):
     """An encoder that halves the image at each level, a decoder that doubles it, and skips between them."""
 
+    first_weight = "down.0.0.weight"
+
     def __init__(
         self,
         inputs: int,

@@ -16,10 +16,9 @@ from learning.layers.naf import NafNet
 
 NOISE_RANGE = (0.002, 0.5)
 """Least and greatest standard deviation that it is trained for, 1 for white."""
-BRIGHTEST = 4.0
+TRAINED_PEAK = 4.0
 """Peak of pictures, 1 for white, up to which it is used as trained."""
 _SPREAD = 0.25  # about the root mean square of clean pictures and planes
-SIZE = {"filters": 16, "blocks": 1, "levels": 4}
 
 
 class Denoiser(nn.Module):
@@ -30,7 +29,7 @@ class Denoiser(nn.Module):
     the noise is to be replaced by: little noise leaves the picture as it is, exactly, and nothing depends on biases there.
     """
 
-    def __init__(self, *, filters: int = SIZE["filters"], blocks: int = SIZE["blocks"], levels: int = SIZE["levels"]):
+    def __init__(self, *, filters: int, blocks: int, levels: int) -> None:
         """Build the denoiser; see `NafNet` for its size."""
         super().__init__()
         self.body = NafNet(4, 3, filters=filters, blocks=blocks, levels=levels)
@@ -52,7 +51,7 @@ class Denoiser(nn.Module):
         pictures = volume.flatten(0, 1)
         if grey := volume.shape[2] != 3:
             pictures = pictures.flatten(0, 1)[:, None].expand(-1, 3, -1, -1)
-        times = (pictures.amax(dim=(1, 2, 3)) / BRIGHTEST).clamp_min(1)
+        times = (pictures.amax(dim=(1, 2, 3)) / TRAINED_PEAK).clamp_min(1)
         level = (noise.repeat_interleave(len(times) // len(noise)) / times).clamp(*NOISE_RANGE)
         found = self(pictures / times[:, None, None, None], level) * times[:, None, None, None]
         return (found.mean(dim=1) if grey else found).reshape(volume.shape)

@@ -9,21 +9,21 @@ from __future__ import annotations
 import inspect
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.layers.choice import PlaneChoice
-from learning.layers.inversion import RegularisedInversion, noise_ratio
+from learning.layers.inversion import RegularisedInversion
 from learning.layers.multiscale import MultiScaleNetwork
 from learning.layers.naf import NafNet
+from learning.layers.noise import noise_ratio
 from learning.layers.padding import check_measurement
 from learning.layers.unet import UNet
 from learning.method import Clock, Estimate, check_choices, linear_to_srgb
-from learning.models.refinement import BRIGHTEST, Refinement, Surface
+from learning.models.refinement import MOST_RADIANCE, PlaneChoice, Refinement, Surface
 from simulator.errors import InputError
 from simulator.validation import now_called
 
@@ -39,7 +39,7 @@ class Inverted(NamedTuple):
 
     Attributes:
         volumes: ``(B, V, K, C, h, w)``, plane-wise and joint.
-        light: ``(B, C, H, W)``, the measurement without its offset.
+        light: ``(B, C, H, W)``, the measurement without its offset, DN / 2^bits.
         noise: ratio of noise to signal ``(B, C)``, where it counts.
     """
 
@@ -76,7 +76,7 @@ class FlatNet(nn.Module):
     The thesis's is a U-Net with a linear output. Beyond it: NAF blocks as ``body``; lambda that follows the noise, and the
     noise's level as a further input; a ``joint`` inversion of all planes beside the plane-wise one; a ``soft`` head that
     chooses among the planes, with softmax weights, image and disparity alike, and adds what these lack; ``refinements``,
-    which look again at what the estimate leaves unexplained.
+    steps that invert and enhance again what the estimate leaves unexplained.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class FlatNet(nn.Module):
         """Build the network for a camera; see `NafNet`, `UNet` for sizes, `RegularisedInversion` for lambda and P at first.
 
         Raises:
-            InputError: an unknown body or head, or what this one has not: blocks of the U-Net, attention of NAF blocks,
+            InputError: an unknown body or head, or what this one lacks: blocks of the U-Net, attention of NAF blocks,
                 refinements of the U-Net or a linear head.
         """
         super().__init__()
@@ -136,14 +136,8 @@ class FlatNet(nn.Module):
         else:
             self.enhancement = UNet(inputs, outputs, attention=attention, start=start, **sizes)
         self.choice = PlaneChoice(capture, planes)
-        self.refinements = nn.ModuleList(
-            Refinement(capture, planes, options, noise_aware, blocks=blocks, **sizes) for _ in range(refinements)
-        )
-
-    @property
-    def further(self) -> list[Refinement]:
-        """The refinements in their order."""
-        return [each for each in self.refinements if isinstance(each, Refinement)]
+        steps = (Refinement(capture, planes, options, noise_aware, blocks=blocks, **sizes) for _ in range(refinements))
+        self.refinements = cast("Sequence[Refinement]", nn.ModuleList(steps))
 
     @property
     def plane_weights(self) -> list[PlaneWeights]:
@@ -153,7 +147,7 @@ class FlatNet(nn.Module):
         own = _plane_weights("", self.enhancement, inversions, channels, self.soft)
         return [own] + [
             _plane_weights(f"refinements.{n}.", each.enhancement, {"inversion": each.inversion}, channels + 1, True)
-            for n, each in enumerate(self.further)
+            for n, each in enumerate(self.refinements)
         ]
 
     @staticmethod
@@ -177,28 +171,28 @@ class FlatNet(nn.Module):
             return Inverted(torch.stack(volumes, dim=1), light, noise)
 
     def enhance(self, inverted: Inverted) -> Surface:
-        """Return the first estimate; without a soft head it has no odds of planes."""
+        """Return the first estimate; without a soft head it has no logits of planes."""
         volumes, _, noise = inverted
         inputs = volumes.flatten(1, 3)
         if noise is not None:
             inputs = torch.cat([inputs, self._level(noise, inputs)], dim=1)
-        image, disparity, odds = self.enhancement(inputs).split(
+        image, disparity, logits = self.enhancement(inputs).split(
             [3, 1, len(self.choice.disparities) if self.soft else 0], 1
         )
         if not self.soft:
-            return Surface(image, disparity, odds)
+            return Surface(image, disparity, logits)
         with torch.autocast(volumes.device.type, enabled=False):
-            odds = odds.to(volumes)
-            weights = odds.softmax(dim=1)
-            chosen = self.choice.light(volumes[:, 0], weights).clamp(0, BRIGHTEST)
+            logits = logits.to(volumes)
+            weights = logits.softmax(dim=1)
+            chosen = self.choice.light(volumes[:, 0], weights).clamp(0, MOST_RADIANCE)
             image = image + linear_to_srgb(chosen, 1.0, clip=False)
-            return Surface(image, disparity + self.choice.disparity(weights), odds)
+            return Surface(image, disparity + self.choice.disparity(weights), logits)
 
     def refine(self, surface: Surface, inverted: Inverted) -> Estimate:
-        """Return the estimate of the image after all further looks."""
+        """Return the estimate of the image after all refinement steps."""
         _, light, noise = inverted
         level = None if noise is None else self._level(noise, surface.image)
-        for each in self.further:
+        for each in self.refinements:
             surface = each(surface, light, noise, level)
         return Estimate(surface.image[self.image], surface.disparity[self.image])
 
@@ -217,20 +211,20 @@ def _plane_weights(
     soft: bool,
 ) -> PlaneWeights:
     own = {name: each for name, each in inversions.items() if each is not None}
-    first = "intro.weight" if isinstance(body, NafNet) else "down.0.0.weight"
+    head = [f"{prefix}enhancement.head.{key}" for key, _ in body.head.named_parameters()]
     return PlaneWeights(
         per_plane=tuple(f"{prefix}{name}.{key}" for name, each in own.items() for key, _ in each.named_parameters()),
-        first=f"{prefix}enhancement.{first}",
+        first=f"{prefix}enhancement.{body.first_weight}",
         volumes=len(own),
         width=width * body.stem**2,
-        last=tuple(f"{prefix}enhancement.head.{key}" for key in ("weight", "bias")) if soft else (),
+        last=tuple(head) if soft else (),
         fixed=4 * body.stem**2,
         stem=body.stem**2,
     )
 
 
 class FlatNet3D(FlatNet):
-    """Learned inversion at all depths of the stack, then a U-Net: equations 4.10 and 4.11 of the thesis."""
+    """Learned inversion at all depths of the stack, then the body: equations 4.10 and 4.11 of the thesis."""
 
     @staticmethod
     def planes_of(capture: CaptureModel) -> Sequence[int]:
@@ -321,7 +315,7 @@ class LearnedMethod:
                     inverted = self.network.invert(measurement)
                 with clock.stage("network"):
                     surface = self.network.enhance(inverted)
-                with clock.stage("refinement" if self.network.further else "network"):
+                with clock.stage("refinement" if self.network.refinements else "network"):
                     return self.network.refine(surface, inverted)
         finally:
             self.network.train(training)

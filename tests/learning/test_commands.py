@@ -30,7 +30,7 @@ def test_command(tiny_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     out = capsys.readouterr()
     assert "2 steps" in out.out
     assert (tmp_path / "out" / "best.safetensors").exists()  # relative to the file
-    assert "best after step 2: PSNR" in out.out
+    assert re.search(r"best after step 2: PSNR \d+\.\d\d dB, depth RMSE \d+\.\d\d cm on validation", out.out)
     assert "step 2: validation PSNR" in out.err
     train(path, ["steps=2"])
     assert "finished before" in capsys.readouterr().out

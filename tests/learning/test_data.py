@@ -512,7 +512,9 @@ def test_numbers_that_make_no_sense_are_refused(argument: str, changes: dict[str
         Batches(**{"length": 10, "batch": 4, "seed": 0} | changes)
 
 
-def test_workers_end_with_their_loader_and_hand_over_bad_input_as_it_is(tiny_dataset: Path) -> None:
+def test_workers_end_with_their_loader_and_hand_over_bad_input_as_it_is(
+    tiny_dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     examples = ExampleSet(open_dataset(tiny_dataset, "train"))
     before = set(multiprocessing.active_children())
     loader = Loader(examples, [[0, 1], [2, len(examples)]], 2)
@@ -524,7 +526,7 @@ def test_workers_end_with_their_loader_and_hand_over_bad_input_as_it_is(tiny_dat
     assert not any(worker.is_alive() for worker in workers)
 
     bad = ExampleSet(open_dataset(tiny_dataset, "train"))
-    bad._read = refused  # pyright: ignore[reportAttributeAccessIssue]
+    monkeypatch.setattr(bad, "_read", refused)
     loader = Loader(bad, [[0]], 1)
     with pytest.raises(InputError) as error:  # whose traceback refers to the loader's iterator
         next(iter(loader))

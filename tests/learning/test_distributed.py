@@ -15,11 +15,11 @@ import torch
 import yaml
 
 from learning.camera import CaptureModel
-from learning.config import TrainConfig
+from learning.config import TrainConfig, load_file
 from learning.distributed import Precision, Processes, processes
 from learning.models import build_network
 from learning.resume import LAST
-from learning.train import make_plan, train
+from learning.train import FlatNetTraining, train
 from learning.validation import METRICS
 from simulator.errors import InputError
 
@@ -37,9 +37,17 @@ def test_batch_statistics_of_one_process_are_not_those_of_all(settings: Callable
     config = settings(batch=6, network={"body": "unet"})
     both = Processes(torch.device("cpu"), 0, 2)
     with pytest.raises(InputError, match=r"^network\.body: "):
-        make_plan(config, both, None)
-    make_plan(config, Processes(torch.device("cpu")), None)
-    make_plan(settings(batch=6), both, None)
+        FlatNetTraining.plan(config, both)
+    FlatNetTraining.plan(config, Processes(torch.device("cpu")))
+    FlatNetTraining.plan(settings(batch=6), both)
+
+
+def test_what_processes_cannot_share_is_named(settings: Callable[..., TrainConfig]) -> None:
+    """A batch in equal parts; of the 8 validation scenes each needs one, and some may have more than others."""
+    FlatNetTraining.plan(settings(batch=6), Processes(torch.device("cpu"), 0, 3))
+    for key, batch, count in (("batch", 5, 2), (r"data\.validation", 9, 9)):
+        with pytest.raises(InputError, match=f"^{key}: "):
+            FlatNetTraining.plan(settings(batch=batch), Processes(torch.device("cpu"), 0, count))
 
 
 @pytest.mark.slow
@@ -49,9 +57,10 @@ def test_two_processes_are_one_with_the_whole_batch(tiny_dataset: Path, tmp_path
     plain |= {"steps": 10, "batch": 6, "log_every": 1, "validate_every": 5, "device": "cpu"}
     path = tmp_path / "tiny.yaml"
     path.write_text(yaml.safe_dump(plain))
-    train(path)
+    train(load_file(TrainConfig, path))
     script = tmp_path / "run.py"
-    script.write_text(f"from learning.train import train\ntrain({str(path)!r}, ['output=two'])\n")
+    code = "from learning.config import TrainConfig, load_file\nfrom learning.train import train\n"
+    script.write_text(f"{code}train(load_file(TrainConfig, {str(path)!r}, ['output=two']))\n")
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", str(script)]
     env = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     options: Any = {"cwd": ROOT, "env": env, "capture_output": True, "text": True, "timeout": 300, "check": False}
@@ -68,7 +77,7 @@ def test_two_processes_are_one_with_the_whole_batch(tiny_dataset: Path, tmp_path
         assert second["depth"] == pytest.approx(first["depth"], rel=1e-3)
     assert (tmp_path / "two" / LAST).exists()
     # One that cannot have the folder tells the others, which would wait for it for hours.
-    script.write_text(f"from learning.train import train\ntrain({str(path)!r}, ['output=two', 'seed=9'])\n")
+    script.write_text(f"{code}train(load_file(TrainConfig, {str(path)!r}, ['output=two', 'seed=9']))\n")
     done = subprocess.run(command, **options | {"timeout": 100})
     assert done.returncode != 0
     assert "seed: 0 -> 9" in done.stderr

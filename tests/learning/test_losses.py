@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,17 @@ def test_depth_counts_in_centimetres_too(scenes: Scenes, make_loss: Any) -> None
     assert everywhere["depth_cm"].item() == pytest.approx(errors.mean(), rel=1e-6)
 
 
+def test_centimetres_of_infinity_are_refused(scenes: Scenes, tiny_capture: CaptureModel) -> None:
+    """What lies at infinity, by one estimated pixel, would make the loss infinite; disparity has no such end."""
+    endless = replace(tiny_capture.stack, depths_m=np.array([0.01, 0.02, math.inf]))
+    capture = tiny_capture.with_stack(endless)
+    with pytest.raises(InputError, match=r"^depth_cm_weight: "):
+        ReconstructionLoss(depth_cm_weight=0.1, capture=capture)
+    estimate, *truth = scenes
+    terms = ReconstructionLoss(capture=capture)(estimate._replace(disparity=estimate.disparity - 1), *truth)
+    assert math.isfinite(terms["total"])
+
+
 def test_all_pixels_count_when_asked(scenes: Scenes, make_loss: Any) -> None:
     estimate, image, disparity, valid = scenes
     terms = make_loss(invalid_depth=True)(estimate, image, disparity, valid)
@@ -105,11 +117,12 @@ def test_gradients_are_always_finite(scenes: Scenes, make_loss: Any, perceptual:
     terms = loss(estimate, image, disparity, torch.zeros_like(valid, dtype=torch.bool))
     terms["total"].backward()
     assert terms["depth"].item() == terms["depth_cm"].item() == 0
-    for value in estimate:
-        assert value.grad is not None
-        assert value.grad.isfinite().all()
-    assert bool(estimate.image.grad.any()) != perfect  # pyright: ignore[reportOptionalMemberAccess]
-    assert not estimate.disparity.grad.any()  # pyright: ignore[reportOptionalMemberAccess]
+    of_image, of_disparity = (value.grad for value in estimate)
+    assert of_image is not None
+    assert of_disparity is not None
+    assert of_image.isfinite().all()
+    assert bool(of_image.any()) != perfect
+    assert not of_disparity.any()
 
 
 @pytest.mark.slow

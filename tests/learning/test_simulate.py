@@ -1,4 +1,4 @@
-"""Scenes changed and seen anew: against explicit indices, stored measurements, and the forward model of changed volumes."""
+"""Scenes changed and re-simulated: against explicit indices, stored measurements, the forward model of changed volumes."""
 
 from __future__ import annotations
 

@@ -27,6 +27,7 @@ from learning.losses import ReconstructionLoss
 from learning.models import build_network
 from learning.provenance import scenes_of
 from learning.resume import BEST, DESCRIPTION, LAST, STATE, DivergedError
+from learning.simulate import Augmentation
 from learning.train import find_data, open_examples, train
 from learning.training_loop import build_optimiser, learning_rate
 from learning.validation import METRICS, PREVIEW
@@ -81,8 +82,10 @@ def test_learns_and_leaves_what_belongs_to_it(settings: Settings) -> None:
     assert sum("validation PSNR" in line for line in said) == 4
 
 
-@pytest.mark.parametrize(("stops", "augment"), [((1,), None), ((4, 7), None), ((5,), {})])
-def test_goes_on_as_if_it_had_never_stopped(settings: Settings, stops: tuple[int, ...], augment: Any) -> None:
+@pytest.mark.parametrize(("stops", "augment"), [((1,), None), ((4, 7), None), ((5,), Augmentation())])
+def test_goes_on_as_if_it_had_never_stopped(
+    settings: Settings, stops: tuple[int, ...], augment: Augmentation | None
+) -> None:
     whole, parts = (settings(n, data={"workers": w, "augment": augment}) for n, w in (("whole", 0), ("parts", 1)))
     train(whole)
     for stop in stops:
@@ -241,7 +244,7 @@ def test_another_training_in_between(settings: Settings, monkeypatch: Patch, mom
     assert load_checkpoint(folder / LAST).record["config"]["seed"] == seed
 
 
-def test_speed_is_that_of_this_sitting(settings: Settings, monkeypatch: Patch) -> None:
+def test_speed_is_that_of_this_session(settings: Settings, monkeypatch: Patch) -> None:
     """A step takes a second of a clock that only steps move; five samples are in each."""
     now, step = [0.0], loop.Training._step
 
@@ -304,7 +307,10 @@ def test_a_terminal_s_ctrl_c(settings: Settings, tmp_path: Path) -> None:
     config = settings(steps=100_000, data={"workers": 2}, log_every=1)
     path = tmp_path / "train.yaml"
     path.write_text(json.dumps(config.dump()))
-    code = "import sys; from learning.train import train; train(sys.argv[1], say=print)"
+    code = (
+        "import sys; from learning.config import TrainConfig, load_file; from learning.train import train; "
+        "train(load_file(TrainConfig, sys.argv[1]), say=print)"
+    )
     root = Path(__file__).resolve().parents[2]
     command = [sys.executable, "-u", "-c", code, str(path)]
     env = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
@@ -348,10 +354,10 @@ def test_noise_of_the_file(settings: Settings, monkeypatch: Patch, tiny_dataset:
         assert torch.equal(examples[draw].measurement, measurement)
 
 
-def test_scenes_are_seen_anew_to_learn_from_and_not_to_validate_on(settings: Settings, tiny_dataset: Path) -> None:
+def test_scenes_are_resimulated_to_learn_from_and_not_to_validate_on(settings: Settings, tiny_dataset: Path) -> None:
     """Of a network that stays as it is: ``data.augment`` changes what is learned from, and nothing that is validated."""
     idle: dict[str, Any] = {"steps": 2, "log_every": 1, "optimiser": {"learning_rate": 1e-9}}
-    both = settings("plain", **idle), settings("anew", data={"augment": {}}, **idle)
+    both = settings("plain", **idle), settings("anew", data={"augment": Augmentation()}, **idle)
     plain, anew = (train(config) for config in both)
     assert anew.best == pytest.approx(plain.best, rel=1e-4)
     for one, other in zip(lines(plain.folder, "train"), lines(anew.folder, "train"), strict=True):
@@ -362,6 +368,15 @@ def test_scenes_are_seen_anew_to_learn_from_and_not_to_validate_on(settings: Set
         for position in range(len(dataset)):
             one, other = (examples[position] for examples in sets)
             assert [torch.equal(a, b) for a, b in zip(one[:2], other[:2], strict=True)] == [same, same]
+
+
+@pytest.mark.parametrize(("key", "value"), [("colour", "3"), ("exposure", "-1"), ("flip", "1"), ("tilt", "0")])
+def test_a_change_of_scenes_that_makes_no_sense_is_named(tmp_path: Path, key: str, value: str) -> None:
+    path = tmp_path / "train.yaml"
+    path.write_text("name: x\noutput: x\nsteps: 1\ndata: {train: set, augment: {colour: 0.1}}\n")
+    assert load_file(TrainConfig, path).data.augment == Augmentation(colour=0.1)
+    with pytest.raises(InputError, match=rf"data\.augment\.{key}: "):
+        load_file(TrainConfig, path, [f"data.augment.{key}={value}"])
 
 
 def test_white_and_network_of_the_file(settings: Settings, tiny_dataset: Path) -> None:
@@ -425,7 +440,7 @@ def test_a_record_names_no_folder_of_this_machine(settings: Settings, tiny_datas
     path = tmp_path / "tiny.yaml"
     path.write_text(json.dumps(config.dump()))
     overrides = ["steps=1", f"output={tmp_path / 'over there'}", f"data.validation={tiny_dataset}"]
-    result = train(path, overrides)
+    result = train(load_file(TrainConfig, path, overrides))
     record = load_checkpoint(result.folder / LAST).record
     text = json.dumps(record)
     assert "/" not in text.replace("1/m", "")
@@ -434,6 +449,7 @@ def test_a_record_names_no_folder_of_this_machine(settings: Settings, tiny_datas
     assert record["command"] == (
         f"flatlight train tiny.yaml --set steps=1 --set 'output=over there' --set data.validation={tiny_dataset.name}"
     )
+    assert load_checkpoint(first.folder / LAST).record["command"] == "learning.train, called from Python"
     assert record["config"]["init_from"] == LAST
     assert record["config"]["data"]["stack"] == "nominal"
     dataset = open_dataset(tiny_dataset, "train")
@@ -549,6 +565,8 @@ def test_inversions_that_do_not_learn(tiny_capture: CaptureModel) -> None:
     network = build_network(tiny_capture, "flatnet3d", "tiny")
     optimiser = build_optimiser(network, OptimiserConfig(inversion_rate=0))
     assert held(optimiser) == {id(each) for each in network.enhancement.parameters()}
+    torch.cat(network(torch.rand(1, 3, 48, 48)), dim=1).sum().backward()
+    assert {id(each) for each in network.parameters() if each.grad is not None} == held(optimiser)
 
 
 @pytest.mark.parametrize(("share", "moved"), [(0.5, 3), (0.0, 0), (1.0, 6)])

@@ -42,7 +42,7 @@ def test_pictures_are_decided_by_seed_sample_and_draw(pictures: Pictures) -> Non
 def test_a_cache_keeps_scenes_without_measurements_and_gives_the_same_pictures(
     pictures: Pictures, tiny_dataset: Path, tiny_camera: CaptureModel, tmp_path: Path
 ) -> None:
-    """The scenes that are seen anew in training, kept once for both."""
+    """The scenes that are re-simulated in training, kept once for both."""
     train = open_dataset(tiny_dataset, "train")
     cached = pickle.loads(pickle.dumps(Pictures(train, tiny_camera, (0.01, 0.3), 0, tmp_path)))  # as a worker gets it
     for position in (0, 31):
@@ -102,6 +102,7 @@ def test_learns(denoiser_settings: Callable[..., DenoiserConfig]) -> None:
     config = denoiser_settings(steps=30, validate_every=30, optimiser={"learning_rate": 1e-2})
     best = train_denoiser(config).best
     assert best["psnr_db"] > best["noisy_psnr_db"] + 2  # dB
+    assert best["score_db"] == pytest.approx(-10 * np.log10(best["total"]))  # of squared errors
     _, record = load_denoiser(Path(config.output) / BEST)
     assert record["data sets"]["train"]["samples"] == 32
     assert record["step"] == best["step"]
@@ -127,6 +128,18 @@ def test_refuses_another_training_in_its_folder(denoiser_settings: Callable[...,
         train_denoiser(denoiser_settings(steps=1, seed=4))
 
 
+def test_pictures_of_another_size_are_refused_before_the_folder_is_made(
+    denoiser_settings: Callable[..., DenoiserConfig], tiny_dataset: Path, learning_trial: Any
+) -> None:
+    counts = {"train": 0, "validation": 1, "test": 0}
+    other = learning_trial.generate(dataset=counts, scene={"size": [16, 20]}, psf={"as_captured": None})
+    data = {"train": str(tiny_dataset), "validation": str(other), "cache": False, "workers": 0}
+    config = denoiser_settings("training", data=data)
+    with pytest.raises(InputError, match=r"^data\.validation: .*16 x 20.* 16 x 16"):
+        train_denoiser(config)
+    assert not Path(config.output).exists()
+
+
 def test_the_command_trains_what_a_reconstruction_takes(
     tiny_dataset: Path, tiny_capture: CaptureModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -135,7 +148,11 @@ def test_the_command_trains_what_a_reconstruction_takes(
     file.write_text(text, encoding="utf-8")
     command(file, ["network.filters=4", "network.levels=2"])
     made = tmp_path / "out" / BEST
-    assert str(made) in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "2 steps" in out
+    assert str(made) in out
+    command(file, ["network.filters=4", "network.levels=2"])
+    assert "finished before" in capsys.readouterr().out
     _, record = load_denoiser(made)
     assert record["command"].startswith("flatlight train-denoiser denoiser.yaml --set network.filters=4")
     build_classical(tiny_capture, "pnp", {"denoiser": str(made)})

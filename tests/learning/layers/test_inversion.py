@@ -7,8 +7,8 @@ import pytest
 import skimage.restoration
 import torch
 
-from learning.layers.inversion import RegularisedInversion, WienerInversion, noise_ratio
-from learning.layers.noise import noise_level
+from learning.layers.inversion import RegularisedInversion, WienerInversion
+from learning.layers.noise import noise_level, noise_ratio
 from simulator.arrays import next_fast_len
 from simulator.camera.forward import ForwardModel
 from simulator.errors import InputError
@@ -42,7 +42,7 @@ def equation_4_11(capture, layer, measurement, joint=False):
     (H, W), (h, w) = capture.sensor_shape, capture.scene_shape
     values = np.asarray(capture.stack.values, np.float64)
     K, C, P, Q = values.shape
-    L, M = next_fast_len(max(H, h + P - 1)), next_fast_len(max(W, w + Q - 1))
+    L, M = (next_fast_len(max(n, f + p - 1)) for n, f, p in zip((H, W), capture.field_shape, (P, Q), strict=True))
     result = np.zeros((len(measurement), K, C, h, w))
     for b, k, c in np.ndindex(len(measurement), K, C):
         light = measurement[b, c].astype(np.float64) - capture.offset[c]
@@ -65,7 +65,7 @@ def equation_4_11(capture, layer, measurement, joint=False):
         scene = np.fft.ifft2(
             np.fft.fft2(padded) * np.conj(transfer[k]) / (power + weight * np.mean(power) * penalty)
         ).real[(H - h) // 2 : (H + h) // 2, (W - w) // 2 : (W + w) // 2]
-        result[b, k, c] = scene / (capture.gain * capture.white * capture.irradiance)
+        result[b, k, c] = scene / (capture.gain * capture.white * capture.scene_irradiance)
     return result
 
 
@@ -79,11 +79,13 @@ def taper(index, sensor, length):
 
 
 @pytest.mark.usefixtures("double")
-@pytest.mark.parametrize(("sensor", "scene", "psf"), SIZES)
+@pytest.mark.parametrize(("sensor", "scene", "psf", "margin"), [*((*sizes, 0) for sizes in SIZES), (*SIZES[0], 6)])
 @pytest.mark.parametrize("joint", [False, True])
 @pytest.mark.parametrize("noise_weight", [None, 1.0])
-def test_equals_equation_4_11_computed_directly(camera, sensor, scene, psf, joint, noise_weight):
+def test_equals_equation_4_11_computed_directly(camera, sensor, scene, psf, margin, joint, noise_weight):
+    """A field that goes on around the scene makes the period longer: its light must not come back into the scene."""
     capture = camera(sensor, scene, psf, depths_m=(0.02, 0.05), channels=("R", "G"))
+    capture = replace(capture, irradiance=np.pad(capture.irradiance, margin, constant_values=0.7))
     layer = randomised(RegularisedInversion(capture, noise_weight=noise_weight, joint=joint))
     measurement = np.random.default_rng(2).random((2, 2, *sensor)) * [
         [[[1.0]]],
@@ -192,10 +194,10 @@ class _Inverted(torch.nn.Module):
 @pytest.mark.usefixtures("double")
 @pytest.mark.parametrize("joint", [False, True])
 @pytest.mark.parametrize("sizes", SIZES)
-def test_what_is_seen_is_what_the_forward_model_says(camera, sizes, joint):
+def test_a_reprojection_is_the_forward_model(camera, sizes, joint):
     capture = camera(*sizes)
     volume = np.random.default_rng(3).random((2, 2, 3, *sizes[1]))
-    got = RegularisedInversion(capture, [0, 2], joint=joint).seen(torch.from_numpy(volume))
+    got = RegularisedInversion(capture, [0, 2], joint=joint).reproject(torch.from_numpy(volume))
     whole = np.zeros((2, 3, 3, *sizes[1]))
     whole[:, [0, 2]] = volume * capture.irradiance * (capture.gain * capture.white)
     model = capture.forward_model(whole)
@@ -282,6 +284,17 @@ def test_a_filter_without_any_response_divides_by_something(camera):
     layer(torch.rand(1, 3, *SIZES[3][0])).sum().backward()
     assert layer.filters.grad is not None
     assert bool(torch.isfinite(layer.filters.grad).all())
+
+
+@pytest.mark.parametrize("kind", [RegularisedInversion, WienerInversion])
+def test_refuses_an_image_that_sends_no_light_from_everywhere(camera, kind):
+    """A stop that hides a corner of it; what it hides of the field around the image does not matter."""
+    capture = camera(*SIZES[0])
+    irradiance = np.pad(capture.irradiance, 2)
+    kind(replace(capture, irradiance=irradiance))
+    irradiance[2, 2] = 0
+    with pytest.raises(InputError, match=r"^irradiance: "):
+        kind(replace(capture, irradiance=irradiance))
 
 
 @pytest.mark.parametrize("shape", [(1, 3, 24, 25), (1, 2, 24, 24), (3, 24, 24), (1, 2, 3, 24, 24)])

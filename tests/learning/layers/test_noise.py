@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from learning.layers.inversion import noise_ratio
-from learning.layers.noise import noise_level
+from learning.layers.noise import noise_level, noise_ratio
 
 # A quarter of every second row's every second value, of three channels: 12 000 differences. Their median is right to 1 % at
 # most times (a median uses 37 % of what its values know, and neighbours share values); four times as much is allowed.

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from learning.checkpoint import find_denoiser, load_checkpoint, load_denoiser, save_denoiser, shipped_checkpoints
-from learning.models.denoiser import BRIGHTEST, NOISE_RANGE, Denoiser, DenoisingLoss
+from learning.models.denoiser import NOISE_RANGE, TRAINED_PEAK, Denoiser, DenoisingLoss
 from simulator.errors import InputError
 
 SIZE = {"filters": 4, "blocks": 1, "levels": 2}
@@ -58,7 +58,7 @@ def test_planes_are_pictures_one_by_one(network: Denoiser, channels: int) -> Non
 def test_brightness_beyond_white_is_only_a_factor(network: Denoiser) -> None:
     """A point a thousand times as bright as white, in as much more noise, is the same picture."""
     volume = torch.rand(1, 2, 3, 8, 8)
-    volume[..., 3, 4] = BRIGHTEST
+    volume[..., 3, 4] = TRAINED_PEAK
     with torch.no_grad():
         bright, plain = (network.planes(times * volume, torch.tensor([0.1 * times])) for times in (1000, 1))
     torch.testing.assert_close(bright / 1000, plain)

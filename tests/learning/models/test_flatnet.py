@@ -83,6 +83,29 @@ def test_no_noise_is_a_finite_level(tiny_capture, recorded):
     assert body.given[:, -1].unique().item() == pytest.approx(-8 / 3 + 1)
 
 
+def test_refinements_see_what_lies_around_the_scene_and_give_the_scene(tiny_capture, recorded):
+    """A field of 24 x 28 pixels, all of it within the border: bodies see it, and what they add ends up at its pixels."""
+    irradiance = np.pad(tiny_capture.irradiance, ((4, 4), (6, 6)), constant_values=6e-5)
+    wide = replace(tiny_capture, irradiance=irradiance)
+    network = build_network(wide, "flatnet3d", "tiny", refinements=1).eval()
+    (step,) = network.refinements
+    network.enhancement = first = recorded(torch.rand(1, 7, 24, 28))
+    step.enhancement = second = recorded(torch.zeros(1, 7, 24, 28))
+    measurement = 0.1 + torch.rand(1, 3, 48, 48)
+    rows, columns = torch.meshgrid(torch.arange(24.0), torch.arange(28.0), indexing="ij")
+    with torch.no_grad():
+        before = network(measurement)
+        second.output[0, :4] = torch.stack([rows, columns, rows - columns, columns - rows])
+        after = network(measurement)
+        options = {"regularisation_lambda": 0.1, "tikhonov": 1.0, "noise_weight": 30.0}
+        volume = RegularisedInversion(replace(wide, scene_shape=(24, 28)), **options)(measurement)
+    torch.testing.assert_close(first.given[:, :9], volume.flatten(1, 2))
+    assert second.given.shape[-2:] == (24, 28)
+    added = torch.cat([one - other for one, other in zip(after, before, strict=True)], dim=1)
+    # The scene lies in the field's middle, 4 rows and 6 columns from its edge; rounding of float32
+    torch.testing.assert_close(added[0], second.output[0, :4, 4:20, 6:22], atol=1e-4, rtol=0)
+
+
 @pytest.mark.parametrize("name", ["flatnet3d", "flatnet2d"])
 def test_a_soft_head_chooses_among_the_planes(tiny_capture, recorded, name):
     """In NumPy: softmax over planes, of radiance and of disparity; the codes of the former; and the body's residual."""
