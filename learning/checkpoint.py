@@ -171,6 +171,9 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
     """
     path = Path(path)
     content, tensors = _read(path)
+    if dict(content.get("architecture") or {}).get("network") == DENOISER:
+        wanted = "expected a network of `flatlight train`; a denoiser belongs to the method pnp: denoiser: FILE"
+        raise InputError(path, f"got a denoiser of `flatlight train-denoiser`, {wanted}")
     cure = "restore it from a copy"
     check_keys(
         path, content, dict.fromkeys(("architecture", "camera", "record"), lambda part: isinstance(part, dict)), cure
@@ -307,27 +310,30 @@ def shipped_checkpoints() -> dict[str, Path]:
     return dict(sorted(files.items(), key=lambda item: (item[0] != _BEST, item[0])))
 
 
-def find_checkpoint(text: str) -> Path:
-    """Return the file of a checkpoint, named by its path or, where it is shipped, by its name.
+def find_checkpoint(text: str, key: str = "--checkpoint", resolve: Callable[[str], Path] = expanded) -> Path:
+    """Return the file of a checkpoint: a shipped one by its bare name, any other by its path.
+
+    Args:
+        text: as a user writes it; ``./flatnet3d`` is a file of that name here.
+        key: where it is written, for messages.
+        resolve: makes a path of it, from the folder of the file that it stands in.
 
     Raises:
-        InputError: neither a file nor a shipped checkpoint's name.
+        InputError: neither a shipped checkpoint's name nor a file.
     """
-    path, shipped = expanded(text), shipped_checkpoints()
-    if path.is_file() or text in shipped:
-        return path if path.is_file() else shipped[text]
-    known = f"a shipped checkpoint ({', '.join(shipped) or 'there is none'})"
-    raise InputError("--checkpoint", f"got {text!r}, expected an existing file of `flatlight train`, or {known}")
+    return _find(text, shipped_checkpoints(), "train", key, resolve)
 
 
-def find_denoiser(text: str) -> Path:
-    """Return the file of a denoiser: a path, or the shipped one's by the name ``denoiser``; an InputError says neither is."""
-    path, shipped = expanded(text), FOLDER / f"{DENOISER}.safetensors"
-    if text == DENOISER and not path.is_file():
-        path = shipped
+def find_denoiser(text: str, key: str = DENOISER, resolve: Callable[[str], Path] = expanded) -> Path:
+    """Return the file of a denoiser: the shipped one by its name, any other by its path; see `find_checkpoint`."""
+    return _find(text, {DENOISER: FOLDER / f"{DENOISER}.safetensors"}, "train-denoiser", key, resolve)
+
+
+def _find(text: str, shipped: Mapping[str, Path], command: str, key: str, resolve: Callable[[str], Path]) -> Path:
+    path = shipped[text] if text in shipped else resolve(text)
     if not path.is_file():
-        wanted = "an existing file of `flatlight train-denoiser`, or denoiser, the shipped one, where there is one"
-        raise InputError("denoiser", f"got {text!r}, expected {wanted}")
+        known = f"a shipped one's name ({', '.join(shipped) or 'there is none'})"
+        raise InputError(key, f"got {text!r}, expected {known} or a file of `flatlight {command}`; {path} is no file")
     return path
 
 
@@ -337,7 +343,7 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
     What belongs to a plane (P, lambda, the soft head's choice) is interpolated linearly between the checkpoint's planes, at
     the same share of the range of disparities (0 for the farthest plane, 1 for the nearest, whatever their depths are). The
     first convolution then sees the new volumes interpolated at the checkpoint's planes, so that a volume that is linear over
-    the planes has the same response. Refinements that the checkpoint has not begin anew.
+    the planes has the same response. Refinements that the checkpoint lacks begin anew.
 
     Args:
         network: for the other camera; changed in place.

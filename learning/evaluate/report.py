@@ -48,6 +48,8 @@ DESCRIPTION = "evaluation.json"
 RESULTS, TABLE, PAIRED, REPORT = "results.json", "table.csv", "paired.csv", "report.md"
 MONTAGE, NOISE, DEPTH, STACKS, TIMES = "montage.png", "noise.png", "depth.png", "stacks.png", "times.png"
 _OWN = (REPORT, TABLE, PAIRED, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES)
+OWN_FILES = (DESCRIPTION, *_OWN)
+"""Names that no data set may have: the folder of its figures lies beside these files."""
 _FORMAT = "flatlight evaluation"
 _PACKAGES = ("torch", "numpy", "scikit-image", "flip-evaluator", "lpips", "ortools")
 _WHISKERS = "Whiskers are the standard deviation over seeds."
@@ -88,7 +90,7 @@ class Findings:
         edges_cm: of the bins of depth.
         methods: what is known of each method and seed.
         outcomes: of all methods, PSFs and levels.
-        naive: of the answers that look at nothing; ``naive_part`` on the scenes of noise levels and of compared PSFs.
+        naive: of the naive baselines; ``naive_part`` on the scenes of noise levels and of compared PSFs.
         times: seconds per scene; empty where none were taken.
         montage: for each scene shown the truth and every method, in the order of ``columns``.
     """
@@ -138,7 +140,7 @@ class Findings:
 
     @property
     def levels(self) -> dict[str, list[Outcome]]:
-        """Every method at each further level of noise, by a title for it, with the answers that look at nothing."""
+        """Every method at each further level of noise, by a title for it, with the naive baselines."""
         levels = sorted({one.noise_db for one in self.ablation if one.noise_db is not None})
         return {
             f"{level:g} dB": [*(one for one in self.ablation if one.noise_db == level), *self.naive_part]
@@ -253,8 +255,8 @@ def how(evaluation: Evaluation) -> str:
     brackets = f", in brackets over {max(seeds)} seeds" if seeds and max(seeds) > 1 else ""
     depth = "Every method's depths are clamped to its range, and count where there is a surface."
     return (
-        f"Mean ± standard deviation over scenes{brackets}; the best of each column is bold; answers in italics look at no "
-        f"measurement. {depth} Pooled: over all pixels of all scenes; shares are those of the best constant depth's, pooled. "
+        f"Mean ± standard deviation over scenes{brackets}; the best of each column is bold; naive baselines are in "
+        f"italics. {depth} Pooled: over all pixels of all scenes; shares are those of the best constant depth's, pooled. "
         f"SSIM: {SSIM_DEFINITION}. {evaluation.perceptual[0].upper()}{evaluation.perceptual[1:]}."
     )
 
