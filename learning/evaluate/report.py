@@ -21,7 +21,7 @@ from learning.evaluate.figures import (
     times_png,
 )
 from learning.evaluate.outcome import SCORES, Outcome
-from learning.evaluate.paired import COMPARED, RESAMPLES, Difference, compare
+from learning.evaluate.paired import COMPARED, EXPLAINED, Difference, compare
 from learning.evaluate.scoring import Times
 from learning.evaluate.tables import (
     TUNED_ELSEWHERE,
@@ -54,13 +54,6 @@ _FORMAT = "flatlight evaluation"
 _PACKAGES = ("torch", "numpy", "scikit-image", "flip-evaluator", "lpips", "ortools")
 _WHISKERS = "Whiskers are the standard deviation over seeds."
 _TUNED_ELSEWHERE = f"{TUNED_ELSEWHERE} with parameters that were tuned at another level, see below."
-_PAIRED = (
-    "The first one's score minus the second one's on the same scene, the mean over scenes (of several seeds the mean of each "
-    f"scene), and the interval that holds it with 95 % confidence: percentiles of {RESAMPLES} means of scenes that are drawn "
-    "anew with replacement. Of few scenes it is too narrow, by 6 % for 30, by 22 % for 8. It tells how far other scenes of "
-    "the kind might change the mean, not other seeds: these stand singly. ▲ the first one is better and the interval clear "
-    "of zero, ▼ the second one, ○ neither."
-)
 
 
 def claim_folder(folder: Path, name: str) -> None:
@@ -347,7 +340,7 @@ def _report(evaluation: Evaluation) -> str:
         parts += ["## All data sets", *(markdown_matrix(score, evaluation.side_by_side) for score in COMPARED)]
         parts += [how(evaluation)]
         if evaluation.differences:
-            parts += ["## Paired differences on all data sets", _PAIRED, markdown_verdicts(evaluation.differences)]
+            parts += ["## Paired differences on all data sets", EXPLAINED, markdown_verdicts(evaluation.differences)]
             parts += [markdown_differences(score, evaluation.differences) for score in COMPARED]
     for name, found in evaluation.findings.items():
         heading = "###" if several else "##"
@@ -394,7 +387,7 @@ def _sections(findings: Findings, evaluation: Evaluation, name: str, heading: st
         parts += [shown("scores against noise", NOISE), "Small dots are single seeds."]
     if findings.differences:
         tables = [markdown_differences(score, findings.differences) for score in COMPARED]
-        words = ["" if name else _PAIRED, f"At further levels: {on_part.lower()}" if findings.part < whole else ""]
+        words = ["" if name else EXPLAINED, f"At further levels: {on_part.lower()}" if findings.part < whole else ""]
         parts += [f"{heading} Paired differences", *words, markdown_verdicts(findings.differences), *tables]
     parts += [
         f"{heading} Depth error against depth",
