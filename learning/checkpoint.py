@@ -53,7 +53,8 @@ class Checkpoint:
     """What a checkpoint's file holds: the network in evaluation mode, on the CPU, and the camera that it is built for.
 
     ``fingerprint`` is of the PSFs that it was trained with, `capture` may have others; ``architecture`` has ``network``,
-    ``size`` and all numbers; ``record`` says how it was made: configuration, metrics, command, seconds, versions, device.
+    ``size`` and all numbers; ``record`` says how it was made: configuration, metrics, command, seconds, versions, device;
+    ``path`` is the file, for messages.
     """
 
     network: FlatNet
@@ -61,6 +62,18 @@ class Checkpoint:
     fingerprint: str
     architecture: dict[str, Any]
     record: dict[str, Any]
+    path: Path = Path("checkpoint")
+
+    @property
+    def named(self) -> dict[str, Any]:
+        """The architecture as `learning.models.build_network` takes it: ``name`` instead of ``network``."""
+        return _named(self.architecture)
+
+    def for_camera(self, capture: CaptureModel) -> FlatNet:
+        """Return its network for another camera, whose planes and PSFs may differ; see `transfer`."""
+        network = _build(self.architecture, capture)
+        transfer(network, self)
+        return network
 
 
 def save_checkpoint(
@@ -200,7 +213,7 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
         reason = f"this version of Flatlight cannot build its network ({error}); use the version that the record names"
         raise InputError(path, reason) from error
     _load_weights(built, path, tensors)
-    return Checkpoint(built.eval(), capture or own, own.stack.fingerprint, architecture, record)
+    return Checkpoint(built.eval(), capture or own, own.stack.fingerprint, architecture, record, path)
 
 
 def _load_weights(built: nn.Module, path: Path, tensors: Mapping[str, Tensor]) -> None:
@@ -228,7 +241,11 @@ def _stored(name: str, value: Tensor, precision: torch.dtype) -> Tensor:
 def _build(architecture: Mapping[str, Any], capture: CaptureModel) -> FlatNet:
     """Return a network of this architecture; torch's generator stays where it is."""
     with torch.random.fork_rng(devices=[]):
-        return build_network(capture, **{"name" if key == "network" else key: v for key, v in architecture.items()})
+        return build_network(capture, **_named(architecture))
+
+
+def _named(architecture: Mapping[str, Any]) -> dict[str, Any]:
+    return {"name" if key == "network" else key: value for key, value in architecture.items()}
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
@@ -353,15 +370,15 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
         One line for every group of weights: what was copied, what resampled.
 
     Raises:
-        InputError: another architecture, or other channels; the network stays as it was.
+        InputError: another architecture, or other channels, naming the checkpoint's file; the network stays as it was.
     """
     own, found = network.state_dict(), checkpoint.network.state_dict()
     if type(network) is not type(checkpoint.network):
         kinds = f"got a {type(checkpoint.network).__name__}, expected a {type(network).__name__}"
-        raise InputError("checkpoint", f"{kinds}; take a checkpoint of the same network")
+        raise InputError(checkpoint.path, f"{kinds}; take a checkpoint of the same network")
     mine, other = network.inversion.channels, checkpoint.network.inversion.channels
     if mine != other:
-        raise InputError("checkpoint", f"its camera has the channels {', '.join(other)}, expected {', '.join(mine)}")
+        raise InputError(checkpoint.path, f"its camera has the channels {', '.join(other)}, expected {', '.join(mine)}")
     new, old = network.inversion.disparities, checkpoint.network.inversion.disparities
     same = len(new) == len(old) and np.allclose(new, old, atol=1e-6)
     known = checkpoint.network.plane_weights
@@ -369,8 +386,8 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
     taken = found | _resampled(known, found, old, new) if alike and not same else dict(found)
     further = tuple(f"refinements.{n}." for n in range(len(known) - 1, len(network.further)))
     anew = {key: value for key, value in own.items() if key.startswith(further)} if further else {}
-    cure = f"take a checkpoint of the same size, or build the network with its numbers: {checkpoint.architecture}"
-    _check_shapes(own, taken | anew, "checkpoint", f"; {cure}")
+    cure = f"take a checkpoint of the same size, or build the network with its numbers: {checkpoint.named}"
+    _check_shapes(own, taken | anew, str(checkpoint.path), f"; {cure}")
     network.load_state_dict(taken | anew)
     changed = [name for name in taken if taken[name] is not found[name]]
     copied = f"copied the other {len(taken) - len(changed)} tensors"

@@ -570,8 +570,20 @@ class SwapConfig(FileSection):
     """auto takes CUDA where there is some"""
 
     @model_validator(mode="after")
-    def _something_to_do(self) -> Self:
+    def _sense(self) -> Self:
         _refuse_folder_names(self.masks, "masks")
+        for key in ("settings", "test_settings"):
+            for at, text in enumerate(getattr(self, key)):
+                if (name := text.partition("=")[0].strip()) == "camera.mask" or name.split(".")[0] in (
+                    "dataset",
+                    "scene",
+                ):
+                    text = f"got {name}, which masks and scenes decide; leave it out"
+                    raise refusal(text, key, at)
+        for key in ("tuned", "untuned", "noise_db"):
+            if len(set(values := getattr(self, key))) < len(values):
+                text = f"got {', '.join(map(str, values))}, expected each of them once"
+                raise refusal(text, key)
         if self.network is None and not self.tuned + self.untuned:
             text = "nothing reconstructs: give network, or a classical method in tuned or untuned"
             raise refusal(text)
