@@ -221,8 +221,8 @@ class Errors:
 class Score:
     """One number for a reconstruction of some scenes: 1 (or 2, for both) is what a constant guess would get, 0 is perfect.
 
-    Image and depth weigh the same when each is counted in units of what can be had without looking at the measurement;
-    no unit of length and no range of depths decides between them. ``constant`` are the errors of the mean colour and of the
+    Image and depth weigh the same when each is counted in units of a naive baseline's error: no unit of length and no range
+    of depths decides between them. ``constant`` are the errors of the mean colour and of the
     mean depth of these scenes.
     """
 

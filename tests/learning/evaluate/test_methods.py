@@ -177,6 +177,13 @@ def test_every_level_of_a_tuned_file_may_have_its_own_denoiser(
     assert digests == [sha256_file(tmp_path / f"{name}.safetensors") for name in ("first", "second")]
 
 
+def test_a_shipped_network_is_named_like_its_file(seen_again: Any) -> None:
+    net = {"name": "Net", "checkpoints": ["flatnet2d"]}
+    config = EvaluateConfig.model_validate({"name": "n", "output": "o", "data": {"test": "t"}, "methods": [net]})
+    ((entry,),) = read_methods(config, seen_again("test"))
+    assert entry.plain()["file"] == "flatnet2d.safetensors"  # type: ignore[union-attr]
+
+
 def test_a_network_is_told_apart_by_what_differs_from_its_size() -> None:
     size = {"network": "flatnet3d", "size": "compact", **SIZES["compact"]}
     for changes, note in (({}, ""), ({"refinements": 1, "stem": 2}, ", stem 2, refinements 1")):
