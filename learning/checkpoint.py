@@ -184,7 +184,8 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
     """
     path = Path(path)
     content, tensors = _read(path)
-    if dict(content.get("architecture") or {}).get("network") == DENOISER:
+    architecture = content.get("architecture")
+    if isinstance(architecture, dict) and architecture.get("network") == DENOISER:
         wanted = "expected a network of `flatlight train`; a denoiser belongs to the method pnp: denoiser: FILE"
         raise InputError(path, f"got a denoiser of `flatlight train-denoiser`, {wanted}")
     cure = "restore it from a copy"

@@ -495,7 +495,10 @@ class TuneConfig(FileSection):
     """auto takes a GPU where there is one"""
 
     @model_validator(mode="after")
-    def _check_search(self) -> TuneConfig:
+    def _check_methods(self) -> TuneConfig:
+        if self.denoiser != "denoiser" and "pnp" not in self.methods:
+            text = f"only pnp has one; methods: {', '.join(self.methods)}"
+            raise refusal(text, "denoiser", on_key=True)
         for name in self.search:
             if name not in self.methods:
                 text = f"{name!r} is not tuned here; methods: {', '.join(self.methods)}"

@@ -36,7 +36,7 @@ from learning.evaluate.job import CACHE, evaluate, find_perceptual
 from learning.evaluate.methods import check_learned
 from learning.evaluate.outcome import SCORES, Outcome
 from learning.evaluate.paired import COMPARED, EXPLAINED, compare
-from learning.evaluate.report import OWN_FILES, Evaluation
+from learning.evaluate.report import OWN_FILES, Evaluation, is_claimed
 from learning.evaluate.tables import markdown, markdown_differences, markdown_verdicts
 from learning.method import Progress, Say, choose_device
 from learning.resume import BEST
@@ -88,6 +88,7 @@ def swap_masks(config: SwapConfig, *, progress: Progress = lambda *_: None, say:
         known = load_checkpoint(path)
         check_learned("network.init_from", path, known.record, unseen)
     judged = _evaluation(config, known, folder)
+    is_claimed(folder / _EVALUATION, config.name)
     for name, both in cameras.items():
         with _mask_named(name):
             _check_camera(*both)

@@ -15,7 +15,7 @@ from learning.data import check_dataset
 from learning.evaluate.figures import Shown
 from learning.evaluate.methods import Entry, LearnedEntry, read_methods, says_scenes
 from learning.evaluate.outcome import Outcome, first_scenes, outcome
-from learning.evaluate.report import OWN_FILES, Evaluation, Findings, claim_folder, write_results
+from learning.evaluate.report import OWN_FILES, Evaluation, Findings, claim_folder, is_claimed, write_results
 from learning.evaluate.runs import Cameras, ResultCache, Run, Runner
 from learning.evaluate.scoring import Criteria, Times, naive_baselines, score, take_times
 from learning.method import Progress, Say, choose_device, describe_device, linear_to_srgb
@@ -46,6 +46,7 @@ def evaluate(
         if name in (CACHE, *OWN_FILES):
             raise InputError(f"data.test.{name}", f"{name} is a file or folder of each evaluation; take another name")
     opened = {name: _open(alone) for name, alone in config.sets.items()}
+    is_claimed(folder, config.name)
     lpips, perceptual = find_perceptual(config.perceptual, device)
     cache = ResultCache(folder / CACHE)
     trials = {

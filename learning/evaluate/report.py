@@ -56,8 +56,8 @@ _WHISKERS = "Whiskers are the standard deviation over seeds."
 _TUNED_ELSEWHERE = f"{TUNED_ELSEWHERE} with parameters that were tuned at another level, see below."
 
 
-def claim_folder(folder: Path, name: str) -> None:
-    """See that a folder is new, empty, or of the evaluation of this name; make it and say whose it is."""
+def is_claimed(folder: Path, name: str) -> bool:
+    """Return whether a folder is of the evaluation of this name; an InputError refuses what is of another, or not empty."""
     path = folder / DESCRIPTION
     if is_own_folder(folder, DESCRIPTION, "evaluation"):
         content = read_description(path, "evaluation")
@@ -67,10 +67,16 @@ def claim_folder(folder: Path, name: str) -> None:
         if known != name:
             found = f"{folder} holds the evaluation {known!r}, not {name!r}"
             raise InputError("output", f"{found}; choose another folder, or keep its name")
-        return
-    with storage_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, readable_json({"format": _FORMAT, "name": name}))
+        return True
+    return False
+
+
+def claim_folder(folder: Path, name: str) -> None:
+    """See that a folder is new, empty, or of the evaluation of this name; make it and say whose it is."""
+    if not is_claimed(folder, name):
+        with storage_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        write_atomic(folder / DESCRIPTION, readable_json({"format": _FORMAT, "name": name}))
 
 
 @dataclass(frozen=True, eq=False)

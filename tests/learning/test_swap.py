@@ -241,6 +241,13 @@ def test_mistakes_come_out_before_any_work(
     assert not (tmp_path / "out").exists()
 
 
+def test_the_evaluation_of_another_name_is_kept(load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(swap, "generate", lambda *_, **__: pytest.fail("work"))
+    report.claim_folder(tmp_path / "out" / "evaluation", "another")
+    with pytest.raises(InputError, match=r"^output: "):
+        swap_masks(load())
+
+
 def test_samples_that_fail_stop_it(load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = GenerateResult(tmp_path / "out" / "one" / "data", 5, 0, ("train/s00000005: no clip today",), 1.0)
     monkeypatch.setattr(swap, "generate", lambda *_, **__: made)

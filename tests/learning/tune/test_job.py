@@ -394,6 +394,7 @@ def test_noise_as_stored_is_a_level_too(tiny_dataset: Path, tmp_path: Path) -> N
         (["data.validation=nowhere"], "nowhere: "),
         (["methods=[pnp]", "search.pnp.denoiser.values=[denoiser]"], r"search\.pnp\.denoiser: "),
         (["methods=[pnp]", "denoiser=nowhere"], "^denoiser: "),
+        (["methods=[cls]", "denoiser=nowhere"], "denoiser: only pnp"),
     ],
 )
 def test_files_that_make_no_sense_are_refused(tiny_dataset: Path, tmp_path: Path, overrides: Any, message: str) -> None:
