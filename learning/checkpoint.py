@@ -53,7 +53,8 @@ class Checkpoint:
     """What a checkpoint's file holds: the network in evaluation mode, on the CPU, and the camera that it is built for.
 
     ``fingerprint`` is of the PSFs that it was trained with, `capture` may have others; ``architecture`` has ``network``,
-    ``size`` and all numbers; ``record`` says how it was made: configuration, metrics, command, seconds, versions, device.
+    ``size`` and all numbers; ``record`` says how it was made: configuration, metrics, command, seconds, versions, device;
+    ``path`` is the file, for messages.
     """
 
     network: FlatNet
@@ -61,6 +62,18 @@ class Checkpoint:
     fingerprint: str
     architecture: dict[str, Any]
     record: dict[str, Any]
+    path: Path = Path("checkpoint")
+
+    @property
+    def named(self) -> dict[str, Any]:
+        """The architecture as `learning.models.build_network` takes it: ``name`` instead of ``network``."""
+        return _named(self.architecture)
+
+    def for_camera(self, capture: CaptureModel) -> FlatNet:
+        """Return its network for another camera, whose planes and PSFs may differ; see `transfer`."""
+        network = _build(self.architecture, capture)
+        transfer(network, self)
+        return network
 
 
 def save_checkpoint(
@@ -171,6 +184,10 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
     """
     path = Path(path)
     content, tensors = _read(path)
+    architecture = content.get("architecture")
+    if isinstance(architecture, dict) and architecture.get("network") == DENOISER:
+        wanted = "expected a network of `flatlight train`; a denoiser belongs to the method pnp: denoiser: FILE"
+        raise InputError(path, f"got a denoiser of `flatlight train-denoiser`, {wanted}")
     cure = "restore it from a copy"
     check_keys(
         path, content, dict.fromkeys(("architecture", "camera", "record"), lambda part: isinstance(part, dict)), cure
@@ -197,7 +214,7 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
         reason = f"this version of Flatlight cannot build its network ({error}); use the version that the record names"
         raise InputError(path, reason) from error
     _load_weights(built, path, tensors)
-    return Checkpoint(built.eval(), capture or own, own.stack.fingerprint, architecture, record)
+    return Checkpoint(built.eval(), capture or own, own.stack.fingerprint, architecture, record, path)
 
 
 def _load_weights(built: nn.Module, path: Path, tensors: Mapping[str, Tensor]) -> None:
@@ -225,7 +242,11 @@ def _stored(name: str, value: Tensor, precision: torch.dtype) -> Tensor:
 def _build(architecture: Mapping[str, Any], capture: CaptureModel) -> FlatNet:
     """Return a network of this architecture; torch's generator stays where it is."""
     with torch.random.fork_rng(devices=[]):
-        return build_network(capture, **{"name" if key == "network" else key: v for key, v in architecture.items()})
+        return build_network(capture, **_named(architecture))
+
+
+def _named(architecture: Mapping[str, Any]) -> dict[str, Any]:
+    return {"name" if key == "network" else key: value for key, value in architecture.items()}
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
@@ -307,27 +328,30 @@ def shipped_checkpoints() -> dict[str, Path]:
     return dict(sorted(files.items(), key=lambda item: (item[0] != _BEST, item[0])))
 
 
-def find_checkpoint(text: str) -> Path:
-    """Return the file of a checkpoint, named by its path or, where it is shipped, by its name.
+def find_checkpoint(text: str, key: str = "--checkpoint", resolve: Callable[[str], Path] = expanded) -> Path:
+    """Return the file of a checkpoint: a shipped one by its bare name, any other by its path.
+
+    Args:
+        text: as a user writes it; ``./flatnet3d`` is a file of that name here.
+        key: where it is written, for messages.
+        resolve: makes a path of it, from the folder of the file that it stands in.
 
     Raises:
-        InputError: neither a file nor a shipped checkpoint's name.
+        InputError: neither a shipped checkpoint's name nor a file.
     """
-    path, shipped = expanded(text), shipped_checkpoints()
-    if path.is_file() or text in shipped:
-        return path if path.is_file() else shipped[text]
-    known = f"a shipped checkpoint ({', '.join(shipped) or 'there is none'})"
-    raise InputError("--checkpoint", f"got {text!r}, expected an existing file of `flatlight train`, or {known}")
+    return _find(text, shipped_checkpoints(), "train", key, resolve)
 
 
-def find_denoiser(text: str) -> Path:
-    """Return the file of a denoiser: a path, or the shipped one's by the name ``denoiser``; an InputError says neither is."""
-    path, shipped = expanded(text), FOLDER / f"{DENOISER}.safetensors"
-    if text == DENOISER and not path.is_file():
-        path = shipped
+def find_denoiser(text: str, key: str = DENOISER, resolve: Callable[[str], Path] = expanded) -> Path:
+    """Return the file of a denoiser: the shipped one by its name, any other by its path; see `find_checkpoint`."""
+    return _find(text, {DENOISER: FOLDER / f"{DENOISER}.safetensors"}, "train-denoiser", key, resolve)
+
+
+def _find(text: str, shipped: Mapping[str, Path], command: str, key: str, resolve: Callable[[str], Path]) -> Path:
+    path = shipped[text] if text in shipped else resolve(text)
     if not path.is_file():
-        wanted = "an existing file of `flatlight train-denoiser`, or denoiser, the shipped one, where there is one"
-        raise InputError("denoiser", f"got {text!r}, expected {wanted}")
+        known = f"a shipped one's name ({', '.join(shipped) or 'there is none'})"
+        raise InputError(key, f"got {text!r}, expected {known} or a file of `flatlight {command}`; {path} is no file")
     return path
 
 
@@ -337,7 +361,7 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
     What belongs to a plane (P, lambda, the soft head's choice) is interpolated linearly between the checkpoint's planes, at
     the same share of the range of disparities (0 for the farthest plane, 1 for the nearest, whatever their depths are). The
     first convolution then sees the new volumes interpolated at the checkpoint's planes, so that a volume that is linear over
-    the planes has the same response. Refinements that the checkpoint has not begin anew.
+    the planes has the same response. Refinements that the checkpoint lacks begin anew.
 
     Args:
         network: for the other camera; changed in place.
@@ -347,15 +371,15 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
         One line for every group of weights: what was copied, what resampled.
 
     Raises:
-        InputError: another architecture, or other channels; the network stays as it was.
+        InputError: another architecture, or other channels, naming the checkpoint's file; the network stays as it was.
     """
     own, found = network.state_dict(), checkpoint.network.state_dict()
     if type(network) is not type(checkpoint.network):
         kinds = f"got a {type(checkpoint.network).__name__}, expected a {type(network).__name__}"
-        raise InputError("checkpoint", f"{kinds}; take a checkpoint of the same network")
+        raise InputError(checkpoint.path, f"{kinds}; take a checkpoint of the same network")
     mine, other = network.inversion.channels, checkpoint.network.inversion.channels
     if mine != other:
-        raise InputError("checkpoint", f"its camera has the channels {', '.join(other)}, expected {', '.join(mine)}")
+        raise InputError(checkpoint.path, f"its camera has the channels {', '.join(other)}, expected {', '.join(mine)}")
     new, old = network.inversion.disparities, checkpoint.network.inversion.disparities
     same = len(new) == len(old) and np.allclose(new, old, atol=1e-6)
     known = checkpoint.network.plane_weights
@@ -363,8 +387,8 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
     taken = found | _resampled(known, found, old, new) if alike and not same else dict(found)
     further = tuple(f"refinements.{n}." for n in range(len(known) - 1, len(network.refinements)))
     anew = {key: value for key, value in own.items() if key.startswith(further)} if further else {}
-    cure = f"take a checkpoint of the same size, or build the network with its numbers: {checkpoint.architecture}"
-    _check_shapes(own, taken | anew, "checkpoint", f"; {cure}")
+    cure = f"take a checkpoint of the same size, or build the network with its numbers: {checkpoint.named}"
+    _check_shapes(own, taken | anew, str(checkpoint.path), f"; {cure}")
     network.load_state_dict(taken | anew)
     changed = [name for name in taken if taken[name] is not found[name]]
     copied = f"copied the other {len(taken) - len(changed)} tensors"

@@ -69,7 +69,7 @@ def _old_names(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[Problem]
 
 
 Weight = Annotated[float, Range(0, 1e6, below="a weight is not negative")]
-PositiveDecibels = Annotated[float, Range(1, 120, "dB")]
+Decibels = Annotated[float, Range(0.1, 120, "dB")]
 
 
 class SplitsConfig(Section):
@@ -90,7 +90,7 @@ class DataConfig(SplitsConfig):
 
     stack: str = Field("nominal", min_length=1)
     """PSFs that the inversion knows: nominal, captured (psf.as_captured), or the folder of a stack"""
-    noise_db: tuple[PositiveDecibels, PositiveDecibels] | None = None
+    noise_db: tuple[Decibels, Decibels] | None = None
     """PSNRs, least and greatest, between which noise is drawn anew for every example, half of them in the upper quarter:
     networks of all levels lose most there; left out: as stored"""
     augment: Augmentation | None = None
@@ -255,8 +255,8 @@ class DenoiserConfig(LoopConfig):
     """pictures in a step, of all processes together"""
 
 
-Decibels = Annotated[float, Range(0, 100, "dB")]
 Count = Annotated[int, Range(1, 10_000_000, below="at least one")]
+Classical = Literal["cls", "admm", "pnp"]
 
 
 def _refuse_folder_names(names: Iterable[str], key: str) -> None:
@@ -267,9 +267,9 @@ def _refuse_folder_names(names: Iterable[str], key: str) -> None:
 
 
 class EvaluationData(Section):
-    """The scenes that decide, and what the methods are told of the camera that saw them."""
+    """The test scenes, and what the methods are told of the camera that saw them."""
 
-    test: str | Annotated[dict[str, str], Field(min_length=1)]
+    test: str | dict[str, str]
     """folder of the data set, whose camera's gain, offset and exposure are known; of several, one table each and a joint one,
     by name: {colon: out/colon, stomach: out/stomach}; <set> in any path of this file is then the name"""
     split: Literal["train", "validation", "test"] = "test"
@@ -289,6 +289,9 @@ class EvaluationData(Section):
         if wanted and self.training is None:
             text = f"{wanted[0]} PSFs are those of the training data set; name its folder in data.training"
             raise refusal(text)
+        if not self.test:
+            text = f"got {self.test!r}, expected the folder of a data set, or several by name: {{colon: out/colon}}"
+            raise refusal(text, "test")
         _refuse_folder_names(() if isinstance(self.test, str) else self.test, "test")
         return self
 
@@ -299,13 +302,13 @@ class MethodConfig(Section):
     name: str = Field(min_length=1)
     """in tables and figures"""
     checkpoints: list[str] | None = None
-    """files, one per seed"""
-    classical: Literal["cls", "admm", "pnp"] | None = None
+    """files, one per seed, or names of shipped ones"""
+    classical: Classical | None = None
     """instead of checkpoints"""
     tuned: str | None = None
     """what `flatlight tune` wrote; parameters of the nearest noise level"""
     parameters: dict[str, Any] | None = None
-    """instead of tuned; {} takes the defaults"""
+    """instead of tuned; {} takes the defaults. The denoiser of pnp is a file, or denoiser, the shipped one"""
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -384,11 +387,17 @@ class EvaluateConfig(FileSection):
 
     def _alone(self, name: str, test: str) -> EvaluateConfig:
         def named(value: Any) -> Any:
-            return [named(one) for one in value] if isinstance(value, list) else value and value.replace(_SET, name)
+            if isinstance(value, dict):
+                return {key: named(one) for key, one in value.items()}
+            if isinstance(value, list):
+                return [named(one) for one in value]
+            return value.replace(_SET, name) if isinstance(value, str) else value
 
         paths = {key: named(getattr(self.data, key)) for key in ("training", "stack", "compare_stacks")}
         methods = [
-            method.model_copy(update={key: named(getattr(method, key)) for key in ("checkpoints", "tuned")})
+            method.model_copy(
+                update={key: named(getattr(method, key)) for key in ("checkpoints", "tuned", "parameters")}
+            )
             for method in self.methods
         ]
         data = self.data.model_copy(update=paths | {"test": named(test)})
@@ -442,7 +451,7 @@ class TuneData(Section):
         if self.scenes < FEWEST_SCENES and not self.allow_few_scenes:
             text = (
                 f"got {self.scenes}, expected at least {FEWEST_SCENES}: what is tuned on fewer fits these and no others; "
-                "allow_few_scenes: true lets it be, and says so in the result"
+                "allow_few_scenes: true permits it, and the result says so"
             )
             raise refusal(text, "scenes")
         return self
@@ -466,11 +475,11 @@ class TuneConfig(FileSection):
     """result with all trials; a run that stopped goes on from there"""
     data: TuneData
     """scenes"""
-    methods: list[Literal["cls", "admm", "pnp"]] = Field(default_factory=lambda: ["cls", "admm"], min_length=1)
+    methods: list[Classical] = Field(default_factory=lambda: ["cls", "admm"], min_length=1)
     """classical methods"""
-    noise_db: list[Annotated[float, Range(0.1, 120, "dB")] | Literal["stored"]] = Field(
-        default_factory=lambda: [20.0, 30.0, 40.0, 50.0], min_length=1
-    )
+    denoiser: str = "denoiser"
+    """prior of pnp: a file of `flatlight train-denoiser`, or denoiser, the shipped one"""
+    noise_db: list[Decibels | Literal["stored"]] = Field(default_factory=lambda: [20.0, 30.0, 40.0, 50.0], min_length=1)
     """PSNR of the measurements, decibels, each tuned by itself; stored takes them with the noise that they have"""
     objective: Literal["both", "image", "depth"] = "both"
     """minimised error, in units of the constant guess's: depth (RMSE), image (by PSNR), or their sum"""
@@ -482,11 +491,17 @@ class TuneConfig(FileSection):
     """auto takes a GPU where there is one"""
 
     @model_validator(mode="after")
-    def _check_search(self) -> TuneConfig:
+    def _check_methods(self) -> TuneConfig:
+        if self.denoiser != "denoiser" and "pnp" not in self.methods:
+            text = f"only pnp has one; methods: {', '.join(self.methods)}"
+            raise refusal(text, "denoiser", on_key=True)
         for name in self.search:
             if name not in self.methods:
                 text = f"{name!r} is not tuned here; methods: {', '.join(self.methods)}"
                 raise refusal(text, "search", name, on_key=True)
+            if "denoiser" in self.search[name]:
+                text = "a denoiser is not searched: name one in denoiser, tune for each, and compare the results"
+                raise refusal(text, "search", name, "denoiser", on_key=True)
         return self
 
 
@@ -522,9 +537,6 @@ class WarmStart(Section):
     """steps between validations, by which the best one is chosen"""
 
 
-Classical = Literal["cls", "admm", "pnp"]
-
-
 class SwapConfig(FileSection):
     """Masks judged by what is reconstructed: one camera, the same scenes and light, the same methods."""
 
@@ -557,8 +569,20 @@ class SwapConfig(FileSection):
     """auto takes CUDA where there is some"""
 
     @model_validator(mode="after")
-    def _something_to_do(self) -> Self:
+    def _sense(self) -> Self:
         _refuse_folder_names(self.masks, "masks")
+        for key in ("settings", "test_settings"):
+            for at, text in enumerate(getattr(self, key)):
+                if (name := text.partition("=")[0].strip()) == "camera.mask" or name.split(".")[0] in (
+                    "dataset",
+                    "scene",
+                ):
+                    text = f"got {name}, which masks and scenes decide; leave it out"
+                    raise refusal(text, key, at)
+        for key in ("tuned", "untuned", "noise_db"):
+            if len(set(values := getattr(self, key))) < len(values):
+                text = f"got {', '.join(map(str, values))}, expected each of them once"
+                raise refusal(text, key)
         if self.network is None and not self.tuned + self.untuned:
             text = "nothing reconstructs: give network, or a classical method in tuned or untuned"
             raise refusal(text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -16,6 +16,11 @@ from torch import Tensor
 from learning.camera import CaptureModel
 from simulator.errors import InputError
 from simulator.text import show
+
+Progress = Callable[[str, int, int], None]
+"""Called with a stage, what is done and how much there is in all."""
+Say = Callable[[str], None]
+"""Called with lines for a person."""
 
 
 def linear_to_srgb(radiance: Tensor, white: float, *, clip: bool = True) -> Tensor:

@@ -8,15 +8,16 @@ where they stopped: adding a mask leaves the others as they are.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import torch
+import numpy as np
 
 from learning.camera import capture_model, measure_reference_white
-from learning.checkpoint import Checkpoint, find_checkpoint, load_checkpoint, save_checkpoint, transfer
+from learning.checkpoint import Checkpoint, find_checkpoint, load_checkpoint, save_checkpoint
 from learning.config import (
     FEWEST_SCENES,
     DataConfig,
@@ -31,32 +32,30 @@ from learning.config import (
     TuneData,
     WarmStart,
 )
-from learning.evaluate.job import evaluate
+from learning.evaluate.job import CACHE, evaluate, find_perceptual
 from learning.evaluate.methods import check_learned
 from learning.evaluate.outcome import SCORES, Outcome
-from learning.evaluate.paired import COMPARED, compare
-from learning.evaluate.report import Evaluation
+from learning.evaluate.paired import COMPARED, EXPLAINED, compare
+from learning.evaluate.report import OWN_FILES, Evaluation, is_claimed
 from learning.evaluate.tables import markdown, markdown_differences, markdown_verdicts
-from learning.models import build_network
+from learning.method import Progress, Say, choose_device
 from learning.resume import BEST
 from learning.train import train
 from learning.tune.job import tune_file
+from simulator.assembly import Assembly
 from simulator.camera.noise import PhysicalNoise
-from simulator.config import Config, load_config
+from simulator.config import Config, ConfigError, load_config
 from simulator.dataset import generate, open_dataset
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 from simulator.io.files import storage_errors, write_atomic
 from simulator.plots.comparison import COLUMNS, Candidate, cameras_in_words, measure
 from simulator.plots.comparison_page import comparison_html
-from simulator.text import share
+from simulator.text import dotted, key_path, share
 
 REPORT, PAGE = "report.md", "psfs.html"
 _DATA, _TEST, _TUNED, _NETWORK = "data", "test", "tuned.json", "network"
 _SWAPPED, _EVALUATION = "swapped.safetensors", "evaluation"
-
-Progress = Callable[[str, int, int], None]
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -71,33 +70,43 @@ class Swapped:
 def swap_masks(config: SwapConfig, *, progress: Progress = lambda *_: None, say: Say = lambda _: None) -> Swapped:
     """Do all that a file asks, or what is missing of it, and write the report.
 
-    ``progress`` is called with a stage, what is done and how much there is in all; ``say`` with lines for a person.
-
     Raises:
         InputError: a mistake in the file, its configuration, scenes or checkpoint, or a folder that holds something else.
         StorageError: the disk is full or protected; the same call goes on from there.
     """
     folder = config.resolve_path(config.output)
     # Mistakes come out before the work that they would spoil.
+    find_perceptual(config.perceptual, choose_device(config.device))
+    for name in config.masks:
+        if name in (REPORT, PAGE, _EVALUATION, CACHE, *OWN_FILES):
+            raise InputError(f"masks.{name}", f"{name} is a file or folder of the result; take another name")
     unseen = _check_scenes(config)
     cameras = {name: _cameras(config, name, folder / name) for name in config.masks}
     known = None
     if config.network is not None:
-        path = _checkpoint(config, config.network)
+        path = find_checkpoint(config.network.init_from, "network.init_from", config.resolve_path)
         known = load_checkpoint(path)
         check_learned("network.init_from", path, known.record, unseen)
+    judged = _evaluation(config, known, folder)
+    is_claimed(folder / _EVALUATION, config.name)
+    for name, both in cameras.items():
+        with _mask_named(name):
+            _check_camera(*both)
     merits: dict[str, Candidate] = {}
+    for name, (learned, _) in cameras.items():
+        with _mask_named(name):
+            merits[name] = measure(name, learned, progress=progress)
     for name, (learned, test) in cameras.items():
-        merits[name] = measure(name, learned, progress=progress)
         tell, speak = partial(_tell, progress, name), partial(_speak, say, name)
         _generate(learned, tell)
         _generate(test, partial(_tell, progress, f"{name}, test"))  # stages of its own: rates are per stage
-        _tune(config, folder / name, tell, speak)
+        if config.tuned:
+            tune_file(_tuning(config, folder / name), progress=tell, say=speak)
         if known is not None and config.network is not None:
             _swap(known, folder / name)
             if config.network.steps:
                 train(_training(config, config.network, known, folder / name), show=tell, say=speak)
-    evaluation, _ = evaluate(_evaluation(config, known, folder), progress=progress, say=say)
+    evaluation, _ = evaluate(judged, progress=progress, say=say)
     before = "" if known is None else _before(known)
     return _write(folder, evaluation, merits, _light(next(iter(cameras.values()))[0]), before)
 
@@ -133,11 +142,44 @@ def _check_scenes(config: SwapConfig) -> Dataset:
     return found["test"]
 
 
+@contextmanager
+def _mask_named(name: str) -> Iterator[None]:
+    """Name a mask by its key in the file where it is refused as a configuration's."""
+    try:
+        yield
+    except InputError as error:
+        faults = [(each.path, each.text) for each in error.problems] if isinstance(error, ConfigError) else []
+        for path, reason in [*faults, (key_path(error.path), error.reason)]:
+            if path[:2] == ("camera", "mask"):
+                raise InputError(dotted(("masks", name, *path[2:])), reason) from error
+        raise
+
+
+def _check_camera(learned: Config, test: Config) -> None:
+    """Refuse a test by another camera than that of training: other pixels, or depths beyond its own; and other scenes."""
+    ours, theirs = Assembly(learned), Assembly(test)
+    ends = [1 / np.array([each.depths_m[0], each.depths_m[-1]]) for each in (ours, theirs)]
+    slack = 1e-3 * abs(float(ends[0] @ [1, -1]))  # of depths that were written with few digits
+    sizes = [
+        f"{each.config.camera.sensor.shape} pixels of {each.pixel_pitch_m * 1e6:.4g} um" for each in (ours, theirs)
+    ]
+    if sizes[0] != sizes[1]:
+        raise InputError("test_settings", f"got {sizes[1]}, expected those of training: {sizes[0]}")
+    if len(ours.depths_m) > 1 and (ends[1][0] > ends[0][0] + slack or ends[1][1] < ends[0][1] - slack):
+        depths = [f"{each.depths_m[0]:g} to {each.depths_m[-1]:g} m" for each in (ours, theirs)]
+        raise InputError(
+            "test_settings", f"got depths of {depths[1]}, expected some within those of training, {depths[0]}"
+        )
+    for each in (ours, theirs):
+        _ = each.source  # refuses scenes that this camera cannot see
+
+
 def _cameras(config: SwapConfig, name: str, folder: Path) -> tuple[Config, Config]:
     """Return the configurations of a mask's data sets: for training and tuning, and for the test."""
     path = config.resolve_path(config.config)
     shared = [f"camera.mask={json.dumps(config.masks[name])}", *config.settings, "psf.as_captured=null"]
-    scene = load_config(path, shared).scene
+    with _mask_named(name):
+        scene = load_config(path, shared).scene
     again: dict[str, object] = {"source": "samples", "size": list(scene.size)}
     if scene.has_margin:
         again |= {"margin": scene.margin, "margin_deg": scene.margin_deg, "surroundings": "own"}
@@ -156,48 +198,35 @@ def _cameras(config: SwapConfig, name: str, folder: Path) -> tuple[Config, Confi
     )
 
 
-def _checkpoint(config: SwapConfig, network: WarmStart) -> Path:
-    path = config.resolve_path(network.init_from)
-    return path if path.is_file() else find_checkpoint(network.init_from)
-
-
-def _tune(config: SwapConfig, folder: Path, progress: Progress, say: Say) -> None:
-    if config.tuned:
-        scenes = min(FEWEST_SCENES, config.scenes.validation_scenes)
-        data = TuneData(validation=folder / _DATA, scenes=scenes, allow_few_scenes=scenes < FEWEST_SCENES)
-        tuning = TuneConfig(
-            output=folder / _TUNED,
-            data=data,
-            methods=config.tuned,
-            noise_db=["stored", *config.noise_db],
-            seed=config.seed,
-            device=config.device,
-        )
-        tune_file(tuning, progress=progress, say=say)
+def _tuning(config: SwapConfig, folder: Path) -> TuneConfig:
+    scenes = min(FEWEST_SCENES, config.scenes.validation_scenes)
+    return TuneConfig(
+        output=folder / _TUNED,
+        data=TuneData(validation=folder / _DATA, scenes=scenes, allow_few_scenes=scenes < FEWEST_SCENES),
+        methods=config.tuned,
+        noise_db=["stored", *config.noise_db],
+        seed=config.seed,
+        device=config.device,
+    )
 
 
 def _swap(known: Checkpoint, folder: Path) -> None:
     """Write the network as it is with the PSFs of a mask."""
     scenes = open_dataset(folder / _DATA, "train")
     capture = capture_model(scenes, white=measure_reference_white(scenes))
-    name, *_ = kind = known.architecture["network"], known.architecture["size"]
-    changes = {key: value for key, value in known.architecture.items() if key not in ("network", "size")}
-    with torch.random.fork_rng(devices=[]):
-        network = build_network(capture, *kind, **changes)
-    transfer(network, known)
-    record = known.record | {"name": f"{name} with other PSFs"}
+    record = known.record | {"name": f"{known.architecture['network']} with other PSFs"}
+    network = known.for_camera(capture)
     save_checkpoint(folder / _SWAPPED, network, architecture=known.architecture, capture=capture, record=record)
 
 
 def _training(config: SwapConfig, network: WarmStart, known: Checkpoint, folder: Path) -> TrainConfig:
-    kind = {"name" if key == "network" else key: value for key, value in known.architecture.items()}
     return TrainConfig(
         name=folder.name,
         output=str(folder / _NETWORK),
         seed=config.seed,
         data=DataConfig(train=str(folder / _DATA), stack="nominal", augment=network.augment),
-        network=NetworkConfig(**kind),
-        init_from=str(_checkpoint(config, network)),
+        network=NetworkConfig(**known.named),
+        init_from=str(known.path),
         loss=network.loss,
         optimiser=network.optimiser,
         steps=network.steps,
@@ -280,7 +309,7 @@ def _table(evaluation: Evaluation, merits: Mapping[str, Candidate]) -> list[list
                 table.append(row(f"{title}{case}: {method.name}", [outcomes[at] for outcomes in cases]))
         answers = ([one for one in found.naive if score in one.scores] for found in sets.values())
         best = [sorted(each, key=lambda one: one.scores[score].mean)[-1 if more else 0] for each in answers]
-        table.append(row(f"{title}: without looking", best))
+        table.append(row(f"{title}: naive baseline", best))
     return table
 
 
@@ -302,12 +331,7 @@ def _write(folder: Path, evaluation: Evaluation, merits: Mapping[str, Candidate]
             method.name: compare(first, [replace(each.main[at], method=mask) for mask, each in sets.items()], seed)
             for at, method in enumerate(evaluation.config.methods)
         }
-        words = (
-            "One mask's score less another's, of the same method on the same scene: the mean over scenes, and its 95 % "
-            "interval (bootstrap over scenes). ▲ the first one is better, the interval clear of zero; ▼ the second one; ○ "
-            "neither."
-        )
-        parts += ["## Paired differences", words, markdown_verdicts(differences)]
+        parts += ["## Paired differences", f"Of masks, by the same method. {EXPLAINED}", markdown_verdicts(differences)]
         parts += [markdown_differences(score, differences) for score in COMPARED]
     with storage_errors(folder):
         write_atomic(folder / PAGE, comparison_html(candidates).encode())

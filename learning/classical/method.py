@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
+from learning.checkpoint import find_denoiser, load_denoiser
 from learning.classical.admm import Admm
 from learning.classical.focus import COSTS, LIGHT, MEASURES, assemble, unary_cost
 from learning.classical.graph_cut import cut_labels
@@ -159,6 +160,14 @@ _VOLUMES: dict[str, tuple[Callable[..., nn.Module], str, str]] = {
 }
 
 
+def _volume_method(capture: CaptureModel, name: str, parameters: Mapping[str, Any]) -> nn.Module:
+    """Return what makes volumes; a denoiser is named by its file, or as the shipped one."""
+    ready = dict(parameters)
+    if "denoiser" in ready:
+        ready["denoiser"], _ = load_denoiser(find_denoiser(ready["denoiser"]))
+    return _VOLUMES[name][0](capture, **ready)
+
+
 def check_parameters(
     given: Mapping[str, Any], known: Mapping[str, Value], of: str, argument: str = "parameters"
 ) -> None:
@@ -279,10 +288,10 @@ def build_classical(capture: CaptureModel, name: str, parameters: Mapping[str, V
     check_choices(("name", name, _VOLUMES))
     check_parameters(parameters or {}, DEFAULTS[name], name)
     merged = DEFAULTS[name] | dict(parameters or {})
-    build, label, stage = _VOLUMES[name]
-    of_volume: dict[str, Any] = {key: merged.pop(key) for key in VOLUME_PARAMETERS[name]}
+    _, label, stage = _VOLUMES[name]
+    of_volume = {key: merged.pop(key) for key in VOLUME_PARAMETERS[name]}
     of_depth: dict[str, Any] = merged
-    return ClassicalMethod(label, capture, build(capture, **of_volume), stage=stage, **of_depth)
+    return ClassicalMethod(label, capture, _volume_method(capture, name, of_volume), stage=stage, **of_depth)
 
 
 class PlanarMethod:
@@ -300,8 +309,8 @@ class PlanarMethod:
         check_parameters(parameters, PLANAR_DEFAULTS[name], f"{name} for one plane", "--set")
         self.name, self.capture = name, capture
         self.parameters = PLANAR_DEFAULTS[name] | dict(parameters)
-        build, _, self.stage = _VOLUMES[name]
-        self._inversion = build(capture, **self.parameters)
+        _, _, self.stage = _VOLUMES[name]
+        self._inversion = _volume_method(capture, name, self.parameters)
 
     def to(self, device: torch.device | str) -> Self:
         """Move what makes images to a device, and return this."""

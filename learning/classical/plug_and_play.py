@@ -20,7 +20,6 @@ import torch
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.checkpoint import find_denoiser, load_denoiser
 from learning.classical.admm import Admm, Leave
 from learning.layers.noise import noise_level
 from simulator.errors import InputError
@@ -41,7 +40,7 @@ class PlugAndPlay(Admm):
         self,
         capture: CaptureModel,
         *,
-        denoiser: str | PlaneDenoiser,
+        denoiser: PlaneDenoiser,
         prior: float,
         noise_first: float,
         noise_last: float,
@@ -50,11 +49,11 @@ class PlugAndPlay(Admm):
         image_weight: float = 0.5,
         dtype: torch.dtype = torch.float32,
     ) -> None:
-        """Prepare the spectra and read the denoiser.
+        """Prepare the spectra.
 
         Args:
             capture: the camera.
-            denoiser: file of `flatlight train-denoiser`, ``denoiser`` for the shipped one, or one that is ready.
+            denoiser: the prior; see `learning.checkpoint.load_denoiser`.
             prior: weight of the prior against half the squared misfit over the noise's variance.
             noise_first: standard deviation of what the first step takes away, as a multiple of the measurement's noise.
             noise_last: of the last step.
@@ -64,7 +63,7 @@ class PlugAndPlay(Admm):
             dtype: float32 or float64.
 
         Raises:
-            InputError: no such denoiser, or numbers that are not positive.
+            InputError: numbers that are not positive.
         """
         for name, value in (("prior", prior), ("noise_first", noise_first), ("noise_last", noise_last)):
             if not 0 < value < np.inf:
@@ -73,11 +72,7 @@ class PlugAndPlay(Admm):
         super().__init__(
             capture, tv=0.0, sparsity=0.0, iterations=iterations, light=light, weights=weights, dtype=dtype
         )
-        if isinstance(denoiser, str):
-            denoiser, _ = load_denoiser(find_denoiser(denoiser))
-        if isinstance(denoiser, nn.Module):
-            denoiser = denoiser.to(dtype)
-        self.denoiser = denoiser
+        self.denoiser = denoiser.to(dtype) if isinstance(denoiser, nn.Module) else denoiser
         self.noise = np.geomspace(noise_first, noise_last, iterations).tolist()
         self._prior = prior
 

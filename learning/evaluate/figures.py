@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _DPI = 120
-# Told apart by colour-blind eyes too (Okabe and Ito, 2008); grey is for answers that look at nothing.
+# Told apart by colour-blind eyes too (Okabe and Ito, 2008); grey is for naive baselines.
 _COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _GOLDEN = (5**0.5 - 1) / 2  # steps of it round the circle of hues never meet again
 _BEHIND = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.5}  # words, lest lines run through them

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,26 +15,22 @@ from learning.data import check_dataset
 from learning.evaluate.figures import Shown
 from learning.evaluate.methods import Entry, LearnedEntry, read_methods, says_scenes
 from learning.evaluate.outcome import Outcome, first_scenes, outcome
-from learning.evaluate.report import Evaluation, Findings, claim_folder, write_results
+from learning.evaluate.report import OWN_FILES, Evaluation, Findings, claim_folder, is_claimed, write_results
 from learning.evaluate.runs import Cameras, ResultCache, Run, Runner
 from learning.evaluate.scoring import Criteria, Times, naive_baselines, score, take_times
-from learning.method import choose_device, describe_device, linear_to_srgb
+from learning.method import Progress, Say, choose_device, describe_device, linear_to_srgb
 from learning.perceptual import LpipsDistance, available_lpips
 from simulator.dataset.reader import Dataset, open_dataset
-from simulator.io.files import storage_errors
+from simulator.errors import InputError
 
 CACHE = "cache"
 _BINS, _TIMED_SCENES = 8, 8
 
-Progress = Callable[[str, int, int], None]
-
 
 def evaluate(
-    config: EvaluateConfig, *, progress: Progress = lambda *_: None, say: Callable[[str], None] = lambda _: None
+    config: EvaluateConfig, *, progress: Progress = lambda *_: None, say: Say = lambda _: None
 ) -> tuple[Evaluation, list[Path]]:
     """Evaluate as a file says, write results, tables and figures to its folder, and return findings and files, report first.
-
-    ``progress`` is called with a stage, what is done and how much there is in all; ``say`` with lines for a person.
 
     Raises:
         InputError: data without scenes or depth, methods of other cameras, missing files, a non-finite estimate, scenes
@@ -45,16 +41,19 @@ def evaluate(
     device = choose_device(config.device)
     if config.threads is not None:
         torch.set_num_threads(config.threads)
-    opened = {name: _open(alone) for name, alone in config.sets.items()}
-    claim_folder(folder, config.name)
-    with storage_errors(folder):
-        cache = ResultCache(folder / CACHE)
-    lpips, perceptual = _perceptual(config.perceptual, device)
-    say(perceptual)
     # What does not fit is said of all data sets now, not after hours of work.
+    for name in config.sets:
+        if name in (CACHE, *OWN_FILES):
+            raise InputError(f"data.test.{name}", f"{name} is a file or folder of each evaluation; take another name")
+    opened = {name: _open(alone) for name, alone in config.sets.items()}
+    is_claimed(folder, config.name)
+    lpips, perceptual = find_perceptual(config.perceptual, device)
+    cache = ResultCache(folder / CACHE)
     trials = {
         name: Trial(alone, *opened[name], cache, device=device, lpips=lpips) for name, alone in config.sets.items()
     }
+    claim_folder(folder, config.name)
+    say(perceptual)
     findings: dict[str, Findings] = {}
     for name, trial in trials.items():
         whose = f"{name}: " if name else ""
@@ -140,7 +139,8 @@ class Trial:
         )
 
 
-def _perceptual(wanted: str, device: torch.device) -> tuple[LpipsDistance | None, str]:
+def find_perceptual(wanted: str, device: torch.device) -> tuple[LpipsDistance | None, str]:
+    """Return LPIPS, or None, and words about it; an InputError says which of its files are missing where it must be."""
     if wanted == "none":
         return None, "no LPIPS: it was not asked for"
     if wanted == "lpips":

@@ -1,6 +1,6 @@
 """The methods that take part, each once per seed: what decides them, how they are built for a camera.
 
-Train-test leakage: scenes that decide must be new to every method; what saw them before is refused.
+Train-test leakage: test scenes must be new to every method; what saw them before is refused.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Any
 import torch
 
 from learning.camera import CaptureModel
-from learning.checkpoint import find_denoiser, load_checkpoint, load_denoiser
+from learning.checkpoint import find_checkpoint, find_denoiser, load_checkpoint, load_denoiser
 from learning.classical.method import DEFAULTS, build_classical
 from learning.config import EvaluateConfig, MethodConfig
 from learning.evaluate.outcome import Kind
 from learning.method import Method
-from learning.models.flatnet import LearnedMethod
+from learning.models.flatnet import SIZES, LearnedMethod
 from learning.provenance import scenes_of
 from learning.tune.study import load_tuned
 from simulator.dataset.reader import Dataset
@@ -49,7 +49,10 @@ class LearnedEntry:
 
     def note(self, noise_db: float) -> str:
         """Return what a reader should know of it at a level of noise: the architecture in words."""
-        return ", ".join(str(self.architecture[name]) for name in ("network", "size") if name in self.architecture)
+        known = {"network": "", "size": "", **self.architecture}
+        name, size = known.pop("network"), known.pop("size")
+        changes = (f"{key} {value}" for key, value in known.items() if SIZES.get(size, {}).get(key) != value)
+        return ", ".join(filter(None, [name, size, *changes]))
 
     def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
         """Return the network, ready on a device, for a camera; an InputError says that it does not fit."""
@@ -62,7 +65,10 @@ class LearnedEntry:
 
 @dataclass(frozen=True, eq=False)
 class ClassicalEntry:
-    """A classical method, with parameters that may depend on the noise; it is told of its camera."""
+    """A classical method, with parameters that may depend on the noise; it is told of its camera.
+
+    ``tuned`` is the file of its parameters, ``parameters`` are given ones; a denoiser's file among them is an absolute path.
+    """
 
     name: str
     algorithm: str
@@ -72,19 +78,24 @@ class ClassicalEntry:
     kind: Kind = "classical"
 
     @property
-    def denoiser(self) -> Path | None:
-        """The file of the denoiser that it trusts, where it has one; levels of noise share it."""
-        name = self._chosen(0.0)[0].get("denoiser")
-        return None if name is None else find_denoiser(str(name))
+    def denoisers(self) -> list[Path]:
+        """The files of the denoisers that it trusts at any level of noise; empty where it has none."""
+        levels = [0.0] if self.tuned is None else load_tuned(self.tuned).levels_db(self.algorithm)
+        named = [self._chosen(level)[0].get("denoiser") for level in levels]
+        return [find_denoiser(text, self.name) for text in dict.fromkeys(named) if text is not None]
 
     def identity(self, noise_db: float) -> dict[str, Any]:
-        """Return algorithm and parameters, and the hash of a denoiser's file."""
-        learned = {} if self.denoiser is None else {"denoiser": sha256_file(self.denoiser)}
-        return {"classical": self.algorithm, "parameters": self._chosen(noise_db)[0], **learned}
+        """Return algorithm and parameters; of a denoiser its file's hash, wherever it lies."""
+        parameters, _ = self._chosen(noise_db)
+        if "denoiser" in parameters:
+            parameters["denoiser"] = sha256_file(find_denoiser(parameters["denoiser"], self.name))
+        return {"classical": self.algorithm, "parameters": parameters}
 
     def note(self, noise_db: float) -> str:
         """Return the parameters and where they come from."""
         parameters, level = self._chosen(noise_db)
+        if "denoiser" in parameters:
+            parameters["denoiser"] = Path(parameters["denoiser"]).name
         shown = {name: f"{value:.4g}" if isinstance(value, float) else value for name, value in parameters.items()}
         words = ", ".join(f"{name} {value}" for name, value in shown.items())
         return f"{words or 'defaults'} ({'as given' if level is None else f'tuned at {level:g} dB'})"
@@ -94,8 +105,11 @@ class ClassicalEntry:
         return self._chosen(noise_db)[1]
 
     def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
-        """Return the method for a camera."""
-        method = build_classical(capture, self.algorithm, self._chosen(noise_db)[0]).to(device)
+        """Return the method for a camera; an InputError names it, and the file of parameters that it refuses."""
+        try:
+            method = build_classical(capture, self.algorithm, self._chosen(noise_db)[0]).to(device)
+        except InputError as error:
+            raise InputError(self.name, f"{self.tuned}: {error}" if self.tuned else str(error)) from error
         method.name = self.name
         return method
 
@@ -125,12 +139,16 @@ def _read_method(config: EvaluateConfig, method: MethodConfig, test: Dataset) ->
         tuned = None if method.tuned is None else config.resolve_path(method.tuned)
         if tuned is not None:
             check_tuned(method.name, tuned, test)
-        entry = ClassicalEntry(method.name, method.classical, tuned, method.parameters)
-        if entry.denoiser is not None:
-            check_learned(method.name, entry.denoiser, load_denoiser(entry.denoiser)[1], test)
+        parameters = dict(method.parameters or {})
+        if "denoiser" in parameters:
+            parameters["denoiser"] = str(find_denoiser(str(parameters["denoiser"]), method.name, config.resolve_path))
+        entry = ClassicalEntry(method.name, method.classical, tuned, parameters)
+        for path in entry.denoisers:
+            check_learned(method.name, path, load_denoiser(path)[1], test)
         return [entry]
     entries: list[Entry] = []
-    for path in map(config.resolve_path, method.checkpoints or ()):
+    for text in method.checkpoints or ():
+        path = find_checkpoint(text, method.name, config.resolve_path)
         one = load_checkpoint(path)
         check_learned(method.name, path, one.record, test)
         entries.append(LearnedEntry(method.name, path, sha256_file(path), one.capture, one.architecture, one.record))
@@ -163,7 +181,7 @@ def says_scenes(entry: Entry) -> bool:
     """Return whether it is on record which scenes a method has seen; earlier versions of Flatlight kept data sets only."""
     if isinstance(entry, LearnedEntry):
         return _all_say_scenes(entry.record)
-    learned = entry.denoiser is None or _all_say_scenes(load_denoiser(entry.denoiser)[1])
+    learned = all(_all_say_scenes(load_denoiser(path)[1]) for path in entry.denoisers)
     return learned and (entry.tuned is None or "scenes" in load_tuned(entry.tuned).content["identity"])
 
 
@@ -180,9 +198,7 @@ def _refuse_known(test: Dataset, known: Any, fingerprint: Any, split: Any, name:
         shared = [f"data set {test.fingerprint[:12]}"] if (fingerprint, split) == (test.fingerprint, test.split) else []
     if shared:
         which = shared[0] + (f" and {len(shared) - 1} more" if shared[1:] else "")
-        scenes = (
-            f"scenes that decide here, split {test.split!r} of {test.root}, through this camera or another ({which})"
-        )
+        scenes = f"test scenes, split {test.split!r} of {test.root}, through this camera or another ({which})"
         raise InputError(name, f"{words} {scenes}; evaluate on another split, or on scenes of another seed")
 
 

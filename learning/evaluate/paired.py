@@ -11,13 +11,21 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import bootstrap
 
 from learning.evaluate.outcome import SCORES, Outcome
 
 COMPARED = ("psnr", "ssim", "flip", "depth_rmse_cm")
 """The scores that are compared."""
 CONFIDENCE, RESAMPLES = 0.95, 10_000
+_TOGETHER = 1000  # resamples in memory
+EXPLAINED = (
+    "The first one's score minus the second one's on the same scene, the mean over scenes (of several seeds the mean of each "
+    f"scene), and the interval that holds it with 95 % confidence: percentiles of {RESAMPLES} means of scenes that are drawn "
+    "anew with replacement. Of few scenes it is too narrow, by 6 % for 30, by 22 % for 8. It tells how far other scenes of "
+    "the kind might change the mean, not other seeds: these stand singly. ▲ the first one is better and the interval clear "
+    "of zero, ▼ the second one, ○ neither."
+)
+"""How a table of differences is read."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +91,8 @@ def mean_interval(values: NDArray[np.float64], seed: int) -> tuple[float, float]
     """
     if len(values) < 2:
         return None
-    drawn: Any = {"n_resamples": RESAMPLES, "rng": np.random.default_rng(seed), "batch": 1000}
-    found = bootstrap((values,), np.mean, confidence_level=CONFIDENCE, method="percentile", **drawn)
-    low, high = found.confidence_interval
+    rng, count = np.random.default_rng(seed), len(values)
+    drawn = (values[rng.integers(0, count, (_TOGETHER, count))] for _ in range(RESAMPLES // _TOGETHER))
+    means = np.concatenate([resamples.mean(axis=1) for resamples in drawn])
+    low, high = np.percentile(means, [50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)])
     return float(low), float(high)

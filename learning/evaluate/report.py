@@ -21,7 +21,7 @@ from learning.evaluate.figures import (
     times_png,
 )
 from learning.evaluate.outcome import SCORES, Outcome
-from learning.evaluate.paired import COMPARED, RESAMPLES, Difference, compare
+from learning.evaluate.paired import COMPARED, EXPLAINED, Difference, compare
 from learning.evaluate.scoring import Times
 from learning.evaluate.tables import (
     TUNED_ELSEWHERE,
@@ -48,21 +48,16 @@ DESCRIPTION = "evaluation.json"
 RESULTS, TABLE, PAIRED, REPORT = "results.json", "table.csv", "paired.csv", "report.md"
 MONTAGE, NOISE, DEPTH, STACKS, TIMES = "montage.png", "noise.png", "depth.png", "stacks.png", "times.png"
 _OWN = (REPORT, TABLE, PAIRED, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES)
+OWN_FILES = (DESCRIPTION, *_OWN)
+"""Names that no data set may have: the folder of its figures lies beside these files."""
 _FORMAT = "flatlight evaluation"
 _PACKAGES = ("torch", "numpy", "scikit-image", "flip-evaluator", "lpips", "ortools")
 _WHISKERS = "Whiskers are the standard deviation over seeds."
 _TUNED_ELSEWHERE = f"{TUNED_ELSEWHERE} with parameters that were tuned at another level, see below."
-_PAIRED = (
-    "The first one's score minus the second one's on the same scene, the mean over scenes (of several seeds the mean of each "
-    f"scene), and the interval that holds it with 95 % confidence: percentiles of {RESAMPLES} means of scenes that are drawn "
-    "anew with replacement. Of few scenes it is too narrow, by 6 % for 30, by 22 % for 8. It tells how far other scenes of "
-    "the kind might change the mean, not other seeds: these stand singly. ▲ the first one is better and the interval clear "
-    "of zero, ▼ the second one, ○ neither."
-)
 
 
-def claim_folder(folder: Path, name: str) -> None:
-    """See that a folder is new, empty, or of the evaluation of this name; make it and say whose it is."""
+def is_claimed(folder: Path, name: str) -> bool:
+    """Return whether a folder is of the evaluation of this name; an InputError refuses what is of another, or not empty."""
     path = folder / DESCRIPTION
     if is_own_folder(folder, DESCRIPTION, "evaluation"):
         content = read_description(path, "evaluation")
@@ -72,10 +67,16 @@ def claim_folder(folder: Path, name: str) -> None:
         if known != name:
             found = f"{folder} holds the evaluation {known!r}, not {name!r}"
             raise InputError("output", f"{found}; choose another folder, or keep its name")
-        return
-    with storage_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, readable_json({"format": _FORMAT, "name": name}))
+        return True
+    return False
+
+
+def claim_folder(folder: Path, name: str) -> None:
+    """See that a folder is new, empty, or of the evaluation of this name; make it and say whose it is."""
+    if not is_claimed(folder, name):
+        with storage_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        write_atomic(folder / DESCRIPTION, readable_json({"format": _FORMAT, "name": name}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +89,7 @@ class Findings:
         edges_cm: of the bins of depth.
         methods: what is known of each method and seed.
         outcomes: of all methods, PSFs and levels.
-        naive: of the answers that look at nothing; ``naive_part`` on the scenes of noise levels and of compared PSFs.
+        naive: of the naive baselines; ``naive_part`` on the scenes of noise levels and of compared PSFs.
         times: seconds per scene; empty where none were taken.
         montage: for each scene shown the truth and every method, in the order of ``columns``.
     """
@@ -138,7 +139,7 @@ class Findings:
 
     @property
     def levels(self) -> dict[str, list[Outcome]]:
-        """Every method at each further level of noise, by a title for it, with the answers that look at nothing."""
+        """Every method at each further level of noise, by a title for it, with the naive baselines."""
         levels = sorted({one.noise_db for one in self.ablation if one.noise_db is not None})
         return {
             f"{level:g} dB": [*(one for one in self.ablation if one.noise_db == level), *self.naive_part]
@@ -253,8 +254,8 @@ def how(evaluation: Evaluation) -> str:
     brackets = f", in brackets over {max(seeds)} seeds" if seeds and max(seeds) > 1 else ""
     depth = "Every method's depths are clamped to its range, and count where there is a surface."
     return (
-        f"Mean ± standard deviation over scenes{brackets}; the best of each column is bold; answers in italics look at no "
-        f"measurement. {depth} Pooled: over all pixels of all scenes; shares are those of the best constant depth's, pooled. "
+        f"Mean ± standard deviation over scenes{brackets}; the best of each column is bold; naive baselines are in "
+        f"italics. {depth} Pooled: over all pixels of all scenes; shares are those of the best constant depth's, pooled. "
         f"SSIM: {SSIM_DEFINITION}. {evaluation.perceptual[0].upper()}{evaluation.perceptual[1:]}."
     )
 
@@ -345,7 +346,7 @@ def _report(evaluation: Evaluation) -> str:
         parts += ["## All data sets", *(markdown_matrix(score, evaluation.side_by_side) for score in COMPARED)]
         parts += [how(evaluation)]
         if evaluation.differences:
-            parts += ["## Paired differences on all data sets", _PAIRED, markdown_verdicts(evaluation.differences)]
+            parts += ["## Paired differences on all data sets", EXPLAINED, markdown_verdicts(evaluation.differences)]
             parts += [markdown_differences(score, evaluation.differences) for score in COMPARED]
     for name, found in evaluation.findings.items():
         heading = "###" if several else "##"
@@ -392,7 +393,7 @@ def _sections(findings: Findings, evaluation: Evaluation, name: str, heading: st
         parts += [shown("scores against noise", NOISE), "Small dots are single seeds."]
     if findings.differences:
         tables = [markdown_differences(score, findings.differences) for score in COMPARED]
-        words = ["" if name else _PAIRED, f"At further levels: {on_part.lower()}" if findings.part < whole else ""]
+        words = ["" if name else EXPLAINED, f"At further levels: {on_part.lower()}" if findings.part < whole else ""]
         parts += [f"{heading} Paired differences", *words, markdown_verdicts(findings.differences), *tables]
     parts += [
         f"{heading} Depth error against depth",

@@ -18,14 +18,14 @@ from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.data import Example, ExampleSet, measured_psnr_db
 from learning.evaluate.methods import Entry
 from learning.evaluate.outcome import OWN
-from learning.evaluate.scoring import Criteria, Progress, checked, score
+from learning.evaluate.scoring import Criteria, ScenesDone, checked, score
 from learning.method import Method
 from learning.provenance import sample_digests
 from simulator.arrays import to_numpy
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.io.cache import code_digest
-from simulator.io.files import sha256_bytes, write_atomic
+from simulator.io.files import sha256_bytes, storage_errors, write_atomic
 from simulator.io.json import canonical_json, plain
 from simulator.optics.stack import PsfStack
 from simulator.optics.stack_files import read_psf_stack
@@ -104,8 +104,7 @@ class ResultCache:
     """Kept results below one folder, a file each, named by a hash of all that decides them; a damaged file counts as none."""
 
     def __init__(self, folder: Path) -> None:
-        """Make the folder; an OSError says that it cannot be made."""
-        folder.mkdir(parents=True, exist_ok=True)
+        """Keep them here; the folder is made when there is something to keep."""
         self.folder = folder
 
     def load(self, key: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -119,7 +118,7 @@ class ResultCache:
 
     def save(self, key: Mapping[str, Any], result: Mapping[str, Any]) -> None:
         """Keep a result, which may hold infinities; a StorageError says that it cannot be written."""
-        write_atomic(self._path(key, ".json"), json.dumps({"key": plain(key), "result": result}).encode())
+        self._write(self._path(key, ".json"), json.dumps({"key": plain(key), "result": result}).encode())
 
     def load_arrays(self, key: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
         """Return the arrays that were kept under a key, or None."""
@@ -133,7 +132,12 @@ class ResultCache:
         """Keep arrays; a StorageError says that they cannot be written."""
         stream = io.BytesIO()
         np.savez(stream, allow_pickle=False, **arrays)
-        write_atomic(self._path(key, ".npz"), stream.getvalue())
+        self._write(self._path(key, ".npz"), stream.getvalue())
+
+    def _write(self, path: Path, content: bytes) -> None:
+        with storage_errors(path):
+            self.folder.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, content)
 
     def _path(self, key: Mapping[str, Any], suffix: str) -> Path:
         return self.folder / (sha256_bytes(canonical_json(key))[:32] + suffix)
@@ -193,7 +197,7 @@ class Runner:
         """Return a run's method, ready on the device."""
         return run.entry.build(self.camera(run), self.level_db(run), self.device)
 
-    def result(self, run: Run, progress: Progress = lambda _: None) -> dict[str, Any]:
+    def result(self, run: Run, progress: ScenesDone = lambda _: None) -> dict[str, Any]:
         """Return what `score` finds, which is kept."""
         lpips = self.criteria.lpips
         key = self._key(run) | {"criteria": vars(self.criteria) | {"lpips": lpips and lpips.record()}}

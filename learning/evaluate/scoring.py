@@ -18,7 +18,7 @@ from learning.metrics import dark_mask, depth_scores, measure
 from learning.perceptual import LpipsDistance
 from simulator.errors import InputError
 
-Progress = Callable[[int], None]
+ScenesDone = Callable[[int], None]
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def score(
     *,
     device: torch.device,
     batch: int,
-    progress: Progress = lambda _: None,
+    progress: ScenesDone = lambda _: None,
 ) -> dict[str, Any]:
     """Run a method over all scenes; depth counts where something was seen. ``progress`` gets the scenes of each batch.
 

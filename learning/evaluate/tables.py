@@ -62,7 +62,7 @@ def markdown_further(outcomes: Sequence[Outcome]) -> str:
 def markdown_matrix(score: str, columns: Mapping[str, Sequence[Outcome]]) -> str:
     """Return one score of every method and seed (rows) in several cases, such as levels of noise (columns, by title).
 
-    The last row is the best of the answers that look at nothing; depths have their share of the best constant's.
+    The last row is the best naive baseline; depths have their share of the best constant's.
     """
     names: dict[str, str] = {}
     cells: dict[tuple[str, str], str] = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -14,11 +15,11 @@ from torch import Tensor
 from torch.utils.data import default_collate
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white
-from learning.checkpoint import find_denoiser
-from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, build_classical
+from learning.checkpoint import DENOISER, find_denoiser
+from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, ClassicalMethod, build_classical
 from learning.config import FEWEST_SCENES, TuneConfig
 from learning.data import Example, ExampleSet, check_dataset, measured_psnr_db
-from learning.method import Estimate, aligned, choose_device, linear_to_srgb
+from learning.method import Estimate, Progress, Say, aligned, choose_device, linear_to_srgb
 from learning.metrics import depth_scores, psnr
 from learning.provenance import sample_digests, scenes_of
 from learning.tune.search import Axis, Parameters, coordinate_search
@@ -32,7 +33,6 @@ from simulator.io.json import canonical_json
 from simulator.validation import now_called
 
 Objective = Literal["both", "image", "depth"]
-Progress = Callable[[str, int, int], None]
 
 FORMULAS = {
     "both": "image + depth",
@@ -66,7 +66,7 @@ def tune_file(
     *,
     tunables: Callable[[CaptureModel], list[Tunable]] | None = None,
     progress: Progress = lambda *_: None,
-    say: Callable[[str], None] = lambda _: None,
+    say: Say = lambda _: None,
 ) -> Path:
     """Tune as a file says, or go on where an earlier run stopped, and return the file of the result.
 
@@ -109,7 +109,7 @@ def tune_file(
         "code": code_digest(*_DECIDING),
     }
     if "pnp" in config.methods:
-        identity["denoiser"] = sha256_file(find_denoiser(str(DEFAULTS["pnp"]["denoiser"])))
+        identity["denoiser"] = sha256_file(find_denoiser(config.denoiser, resolve=config.resolve_path))
     about = {
         "config": config.dump(),
         "scenes": data.scenes,
@@ -169,8 +169,19 @@ class Tunable:
 
 
 def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torch.device) -> Tunable:
-    """Return a classical method with its own search space, changed as the file says."""
+    """Return a classical method with its own search space, changed as the file says; it takes all candidates of the file."""
     changes = config.search.get(name, {})
+    defaults, files = dict(DEFAULTS[name]), {}
+    if DENOISER in defaults:
+        path = find_denoiser(config.denoiser, resolve=config.resolve_path)
+        files = {DENOISER: str(path)}
+        if config.denoiser != DENOISER:  # as it lies from the folder of the result, never a bare name
+            own = os.path.relpath(path, config.resolve_path(config.output).parent)
+            defaults[DENOISER] = os.path.join(os.curdir, own)
+
+    def build(parameters: Parameters) -> ClassicalMethod:
+        return build_classical(capture, name, parameters | files)
+
     axes: dict[str, Axis] = {}
     for parameter in [*SEARCH[name], *(extra for extra in changes if extra not in SEARCH[name])]:
         change = changes.get(parameter)
@@ -183,13 +194,13 @@ def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torc
             low, high = low if change.low is None else change.low, high if change.high is None else change.high
         try:
             axes[parameter] = Axis(tuple(values), low, high)
+            for value in values if change is not None and parameter in defaults else ():
+                build(defaults | {parameter: value})
         except InputError as error:
             raise InputError(f"search.{name}.{parameter}", str(error)) from error
-
-    def build(parameters: Parameters) -> VolumeMethod:
-        return build_classical(capture, name, parameters).to(device)
-
-    return Tunable(name, build, dict(DEFAULTS[name]), axes, frozenset(VOLUME_PARAMETERS[name]))
+    return Tunable(
+        name, lambda parameters: build(parameters).to(device), defaults, axes, frozenset(VOLUME_PARAMETERS[name])
+    )
 
 
 def limits(parameter: str, capture: CaptureModel) -> tuple[float, float]:
@@ -210,8 +221,8 @@ class Errors:
 class Score:
     """One number for a reconstruction of some scenes: 1 (or 2, for both) is what a constant guess would get, 0 is perfect.
 
-    Image and depth weigh the same when each is counted in units of what can be had without looking at the measurement;
-    no unit of length and no range of depths decides between them. ``constant`` are the errors of the mean colour and of the
+    Image and depth weigh the same when each is counted in units of a naive baseline's error: no unit of length and no range
+    of depths decides between them. ``constant`` are the errors of the mean colour and of the
     mean depth of these scenes.
     """
 
@@ -255,7 +266,7 @@ def tune(
     study: Study,
     *,
     progress: Progress = lambda *_: None,
-    say: Callable[[str], None] = lambda _: None,
+    say: Say = lambda _: None,
 ) -> None:
     """Tune methods at noise levels and write everything to the study; what it knows is not tried again.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from learning.checkpoint import DENOISER
 from learning.tune.search import Parameters
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
@@ -28,7 +29,10 @@ class Tuned:
         return sorted(result["noise_db"] for result in self.content["results"] if result["method"] == method)
 
     def parameters(self, method: str, noise_db: float) -> tuple[Parameters, float]:
-        """Return the parameters of a method at a noise level, and the tuned level that they are of: the nearest."""
+        """Return the parameters of a method at a noise level, and the tuned level that they are of: the nearest.
+
+        A denoiser's file, which is recorded as it lies from this file's folder, is given as an absolute path.
+        """
         levels = self.levels_db(method)
         if not levels:
             known = sorted({result["method"] for result in self.content["results"]})
@@ -36,7 +40,10 @@ class Tuned:
             raise InputError(self.path, f"got the method {method!r}, expected {wanted}; run `flatlight tune` with it")
         nearest = min(levels, key=lambda level: abs(level - noise_db))
         found = (r for r in self.content["results"] if r["method"] == method and r["noise_db"] == nearest)
-        return dict(next(found)["parameters"]), nearest
+        parameters = dict(next(found)["parameters"])
+        if parameters.get("denoiser", DENOISER) != DENOISER:
+            parameters["denoiser"] = str(self.path.resolve().parent / parameters["denoiser"])
+        return parameters, nearest
 
 
 def load_tuned(path: Path | str) -> Tuned:

@@ -94,10 +94,16 @@ class LearningTrial:
         return changes | {section: values | changes.get(section, {}) for section, values in LEARNING.items()}
 
 
+@pytest.fixture(scope="session")
+def make_learning_trial(make_trial: Callable[[Path], Any]) -> Callable[[Path], LearningTrial]:
+    """Return the function that puts a configuration into a folder; 4 train, 2 validation and 2 test samples."""
+    return lambda folder: LearningTrial(make_trial(folder))
+
+
 @pytest.fixture
-def learning_trial(tmp_path: Path, make_trial: Callable[[Path], Any]) -> LearningTrial:
-    """A configuration that a test may change, in ``tmp_path``; 4 train, 2 validation and 2 test samples."""
-    return LearningTrial(make_trial(tmp_path))
+def learning_trial(tmp_path: Path, make_learning_trial: Callable[[Path], LearningTrial]) -> LearningTrial:
+    """A configuration that a test may change, in ``tmp_path``."""
+    return make_learning_trial(tmp_path)
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,15 @@ import safetensors.torch
 import torch
 from safetensors import safe_open
 
-from learning.checkpoint import Checkpoint, load_checkpoint, plane_mixing, save_checkpoint, transfer
+from learning.checkpoint import (
+    FOLDER,
+    Checkpoint,
+    find_checkpoint,
+    load_checkpoint,
+    plane_mixing,
+    save_checkpoint,
+    transfer,
+)
 from learning.models import SIZES, LearnedMethod, build_network
 from learning.models.flatnet import Inverted
 from simulator.errors import InputError
@@ -273,6 +281,36 @@ def test_a_refused_checkpoint_leaves_the_old_one(path, network, tiny_capture):
     with pytest.raises(StorageError, match=r"x\.safetensors: "):
         save_checkpoint(nowhere, network, architecture=ARCHITECTURE, capture=tiny_capture, record={})
     assert [file.name for file in path.parent.iterdir()] == [path.name]
+
+
+def test_a_bare_name_is_a_shipped_checkpoint_and_a_path_a_file(path, tmp_path, monkeypatch):
+    """Whatever lies in the current folder under the bare name."""
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    (folder / "flatnet3d").write_bytes(path.read_bytes())
+    monkeypatch.chdir(folder)
+    assert find_checkpoint("flatnet3d") == FOLDER / "flatnet3d.safetensors"
+    assert find_checkpoint("./flatnet3d").resolve() == folder / "flatnet3d"
+    assert find_checkpoint(path.name, resolve=lambda text: tmp_path / text) == path
+    with pytest.raises(InputError, match=r"^network\.init_from: .*flatnet\.safetensors"):
+        find_checkpoint(path.name, "network.init_from")
+
+
+def test_a_network_for_another_camera_keeps_its_weights(path, tiny_capture):
+    checkpoint = load_checkpoint(path)
+    state = torch.get_rng_state()
+    network = checkpoint.for_camera(with_planes(tiny_capture, 5))
+    assert torch.equal(torch.get_rng_state(), state)
+    assert len(network.inversion.disparities) == 5
+    fresh = build_network(with_planes(tiny_capture, 5), **checkpoint.named)
+    transfer(fresh, checkpoint)
+    assert all(torch.equal(value, fresh.state_dict()[key]) for key, value in network.state_dict().items())
+
+
+def test_weights_that_do_not_fit_are_named_by_their_file(path, tiny_capture):
+    network = build_network(tiny_capture, "flatnet3d", "tiny", filters=4)
+    with pytest.raises(InputError, match=r"flatnet\.safetensors: "):
+        transfer(network, load_checkpoint(path))
 
 
 def with_planes(capture, count, near_m=0.01, far_m=0.2):

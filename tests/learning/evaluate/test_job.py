@@ -140,8 +140,9 @@ def test_methods_are_compared_at_every_level(load: Load, tmp_path: Path) -> None
     lines = (tmp_path / "out" / "paired.csv").read_text(encoding="utf-8").splitlines()
     assert len(lines) == 1 + 2 * 3 * 4  # levels, pairs, scores
     assert len(_results(tmp_path)["paired"]) == 2 * 3 * 4
-    with pytest.raises(InputError, match="reference: "):
-        load(reference="ADMM")
+    for wrong, key in (({"reference": "ADMM"}, "reference: "), ({"noise_db": [0]}, r"noise_db\[0\]: ")):
+        with pytest.raises(InputError, match=key):
+            load(**wrong)
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -271,9 +272,13 @@ def test_known_scenes_do_not_decide(load: Load, tmp_path: Path, tiny_dataset: Pa
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"methods": [{"name": "N", "checkpoints": ["none.safetensors"]}]}, r"none\.safetensors: "),
+        ({"methods": [{"name": "N", "checkpoints": ["none.safetensors"]}]}, r"^N: .*none\.safetensors"),
         ({"methods": [{"name": "C", "classical": "cls", "tuned": "none.json"}]}, r"none\.json: "),
-        ({"methods": [{"name": "C", "classical": "cls", "parameters": {"speed": 1}}]}, "^parameters: "),
+        ({"methods": [{"name": "C", "classical": "cls", "parameters": {"speed": 1}}]}, "^C: .*speed"),
+        ({"methods": [{"name": "P", "classical": "pnp", "parameters": {"prior": -1.0}}]}, "^P: prior: "),
+        ({"methods": [{"name": "C", "classical": "cls", "tuned": "bad.json"}]}, r"^C: .*bad\.json: pairwise: "),
+        ({"data": {"test": {"report.md": "x"}}}, r"^data\.test\.report\.md: "),
+        ({"data": {"test": {"cache": "x"}}}, r"^data\.test\.cache: "),
         ({"data": {"test": "nowhere"}}, "nowhere: "),
         ({"data": {"stack": "no_folder"}}, "^FlatNet3D: "),
         ({"perceptual": "lpips"}, "^weights of alex: "),
@@ -281,8 +286,11 @@ def test_known_scenes_do_not_decide(load: Load, tmp_path: Path, tiny_dataset: Pa
 )
 def test_what_is_missing_is_named(load: Load, tmp_path: Path, monkeypatch: Any, changes: Any, message: str) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "no weights"))
+    bad = {"method": "cls", "noise_db": 40.0, "parameters": DEFAULTS["cls"] | {"pairwise": -1.0}, "score": 1.0}
+    Study(tmp_path / "bad.json", {"data": "another"}, {}).add_result(bad)
     with pytest.raises(InputError, match=message):
         evaluate(load(**changes))
+    assert not (tmp_path / "out").exists()
 
 
 def test_scenes_without_depth_are_refused(learning_trial: Any, load: Load) -> None:
@@ -344,7 +352,7 @@ def test_every_path_may_have_the_name_of_the_data_set(load: Load) -> None:
     methods = [
         {"name": "Net", "checkpoints": ["<set>/0", "<set>/1"]},
         {"name": "CLS", "classical": "cls", "tuned": "<set>.json"},
-        {"name": "ADMM", "classical": "admm", "parameters": {"light": "sum"}},
+        {"name": "PnP", "classical": "pnp", "parameters": {"denoiser": "<set>/d", "prior": 0.2}},
     ]
     config = load(data=data | {"compare_stacks": ["nominal", "<set>/psf"]}, methods=methods)
     one, other = (alone.dump() for alone in config.sets.values())
@@ -359,10 +367,11 @@ def test_every_path_may_have_the_name_of_the_data_set(load: Load) -> None:
         }
         assert [method["checkpoints"] for method in dumped["methods"]] == [[f"{name}/0", f"{name}/1"], None, None]
         assert [method["tuned"] for method in dumped["methods"]] == [None, f"{name}.json", None]
+        assert dumped["methods"][2]["parameters"] == {"denoiser": f"{name}/d", "prior": 0.2}
     assert config.sets["a"].resolve_path("x") == config.resolve_path("x")
 
 
-@pytest.mark.parametrize(("test", "key"), [({}, "data.test"), ({"../up": "x"}, "data.test")])
+@pytest.mark.parametrize(("test", "key"), [({}, "data.test: "), ({"../up": "x"}, "data.test")])
 def test_names_of_data_sets_are_those_of_folders(load: Load, test: Any, key: str) -> None:
     with pytest.raises(InputError, match=re.escape(key)):
         load(data={"test": test})

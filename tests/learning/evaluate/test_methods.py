@@ -9,7 +9,8 @@ from typing import Any, cast
 
 import pytest
 
-from learning.checkpoint import save_denoiser
+from learning.checkpoint import FOLDER, save_denoiser
+from learning.classical.method import DEFAULTS
 from learning.config import EvaluateConfig
 from learning.evaluate.methods import (
     ClassicalEntry,
@@ -19,11 +20,13 @@ from learning.evaluate.methods import (
     read_methods,
     says_scenes,
 )
+from learning.models import SIZES
 from learning.models.denoiser import Denoiser
 from learning.provenance import scenes_of
 from learning.tune.study import Study
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
+from simulator.io.files import sha256_file
 
 
 def _record(train: str, validation: str) -> dict[str, Any]:
@@ -31,7 +34,7 @@ def _record(train: str, validation: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("split", "message"), [("train", "learned from scenes"), ("validation", "was chosen among its own steps by")]
+    ("split", "message"), [("train", "learned from test scenes"), ("validation", "was chosen among its own steps by")]
 )
 def test_a_network_that_knows_the_scenes_is_refused(tiny_dataset: Path, split: str, message: str) -> None:
     test = open_dataset(tiny_dataset, split)
@@ -106,19 +109,26 @@ def test_whether_scenes_are_on_record_is_told(tmp_path: Path) -> None:
         assert says_scenes(ClassicalEntry("CLS", "cls", study.path, None)) == expected
 
 
+def pnp(**method: Any) -> EvaluateConfig:
+    """Return an evaluation of plug-and-play ADMM, as if its file lay in the current folder."""
+    plain = {"name": "PnP", "classical": "pnp", **method}
+    data = {"test": "t", "training": "t"}
+    return EvaluateConfig.model_validate({"name": "n", "output": "o", "data": data, "methods": [plain]})
+
+
+def write_denoiser(path: Path, record: dict[str, Any], filters: int = 4) -> Path:
+    numbers = {"filters": filters, "blocks": 1, "levels": 1}
+    save_denoiser(path, Denoiser(**numbers), architecture={"network": "denoiser", **numbers}, record=record)
+    return path
+
+
 def test_a_denoiser_that_has_seen_the_scenes_is_refused(seen_again: Any, tiny_dataset: Path, tmp_path: Path) -> None:
-    numbers = {"filters": 4, "blocks": 1, "levels": 1}
     train = scenes_of(open_dataset(tiny_dataset, "train"))
 
     def methods(record: dict[str, Any], split: str, filters: int = 4) -> list[Any]:
-        made = numbers | {"filters": filters}
-        save_denoiser(path, Denoiser(**made), architecture={"network": "denoiser", **made}, record=record)
-        plain = {"name": "PnP", "classical": "pnp", "parameters": {"denoiser": str(path)}}
-        data = {"test": "t", "training": "t"}
-        config = EvaluateConfig.model_validate({"name": "n", "output": "o", "data": data, "methods": [plain]})
-        return read_methods(config, seen_again(split))[0]
+        path = write_denoiser(tmp_path / "denoiser.safetensors", record, filters)
+        return read_methods(pnp(parameters={"denoiser": str(path)}), seen_again(split))[0]
 
-    path = tmp_path / "denoiser.safetensors"
     with pytest.raises(InputError, match=r"^PnP: "):
         methods({"scenes": {"train": train}}, "train")
     (entry,) = methods({"scenes": {"train": train}}, "test")
@@ -127,3 +137,55 @@ def test_a_denoiser_that_has_seen_the_scenes_is_refused(seen_again: Any, tiny_da
     (entry,) = methods({"data sets": {"train": {}}}, "test", filters=8)
     assert not says_scenes(entry)
     assert entry.identity(40.0) != before  # another file under the same name
+
+
+def test_a_denoiser_lies_where_the_file_says(seen_again: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not in the current folder; and no file there stands in for the shipped one."""
+    here, elsewhere = tmp_path / "here", tmp_path / "elsewhere"
+    for folder in (here, elsewhere):
+        folder.mkdir()
+    own = write_denoiser(here / "own.safetensors", {})
+    (elsewhere / "denoiser").write_bytes(b"not the shipped one")
+    monkeypatch.chdir(here)
+    relative, shipped = (pnp(parameters=given) for given in ({"denoiser": "own.safetensors"}, {}))
+    monkeypatch.chdir(elsewhere)
+    for config, expected in ((relative, own), (shipped, FOLDER / "denoiser.safetensors")):
+        ((entry,),) = read_methods(config, seen_again("test"))
+        assert entry.denoisers == [expected]  # type: ignore[union-attr]
+        assert entry.identity(40.0)["parameters"]["denoiser"] == sha256_file(expected)
+    assert "denoiser own.safetensors" in read_methods(relative, seen_again("test"))[0][0].note(40.0)
+    with pytest.raises(InputError, match=r"^PnP: "):
+        read_methods(pnp(parameters={"denoiser": "none"}), seen_again("test"))
+
+
+def test_every_level_of_a_tuned_file_may_have_its_own_denoiser(
+    seen_again: Any, tiny_dataset: Path, tmp_path: Path
+) -> None:
+    """As files of earlier versions may, where the denoiser was searched; they lie from the tuned file's folder."""
+    train = scenes_of(open_dataset(tiny_dataset, "train"))
+    for name, scenes in (("first", ["others"]), ("second", train)):
+        write_denoiser(tmp_path / f"{name}.safetensors", {"scenes": {"train": scenes}})
+    study = Study(tmp_path / "tuned.json", {"scenes": ["others"]}, {})
+    for level, name in ((20.0, "first"), (40.0, "second")):
+        parameters = DEFAULTS["pnp"] | {"denoiser": f"./{name}.safetensors"}
+        study.add_result({"method": "pnp", "noise_db": level, "parameters": parameters, "score": 1.0})
+    config = pnp(tuned=str(study.path))
+    with pytest.raises(InputError, match=r"^PnP: .*second"):
+        read_methods(config, seen_again("train"))
+    ((entry,),) = read_methods(config, seen_again("test"))
+    digests = [entry.identity(level)["parameters"]["denoiser"] for level in (20.0, 40.0)]
+    assert digests == [sha256_file(tmp_path / f"{name}.safetensors") for name in ("first", "second")]
+
+
+def test_a_shipped_network_is_named_like_its_file(seen_again: Any) -> None:
+    net = {"name": "Net", "checkpoints": ["flatnet2d"]}
+    config = EvaluateConfig.model_validate({"name": "n", "output": "o", "data": {"test": "t"}, "methods": [net]})
+    ((entry,),) = read_methods(config, seen_again("test"))
+    assert entry.plain()["file"] == "flatnet2d.safetensors"  # type: ignore[union-attr]
+
+
+def test_a_network_is_told_apart_by_what_differs_from_its_size() -> None:
+    size = {"network": "flatnet3d", "size": "compact", **SIZES["compact"]}
+    for changes, note in (({}, ""), ({"refinements": 1, "stem": 2}, ", stem 2, refinements 1")):
+        entry = LearnedEntry("Net", Path(), "0" * 64, cast("Any", None), size | changes, {})
+        assert entry.note(40.0) == f"flatnet3d, compact{note}"

@@ -128,7 +128,7 @@ def test_checkpoint_keeps_weights_and_record(network: Denoiser, tmp_path: Path) 
 def test_refuses_what_is_no_denoiser(network: Denoiser, checkpoints: list[Path], tmp_path: Path) -> None:
     path = tmp_path / "mine.safetensors"
     save_denoiser(path, network, architecture={"network": "denoiser", **SIZE}, record={})
-    with pytest.raises(InputError, match=f"^{path}: "):
+    with pytest.raises(InputError, match=f"^{path}: got a denoiser"):
         load_checkpoint(path)
     with pytest.raises(InputError, match=f"^{checkpoints[0]}: "):
         load_denoiser(checkpoints[0])

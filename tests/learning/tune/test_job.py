@@ -12,10 +12,13 @@ import torch
 from torch import Tensor
 
 from learning.camera import CaptureModel
+from learning.checkpoint import save_denoiser
+from learning.classical.method import DEFAULTS, ClassicalMethod
 from learning.config import TuneConfig, load_file
 from learning.data import Example
 from learning.method import Estimate, linear_to_srgb
 from learning.metrics import depth_scores, psnr
+from learning.models.denoiser import Denoiser
 from learning.provenance import scenes_of
 from learning.tune.job import Errors, Score, Tunable, classical, table, tune, tune_file
 from learning.tune.search import Axis, Parameters
@@ -268,6 +271,40 @@ def test_searches_of_classical_methods_have_limits(tiny_capture: CaptureModel, t
     assert (space["regularisation_lambda"].high, space["pairwise"].high) == (100, 5000)
 
 
+def test_candidates_that_the_method_refuses_are_named_before_any_trial(
+    tiny_capture: CaptureModel, tmp_path: Path
+) -> None:
+    path = write_config(tmp_path, tmp_path, methods=["pnp"])
+    for parameter, values in (("prior", "[0, 0.1]"), ("iterations", "[1.5]"), ("light", "[dark]")):
+        config = load_file(TuneConfig, path, [f"search.pnp.{parameter}={{values: {values}, low: 0}}"])
+        with pytest.raises(InputError, match=rf"^search\.pnp\.{parameter}: "):
+            classical(tiny_capture, "pnp", config, torch.device("cpu"))
+
+
+def test_a_denoiser_of_ones_own_is_recorded_as_it_lies_from_the_result(
+    tiny_capture: CaptureModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    size = {"filters": 4, "blocks": 1, "levels": 1}
+    file = tmp_path / "denoiser"  # not the shipped one, whose name alone means it
+    save_denoiser(file, Denoiser(**size), architecture={"network": "denoiser", **size}, record={})
+    path = write_config(tmp_path, tmp_path, methods=["pnp"], output="a/tuned.json", denoiser="./denoiser")
+    config = load_file(TuneConfig, path)
+    monkeypatch.chdir(path.anchor)
+    tunable = classical(tiny_capture, "pnp", config, torch.device("cpu"))
+    method = tunable.build(tunable.defaults)
+    assert isinstance(method, ClassicalMethod)
+    prior = method._method.denoiser
+    assert isinstance(prior, Denoiser)
+    assert prior.state_dict().keys() == Denoiser(**size).state_dict().keys()
+    (tmp_path / "a").mkdir()
+    study = Study(tmp_path / "a" / "tuned.json", {}, {})
+    study.add_result({"method": "pnp", "noise_db": 40.0, "parameters": tunable.defaults, "score": 1.0})
+    assert not Path(str(tunable.defaults["denoiser"])).is_absolute()
+    assert Path(str(load_tuned(study.path).parameters("pnp", 40)[0]["denoiser"])).samefile(file)
+    shipped = classical(tiny_capture, "pnp", load_file(TuneConfig, path, ["denoiser=denoiser"]), torch.device("cpu"))
+    assert shipped.defaults == DEFAULTS["pnp"]
+
+
 def write_config(folder: Path, dataset: Path, **changes: Any) -> Path:
     """Write a file for the tiny data set."""
     data = {"validation": str(dataset), "scenes": 6, "allow_few_scenes": True} | changes.pop("data", {})
@@ -355,6 +392,9 @@ def test_noise_as_stored_is_a_level_too(tiny_dataset: Path, tmp_path: Path) -> N
         (["noise_db=[-3]"], r"noise_db\[0\]: "),
         (["data.stack=nowhere"], "nowhere: "),
         (["data.validation=nowhere"], "nowhere: "),
+        (["methods=[pnp]", "search.pnp.denoiser.values=[denoiser]"], r"search\.pnp\.denoiser: "),
+        (["methods=[pnp]", "denoiser=nowhere"], "^denoiser: "),
+        (["methods=[cls]", "denoiser=nowhere"], "denoiser: only pnp"),
     ],
 )
 def test_files_that_make_no_sense_are_refused(tiny_dataset: Path, tmp_path: Path, overrides: Any, message: str) -> None:
