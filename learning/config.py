@@ -530,7 +530,7 @@ class WarmStart(Section):
     batch: Annotated[int, Range(1, 65536)] = 8
     """examples in a step"""
     augment: Augmentation | None = Augmentation()
-    """scenes changed and seen anew through the camera with the mask, for every example; null: as stored"""
+    """scenes changed and re-simulated through the camera with the mask, for every example; null: as stored"""
     loss: LossConfig = LossConfig()
     optimiser: OptimiserConfig = OptimiserConfig()
     validate_every: Annotated[int, Range(1, 10**9)] = 100

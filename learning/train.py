@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white
-from learning.checkpoint import load_checkpoint, save_checkpoint, transfer
+from learning.checkpoint import find_checkpoint, load_checkpoint, save_checkpoint, transfer
 from learning.config import TrainConfig
 from learning.data import Example, ExampleSet, Loader
 from learning.distributed import Processes
@@ -128,7 +128,7 @@ class FlatNetTraining(Training[Example]):
             raise InputError("network.body", f"{reason}; take naf, or one process")
         init_from, taken = None, []
         if config.init_from is not None:
-            path = config.resolve_path(config.init_from)
+            path = find_checkpoint(config.init_from, "init_from", config.resolve_path)
             known = load_checkpoint(path, network=config.network.name)
             taken = [f"{path.name}: {line}" for line in transfer(network, known)]
             init_from = {"sha256": sha256_file(path), "architecture": known.architecture, "file": path.name}

@@ -112,7 +112,9 @@ def test_the_shipped_one_takes_noise_away(noise: float, gain_db: float) -> None:
 
 def test_shipped_file_is_small_says_its_scenes_and_is_no_method() -> None:
     assert find_denoiser("denoiser").stat().st_size < 2_000_000
-    assert load_denoiser(find_denoiser("denoiser"))[1]["scenes"]  # so that a comparison can tell that it tests on others
+    assert load_denoiser(find_denoiser("denoiser"))[1][
+        "scenes"
+    ]  # so that a comparison can tell that it tests on others
     assert "denoiser" not in shipped_checkpoints()
 
 
