@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 import os
 from collections.abc import Iterator
@@ -89,6 +90,7 @@ def processes(device: str) -> Iterator[Processes]:
         yield Processes(place, dist.get_rank(), world_size)
     finally:
         dist.destroy_process_group()
+        gc.collect()  # DistributedDataParallel holds the group in cycles; threads that outlive the interpreter abort it
 
 
 @dataclass(frozen=True)

@@ -87,14 +87,18 @@ def run(kind: type[Training[Any]], config: LoopConfig, show: Show | None = None,
         StorageError: the disk is full or protected; the same call goes on from the last state.
     """
     with processes(config.device) as group, torch.random.fork_rng([group.device] if group.on_cuda else []):
-        plan = kind.plan(config, group)
-        with held_folder(plan):
-            heard = group.is_rank_zero
-            training = kind(plan, (heard and show) or (lambda *_: None), (heard and say) or (lambda _: None))
-            first = training.progress.step
-            if first < config.steps:
-                with stop_signals() as stop:
-                    training.run(stop)
+        return _run(kind.plan(config, group), kind, show, say)
+
+
+def _run(plan: Plan, kind: type[Training[Any]], show: Show | None, say: Say | None) -> TrainResult:
+    """Train; all that holds the group of processes ends with this call."""
+    with held_folder(plan):
+        heard = plan.group.is_rank_zero
+        training = kind(plan, (heard and show) or (lambda *_: None), (heard and say) or (lambda _: None))
+        first = training.progress.step
+        if first < plan.config.steps:
+            with stop_signals() as stop:
+                training.run(stop)
     progress = training.progress
     return TrainResult(training.folder, progress.step - first, progress.seconds, progress.best)
 
