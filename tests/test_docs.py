@@ -65,7 +65,7 @@ def test_the_families_take_their_examples_parameters_files_and_view(galleries, t
 
 
 def test_the_readme_s_family_takes_the_default_file_s_keys_and_gives_a_good_image(tmp_path: Path) -> None:
-    """Nothing is changed but ``scene.family``: stripes and shading on a wall that is neither black nor white."""
+    """Stripes and shading on a wall that is neither black nor white; without the margin, the image alone is rendered."""
     from simulator.assembly import Assembly
     from simulator.config import load_config
 
@@ -73,7 +73,7 @@ def test_the_readme_s_family_takes_the_default_file_s_keys_and_gives_a_good_imag
     (code,) = [block for block in blocks if "def marbles(" in block]
     (tmp_path / "my_scenes.py").write_text(code, encoding="utf-8")
     shutil.copy(TOP / "sim_config.yaml", tmp_path)
-    config = load_config(tmp_path / "sim_config.yaml", ["scene.family=./my_scenes.py:marbles"])
+    config = load_config(tmp_path / "sim_config.yaml", ["scene.family=./my_scenes.py:marbles", "scene.margin=0"])
     clip = Assembly(config, backend="scalar_rgb").source.clip(0, np.random.default_rng(1))
     assert clip.rgb.shape == (1, *config.scene.size, 3)
     assert clip.source["samples_per_pixel"] == config.scene.params["samples_per_pixel"]

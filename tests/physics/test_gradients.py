@@ -66,6 +66,7 @@ def test_gradients_equal_finite_differences(name, model, profile):
     assert abs(slope) > 1e-3 * abs(there)
 
 
+@pytest.mark.slow
 def test_the_distance_of_an_exact_staircase_has_a_gradient():
     """At 2 mm a fixed angle bounds the orders that are followed; the soft cut's width, sqrt(d), is held fixed: 1.4e-3."""
     given = {key: value.double() for key, value in inputs().items()}
