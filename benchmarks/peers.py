@@ -59,7 +59,7 @@ def prysm_asm(pitch_m: float, wavelength_m: float, distance_m: float, shape: tup
     # prysm asks pkg_resources for its own version, which current Python environments no longer carry.
     if "pkg_resources" not in sys.modules:
         stand_in = types.ModuleType("pkg_resources")
-        stand_in.get_distribution = metadata.distribution  # type: ignore[attr-defined]
+        setattr(stand_in, "get_distribution", metadata.distribution)  # noqa: B010 (a module that types cannot know)
         sys.modules["pkg_resources"] = stand_in
     from prysm.conf import config
     from prysm.propagation import angular_spectrum

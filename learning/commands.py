@@ -50,7 +50,7 @@ def _train(run: Callable[..., TrainResult], scores: str) -> Path:
     from simulator.console import Bar
 
     with Bar() as bar:
-        result = run(show=bar.update, say=bar.say)
+        result = run(progress=bar.update, say=bar.say)
     best, folder, done = result.best, result.folder, f"{result.steps} steps, {result.seconds:.0f} s in all"
     print(f"{folder}: {done if result.steps else 'was finished before; raise steps to go on'}")
     print(f"best after step {best['step']:.0f}: {scores.format(**best)} on validation; {folder / 'best.safetensors'}")

@@ -89,7 +89,7 @@ def sole_use(folder: Path, parts: dict[str, Any]) -> Iterator[None]:
 
 
 @dataclass
-class Progress:
+class TrainingProgress:
     """How far a training is.
 
     Attributes:
@@ -112,7 +112,7 @@ class Progress:
     lengths: list[list[int]] = field(default_factory=list)
 
 
-def save_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer, progress: Progress) -> None:
+def save_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer, progress: TrainingProgress) -> None:
     """Write all that a training needs to go on as if it had never stopped: one file, replaced as a whole.
 
     Randomness is no part of it: what is random in a step, its examples and their noise, follows from the seed and the step's
@@ -130,7 +130,7 @@ def save_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer,
     write_atomic(path, buffer.getvalue())
 
 
-def load_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Progress:
+def load_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> TrainingProgress:
     """Read the state into a network and its optimiser, which are as they were built; nothing in the file is run."""
     try:
         content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
@@ -138,7 +138,7 @@ def load_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer)
             raise InputError(path, f"got {content['format']!r}, expected {_FORMAT!r} of this version of Flatlight")
         network.load_state_dict(content["network"])
         optimiser.load_state_dict(content["optimiser"])
-        return Progress(**content["progress"])
+        return TrainingProgress(**content["progress"])
     except InputError:
         raise
     except Exception as error:  # torch raises what it likes for a damaged file

@@ -105,7 +105,7 @@ def swap_masks(config: SwapConfig, *, progress: Progress = lambda *_: None, say:
         if known is not None and config.network is not None:
             _swap(known, folder / name)
             if config.network.steps:
-                train(_training(config, config.network, known, folder / name), show=tell, say=speak)
+                train(_training(config, config.network, known, folder / name), progress=tell, say=speak)
     evaluation, _ = evaluate(judged, progress=progress, say=say)
     before = "" if known is None else _before(known)
     return _write(folder, evaluation, merits, _light(next(iter(cameras.values()))[0]), before)

@@ -17,9 +17,10 @@ from learning.config import TrainConfig
 from learning.data import Example, ExampleSet, Loader
 from learning.distributed import Processes
 from learning.losses import ReconstructionLoss
+from learning.method import Progress, Say
 from learning.models import build_network
 from learning.models.flatnet import FlatNet
-from learning.training_loop import Plan, Say, Show, Training, TrainResult, find_cache, open_splits, run
+from learning.training_loop import Plan, Training, TrainResult, find_cache, open_splits, run
 from learning.validation import draw, true_estimate, validate
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
@@ -41,9 +42,9 @@ _CURES = {
 }
 
 
-def train(config: TrainConfig, *, show: Show | None = None, say: Say | None = None) -> TrainResult:
+def train(config: TrainConfig, *, progress: Progress = lambda *_: None, say: Say = lambda _: None) -> TrainResult:
     """Train a FlatNet, or go on with a training that was interrupted; see `learning.training_loop.run`."""
-    return run(FlatNetTraining, config, show, say)
+    return run(FlatNetTraining, config, progress, say)
 
 
 def find_data(config: TrainConfig) -> tuple[Dataset, Dataset, CaptureModel]:

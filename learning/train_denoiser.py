@@ -16,18 +16,18 @@ from learning.checkpoint import save_denoiser
 from learning.config import DenoiserConfig
 from learning.data import Loader
 from learning.distributed import Processes
-from learning.method import linear_to_srgb
+from learning.method import Progress, Say, linear_to_srgb
 from learning.models.denoiser import NOISE_RANGE, Denoiser, DenoisingLoss
 from learning.pictures import NoisyPicture, Pictures
-from learning.training_loop import Plan, Say, Show, Training, TrainResult, find_cache, open_splits, run
+from learning.training_loop import Plan, Training, TrainResult, find_cache, open_splits, run
 from learning.validation import to_device
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 
 
-def train_denoiser(config: DenoiserConfig, *, show: Show | None = None, say: Say | None = None) -> TrainResult:
+def train_denoiser(config: DenoiserConfig, *, progress: Progress = lambda *_: None, say: Say = lambda _: None) -> TrainResult:
     """Train a denoiser, or go on with a training that was interrupted; see `learning.training_loop.run`."""
-    return run(DenoiserTraining, config, show, say)
+    return run(DenoiserTraining, config, progress, say)
 
 
 class DenoiserTraining(Training[NoisyPicture]):

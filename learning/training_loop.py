@@ -29,14 +29,15 @@ from learning.config import LoopConfig, OptimiserConfig
 from learning.data import Batches, Examples, Item, Loader, check_dataset
 from learning.distributed import Precision, Processes, processes
 from learning.layers.inversion import FourierInversion
+from learning.method import Progress, Say
 from learning.provenance import scenes_of
 from learning.resume import (
     BEST,
     LAST,
     STATE,
     DivergedError,
-    Progress,
     Stop,
+    TrainingProgress,
     described,
     load_state,
     portable_command,
@@ -54,8 +55,6 @@ from simulator.io.cache import cache_folder
 
 _MOST_WORKERS = 8
 _CONVOLUTION = 4  # dimensions of its weights, at least: norms, biases and the inversion's P and lambda must not decay
-Show = Callable[[str, int, int], None]
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -72,13 +71,13 @@ class TrainResult:
     best: dict[str, float]
 
 
-def run(kind: type[Training[Any]], config: LoopConfig, show: Show | None = None, say: Say | None = None) -> TrainResult:
+def run(kind: type[Training[Any]], config: LoopConfig, progress: Progress, say: Say) -> TrainResult:
     """Train, or go on with a training that was interrupted; under torchrun with all of its processes.
 
     Args:
         kind: what is trained.
         config: the training, of this kind.
-        show: called with a stage, and how much of how much is done.
+        progress: called with a stage, what is done and how much there is in all.
         say: called with lines for a person.
 
     Raises:
@@ -87,20 +86,20 @@ def run(kind: type[Training[Any]], config: LoopConfig, show: Show | None = None,
         StorageError: the disk is full or protected; the same call goes on from the last state.
     """
     with processes(config.device) as group, torch.random.fork_rng([group.device] if group.on_cuda else []):
-        return _run(kind.plan(config, group), kind, show, say)
+        return _run(kind.plan(config, group), kind, progress, say)
 
 
-def _run(plan: Plan, kind: type[Training[Any]], show: Show | None, say: Say | None) -> TrainResult:
+def _run(plan: Plan, kind: type[Training[Any]], progress: Progress, say: Say) -> TrainResult:
     """Train; all that holds the group of processes ends with this call."""
     with held_folder(plan):
-        heard = plan.group.is_rank_zero
-        training = kind(plan, (heard and show) or (lambda *_: None), (heard and say) or (lambda _: None))
+        heard = plan.group.is_rank_zero  # the other processes are silent
+        training = kind(plan, progress if heard else lambda *_: None, say if heard else lambda _: None)
         first = training.progress.step
         if first < plan.config.steps:
             with stop_signals() as stop:
                 training.run(stop)
-    progress = training.progress
-    return TrainResult(training.folder, progress.step - first, progress.seconds, progress.best)
+    reached = training.progress
+    return TrainResult(training.folder, reached.step - first, reached.seconds, reached.best)
 
 
 def open_splits(config: LoopConfig) -> tuple[Dataset, Dataset]:
@@ -271,9 +270,9 @@ class Training(ABC, Generic[Item]):
 
     command: ClassVar[str]
 
-    def __init__(self, plan: Plan, show: Show, say: Say) -> None:
+    def __init__(self, plan: Plan, progress: Progress, say: Say) -> None:
         """Build everything, and read the state where there is one."""
-        self._plan, self._show, self._say = plan, show, say
+        self._plan, self._show, self._say = plan, progress, say
         self._config, self._group, self._capture = config, group, _ = plan.config, plan.group, plan.capture
         self.folder = config.resolve_path(config.output)
         self._network = _placed(plan.network, group)
@@ -281,7 +280,7 @@ class Training(ABC, Generic[Item]):
         self._optimiser = build_optimiser(self._network, config.optimiser)
         state = self.folder / STATE
         begun = state.exists()
-        self.progress = load_state(state, self._network, self._optimiser) if begun else Progress()
+        self.progress = load_state(state, self._network, self._optimiser) if begun else TrainingProgress()
         step = self.progress.step
         for line in [f"{self.folder}: going on after step {step} of {config.steps}"] if begun else plan.taken:
             say(line)

@@ -50,6 +50,7 @@ class ClipOrder:
         self._video = np.unique(numbers, return_inverse=True)[1]
         self.clips, self.videos = len(numbers), int(self._video[-1]) + 1
         self._walks: dict[str, NDArray[np.intp]] = {}
+        self._apart = sorted(split for split, own in (splits or {}).items() if len(own))
         for split, own in (splits or {}).items():
             if len(own):
                 self._walks |= dict.fromkeys(_FRONT if split in _FRONT else (split,), _places(own, self.clips))
@@ -73,10 +74,10 @@ class ClipOrder:
         held = f"{self.videos} {kind}" + ("" if self._counted else f" ({self.clips} clips)")
         wanted = ", ".join(f"{split} takes {len(taken[split])} for {count} samples" for split, count in asked.items())
         cure = ", bring more clips" if self._counted else ", take more clips of each video, bring more videos"
-        return (
-            f"no two splits may share a source video, but of {held} {wanted} (train from the front, validation "
-            f"and test every second one each from the back); ask for fewer samples{cure}"
-        )
+        how = "train from the front, validation and test every second one each from the back"
+        if self._apart:
+            how = f"{' and '.join(self._apart)} as the source keeps them apart, any other split from all of it"
+        return f"no two splits may share a source video, but of {held} {wanted} ({how}); ask for fewer samples{cure}"
 
     def _walk(self, split: str) -> NDArray[np.intp]:
         """Return the places in the order in which a split takes them."""

@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import nn
 
-from learning.resume import DESCRIPTION, STATE, Progress, check_folder, load_state, save_state, sole_use, stop_signals
+from learning.resume import DESCRIPTION, STATE, TrainingProgress, check_folder, load_state, save_state, sole_use, stop_signals
 from learning.resume import described as described_with
 from simulator.errors import InputError
 
@@ -128,7 +128,7 @@ def test_round_trip(tmp_path: Path) -> None:
     torch.manual_seed(1)
     (network, optimiser), (other, empty) = trained(), trained()
     best, last = {"step": 5, "total": 0.5}, {"step": 6, "total": 0.75}
-    progress = Progress(7, 1.25, best, last, {"total": 3.5}, 2, [[0, 9], [4, 12]])
+    progress = TrainingProgress(7, 1.25, best, last, {"total": 3.5}, 2, [[0, 9], [4, 12]])
     save_state(tmp_path / "state.pt", network, optimiser, progress)
     assert load_state(tmp_path / "state.pt", other, empty) == progress
     for name, value in network.state_dict().items():
@@ -149,7 +149,7 @@ def test_no_state(tmp_path: Path, what: str, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "state.pt"
     network, optimiser = trained()
-    save_state(path, network, optimiser, Progress())
+    save_state(path, network, optimiser, TrainingProgress())
     if what == "cut":
         path.write_bytes(path.read_bytes()[:1000])
     elif what == "text":

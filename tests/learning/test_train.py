@@ -90,7 +90,7 @@ def test_goes_on_as_if_it_had_never_stopped(
     train(whole)
     for stop in stops:
         with pytest.raises(KeyboardInterrupt):
-            train(parts, show=stop_at(stop))
+            train(parts, progress=stop_at(stop))
     result = train(parts)
     assert result.steps == 9 - stops[-1]
     one, two = Path(whole.output), Path(parts.output)
@@ -116,9 +116,9 @@ def test_a_killed_training_goes_on_from_its_last_state(settings: Settings) -> No
     whole, killed = settings("whole"), settings("killed")
     train(whole)
     with pytest.raises(KeyboardInterrupt):
-        train(killed, show=stop_at(2))
+        train(killed, progress=stop_at(2))
     with pytest.raises(MemoryError):
-        train(killed, show=die)
+        train(killed, progress=die)
     assert train(killed).steps == 7
     assert lines(Path(whole.output), "train") == lines(Path(killed.output), "train")
     assert lines(Path(whole.output), "validation") == lines(Path(killed.output), "validation")
@@ -256,7 +256,7 @@ def test_speed_is_that_of_this_session(settings: Settings, monkeypatch: Patch) -
     monkeypatch.setattr(loop, "time", SimpleNamespace(monotonic=lambda: now[0]))
     config = settings(steps=9, log_every=9, validate_every=9)
     with pytest.raises(KeyboardInterrupt):
-        train(config, show=stop_at(8))
+        train(config, progress=stop_at(8))
     train(config)
     log = (Path(config.output) / METRICS).read_text().splitlines()
     assert [json.loads(line)["samples_per_second"] for line in log if "samples_per_second" in line] == [5.0]

@@ -116,7 +116,7 @@ def test_goes_on_as_if_it_had_never_stopped(denoiser_settings: Callable[..., Den
     whole, parts = denoiser_settings("whole"), denoiser_settings("parts")
     train_denoiser(whole)
     with pytest.raises(KeyboardInterrupt):
-        train_denoiser(parts, show=stop)
+        train_denoiser(parts, progress=stop)
     assert train_denoiser(parts).steps == 3
     one, two = (load_denoiser(Path(each.output) / LAST)[0].state_dict() for each in (whole, parts))
     assert all(torch.equal(one[name], two[name]) for name in one)

@@ -97,7 +97,8 @@ def test_splits_that_a_source_keeps_apart_stay_apart() -> None:
     }
     assert places(order, {"test": 2})["test"] == [7, 5]  # has none of its own: from all, where any source's test lies
     assert order.shortage({"train": 4, "validation": 3, "test": 1}) is None
-    assert order.shortage({"train": 4, "validation": 3, "test": 2}) is not None
+    message = str(order.shortage({"train": 4, "validation": 3, "test": 2}))
+    assert "(train and validation as the source keeps them apart, any other split from all of it)" in message
 
 
 @pytest.mark.parametrize("own", [[-1], [2, 3]])
