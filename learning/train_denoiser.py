@@ -25,7 +25,9 @@ from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 
 
-def train_denoiser(config: DenoiserConfig, *, progress: Progress = lambda *_: None, say: Say = lambda _: None) -> TrainResult:
+def train_denoiser(
+    config: DenoiserConfig, *, progress: Progress = lambda *_: None, say: Say = lambda _: None
+) -> TrainResult:
     """Train a denoiser, or go on with a training that was interrupted; see `learning.training_loop.run`."""
     return run(DenoiserTraining, config, progress, say)
 

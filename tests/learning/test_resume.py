@@ -11,7 +11,16 @@ import pytest
 import torch
 from torch import nn
 
-from learning.resume import DESCRIPTION, STATE, TrainingProgress, check_folder, load_state, save_state, sole_use, stop_signals
+from learning.resume import (
+    DESCRIPTION,
+    STATE,
+    TrainingProgress,
+    check_folder,
+    load_state,
+    save_state,
+    sole_use,
+    stop_signals,
+)
 from learning.resume import described as described_with
 from simulator.errors import InputError
 
