@@ -465,7 +465,7 @@ class AxisSection(Section):
     low: Annotated[float, Range(0, 1e300)] | None = None
     """least value; null: the method's own"""
     high: Annotated[float, Range(0, 1e300, infinite=True)] | None = None
-    """greatest; null: the method's own, e.g. 1000 iterations"""
+    """greatest; null: the method's own, e.g. 240 iterations"""
 
 
 class TuneConfig(FileSection):

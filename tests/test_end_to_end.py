@@ -127,6 +127,7 @@ assert "torch" not in sys.modules
     assert verify(trial.folder / "out").ok
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_eight_samples_of_the_real_frame_through_phlatcam(trial, shared_data: Path) -> None:
     """Crops of the real FlyingThings3D frame: the picture's own pixels, linearised, at the camera's depths."""

@@ -135,6 +135,7 @@ def at(wave: Wave, points_m: np.ndarray) -> np.ndarray:
     return np.sum((down @ spectrum) * across, axis=1)
 
 
+@pytest.mark.slow
 def test_a_staircase_equals_its_direct_sum():
     """Truth: 10 x 10 points per mask pixel, integrated over sensor pixels; its midpoint rule errs by 0.4 %."""
     mask, d, pitch_m = staircase(), 0.4e-3, 6e-6

@@ -51,6 +51,7 @@ def outside(built: Assembly, *, simulated: bool = True) -> float:
     return built.simulated_field.light_from_outside(built.psf_stack, simulated=simulated)
 
 
+@pytest.mark.slow
 def test_what_an_automatic_margin_leaves_out_is_little_and_said(trial) -> None:
     trial.plugins.write_text(trial.plugins.read_text() + ROUGH)
     # A mask that throws most of its light beyond its shadow; the margin is found from one of its PSFs, of one wavelength.

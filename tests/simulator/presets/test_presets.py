@@ -18,6 +18,7 @@ SMALL = [name for name in NAMES if name.endswith("_64")]
 IMPORTED = ["something_something_v2", "youtube_vos"]
 THESIS = ["video_thesis", "youtube_vos"]
 CLIPS = ["activity_64", "high_speed_64", *IMPORTED, "video_thesis"]
+WITH_MASKS = [pytest.param(NAMES[0], marks=pytest.mark.slow), *NAMES[1:]]  # the first one's mask is large
 COARSE_MASK = ["camera.mask.iterations=2"]  # as wide as after all of them: what can be seen is the same
 
 
@@ -46,7 +47,7 @@ def test_a_preset_says_what_it_is_and_how_to_use_it(preset: Path) -> None:
     Assembly(config).scene_plugin.bind(config.scene.params)  # every parameter is one that its scenes take
 
 
-@pytest.mark.parametrize("preset", NAMES, indirect=True)
+@pytest.mark.parametrize("preset", WITH_MASKS, indirect=True)
 def test_the_whole_psf_and_scene_fit_the_sensor(preset: Path) -> None:
     """Along its longer side the sensor takes in what a mask casts from the picture's edges at the nearest depth."""
     config = load_config(preset, COARSE_MASK)

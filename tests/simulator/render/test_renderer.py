@@ -56,7 +56,7 @@ def test_a_margin_is_what_a_wider_picture_shows_there_and_leaves_the_image_as_it
     padded = np.pad(fine, [(more[0],) * 2, (more[1],) * 2, (0, 0)])
     means = padded.reshape(rows, 4, columns, 4, 3).mean(axis=(1, 3))
     error = np.linalg.norm((coarse - means)[inside]) / np.linalg.norm(means[inside])
-    assert error < 0.08  # the noise of 256 paths for each coarse pixel is 0.05
+    assert error < 0.1  # the noise of 128 paths for each coarse pixel is 0.07
     assert coarse[inside].mean() == pytest.approx(means[inside].mean(), rel=0.02)
     # A coarse pixel's centre lies between four fine ones.
     depth = np.pad(np.asarray(pictures["field.depth"], np.float64), [(size, size) for size in more])

@@ -207,7 +207,7 @@ def run_stills(variant: str, threads: str) -> Arrays:
     arrays["noisy"] = np.stack([clip.rgb[0] for clip in noisy])
     wide = replace(SMALL, margin=(10, 6))
     scene = draw_scene(wide, 12, np.random.default_rng(5))
-    options: dict[str, Any] = {"samples_per_pixel": 1024, "seed": 3, "source": {}}
+    options: dict[str, Any] = {"samples_per_pixel": 512, "seed": 3, "source": {}}
     clip = renderer.still(scene, wide, **options)
     around = clip.surroundings
     assert around is not None
