@@ -115,7 +115,8 @@ def activate(variant: str, threads: int | None = None) -> None:
 
     Args:
         variant: a `Backend.variant`.
-        threads: CPU threads for rendering, at least 1; None leaves them as they are. The image does not depend on it.
+        threads: CPU threads for rendering, at least 1; None leaves them as they are. See `Renderer.clip` for
+            what of the image depends on it: jobs have one for each worker.
 
     Raises:
         InputError: when the variant is unknown, the threads are below 1, or LLVM has gone since it was proven.

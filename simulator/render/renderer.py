@@ -91,7 +91,8 @@ class Renderer:
     ) -> Clip:
         """Render scenes through the pinhole of a view: linear RGB by path tracing, depth by centre rays.
 
-        The same arguments give the same bytes, whatever the number of threads and the scenes rendered before.
+        The same arguments give the same bytes, whatever the scenes rendered before. So does any number of threads, but for
+        LLVM with more paths per pixel than a register holds: where threads meet, last digits of a pixel's sum may differ.
 
         Args:
             frames: the scene in the middle of each frame, all with the same slots; what does not move should be the same
