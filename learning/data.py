@@ -330,8 +330,8 @@ class _Guarded(TorchDataset[Any]):
 
 
 def _ignore_interrupts(_: int) -> None:
-    """Let a worker live on after Ctrl-C or the end of its terminal, which reach it too, until the loop has finished."""
-    for name in ("SIGINT", "SIGHUP"):
+    """Let a worker live on after a signal that asks the training to stop and reaches it too, until the loop has finished."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
 

@@ -302,8 +302,9 @@ def test_learns_in_bfloat16(settings: Settings) -> None:
 
 
 @pytest.mark.slow
-def test_a_terminal_s_ctrl_c(settings: Settings, tmp_path: Path) -> None:
-    """It reaches the workers too, which must live on until the step is done."""
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["terminal", "cluster"])
+def test_a_signal_to_all_processes(settings: Settings, tmp_path: Path, number: signal.Signals) -> None:
+    """Ctrl-C, or a cluster's SIGTERM, reaches the workers too, which must live on until the step is done."""
     config = settings(steps=100_000, data={"workers": 2}, log_every=1)
     path = tmp_path / "train.yaml"
     path.write_text(json.dumps(config.dump()))
@@ -320,7 +321,7 @@ def test_a_terminal_s_ctrl_c(settings: Settings, tmp_path: Path) -> None:
     begin = time.monotonic()
     while not (log.exists() and log.stat().st_size) and time.monotonic() - begin < 120:
         time.sleep(0.1)
-    os.killpg(process.pid, signal.SIGINT)
+    os.killpg(process.pid, number)
     out, err = process.communicate(timeout=60)
     step = torch.load(Path(config.output) / STATE, weights_only=True)["progress"]["step"]
     assert f"stopped after step {step} of 100000; the same command goes on from there" in out
