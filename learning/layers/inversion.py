@@ -10,17 +10,20 @@ Wiener's: thesis equation 4.1; Khan et al., FlatNet, TPAMI 2020.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as nnf
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
 from learning.camera import CaptureModel
 from learning.layers.noise import noise_ratio
 from learning.layers.padding import (
+    AxisPlan,
     as_pairs,
     axis_plans,
     check_measurement,
@@ -135,7 +138,9 @@ class RegularisedInversion(FourierInversion):
         root = (energy.mean(dim=0, keepdim=True) if joint else energy).sqrt()
         spectrum = spectrum_of(kernel / root)
         power = spectrum.abs().square()
-        self._keep("power", (power.mean(dim=0, keepdim=True) if joint else power).flatten(0, 1))
+        # Of a P without response at a frequency where the PSF has none either, nothing else is left to divide by.
+        power = (power.mean(dim=0, keepdim=True) if joint else power) + _LEAST
+        self._keep("power", _twice(power).flatten(0, 1))
         self._keep("numerator", as_pairs(spectrum.conj() / root).flatten(0, 1))
         self._keep("energy", root.square().expand(len(kernel), -1, -1, -1).flatten(0, 1))
         kernels, channels = kernel.shape[:2]
@@ -161,12 +166,10 @@ class RegularisedInversion(FourierInversion):
 
     def volume(self, light: Tensor, noise: Tensor | None = None) -> Tensor:
         """Return the volume of light ``(B, C, H, W)``, with ratios of noise to signal ``(B, C)``."""
-        return self._divided(light, self.inverses(noise))
-
-    def _divided(self, light: Tensor, inverses: Iterable[Tensor]) -> Tensor:
-        spectrum = self.spectrum(light)
-        # One plane at a time: what lies between stays in the processor's cache, three times faster than all at once.
-        return torch.stack([scene_of(spectrum * one, self.rows, self.columns) for one in inverses], dim=1) * self.scale
+        numerators, powers, filters = self._terms()
+        weights = self._weights(noise).expand(-1, len(light), -1)
+        volume = _Division.apply(self.spectrum(light), numerators, powers, filters, weights, self.rows, self.columns)
+        return volume * self.scale
 
     def reproject(self, volume: Tensor) -> Tensor:
         """Return the light ``(B, C, H, W)`` that a volume as `volume` gives it sends to the sensor: what this inverts.
@@ -181,18 +184,24 @@ class RegularisedInversion(FourierInversion):
         return torch.fft.irfft(tall, self.rows.length, dim=-2)[..., : self.rows.sensor, :]
 
     def inverses(self, noise: Tensor | None = None) -> Iterator[Tensor]:
-        """Yield W(z) of equation 4.11 plane by plane, ``(C, L // 2 + 1, M)`` complex, with a leading B where noise counts."""
-        numerators, filters = from_pairs(self.numerator).unflatten(0, self.log_lambda.shape), self._filter_power()
+        """Yield W(z) of equation 4.11 plane by plane, ``(B, C, L // 2 + 1, M)`` complex; B is 1 without ``noise``."""
+        for numerator, *denominator in zip(*self._terms(), self._weights(noise), strict=True):
+            yield from_pairs(as_pairs(numerator) * _reciprocal(*denominator))
+
+    def _terms(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Return conj(FH) ``(K, C, L // 2 + 1, M)``, and `_twice` |FH|^2, as many, and |FP|^2 ``(K, L // 2 + 1, 2 M)``."""
+        numerators = from_pairs(self.numerator).unflatten(0, self.log_lambda.shape)
         powers = self.power.unflatten(0, (-1, len(self.channels))).expand(len(self.planes), -1, -1, -1)
-        own = self.log_lambda.exp()
-        following = None if self.log_noise_weight is None else self.log_noise_weight.exp()
-        for plane, (numerator, power, weight) in enumerate(zip(numerators, powers, own, strict=True)):
-            if following is not None and noise is not None:
-                weight = weight + following[plane] * noise
-            penalty = weight[..., None, None] * filters[plane]
-            # Times the reciprocal: a complex division costs twice the time, forwards and backwards. Of a P without response
-            # at a frequency where the PSF has none either, nothing is left to divide by.
-            yield numerator * (power + penalty + _LEAST).reciprocal()
+        return numerators, powers, _twice(self._filter_power())
+
+    def _weights(self, noise: Tensor | None) -> Tensor:
+        """Return lambda ``(K, B, C)`` for ratios of noise to signal ``(B, C)``; B is 1 without them."""
+        own = self.log_lambda.exp()[:, None]
+        return (
+            own
+            if self.log_noise_weight is None or noise is None
+            else own + self.log_noise_weight.exp()[:, None] * noise
+        )
 
     def _filter_power(self) -> Tensor:
         """Return |FP|^2, ``(K, L // 2 + 1, M)``: the transform of P's autocorrelation, which is real and has 25 terms."""
@@ -207,6 +216,82 @@ class RegularisedInversion(FourierInversion):
         shifts, turns = (torch.arange(n, device=self.filters.device, dtype=self.filters.dtype) for n in (5, length))
         angles = 2 * math.pi / length * turns[:, None] * (shifts - 2)
         return angles.cos(), angles.sin()
+
+
+def _twice(values: Tensor) -> Tensor:
+    """Return real numbers ``(..., M)`` as factors of the pairs of complex ones, ``(..., 2 M)``: twice as fast as theirs."""
+    return values[..., None].expand(*values.shape, 2).flatten(-2)
+
+
+def _reciprocal(power: Tensor, filtered: Tensor, weight: Tensor) -> Tensor:
+    """Return the reciprocal denominator of W, ``(B, C, L // 2 + 1, 2 M)``: a complex division costs twice the time."""
+    return torch.addcmul(power, weight[..., None, None], filtered).reciprocal_()
+
+
+class _Division(torch.autograd.Function):
+    """The scenes of a spectrum times W(z), plane by plane and, on a CPU, sample by sample: all between stays in its cache.
+
+    The way back works the quotients out anew. What automatic differentiation would keep of them, at every plane, comes back
+    from main memory so slowly that a training step of FlatNet3D would take 1.5 times as long.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        spectrum: Tensor,
+        numerators: Tensor,
+        powers: Tensor,
+        filters: Tensor,
+        weights: Tensor,
+        rows: AxisPlan,
+        columns: AxisPlan,
+    ) -> Tensor:
+        """Return scenes ``(B, K, C, h, w)`` of a spectrum ``(B, C, L // 2 + 1, M)``.
+
+        ``numerators`` and ``powers``, constants, and ``filters`` are those of `_terms`; ``weights`` are ``(K, B, C)``.
+        """
+        ctx.save_for_backward(spectrum, numerators, powers, filters, weights)
+        ctx.plans = rows, columns
+        volume = weights.new_empty((len(spectrum), len(filters), len(numerators[0]), rows.size, columns.size))
+        for plane, part in _parts(volume):
+            quotient = spectrum[part] * numerators[plane]
+            as_pairs(quotient).mul_(_reciprocal(powers[plane], filters[plane], weights[plane, part]))
+            volume[part, plane] = scene_of(quotient, rows, columns)
+        return volume
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the gradients of spectrum, filters and weights."""
+        spectrum, numerators, powers, filters, weights = ctx.saved_tensors
+        rows, columns = ctx.plans
+        # An inverse transform's adjoint is the transform over its length; the half of the rows that is left out counts, too.
+        shares = torch.full((rows.length // 2 + 1, 1), 2 / (rows.length * columns.length)).to(filters)
+        shares[0 :: rows.length // 2 if rows.length % 2 == 0 else len(shares)] /= 2
+        shared = filters * shares
+        of_spectrum = torch.zeros_like(spectrum) if ctx.needs_input_grad[0] else None
+        of_filters, of_weights = torch.zeros_like(filters), torch.empty_like(weights)
+        for plane, part in _parts(gradient):
+            reciprocal = _reciprocal(powers[plane], filters[plane], weights[plane, part])
+            change = spectrum_of_scene(gradient[part, plane], rows, columns)
+            pairs = as_pairs(change).mul_(reciprocal)
+            if of_spectrum is not None:
+                of_spectrum[part].addcmul_(change, numerators[plane].conj())
+            quotient = spectrum[part] * numerators[plane]
+            products = as_pairs(quotient).mul_(reciprocal).mul_(pairs).flatten(2)
+            of_weights[plane, part] = products @ shared[plane].flatten()
+            of_filters[plane].flatten().addmv_(products.flatten(0, 1).T, weights[plane, part].flatten())
+        of_spectrum = None if of_spectrum is None else of_spectrum.mul_(shares)
+        return of_spectrum, None, None, of_filters.mul_(-shares), of_weights.neg_(), None, None
+
+
+def _parts(volume: Tensor) -> Iterator[tuple[int, slice]]:
+    """Yield every plane, and of the samples of a volume ``(B, K, ...)`` as many as are divided at once."""
+    samples, planes = volume.shape[:2]
+    many = 1 if volume.device.type == "cpu" else samples
+    for plane in range(planes):
+        for first in range(0, samples, many):
+            yield plane, slice(first, first + many)
 
 
 class WienerInversion(FourierInversion):
