@@ -232,7 +232,7 @@ class _Division(torch.autograd.Function):
     """The scenes of a spectrum times W(z), plane by plane and, on a CPU, sample by sample: all between stays in its cache.
 
     The way back works the quotients out anew. What automatic differentiation would keep of them, at every plane, comes back
-    from main memory so slowly that a training step of FlatNet3D would take 1.5 times as long.
+    from main memory so slowly that forwards and back took 1.4 times as long.
     """
 
     @staticmethod
@@ -286,12 +286,16 @@ class _Division(torch.autograd.Function):
 
 
 def _parts(volume: Tensor) -> Iterator[tuple[int, slice]]:
-    """Yield every plane, and of the samples of a volume ``(B, K, ...)`` as many as are divided at once."""
+    """Yield every plane, and of the samples of a volume ``(B, K, ...)`` those that are divided at once."""
     samples, planes = volume.shape[:2]
-    many = 1 if volume.device.type == "cpu" else samples
+    many = _samples_at_once(volume)
     for plane in range(planes):
         for first in range(0, samples, many):
             yield plane, slice(first, first + many)
+
+
+def _samples_at_once(volume: Tensor) -> int:
+    return 1 if volume.device.type == "cpu" else max(len(volume), 1)
 
 
 class WienerInversion(FourierInversion):
