@@ -24,7 +24,7 @@ from learning.tune.study import load_tuned
 from simulator.dataset import open_dataset
 
 REFERENCE = "FlatNet3D"
-NETWORKS = ((REFERENCE, "flatnet3d", 0), ("FlatNet3D refined", "flatnet3d", 1), ("FlatNet2D", "flatnet2d", 0))
+NETWORKS = ((REFERENCE, "flatnet3d", 0), ("FlatNet3D refined", "flatnet3d", 2), ("FlatNet2D", "flatnet2d", 0))
 
 
 def main() -> None:
