@@ -43,10 +43,9 @@ class ConstrainedLeastSquares(RegularisedInversion):
         divided = torch.cat(list(self.inverses()))
         self.register_buffer("divided", as_pairs(divided).flatten(0, 1), persistent=False)
 
-    def volume(self, light: Tensor, noise: Tensor | None = None) -> Tensor:
-        """Return the volume of light ``(B, C, H, W)``; see `RegularisedInversion.volume`."""
+    def volume(self, spectrum: Tensor, noise: Tensor | None = None) -> Tensor:
+        """Return the volume of light; see `RegularisedInversion.volume`."""
         del noise
-        spectrum = self.spectrum(light)
         inverses = from_pairs(self.divided).unflatten(0, self.log_lambda.shape)
         # One plane at a time: what lies between stays in the processor's cache, three times faster than all at once.
         return torch.stack([scene_of(spectrum * one, self.rows, self.columns) for one in inverses], dim=1) * self.scale

@@ -162,14 +162,13 @@ class RegularisedInversion(FourierInversion):
         check_measurement(measurement, self.offset, self.rows, self.columns)
         with torch.autocast(measurement.device.type, enabled=False):
             light = self.light(measurement)
-            return self.volume(light, None if self.log_noise_weight is None else noise_ratio(light))
+            return self.volume(self.spectrum(light), None if self.log_noise_weight is None else noise_ratio(light))
 
-    def volume(self, light: Tensor, noise: Tensor | None = None) -> Tensor:
-        """Return the volume of light ``(B, C, H, W)``, with ratios of noise to signal ``(B, C)``."""
+    def volume(self, spectrum: Tensor, noise: Tensor | None = None) -> Tensor:
+        """Return the volume of light with a `spectrum` ``(B, C, ...)`` and ratios of noise to signal ``(B, C)``."""
         numerators, powers, filters = self._terms()
-        weights = self._weights(noise).expand(-1, len(light), -1)
-        volume = _Division.apply(self.spectrum(light), numerators, powers, filters, weights, self.rows, self.columns)
-        return volume * self.scale
+        weights = self._weights(noise).expand(-1, len(spectrum), -1)
+        return _Division.apply(spectrum, numerators, powers, filters, weights, self.rows, self.columns) * self.scale
 
     def reproject(self, volume: Tensor) -> Tensor:
         """Return the light ``(B, C, H, W)`` that a volume as `volume` gives it sends to the sensor: what this inverts.

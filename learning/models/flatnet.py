@@ -167,7 +167,8 @@ class FlatNet(nn.Module):
         with torch.autocast(measurement.device.type, enabled=False):
             light = first.light(measurement)
             noise = noise_ratio(light) if self.noise_aware else None
-            volumes = [each.volume(light, noise) for each in (first, self.joint) if each is not None]
+            spectrum = first.spectrum(light)
+            volumes = [each.volume(spectrum, noise) for each in (first, self.joint) if each is not None]
             return Inverted(torch.stack(volumes, dim=1), light, noise)
 
     def enhance(self, inverted: Inverted) -> Surface:

@@ -98,7 +98,7 @@ class Refinement(nn.Module):
             weights = logits.softmax(dim=1)
             linear = srgb_to_linear(image, 1.0, clip=False).clamp(0, MOST_RADIANCE)
             residual = light - self.inversion.reproject(self.choice.volume(linear, weights))
-            volume = self.inversion.volume(residual, noise)
+            volume = self.inversion.volume(self.inversion.spectrum(residual), noise)
         per_plane = torch.cat([volume, weights[:, :, None]], dim=2).flatten(1, 2)
         known = [per_plane, image, disparity] + ([] if level is None else [level])
         added = self.enhancement(torch.cat(known, dim=1))

@@ -195,7 +195,7 @@ class _Inverted(torch.nn.Module):
         self.layer = layer
 
     def forward(self, light, ratio):
-        return self.layer.volume(light, ratio)
+        return self.layer.volume(self.layer.spectrum(light), ratio)
 
 
 @pytest.mark.usefixtures("double")

@@ -46,7 +46,7 @@ def test_a_step_is_its_definition(tiny_capture, recorded, noise_aware):
     model = tiny_capture.forward_model(radiated)
     residual = light - np.stack([model.forward(each[None]) for each in radiated])
     inversion = RegularisedInversion(tiny_capture, **options)
-    volume = inversion.volume(torch.from_numpy(residual), noise).detach().numpy()
+    volume = inversion.volume(inversion.spectrum(torch.from_numpy(residual)), noise).detach().numpy()
     wanted = np.concatenate([volume, weights[:, :, None]], axis=2).reshape(2, 12, 16, 16)
     wanted = [wanted, image, disparity] + ([level.numpy()] if noise_aware else [])
     np.testing.assert_allclose(
