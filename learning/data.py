@@ -295,7 +295,7 @@ class Loader(Generic[Item]):
             collate_fn=itemgetter(0),
             num_workers=workers,
             pin_memory=pin_memory,
-            worker_init_fn=_ignore_interrupts,
+            worker_init_fn=_ignore_signals,
             persistent_workers=workers > 0,
             generator=torch.Generator(),  # its own: the loader draws a number from it that nothing uses
         )
@@ -329,7 +329,7 @@ class _Guarded(TorchDataset[Any]):
             return [error]
 
 
-def _ignore_interrupts(_: int) -> None:
+def _ignore_signals(_: int) -> None:
     """Let a worker live on after a signal that asks the training to stop and reaches it too, until the loop has finished."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         if hasattr(signal, name):

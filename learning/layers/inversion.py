@@ -196,11 +196,9 @@ class RegularisedInversion(FourierInversion):
     def _weights(self, noise: Tensor | None) -> Tensor:
         """Return lambda ``(K, B, C)`` for ratios of noise to signal ``(B, C)``; B is 1 without them."""
         own = self.log_lambda.exp()[:, None]
-        return (
-            own
-            if self.log_noise_weight is None or noise is None
-            else own + self.log_noise_weight.exp()[:, None] * noise
-        )
+        if self.log_noise_weight is None or noise is None:
+            return own
+        return own + self.log_noise_weight.exp()[:, None] * noise
 
     def _filter_power(self) -> Tensor:
         """Return |FP|^2, ``(K, L // 2 + 1, M)``: the transform of P's autocorrelation, which is real and has 25 terms."""
