@@ -285,14 +285,15 @@ class _Division(torch.autograd.Function):
 def _parts(volume: Tensor) -> Iterator[tuple[int, slice]]:
     """Yield every plane, and of the samples of a volume ``(B, K, ...)`` those that are divided at once."""
     samples, planes = volume.shape[:2]
-    many = _samples_at_once(volume)
+    many = samples_at_once(volume)
     for plane in range(planes):
         for first in range(0, samples, many):
             yield plane, slice(first, first + many)
 
 
-def _samples_at_once(volume: Tensor) -> int:
-    return 1 if volume.device.type == "cpu" else max(len(volume), 1)
+def samples_at_once(batch: Tensor) -> int:
+    """Return how many samples of a batch are best worked on together: all on a GPU, one where a cache must hold them."""
+    return 1 if batch.device.type == "cpu" else max(len(batch), 1)
 
 
 class WienerInversion(FourierInversion):

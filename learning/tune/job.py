@@ -356,7 +356,7 @@ class _Trials:
         start = time.perf_counter()
         with torch.no_grad():
             if not reused:
-                # Scene by scene: of four, ADMM's volumes are so large that malloc maps each anew, in 1.6 times the time
+                # Scene by scene: a GPU need not hold what lies between of all.
                 self._volumes[key] = [method.volume(scene) for scene in self._measurements.split(1)]
             half = time.perf_counter()
             errors = Errors(math.nan, math.nan)  # of parameters with which the iteration diverges

@@ -169,7 +169,7 @@ def test_float32_is_as_exact_as_its_rounding(camera, double, following, joint):
     "sizes", [((6, 5), (2, 3), (3, 4)), ((5, 6), (3, 2), (3, 4))]
 )  # an even period of the rows, whose half has a last row of its own, and an odd one
 def test_gradients_by_finite_differences(camera, sizes, at_once, monkeypatch):
-    monkeypatch.setattr(inversion, "_samples_at_once", lambda *_: at_once)
+    monkeypatch.setattr(inversion, "samples_at_once", lambda *_: at_once)
     capture = camera(*sizes, depths_m=(0.02, 0.05), channels=("R", "G"))
     for joint in (False, True):
         layer = randomised(RegularisedInversion(capture, noise_weight=1.0, joint=joint))
