@@ -12,6 +12,7 @@ import torch
 import torch.nn.functional as nnf
 from torch import Tensor, nn
 
+from learning.layers.convolution import Conv3d
 from learning.layers.multiscale import MultiScaleNetwork
 
 
@@ -36,7 +37,7 @@ class NafBlock(nn.Module):
     def __init__(self, channels: int, dimensions: int = 2) -> None:
         """Build the block, which at first hands its input on: both residuals are scaled by 0."""
         super().__init__()
-        conv = nn.Conv2d if dimensions == 2 else nn.Conv3d
+        conv = nn.Conv2d if dimensions == 2 else Conv3d
         scale = (channels, *(1,) * dimensions)
         self.norm = ChannelNorm(channels)
         self.widen = conv(channels, 2 * channels, 1)
@@ -97,7 +98,7 @@ class NafNet(MultiScaleNetwork):
         super().__init__(
             inputs, outputs, filters=filters, levels=levels, dimensions=dimensions, stem=stem, blocks=blocks
         )
-        conv = nn.Conv2d if dimensions == 2 else nn.Conv3d
+        conv = nn.Conv2d if dimensions == 2 else Conv3d
         widths = [filters * 2**level for level in range(levels)]
         self.intro = conv(inputs * stem**2, filters, 3, padding=1)
         self.down = nn.ModuleList(_blocks(width, blocks, dimensions) for width in widths)
@@ -129,7 +130,7 @@ class _Enlarge(nn.Module):
     def __init__(self, inputs: int, outputs: int, dimensions: int) -> None:
         super().__init__()
         self.flat = dimensions == 2
-        conv, many = (nn.Conv2d, 4) if self.flat else (nn.Conv3d, 1)
+        conv, many = (nn.Conv2d, 4) if self.flat else (Conv3d, 1)
         self.mix = conv(inputs, many * outputs, 1, bias=False)
 
     def forward(self, image: Tensor) -> Tensor:

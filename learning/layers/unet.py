@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as nnf
 from torch import Tensor, nn
 
+from learning.layers.convolution import Conv3d
 from learning.layers.multiscale import MultiScaleNetwork
 
 
@@ -22,7 +23,7 @@ class GridAttention(nn.Module):
     def __init__(self, skip: int, gate: int, dimensions: int = 2) -> None:
         """Build the gate for a skip and a coarser level, half as fine, of so many channels, in 2 or 3 dimensions."""
         super().__init__()
-        conv, norm = (nn.Conv2d, nn.BatchNorm2d) if dimensions == 2 else (nn.Conv3d, nn.BatchNorm3d)
+        conv, norm = (nn.Conv2d, nn.BatchNorm2d) if dimensions == 2 else (Conv3d, nn.BatchNorm3d)
         inner = max(skip // 2, 1)
         self.mode = "bilinear" if dimensions == 2 else "trilinear"
         self.theta = conv(skip, inner, 2, stride=2, bias=False)
@@ -70,7 +71,7 @@ class UNet(MultiScaleNetwork):
             InputError: for sizes that `MultiScaleNetwork` refuses.
         """
         super().__init__(inputs, outputs, filters=filters, levels=levels, dimensions=dimensions, stem=stem)
-        conv = nn.Conv2d if dimensions == 2 else nn.Conv3d
+        conv = nn.Conv2d if dimensions == 2 else Conv3d
         widths = [filters * 2**level for level in range(levels)]
         ins = [inputs * stem**2, *widths[:-1]]
         self.down = nn.ModuleList(_block(a, b, dimensions) for a, b in zip(ins, widths, strict=True))
@@ -105,7 +106,7 @@ class UNet(MultiScaleNetwork):
 
 
 def _block(inputs: int, outputs: int, dimensions: int) -> nn.Sequential:
-    conv, norm = (nn.Conv2d, nn.BatchNorm2d) if dimensions == 2 else (nn.Conv3d, nn.BatchNorm3d)
+    conv, norm = (nn.Conv2d, nn.BatchNorm2d) if dimensions == 2 else (Conv3d, nn.BatchNorm3d)
     layers: list[nn.Module] = []
     for source in (inputs, outputs):
         layers += [conv(source, outputs, 3, padding=1, bias=False), norm(outputs), nn.ELU()]
