@@ -176,6 +176,8 @@ class LossConfig(Section):
     """error of VGG-19 features: of trained weights (a file that must be there), or random ones"""
     intensity_weight: Weight = 1.0
     """of the error of the codes"""
+    multiscale_weight: Weight = 0.0
+    """of the error of the codes of light averaged over 2 x 2, 4 x 4 and 8 x 8 pixels: what FLIP sees"""
     perceptual_weight: Weight = 0.1
     """of the error of the features, where there are any"""
     depth_weight: Weight = 1.0

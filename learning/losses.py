@@ -10,15 +10,18 @@ import torch.nn.functional as nnf
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.method import Estimate, check_choices
+from learning.method import Estimate, check_choices, linear_to_srgb, srgb_to_linear
 from learning.perceptual import PerceptualLoss
 from simulator.errors import InputError
 
 
 class ReconstructionLoss(nn.Module):
-    """Weighted sum of three terms; the thesis's is VGG-19 features plus ``alpha`` times the L1 norm of disparity.
+    """Weighted sum of its terms; the thesis's is VGG-19 features plus ``alpha`` times the L1 norm of disparity.
 
     - ``intensity``: mean squared or mean absolute difference of sRGB codes;
+    - ``multiscale``: mean absolute difference of the sRGB codes of linear light averaged over 2 x 2, 4 x 4 and 8 x 8 pixels,
+      the mean of the three: what an eye at a distance sees, and FLIP with it (Andersson et al. 2020, section 4.1). The error
+      of single pixels says little of it: averages of codes are not codes of averages;
     - ``perceptual``: see `learning.perceptual.PerceptualLoss`; absent with ``none``;
     - ``depth``: mean absolute difference of disparity on the scale 0 (far) to 1 (near);
     - ``depth_cm``: Huber's loss of the depth's error in centimetres, in which it is judged: squares up to 1 cm, from there on
@@ -34,6 +37,7 @@ class ReconstructionLoss(nn.Module):
         perceptual: Literal["none", "vgg", "random_vgg"] = "none",
         *,
         intensity_weight: float = 1.0,
+        multiscale_weight: float = 0.0,
         perceptual_weight: float = 0.1,
         depth_weight: float = 0.1,
         depth_cm_weight: float = 0.0,
@@ -54,7 +58,12 @@ class ReconstructionLoss(nn.Module):
             ("intensity", intensity, ("mse", "l1")), ("perceptual", perceptual, ("none", "vgg", "random_vgg"))
         )
         self._capture = capture
-        self.weights = {"intensity": intensity_weight, "depth": depth_weight, "depth_cm": depth_cm_weight}
+        self.weights = {
+            "intensity": intensity_weight,
+            "multiscale": multiscale_weight,
+            "depth": depth_weight,
+            "depth_cm": depth_cm_weight,
+        }
         if perceptual != "none":
             self.weights["perceptual"] = perceptual_weight
         for name, weight in self.weights.items():
@@ -81,6 +90,8 @@ class ReconstructionLoss(nn.Module):
                 raise InputError(name, f"got shape {tuple(wanted.shape)}, expected {tuple(found.shape)} as estimated")
         difference = estimate.image - image
         terms = {"intensity": (difference.square() if self.intensity == "mse" else difference.abs()).mean()}
+        if self.weights["multiscale"]:
+            terms["multiscale"] = _multiscale(estimate.image, image)
         if self.perceptual is not None:
             terms["perceptual"] = self.perceptual(estimate.image, image)
         counted = torch.ones_like(valid) if self.invalid_depth else valid
@@ -99,6 +110,16 @@ class ReconstructionLoss(nn.Module):
         return {"intensity": self.intensity, **terms, **perceptual} | {
             f"{name}_weight": weight for name, weight in self.weights.items()
         }
+
+
+def _multiscale(found: Tensor, true: Tensor) -> Tensor:
+    """Return the mean absolute difference of the codes of averaged light, over three sizes of square."""
+    lights, differences = [srgb_to_linear(codes, 1.0, clip=False) for codes in (found, true)], []
+    for _ in range(3):
+        lights = [nnf.avg_pool2d(light, 2, ceil_mode=True) for light in lights]
+        one, other = (linear_to_srgb(light, 1.0, clip=False) for light in lights)
+        differences.append((one - other).abs().mean())
+    return torch.stack(differences).mean()
 
 
 def _mean_over(values: Tensor, counted: Tensor) -> Tensor:

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as nnf
 from torch import Tensor
 
 from learning.camera import CaptureModel
 from learning.losses import ReconstructionLoss
 from learning.method import Estimate
+from simulator.colour import linear_to_srgb, srgb_to_linear
 from simulator.errors import InputError
 
 Scenes = tuple[Estimate, Tensor, Tensor, Tensor]
@@ -55,6 +57,41 @@ def test_terms_are_their_formulas(scenes: Scenes, make_loss: Any, intensity: str
     assert terms["depth_weighted"].item() == pytest.approx(0.2 * depth, rel=1e-12)
     assert terms["total"].item() == pytest.approx(0.7 * expected + 0.2 * depth, rel=1e-12)
     assert set(terms) == {"total", "intensity", "depth", "intensity_weighted", "depth_weighted"}
+
+
+def test_light_is_compared_at_three_scales(scenes: Scenes, make_loss: Any) -> None:
+    """Against block means in NumPy; 36 columns are 4.5 blocks of 8."""
+    estimate, image, disparity, valid = scenes
+    terms = make_loss("l1", multiscale_weight=0.4)(estimate, image, disparity, valid)
+    expected = 0.0
+    for side in (2, 4, 8):
+        means = [
+            np.stack([
+                [decoded[..., r : r + side, c : c + side].mean((2, 3)) for c in range(0, 36, side)]
+                for r in range(0, 32, side)
+            ])
+            for decoded in (srgb_to_linear(codes.numpy()).astype(np.float64) for codes in (estimate.image, image))
+        ]  # fmt: skip
+        found, true = (linear_to_srgb(mean).astype(np.float64) for mean in means)
+        expected += np.abs(found - true).mean() / 3
+    assert terms["multiscale"].item() == pytest.approx(expected, rel=1e-5)  # the curves in NumPy return float32
+    assert terms["multiscale_weighted"].item() == pytest.approx(0.4 * expected, rel=1e-5)
+    weighted = terms["intensity_weighted"] + terms["multiscale_weighted"] + terms["depth_weighted"]
+    assert terms["total"].item() == pytest.approx(weighted.item(), rel=1e-12)
+
+
+def test_noise_without_an_average_hardly_counts_at_scales(scenes: Scenes, make_loss: Any) -> None:
+    """A chequerboard whose light averages to the truth's costs nothing there, a veil of the same size does."""
+    _, image, disparity, valid = scenes
+    image = 0.2 + 0.6 * nnf.interpolate(image[..., ::4, ::4], scale_factor=4.0)
+    sign = 1.0 - 2.0 * (torch.arange(32)[:, None] + torch.arange(36)).remainder(2)
+    loss = make_loss("l1", multiscale_weight=1.0)
+    light = torch.from_numpy(srgb_to_linear(image.numpy())).double()
+    found = {}
+    for name, change in (("chequerboard", 0.02 * sign), ("veil", torch.tensor(0.02))):
+        changed = torch.from_numpy(linear_to_srgb((light + change).numpy())).double()
+        found[name] = loss(Estimate(changed, disparity), image, disparity, valid)["multiscale"].item()
+    assert found["chequerboard"] < 1e-6 < 0.005 < found["veil"]
 
 
 def huber_cm(estimate: Tensor, disparity: Tensor) -> np.ndarray:
@@ -100,7 +137,7 @@ def test_all_pixels_count_when_asked(scenes: Scenes, make_loss: Any) -> None:
 def test_parts_of_a_batch_average_to_the_whole(scenes: Scenes, make_loss: Any) -> None:
     """So two processes with half a batch each follow one process, although their scenes have unlike numbers of pixels."""
     estimate, image, disparity, valid = scenes
-    loss = make_loss("l1", depth_cm_weight=0.1)
+    loss = make_loss("l1", multiscale_weight=0.2, depth_cm_weight=0.1)
     whole = loss(estimate, image, disparity, valid)
     parts = [loss(Estimate(*(v[n : n + 1] for v in estimate)), *(v[n : n + 1] for v in scenes[1:])) for n in range(3)]
     for name, value in whole.items():
@@ -113,7 +150,7 @@ def test_gradients_are_always_finite(scenes: Scenes, make_loss: Any, perceptual:
     image, disparity, valid = (value.float() for value in scenes[1:])
     start = (image, disparity) if perfect else (image + 0.1, disparity + 0.1)
     estimate = Estimate(*(value.clone().requires_grad_() for value in start))
-    loss = make_loss(perceptual=perceptual, depth_cm_weight=0.1)
+    loss = make_loss(perceptual=perceptual, multiscale_weight=0.2, depth_cm_weight=0.1)
     terms = loss(estimate, image, disparity, torch.zeros_like(valid, dtype=torch.bool))
     terms["total"].backward()
     assert terms["depth"].item() == terms["depth_cm"].item() == 0
@@ -148,10 +185,10 @@ def test_nonsense_is_refused(scenes: Scenes, make_loss: Any, tmp_path: Path, mon
     with pytest.raises(InputError, match=r"^perceptual: "):
         make_loss(perceptual="lpips")
     for weight in (-1.0, math.nan, math.inf):
-        for name in ("depth_weight", "depth_cm_weight"):
+        for name in ("multiscale_weight", "depth_weight", "depth_cm_weight"):
             with pytest.raises(InputError, match=rf"^{name}: "):
                 make_loss(**{name: weight})
-    with pytest.raises(InputError, match=r"^intensity_weight, depth_weight, depth_cm_weight: "):
+    with pytest.raises(InputError, match=r"^intensity_weight, multiscale_weight, depth_weight, depth_cm_weight: "):
         make_loss(intensity_weight=0, depth_weight=0)
     with pytest.raises(InputError, match=r"^disparity: "):
         make_loss()(estimate, image, disparity[:, 0], valid)
