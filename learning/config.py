@@ -129,6 +129,8 @@ class NetworkConfig(Section):
     """invert all planes at once, too, beside each by itself"""
     refinements: Annotated[int, Range(0, 10)] | None = None
     """refinement steps: what the estimate leaves unexplained of the measurement is inverted and enhanced again"""
+    repeats: Annotated[int, Range(0, 10)] | None = None
+    """how many times more the last refinement step is taken, with the same weights"""
     head: Literal["soft", "linear"] | None = None
     """choose among the planes with softmax weights and add what they lack, or image and disparity as they come"""
     regularisation_lambda: Annotated[float, Range(1e-9, 1e6)] | None = None

@@ -76,7 +76,8 @@ class FlatNet(nn.Module):
     The thesis's is a U-Net with a linear output. Beyond it: NAF blocks as ``body``; lambda that follows the noise, and the
     noise's level as a further input; a ``joint`` inversion of all planes beside the plane-wise one; a ``soft`` head that
     chooses among the planes, with softmax weights, image and disparity alike, and adds what these lack; ``refinements``,
-    steps that invert and enhance again what the estimate leaves unexplained.
+    steps that invert and enhance again what the estimate leaves unexplained, each with weights of its own; ``repeats`` of the
+    last one, with its weights, which must then do for whatever the step before left, as MoDL's do for all.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class FlatNet(nn.Module):
         noise_aware: bool = False,
         joint: bool = False,
         refinements: int = 0,
+        repeats: int = 0,
         head: Literal["soft", "linear"] = "linear",
         regularisation_lambda: float = 0.1,
         tikhonov: float = 1.0,
@@ -100,7 +102,7 @@ class FlatNet(nn.Module):
 
         Raises:
             InputError: an unknown body or head, or what this one lacks: blocks of the U-Net, attention of NAF blocks,
-                refinements of the U-Net or a linear head.
+                refinements of the U-Net or a linear head, a refinement to repeat.
         """
         super().__init__()
         check_choices(("body", body, ("naf", "unet")), ("head", head, ("soft", "linear")))
@@ -112,6 +114,8 @@ class FlatNet(nn.Module):
         if refinements and (body, head) != ("naf", "soft"):
             got = f"got {refinements} with body: {body} and head: {head}"
             raise InputError("refinements", f"{got}, expected 0; or take body: naf and head: soft")
+        if repeats and not refinements:
+            raise InputError("repeats", f"got {repeats} without refinements, expected 0; or take refinements: 1")
         planes = self.planes_of(capture)
         joint = joint and len(planes) > 1  # of one plane it is the plane-wise one
         image = capture.scene_shape
@@ -138,6 +142,7 @@ class FlatNet(nn.Module):
         self.choice = PlaneChoice(capture, planes)
         steps = (Refinement(capture, planes, options, noise_aware, blocks=blocks, **sizes) for _ in range(refinements))
         self.refinements = cast("Sequence[Refinement]", nn.ModuleList(steps))
+        self.repeats = repeats
 
     @property
     def plane_weights(self) -> list[PlaneWeights]:
@@ -193,7 +198,7 @@ class FlatNet(nn.Module):
         """Return the estimate of the image after all refinement steps."""
         _, light, noise = inverted
         level = None if noise is None else self._level(noise, surface.image)
-        for each in self.refinements:
+        for each in (*self.refinements, *list(self.refinements)[-1:] * self.repeats):
             surface = each(surface, light, noise, level)
         return Estimate(surface.image[self.image], surface.disparity[self.image])
 
@@ -251,10 +256,10 @@ def hyperfocal_plane(capture: CaptureModel) -> int:
 
 
 NETWORKS: dict[str, type[FlatNet3D] | type[FlatNet2D]] = {"flatnet3d": FlatNet3D, "flatnet2d": FlatNet2D}
-_THESIS: dict[str, Any] = {"noise_aware": False, "joint": False, "refinements": 0, "head": "linear"}
+_THESIS: dict[str, Any] = {"noise_aware": False, "joint": False, "refinements": 0, "repeats": 0, "head": "linear"}
 _OURS: dict[str, Any] = {
     **{"body": "naf", "blocks": 1, "stem": 1, "noise_aware": True},
-    **{"joint": True, "refinements": 0, "head": "soft"},
+    **{"joint": True, "refinements": 0, "repeats": 0, "head": "soft"},
 }
 SIZES: dict[str, dict[str, Any]] = {
     "thesis": {"body": "unet", "filters": 64, "levels": 5, "attention": True, "stem": 1} | _THESIS,

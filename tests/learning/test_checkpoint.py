@@ -105,7 +105,15 @@ def test_the_first_version_gives_what_it_gave():
     checkpoint = load_checkpoint(FIRST)
     assert checkpoint.architecture == {
         **{"network": "flatnet3d", "size": "tiny", "body": "unet", "blocks": 1, "filters": 4, "levels": 2},
-        **{"attention": True, "stem": 1, "noise_aware": False, "joint": False, "refinements": 0, "head": "linear"},
+        **{
+            "attention": True,
+            "stem": 1,
+            "noise_aware": False,
+            "joint": False,
+            "refinements": 0,
+            "repeats": 0,
+            "head": "linear",
+        },
     }
     measurement = torch.from_numpy(np.random.default_rng(9).random((1, 3, 16, 16)).astype(np.float32))
     with torch.no_grad():

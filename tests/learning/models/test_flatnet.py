@@ -22,8 +22,9 @@ KINDS = [
     {"body": "unet", "attention": True, "stem": 2},
     {"stem": 2, "blocks": 2},
     {"refinements": 1},
+    {"refinements": 1, "repeats": 2},
     {"refinements": 2, "stem": 2, "noise_aware": False},
-    {"noise_aware": False, "joint": False, "refinements": 0, "head": "linear"},
+    {"noise_aware": False, "joint": False, "refinements": 0, "repeats": 0, "head": "linear"},
     {"body": "unet", "noise_aware": False},
     {"joint": False},
     {"body": "unet", "head": "linear"},
@@ -106,6 +107,23 @@ def test_refinements_see_what_lies_around_the_scene_and_give_the_scene(tiny_capt
     torch.testing.assert_close(added[0], second.output[0, :4, 4:20, 6:22], atol=1e-4, rtol=0)
 
 
+def test_a_repeated_refinement_is_a_further_one_of_the_same_weights(tiny_capture):
+    torch.manual_seed(0)
+    repeated, further, fewer = (
+        build_network(tiny_capture, "flatnet3d", "tiny", **numbers).eval()
+        for numbers in ({"refinements": 2, "repeats": 1}, {"refinements": 3}, {"refinements": 2})
+    )
+    weights = {key: value + 0.1 * torch.rand(value.shape) for key, value in repeated.state_dict().items()}
+    again = {key.replace(".1.", ".2.", 1): value for key, value in weights.items() if key.startswith("refinements.1.")}
+    measurement = 0.1 + torch.rand(1, 3, 48, 48)
+    for network, known in ((repeated, weights), (further, weights | again), (fewer, weights)):
+        network.load_state_dict(known)
+    with torch.no_grad():
+        once, twice, never = (network(measurement).image for network in (repeated, further, fewer))
+    assert torch.equal(once, twice)
+    assert float((once - never).abs().mean()) > 0.01
+
+
 @pytest.mark.parametrize("name", ["flatnet3d", "flatnet2d"])
 def test_a_soft_head_chooses_among_the_planes(tiny_capture, recorded, name):
     """In NumPy: softmax over planes, of radiance and of disparity; the codes of the former; and the body's residual."""
@@ -182,7 +200,13 @@ def test_hyperfocal_plane_is_in_the_middle_of_the_disparities(tiny_capture, dept
 def test_thesis_size_is_the_theses_network(tiny_capture):
     """A U-Net of 64 to 1024 filters with attention behind the plane-wise inversion of fixed lambda, its output linear."""
     wanted = {"body": "unet", "filters": 64, "levels": 5, "attention": True, "stem": 1}
-    assert SIZES["thesis"] == wanted | {"noise_aware": False, "joint": False, "refinements": 0, "head": "linear"}
+    assert SIZES["thesis"] == wanted | {
+        "noise_aware": False,
+        "joint": False,
+        "refinements": 0,
+        "repeats": 0,
+        "head": "linear",
+    }
     torch.manual_seed(0)
     network = build_network(tiny_capture, "flatnet3d", "thesis", filters=2).eval()
     unet = UNet(9, 4, filters=2, levels=5, attention=True)
@@ -201,7 +225,16 @@ def test_thesis_size_is_the_theses_network(tiny_capture):
 
 
 def test_smaller_sizes_are_ours(tiny_capture):
-    ours = {"body": "naf", "blocks": 1, "stem": 1, "noise_aware": True, "joint": True, "refinements": 0, "head": "soft"}
+    ours = {
+        "body": "naf",
+        "blocks": 1,
+        "stem": 1,
+        "noise_aware": True,
+        "joint": True,
+        "refinements": 0,
+        "repeats": 0,
+        "head": "soft",
+    }
     for size, numbers in (("compact", {"filters": 24, "levels": 4}), ("tiny", {"filters": 8, "levels": 3})):
         assert SIZES[size] == ours | numbers
     networks = (build_network(tiny_capture, "flatnet3d", size) for size in ("tiny", "compact"))
@@ -217,6 +250,7 @@ def test_smaller_sizes_are_ours(tiny_capture):
         ("blocks", {"blocks": 0}),
         ("body", {"body": "resnet"}),
         ("head", {"head": "hard"}),
+        ("repeats", {"repeats": 1}),
     ],
 )
 def test_refuses_what_a_body_has_not(tiny_capture, wrong, changes):
