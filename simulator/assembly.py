@@ -89,8 +89,8 @@ class Assembly:
         >>> from simulator.config import config_from_dict, default_config_text
         >>> import yaml
         >>> assembly = Assembly(config_from_dict(yaml.safe_load(default_config_text())))
-        >>> round(assembly.pixel_pitch_m * 1e6, 6), assembly.view.shape
-        (19.2, (128, 128))
+        >>> round(assembly.pixel_pitch_m * 1e6, 6), len(assembly.depths_m)
+        (19.2, 28)
     """
 
     config: Config

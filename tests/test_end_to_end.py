@@ -16,7 +16,7 @@ from simulator.dataset import open_dataset, verify
 
 pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 
-PHLATCAM = {"design": "phlatcam", "width_mm": 0.6, "iterations": 2}
+PHLATCAM = {"design": "phlatcam", "width_mm": 0.3, "iterations": 2}
 RENDERED = {"family": "flying_things", "size": [16, 20], "samples_per_pixel": 1, "objects": 5}
 PACKAGE = '''
 """A package of somebody else's plugins."""

@@ -82,7 +82,9 @@ def test_learns_and_leaves_what_belongs_to_it(settings: Settings) -> None:
     assert sum("validation PSNR" in line for line in said) == 4
 
 
-@pytest.mark.parametrize(("stops", "augment"), [((1,), None), ((4, 7), None), ((5,), Augmentation())])
+@pytest.mark.parametrize(
+    ("stops", "augment"), [((1,), None), pytest.param((4, 7), None, marks=pytest.mark.slow), ((5,), Augmentation())]
+)
 def test_goes_on_as_if_it_had_never_stopped(
     settings: Settings, stops: tuple[int, ...], augment: Augmentation | None
 ) -> None:
@@ -475,7 +477,7 @@ def config(train: Path, **data: Any) -> TrainConfig:
         ("camera.noise={type: physical}", "offset"),
         ("forward.vignetting=false", "irradiance"),
         ("camera.mask.seed=5", "mask"),
-        ("psf.far_cm=25", "range of depths"),
+        pytest.param("psf.far_cm=25", "range of depths", marks=pytest.mark.slow),
         ("camera.scene_to_camera=[[0.9, 0.1, 0.0], [0.1, 0.8, 0.2], [0.0, 0.1, 0.7]]", "scene_to_camera"),
     ],
 )

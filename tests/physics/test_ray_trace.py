@@ -122,7 +122,9 @@ def _difference(mask, distance_m, depth_m, shrink, rays):
     return np.linalg.norm(wave - rays) / np.linalg.norm(wave)
 
 
-@pytest.mark.parametrize("depth_m", [math.inf, 0.02], ids=["infinity", "2 cm"])
+@pytest.mark.parametrize(
+    "depth_m", [pytest.param(math.inf, marks=pytest.mark.slow, id="infinity"), pytest.param(0.02, id="2 cm")]
+)
 def test_waves_become_rays_with_the_square_of_the_wavelength(depth_m):
     """Before the first caustic the wave's intensity differs from the rays' by O(lambda^2) (Luneburg-Kline series).
 
@@ -137,6 +139,7 @@ def test_waves_become_rays_with_the_square_of_the_wavelength(depth_m):
     assert np.all((orders > 1.7) & (orders < 2.1)), f"orders {orders} of {differences}"
 
 
+@pytest.mark.slow
 def test_waves_become_rays_behind_caustics_too():
     """Behind caustics fringes stay, ever finer; blurred to the pixel, they fade at about the first order."""
     mask, d = _random_surface(), 2e-3

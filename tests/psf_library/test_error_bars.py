@@ -13,7 +13,7 @@ from simulator.types import CameraGeometry, SpectralResponse
 
 GREEN = SpectralResponse(np.array([531e-9, 532e-9, 533e-9]), np.array([[0.0, 1.0, 0.0]]), ("Y",), "one line")
 DISTANCE_M = {"diffusercam": 10e-3}  # the others are made for 1.9 mm, the default
-COSTLY = ("diffusercam", "height_map", "phlatcam", "spiral", "vortex")
+COSTLY = ("diffusercam", "height_map", "lens", "phlatcam", "spiral", "vortex")
 SMALL = {"phlatcam": {"width_mm": 0.3, "iterations": 5}, "diffusercam": {"width_mm": 1.0}}  # cropped anyway
 
 

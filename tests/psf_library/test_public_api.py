@@ -103,10 +103,10 @@ def test_the_readme_s_mask_works(trial) -> None:
     (code,) = [block for block in blocks if "-> Mask:" in block]
     (name,) = re.findall(r"^def (\w+)\(", code, re.MULTILINE)
     trial.plugins.with_name("my_mask.py").write_text(code)
-    mask = load_mask(f"./my_mask.py:{name}", trial.folder, width_mm=0.6)
-    assert mask.shape[0] * mask.pitch_m == pytest.approx(0.6e-3)
+    mask = load_mask(f"./my_mask.py:{name}", trial.folder, width_mm=0.3)
+    assert mask.shape[0] * mask.pitch_m == pytest.approx(0.3e-3)
     assert mask.height_m.std() > 0
     psf = {"depths_cm": [20], "wavelengths_per_channel": 1, "accept_error": 1}
-    path = trial.write(camera={"mask": {"design": f"./my_mask.py:{name}", "width_mm": 0.6}}, psf=psf)
+    path = trial.write(camera={"mask": {"design": f"./my_mask.py:{name}", "width_mm": 0.3}}, psf=psf)
     stack = load_psf_stack(path)
-    assert stack.energy_m2() == pytest.approx(0.36e-6, rel=0.05)  # a phase mask lets all light pass
+    assert stack.energy_m2() == pytest.approx(0.09e-6, rel=0.05)  # a phase mask lets all light pass

@@ -29,6 +29,7 @@ def test_defaults_are_accepted(design, camera):
     assert prove_sampling(design(), camera, ONE_DEPTH)["error"] < REFUSE
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 def test_large_designs_are_accepted_as_crops(camera):
     """The proof looks at the middle 1.5 mm anyway; of a random mask 1 mm says as much."""

@@ -309,6 +309,7 @@ def test_rows_stand_worst_first_with_what_to_change(few_wavelengths):
     assert budget_lines([]) == []
 
 
+@pytest.mark.slow
 def test_the_full_budget_is_a_table_of_everything(few_wavelengths):
     mask, config = _mask(24), _config(0.02, 0.1, np.inf)
     told = []
