@@ -2,9 +2,10 @@
 
     uv run --extra learn python benchmarks/reconstruct.py DATASET [--tuned tuned.json] [--device cuda] [--repeats 7]
 
-Learned weights cost what random ones do, so networks are built for the data set's camera as they come. The classical methods
-take the parameters and the number of iterations that `flatlight tune` found, or their defaults. All share inversion code;
-the graph cut is OR-tools' and runs on the CPU whatever the device. One thread, one scene at a time, methods by turns.
+Learned weights cost what random ones do, so the presets' networks are built for the data set's camera as they come. The
+classical methods take the parameters and the number of iterations that `flatlight tune` found, or their defaults. All share
+inversion code; the graph cut is OR-tools' and runs on the CPU whatever the device. One thread, one scene at a time, methods
+by turns.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import argparse
 from pathlib import Path
 
 import torch
+import yaml
 
 from learning.camera import capture_model, measure_reference_white
 from learning.classical.method import DEFAULTS, build_classical
@@ -20,11 +22,12 @@ from learning.evaluate.scoring import take_times
 from learning.method import Method, describe_device
 from learning.models import build_network
 from learning.models.flatnet import LearnedMethod
+from learning.presets import preset_texts
 from learning.tune.study import load_tuned
 from simulator.dataset import open_dataset
 
 REFERENCE = "FlatNet3D"
-NETWORKS = ((REFERENCE, "flatnet3d", 0), ("FlatNet3D refined", "flatnet3d", 2), ("FlatNet2D", "flatnet2d", 0))
+PRESETS = {REFERENCE: "flatnet3d_64", "FlatNet3D refined": "flatnet3d_refined_64", "FlatNet2D": "flatnet2d_64"}
 
 
 def main() -> None:
@@ -40,10 +43,10 @@ def main() -> None:
     device = torch.device(chosen.device)
     train = open_dataset(chosen.dataset, "train")
     capture = capture_model(train, white=measure_reference_white(train))
-    methods: list[Method] = [
-        LearnedMethod(name, build_network(capture, network, chosen.size, refinements=looks).to(device), capture)
-        for name, network, looks in NETWORKS
-    ]
+    methods: list[Method] = []
+    for name, preset in PRESETS.items():
+        keys = yaml.safe_load(preset_texts()[preset])["network"] | {"size": chosen.size}
+        methods.append(LearnedMethod(name, build_network(capture, **keys).to(device), capture))
     for name in ("cls", "admm", "pnp"):
         parameters, where = DEFAULTS[name], "by default"
         if chosen.tuned is not None:

@@ -61,7 +61,7 @@ def test_the_refinement_goes_on_from_what_the_training_writes(tmp_path: Path) ->
         load_file(TrainConfig, _written(name, tmp_path)) for name in ("flatnet3d_64", "flatnet3d_refined_64")
     )
     assert further.init_from == f"{first.output}/best.safetensors"
-    assert further.network.numbers == first.network.numbers | {"refinements": 2}
+    assert further.network.numbers == first.network.numbers | {"refinements": 2, "repeats": 1}
     assert further.data == first.data
     assert further.loss == first.loss.model_copy(update={"multiscale_weight": 3.0})
 
