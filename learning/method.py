@@ -6,7 +6,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -135,18 +135,23 @@ WORTH_THREADS = 2**20
 
 
 @contextmanager
-def threads_for(numbers: int) -> Iterator[None]:
+def torch_threads(count: int | None) -> Iterator[None]:
+    """Let torch compute with so many threads inside; None leaves them as they are."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(before if count is None else count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def threads_for(numbers: int) -> AbstractContextManager[None]:
     """Let torch compute with one thread inside, where its largest arrays hold fewer numbers than `WORTH_THREADS`.
 
     Threads wait for each other after every operation, and spin as they wait. On two cores that others used, too, two of them
     took 3 to 68 times the CPU time of one for arrays of 120 000 numbers, and 2 to 65 times as long.
     """
-    before = torch.get_num_threads()
-    torch.set_num_threads(before if numbers >= WORTH_THREADS else 1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+    return torch_threads(None if numbers >= WORTH_THREADS else 1)
 
 
 def describe_device(device: torch.device) -> str:

@@ -18,7 +18,7 @@ from learning.evaluate.outcome import Outcome, first_scenes, outcome
 from learning.evaluate.report import OWN_FILES, Evaluation, Findings, claim_folder, is_claimed, write_results
 from learning.evaluate.runs import Cameras, ResultCache, Run, Runner
 from learning.evaluate.scoring import Criteria, Times, naive_baselines, score, take_times
-from learning.method import Progress, Say, choose_device, describe_device, linear_to_srgb
+from learning.method import Progress, Say, choose_device, describe_device, linear_to_srgb, torch_threads
 from learning.perceptual import LpipsDistance, available_lpips
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
@@ -39,8 +39,6 @@ def evaluate(
     """
     folder = config.resolve_path(config.output)
     device = choose_device(config.device)
-    if config.threads is not None:
-        torch.set_num_threads(config.threads)
     # What does not fit is said of all data sets now, not after hours of work.
     for name in config.sets:
         if name in (CACHE, *OWN_FILES):
@@ -55,12 +53,13 @@ def evaluate(
     claim_folder(folder, config.name)
     say(perceptual)
     findings: dict[str, Findings] = {}
-    for name, trial in trials.items():
-        whose = f"{name}: " if name else ""
-        findings[name] = trial.run(lambda stage, *counts, whose=whose: progress(whose + stage, *counts))
-        for line in findings[name].unknown:
-            say(whose + line)
-    evaluation = Evaluation(config, findings, perceptual, describe_device(device))
+    with torch_threads(config.threads):
+        for name, trial in trials.items():
+            whose = f"{name}: " if name else ""
+            findings[name] = trial.run(lambda stage, *counts, whose=whose: progress(whose + stage, *counts))
+            for line in findings[name].unknown:
+                say(whose + line)
+        evaluation = Evaluation(config, findings, perceptual, describe_device(device))
     return evaluation, write_results(folder, evaluation)
 
 
@@ -143,9 +142,9 @@ def find_perceptual(wanted: str, device: torch.device) -> tuple[LpipsDistance | 
     """Return LPIPS, or None, and words about it; an InputError says which of its files are missing where it must be."""
     if wanted == "none":
         return None, "no LPIPS: it was not asked for"
-    if wanted == "lpips":
-        LpipsDistance()  # says what is missing and where
     lpips, words = available_lpips()
+    if wanted == "lpips" and lpips is None:
+        raise InputError("perceptual", f"got lpips, but {words}; put one there, or take auto")
     return lpips and lpips.to(device), words
 
 

@@ -38,6 +38,11 @@ class LearnedEntry:
     record: Mapping[str, Any]
     kind: Kind = "learned"
 
+    @property
+    def label(self) -> str:
+        """The method's name with this seed's file, for messages."""
+        return f"{self.name} ({self.path})"
+
     def plain(self) -> dict[str, Any]:
         """Return what results.json says of it."""
         about = {"architecture": dict(self.architecture), "record": dict(self.record)}

@@ -87,8 +87,8 @@ class Outcome:
         stack: how the PSFs that it assumed are named in the file; ``own`` for those that it always has.
         noise_db: level at which noise was drawn anew; None for measurements as stored.
         scores: mean and spreads by score, see `learning.metrics.measure`.
-        pooled_depth_rmse_cm: over all pixels of all scenes and seeds.
-        bins_cm: depth RMSE by bin of true depth, over all pixels; None where a bin is empty.
+        pooled_depth_rmse_cm: over all pixels of all scenes and seeds, whatever the bins hold of them.
+        bins_cm: depth RMSE by bin of true depth, over all of its pixels; None where a bin is empty.
         note: what else decides it, such as tuned parameters.
         scenes: how many were used.
         tuned_db: level at which its parameters were tuned; None where none were.
@@ -152,9 +152,10 @@ def outcome(
     tables = {name: table for name, table in tables.items() if not np.isnan(table).any(axis=0).all()}
     pooled, bins = None, ()
     if "depth_rmse_cm" in tables:
-        sums = [[seed[name] for seed in seeds] for name in ("squares_cm2", "counts")]
-        bins = pooled_rms(*sums)
-        (pooled,) = pooled_rms(*([[[sum(scene)] for scene in seed] for seed in each] for each in sums))
+        bins = pooled_rms(*([seed[name] for seed in seeds] for name in ("squares_cm2", "counts")))
+        pixels = np.array([seed["pixels"] for seed in seeds])
+        squares = np.where(pixels > 0, pixels * tables["depth_rmse_cm"] ** 2, 0)
+        (pooled,) = pooled_rms(squares[..., None], pixels[..., None])
     about: Any = {"stack": stack, "noise_db": noise_db, "note": note, "tuned_db": tuned_db}
     together = Outcome(
         method,

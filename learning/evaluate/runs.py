@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.data import Example, ExampleSet, measured_psnr_db
-from learning.evaluate.methods import Entry
+from learning.evaluate.methods import Entry, LearnedEntry
 from learning.evaluate.outcome import OWN
 from learning.evaluate.scoring import Criteria, ScenesDone, checked, score
 from learning.method import Method
@@ -81,13 +81,13 @@ class Cameras:
         return read_psf_stack(self._folder(name))
 
     def _white(self, entries: Sequence[Entry]) -> float:
-        whites = {entry.name: entry.capture.white for entry in entries if entry.capture is not None}
-        if not whites:
+        learned = [entry for entry in entries if isinstance(entry, LearnedEntry)]
+        if not learned:
             return measure_reference_white(self._learned_from())
-        one, first = next(iter(whites.items()))
-        for name, white in whites.items():
-            if abs(white - first) > _WHITES_ALIKE * first:
-                found = f"{name} shows a radiance of {white:g} as white, {one} {first:g}"
+        one, first = learned[0], learned[0].capture.white
+        for other in learned[1:]:
+            if abs((white := other.capture.white) - first) > _WHITES_ALIKE * first:
+                found = f"{other.label} shows a radiance of {white:g} as white, {one.label} {first:g}"
                 raise InputError("methods", f"{found}: one table needs one white; train them with the same")
         return first
 

@@ -44,10 +44,10 @@ def score(
 ) -> dict[str, Any]:
     """Run a method over all scenes; depth counts where something was seen. ``progress`` gets the scenes of each batch.
 
-    Returns ``scores`` of each scene, see `learning.metrics.measure`, and for each scene and bin ``squares_cm2``, the sum of
-    squared depth errors, and ``counts``, the number of pixels.
+    Returns ``scores`` of each scene, see `learning.metrics.measure`, ``pixels``, at how many of it depth counts, and for each
+    scene and bin ``squares_cm2``, the sum of squared depth errors, and ``counts``, the number of pixels.
     """
-    found: dict[str, list[Any]] = {"scores": [], "squares_cm2": [], "counts": []}
+    found: dict[str, list[Any]] = {"scores": [], "pixels": [], "squares_cm2": [], "counts": []}
     for first, example in batches(examples, batch, device):
         estimate = checked(method, method.reconstruct(example.measurement), examples, first)
         scenes = measure(estimate, example, method.capture, lpips=criteria.lpips, pixels=example.valid)
@@ -61,6 +61,7 @@ def score(
             for errors, depth_cm, valid in zip(error_cm2, example.depth_m * 100, example.valid, strict=True)
         ]
         found["scores"] += scenes
+        found["pixels"] += example.valid.sum(dim=(1, 2, 3)).tolist()
         for name, values in zip(("squares_cm2", "counts"), zip(*by_scene, strict=True), strict=True):
             found[name] += values
         progress(len(scenes))

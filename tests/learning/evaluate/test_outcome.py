@@ -51,6 +51,7 @@ def test_each_seed_has_an_outcome_of_its_own() -> None:
     seeds = [
         {
             "scores": [{"depth_rmse_cm": cm} for cm in depths],
+            "pixels": [1, 3],
             "squares_cm2": [[cm * cm] for cm in depths],
             "counts": [[1]] * 2,
         }
@@ -59,7 +60,8 @@ def test_each_seed_has_an_outcome_of_its_own() -> None:
     both = outcome("Net", "learned", seeds, noise_db=20.0)
     assert [one.label for one in (both, *both.singly)] == ["Net", "Net, seed 1", "Net, seed 2"]
     assert [one.scores["depth_rmse_cm"].mean for one in (both, *both.singly)] == [2.5, 2.0, 3.0]
-    assert [one.pooled_depth_rmse_cm for one in both.singly] == pytest.approx([math.sqrt(5), math.sqrt(10)])
+    assert [one.pooled_depth_rmse_cm for one in both.singly] == pytest.approx([math.sqrt(7), math.sqrt(13)])
+    assert [one.bins_cm for one in both.singly] == [pytest.approx([math.sqrt(5)]), pytest.approx([math.sqrt(10)])]
     assert {one.noise_db for one in both.singly} == {20.0}
     assert [one["seed"] for one in both.plain()["singly"]] == [1, 2]
     assert outcome("Net", "learned", seeds[:1]).singly == ()

@@ -5,21 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from learning.camera import CaptureModel, measure_reference_white
+from learning.evaluate.methods import ClassicalEntry, LearnedEntry
 from learning.evaluate.runs import Cameras, ResultCache, camera_identity
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.optics.stack_files import read_psf_stack, write_psf_stack
 
 
-def _entry(capture: CaptureModel | None, name: str = "net") -> Any:
-    return SimpleNamespace(name=name, capture=capture)
+def _entry(capture: CaptureModel, file: str = "a.safetensors") -> LearnedEntry:
+    return LearnedEntry("net", Path(file), "0" * 64, capture, {}, {})
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +38,7 @@ def test_numbers_are_the_tests_and_psfs_and_white_the_methods(test_split: Datase
 
 
 def test_classical_methods_believe_the_training_set(test_split: Dataset, tiny_dataset: Path) -> None:
-    entry = _entry(None)
+    entry = ClassicalEntry("CLS", "cls", None, {})
     cameras = Cameras(test_split, tiny_dataset, [entry])
     assert cameras.test.white == measure_reference_white(open_dataset(tiny_dataset, "train"))
     for name, folder in (("own", "psf"), ("nominal", "psf"), ("captured", "psf_captured")):
@@ -59,8 +58,8 @@ def test_a_stack_may_lie_in_any_folder(test_split: Dataset, tiny_camera: Capture
 
 
 def test_methods_of_two_whites_are_refused(test_split: Dataset, tiny_camera: CaptureModel) -> None:
-    other = _entry(replace(tiny_camera, white=tiny_camera.white * 1.01), "brighter")
-    with pytest.raises(InputError, match=r"^methods: "):
+    other = _entry(replace(tiny_camera, white=tiny_camera.white * 1.01), "b.safetensors")  # another seed of one network
+    with pytest.raises(InputError, match=r"^methods: net \(b\.safetensors\) .*net \(a\.safetensors\)"):
         Cameras(test_split, None, [_entry(tiny_camera), other])
 
 

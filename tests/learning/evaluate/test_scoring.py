@@ -65,6 +65,11 @@ def test_bins_are_sums_over_valid_pixels(examples: ExampleSet, tiny_camera: Capt
     one = outcome("half", "learned", [found])
     assert one.bins_cm == pytest.approx(np.sqrt(squares / counts).tolist(), rel=1e-4)
     assert one.pooled_depth_rmse_cm == pytest.approx(np.sqrt(squares.sum() / counts.sum()), rel=1e-4)
+    # What no bin holds counts all the same.
+    part = score(half, examples, Criteria(EDGES_CM[:2]), device=CPU, batch=8)
+    near = outcome("half", "learned", [part])
+    assert near.bins_cm == one.bins_cm[:1]
+    assert near.pooled_depth_rmse_cm == one.pooled_depth_rmse_cm
 
 
 class Changed:
