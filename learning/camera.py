@@ -244,6 +244,13 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
     return model.with_stack(read_psf_stack(folder))
 
 
+def check_range(capture: CaptureModel) -> None:
+    """Refuse PSFs up to infinity where errors of depth are counted in centimetres: one pixel there would be all of it."""
+    if not np.isfinite(capture.far_m):
+        cure = "make the data set, or data.stack, with a finite one, such as 1000"
+        raise InputError("psf.far_cm", f"got PSFs up to infinity, where an error has no length in centimetres; {cure}")
+
+
 def _recorded_field(info: DatasetInfo, config: Config) -> FieldOfView:
     """Return how much of the light from each direction counts, from the record: the file of a response may be gone."""
     return field_from_record(info.field_of_view) if info.field_of_view else FieldOfView(config.forward.vignetting)

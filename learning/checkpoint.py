@@ -175,8 +175,8 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
         path: the file.
         capture: build the network for this camera, whose exposure or sizes may differ; None takes the file's own. Its PSFs
             may differ too, as those do that a calibration captured of the same camera; nobody can tell these from another
-            mask's, so compare `Checkpoint.fingerprint` where they should be the same. For a camera with other planes, build
-            a network and see `learning.checkpoint`.
+            mask's, so compare `Checkpoint.fingerprint` where they should be the same. For a camera with other planes see
+            `Checkpoint.for_camera`.
         network: the architecture that is wanted; None takes any.
 
     Raises:
@@ -361,7 +361,8 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
     What belongs to a plane (P, lambda, the soft head's choice) is interpolated linearly between the checkpoint's planes, at
     the same share of the range of disparities (0 for the farthest plane, 1 for the nearest, whatever their depths are). The
     first convolution then sees the new volumes interpolated at the checkpoint's planes, so that a volume that is linear over
-    the planes has the same response. Refinements that the checkpoint lacks begin anew.
+    the planes has the same response; a choice, whose weights add up to 1, is shared out among the checkpoint's planes, each
+    weight between the two beside it. Refinements that the checkpoint lacks begin anew.
 
     Args:
         network: for the other camera; changed in place.
@@ -433,8 +434,9 @@ def _resampled_body(planes: PlaneWeights, found: dict[str, Tensor], forth: Tenso
     first = found[planes.first]
     of_planes = planes.volumes * old * planes.width
     volumes = first[:, :of_planes].unflatten(1, (-1, old, planes.width))
-    mixed = torch.einsum("fvow...,on->fvnw...", volumes, back).flatten(1, 3)
-    changed[planes.first] = torch.cat([mixed, first[:, of_planes:]], dim=1)
+    light, choice = volumes.split([planes.width - planes.choice, planes.choice], dim=3)
+    mixed = [torch.einsum("fvow...,on->fvnw...", light, back), torch.einsum("fvow...,no->fvnw...", choice, forth)]
+    changed[planes.first] = torch.cat([torch.cat(mixed, dim=3).flatten(1, 3), first[:, of_planes:]], dim=1)
     for name in planes.last:
         fixed, chosen = found[name].split([planes.fixed, old * planes.stem], dim=0)
         mixed = torch.einsum("no,os...->ns...", forth, chosen.unflatten(0, (old, planes.stem))).flatten(0, 1)

@@ -191,6 +191,16 @@ class LossConfig(Section):
     invalid_depth: bool = False
     """whether pixels where nothing was seen count in the error of the disparity, as far ones"""
 
+    @model_validator(mode="after")
+    def _teaches(self) -> Self:
+        weights = [name for name in type(self).model_fields if name.endswith("_weight")]
+        if self.perceptual == "none":
+            weights.remove("perceptual_weight")
+        if not any(getattr(self, name) for name in weights):
+            text = f"{', '.join(weights)} are all 0: nothing to learn"
+            raise refusal(text)
+        return self
+
 
 class OptimiserConfig(Section):
     """Adam (AdamW where weights decay), and its learning rate over the steps."""
@@ -499,6 +509,10 @@ class TuneConfig(FileSection):
         if self.denoiser != "denoiser" and "pnp" not in self.methods:
             text = f"only pnp has one; methods: {', '.join(self.methods)}"
             raise refusal(text, "denoiser", on_key=True)
+        for key in ("methods", "noise_db"):
+            if len(set(values := getattr(self, key))) < len(values):
+                text = f"got {', '.join(map(str, values))}, expected each of them once"
+                raise refusal(text, key)
         for name in self.search:
             if name not in self.methods:
                 text = f"{name!r} is not tuned here; methods: {', '.join(self.methods)}"

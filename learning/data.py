@@ -7,7 +7,7 @@ import itertools
 import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
@@ -236,12 +236,6 @@ class Batches(Sampler[list[Draw]]):
 
         ``world_size`` processes share each batch, which they must divide; ``rank`` says which part is given here.
         """
-        for name, value, least in (("length", length, 1), ("batch", batch, 1), ("first", first, 0), ("seed", seed, 0)):
-            if value < least:
-                raise InputError(name, f"got {value}, expected at least {least}")
-        if not 0 <= rank < world_size or batch % world_size:
-            whose = f"rank {rank} of {world_size} processes"
-            raise InputError("batch", f"got {batch} for {whose}; they must divide it: choose a multiple")
         self._length, self._batch, self._seed, self._first = length, batch, seed, first
         part = batch // world_size
         self._part = slice(rank * part, (rank + 1) * part)
@@ -368,7 +362,9 @@ class SampleCache:
         lock = own.with_name(f"{own.name}.lock")
         with ExitStack() as stack:
             with storage_errors(lock):  # of the lock alone: what goes wrong under it is another matter
-                fcntl.flock(stack.enter_context(open(lock, "ab")), fcntl.LOCK_EX)
+                held = stack.enter_context(open(lock, "ab"))
+            with suppress(OSError):  # a file system without locks: two may write the same cache, one after the other's
+                fcntl.flock(held, fcntl.LOCK_EX)
             if not cache._is_whole():
                 cache._write(dataset, read)
         return cache

@@ -24,11 +24,15 @@ _LONGEST = timedelta(hours=2)  # rank 0 may write or validate for long while the
 
 @dataclass(frozen=True)
 class Processes:
-    """This process among those that train one network: its device, its number (0 writes), and how many there are."""
+    """This process among those that train one network: its device, its number (0 writes), and how many there are.
+
+    ``on_this_machine`` of them share its cores.
+    """
 
     device: torch.device
     rank: int = 0
     world_size: int = 1
+    on_this_machine: int = 1
 
     @property
     def is_rank_zero(self) -> bool:
@@ -87,7 +91,7 @@ def processes(device: str) -> Iterator[Processes]:
         torch.cuda.set_device(place)
     dist.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=_LONGEST)
     try:
-        yield Processes(place, dist.get_rank(), world_size)
+        yield Processes(place, dist.get_rank(), world_size, int(os.environ["LOCAL_WORLD_SIZE"]))
     finally:
         dist.destroy_process_group()
         gc.collect()  # DistributedDataParallel holds the group in cycles; threads that outlive the interpreter abort it

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any, Literal
+from typing import Any
 
 import torch
 import torch.nn.functional as nnf
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.method import Estimate, check_choices, linear_to_srgb, srgb_to_linear
+from learning.config import LossConfig
+from learning.method import Estimate, linear_to_srgb, srgb_to_linear
 from learning.perceptual import PerceptualLoss
 from simulator.errors import InputError
 
@@ -31,52 +31,21 @@ class ReconstructionLoss(nn.Module):
     a weight means depends on the term's unit and scale (so it is with the thesis's alpha of 0.001 to 0.002): log both.
     """
 
-    def __init__(
-        self,
-        intensity: Literal["mse", "l1"] = "mse",
-        perceptual: Literal["none", "vgg", "random_vgg"] = "none",
-        *,
-        intensity_weight: float = 1.0,
-        multiscale_weight: float = 0.0,
-        perceptual_weight: float = 0.1,
-        depth_weight: float = 0.1,
-        depth_cm_weight: float = 0.0,
-        invalid_depth: bool = False,
-        seed: int = 0,
-        capture: CaptureModel,
-    ) -> None:
-        """Build the loss; the arguments are those of `learning.config.LossConfig`, ``seed`` is that of ``random_vgg``.
-
-        ``capture`` says what depth a disparity is.
-
-        Raises:
-            InputError: an unknown name, weights that are negative or all zero, centimetres of depths up to infinity, or no
-                weight file.
-        """
+    def __init__(self, settings: LossConfig, capture: CaptureModel) -> None:
+        """Build the loss; ``capture`` says what depth a disparity is. An InputError says that there is no weight file."""
         super().__init__()
-        check_choices(
-            ("intensity", intensity, ("mse", "l1")), ("perceptual", perceptual, ("none", "vgg", "random_vgg"))
-        )
         self._capture = capture
         self.weights = {
-            "intensity": intensity_weight,
-            "multiscale": multiscale_weight,
-            "depth": depth_weight,
-            "depth_cm": depth_cm_weight,
+            "intensity": settings.intensity_weight,
+            "multiscale": settings.multiscale_weight,
+            "depth": settings.depth_weight,
+            "depth_cm": settings.depth_cm_weight,
         }
-        if perceptual != "none":
-            self.weights["perceptual"] = perceptual_weight
-        for name, weight in self.weights.items():
-            if not (math.isfinite(weight) and weight >= 0):
-                raise InputError(f"{name}_weight", f"got {weight!r}, expected a number of at least 0")
-        if not any(self.weights.values()):
-            raise InputError(", ".join(f"{name}_weight" for name in self.weights), "all are 0: nothing to learn")
-        if depth_cm_weight and not math.isfinite(capture.far_m):
-            got = f"got {depth_cm_weight:g} with PSFs up to a depth of {capture.far_m:g}"
-            reason = "an error there has no length in centimetres; take 0 and depth_weight, or a finite psf.far_cm"
-            raise InputError("depth_cm_weight", f"{got}: {reason}")
-        self.intensity, self.invalid_depth = intensity, invalid_depth
-        self.perceptual = None if perceptual == "none" else PerceptualLoss(perceptual, "vgg19", seed=seed)
+        self.perceptual: PerceptualLoss | None = None
+        if settings.perceptual != "none":
+            self.weights["perceptual"] = settings.perceptual_weight
+            self.perceptual = PerceptualLoss(settings.perceptual, "vgg19", seed=settings.perceptual_seed)
+        self.intensity, self.invalid_depth = settings.intensity, settings.invalid_depth
 
     def forward(self, estimate: Estimate, image: Tensor, disparity: Tensor, valid: Tensor) -> dict[str, Tensor]:
         """Return scalars: ``total``, each term under its name, and each weighted as ``intensity_weighted`` and so on.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from learning.camera import CaptureModel, capture_model, measure_reference_white
+from learning.camera import CaptureModel, capture_model, check_range, measure_reference_white
 from learning.checkpoint import find_checkpoint, load_checkpoint, save_checkpoint, transfer
 from learning.config import TrainConfig
 from learning.data import Example, ExampleSet, Loader
@@ -55,11 +55,12 @@ def find_data(config: TrainConfig) -> tuple[Dataset, Dataset, CaptureModel]:
     one; the data set's fingerprint tells.
 
     Raises:
-        InputError: no such data set or stack, an empty split, data that nothing can be learned from, or a validation split of
-            another camera: what differs is named.
+        InputError: no such data set or stack, an empty split, data that nothing can be learned from, PSFs up to infinity, or
+            a validation split of another camera: what differs is named.
     """
     train, validation = open_splits(config)
     capture = capture_model(train, config.resolve_stack(config.data.stack), white=measure_reference_white(train))
+    check_range(capture)
     if validation.root != train.root:
         _check_same_camera(train, validation)
     return train, validation, capture
@@ -115,9 +116,7 @@ class FlatNetTraining(Training[Example]):
     def plan(cls, config: TrainConfig, group: Processes) -> Plan:
         """Find the data, build loss and network, which is seeded, and give it the weights that it begins with."""
         train, validation, capture = find_data(config)
-        loss = ReconstructionLoss(
-            **config.loss.model_dump(exclude={"perceptual_seed"}), seed=config.loss.perceptual_seed, capture=capture
-        )
+        loss = ReconstructionLoss(config.loss, capture)
         torch.manual_seed(config.seed)
         network = build_network(capture, config.network.name, config.network.size, **config.network.changes)
         if (

@@ -126,7 +126,7 @@ def find_cache(dataset: Dataset, config: LoopConfig, say: Say) -> Path | None:
 
 
 def count_workers(config: LoopConfig, processes: int) -> int:
-    """Return how many workers each process has for reading: at most one less than there are cores for it."""
+    """Return how many workers each of this machine's processes has for reading: at most one less than its share of cores."""
     if config.data.workers != "auto":
         return config.data.workers
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -288,7 +288,7 @@ class Training(ABC, Generic[Item]):
             raise InputError("steps", f"got {config.steps}, expected at least the {step} that {self.folder} has done")
         self._note_length()
         self._examples, self._held_out = (self._open(each) for each in (plan.train, plan.validation))
-        self._workers = count_workers(config, group.world_size)
+        self._workers = count_workers(config, group.on_this_machine)
 
     def _note_length(self) -> None:
         """Keep a record of the steps that the learning rate's schedule is stretched over, and say when they change."""

@@ -142,7 +142,7 @@ class Log:
 
         from simulator.plots.drawing import png_bytes
 
-        self._board.add_image("validation: truth, estimate, depths", pixels, step, dataformats="HWC")
+        self._board.add_image("validation", pixels, step, dataformats="HWC")
         write_atomic(self._preview, png_bytes(Image.fromarray(pixels)))
 
     def close(self) -> None:

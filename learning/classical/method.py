@@ -298,7 +298,7 @@ def build_classical(capture: CaptureModel, name: str, parameters: Mapping[str, V
 
 
 class PlanarMethod:
-    """CLS or ADMM with the PSF of one depth: nothing to search, the volume is the image; see `learning.method.Method`."""
+    """CLS or ADMM of either kind for one depth: nothing to search, the volume is the image: a `learning.method.Method`."""
 
     def __init__(self, capture: CaptureModel, name: str, parameters: Mapping[str, Any]) -> None:
         """Prepare the method; ``parameters`` take the place of `PLANAR_DEFAULTS`.

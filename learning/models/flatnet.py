@@ -56,6 +56,7 @@ class PlaneWeights(NamedTuple):
         first: name of the first convolution's; its inputs are volumes, planes within, channels within, then what has none.
         volumes: how many there are.
         width: inputs of a plane of a volume.
+        choice: how many of these, the last ones, are a choice's weights, whose sum over the planes is 1.
         last: names of the last convolution's, whose outputs are some without a plane, then those of each plane; or none.
         fixed: how many have none.
         stem: how many each plane has.
@@ -65,6 +66,7 @@ class PlaneWeights(NamedTuple):
     first: str
     volumes: int
     width: int
+    choice: int
     last: tuple[str, ...]
     fixed: int
     stem: int
@@ -106,11 +108,10 @@ class FlatNet(nn.Module):
         """
         super().__init__()
         check_choices(("body", body, ("naf", "unet")), ("head", head, ("soft", "linear")))
-        if (body == "naf" and attention) or (body == "unet" and blocks != 1):
-            name, value = ("attention", attention) if attention else ("blocks", blocks)
-            raise InputError(
-                name, f"got {value} with body: {body}, which has none; leave it out, or take the other body"
-            )
+        if body == "naf" and attention:
+            raise InputError("attention", "got true with body: naf, which has none; take false, or body: unet")
+        if body == "unet" and blocks != 1:
+            raise InputError("blocks", f"got {blocks} with body: unet, which has none; take 1, or body: naf")
         if refinements and (body, head) != ("naf", "soft"):
             got = f"got {refinements} with body: {body} and head: {head}"
             raise InputError("refinements", f"{got}, expected 0; or take body: naf and head: soft")
@@ -149,9 +150,9 @@ class FlatNet(nn.Module):
         """Which weights belong to planes, of each body."""
         channels = len(self.inversion.channels)
         inversions = {"inversion": self.inversion, "joint": self.joint}
-        own = _plane_weights("", self.enhancement, inversions, channels, self.soft)
+        own = _plane_weights("", self.enhancement, inversions, channels, 0, self.soft)
         return [own] + [
-            _plane_weights(f"refinements.{n}.", each.enhancement, {"inversion": each.inversion}, channels + 1, True)
+            _plane_weights(f"refinements.{n}.", each.enhancement, {"inversion": each.inversion}, channels, 1, True)
             for n, each in enumerate(self.refinements)
         ]
 
@@ -213,7 +214,8 @@ def _plane_weights(
     prefix: str,
     body: MultiScaleNetwork,
     inversions: Mapping[str, RegularisedInversion | None],
-    width: int,
+    channels: int,
+    choice: int,
     soft: bool,
 ) -> PlaneWeights:
     own = {name: each for name, each in inversions.items() if each is not None}
@@ -222,7 +224,8 @@ def _plane_weights(
         per_plane=tuple(f"{prefix}{name}.{key}" for name, each in own.items() for key, _ in each.named_parameters()),
         first=f"{prefix}enhancement.{body.first_weight}",
         volumes=len(own),
-        width=width * body.stem**2,
+        width=(channels + choice) * body.stem**2,
+        choice=choice * body.stem**2,
         last=tuple(head) if soft else (),
         fixed=4 * body.stem**2,
         stem=body.stem**2,

@@ -65,19 +65,17 @@ def reconstruct_file(options: Options) -> str:
     device = choose_device(options.device)
     of_file = {name: getattr(options, name) for name in ("bits", "background", "crop", "binning", "frame")}
     measurement = load_measurement(options.measurement, **of_file)
-    if options.output is not None:
-        is_own_folder(options.output, RECORD, "reconstruction", "--output")
     # The FFT has a period up to twice as long per axis.
     with threads_for(4 * measurement.values.size):
         setup = choose_method(measurement, options)
-        if measurement.frame is None or options.frame is not None:  # an image's file
-            evidence = check_frame_fits(measurement, setup.method.capture, options, accept=options.accept_frame)
-            measurement.record["frame_evidence"] = round(evidence, 4)
         # The sample's split and name, or the file's, and the method's, e.g. test_s00000002_cls.
         place = measurement.path.absolute()
         split = "" if measurement.dataset is None else f"{place.parents[1].name}_"
         folder = options.output or Path(f"{split}{place.stem}_{setup.name}")
         replaces = is_own_folder(folder, RECORD, "reconstruction", "--output")
+        if measurement.frame is None or options.frame is not None:  # an image's file
+            evidence = check_frame_fits(measurement, setup.method.capture, options, accept=options.accept_frame)
+            measurement.record["frame_evidence"] = round(evidence, 4)
         method: Any = setup.method
         (method.network if hasattr(method, "network") else method).to(device)
         result = reconstruct(measurement.values, method, volume=options.volume, white=options.white, device=device)
@@ -150,6 +148,7 @@ class Reconstruction:
         white_from: why this one.
         depth_m: ``(h, w)`` float32 metres, at most `FARTHEST_M`; None where the PSFs are of one depth.
         volume: ``(K, C, h, w)`` float32 radiance in the camera's channels; None where it was not asked for.
+        volume_depths_m: of its planes, ``(K,)``, nearest first: all of the stack's, or those that a network inverts at.
         seconds: by stage.
     """
 
@@ -159,6 +158,7 @@ class Reconstruction:
     white_from: str
     depth_m: NDArray[np.float32] | None
     volume: NDArray[np.float32] | None
+    volume_depths_m: NDArray[np.float64]
     seconds: dict[str, float]
 
 
@@ -187,14 +187,18 @@ def reconstruct(
         raise InputError("measurement", "got NaN or infinite numbers, expected finite ones; repair these pixels first")
     batch = torch.from_numpy(np.array(measurement, np.float32))[None].to(device)
     clock = Clock(device)
+    planes, depths_m = None, np.asarray(capture.stack.depths_m, np.float64)
     if isinstance(method, ClassicalMethod | PlanarMethod):
         with clock.stage(method.stage):
             planes = method.volume(batch)
         estimate = method.estimate(planes, clock)
     elif isinstance(method, LearnedMethod) or not volume:
         estimate = method.reconstruct(batch, clock)
-        with torch.no_grad():
-            planes = method.network.inversion(batch) if isinstance(method, LearnedMethod) and volume else None
+        if isinstance(method, LearnedMethod) and volume:
+            network = method.network
+            with torch.no_grad():
+                planes = network.inversion(batch)[network.image]
+            depths_m = depths_m[list(network.inversion.planes)]
     else:
         raise InputError("volume", f"{method.name} has none to show; leave it out")
     radiance = to_numpy(srgb_to_linear(estimate.image, capture.white, clip=False))[0]
@@ -211,6 +215,7 @@ def reconstruct(
         white_from=reason,
         depth_m=depth_m if len(capture.stack.depths_m) > 1 else None,
         volume=to_numpy(planes)[0] * np.float32(capture.white) if volume and planes is not None else None,
+        volume_depths_m=depths_m,
         seconds=clock.seconds,
     )
 
@@ -246,8 +251,7 @@ def write_reconstruction(
                 for k, plane in enumerate(result.volume)
                 for name, values in zip(capture.stack.channels, plane, strict=True)
             }
-            depths_m = plain([float(depth) for depth in capture.stack.depths_m])
-            write_exr(place / "volume.exr", planes, {"depths_m": depths_m})
+            write_exr(place / "volume.exr", planes, {"depths_m": plain(result.volume_depths_m.tolist())})
         files = sorted([*(path.name for path in place.iterdir()), RECORD])
         content = record | {"files": files, "white": result.white}
         write_atomic(place / RECORD, readable_json(content | {"seconds": result.seconds}))

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import default_collate
 
-from learning.camera import CaptureModel, capture_model, measure_reference_white
+from learning.camera import CaptureModel, capture_model, check_range, measure_reference_white
 from learning.checkpoint import DENOISER, find_denoiser
 from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, ClassicalMethod, build_classical
 from learning.config import FEWEST_SCENES, TuneConfig
@@ -92,6 +92,7 @@ def tune_file(
     check_dataset(dataset)
     white = measure_reference_white(open_dataset(config.resolve_path(data.train or data.validation), "train"))
     capture = capture_model(dataset, config.resolve_stack(data.stack), white=white)
+    check_range(capture)
     methods = tunables(capture) if tunables else [classical(capture, name, config, device) for name in config.methods]
     score = Score(config.objective, _load(dataset, None, config.seed), capture)
     identity = {  # all that decides the score of given parameters
@@ -121,6 +122,10 @@ def tune_file(
     study = Study(output, identity, about)
     # Noise as stored is known by its measured level, by which `flatlight evaluate` looks for the nearest.
     stored_db = round(measured_psnr_db(dataset), 2)
+    if "stored" in config.noise_db and stored_db in config.noise_db:
+        raise InputError(
+            "noise_db", f"got stored, which has {stored_db:g} dB, beside {stored_db:g}; leave out one of them"
+        )
     levels = {
         stored_db if level == "stored" else level: None if level == "stored" else level for level in config.noise_db
     }

@@ -25,20 +25,20 @@ class Tuned:
     content: dict[str, Any]
 
     def levels_db(self, method: str) -> list[float]:
-        """Return the tuned noise levels of a method, increasing; empty where it was not tuned."""
-        return sorted(result["noise_db"] for result in self.content["results"] if result["method"] == method)
+        """Return the tuned noise levels of a method, increasing; an InputError says that it was not tuned."""
+        levels = sorted(result["noise_db"] for result in self.content["results"] if result["method"] == method)
+        if not levels:
+            known = sorted({result["method"] for result in self.content["results"]})
+            wanted = f"one that was tuned ({', '.join(known) or 'none'})"
+            raise InputError(self.path, f"got the method {method!r}, expected {wanted}; run `flatlight tune` with it")
+        return levels
 
     def parameters(self, method: str, noise_db: float) -> tuple[Parameters, float]:
         """Return the parameters of a method at a noise level, and the tuned level that they are of: the nearest.
 
         A denoiser's file, which is recorded as it lies from this file's folder, is given as an absolute path.
         """
-        levels = self.levels_db(method)
-        if not levels:
-            known = sorted({result["method"] for result in self.content["results"]})
-            wanted = f"one that was tuned ({', '.join(known) or 'none'})"
-            raise InputError(self.path, f"got the method {method!r}, expected {wanted}; run `flatlight tune` with it")
-        nearest = min(levels, key=lambda level: abs(level - noise_db))
+        nearest = min(self.levels_db(method), key=lambda level: abs(level - noise_db))
         found = (r for r in self.content["results"] if r["method"] == method and r["noise_db"] == nearest)
         parameters = dict(next(found)["parameters"])
         if parameters.get("denoiser", DENOISER) != DENOISER:

@@ -392,6 +392,27 @@ def test_linear_volumes_have_the_same_response(tiny_capture, old, new, changes, 
         np.testing.assert_allclose(got[:, 4:], chosen, atol=1e-4, rtol=1e-4)
 
 
+@pytest.mark.parametrize("stem", [1, 2])
+@pytest.mark.parametrize(("old", "new"), [(8, 12), (8, 5), (3, 25)])
+def test_a_choice_shared_out_among_planes_has_the_same_response(tiny_capture, old, new, stem):
+    """A refinement's first layer sees volumes as `FlatNet` does, and the weights of a choice, whose sum is 1, beside them."""
+    checkpoint = trained(with_planes(tiny_capture, old), refinements=1, stem=stem)
+    network = build_network(with_planes(tiny_capture, new), "flatnet3d", "tiny", refinements=1, stem=stem).eval()
+    transfer(network, checkpoint)
+    light, rest = torch.rand(2, 1, 3, 16, 16), torch.rand(2, 5, 16, 16)
+    chosen = (3 * torch.randn(2, new, 16, 16)).softmax(dim=1)
+    shares = [np.linspace(0, 1, planes) for planes in (new, old)]
+    hats = np.stack([np.interp(shares[0], shares[1], unit) for unit in np.eye(old)])  # of old planes, at new ones
+    shared = torch.einsum("on,bnhw->bohw", torch.from_numpy(hats).float(), chosen)
+    outputs = []
+    for each, planes, weights in ((checkpoint.network, old, shared), (network, new, chosen)):
+        volume = light * torch.linspace(1, 0, planes)[:, None, None, None]
+        per_plane = torch.cat([volume, weights[:, :, None]], dim=2).flatten(1, 2)
+        with torch.no_grad():
+            outputs.append(each.refinements[0].enhancement(torch.cat([per_plane, rest], dim=1))[:, :4].double().numpy())
+    np.testing.assert_allclose(outputs[1], outputs[0], atol=1e-4, rtol=1e-4)  # float32
+
+
 @pytest.mark.parametrize("planes", [3, 5])
 def test_refinements_that_a_checkpoint_has_not_begin_anew(tiny_capture, planes):
     checkpoint = trained(tiny_capture, refinements=1)

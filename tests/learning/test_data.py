@@ -495,23 +495,6 @@ def test_ranks_share_each_batch(world_size: int) -> None:
         assert {len(part[number]) for part in parts} == {6 // world_size}
 
 
-@pytest.mark.parametrize(
-    ("argument", "changes"),
-    [
-        ("length", {"length": 0}),
-        ("batch", {"batch": 0}),
-        ("first", {"first": -1}),
-        ("seed", {"seed": -1}),
-        ("batch", {"world_size": 3}),
-        ("batch", {"rank": 2, "world_size": 2}),
-        ("batch", {"rank": -1}),
-    ],
-)
-def test_numbers_that_make_no_sense_are_refused(argument: str, changes: dict[str, int]) -> None:
-    with pytest.raises(InputError, match=f"^{argument}: "):
-        Batches(**{"length": 10, "batch": 4, "seed": 0} | changes)
-
-
 def test_workers_end_with_their_loader_and_hand_over_bad_input_as_it_is(
     tiny_dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

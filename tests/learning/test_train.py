@@ -11,17 +11,19 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 import learning.training_loop as loop
-from learning.camera import CaptureModel, measure_reference_white
+from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.checkpoint import FOLDER, load_checkpoint
-from learning.config import OptimiserConfig, TrainConfig, load_file
+from learning.config import LossConfig, OptimiserConfig, TrainConfig, load_file
 from learning.data import CACHE, Batches, ExampleSet
 from learning.losses import ReconstructionLoss
 from learning.models import build_network
@@ -33,7 +35,7 @@ from learning.training_loop import build_optimiser, learning_rate
 from learning.validation import METRICS, PREVIEW
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
-from simulator.optics.stack_files import read_psf_stack
+from simulator.optics.stack_files import read_psf_stack, write_psf_stack
 
 pytestmark = pytest.mark.usefixtures("ctrl_c")
 Settings = Callable[..., TrainConfig]
@@ -426,9 +428,9 @@ def test_seeds_make_the_same_loss_small(settings: Settings, monkeypatch: Patch) 
     made: list[int] = []
     build = ReconstructionLoss.__init__
 
-    def spy(self: ReconstructionLoss, *arguments: Any, seed: int, **others: Any) -> None:
-        made.append(seed)
-        build(self, *arguments, seed=seed, **others)
+    def spy(self: ReconstructionLoss, settings: LossConfig, capture: CaptureModel) -> None:
+        made.append(settings.perceptual_seed)
+        build(self, settings, capture)
 
     monkeypatch.setattr(ReconstructionLoss, "__init__", spy)
     for seed in (1, 2):
@@ -493,6 +495,13 @@ def test_finer_psfs_of_the_same_camera_are_welcome(tiny_dataset: Path, learning_
     assert validation.root == other
     assert len(capture.stack.depths_m) == 3
     assert capture.white == measure_reference_white(open_dataset(tiny_dataset, "train")) != 1
+
+
+def test_psfs_up_to_infinity_are_refused(tiny_dataset: Path, tmp_path: Path) -> None:
+    stack = capture_model(open_dataset(tiny_dataset, "train")).stack
+    write_psf_stack(tmp_path / "endless", replace(stack, depths_m=np.array([*stack.depths_m[:-1], np.inf])))
+    with pytest.raises(InputError, match=r"^psf\.far_cm: "):
+        find_data(config(tiny_dataset, stack=str(tmp_path / "endless")))
 
 
 def test_a_relative_cache_lies_beside_the_file(tiny_dataset: Path, tmp_path: Path, monkeypatch: Patch) -> None:

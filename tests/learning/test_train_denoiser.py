@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import signal
 from collections.abc import Callable
+from itertools import permutations
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,36 @@ def test_pictures_are_whole_or_one_plane_of_linear_light(
     assert max(shares) < 1.6
     assert sum(share > 0.4 for share in shares) > 0.2 * 200
     assert sum(share < 0.4 for share in shares) > 0.2 * 200
+
+
+def test_planes_hold_the_light_of_their_depths(
+    pictures: Pictures, tiny_dataset: Path, tiny_camera: CaptureModel
+) -> None:
+    """As shares of the whole light, up to a gain, they rise along disparity and fall again, alike in all colours."""
+    field = tiny_camera.irradiance / tiny_camera.irradiance.max() / tiny_camera.white
+    colours = torch.from_numpy(tiny_camera.scene_to_camera).float()
+    examples = ExampleSet(open_dataset(tiny_dataset, "train"))
+    planes = 0
+    for number in range(60):
+        position = number % 32
+        example = examples[position]
+        whole = (torch.einsum("ca,ahw->chw", colours, example.radiance) * torch.from_numpy(field)).numpy()
+        clean = pictures[Draw(position, number)].clean.numpy()
+        if not clean.any():  # a plane that holds nothing
+            continue
+        seen = whole.min(axis=0) > 1e-3 * whole.max()
+        order = np.argsort(example.depth_m[0].numpy()[seen])
+        fits = []
+        for turned in (np.rot90(side, turns, (1, 2)) for side in (clean, clean[..., ::-1]) for turns in range(4)):
+            for exchanged in permutations(range(3)):
+                shares = (turned[list(exchanged)][:, seen] / whole[:, seen])[:, order]
+                if np.ptp(shares, axis=0).max() < 1e-3 * shares.max():
+                    along = shares.mean(axis=0) / shares.max()
+                    rises, falls = np.split(np.diff(along), [along.argmax()])
+                    fits.append((rises > -1e-3).all() and (falls < 1e-3).all())
+                    planes += np.ptp(along) > 0.5
+        assert any(fits), number
+    assert planes > 15
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from PIL import Image
 from torch import nn
 
 from learning.camera import CaptureModel
+from learning.config import LossConfig
 from learning.data import Example
 from learning.distributed import Precision, Processes
 from learning.losses import ReconstructionLoss
@@ -47,7 +48,7 @@ def test_known_errors(tiny_capture: CaptureModel) -> None:
     estimate[:2, 3] = 1.5  # clipped to 1, the near depth
     example = truth._replace(measurement=estimate)
     network = Known().train()
-    loss = ReconstructionLoss("l1", capture=tiny_capture)
+    loss = ReconstructionLoss(LossConfig(), tiny_capture)
     middle_cm = 100 * float(tiny_capture.depth_m(np.float64(0.5)))
     results = []
     for parts in ([slice(0, 3)], [slice(0, 2), slice(2, 3)]):
@@ -67,7 +68,7 @@ def test_known_errors(tiny_capture: CaptureModel) -> None:
 def test_what_has_no_error_has_a_finite_score(tiny_capture: CaptureModel) -> None:
     truth, _ = scenes(tiny_capture, 2)
     truth = truth._replace(depth_m=tiny_capture.depth_m(truth.measurement[:, 3:]))
-    result = validate(Known(), [truth], ReconstructionLoss("l1", capture=tiny_capture), tiny_capture, **HERE)
+    result = validate(Known(), [truth], ReconstructionLoss(LossConfig(), tiny_capture), tiny_capture, **HERE)
     assert result["depth_rmse_cm"] < 1e-4
     assert np.isfinite(result["score_db"])
     assert result["score_db"] > result["psnr_db"] + 80
@@ -83,7 +84,7 @@ def test_depth_is_judged_as_in_the_evaluation(tiny_capture: CaptureModel) -> Non
     truth.depth_m[1] = near_m / 2
     estimate[1, 3] = 1
     batches = [Example(*(values[part] for values in truth._replace(measurement=estimate))) for part in ([0, 1], [2])]
-    result = validate(Known(), batches, ReconstructionLoss("l1", capture=tiny_capture), tiny_capture, **HERE)
+    result = validate(Known(), batches, ReconstructionLoss(LossConfig(), tiny_capture), tiny_capture, **HERE)
     assert result["depth_rmse_cm"] == pytest.approx((0 + 100 * near_m / 2) / 2, rel=1e-5)
     assert result["psnr_db"] > 60
 

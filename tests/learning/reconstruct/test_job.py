@@ -16,6 +16,8 @@ from learning import checkpoint as checkpoint_module
 from learning.camera import CaptureModel, capture_model, measure_reference_white, plain_capture, typical_white
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.classical.method import DEFAULTS, ConstrainedLeastSquares, PlanarMethod, build_classical
+from learning.models import build_network
+from learning.models.flatnet import LearnedMethod
 from learning.reconstruct import job
 from learning.reconstruct.choice import Request, choose_method
 from learning.reconstruct.inputs import load_measurement
@@ -88,6 +90,8 @@ def test_parameters_come_from_defaults_then_tuning_then_the_user(sample: Path, t
     np.save(loose, measurement.values)
     with pytest.raises(InputError, match=r"^--noise-db: "):
         choose_method(load_measurement(loose), Request(method="cls", tuned=tuned, stack=str(sample.parents[2])))
+    with pytest.raises(InputError, match=r"tuned\.json: got the method 'admm', expected one that was tuned \(cls\)"):
+        choose_method(load_measurement(loose), Request(method="admm", tuned=tuned, stack=str(sample.parents[2])))
 
 
 def test_a_network_takes_its_own_psfs(tiny_dataset: Path, sample: Path, checkpoint: Path, tmp_path: Path) -> None:
@@ -117,6 +121,26 @@ def test_a_network_takes_its_own_psfs(tiny_dataset: Path, sample: Path, checkpoi
     assert result.volume is not None
     assert np.allclose(result.volume, volume[0].numpy() * np.float32(0.9), rtol=1e-5, atol=1e-6)
     assert np.isfinite(result.radiance).all()
+
+
+@pytest.mark.parametrize(("name", "changes"), [("flatnet3d", {"refinements": 1}), ("flatnet2d", {})])
+def test_a_volume_is_of_the_image_at_the_networks_planes(
+    tiny_capture: CaptureModel, tmp_path: Path, name: str, changes: dict[str, Any]
+) -> None:
+    capture = replace(tiny_capture, irradiance=np.full((32, 32), 1e-4, np.float32))  # refinements invert a border, too
+    network = build_network(capture, name, "tiny", **changes)
+    values = np.random.default_rng(0).uniform(0.2, 0.4, (3, *capture.sensor_shape)).astype(np.float32)
+    result = reconstruct(values, LearnedMethod(name, network, capture), volume=True)
+    planes = {"flatnet3d": [0, 1, 2], "flatnet2d": [1]}[name]
+    alone = build_network(capture, name, "tiny").inversion  # all begin with the same P and lambda
+    with torch.no_grad():
+        expected = alone(torch.from_numpy(values)[None])[0].numpy() * np.float32(capture.white)
+    assert result.volume is not None
+    assert result.volume.shape == (len(planes), 3, *capture.scene_shape)
+    np.testing.assert_allclose(result.volume, expected, rtol=0, atol=1e-5 * expected.std())  # float32
+    write_reconstruction(tmp_path / "out", result, capture, {})
+    _, metadata = read_exr(tmp_path / "out" / "volume.exr")
+    assert metadata["depths_m"] == tiny_capture.stack.depths_m[planes].tolist()
 
 
 def test_the_shipped_checkpoint_that_fits_is_taken(
