@@ -145,10 +145,10 @@ class CaptureModel:
         return replace(self, stack=stack)
 
     def with_border(self, pixels: int) -> CaptureModel:
-        """Return the same camera with a larger image: by so many pixels on each side, or as many as have light.
+        """Return the same camera with an image larger by this many pixels on each side, or by as many as have light.
 
-        Field and sensor end it, and a stop: the least irradiance of the border is at least half of the image's, or what is
-        divided by it would be noise. What lies farther out is no part of the camera any more.
+        It ends at the field, the sensor or a stop: the least irradiance of the border is at least half of the image's,
+        because dividing by less would amplify noise. What lies farther out is dropped.
         """
         sides = list(zip(self.scene_shape, self.field_shape, self.sensor_shape, strict=True))
         least = self.scene_irradiance.min() / 2
@@ -245,7 +245,7 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
 
 
 def check_range(capture: CaptureModel) -> None:
-    """Refuse PSFs up to infinity where errors of depth are counted in centimetres: one pixel there would be all of it."""
+    """Refuse PSFs up to infinity where depth errors are in centimetres: a single pixel there would outweigh all others."""
     if not np.isfinite(capture.far_m):
         cure = "make the data set, or data.stack, with a finite one, such as 1000"
         raise InputError("psf.far_cm", f"got PSFs up to infinity, where an error has no length in centimetres; {cure}")

@@ -34,7 +34,7 @@ FORMAT, VERSION = "flatlight checkpoint", 2
 _KEY = "flatlight"
 _WEIGHTS, _CAMERA = "network.", "camera."
 FOLDER = Path(__file__).parent / "checkpoints"
-"""The trained networks that come with Flatlight: one small file each."""
+"""The trained networks shipped with Flatlight: one small file each."""
 DENOISER = "denoiser"
 """Name of the network and of the shipped file; no method by itself."""
 _BEST = "flatnet3d"  # where several fit
@@ -174,8 +174,8 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
     Args:
         path: the file.
         capture: build the network for this camera, whose exposure or sizes may differ; None takes the file's own. Its PSFs
-            may differ too, as those do that a calibration captured of the same camera; nobody can tell these from another
-            mask's, so compare `Checkpoint.fingerprint` where they should be the same. For a camera with other planes see
+            may differ too, such as those of a PSF calibration of the same camera; these cannot be told from another mask's,
+            so compare `Checkpoint.fingerprint` where they should be the same. For a camera with other planes see
             `Checkpoint.for_camera`.
         network: the architecture that is wanted; None takes any.
 
@@ -351,7 +351,7 @@ def _find(text: str, shipped: Mapping[str, Path], command: str, key: str, resolv
     path = shipped[text] if text in shipped else resolve(text)
     if not path.is_file():
         known = f"a shipped one's name ({', '.join(shipped) or 'there is none'})"
-        raise InputError(key, f"got {text!r}, expected {known} or a file of `flatlight {command}`; {path} is no file")
+        raise InputError(key, f"got {text!r}, expected {known} or a file of `flatlight {command}`; not a file: {path}")
     return path
 
 

@@ -21,7 +21,7 @@ def train(
     ],
     set_: Overrides = None,
 ) -> None:
-    """Train a network on a data set, or go on with a training that was interrupted."""
+    """Train a network on a data set, or resume an interrupted training."""
     from learning.config import TrainConfig, load_file
     from learning.train import train as run
 
@@ -36,7 +36,7 @@ def train_denoiser(
     ],
     set_: Overrides = None,
 ) -> None:
-    """Train the denoiser of plug-and-play ADMM on a data set's clean pictures, or go on where it was interrupted."""
+    """Train the denoiser of plug-and-play ADMM on a data set's clean images, or resume an interrupted training."""
     from learning.config import DenoiserConfig, load_file
     from learning.train_denoiser import train_denoiser as run
 
@@ -61,7 +61,7 @@ def tune(
     config: Annotated[Path, Argument(help="YAML file: data, methods, noise levels, objective", show_default=False)],
     set_: Overrides = None,
 ) -> None:
-    """Tune the classical methods on validation scenes, each noise level by itself; a run that stopped goes on."""
+    """Tune the classical methods on validation scenes, each noise level separately; an interrupted run resumes."""
     from learning.config import TuneConfig, load_file
     from learning.tune.job import table, tune_file
     from learning.tune.study import load_tuned
@@ -78,7 +78,7 @@ def evaluate(
     config: Annotated[Path, Argument(help="what is compared, on which scenes (YAML)", show_default=False)],
     set_: Overrides = None,
 ) -> None:
-    """Compare networks and classical methods on test scenes; a run that stopped goes on from there."""
+    """Compare networks and classical methods on test scenes; an interrupted run resumes."""
     from learning.config import EvaluateConfig, load_file
     from learning.evaluate.job import evaluate as run
     from learning.evaluate.tables import terminal_table, terminal_verdicts
@@ -93,7 +93,7 @@ def evaluate(
         if found.differences:
             print(f"\n{terminal_verdicts(found.differences)}\n")
     if evaluation.differences:
-        print("+ the first one is better, 95 % sure; - the second one; . not clear")
+        print("+ the first is better (95 % interval excludes zero); - the second is; . undecided")
     print(f"look at {files[0]}")
 
 
@@ -103,7 +103,7 @@ def swap_masks(
     ],
     set_: Overrides = None,
 ) -> None:
-    """Judge masks by what is reconstructed through them, beside the merits of their PSFs; a run that stopped goes on."""
+    """Judge masks by what is reconstructed through them, beside the merits of their PSFs; an interrupted run resumes."""
     from learning.config import SwapConfig, load_file
     from learning.method import aligned
     from learning.swap import swap_masks as run
@@ -121,13 +121,13 @@ Stack = Option(help="its PSFs: folder of a stack or data set, image of one PSF; 
 Parameter = Option("--set", metavar="KEY=VALUE", help="one of its parameters, e.g. regularisation_lambda=0.01")
 Output = Option(help="folder for the result; default: SPLIT_NAME_METHOD here", show_default=False)
 Bits = Option(help="the sensor's bit depth, where the file's type is wider, e.g. 12 in 16 bit files")
-Background = Option(help="to subtract: a number in the file's units, or an image of darkness")
+Background = Option(help="to subtract: a number in the file's units, or a dark frame")
 PsfBackground = Option(help="the same for the image of a PSF; or border (its frame's median), none; default: border")
 How = "physical, as read from the sensor, or stored, rotated by 180 degrees so that a pinhole's image is upright"
-InFrame = Option(help=f"how an image's file lies: {How}; samples say it themselves")
+InFrame = Option(help=f"orientation of an image file: {How}; samples record theirs")
 PsfFrame = Option(help="the same for the image of a PSF; default: as the measurement")
 Crop = Option(help="ROWSxCOLUMNS about the centre, or ROWSxCOLUMNS+TOP+LEFT, of the file's pixels")
-Scene = Option(help="ROWSxCOLUMNS of the result without data set or network; default: the sensor's")
+Scene = Option(help="ROWSxCOLUMNS of the result where no data set or network sets it; default: the sensor's")
 
 
 def reconstruct(
@@ -136,7 +136,7 @@ def reconstruct(
     method: Annotated[str | None, Option(help="a classical method instead: cls, admm or pnp")] = None,
     stack: Annotated[str | None, Stack] = None,
     tuned: Annotated[Path | None, Option(help="its parameters: what `flatlight tune` wrote")] = None,
-    noise_db: Annotated[float | None, Option(help="PSNR of the measurement, which chooses among the tuned")] = None,
+    noise_db: Annotated[float | None, Option(help="PSNR of the measurement, to choose tuned parameters")] = None,
     set_: Annotated[list[str] | None, Parameter] = None,
     output: Annotated[Path | None, Output] = None,
     volume: Annotated[bool, Option("--volume", help="write the volume too, a plane per depth")] = False,
@@ -147,10 +147,10 @@ def reconstruct(
     crop: Annotated[str | None, Crop] = None,
     frame: Annotated[str | None, InFrame] = None,
     psf_frame: Annotated[str | None, PsfFrame] = None,
-    accept_frame: Annotated[bool, Option("--accept-frame", help="go on where the frames look mixed up")] = False,
-    binning: Annotated[int, Option(help="pixels per side that become one, of the PSF's image too")] = 1,
+    accept_frame: Annotated[bool, Option("--accept-frame", help="proceed even if the frames seem mixed up")] = False,
+    binning: Annotated[int, Option(help="binning factor per side, also applied to the PSF's image")] = 1,
     scene: Annotated[str | None, Scene] = None,
-    white: Annotated[float | None, Option(help="radiance that image.png shows as white; default: its own")] = None,
+    white: Annotated[float | None, Option(help="radiance shown as white in image.png; default: from the image")] = None,
     device: Annotated[str, Option(help="auto, cpu or cuda")] = "auto",
 ) -> None:
     """Reconstruct image and depth from one measurement, by a network or a classical method."""

@@ -73,14 +73,14 @@ Decibels = Annotated[float, Range(0.1, 120, "dB")]
 
 
 class SplitsConfig(Section):
-    """Whose scenes are learned from and measured."""
+    """The data sets for training and validation."""
 
     train: str = Field(min_length=1)
-    """folder of the data set whose train split is learned from"""
+    """folder of the data set whose train split is trained on"""
     validation: str | None = None
-    """folder of the data set whose validation split is measured; the same when left out"""
+    """folder of the data set whose validation split is used; default: the same"""
     cache: bool | str = True
-    """keep decoded samples, which then cost no time: in Flatlight's cache folder (true), in a folder, or not"""
+    """keep decoded samples, to save time: in Flatlight's cache folder (true), in another folder, or not (false)"""
     workers: Annotated[int, Range(0, 256)] | Literal["auto"] = "auto"
     """processes that read examples; 0 reads between the steps"""
 
@@ -89,10 +89,10 @@ class DataConfig(SplitsConfig):
     """What is learned from."""
 
     stack: str = Field("nominal", min_length=1)
-    """PSFs that the inversion knows: nominal, captured (psf.as_captured), or the folder of a stack"""
+    """PSFs that the inversion assumes: nominal, captured (psf.as_captured), or the folder of a stack"""
     noise_db: tuple[Decibels, Decibels] | None = None
-    """PSNRs, least and greatest, between which noise is drawn anew for every example, half of them in the upper quarter:
-    networks of all levels lose most there; left out: as stored"""
+    """lowest and highest PSNR of the noise drawn anew for every example, half of them in the upper quarter, where networks
+    for all levels lose most; left out: as stored"""
     augment: Augmentation | None = None
     """scenes changed and re-simulated by the data set's own forward model, for every example; left out: as stored"""
 
@@ -124,15 +124,15 @@ class NetworkConfig(Section):
     stem: Annotated[int, Range(1, 8)] | None = None
     """pixels per side that the body takes as one: 2 makes it four times cheaper"""
     noise_aware: bool | None = None
-    """lambda follows the noise, whose level, found in the measurement, is an input of the body"""
+    """lambda adapts to the noise level, which is estimated from the measurement and is also an input of the body"""
     joint: bool | None = None
-    """invert all planes at once, too, beside each by itself"""
+    """also invert all planes jointly, in addition to each on its own"""
     refinements: Annotated[int, Range(0, 10)] | None = None
-    """refinement steps: what the estimate leaves unexplained of the measurement is inverted and enhanced again"""
+    """unrolled refinement steps: each inverts and enhances the measurement's residual"""
     repeats: Annotated[int, Range(0, 10)] | None = None
-    """how many times more the last refinement step is taken, with the same weights"""
+    """how many times the last refinement step is repeated, with shared weights"""
     head: Literal["soft", "linear"] | None = None
-    """choose among the planes with softmax weights and add what they lack, or image and disparity as they come"""
+    """soft: softmax weights over the planes plus a correction; linear: image and disparity directly"""
     regularisation_lambda: Annotated[float, Range(1e-9, 1e6)] | None = None
     """initial, of the inversion, as a multiple of the PSF's mean spectral power"""
     tikhonov: Annotated[float, Range(0, 1e6)] | None = None
@@ -175,7 +175,7 @@ class LossConfig(Section):
     intensity: Literal["mse", "l1"] = "l1"
     """error of the sRGB codes"""
     perceptual: Literal["none", "vgg", "random_vgg"] = "none"
-    """error of VGG-19 features: of trained weights (a file that must be there), or random ones"""
+    """error of VGG-19 features, with trained weights (the file must be present) or random ones"""
     intensity_weight: Weight = 1.0
     """of the error of the codes"""
     multiscale_weight: Weight = 0.0
@@ -187,7 +187,7 @@ class LossConfig(Section):
     depth_cm_weight: Weight = 0.0
     """of the Huber loss of the depth's error in centimetres"""
     perceptual_seed: Annotated[int, Range(0, 2**31 - 1)] = 0
-    """of random_vgg: trainings with other seeds are to minimise the same loss"""
+    """of random_vgg; apart from the training's seed, so that all seeds minimise the same loss"""
     invalid_depth: bool = False
     """whether pixels where nothing was seen count in the error of the disparity, as far ones"""
 
@@ -206,19 +206,19 @@ class OptimiserConfig(Section):
     """Adam (AdamW where weights decay), and its learning rate over the steps."""
 
     learning_rate: Annotated[float, Range(1e-9, 10, below="a learning rate is positive")] = 1e-3
-    """the greatest one"""
+    """peak value, after the warm-up"""
     schedule: Literal["cosine", "constant"] = "cosine"
     """after the warm-up: down to zero along half a cosine, or constant"""
     warm_up: Annotated[float, Range(0, 0.9)] = 0.05
     """share of the steps over which the learning rate rises from zero"""
     inversion_rate: Annotated[float, Range(0, 1e6)] = 10.0
-    """learning rate of the inversion's P and lambda, as a multiple of the others', with which they hardly move"""
+    """learning rate of the inversion's P and lambda, as a multiple of the others' (at 1 they hardly move)"""
     freeze_statistics: Annotated[float, Range(0, 1)] = 0.5
-    """share of the steps after which batch normalisation (body: unet) keeps its statistics as they are, as it does in use"""
+    """share of the steps after which batch normalisation (body: unet) freezes its running statistics, as at inference"""
     weight_decay: Annotated[float, Range(0, 1)] = 0.0
     """decay of the convolutions' weights per unit of learning rate (Loshchilov and Hutter 2019)"""
     gradient_clip: Annotated[float, Range(1e-9, 1e9)] | None = None
-    """greatest norm of the gradient; longer ones are shortened to it"""
+    """maximum norm of the gradient; larger gradients are scaled down to it"""
 
 
 class LoopConfig(FileSection):
@@ -234,7 +234,7 @@ class LoopConfig(FileSection):
     network: NetworkConfig | DenoiserNetwork
     optimiser: OptimiserConfig = OptimiserConfig()
     steps: Annotated[int, Range(1, 10**9)]
-    """batches to learn from; may be raised later, a cosine then starts over higher up: every change is recorded"""
+    """batches to train on; if raised later, the learning rate jumps back up its cosine; every change is recorded"""
     batch: Annotated[int, Range(1, 65536)] = 8
     """examples in a step, of all processes together"""
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
@@ -284,8 +284,8 @@ class EvaluationData(Section):
     """The test scenes, and what the methods are told of the camera that saw them."""
 
     test: str | dict[str, str]
-    """folder of the data set, whose camera's gain, offset and exposure are known; of several, one table each and a joint one,
-    by name: {colon: out/colon, stomach: out/stomach}; <set> in any path of this file is then the name"""
+    """folder of the data set, whose camera's gain, offset and exposure are known; several by name,
+    {colon: out/colon, stomach: out/stomach}, give one table each and a joint one; <set> in any path stands for the name"""
     split: Literal["train", "validation", "test"] = "test"
     """which of its splits"""
     scenes: Count | None = None
@@ -343,10 +343,10 @@ class MethodConfig(Section):
 
 
 class Timing(Section):
-    """How seconds per scene are taken: one scene at a time, the methods by turns, the median of the repeats."""
+    """How seconds per scene are measured: one scene at a time, the methods in turn, the median of the repeats."""
 
     repeats: Annotated[int, Range(0, 1000)] = 5
-    """after one that is not counted; 0 takes no times"""
+    """after one warm-up run; 0 skips the timing"""
     noise_db: Decibels | None = None
     """level whose parameters are timed; null: as stored"""
 
@@ -377,7 +377,7 @@ class EvaluateConfig(FileSection):
     ablation_scenes: Count | None = None
     """scenes for noise_db and compare_stacks, the first so many; null: all"""
     depth_bins_cm: list[Annotated[float, Range(0.01, 1e6, "cm")]] | None = None
-    """edges of the depths by which errors are parted; null: eight, even in disparity"""
+    """edges of the depth bins of the errors; null: eight bins, even in disparity"""
     dark_share: Annotated[float, Range(0, 1)] | None = None
     """also report depth without pixels darker than this share of white; null: not"""
     perceptual: Literal["none", "auto", "lpips"] = "auto"
@@ -464,7 +464,7 @@ class TuneData(Section):
     def _check_scenes(self) -> TuneData:
         if self.scenes < FEWEST_SCENES and not self.allow_few_scenes:
             text = (
-                f"got {self.scenes}, expected at least {FEWEST_SCENES}: what is tuned on fewer fits these and no others; "
+                f"got {self.scenes}, expected at least {FEWEST_SCENES}: parameters tuned on fewer overfit; "
                 "allow_few_scenes: true permits it, and the result says so"
             )
             raise refusal(text, "scenes")
@@ -539,12 +539,12 @@ class SeenAgain(Section):
 
 
 class WarmStart(Section):
-    """A network that goes on learning with each mask from where it stands; it has the checkpoint's architecture."""
+    """A trained network that is fine-tuned for each mask; it has the checkpoint's architecture."""
 
     init_from: str = Field(min_length=1)
     """checkpoint (.safetensors) or name of a shipped one"""
     steps: Annotated[int, Range(0, 10**9)] = 300
-    """batches to learn from, for each mask; 0 only gives it the PSFs of the mask"""
+    """batches to fine-tune on, for each mask; 0 only replaces its PSFs by the mask's"""
     batch: Annotated[int, Range(1, 65536)] = 8
     """examples in a step"""
     augment: Augmentation | None = Augmentation()
@@ -580,7 +580,7 @@ class SwapConfig(FileSection):
     untuned: list[Classical] = Field(default_factory=list)
     """classical methods with their default parameters"""
     noise_db: list[Decibels] = Field(default_factory=list)
-    """further levels: the same PSNR for all masks, white noise; what they pass of the light then counts for nothing"""
+    """further noise levels: white noise of the same PSNR for all masks, whatever light they pass"""
     perceptual: Literal["none", "auto", "lpips"] = "none"
     """see `EvaluateConfig`"""
     device: Literal["auto", "cpu", "cuda"] = "auto"

@@ -384,7 +384,7 @@ class SampleCache:
         return np.load(self._file, mmap_mode="r", allow_pickle=False)
 
     def _write(self, dataset: Dataset, read: Callable[[int], Arrays]) -> None:
-        """Write one sample after another to a plain file: a full disk is an error there, to a memory map it is the end."""
+        """Write one sample after another to a plain file: there, a full disk raises an error; a memory map would crash."""
         with committed_folder(self._file.parent) as temporary, open(temporary / CACHE, "wb") as file:
             record = None
             for position in range(len(dataset)):

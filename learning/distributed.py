@@ -85,7 +85,7 @@ def processes(device: str) -> Iterator[Processes]:
     local = int(os.environ["LOCAL_RANK"])
     if kind == "cuda" and local >= torch.cuda.device_count():
         there = f"on this machine, which has {torch.cuda.device_count()} GPU(s)"
-        raise InputError("device", f"torchrun started process {local + 1} {there}; give --nproc-per-node as many")
+        raise InputError("device", f"torchrun started process {local + 1} {there}; lower --nproc-per-node")
     place = torch.device(kind, local) if kind == "cuda" else torch.device(kind)
     if kind == "cuda":
         torch.cuda.set_device(place)

@@ -20,12 +20,12 @@ class ReconstructionLoss(nn.Module):
 
     - ``intensity``: mean squared or mean absolute difference of sRGB codes;
     - ``multiscale``: mean absolute difference of the sRGB codes of linear light averaged over 2 x 2, 4 x 4 and 8 x 8 pixels,
-      the mean of the three: what an eye at a distance sees, and FLIP with it (Andersson et al. 2020, section 4.1). The error
-      of single pixels says little of it: averages of codes are not codes of averages;
+      the mean of the three: what an eye sees at a distance, as FLIP models it (Andersson et al. 2020, section 4.1). The error
+      of single pixels says little about it: averages of codes are not codes of averages;
     - ``perceptual``: see `learning.perceptual.PerceptualLoss`; absent with ``none``;
     - ``depth``: mean absolute difference of disparity on the scale 0 (far) to 1 (near);
-    - ``depth_cm``: Huber's loss of the depth's error in centimetres, in which it is judged: squares up to 1 cm, from there on
-      absolute values. Disparity alone weighs errors far away too little.
+    - ``depth_cm``: Huber loss of the depth error in centimetres, the unit of the evaluation: quadratic up to 1 cm, linear
+      beyond. Disparity alone gives errors at far depths too little weight.
 
     Each is the mean over scenes of the scene's mean, so that processes with equal parts of a batch average to the whole. What
     a weight means depends on the term's unit and scale (so it is with the thesis's alpha of 0.001 to 0.002): log both.

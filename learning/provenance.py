@@ -1,4 +1,4 @@
-"""Whose a folder is, what made a result, and which scenes it has seen."""
+"""Which job a folder belongs to, what made a result, and which scenes it has seen."""
 
 from __future__ import annotations
 

@@ -115,8 +115,8 @@ class TrainingProgress:
 def save_state(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer, progress: TrainingProgress) -> None:
     """Write all that a training needs to go on as if it had never stopped: one file, replaced as a whole.
 
-    Randomness is no part of it: what is random in a step, its examples and their noise, follows from the seed and the step's
-    number. Bit for bit the same weights come out on a CPU with as many threads; on CUDA not in general, where some kernels
+    It holds no random state: what is random in a step, its examples and their noise, follows from the seed and the step's
+    number. On a CPU with as many threads the weights are the same bit for bit; on CUDA in general not, where some kernels
     add in the order in which threads finish (`torch.use_deterministic_algorithms`). On a StorageError the old state stays.
     """
     content = {
@@ -155,7 +155,7 @@ class Stop:
 
 @contextmanager
 def stop_signals() -> Iterator[Stop]:
-    """Turn the first Ctrl-C, SIGTERM or SIGHUP into a wish that the loop sees after its step; the second acts at once.
+    """Turn the first Ctrl-C, SIGTERM or SIGHUP into a request that the loop honours after its step; the second acts at once.
 
     A SIGHUP that is ignored (``nohup``) stays so.
     """

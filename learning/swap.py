@@ -269,11 +269,9 @@ def _light(config: Config) -> str:
     camera = config.camera
     lux, auto = camera.exposure.illuminance_lux, camera.exposure.full_scale == "auto"
     if not isinstance(camera.noise, PhysicalNoise) or (lux is None and auto):
-        return (
-            "The exposure or the noise follows each mask's own light: how much of it a mask passes counts for nothing."
-        )
+        return "Exposure or noise is scaled to the light of each mask, so its throughput does not count."
     light = f"full scale {camera.exposure.full_scale:g}" if lux is None else f"{lux:g} lux on a white surface"
-    return f"The same light for all ({light}), photons counted: a mask that passes less of it is the noisier."
+    return f"The same light for all ({light}), photons counted: less light through a mask means more noise."
 
 
 def _before(known: Checkpoint) -> str:

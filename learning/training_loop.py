@@ -1,7 +1,7 @@
-"""The loop of every training: steps, log, validations, checkpoints and states; what is interrupted goes on by itself.
+"""The loop of every training: steps, log, validations, checkpoints and states; an interrupted training resumes.
 
-Read downwards: the folder and the data, what is decided before the folder is touched, the optimiser, and the loop, of which
-each training says how it is planned, what an example is, what its loss and metrics are, and what is drawn and saved.
+Read downwards: the folder and the data, what is decided before the folder is touched, the optimiser, and the loop; each kind
+of training defines its plan, its examples, its loss and metrics, and what is drawn and saved.
 """
 
 from __future__ import annotations
@@ -155,8 +155,8 @@ class Plan:
         capture: the camera, with the PSFs that the inversion knows and the reference white.
         camera: what of it decides the numbers, beside the data sets; plain.
         network: with the weights to begin with, on the CPU, as is the loss.
-        init_from: the checkpoint that it begins with, known by its content: a path says nothing of what lay there. With what
-            its network had learned from.
+        init_from: the checkpoint that it begins with, identified by content, because a path does not tell what lay there;
+            with what its network was trained on.
         taken: lines that say what was taken from that checkpoint.
     """
 
@@ -504,7 +504,7 @@ def _listed(numbers: Mapping[str, float]) -> str:
 
 
 def freeze_statistics(network: nn.Module) -> None:
-    """Let batch normalisation use the statistics that it has, as it does in use; with a batch's own it learns otherwise."""
+    """Freeze the running statistics of batch normalisation, as at inference; training otherwise uses each batch's own."""
     for module in network.modules():
         if isinstance(module, _BatchNorm):
             module.eval()

@@ -1,4 +1,4 @@
-"""Plug-and-play ADMM: the volume that explains one measurement and that a denoiser finds nothing wrong with, plane by plane.
+"""Plug-and-play ADMM: the volume that explains one measurement, with a denoiser of its planes as the prior.
 
 Venkatakrishnan et al., Plug-and-Play Priors for Model Based Reconstruction, GlobalSIP 2013: in place of the proximal step of
 a penalty, a denoiser, followed here by the projection onto S >= 0. The splitting, the grid and the units are those of

@@ -19,11 +19,10 @@ COMPARED = ("psnr", "ssim", "flip", "depth_rmse_cm")
 CONFIDENCE, RESAMPLES = 0.95, 10_000
 _TOGETHER = 1000  # resamples in memory
 EXPLAINED = (
-    "The first one's score minus the second one's on the same scene, the mean over scenes (of several seeds the mean of each "
-    f"scene), and the interval that holds it with 95 % confidence: percentiles of {RESAMPLES} means of scenes that are drawn "
-    "anew with replacement. Of few scenes it is too narrow, by 6 % for 30, by 22 % for 8. It tells how far other scenes of "
-    "the kind might change the mean, not other seeds: these stand singly. ▲ the first one is better and the interval clear "
-    "of zero, ▼ the second one, ○ neither."
+    "The first one's score minus the second one's on the same scene, averaged over scenes (with several seeds, over these "
+    f"first), and its 95 % bootstrap confidence interval: percentiles of {RESAMPLES} means of scenes resampled with "
+    "replacement. For few scenes it is too narrow, by 6 % for 30, by 22 % for 8. It covers the choice of scenes, not that of "
+    "seeds, which have rows of their own. ▲ the first is better and the interval excludes zero, ▼ the second is, ○ neither."
 )
 """How a table of differences is read."""
 

@@ -223,8 +223,8 @@ PUBLISHED = """## Published, on other data
 | FlatNet2D | 19.86 | 0.65 | 0.30 | 1.92 | 0.011 |
 | FlatNet3D | 21.91 | 0.79 | 0.14 | 1.42 | 0.013 |
 
-These are of the thesis's own scenes, camera and computer, and cannot be compared with the above number by number. The best
-constant has 4.73 cm on depths that are uniform in the thesis's range, 3.6 to 20 cm."""
+These are for the thesis's own scenes, camera and computer, and not directly comparable with the numbers above. For depths
+uniform in the thesis's range, 3.6 to 20 cm, the best constant depth has an RMSE of 4.73 cm."""
 
 
 def conditions(findings: Findings) -> str:
@@ -407,8 +407,8 @@ def _sections(findings: Findings, evaluation: Evaluation, name: str, heading: st
         parts += [f"{heading} Which PSFs are assumed", on_part, *tables, _WHISKERS, shown("scores by PSFs", STACKS)]
     if findings.times:
         words = (
-            f"{evaluation.device}; one scene at a time, the methods by turns, median of {findings.config.time.repeats} after "
-            "one that does not count. The seconds of learned methods are those of their first seed."
+            f"{evaluation.device}; one scene at a time, the methods in turn, median of {findings.config.time.repeats} runs "
+            "after one warm-up run. Networks are timed with their first seed."
         )
         parts += [f"{heading} Time", words, markdown_times(findings.times), shown("seconds per stage", TIMES)]
     return parts

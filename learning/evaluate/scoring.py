@@ -147,7 +147,7 @@ def naive_baselines(examples: ExampleSet, capture: CaptureModel, batch: int) -> 
     of_cm = f"no constant has a smaller depth RMSE in cm, {pooled}"
     of_inverse = f"no constant has a smaller RMSE of disparity and of 1/z, {pooled}"
     of_codes = "no one image has a smaller mean square error of sRGB codes over these scenes"
-    nothing = "best in nothing: what a method that sees nothing gives"
+    nothing = "best in nothing: the answer of a method that detects no light"
     return [
         Constant(f"constant depth ({100 * mean_m.item():.2f} cm)", capture, black, of_depth, DEPTH_SCORES, of_cm),
         Constant(

@@ -1,7 +1,7 @@
 """How noisy a measurement is, from the measurement alone.
 
-Where a simulation knows the noise, it is estimated all the same: simulated and real captures go one way, and a network
-learns with the estimate that it will meet.
+Where a simulation knows the noise, it is estimated all the same: simulated and real captures are treated alike, and a
+network trains with the estimate that it will get in use.
 """
 
 from __future__ import annotations

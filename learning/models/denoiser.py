@@ -22,7 +22,7 @@ _SPREAD = 0.25  # about the root mean square of clean pictures and planes
 
 
 class Denoiser(nn.Module):
-    """The mean of what a picture may have been before white Gaussian noise was added to it.
+    """The MMSE estimate of an image with white Gaussian noise: the mean of the clean images that it may come from.
 
     Linear light, not sRGB codes: there the noise of a least-squares step has one standard deviation for all brightnesses, and
     values below zero are as good as others. The network sees the picture at a spread of 1 whatever the noise, and gives what
@@ -45,8 +45,8 @@ class Denoiser(nn.Module):
     def planes(self, volume: Tensor, noise: Tensor) -> Tensor:
         """Return volumes ``(B, K, C, h, w)``, each plane by itself; other than three channels as grey pictures, one each.
 
-        What is brighter than anything it was trained on is seen darker, and the noise, of standard deviations ``(B,)``, with
-        it; less or more noise than it was trained for is taken for the least or the most.
+        Images brighter than any that it was trained on are scaled down, and with them the noise, of standard deviations
+        ``(B,)``; noise levels outside the training range are clamped to it.
         """
         pictures = volume.flatten(0, 1)
         if grey := volume.shape[2] != 3:

@@ -79,7 +79,7 @@ class FlatNet(nn.Module):
     noise's level as a further input; a ``joint`` inversion of all planes beside the plane-wise one; a ``soft`` head that
     chooses among the planes, with softmax weights, image and disparity alike, and adds what these lack; ``refinements``,
     steps that invert and enhance again what the estimate leaves unexplained, each with weights of its own; ``repeats`` of the
-    last one, with its weights, which must then do for whatever the step before left, as MoDL's do for all.
+    last one, with shared weights, as MoDL shares them among all steps.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
-"""A refinement step: what an estimate leaves unexplained of the measurement, inverted and enhanced again.
+"""A refinement step: the residual of the measurement given an estimate, inverted and enhanced.
 
-An unrolled step of data consistency, as in Adler and Oektem, Learned Primal-Dual Reconstruction, TMI 2018, and Aggarwal et
-al., MoDL, TMI 2019, for a scene of one surface per pixel, which is not negative and ends where the field ends. A division in
-the Fourier domain knows none of this, nor where the sensor ends.
+An unrolled data-consistency step, as in Adler and Oektem, Learned Primal-Dual Reconstruction, TMI 2018, and Aggarwal et
+al., MoDL, TMI 2019, for a non-negative scene with one surface per pixel that ends at the field's border. A division in the
+Fourier domain can use none of this, nor the extent of the sensor.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from learning.layers.naf import NafNet
 from learning.method import linear_to_srgb, srgb_to_linear
 
 MOST_RADIANCE = 4.0
-"""What a surface radiates at most, in white: noise in an inversion is no light."""
+"""Upper limit of a surface's radiance, 1 for white: an inversion also amplifies noise."""
 
 
 class Surface(NamedTuple):

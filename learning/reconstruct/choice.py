@@ -89,7 +89,7 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
 def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
     checkpoint = load_checkpoint(path)
     capture = checkpoint.capture
-    numbers = "the checkpoint's: the measurement is taken to be exposed like its training set"
+    numbers = "the checkpoint's: the measurement is assumed to be exposed like its training set"
     psfs = shown_stack(capture.stack)
     dataset = _own_dataset(measurement)
     _check_fit(measurement, capture, f"the network of {path.name}")
@@ -250,7 +250,7 @@ def _check_channels(measurement: Measurement, channels: tuple[str, ...], whose: 
 def _white(
     measurement: Measurement, request: Request, dataset: Dataset | None, capture: CaptureModel
 ) -> tuple[float, str]:
-    """Return the radiance that the methods take for 1, on which what they smooth depends, and where it comes from.
+    """Return the radiance that the methods treat as 1, which sets how strongly they smooth, and where it comes from.
 
     A data set's, or a tuning's, has a meaning only where the camera's numbers are a data set's: the radiance of others has
     an unknown factor.

@@ -130,7 +130,7 @@ def load_measurement(
         values, channels = stored.measurement()[0], stored.channels
         scale, assumed = (1.0, "as stored: DN / 2^bits") if bits is None else (2.0**bits, "as told")
         if frame is not None:
-            raise InputError("frame", f"got {frame}, but {sample} is a sample, which is stored; leave it out")
+            raise InputError("frame", f"got {frame}, but {sample} is a sample, whose frame is stored; leave it out")
         frame = "stored"
         dataset = sample.parents[2] if (sample.parents[2] / FILE).is_file() else None
     record: dict[str, Any] = {"file": str(path), "shape": list(values.shape), "divided_by": scale, "scale": assumed}

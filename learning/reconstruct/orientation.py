@@ -75,11 +75,11 @@ def check_frame_fits(measurement: Measurement, capture: CaptureModel, request: R
         )
         if (not image or request.psf_frame is not None) and abs(evidence) > CLEAR:
             likely = f"{likely}. By the PSFs it is {'stored' if evidence > 0 else 'physical'}"
-        raise InputError("--frame", f"missing; {measurement.path} does not say how it lies ({likely})")
+        raise InputError("--frame", f"missing; {measurement.path} does not record its orientation ({likely})")
     if evidence < -CLEAR and not accept:
         cure = f"give --frame {other}{', or the right --psf-frame' if image else ''}"
         found = f"got {told}, but rotated by 180 degrees {measurement.path} fits the PSFs better"
-        raise InputError("--frame", f"{found} ({-evidence:.2f}, clear from {CLEAR}); {cure}; --accept-frame goes on")
+        raise InputError("--frame", f"{found} ({-evidence:.2f}, clear from {CLEAR}); {cure}; --accept-frame overrides")
     return evidence
 
 

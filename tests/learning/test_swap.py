@@ -226,7 +226,7 @@ def of(design: str, **parameters: Any) -> dict[str, Any]:
         ({"test_settings": ["psf.far_cm=30"]}, r"^test_settings: .*depths"),
         ({"test_settings": ["camera.sensor.binning=4"]}, r"^test_settings: .*pixels"),
         ({"settings": ["camera.mask_to_sensor_mm=3"]}, r"path: the images of"),
-        ({"perceptual": "lpips"}, "^weights of alex: "),
+        ({"perceptual": "lpips"}, "^perceptual: got lpips"),
         ({"device": "cuda"}, "^device: "),
     ],
 )
