@@ -91,7 +91,7 @@ def processes(device: str) -> Iterator[Processes]:
         torch.cuda.set_device(place)
     dist.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=_LONGEST)
     try:
-        yield Processes(place, dist.get_rank(), world_size, int(os.environ["LOCAL_WORLD_SIZE"]))
+        yield Processes(place, dist.get_rank(), world_size, int(os.environ.get("LOCAL_WORLD_SIZE", world_size)))
     finally:
         dist.destroy_process_group()
         gc.collect()  # DistributedDataParallel holds the group in cycles; threads that outlive the interpreter abort it

@@ -309,7 +309,7 @@ class PlanarMethod:
         if len(capture.stack.depths_m) != 1:
             raise InputError("stack", f"got {len(capture.stack.depths_m)} planes, expected one")
         check_choices(("method", name, _VOLUMES))
-        check_parameters(parameters, PLANAR_DEFAULTS[name], f"{name} for one plane", "--set")
+        check_parameters(parameters, PLANAR_DEFAULTS[name], f"{name} for one plane")
         self.name, self.capture = name, capture
         self.parameters = PLANAR_DEFAULTS[name] | dict(parameters)
         _, _, self.stage = _VOLUMES[name]

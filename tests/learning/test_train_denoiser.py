@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
 from learning.camera import CaptureModel
 from learning.checkpoint import load_denoiser
@@ -25,6 +26,8 @@ from learning.simulate import Augmentation
 from learning.train_denoiser import train_denoiser
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
+
+Array = NDArray[np.floating]
 
 pytestmark = pytest.mark.usefixtures("ctrl_c")
 
@@ -67,48 +70,49 @@ def test_noise_is_white_and_as_strong_as_said(pictures: Pictures) -> None:
     assert abs(float(units.mean())) < 0.01
 
 
-def test_pictures_are_whole_or_one_plane_of_linear_light(
-    pictures: Pictures, tiny_dataset: Path, tiny_camera: CaptureModel
-) -> None:
-    """Light over white in the camera's colours with vignetting, less where other planes have their share; never more."""
+@pytest.fixture
+def whole(tiny_dataset: Path, tiny_camera: CaptureModel) -> Callable[[int], tuple[Array, Array]]:
+    """Return a function: a scene's light over white, in the camera's colours, with vignetting, and its depth."""
     field = tiny_camera.irradiance / tiny_camera.irradiance.max() / tiny_camera.white
-    colours = torch.from_numpy(tiny_camera.scene_to_camera).float()
     examples = ExampleSet(open_dataset(tiny_dataset, "train"))
+
+    def light(position: int) -> tuple[Array, Array]:
+        example = examples[position]
+        colours = np.einsum("ca,ahw->chw", tiny_camera.scene_to_camera, example.radiance.numpy())
+        return colours * field, example.depth_m[0].numpy()
+
+    return light
+
+
+def test_pictures_are_whole_or_one_plane_of_linear_light(pictures: Pictures, whole: Any) -> None:
+    """Less than all light where other planes have their share; never more."""
     shares = []
     for number in range(200):
         position = number % 32
-        radiance = examples[position].radiance
-        whole = torch.einsum("ca,ahw->chw", colours, radiance) * torch.from_numpy(field)
         clean = pictures[Draw(position, number)].clean
         assert float(clean.min()) >= 0
-        shares.append(float(clean.sum() / whole.sum()))
+        shares.append(float(clean.sum()) / whole(position)[0].sum())
     # Times a brightness of 0.4 to 1.6: whole ones lie within, and planes below what a whole one has at least.
     assert max(shares) < 1.6
     assert sum(share > 0.4 for share in shares) > 0.2 * 200
     assert sum(share < 0.4 for share in shares) > 0.2 * 200
 
 
-def test_planes_hold_the_light_of_their_depths(
-    pictures: Pictures, tiny_dataset: Path, tiny_camera: CaptureModel
-) -> None:
-    """As shares of the whole light, up to a gain, they rise along disparity and fall again, alike in all colours."""
-    field = tiny_camera.irradiance / tiny_camera.irradiance.max() / tiny_camera.white
-    colours = torch.from_numpy(tiny_camera.scene_to_camera).float()
-    examples = ExampleSet(open_dataset(tiny_dataset, "train"))
+def test_planes_hold_the_light_of_their_depths(pictures: Pictures, whole: Any) -> None:
+    """As shares of all light, up to a gain, they rise along disparity and fall again, alike in all colours."""
     planes = 0
     for number in range(60):
         position = number % 32
-        example = examples[position]
-        whole = (torch.einsum("ca,ahw->chw", colours, example.radiance) * torch.from_numpy(field)).numpy()
+        light, depth_m = whole(position)
         clean = pictures[Draw(position, number)].clean.numpy()
         if not clean.any():  # a plane that holds nothing
             continue
-        seen = whole.min(axis=0) > 1e-3 * whole.max()
-        order = np.argsort(example.depth_m[0].numpy()[seen])
+        seen = light.min(axis=0) > 1e-3 * light.max()
+        order = np.argsort(depth_m[seen])
         fits = []
         for turned in (np.rot90(side, turns, (1, 2)) for side in (clean, clean[..., ::-1]) for turns in range(4)):
             for exchanged in permutations(range(3)):
-                shares = (turned[list(exchanged)][:, seen] / whole[:, seen])[:, order]
+                shares = (turned[list(exchanged)][:, seen] / light[:, seen])[:, order]
                 if np.ptp(shares, axis=0).max() < 1e-3 * shares.max():
                     along = shares.mean(axis=0) / shares.max()
                     rises, falls = np.split(np.diff(along), [along.argmax()])

@@ -1,0 +1,209 @@
+"""The YAML file of a training: data, network, loss, optimiser, steps."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from learning.config.files import Decibels, FileSection, Section, Weight
+from learning.simulate import Augmentation
+from simulator.settings import Range
+from simulator.validation import refusal
+
+
+class SplitsConfig(Section):
+    """The data sets for training and validation."""
+
+    train: str = Field(min_length=1)
+    """folder of the data set whose train split is trained on"""
+    validation: str | None = None
+    """folder of the data set whose validation split is used; default: the same"""
+    cache: bool | str = True
+    """keep decoded samples, to save time: in Flatlight's cache folder (true), in another folder, or not (false)"""
+    workers: Annotated[int, Range(0, 256)] | Literal["auto"] = "auto"
+    """processes that read examples; 0 reads between the steps"""
+
+
+class DataConfig(SplitsConfig):
+    """What is learned from."""
+
+    stack: str = Field("nominal", min_length=1)
+    """PSFs that the inversion assumes: nominal, captured (psf.as_captured), or the folder of a stack"""
+    noise_db: tuple[Decibels, Decibels] | None = None
+    """lowest and highest PSNR of the noise drawn anew for every example, half of them in the upper quarter, where networks
+    for all levels lose most; left out: as stored"""
+    augment: Augmentation | None = None
+    """scenes changed and re-simulated by the data set's own forward model, for every example; left out: as stored"""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.noise_db is not None and self.noise_db[0] > self.noise_db[1]:
+            text = f"got {self.noise_db[0]:g} before {self.noise_db[1]:g}; the least comes first: swap them?"
+            raise refusal(text, "noise_db")
+        return self
+
+
+class NetworkConfig(Section):
+    """Which network, and how big: a size, and what differs from it."""
+
+    name: Literal["flatnet3d", "flatnet2d"] = "flatnet3d"
+    """inversion at all depths of the stack, or at the hyperfocal one only"""
+    size: Literal["thesis", "compact", "tiny"] = "compact"
+    """the numbers below that are left out"""
+    body: Literal["naf", "unet"] | None = None
+    """what enhances the inversion: NAF blocks (layer normalisation, gates), or the thesis's U-Net (batch normalisation)"""
+    filters: Annotated[int, Range(1, 1024)] | None = None
+    """channels of the body's first level; each further one has twice as many"""
+    blocks: Annotated[int, Range(1, 64)] | None = None
+    """NAF blocks on each level and way"""
+    levels: Annotated[int, Range(1, 8)] | None = None
+    """levels of the body"""
+    attention: bool | None = None
+    """attention gates on the U-Net's skips"""
+    stem: Annotated[int, Range(1, 8)] | None = None
+    """pixels per side that the body takes as one: 2 makes it four times cheaper"""
+    noise_aware: bool | None = None
+    """lambda adapts to the noise level, which is estimated from the measurement and is also an input of the body"""
+    joint: bool | None = None
+    """also invert all planes jointly, in addition to each on its own"""
+    refinements: Annotated[int, Range(0, 10)] | None = None
+    """unrolled refinement steps: each inverts and enhances the measurement's residual"""
+    repeats: Annotated[int, Range(0, 10)] | None = None
+    """how many times the last refinement step is repeated, with shared weights"""
+    head: Literal["soft", "linear"] | None = None
+    """soft: softmax weights over the planes plus a correction; linear: image and disparity directly"""
+    regularisation_lambda: Annotated[float, Range(1e-9, 1e6)] | None = None
+    """initial, of the inversion, as a multiple of the PSF's mean spectral power"""
+    tikhonov: Annotated[float, Range(0, 1e6)] | None = None
+    """initial Tikhonov term: response of the inversion's P at frequency zero; 0 is the Laplacian alone"""
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The size, and what differs from it: with the name, an architecture."""
+        return {"size": self.size, **self.changes}
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What differs from the size; see `learning.models.build_network`."""
+        return {
+            key: value for key, value in self.model_dump().items() if key not in ("name", "size") and value is not None
+        }
+
+
+class DenoiserNetwork(Section):
+    """How big the denoiser is; see `learning.layers.naf.NafNet`."""
+
+    name: Literal["denoiser"] = "denoiser"
+    """there is one kind"""
+    filters: Annotated[int, Range(1, 1024)] = 16
+    """channels of the first level; each further one has twice as many"""
+    blocks: Annotated[int, Range(1, 64)] = 1
+    """NAF blocks on each level, each way"""
+    levels: Annotated[int, Range(1, 8)] = 4
+    """how many"""
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """What `learning.models.denoiser.Denoiser` is built with."""
+        return self.model_dump(exclude={"name"})
+
+
+class LossConfig(Section):
+    """The loss: the sum of the weighted terms."""
+
+    intensity: Literal["mse", "l1"] = "l1"
+    """error of the sRGB codes"""
+    perceptual: Literal["none", "vgg", "random_vgg"] = "none"
+    """error of VGG-19 features, with trained weights (the file must be present) or random ones"""
+    intensity_weight: Weight = 1.0
+    """of the error of the codes"""
+    multiscale_weight: Weight = 0.0
+    """of the error of the codes of light averaged over 2 x 2, 4 x 4 and 8 x 8 pixels: what FLIP sees"""
+    perceptual_weight: Weight = 0.1
+    """of the error of the features, where there are any"""
+    depth_weight: Weight = 1.0
+    """of the mean absolute error of the disparity, 0..1"""
+    depth_cm_weight: Weight = 0.0
+    """of the Huber loss of the depth's error in centimetres"""
+    perceptual_seed: Annotated[int, Range(0, 2**31 - 1)] = 0
+    """of random_vgg; apart from the training's seed, so that all seeds minimise the same loss"""
+    invalid_depth: bool = False
+    """whether pixels where nothing was seen count in the error of the disparity, as far ones"""
+
+    @model_validator(mode="after")
+    def _teaches(self) -> Self:
+        weights = [name for name in type(self).model_fields if name.endswith("_weight")]
+        if self.perceptual == "none":
+            weights.remove("perceptual_weight")
+        if not any(getattr(self, name) for name in weights):
+            text = f"{', '.join(weights)} are all 0: nothing to learn"
+            raise refusal(text)
+        return self
+
+
+class OptimiserConfig(Section):
+    """Adam (AdamW where weights decay), and its learning rate over the steps."""
+
+    learning_rate: Annotated[float, Range(1e-9, 10, below="a learning rate is positive")] = 1e-3
+    """peak value, after the warm-up"""
+    schedule: Literal["cosine", "constant"] = "cosine"
+    """after the warm-up: down to zero along half a cosine, or constant"""
+    warm_up: Annotated[float, Range(0, 0.9)] = 0.05
+    """share of the steps over which the learning rate rises from zero"""
+    inversion_rate: Annotated[float, Range(0, 1e6)] = 10.0
+    """learning rate of the inversion's P and lambda, as a multiple of the others' (at 1 they hardly move)"""
+    freeze_statistics: Annotated[float, Range(0, 1)] = 0.5
+    """share of the steps after which batch normalisation (body: unet) freezes its running statistics, as at inference"""
+    weight_decay: Annotated[float, Range(0, 1)] = 0.0
+    """decay of the convolutions' weights per unit of learning rate (Loshchilov and Hutter 2019)"""
+    gradient_clip: Annotated[float, Range(1e-9, 1e9)] | None = None
+    """maximum norm of the gradient; larger gradients are scaled down to it"""
+
+
+class LoopConfig(FileSection):
+    """What every training says."""
+
+    name: str = Field(min_length=1)
+    """of the method in tables and figures"""
+    output: str = Field(min_length=1)
+    """folder of the checkpoints, the metrics and the state to go on from"""
+    seed: Annotated[int, Range(0, 2**31 - 1)] = 0
+    """of the initial weights, the order of the examples and all that is drawn for them, such as their noise"""
+    data: SplitsConfig
+    network: NetworkConfig | DenoiserNetwork
+    optimiser: OptimiserConfig = OptimiserConfig()
+    steps: Annotated[int, Range(1, 10**9)]
+    """batches to train on; if raised later, the learning rate jumps back up its cosine; every change is recorded"""
+    batch: Annotated[int, Range(1, 65536)] = 8
+    """examples in a step, of all processes together"""
+    precision: Literal["auto", "float32", "bfloat16"] = "auto"
+    """of the network's body; all else stays float32. auto takes bfloat16 (autocast), which is faster, on CUDA only"""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """auto takes CUDA where there is some"""
+    validate_every: Annotated[int, Range(1, 10**9)] = 500
+    """steps between validations"""
+    log_every: Annotated[int, Range(1, 10**9)] = 50
+    """steps whose mean is one line of metrics.jsonl and one point in TensorBoard"""
+    checkpoint_every_s: Annotated[float, Range(0, 1e6, "s")] = 60.0
+    """seconds between states that are saved to go on from"""
+
+
+class TrainConfig(LoopConfig):
+    """One training."""
+
+    data: DataConfig
+    network: NetworkConfig = NetworkConfig()
+    init_from: str | None = None
+    """checkpoint (.safetensors) of a network of the same kind to begin with, for fine-tuning"""
+    loss: LossConfig = LossConfig()
+
+
+class DenoiserConfig(LoopConfig):
+    """One training of a denoiser: the prior of plug-and-play methods, learned from clean pictures."""
+
+    name: str = Field("denoiser", min_length=1)
+    """for its record"""
+    network: DenoiserNetwork = DenoiserNetwork()
+    batch: Annotated[int, Range(1, 65536)] = 16
+    """pictures in a step, of all processes together"""
