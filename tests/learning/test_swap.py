@@ -163,6 +163,7 @@ def test_networks_go_on_from_the_checkpoint_as_the_file_says(
         assert config["loss"]["depth_cm_weight"] == 0.05
 
 
+@pytest.mark.slow
 def test_a_further_mask_leaves_the_others_as_they_are(load: Load, tmp_path: Path) -> None:
     first = swap_masks(load(masks={"one": MASKS["one"]}, untuned=[]))
     kept = {

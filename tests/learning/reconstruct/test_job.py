@@ -435,7 +435,7 @@ def test_one_plane_only(tiny_capture: CaptureModel) -> None:
     capture = plain_capture(stack, (8, 8))
     with pytest.raises(InputError, match=r"^method: "):
         PlanarMethod(capture, "wiener", {})
-    with pytest.raises(InputError, match=r"^--set: "):
+    with pytest.raises(InputError, match=r"^parameters: "):
         PlanarMethod(capture, "cls", {"tv": 1})
     estimate = PlanarMethod(capture, "cls", {}).reconstruct(torch.ones(2, 3, 8, 8))
     assert (tuple(estimate.image.shape), tuple(estimate.disparity.shape)) == ((2, 3, 8, 8), (2, 1, 8, 8))

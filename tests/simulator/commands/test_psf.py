@@ -83,6 +83,7 @@ def test_an_interpolated_stack_states_its_error(flatlight, trial) -> None:
 # ``psf --check``: the tables, what travels with the stack, and what cannot be checked.
 
 
+@pytest.mark.slow
 def test_the_check_is_printed_and_travels_with_the_stack(trial, flatlight, tmp_path):
     path = trial.write()
     code, out, _ = flatlight("psf", path, "--check", "--set", "psf.depths=1", "--set", "psf.near_cm=5", "--set",

@@ -28,6 +28,7 @@ def again(root: Path, **changes: Any) -> dict[str, Any]:
     return scene | changes
 
 
+@pytest.mark.slow
 def test_another_mask_sees_the_same_scenes(first: Any, irradiance: Callable) -> None:
     camera = {"mask": {"design": "pinhole", "diameter_um": 200}, "noise": {"type": "none"}}
     root = generate(

@@ -217,6 +217,7 @@ def test_a_seal_speaks_of_its_data_set_only(dataset: Path, monkeypatch: pytest.M
     assert problem.startswith(f"{dataset / CHECKSUMS}: ")
 
 
+@pytest.mark.slow
 def test_no_flipped_bit_passes(samples: ModuleType, tmp_path: Path) -> None:
     """300 of them, one at a time, in every kind of file alike."""
     root = samples.make_dataset(tmp_path / "set", lambda index: samples.make_clip_sample(index, frames=2))
