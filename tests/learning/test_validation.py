@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +121,7 @@ def test_what_is_made_again_replaces_what_was_there(tmp_path: Path) -> None:
     log.close()
     with open(tmp_path / METRICS, "a") as file:
         file.write('{"step": 4, "ki')  # a process that died
+    time.sleep(1)  # TensorBoard names files by the second and a count within a process, and reads 10 before 9
     log = Log(tmp_path, 2)
     log.write(3, "train", {"total": 30.0})
     log.write(3, "validation", {"total": 5.0})
