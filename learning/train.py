@@ -16,6 +16,7 @@ from learning.checkpoint import find_checkpoint, load_checkpoint, save_checkpoin
 from learning.config import TrainConfig
 from learning.data import Example, ExampleSet, Loader
 from learning.distributed import Processes
+from learning.layers.inversion import FourierInversion
 from learning.losses import ReconstructionLoss
 from learning.method import Progress, Say
 from learning.models import build_network
@@ -105,6 +106,13 @@ def open_examples(dataset: Dataset, config: TrainConfig, say: Say) -> ExampleSet
     )
 
 
+def freeze_statistics(network: nn.Module) -> None:
+    """Freeze the running statistics of batch normalisation, as at inference; training otherwise uses each batch's own."""
+    for module in network.modules():
+        if isinstance(module, _BatchNorm):
+            module.eval()
+
+
 class FlatNetTraining(Training[Example]):
     """From measurements to image and disparity."""
 
@@ -135,6 +143,14 @@ class FlatNetTraining(Training[Example]):
             init_from |= {key: known.record.get(key) for key in ("data sets", "scenes", "init_from")}
         camera = {"stack": capture.stack.fingerprint, "white": capture.white}
         return Plan(config, group, train, validation, capture, camera, network, loss, init_from, taken)
+
+    def _rate(self, module: nn.Module) -> float:
+        return self._config.optimiser.inversion_rate if isinstance(module, FourierInversion) else 1.0
+
+    def _schedule(self) -> None:
+        super()._schedule()
+        if self.progress.step >= self._config.optimiser.freeze_statistics * self._config.steps:
+            freeze_statistics(self._network)
 
     def _open(self, dataset: Dataset) -> ExampleSet:
         return open_examples(dataset, self._config, self._say)

@@ -21,14 +21,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.nn.modules.batchnorm import _BatchNorm
 from torch.utils.data import default_collate
 
 from learning.camera import CaptureModel
 from learning.config import LoopConfig, OptimiserConfig
 from learning.data import Batches, Examples, Item, Loader, check_dataset
 from learning.distributed import Precision, Processes, processes
-from learning.layers.inversion import FourierInversion
 from learning.method import Progress, Say
 from learning.provenance import scenes_of
 from learning.resume import (
@@ -223,14 +221,17 @@ def held_folder(plan: Plan) -> Iterator[None]:
         yield
 
 
-def build_optimiser(network: nn.Module, config: OptimiserConfig) -> torch.optim.Optimizer:
-    """Return AdamW over all parameters that learn; without weight decay it is Adam. Groups have their own ``rate``.
+def build_optimiser(
+    network: nn.Module, config: OptimiserConfig, rate_of: Callable[[nn.Module], float] = lambda _: 1.0
+) -> torch.optim.Optimizer:
+    """Return AdamW over all parameters that learn; without weight decay it is Adam.
 
-    What has a rate of 0 gets no gradients either: nothing would clear them, and they would count in the norm that is clipped.
+    Groups have their own ``rate``, a multiple of the learning rate: ``rate_of`` the module whose parameters they are. What
+    has a rate of 0 gets no gradients either: nothing would clear them, and they would count in the norm that is clipped.
     """
     groups: dict[tuple[float, float], list[nn.Parameter]] = {}
     for module in network.modules():
-        rate = config.inversion_rate if isinstance(module, FourierInversion) else 1.0
+        rate = rate_of(module)
         for parameter in module.parameters(recurse=False):
             decay = config.weight_decay if parameter.ndim >= _CONVOLUTION else 0.0
             parameter.requires_grad_(parameter.requires_grad and rate > 0)
@@ -277,7 +278,7 @@ class Training(ABC, Generic[Item]):
         self.folder = config.resolve_path(config.output)
         self._network = _placed(plan.network, group)
         self._loss = plan.loss.to(group.device)
-        self._optimiser = build_optimiser(self._network, config.optimiser)
+        self._optimiser = build_optimiser(self._network, config.optimiser, self._rate)
         state = self.folder / STATE
         begun = state.exists()
         self.progress = load_state(state, self._network, self._optimiser) if begun else TrainingProgress()
@@ -378,10 +379,7 @@ class Training(ABC, Generic[Item]):
     def _step(self, wrapped: nn.Module, batch: Item, stop: Stop) -> bool:
         """Learn from a batch and return whether any process was asked to stop."""
         progress, config = self.progress, self._config
-        if progress.step >= config.optimiser.freeze_statistics * config.steps:
-            freeze_statistics(self._network)
-        for group in self._optimiser.param_groups:
-            group["lr"] = group["rate"] * learning_rate(progress.step, config.steps, config.optimiser)
+        self._schedule()
         example = to_device(batch, self._group.device)
         self._optimiser.zero_grad(set_to_none=True)
         terms = self._terms(wrapped, example)
@@ -469,6 +467,15 @@ class Training(ABC, Generic[Item]):
         }
         self._save(self.folder / name, {"network": config.network.name, **config.network.numbers}, record)
 
+    def _rate(self, module: nn.Module) -> float:
+        """Return the learning rate of a module's own parameters, as a multiple of the configuration's."""
+        return 1.0
+
+    def _schedule(self) -> None:
+        """Set what depends on how far the training is, before a step."""
+        for group in self._optimiser.param_groups:
+            group["lr"] = group["rate"] * learning_rate(self.progress.step, self._config.steps, self._config.optimiser)
+
     @classmethod
     @abstractmethod
     def plan(cls, config: Any, group: Processes) -> Plan:
@@ -501,13 +508,6 @@ class Training(ABC, Generic[Item]):
 
 def _listed(numbers: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {value:.4g}" for name, value in numbers.items())
-
-
-def freeze_statistics(network: nn.Module) -> None:
-    """Freeze the running statistics of batch normalisation, as at inference; training otherwise uses each batch's own."""
-    for module in network.modules():
-        if isinstance(module, _BatchNorm):
-            module.eval()
 
 
 def _placed(network: nn.Module, group: Processes) -> nn.Module:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from learning.config.files import Classical, Count, Decibels, FileSection, Section, refuse_folder_names
-from learning.config.training import LossConfig, OptimiserConfig
+from learning.config.training import LossConfig, NetworkOptimiserConfig
 from learning.simulate import Augmentation
 from simulator.settings import Range
 from simulator.validation import refusal
@@ -40,7 +40,7 @@ class WarmStart(Section):
     augment: Augmentation | None = Augmentation()
     """scenes changed and re-simulated through the camera with the mask, for every example; null: as stored"""
     loss: LossConfig = LossConfig()
-    optimiser: OptimiserConfig = OptimiserConfig()
+    optimiser: NetworkOptimiserConfig = NetworkOptimiserConfig()
     validate_every: Annotated[int, Range(1, 10**9)] = 100
     """steps between validations, by which the best one is chosen"""
 

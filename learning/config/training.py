@@ -151,14 +151,19 @@ class OptimiserConfig(Section):
     """after the warm-up: down to zero along half a cosine, or constant"""
     warm_up: Annotated[float, Range(0, 0.9)] = 0.05
     """share of the steps over which the learning rate rises from zero"""
-    inversion_rate: Annotated[float, Range(0, 1e6)] = 10.0
-    """learning rate of the inversion's P and lambda, as a multiple of the others' (at 1 they hardly move)"""
-    freeze_statistics: Annotated[float, Range(0, 1)] = 0.5
-    """share of the steps after which batch normalisation (body: unet) freezes its running statistics, as at inference"""
     weight_decay: Annotated[float, Range(0, 1)] = 0.0
     """decay of the convolutions' weights per unit of learning rate (Loshchilov and Hutter 2019)"""
     gradient_clip: Annotated[float, Range(1e-9, 1e9)] | None = None
     """maximum norm of the gradient; larger gradients are scaled down to it"""
+
+
+class NetworkOptimiserConfig(OptimiserConfig):
+    """The optimiser of a network that inverts and enhances."""
+
+    inversion_rate: Annotated[float, Range(0, 1e6)] = 10.0
+    """learning rate of the inversion's P and lambda, as a multiple of the others' (at 1 they hardly move)"""
+    freeze_statistics: Annotated[float, Range(0, 1)] = 0.5
+    """share of the steps after which batch normalisation (body: unet) freezes its running statistics, as at inference"""
 
 
 class LoopConfig(FileSection):
@@ -194,6 +199,7 @@ class TrainConfig(LoopConfig):
 
     data: DataConfig
     network: NetworkConfig = NetworkConfig()
+    optimiser: NetworkOptimiserConfig = NetworkOptimiserConfig()
     init_from: str | None = None
     """checkpoint (.safetensors) of a network of the same kind to begin with, for fine-tuning"""
     loss: LossConfig = LossConfig()
