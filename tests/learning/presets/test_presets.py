@@ -64,7 +64,7 @@ def test_the_refinement_goes_on_from_what_the_training_writes(tmp_path: Path) ->
     assert further.init_from == f"{first.output}/best.safetensors"
     assert further.network.numbers == first.network.numbers | {"refinements": 2, "repeats": 1}
     assert further.data == first.data
-    assert further.loss == first.loss.model_copy(update={"multiscale_weight": 3.0})
+    assert further.loss == first.loss.model_copy(update={"multiscale_weight": 6.0})
 
 
 def test_the_evaluation_reads_what_trainings_and_tuning_write(tmp_path: Path) -> None:
