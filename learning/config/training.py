@@ -48,7 +48,7 @@ class NetworkConfig(Section):
     """Which network, and how big: a size, and what differs from it."""
 
     name: Literal["flatnet3d", "flatnet2d"] = "flatnet3d"
-    """inversion at all depths of the stack, or at the hyperfocal one only"""
+    """inversion at all depths of the stack, or only at the plane in the middle of the disparity range"""
     size: Literal["thesis", "compact", "tiny"] = "compact"
     """the numbers below that are left out"""
     body: Literal["naf", "unet"] | None = None
@@ -113,13 +113,13 @@ class LossConfig(Section):
     """The loss: the sum of the weighted terms."""
 
     intensity: Literal["mse", "l1"] = "l1"
-    """error of the sRGB codes"""
+    """error of the sRGB values"""
     perceptual: Literal["none", "vgg", "random_vgg"] = "none"
     """error of VGG-19 features, with trained weights (the file must be present) or random ones"""
     intensity_weight: Weight = 1.0
-    """of the error of the codes"""
+    """of that error"""
     multiscale_weight: Weight = 0.0
-    """of the error of the codes of light averaged over 2 x 2, 4 x 4 and 8 x 8 pixels: what FLIP sees"""
+    """of the mean absolute error of sRGB values of light averaged over 2, 4 and 8 pixels squared, close to what FLIP sees"""
     perceptual_weight: Weight = 0.1
     """of the error of the features, where there are any"""
     depth_weight: Weight = 1.0

@@ -12,7 +12,7 @@ from simulator.errors import InputError
 
 ConfigPath = Annotated[Path, typer.Argument(help="configuration; `flatlight init` writes one", show_default=False)]
 Overrides = Annotated[
-    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override one setting, e.g. dataset.train=100")
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override one setting; dots separate nested keys")
 ]
 
 
