@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -91,7 +92,7 @@ def _commands(preset: str, verb: str) -> list[list[str]]:
         loop = re.search(r"for (\w+) in (.*); do (.*); done", line)
         lines += [loop[3].replace(f"${loop[1]}", word) for word in loop[2].split()] if loop else [line]
     found = (call for line in lines for call in re.findall(rf"flatlight {verb} ([^(&]*)", line))
-    return [call.split() for call in found]
+    return [shlex.split(call) for call in found]
 
 
 def _made(preset: str, data: str, folder: Path) -> list[Config]:
@@ -179,7 +180,7 @@ def test_each_ablation_changes_one_part_and_is_evaluated(tmp_path: Path) -> None
     made: dict[tuple[str, int], TrainConfig] = {}
     for name, words in trainings:
         for seed in (0, 1):
-            overrides = f"{common} {words}".replace("$1", name).replace("$seed", str(seed)).split()[1::2]
+            overrides = shlex.split(f"{common} {words}".replace("$1", name).replace("$seed", str(seed)))[1::2]
             made[name.removesuffix("_$seed"), seed] = load_file(TrainConfig, path, overrides)
     for method, name in zip(config.methods, [name for name, seed in made if seed == 0], strict=True):
         outputs = [made[name, seed].output for seed in (0, 1)]
