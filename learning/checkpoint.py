@@ -183,21 +183,7 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
         InputError: not a checkpoint, a damaged one, of a newer format, of another architecture or camera than asked.
     """
     path = Path(path)
-    content, tensors = _read(path)
-    architecture = content.get("architecture")
-    if isinstance(architecture, dict) and architecture.get("network") == DENOISER:
-        wanted = "expected a network of `flatlight train`; a denoiser belongs to the method pnp: denoiser: FILE"
-        raise InputError(path, f"got a denoiser of `flatlight train-denoiser`, {wanted}")
-    cure = "restore it from a copy"
-    check_keys(
-        path, content, dict.fromkeys(("architecture", "camera", "record"), lambda part: isinstance(part, dict)), cure
-    )
-    check_keys(path, content["architecture"], {"network": lambda name: isinstance(name, str)}, cure)
-    check_keys(path, content["camera"], _NUMBERS, cure)
-    try:
-        own = _capture(content["camera"], tensors)
-    except (KeyError, ValueError) as error:  # arrays that are not there, or do not fit the numbers
-        raise InputError(path, f"damaged: camera: {error}; {cure}") from error
+    content, tensors, own = _opened(path)
     architecture, record = renamed(content["architecture"]), renamed(content["record"])
     if content["version"] == 1:
         architecture = FIRST_VERSION | architecture
@@ -215,6 +201,30 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
         raise InputError(path, reason) from error
     _load_weights(built, path, tensors)
     return Checkpoint(built.eval(), capture or own, own.stack.fingerprint, architecture, record, path)
+
+
+def read_camera(path: Path | str) -> CaptureModel:
+    """Return a checkpoint's own camera, without its network; an InputError says what is wrong, as of `load_checkpoint`."""
+    return _opened(Path(path))[2]
+
+
+def _opened(path: Path) -> tuple[dict[str, Any], dict[str, Tensor], CaptureModel]:
+    """Return what a network's file says, its tensors and its camera."""
+    content, tensors = _read(path)
+    architecture = content.get("architecture")
+    if isinstance(architecture, dict) and architecture.get("network") == DENOISER:
+        wanted = "expected a network of `flatlight train`; a denoiser belongs to the method pnp: denoiser: FILE"
+        raise InputError(path, f"got a denoiser of `flatlight train-denoiser`, {wanted}")
+    cure = "restore it from a copy"
+    check_keys(
+        path, content, dict.fromkeys(("architecture", "camera", "record"), lambda part: isinstance(part, dict)), cure
+    )
+    check_keys(path, content["architecture"], {"network": lambda name: isinstance(name, str)}, cure)
+    check_keys(path, content["camera"], _NUMBERS, cure)
+    try:
+        return content, tensors, _capture(content["camera"], tensors)
+    except (KeyError, ValueError) as error:  # arrays that are not there, or do not fit the numbers
+        raise InputError(path, f"damaged: camera: {error}; {cure}") from error
 
 
 def _load_weights(built: nn.Module, path: Path, tensors: Mapping[str, Tensor]) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white, plain_capture, typical_white
-from learning.checkpoint import find_checkpoint, load_checkpoint, shipped_checkpoints
+from learning.checkpoint import find_checkpoint, load_checkpoint, read_camera, shipped_checkpoints
 from learning.classical.method import DEFAULTS, PLANAR_DEFAULTS, PlanarMethod, build_classical, check_parameters
 from learning.method import Method
 from learning.models.flatnet import LearnedMethod
@@ -87,8 +87,7 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
 
 
 def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
-    checkpoint = load_checkpoint(path)
-    capture = checkpoint.capture
+    capture = read_camera(path)
     numbers = "the checkpoint's: the measurement is assumed to be exposed like its training set"
     psfs = shown_stack(capture.stack)
     dataset = _own_dataset(measurement)
@@ -103,8 +102,7 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
             raise InputError(path, f"was trained for another camera than that of {dataset.root}: {error}") from error
         numbers = _of_own(dataset)
     capture = _lit(measurement, capture)
-    if capture is not checkpoint.capture:
-        checkpoint = load_checkpoint(path, capture=capture)
+    checkpoint = load_checkpoint(path, capture=capture)
     if request.scene not in (None, capture.scene_shape):
         raise InputError("--scene", f"the network gives scenes of {_size(capture.scene_shape)}; leave it out")
     name = str(checkpoint.architecture["network"])
