@@ -9,8 +9,10 @@ from types import EllipsisType
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.timing import Timing, recorded_timing
 from simulator.arrays import Array, like, namespace, to_numpy
 from simulator.assembly import Assembly
+from simulator.camera.convolution import StackConvolution
 from simulator.camera.field import FieldOfView, field_from_record
 from simulator.camera.forward import ForwardModel
 from simulator.camera.sensor import Sensor
@@ -29,7 +31,9 @@ _WHITE_PERCENTILE, _WHITE_SAMPLES = 99.0, 64
 
 @dataclass(frozen=True, eq=False)
 class CaptureModel:
-    """How a still scene became a measurement: ``y = offset + gain sum_k H_k (*) (irradiance M L_k)``.
+    """How a scene became a measurement: ``y = offset + gain exposure sum_n share_n sum_k H_k (*) (irradiance M L_nk)``.
+
+    A still is a clip of one frame, whose share of every row's exposure is 1.
 
     Attributes:
         stack: the assumed PSFs H, K depths and C channels; not always those of the simulation.
@@ -41,6 +45,8 @@ class CaptureModel:
             light comes: the image, and around it the margin that was simulated, with the same middle.
         scene_to_camera: M, ``(C, 3)``, from linear sRGB to the camera's channels.
         white: reference white, the radiance that images show as 1: one number for training, tests and every method.
+        timing: the frames of a clip and when rows see them; None of stills.
+        row_exposure: exposure of each stored row over that of the gain, ``(H,)``; None where all rows are exposed alike.
 
     Raises:
         InputError: shapes that contradict each other, or numbers that make no sense.
@@ -54,12 +60,16 @@ class CaptureModel:
     irradiance: NDArray[np.float32]
     scene_to_camera: NDArray[np.float64]
     white: float = 1.0
+    timing: Timing | None = None
+    row_exposure: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         channels = len(self.stack.channels)
+        rows = self.sensor_shape[0]
         for name, shape, wanted in (
             ("offset", self.offset.shape, (channels,)),
             ("scene_to_camera", self.scene_to_camera.shape, (channels, 3)),
+            ("row_exposure", (rows,) if self.row_exposure is None else self.row_exposure.shape, (rows,)),
         ):
             if tuple(shape) != tuple(wanted):
                 raise InputError(
@@ -74,6 +84,18 @@ class CaptureModel:
         for name, value in (("gain", self.gain), ("white", self.white)):
             if not (np.isfinite(value) and value > 0):
                 raise InputError(name, f"got {value!r}, expected a positive number")
+
+    @property
+    def frames(self) -> int:
+        """How many frames a capture holds; 1 of a still."""
+        return 1 if self.timing is None else self.timing.frames
+
+    @property
+    def row_weights(self) -> NDArray[np.float64]:
+        """What each frame's irradiance counts for in each stored row, ``(N, H)``; 1 in all of them of a usual still."""
+        rows = self.sensor_shape[0]
+        shares = np.ones((1, rows)) if self.timing is None else self.timing.row_shares(rows)
+        return shares if self.row_exposure is None else shares * self.row_exposure
 
     @property
     def field_shape(self) -> tuple[int, int]:
@@ -127,14 +149,19 @@ class CaptureModel:
         return namespace(light).einsum("ac,...chw->...ahw", inverse, light)
 
     def forward_model(self, reference: Array | None = None) -> ForwardModel:
-        """Return the convolution: ``offset + gain forward(V)`` is the measurement of the field's irradiance V.
+        """Return the convolution: ``offset + gain forward(V)`` is the measurement of a still's irradiance V over the field.
 
         V, ``(1, K, C, rows, columns)``, is irradiance at the mask in the camera's channels, ``irradiance M L_k``; the result
-        lacks gain and offset.
+        lacks gain and offset, and of clips time: see `space_time`.
         ``reference`` is an array of the kind, type and device to work on; None is NumPy in float32.
         """
         stack = self.stack if reference is None else replace(self.stack, values=like(self.stack.values, reference))
         return ForwardModel(stack, self.sensor_shape, self.field_shape)
+
+    def space_time(self, reference: Array) -> SpaceTime:
+        """Return the same for clips, which `row_weights` expose; ``reference`` as for `forward_model`."""
+        values = like(self.stack.values, reference)
+        return SpaceTime(StackConvolution(values, self.sensor_shape, self.field_shape), self.row_weights)
 
     def with_stack(self, stack: PsfStack) -> CaptureModel:
         """Return the same camera assumed to have other PSFs; an InputError refuses other channels or another pixel pitch."""
@@ -166,8 +193,14 @@ class CaptureModel:
         known ones.
 
         Raises:
-            InputError: other shapes, channels or pixel pitch, or scenes here beyond the depths that are known.
+            InputError: other shapes, channels, pixel pitch or times, or scenes here beyond the depths that are known.
         """
+        if (self.timing is None) != (known.timing is None):
+            kinds = {True: "stills", False: "clips"}
+            here, there = (kinds[each.timing is None] for each in (self, known))
+            raise InputError("scene.frames", f"got {here}, the method is for {there}; take a method for {here}")
+        if self.timing is not None and known.timing is not None:
+            self.timing.check_same(known.timing, self.sensor_shape[0])
         for name in ("sensor_shape", "scene_shape"):
             here, there = getattr(self, name), getattr(known, name)
             if tuple(here) != tuple(there):
@@ -187,6 +220,21 @@ class CaptureModel:
         return span if span > 0 else 1.0  # of a single plane: all depths are one
 
 
+class SpaceTime:
+    """The linear map from frames to what the rows of the sensor saw of them, and its transpose."""
+
+    def __init__(self, convolution: StackConvolution, row_weights: NDArray[np.float64]) -> None:
+        self._convolution, self._weights = convolution, row_weights
+
+    def forward(self, volume: Array) -> Array:
+        """Return the light ``(..., C, H, W)`` of volumes ``(N, K, ..., C, rows, columns)`` of mask irradiance."""
+        return self._convolution.forward_rows(volume, self._weights)
+
+    def adjoint(self, light: Array) -> Array:
+        """Return volumes of light: the transpose of ``forward``."""
+        return self._convolution.adjoint_rows(light, self._weights)
+
+
 def _middle(whole: tuple[int, int], part: tuple[int, int]) -> tuple[slice, slice]:
     first, second = (slice((many - few) // 2, (many + few) // 2) for many, few in zip(whole, part, strict=True))
     return first, second
@@ -199,8 +247,8 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
     (``psf.as_captured``); the folder of any other stack, or the stack itself. ``white`` see `measure_reference_white`.
 
     Raises:
-        InputError: a mosaic's measurement, a circular convolution, rows with different exposure times, a damaged record, no
-            such stack, or one that does not fit.
+        InputError: a mosaic's measurement, a circular convolution, a damaged record, no such stack, or one that does not fit;
+            of clips no sample from which to tell the times.
     """
     info = dataset.info
     try:
@@ -217,7 +265,7 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
         got = f"channels: got {show(list(info.channels))}, the PSFs have {show(list(nominal.channels))}"
         raise InputError(dataset.root / FILE, f"{got}; take camera.sensor.readout: binned_rgb")
     sensor = recorded_sensor(info, config)
-    gain, offset = gain_and_offset(sensor, len(nominal.channels), mean=config.forward.time == "mean")
+    gain, offset, row_exposure = sensor_response(sensor, len(nominal.channels), mean=config.forward.time == "mean")
     near_m, far_m = nominal.depths_m[[0, -1]].tolist()
     mask_to_sensor_m = Assembly(config).mask_to_sensor_m
     view = View(info.scene_shape, sensor.binned_pitch_m, mask_to_sensor_m, near_m, far_m, margin=_recorded_margin(info))
@@ -231,6 +279,8 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
             irradiance=_recorded_field(info, config).irradiance(view.field),
             scene_to_camera=info.colour_matrix,
             white=white,
+            timing=recorded_timing(dataset),
+            row_exposure=row_exposure,
         )
     except InputError as error:
         raise InputError(dataset.root / FILE, f"{error}; restore it from a copy") from error
@@ -290,21 +340,21 @@ def recorded_sensor(info: DatasetInfo, config: Config) -> Sensor:
     return replace(recorded.sensor, full_scale=full_scale, responsivity=responsivity)
 
 
-def gain_and_offset(sensor: Sensor, channels: int, *, mean: bool) -> tuple[float, NDArray[np.float64]]:
-    """Return DN / 2^bits per unit of exposed irradiance, and what is stored without light, ``(C,)``.
+def sensor_response(
+    sensor: Sensor, channels: int, *, mean: bool
+) -> tuple[float, NDArray[np.float64], NDArray[np.float64] | None]:
+    """Return DN / 2^bits per unit of exposed irradiance, what is stored without light, ``(C,)``, and the rows' exposures.
 
-    ``mean``: whether the forward model divided exposures by the exposure time (``forward.time: mean``).
-
-    Raises:
-        InputError: rows with different exposure times, which have no common gain.
+    The gain is that of the rows' mean exposure time, the offset their mean; the exposures, ``(H,)``, are multiples of that
+    time, None where all are alike or where the forward model divided by them (``mean``, ``forward.time: mean``).
     """
-    exposures = np.unique(np.asarray(sensor.exposure_s, np.float64))
-    if len(exposures) > 1:
-        raise InputError("camera.shutter", "rows differ in exposure time; stills need rows that agree")
-    exposure = 1.0 if mean else float(exposures[0])
+    exposures = np.broadcast_to(np.asarray(sensor.exposure_s, np.float64), sensor.shape[0])
+    exposure = 1.0 if mean else float(exposures.mean())
     dark = np.zeros((channels, *sensor.shape))
     offset, bright = sensor.noiseless(dark), sensor.noiseless(dark + sensor.full_scale)
-    return float(np.mean(bright - offset)) / sensor.full_scale * exposure, np.mean(offset, axis=(-2, -1))
+    gain = float(np.mean(bright - offset)) / sensor.full_scale * exposure
+    alike = mean or np.allclose(exposures, exposure, rtol=1e-9, atol=0)
+    return gain, np.mean(offset, axis=(-2, -1)), None if alike else exposures / exposure
 
 
 def plain_capture(

@@ -23,6 +23,8 @@ from torch import Tensor, nn
 from learning.camera import CaptureModel
 from learning.models.denoiser import Denoiser
 from learning.models.flatnet import FIRST_VERSION, FlatNet, PlaneWeights, build_network, full_architecture
+from learning.models.videonet import VideoNet, build_videonet, full_video_architecture
+from learning.timing import Timing
 from simulator.errors import InputError
 from simulator.io.files import expanded, write_atomic
 from simulator.io.json import are_names, canonical_json, check_keys, is_positive, is_shape
@@ -37,6 +39,8 @@ FOLDER = Path(__file__).parent / "checkpoints"
 """The trained networks shipped with Flatlight: one small file each."""
 DENOISER = "denoiser"
 """Name of the network and of the shipped file; no method by itself."""
+VIDEONET = "videonet"
+"""Name of the network for clips."""
 _BEST = "flatnet3d"  # where several fit
 _NUMBERS: dict[str, Callable[[Any], object]] = {
     **dict.fromkeys(("sensor_shape", "scene_shape"), is_shape),
@@ -57,7 +61,7 @@ class Checkpoint:
     ``path`` is the file, for messages.
     """
 
-    network: FlatNet
+    network: FlatNet | VideoNet
     capture: CaptureModel
     fingerprint: str
     architecture: dict[str, Any]
@@ -70,15 +74,16 @@ class Checkpoint:
         return _named(self.architecture)
 
     def for_camera(self, capture: CaptureModel) -> FlatNet:
-        """Return its network for another camera, whose planes and PSFs may differ; see `transfer`."""
+        """Return its FlatNet for another camera, whose planes and PSFs may differ; see `transfer`."""
         network = _build(self.architecture, capture)
+        assert isinstance(network, FlatNet)
         transfer(network, self)
         return network
 
 
 def save_checkpoint(
     path: Path | str,
-    network: FlatNet,
+    network: FlatNet | VideoNet,
     *,
     architecture: Mapping[str, Any],
     capture: CaptureModel,
@@ -89,7 +94,7 @@ def save_checkpoint(
 
     Args:
         path: the file, by custom ``*.safetensors``.
-        network: of `learning.models.build_network`; unwrap it from DDP first.
+        network: of `learning.models.build_network` or `build_videonet`; unwrap it from DDP first.
         architecture: ``network``, ``size`` and the changes that it was built with.
         capture: the camera that it was built for.
         record: how it was made; plain values.
@@ -101,7 +106,8 @@ def save_checkpoint(
             has no JSON form.
         StorageError: the place cannot be written to.
     """
-    full = full_architecture(architecture)
+    of_clips = architecture.get("network") == VIDEONET
+    full = full_video_architecture(architecture) if of_clips else full_architecture(architecture)
     weights = {name: _stored(name, value, precision) for name, value in network.state_dict().items()}
     _check_shapes(_build(full, capture).state_dict(), weights, "architecture")
     stack = capture.stack
@@ -112,6 +118,8 @@ def save_checkpoint(
         "scene_to_camera": (capture.scene_to_camera, np.float64),
         "offset": (capture.offset, np.float64),
     }
+    if capture.row_exposure is not None:
+        arrays["row_exposure"] = (capture.row_exposure, np.float64)
     tensors = {
         _CAMERA + name: torch.from_numpy(np.array(array, kind, order="C")) for name, (array, kind) in arrays.items()
     }
@@ -129,6 +137,7 @@ def save_checkpoint(
             "pixel_pitch_m": stack.pixel_pitch_m,
             "fingerprint": stack.fingerprint,
             "provenance": stack.provenance,
+            "timing": None if capture.timing is None else capture.timing.record(),
         },
         "record": dict(record),
     }
@@ -249,9 +258,11 @@ def _stored(name: str, value: Tensor, precision: torch.dtype) -> Tensor:
     return rounded
 
 
-def _build(architecture: Mapping[str, Any], capture: CaptureModel) -> FlatNet:
+def _build(architecture: Mapping[str, Any], capture: CaptureModel) -> FlatNet | VideoNet:
     """Return a network of this architecture; torch's generator stays where it is."""
     with torch.random.fork_rng(devices=[]):
+        if architecture.get("network") == VIDEONET:
+            return build_videonet(capture, **{key: value for key, value in architecture.items() if key != "network"})
         return build_network(capture, **_named(architecture))
 
 
@@ -301,12 +312,25 @@ def _capture(numbers: dict[str, Any], tensors: dict[str, Tensor]) -> CaptureMode
         )
         raise InputError("sensor_shape", f"got {sizes} pixels, which no camera has")
     scalars: Any = {name: float(numbers[name]) for name in ("gain", "white")}
+    timing = numbers.get("timing")
+    scalars |= {
+        "timing": None if timing is None else Timing.from_record(timing),
+        "row_exposure": arrays.get("row_exposure"),
+    }
     own: Any = {name: arrays[name] for name in ("offset", "irradiance", "scene_to_camera")}
     return CaptureModel(stack, **shapes, **scalars, **own)
 
 
 def _check_camera(path: Path, own: CaptureModel, asked: CaptureModel) -> None:
-    """Refuse a camera for which the weights mean something else: other channels, pixels, or planes at other depths."""
+    """Refuse a camera for which the weights mean something else: other channels, pixels, times, or planes at other depths."""
+    if (own.timing is None) != (asked.timing is None):
+        kinds = ["stills" if each.timing is None else "clips" for each in (own, asked)]
+        raise InputError(path, f"its network is for {kinds[0]}, the camera's captures are {kinds[1]}")
+    if own.timing is not None and asked.timing is not None:
+        try:
+            asked.timing.check_same(own.timing, asked.sensor_shape[0])
+        except InputError as error:
+            raise InputError(path, f"{error.path}: {error.reason}") from error
     mine, other = own.stack, asked.stack
     if mine.channels != other.channels:
         names, wanted = show(list(mine.channels)), show(list(other.channels))
@@ -385,7 +409,7 @@ def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
         InputError: another architecture, or other channels, naming the checkpoint's file; the network stays as it was.
     """
     own, found = network.state_dict(), checkpoint.network.state_dict()
-    if type(network) is not type(checkpoint.network):
+    if type(network) is not type(checkpoint.network) or not isinstance(checkpoint.network, FlatNet):
         kinds = f"got a {type(checkpoint.network).__name__}, expected a {type(network).__name__}"
         raise InputError(checkpoint.path, f"{kinds}; take a checkpoint of the same network")
     mine, other = network.inversion.channels, checkpoint.network.inversion.channels

@@ -22,11 +22,16 @@ def train(
     set_: Overrides = None,
 ) -> None:
     """Train a network on a data set, or resume an interrupted training."""
-    from learning.config import TrainConfig, load_file
+    from learning.config import TrainConfig, load_file, training_kind
     from learning.train import train as run
+    from learning.train_video import train_video
 
-    settings = load_file(TrainConfig, config, set_ or [])
-    folder = _train(partial(run, settings), "PSNR {psnr_db:.2f} dB, depth RMSE {depth_rmse_cm:.2f} cm")
+    settings = load_file(training_kind, config, set_ or [])
+    if isinstance(settings, TrainConfig):
+        folder = _train(partial(run, settings), "PSNR {psnr_db:.2f} dB, depth RMSE {depth_rmse_cm:.2f} cm")
+    else:
+        scores = "PSNR {psnr_db:.2f} dB, of moving pixels {moving_psnr_db:.2f} dB"
+        folder = _train(partial(train_video, settings), scores)
     print(f"look at {folder / 'validation.png'}, or at the curves: tensorboard --logdir {folder}")
 
 

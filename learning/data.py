@@ -23,8 +23,10 @@ from torch.utils.data import Dataset as TorchDataset
 from learning.camera import recorded_sensor
 from learning.provenance import sample_digests
 from learning.simulate import Augmentation, SceneCamera
+from learning.timing import Timing, recorded_timing, sample_timing
 from simulator.camera.noise import GaussianNoise, PhysicalNoise, add_gaussian
 from simulator.camera.sensor import Sensor
+from simulator.camera.slivers import sliver_means
 from simulator.config import config_from_dict
 from simulator.dataset.reader import Dataset
 from simulator.dataset.sample import SPLITS, StoredSample, sample_index
@@ -49,9 +51,9 @@ class Example(NamedTuple):
 
     Attributes:
         measurement: ``(C, H, W)`` float32, DN / 2^bits.
-        radiance: ``(3, h, w)`` float32, linear sRGB.
-        depth_m: ``(1, h, w)`` float32, metres.
-        valid: ``(1, h, w)`` bool, False where nothing was seen, which lies at the far depth.
+        radiance: ``(3, h, w)`` float32, linear sRGB; of a clip ``(N, 3, h, w)``, the mean of each sliver's frames.
+        depth_m: ``(1, h, w)`` float32, metres; of a clip ``(N, 1, h, w)``, in the middle of each sliver.
+        valid: bool, like ``depth_m``; False where nothing was seen, which lies at the far depth.
     """
 
     measurement: Tensor
@@ -68,7 +70,12 @@ class Draw(NamedTuple):
 
 
 class ExampleSet(TorchDataset[Example]):
-    """One split of a data set of stills, ``dataset``; picklable, for workers that are forked or spawned."""
+    """One split of a data set, ``dataset``, of stills or of clips; picklable, for workers that are forked or spawned.
+
+    Attributes:
+        timing: of its clips, which all have the same; None of stills.
+        augment: how scenes are changed before they are re-simulated; None takes them as stored.
+    """
 
     def __init__(
         self,
@@ -94,12 +101,13 @@ class ExampleSet(TorchDataset[Example]):
         Raises:
             InputError: an empty split, mosaics, levels that make no sense, or samples that cannot be re-simulated.
         """
+        self.timing = recorded_timing(dataset)
         if len(dataset) == 0:
             cure = f"set dataset.{dataset.split} and run `flatlight generate` again, or give another data set"
             raise InputError(dataset.root, f"split {dataset.split!r} is empty; {cure}")
         if noise_db is not None and not 0 < noise_db[0] <= noise_db[1] <= 120:
             raise InputError("noise_db", f"got {noise_db}, expected a range of PSNRs such as (20, 50), in 0 to 120 dB")
-        self.dataset, self._noise_db, self._augment, self._seed = dataset, noise_db, augment, seed
+        self.dataset, self._noise_db, self.augment, self._seed = dataset, noise_db, augment, seed
         self._sensor, self._dark, self._clip, self._quantise = _converter(dataset)
         self._camera = None if augment is None else SceneCamera(dataset)
         self._kind = "scene" if augment else "measurement" if noise_db is None else "noiseless"
@@ -110,17 +118,16 @@ class ExampleSet(TorchDataset[Example]):
         return len(self.dataset)
 
     def __getitem__(self, draw: Draw | int) -> Example:
-        """Return a sample; a plain position is draw number 0. An InputError names the file of a clip or a damaged sample."""
+        """Return a sample; a plain position is draw number 0. An InputError names the file of a damaged sample."""
         position, number = draw if isinstance(draw, tuple) else (draw, 0)
         arrays = self._read(position) if self._cache is None else self._cache.read(position)
-        split, index = SPLITS.index(self.dataset.split), sample_index(self.dataset.ids[position])
-        rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_STREAM, split, index, number)))
-        if self._augment is not None and self._camera is not None:
-            clip = self._augment.apply(_clip_of(arrays), rng)
+        rng = self.generator(position, number)
+        if self.augment is not None and self._camera is not None:
+            clip = self.augment.apply(clip_of(arrays), rng)
             exposure = self._camera.exposure(clip)
             sensor = self._camera.sensor
             seen = sensor.expose(exposure, rng) if self._noise_db is None else sensor.noiseless(exposure)
-            arrays = {"measurement": seen, **_truth(clip.rgb[0], clip.depth_m[0], clip.valid[0])}
+            arrays = {"measurement": seen, **_truth(clip, self.timing)}
         measurement = arrays["measurement"]
         if self._noise_db is not None:
             least, greatest = self._noise_db
@@ -131,46 +138,88 @@ class ExampleSet(TorchDataset[Example]):
         truth = (arrays[name] for name in ("radiance", "depth_m", "valid"))
         return Example(*(torch.from_numpy(np.ascontiguousarray(values)) for values in (measurement, *truth)))
 
+    def generator(self, position: int, number: int) -> np.random.Generator:
+        """Return the generator of a draw, by which first the scene is changed, then noise is drawn."""
+        split, index = SPLITS.index(self.dataset.split), sample_index(self.dataset.ids[position])
+        return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(_STREAM, split, index, number)))
+
     def _read(self, position: int) -> Arrays:
         if self._kind == "scene":
-            return read_scene(self.dataset, position)
+            return read_scene(self.dataset, position, self.timing)
         stored = self.dataset.stored(position)
-        truth = _read_truth(stored)
+        truth = _truth(_stored_clip(self.dataset, stored, self.timing), self.timing)
         measurement, noiseless = stored.measurement()
         return {"measurement": measurement if self._kind == "measurement" else noiseless, **truth}
 
 
-def read_scene(dataset: Dataset, position: int) -> Arrays:
-    """Return what was there, by the names of `Example`, and what shone beside it, where that is known."""
+def read_scene(dataset: Dataset, position: int, timing: Timing | None = None) -> Arrays:
+    """Return what was there, by the names of `Example`, and what shone beside it, where that is known.
+
+    Of clips, which have a ``timing``, all frames as they are stored, and their edges.
+    """
     stored = dataset.stored(position)
-    truth, around = _read_truth(stored), stored.surroundings()
+    clip, around = _stored_clip(dataset, stored, timing), stored.surroundings()
+    arrays = _arrays(clip) if timing is not None else {name: values[0] for name, values in _arrays(clip).items()}
+    if timing is not None:
+        arrays |= {"frame_edges_s": clip.frame_edges_s}
     if around is None:
-        return truth
-    beside = {"light_beside": around.rgb[0], "depth_beside": around.depth_m[0]}
-    return truth | beside | {"coarseness": np.array(around.coarseness)}
+        return arrays
+    still = timing is None
+    beside = {"light_beside": around.rgb, "depth_beside": around.depth_m}
+    return (
+        arrays
+        | {name: values[0] if still else values for name, values in beside.items()}
+        | {"coarseness": np.array(around.coarseness)}
+    )
 
 
-def _read_truth(stored: StoredSample) -> Arrays:
-    if stored.frame_edges_s is not None:
-        raise InputError(stored.folder, f"got a clip of {stored.frames} frames, expected a still")
-    frame = stored.frame(0)
-    if frame.depth_m.min() <= 0:
-        raise InputError(stored.folder, f"got a depth of {frame.depth_m.min():g} m, expected depths above 0")
-    return _truth(frame.rgb, frame.depth_m, frame.valid)
+def _stored_clip(dataset: Dataset, stored: StoredSample, timing: Timing | None) -> Clip:
+    """Return the frames of a sample, without what shone beside them; an InputError refuses other times than the others'."""
+    own = sample_timing(dataset, stored)
+    if (own is None) != (timing is None):
+        got, expected = ("a still", "a clip") if own is None else (f"a clip of {stored.frames} frames", "a still")
+        raise InputError(stored.folder, f"got {got}, expected {expected} like the other samples")
+    if own is not None and timing is not None:
+        try:
+            own.check_same(timing, dataset.info.sensor_shape[0])
+        except InputError as error:
+            raise InputError(stored.folder, f"{error.path} differs from the other samples': {error.reason}") from error
+    frames = [stored.frame(number) for number in range(stored.frames)]
+    rgb, depth_m, valid = (np.stack([getattr(frame, name) for frame in frames]) for name in ("rgb", "depth_m", "valid"))
+    if depth_m.min() <= 0:
+        raise InputError(stored.folder, f"got a depth of {depth_m.min():g} m, expected depths above 0")
+    return Clip(rgb, depth_m, valid, np.array([0.0, 1.0]) if stored.frame_edges_s is None else stored.frame_edges_s)
 
 
-def _truth(rgb: NDArray[np.float32], depth_m: NDArray[np.float32], valid: NDArray[np.bool_]) -> Arrays:
-    return {"radiance": np.moveaxis(rgb, -1, 0), "depth_m": depth_m[None], "valid": valid[None]}
+def _arrays(clip: Clip) -> Arrays:
+    """Return the frames of a clip by the names of `Example`, with a leading T."""
+    return {
+        "radiance": np.moveaxis(clip.rgb, -1, 1),
+        "depth_m": clip.depth_m[:, None],
+        "valid": clip.valid[:, None],
+    }
 
 
-def _clip_of(arrays: Arrays) -> Clip:
-    """Return the scene of what was kept of a sample."""
+def _truth(clip: Clip, timing: Timing | None) -> Arrays:
+    """Return what an estimate is compared with: a still, or the slivers' means."""
+    if timing is None:
+        return {name: values[0] for name, values in _arrays(clip).items()}
+    return _arrays(sliver_means(clip, timing.frames))
+
+
+def clip_of(arrays: Arrays) -> Clip:
+    """Return the scene of what `read_scene` gave."""
+    still = "frame_edges_s" not in arrays
+    edges_s = np.array([0.0, 1.0]) if still else arrays["frame_edges_s"]
+
+    def frames(name: str) -> NDArray[Any]:
+        return arrays[name][None] if still else arrays[name]
+
     around = None
     if "light_beside" in arrays:
-        light, depth_m = arrays["light_beside"][None], arrays["depth_beside"][None]
-        around = Surroundings(light, depth_m, int(arrays["coarseness"]))
-    rgb = np.moveaxis(arrays["radiance"], 0, -1)[None]
-    return Clip(rgb, arrays["depth_m"], arrays["valid"], np.array([0.0, 1.0]), surroundings=around)
+        around = Surroundings(frames("light_beside"), frames("depth_beside"), int(arrays["coarseness"]))
+    rgb = np.moveaxis(frames("radiance"), 1, -1)
+    return Clip(rgb, frames("depth_m")[:, 0], frames("valid")[:, 0], edges_s, surroundings=around)
 
 
 def _converter(dataset: Dataset) -> tuple[Sensor, float, bool, bool]:
@@ -189,10 +238,10 @@ def _converter(dataset: Dataset) -> tuple[Sensor, float, bool, bool]:
 
 
 def check_dataset(dataset: Dataset) -> None:
-    """Refuse a data set that says nothing about intensity and depth of stills; a few samples are read.
+    """Refuse a data set from which nothing can be learned; a few samples are read.
 
     Raises:
-        InputError: an empty split, clips, mosaics, one depth everywhere, or a sample with NaN, inf or other damage.
+        InputError: an empty split, mosaics, a sample with NaN, inf or other damage; of stills also one depth everywhere.
     """
     examples = ExampleSet(dataset)
     near, far = np.inf, 0.0
@@ -201,7 +250,7 @@ def check_dataset(dataset: Dataset) -> None:
         seen = example.depth_m[example.valid]
         if len(seen):
             near, far = min(near, float(seen.min())), max(far, float(seen.max()))
-    if near >= far:
+    if near >= far and examples.timing is None:
         what = f"all scenes are at {far:g} m" if far > 0 else "no pixel of its scenes is valid"
         reason = f"split {dataset.split!r} says nothing about depth: {what}; use scenes or a source with depth"
         raise InputError(dataset.root, reason)

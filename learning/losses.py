@@ -60,7 +60,7 @@ class ReconstructionLoss(nn.Module):
         difference = estimate.image - image
         terms = {"intensity": (difference.square() if self.intensity == "mse" else difference.abs()).mean()}
         if self.weights["multiscale"]:
-            terms["multiscale"] = _multiscale(estimate.image, image)
+            terms["multiscale"] = multiscale(estimate.image, image)
         if self.perceptual is not None:
             terms["perceptual"] = self.perceptual(estimate.image, image)
         counted = torch.ones_like(valid) if self.invalid_depth else valid
@@ -81,7 +81,7 @@ class ReconstructionLoss(nn.Module):
         }
 
 
-def _multiscale(found: Tensor, true: Tensor) -> Tensor:
+def multiscale(found: Tensor, true: Tensor) -> Tensor:
     """Return the mean absolute difference of the codes of averaged light, over three sizes of square."""
     lights, differences = [srgb_to_linear(codes, 1.0, clip=False) for codes in (found, true)], []
     for _ in range(3):

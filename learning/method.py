@@ -43,7 +43,7 @@ def srgb_to_linear(codes: Tensor, white: float, *, clip: bool = True) -> Tensor:
 
 
 class Estimate(NamedTuple):
-    """Images and depths of B scenes.
+    """Images and depths of B scenes; of clips, those of N frames, ``(B, N, ...)`` in place of ``(B, ...)``.
 
     Attributes:
         image: ``(B, 3, h, w)`` sRGB codes, nominally 0..1 but not clipped: what is brighter than white is more than 1.
@@ -58,7 +58,7 @@ class Estimate(NamedTuple):
         return Estimate(self.image.clamp(0, 1), self.disparity.clamp(0, 1))
 
     def depth_m(self, capture: CaptureModel) -> Tensor:
-        """Return depths ``(B, 1, h, w)`` in metres, clamped to the stack's range."""
+        """Return depths in metres, as many as disparities, clamped to the stack's range."""
         return capture.depth_m(self.disparity)
 
 
@@ -84,7 +84,12 @@ class Clock:
 
 
 class Method(Protocol):
-    """A reconstruction of still scenes: its ``name`` in tables and figures, the camera with its assumed PSFs."""
+    """A reconstruction, of stills or of clips as its camera says.
+
+    Attributes:
+        name: in tables and figures.
+        capture: the camera with its assumed PSFs.
+    """
 
     name: str
     capture: CaptureModel

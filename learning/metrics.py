@@ -36,11 +36,14 @@ DEFINITIONS = {
     "linear_psnr": "PSNR of linear radiance / white in dB, peak 1; the truth is clipped at white, as images are",
     "flip": f"mean FLIP (LDR) of Andersson et al. 2020 at {PIXELS_PER_DEGREE:.2f} pixels per degree; lower is better",
     "lpips": "LPIPS 0.1 of Zhang et al. 2018; lower is better",
+    "moving_psnr": "PSNR like psnr at a clip's moving pixels: where a code differs from its mean over time by more than 0.1",
     "depth_rmse_cm": "root mean square error of depth in cm",
     "disparity_rmse": "root mean square error of disparity, evenly in 1 / z from 0 (far) to 1 (near)",
     "disparity_rmse_per_m": "root mean square error of 1 / z in 1 / m",
 }
 """Of each score that `measure` gives, in words for a table."""
+
+_MOVES = 0.1  # sRGB codes, well above the noise of rendered images
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB: IEC 61966-2-1, ITU-R BT.709
 
@@ -63,7 +66,8 @@ def measure(
 ) -> list[dict[str, float]]:
     """Return the scores of each of B scenes by name; see `DEFINITIONS`. The estimate is clamped here.
 
-    ``pixels`` ``(B, 1, h, w)`` bool are where depth counts, such as ``example.valid``; None is everywhere.
+    Of clips, SSIM, FLIP and LPIPS are means over the frames. Depth has scores where the camera tells several depths apart.
+    ``pixels``, bool like ``example.valid``, are where depth counts; None is everywhere.
 
     Raises:
         InputError: shapes that differ, images below 11 x 11 pixels, or an estimate with NaN or infinite numbers.
@@ -71,22 +75,41 @@ def measure(
     _check(estimate, example)
     estimate = estimate.clamped()
     truth = linear_to_srgb(example.radiance, capture.white)
+    scenes, frames = len(truth), truth.shape[1] if truth.ndim == 5 else 1
     pairs = zip(_channels_last(estimate.image), _channels_last(truth), strict=True)
-    scores = [image_scores(one, other) for one, other in pairs]
+    of_frames = [image_scores(one, other) for one, other in pairs]
     linear = psnr(srgb_to_linear(estimate.image, 1.0), (example.radiance / capture.white).clamp(0, 1))
     columns = {"psnr": psnr(estimate.image, truth), "linear_psnr": linear}
+    if truth.ndim == 5:
+        columns["moving_psnr"] = psnr_at(estimate.image, truth, moving_pixels(truth))
     if lpips is not None:
-        columns["lpips"] = lpips(estimate.image, truth)
-    columns |= depth_scores(estimate, example, capture, pixels)._asdict()
-    by_scene = [
-        {name: values[scene].item() for name, values in columns.items()} | scores[scene] for scene in range(len(truth))
-    ]
+        every = lpips(*(each.flatten(0, -4) for each in (estimate.image, truth)))
+        columns["lpips"] = every.unflatten(0, (scenes, -1)).mean(dim=1)
+    if len(capture.stack.depths_m) > 1:
+        columns |= depth_scores(estimate, example, capture, pixels)._asdict()
+    by_scene = []
+    for scene in range(scenes):
+        own = of_frames[scene * frames : (scene + 1) * frames]
+        means = {name: float(np.mean([each[name] for each in own])) for name in own[0]}
+        by_scene.append({name: values[scene].item() for name, values in columns.items()} | means)
     return [{name: scene[name] for name in DEFINITIONS if name in scene} for scene in by_scene]
 
 
 def psnr(image: Tensor, truth: Tensor) -> Tensor:
-    """Return the PSNR of each image, ``(B,)`` float64, in dB with peak 1; infinite where both are equal."""
-    return -10 * (image.double() - truth.double()).square().mean(dim=(1, 2, 3)).log10()
+    """Return the PSNR of each image or clip, ``(B,)`` float64, in dB with peak 1; infinite where both are equal."""
+    return -10 * (image.double() - truth.double()).square().flatten(1).mean(dim=1).log10()
+
+
+def psnr_at(image: Tensor, truth: Tensor, counted: Tensor) -> Tensor:
+    """Return the same at the pixels that count, bool like ``image`` or broadcast to it; NaN where none does."""
+    counted = counted.expand_as(image).flatten(1)
+    squares = (image.double() - truth.double()).square().flatten(1)
+    return -10 * (torch.where(counted, squares, 0).sum(dim=1) / counted.sum(dim=1)).log10()
+
+
+def moving_pixels(truth: Tensor) -> Tensor:
+    """Return where clips ``(B, N, 3, h, w)``, sRGB codes, move: ``(B, 1, 1, h, w)`` bool; see `DEFINITIONS`."""
+    return (truth - truth.mean(dim=1, keepdim=True)).abs().amax(dim=(1, 2), keepdim=True) > _MOVES
 
 
 def image_scores(image: NDArray[np.float32], truth: NDArray[np.float32]) -> dict[str, float]:
@@ -106,7 +129,7 @@ def depth_scores(
 ) -> DepthScores:
     """Return the depth errors of each scene; the estimate is clamped to the range, the truth's depth in cm is not.
 
-    ``pixels`` ``(B, 1, h, w)`` bool are those that count, None are all.
+    ``pixels``, bool like ``example.valid``, are those that count, None are all.
     """
     disparity, true_m = estimate.disparity.double().clamp(0, 1), example.depth_m.double()
     found_m = capture.depth_m(disparity)
@@ -121,30 +144,32 @@ def depth_scores(
 
 
 def dark_mask(example: Example, capture: CaptureModel, share: float) -> Tensor:
-    """Return where scenes are darker than a share (0..1) of white's luminance, ``(B, 1, h, w)`` bool."""
+    """Return where scenes are darker than a share (0..1) of white's luminance, bool like ``example.valid``."""
     if not 0 <= share <= 1:
         raise InputError("share", f"got {share!r}, expected 0 to 1: a share of white's luminance")
     weights = torch.tensor(_LUMINANCE, dtype=example.radiance.dtype, device=example.radiance.device)
-    return torch.einsum("c,bchw->bhw", weights, example.radiance)[:, None] < share * capture.white
+    return torch.einsum("c,b...chw->b...hw", weights, example.radiance).unsqueeze(-3) < share * capture.white
 
 
 def _rms(error: Tensor, counted: Tensor) -> Tensor:
-    squares = torch.where(counted, error.square(), 0.0).sum(dim=(1, 2, 3))
-    return (squares / counted.sum(dim=(1, 2, 3))).sqrt()
+    squares = torch.where(counted, error.square(), 0.0).flatten(1).sum(dim=1)
+    return (squares / counted.flatten(1).sum(dim=1)).sqrt()
 
 
 def _channels_last(images: Tensor) -> NDArray[np.float32]:
-    return np.ascontiguousarray(images.detach().float().cpu().permute(0, 2, 3, 1).numpy())
+    """Return all images or frames ``(n, h, w, 3)``."""
+    every = images.detach().float().cpu().flatten(0, -4)
+    return np.ascontiguousarray(every.permute(0, 2, 3, 1).numpy())
 
 
 def _check(estimate: Estimate, example: Example) -> None:
     for name, found, wanted in zip(Estimate._fields, estimate, (example.radiance, example.depth_m), strict=True):
-        if found.shape != wanted.shape or found.ndim != 4:
+        if found.shape != wanted.shape or found.ndim not in (4, 5):
             shapes = f"got shape {tuple(found.shape)}, expected {tuple(wanted.shape)}"
             raise InputError(f"estimate.{name}", f"{shapes} of a batch of examples")
         if not bool(found.isfinite().all()):
             count = int((~found.isfinite()).sum())
             raise InputError(f"estimate.{name}", f"{count} of {found.numel()} numbers are NaN or infinite")
-    height, width = estimate.image.shape[2:]
+    height, width = estimate.image.shape[-2:]
     if min(height, width) < SSIM_PIXELS:
         raise InputError("estimate.image", f"got {height} x {width} pixels, expected {SSIM_PIXELS} per side for SSIM")

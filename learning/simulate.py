@@ -27,11 +27,13 @@ class Augmentation(Settings):
 
     Attributes:
         flip: mirror rows and columns, each in half of the cases: the PSFs stay, so the measurement is no mirror image.
+        reverse: let time run backwards in half of the cases; clips only.
         colour: standard deviation of the logarithm of what each of red, green and blue is multiplied by.
         exposure: all light is multiplied by 2^x, x evenly between minus and plus this.
     """
 
     flip: bool = True
+    reverse: bool = True
     colour: Annotated[float, Range(0, 2)] = 0.2
     exposure: Annotated[float, Range(0, 8, "stops")] = 0.5
 
@@ -39,7 +41,8 @@ class Augmentation(Settings):
         """Return a clip changed by random numbers, alike in all frames and in what shines beside the image."""
         mirrored = rng.random(2) < 0.5 if self.flip else (False, False)
         gains = np.exp(self.colour * rng.standard_normal(3) + np.log(2) * rng.uniform(-self.exposure, self.exposure))
-        way = (slice(None), *(slice(None, None, -1 if each else 1) for each in mirrored))
+        backwards = self.reverse and len(clip.rgb) > 1 and rng.random() < 0.5
+        way = tuple(slice(None, None, -1 if each else 1) for each in (backwards, *mirrored))
 
         def changed(part: Any) -> dict[str, Any]:
             return {"rgb": part.rgb[way] * gains.astype(np.float32), "depth_m": part.depth_m[way]}
@@ -71,6 +74,10 @@ class SceneCamera:
             scene_to_camera=capture.scene_to_camera,
             depth_rule=DepthRule(config.forward.depth_assignment, max_clamped=1.0),  # refused when the data were made
         )
+
+    def global_measurements(self, clip: Clip, slivers: int) -> NDArray[np.float32]:
+        """Return what a global shutter would measure of each sliver of a clip, without noise, ``(N, C, H, W)``."""
+        return np.stack([self.sensor.noiseless(seen) for seen in self._model.global_measurements(clip, slivers)])
 
     def exposure(self, clip: Clip) -> NDArray[np.float32]:
         """Return the noiseless exposure ``(C, H, W)`` of a clip, which `sensor` turns into a measurement.

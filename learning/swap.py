@@ -203,7 +203,7 @@ def _tuning(config: SwapConfig, folder: Path) -> TuneConfig:
     return TuneConfig(
         output=folder / _TUNED,
         data=TuneData(validation=folder / _DATA, scenes=scenes, allow_few_scenes=scenes < FEWEST_SCENES),
-        methods=config.tuned,
+        methods=list(config.tuned),
         noise_db=["stored", *config.noise_db],
         seed=config.seed,
         device=config.device,

@@ -441,8 +441,9 @@ class Training(ABC, Generic[Item]):
             log.show(progress.step, self._drawn(example))
             if better:
                 self._save_network(BEST)
-        depth = f", depth RMSE {metrics['depth_rmse_cm']:.2f} cm" if "depth_rmse_cm" in metrics else ""
-        errors = f"validation PSNR {metrics['psnr_db']:.2f} dB{depth}, loss {metrics['total']:.4g}"
+        further = {"depth_rmse_cm": ", depth RMSE {:.2f} cm", "moving_psnr_db": ", of moving pixels {:.2f} dB"}
+        also = "".join(words.format(metrics[name]) for name, words in further.items() if name in metrics)
+        errors = f"validation PSNR {metrics['psnr_db']:.2f} dB{also}, loss {metrics['total']:.4g}"
         self._say(f"step {progress.step}: {errors}{' (best)' if better else ''}")
 
     def _save_network(self, name: str) -> None:

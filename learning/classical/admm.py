@@ -98,9 +98,10 @@ class Admm(nn.Module):
             weights = planar_weights(tv, float(self.grid.power.max())) if flat else default_weights(tv)
         self.weights = weights
         brightest = float(capture.scene_irradiance.max())
-        scale = 1 / (capture.gain * capture.white * brightest * self.grid.norm)
+        exposed = np.ones(1) if capture.row_exposure is None else capture.row_exposure
+        scale = 1 / (capture.gain * capture.white * brightest * self.grid.norm[:, None] * exposed)
         brightness = brightest / capture.scene_irradiance.astype(np.float64)
-        buffers = {"scale": scale[:, None, None], "offset": capture.offset[:, None, None], "brightness": brightness}
+        buffers = {"scale": scale[..., None], "offset": capture.offset[:, None, None], "brightness": brightness}
         for name, values in buffers.items():
             self.register_buffer(name, torch.from_numpy(np.asarray(values)).to(dtype), persistent=False)
 

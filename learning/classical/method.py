@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from learning.camera import CaptureModel
 from learning.checkpoint import find_denoiser, load_denoiser
 from learning.classical.admm import Admm
+from learning.classical.clips import Value
 from learning.classical.focus import COSTS, LIGHT, MEASURES, assemble, unary_cost
 from learning.classical.graph_cut import cut_labels
 from learning.classical.plug_and_play import PlugAndPlay
@@ -21,8 +22,6 @@ from learning.method import Clock, Estimate, check_choices, linear_to_srgb
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
 from simulator.validation import now_called
-
-Value = float | int | str
 
 
 class ConstrainedLeastSquares(RegularisedInversion):

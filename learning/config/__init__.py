@@ -4,6 +4,7 @@ from learning.config.evaluation import EvaluateConfig, EvaluationData, MethodCon
 from learning.config.files import FileSection, load_file
 from learning.config.swap import SwapConfig, WarmStart
 from learning.config.training import (
+    ClipLossConfig,
     DataConfig,
     DenoiserConfig,
     LoopConfig,
@@ -11,11 +12,15 @@ from learning.config.training import (
     NetworkConfig,
     OptimiserConfig,
     TrainConfig,
+    VideoNetworkConfig,
+    VideoTrainConfig,
+    training_kind,
 )
 from learning.config.tuning import FEWEST_SCENES, TuneConfig, TuneData
 
 __all__ = [
     "FEWEST_SCENES",
+    "ClipLossConfig",
     "DataConfig",
     "DenoiserConfig",
     "EvaluateConfig",
@@ -31,6 +36,9 @@ __all__ = [
     "TrainConfig",
     "TuneConfig",
     "TuneData",
+    "VideoNetworkConfig",
+    "VideoTrainConfig",
     "WarmStart",
     "load_file",
+    "training_kind",
 ]

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from learning.config.files import Classical, Count, Decibels, FileSection, Section, refuse_folder_names
+from learning.config.files import CLASSICAL, Classical, Count, Decibels, FileSection, Section, refuse_folder_names
 from simulator.settings import Range
 from simulator.validation import refusal
 
@@ -59,7 +59,7 @@ class MethodConfig(Section):
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         if (self.checkpoints is None) == (self.classical is None):
-            text = "give either checkpoints (of a network) or classical (cls, admm, pnp)"
+            text = f"give either checkpoints (of a network) or classical ({', '.join(CLASSICAL)})"
             raise refusal(text)
         if self.checkpoints is not None:
             if not self.checkpoints or len(set(self.checkpoints)) < len(self.checkpoints):

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import ConfigDict, PrivateAttr
 
@@ -49,7 +49,9 @@ class FileSection(Section):
 Model = TypeVar("Model", bound=FileSection)
 
 
-def load_file(model: type[Model], path: Path | str, overrides: Sequence[str] = ()) -> Model:
+def load_file(
+    model: type[Model] | Callable[[dict[str, Any]], type[Model]], path: Path | str, overrides: Sequence[str] = ()
+) -> Model:
     """Load a YAML file; see `simulator.config.load.load_model`. Keys of earlier versions are refused with today's names."""
     loaded = load_model(model, path, overrides, _old_names)
     loaded._base_dir, loaded._source = Path(path).resolve().parent, (Path(path), tuple(overrides))
@@ -69,7 +71,10 @@ def _old_names(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[Problem]
 Weight = Annotated[float, Range(0, 1e6, below="a weight is not negative")]
 Decibels = Annotated[float, Range(0.1, 120, "dB")]
 Count = Annotated[int, Range(1, 10_000_000, below="at least one")]
-Classical = Literal["cls", "admm", "pnp"]
+OfStills = Literal["cls", "admm", "pnp"]
+OfClips = Literal["static", "slivers", "joint", "fista"]
+Classical = OfStills | OfClips
+CLASSICAL = (*get_args(OfStills), *get_args(OfClips))
 
 
 def refuse_folder_names(names: Iterable[str], key: str) -> None:

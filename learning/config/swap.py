@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from learning.config.files import Classical, Count, Decibels, FileSection, Section, refuse_folder_names
+from learning.config.files import Count, Decibels, FileSection, OfStills, Section, refuse_folder_names
 from learning.config.training import LossConfig, NetworkOptimiserConfig
 from learning.simulate import Augmentation
 from simulator.settings import Range
@@ -65,9 +65,9 @@ class SwapConfig(FileSection):
     scenes: SeenAgain
     network: WarmStart | None = None
     """null: classical methods only"""
-    tuned: list[Classical] = Field(default_factory=lambda: ["cls"])
+    tuned: list[OfStills] = Field(default_factory=lambda: ["cls"])
     """classical methods whose parameters are tuned for each mask"""
-    untuned: list[Classical] = Field(default_factory=list)
+    untuned: list[OfStills] = Field(default_factory=list)
     """classical methods with their default parameters"""
     noise_db: list[Decibels] = Field(default_factory=list)
     """further noise levels: white noise of the same PSNR for all masks, whatever light they pass"""

@@ -44,6 +44,14 @@ class DataConfig(SplitsConfig):
         return self
 
 
+class ClipDataConfig(DataConfig):
+    """What is learned from clips."""
+
+    draws: Annotated[int, Range(0, 1000)] = 4
+    """how many times each clip is changed and re-simulated; these are kept in the cache, with the joint estimate, which takes
+    longest. 0: anew for every example"""
+
+
 class NetworkConfig(Section):
     """Which network, and how big: a size, and what differs from it."""
 
@@ -89,6 +97,48 @@ class NetworkConfig(Section):
         return {
             key: value for key, value in self.model_dump().items() if key not in ("name", "size") and value is not None
         }
+
+
+class VideoNetworkConfig(Section):
+    """VideoNet: a size, and what differs from it."""
+
+    name: Literal["videonet"]
+    """frames from one capture of a rolling shutter"""
+    size: Literal["thesis", "compact", "tiny"] = "compact"
+    """the numbers below that are left out"""
+    initial_estimate: Literal["slivers", "static", "joint"] | None = None
+    """what it begins with: zero-filled slivers (the thesis), one inversion of the whole capture, or joint least squares"""
+    measnet: bool | None = None
+    """complete the capture to a global measurement of each frame, and invert these, too"""
+    dimensions: Literal[2, 3] | None = None
+    """2: frames are channels of one image; 3: a stack of images"""
+    body: Literal["naf", "unet"] | None = None
+    """NAF blocks (layer normalisation, gates), or the thesis's U-Net (batch normalisation)"""
+    filters: Annotated[int, Range(1, 1024)] | None = None
+    """channels of the bodies' first level; each further one has twice as many"""
+    blocks: Annotated[int, Range(1, 64)] | None = None
+    """NAF blocks on each level and way"""
+    levels: Annotated[int, Range(1, 8)] | None = None
+    """levels of the bodies"""
+    stem: Annotated[int, Range(1, 8)] | None = None
+    """pixels per side that MeasNet takes as one, in 2D"""
+    refinements: Annotated[int, Range(0, 10)] | None = None
+    """unrolled refinement steps: each re-simulates the capture, and inverts and enhances the residual"""
+    noise_aware: bool | None = None
+    """lambda adapts to the noise level, which is estimated from the measurement and is also an input of the bodies"""
+    joint_iterations: Annotated[int, Range(1, 1000)] | None = None
+    """of the joint least squares that it begins with"""
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The size, and what differs from it: with the name, an architecture."""
+        return {"size": self.size, **self.changes}
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What differs from the size; see `learning.models.videonet.VideoNet`."""
+        given = self.model_dump(exclude={"name", "size"})
+        return {key: value for key, value in given.items() if value is not None}
 
 
 class DenoiserNetwork(Section):
@@ -142,6 +192,36 @@ class LossConfig(Section):
         return self
 
 
+class ClipLossConfig(Section):
+    """The loss of clips: the sum of the weighted terms; the thesis's (4.2 to 4.6) is mse with weights 1, 5 and 0.1."""
+
+    intensity: Literal["mse", "l1"] = "l1"
+    """error of the frames' sRGB values"""
+    perceptual: Literal["none", "vgg", "random_vgg"] = "none"
+    """error of VGG-16 features of the frames, with trained weights (the file must be present) or random ones"""
+    measurement_weight: Weight = 1.0
+    """of the mean squared error of the global measurements that MeasNet completes, where there is one"""
+    intensity_weight: Weight = 5.0
+    """of the frames' error"""
+    change_weight: Weight = 0.0
+    """of the mean absolute error of the differences between neighbouring frames: what a static image gets wrong"""
+    multiscale_weight: Weight = 0.0
+    """of the mean absolute error of sRGB values of light averaged over 2, 4 and 8 pixels squared, close to what FLIP sees"""
+    perceptual_weight: Weight = 0.1
+    """of the error of the features, where there are any"""
+    perceptual_seed: Annotated[int, Range(0, 2**31 - 1)] = 0
+    """of random_vgg; apart from the training's seed, so that all seeds minimise the same loss"""
+
+    @model_validator(mode="after")
+    def _teaches(self) -> Self:
+        if not any(
+            (self.intensity_weight, self.multiscale_weight, self.perceptual != "none" and self.perceptual_weight)
+        ):
+            text = "intensity_weight, multiscale_weight and perceptual_weight are all 0: nothing to learn of the frames"
+            raise refusal(text)
+        return self
+
+
 class OptimiserConfig(Section):
     """Adam (AdamW where weights decay), and its learning rate over the steps."""
 
@@ -176,7 +256,7 @@ class LoopConfig(FileSection):
     seed: Annotated[int, Range(0, 2**31 - 1)] = 0
     """of the initial weights, the order of the examples and all that is drawn for them, such as their noise"""
     data: SplitsConfig
-    network: NetworkConfig | DenoiserNetwork
+    network: NetworkConfig | VideoNetworkConfig | DenoiserNetwork
     optimiser: OptimiserConfig = OptimiserConfig()
     steps: Annotated[int, Range(1, 10**9)]
     """batches to train on; if raised later, the learning rate jumps back up its cosine; every change is recorded"""
@@ -203,6 +283,23 @@ class TrainConfig(LoopConfig):
     init_from: str | None = None
     """checkpoint (.safetensors) of a network of the same kind to begin with, for fine-tuning"""
     loss: LossConfig = LossConfig()
+
+
+class VideoTrainConfig(LoopConfig):
+    """One training of a network for clips."""
+
+    data: ClipDataConfig
+    network: VideoNetworkConfig
+    optimiser: NetworkOptimiserConfig = NetworkOptimiserConfig()
+    init_from: str | None = None
+    """checkpoint (.safetensors) of a VideoNet to begin with, for fine-tuning"""
+    loss: ClipLossConfig = ClipLossConfig()
+
+
+def training_kind(data: dict[str, Any]) -> type[TrainConfig] | type[VideoTrainConfig]:
+    """Return what a training's file must be: that of clips where it names VideoNet."""
+    network = data.get("network")
+    return VideoTrainConfig if isinstance(network, dict) and network.get("name") == "videonet" else TrainConfig
 
 
 class DenoiserConfig(LoopConfig):

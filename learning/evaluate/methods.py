@@ -14,11 +14,11 @@ import torch
 
 from learning.camera import CaptureModel
 from learning.checkpoint import find_checkpoint, find_denoiser, load_checkpoint, load_denoiser
-from learning.classical.method import DEFAULTS, build_classical
+from learning.classical.by_name import ALL_DEFAULTS, build_method
 from learning.config import EvaluateConfig, MethodConfig
 from learning.evaluate.outcome import Kind
 from learning.method import Method
-from learning.models.flatnet import SIZES, LearnedMethod
+from learning.models import SIZES, VIDEO_SIZES, learned_method
 from learning.provenance import scenes_of
 from learning.tune.study import load_tuned
 from simulator.dataset.reader import Dataset
@@ -56,13 +56,13 @@ class LearnedEntry:
         """Return what a reader should know of it at a level of noise: the architecture in words."""
         known = {"network": "", "size": "", **self.architecture}
         name, size = known.pop("network"), known.pop("size")
-        changes = (f"{key} {value}" for key, value in known.items() if SIZES.get(size, {}).get(key) != value)
+        usual = (VIDEO_SIZES if name == "videonet" else SIZES).get(size, {})
+        changes = (f"{key} {value}" for key, value in known.items() if usual.get(key) != value)
         return ", ".join(filter(None, [name, size, *changes]))
 
     def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
         """Return the network, ready on a device, for a camera; an InputError says that it does not fit."""
-        network = load_checkpoint(self.path, capture=capture).network
-        return LearnedMethod(self.name, network.to(device), capture)
+        return learned_method(self.name, load_checkpoint(self.path, capture=capture).network.to(device), capture)
 
     def tuned_db(self, noise_db: float) -> None:
         """Return None: nothing of it was tuned at a level of noise."""
@@ -112,7 +112,7 @@ class ClassicalEntry:
     def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
         """Return the method for a camera; an InputError names it, and the file of parameters that it refuses."""
         try:
-            method = build_classical(capture, self.algorithm, self._chosen(noise_db)[0]).to(device)
+            method = build_method(capture, self.algorithm, self._chosen(noise_db)[0]).to(device)
         except InputError as error:
             raise InputError(self.name, f"{self.tuned}: {error}" if self.tuned else str(error)) from error
         method.name = self.name
@@ -120,9 +120,9 @@ class ClassicalEntry:
 
     def _chosen(self, noise_db: float) -> tuple[dict[str, Any], float | None]:
         if self.tuned is None:
-            return DEFAULTS[self.algorithm] | dict(self.parameters or {}), None
+            return ALL_DEFAULTS[self.algorithm] | dict(self.parameters or {}), None
         parameters, level = load_tuned(self.tuned).parameters(self.algorithm, noise_db)
-        return DEFAULTS[self.algorithm] | parameters, level
+        return ALL_DEFAULTS[self.algorithm] | parameters, level
 
 
 Entry = LearnedEntry | ClassicalEntry

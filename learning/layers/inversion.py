@@ -51,6 +51,7 @@ class FourierInversion(nn.Module):
 
     scale: Tensor
     offset: Tensor
+    row_exposure: Tensor
 
     def __init__(self, capture: CaptureModel) -> None:
         """Prepare what is divided by; an InputError refuses an image of which parts send no light to the sensor."""
@@ -62,10 +63,12 @@ class FourierInversion(nn.Module):
             raise InputError("irradiance", f"{got}: nothing can be known of the others; take a smaller scene.size")
         self._keep("scale", torch.from_numpy(1 / (capture.gain * capture.white * irradiance)))
         self._keep("offset", torch.from_numpy(capture.offset)[:, None, None])
+        exposed = np.ones(1) if capture.row_exposure is None else capture.row_exposure
+        self._keep("row_exposure", torch.from_numpy(exposed)[:, None])
 
     def light(self, measurement: Tensor) -> Tensor:
-        """Return measurements ``(..., C, H, W)`` without their offset."""
-        return measurement.to(self.offset.dtype) - self.offset
+        """Return measurements ``(..., C, H, W)`` without their offset, as if all rows had been exposed alike."""
+        return (measurement.to(self.offset.dtype) - self.offset) / self.row_exposure
 
     def spectrum(self, light: Tensor) -> Tensor:
         """Return the spectrum ``(..., C, L // 2 + 1, M)`` of light, continued to the period."""
@@ -334,9 +337,11 @@ class WienerInversion(FourierInversion):
         """
         check_measurement(measurements, self.offset, self.rows, self.columns, frames=True)
         with torch.autocast(measurements.device.type, enabled=False):
-            return (
-                scene_of(self.spectrum(self.light(measurements)) * self.inverse(), self.rows, self.columns) * self.scale
-            )
+            return self.scene(self.light(measurements))
+
+    def scene(self, light: Tensor) -> Tensor:
+        """Return the same of measurements without their offset, whose rows are exposed alike; see `light`."""
+        return scene_of(self.spectrum(light) * self.inverse(), self.rows, self.columns) * self.scale
 
     def inverse(self) -> Tensor:
         """Return F(W), ``(C, L // 2 + 1, M)`` complex."""

@@ -13,6 +13,7 @@ from torch import Tensor
 _MAD = 0.6744897501960817  # median of |x| of a standard normal distribution
 _BRIGHT = 4  # one in so many values is looked at, the brightest: in the dark, noise is clipped
 _STEP = 2  # every so many rows and columns: enough of them
+_FAINTEST, _DECADES = 1e-8, 3.0  # of noise / signal: the least that counts, and what makes its logarithm about 0 to 1
 
 
 @torch.no_grad()
@@ -38,6 +39,15 @@ def noise_level(light: Tensor) -> Tensor:
 def noise_ratio(light: Tensor) -> Tensor:
     """Return the ratio of the noise's power to the light's, ``(B, C)``, of light ``(B, C, H, W)``; see `noise_level`."""
     return noise_level(light).square()[:, None] / light.detach().square().mean(dim=(-2, -1)).clamp_min(1e-20)
+
+
+def level_image(noise: Tensor, image: Tensor) -> Tensor:
+    """Return how noisy measurements are as an image ``(B, 1, h, w)`` like another one's, about 0 to 1.
+
+    ``noise`` are ratios of noise to signal ``(B, C)``.
+    """
+    level = noise.mean(dim=1).clamp_min(_FAINTEST).log10() / _DECADES + 1
+    return level[:, None, None, None].expand(-1, 1, *image.shape[-2:]).to(image)
 
 
 def _second_difference(values: Tensor) -> Tensor:

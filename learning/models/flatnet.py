@@ -19,7 +19,7 @@ from learning.camera import CaptureModel
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.multiscale import MultiScaleNetwork
 from learning.layers.naf import NafNet
-from learning.layers.noise import noise_ratio
+from learning.layers.noise import level_image, noise_ratio
 from learning.layers.padding import check_measurement
 from learning.layers.unet import UNet
 from learning.method import Clock, Estimate, check_choices, linear_to_srgb
@@ -31,7 +31,6 @@ _NOISE_WEIGHT = 30.0
 """Initial weight of noise / signal in lambda, about what is learned: at high frequencies scenes are faint."""
 _BORDER = 8
 """Pixels around the image that a network with refinements estimates, too: all that a narrow stop leaves of the field."""
-_FAINTEST, _DECADES = 1e-8, 3.0  # of noise / signal: the least that counts, and what makes its logarithm about 0 to 1
 
 
 class Inverted(NamedTuple):
@@ -107,6 +106,10 @@ class FlatNet(nn.Module):
                 refinements of the U-Net or a linear head, a refinement to repeat.
         """
         super().__init__()
+        if capture.timing is not None:
+            raise InputError(
+                "capture", f"got clips of {capture.frames} frames, but a FlatNet is for stills; take videonet"
+            )
         check_choices(("body", body, ("naf", "unet")), ("head", head, ("soft", "linear")))
         if body == "naf" and attention:
             raise InputError("attention", "got true with body: naf, which has none; take false, or body: unet")
@@ -182,7 +185,7 @@ class FlatNet(nn.Module):
         volumes, _, noise = inverted
         inputs = volumes.flatten(1, 3)
         if noise is not None:
-            inputs = torch.cat([inputs, self._level(noise, inputs)], dim=1)
+            inputs = torch.cat([inputs, level_image(noise, inputs)], dim=1)
         image, disparity, logits = self.enhancement(inputs).split(
             [3, 1, len(self.choice.disparities) if self.soft else 0], 1
         )
@@ -198,16 +201,10 @@ class FlatNet(nn.Module):
     def refine(self, surface: Surface, inverted: Inverted) -> Estimate:
         """Return the estimate of the image after all refinement steps."""
         _, light, noise = inverted
-        level = None if noise is None else self._level(noise, surface.image)
+        level = None if noise is None else level_image(noise, surface.image)
         for each in (*self.refinements, *list(self.refinements)[-1:] * self.repeats):
             surface = each(surface, light, noise, level)
         return Estimate(surface.image[self.image], surface.disparity[self.image])
-
-    @staticmethod
-    def _level(noise: Tensor, image: Tensor) -> Tensor:
-        """Return how noisy a measurement is as an image, about 0 to 1."""
-        level = noise.mean(dim=1).clamp_min(_FAINTEST).log10() / _DECADES + 1
-        return level[:, None, None, None].expand(-1, 1, *image.shape[-2:]).to(image)
 
 
 def _plane_weights(

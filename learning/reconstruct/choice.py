@@ -13,7 +13,7 @@ from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.checkpoint import find_checkpoint, load_checkpoint, read_camera, shipped_checkpoints
 from learning.classical.method import DEFAULTS, PLANAR_DEFAULTS, PlanarMethod, build_classical, check_parameters
 from learning.method import Method
-from learning.models.flatnet import LearnedMethod
+from learning.models import learned_method
 from learning.reconstruct.inputs import RGB, Frame, Measurement, check_frame, load_psf_image
 from learning.tune.study import load_tuned
 from simulator.dataset.dataset_info import FILE
@@ -112,7 +112,7 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
         "architecture": checkpoint.architecture,
         "camera": _camera_record(capture, numbers, "the checkpoint's") | {"psfs": psfs},
     }
-    return Setup(LearnedMethod(name, checkpoint.network, capture), name, record)
+    return Setup(learned_method(name, checkpoint.network, capture), name, record)
 
 
 def _classical(measurement: Measurement, request: Request, name: str) -> Setup:

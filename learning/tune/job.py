@@ -16,7 +16,9 @@ from torch.utils.data import default_collate
 
 from learning.camera import CaptureModel, capture_model, check_range, measure_reference_white
 from learning.checkpoint import DENOISER, find_denoiser
-from learning.classical.method import DEFAULTS, SEARCH, VOLUME_PARAMETERS, ClassicalMethod, build_classical
+from learning.classical.by_name import ALL_DEFAULTS, ALL_SEARCH, ALL_VOLUME_PARAMETERS, build_method
+from learning.classical.clips import ClipMethod
+from learning.classical.method import ClassicalMethod
 from learning.config import FEWEST_SCENES, TuneConfig
 from learning.data import Example, ExampleSet, check_dataset, measured_psnr_db
 from learning.method import Estimate, Progress, Say, aligned, choose_device, linear_to_srgb
@@ -175,7 +177,7 @@ class Tunable:
 def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torch.device) -> Tunable:
     """Return a classical method with its own search space, changed as the file says; it takes all candidates of the file."""
     changes = config.search.get(name, {})
-    defaults, files = dict(DEFAULTS[name]), {}
+    defaults, files = dict(ALL_DEFAULTS[name]), {}
     if DENOISER in defaults:
         path = find_denoiser(config.denoiser, resolve=config.resolve_path)
         files = {DENOISER: str(path)}
@@ -183,15 +185,15 @@ def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torc
             own = os.path.relpath(path, config.resolve_path(config.output).parent)
             defaults[DENOISER] = os.path.join(os.curdir, own)
 
-    def build(parameters: Parameters) -> ClassicalMethod:
-        return build_classical(capture, name, parameters | files)
+    def build(parameters: Parameters) -> ClassicalMethod | ClipMethod:
+        return build_method(capture, name, parameters | files)
 
     axes: dict[str, Axis] = {}
-    for parameter in [*SEARCH[name], *(extra for extra in changes if extra not in SEARCH[name])]:
+    for parameter in [*ALL_SEARCH[name], *(extra for extra in changes if extra not in ALL_SEARCH[name])]:
         change = changes.get(parameter)
-        values = SEARCH[name].get(parameter) if change is None or change.values is None else change.values
+        values = ALL_SEARCH[name].get(parameter) if change is None or change.values is None else change.values
         if values is None:
-            known = f"{', '.join(SEARCH[name])}{now_called(parameter, SEARCH[name])}"
+            known = f"{', '.join(ALL_SEARCH[name])}{now_called(parameter, ALL_SEARCH[name])}"
             raise InputError(f"search.{name}.{parameter}", f"no values; expected candidates for it, or one of {known}")
         low, high = limits(parameter, capture)
         if change is not None:
@@ -203,7 +205,7 @@ def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torc
         except InputError as error:
             raise InputError(f"search.{name}.{parameter}", str(error)) from error
     return Tunable(
-        name, lambda parameters: build(parameters).to(device), defaults, axes, frozenset(VOLUME_PARAMETERS[name])
+        name, lambda parameters: build(parameters).to(device), defaults, axes, frozenset(ALL_VOLUME_PARAMETERS[name])
     )
 
 

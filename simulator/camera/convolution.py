@@ -18,7 +18,7 @@ from simulator.errors import InputError
 
 
 class StackConvolution:
-    """The linear map from planes ``(K, C, h, w)`` to the sensor ``(C, H, W)``.
+    """The linear map from planes ``(K, ..., C, h, w)`` to the sensor ``(..., C, H, W)``; ``...`` is a batch, or nothing.
 
     Scene pixel (i, j) lies under sensor pixel ``(i + (H - h) / 2, j + (W - w) / 2)``; a PSF's origin is its sample
     ``(rows // 2, columns // 2)``.
@@ -64,19 +64,19 @@ class StackConvolution:
         self._spectrum = self._transform(kernel)
 
     def forward(self, planes: Array) -> Array:
-        """Return the sensor image ``(C, H, W)`` of planes ``(K, C, h, w)``."""
+        """Return the sensor image ``(..., C, H, W)`` of planes ``(K, ..., C, h, w)``."""
         return self.forward_rows([planes], np.ones((1, self.sensor_shape[0])))
 
     def forward_rows(self, frames: Iterable[Array], row_weights: NDArray[np.floating]) -> Array:
-        """Return the sensor image ``(C, H, W)`` of frames, each weighted row by row.
+        """Return the sensor image ``(..., C, H, W)`` of frames, each weighted row by row.
 
         Frames whose weights are alike in all rows are added up before they are convolved.
 
         Args:
-            frames: T times planes ``(K, C, h, w)``; taken one by one.
+            frames: T times planes ``(K, ..., C, h, w)``; taken one by one.
             row_weights: ``(T, H)``; a frame that weighs nothing is not transformed.
         """
-        total, alike = None, None
+        total, alike, planes = None, None, self._spectrum[..., :1, :1] * 0
         for planes, weights in zip(frames, row_weights, strict=True):
             self._check_planes(planes)
             if not np.any(weights):
@@ -88,16 +88,16 @@ class StackConvolution:
         if alike is not None:
             total = _plus(total, self._columns(alike))
         if total is None:
-            total = self._dark()
+            total = self._dark(planes)
         rows = namespace(total).moveaxis(total, -1, -2)
         return irfft(rows, self._lengths[1], -1)[..., : self.sensor_shape[1]]
 
     def adjoint(self, image: Array) -> Array:
-        """Return the planes ``(K, C, h, w)`` of a sensor image ``(C, H, W)``: the transpose of ``forward``."""
+        """Return the planes ``(K, ..., C, h, w)`` of an image ``(..., C, H, W)``: the transpose of ``forward``."""
         return self.adjoint_rows(image, np.ones((1, self.sensor_shape[0])))[0]
 
     def adjoint_rows(self, image: Array, row_weights: NDArray[np.floating]) -> Array:
-        """Return the frames ``(T, K, C, h, w)`` of a sensor image ``(C, H, W)``: the transpose of ``forward_rows``."""
+        """Return the frames ``(T, K, ..., C, h, w)`` of an image ``(..., C, H, W)``: the transpose of ``forward_rows``."""
         columns = namespace(image).moveaxis(rfft(image, self._lengths[1], -1), -1, -2)
         plain = None  # the frame of a weight of 1: others that are alike in all rows are multiples of it
         frames = []
@@ -111,23 +111,23 @@ class StackConvolution:
 
     def _check_planes(self, planes: Array) -> None:
         expected = (*self._spectrum.shape[:2], *self.scene_shape)
-        if tuple(planes.shape) != tuple(expected):
-            raise InputError("planes", f"expected (K, C, h, w) = {tuple(expected)}, got {tuple(planes.shape)}")
+        if (*planes.shape[:1], *planes.shape[-3:]) != tuple(expected):
+            raise InputError("planes", f"expected (K, ..., C, h, w) = {tuple(expected)}, got {tuple(planes.shape)}")
 
     def _columns(self, planes: Array) -> Array:
-        """Return the sum of the convolved planes, columns still transformed: ``(C, columns, H)``."""
+        """Return the sum of the convolved planes, columns still transformed: ``(..., C, columns, H)``."""
         total = None
         for plane, spectrum in zip(planes, self._spectrum, strict=True):
             if is_torch(planes) or plane.any():  # in torch a plane of zeros may still want a gradient
                 total = _plus(total, self._transform(plane) * spectrum)
-        return self._dark() if total is None else ifft(total, -1, overwrite=True)[..., : self.sensor_shape[0]]
+        return self._dark(planes) if total is None else ifft(total, -1, overwrite=True)[..., : self.sensor_shape[0]]
 
-    def _dark(self) -> Array:
-        """Return what ``_columns`` is without light."""
-        return self._spectrum[0, ..., : self.sensor_shape[0]] * 0
+    def _dark(self, planes: Array) -> Array:
+        """Return what ``_columns`` of planes without light is."""
+        return self._spectrum[0, ..., : self.sensor_shape[0]] * (planes[0, ..., :1, :1] * 0)
 
     def _frame(self, columns: Array) -> Array:
-        """Return the planes ``(K, C, h, w)`` of a sensor image whose columns are still transformed."""
+        """Return the planes ``(K, ..., C, h, w)`` of a sensor image whose columns are still transformed."""
         transformed = fft(columns, self._lengths[0], -1)
         xp = namespace(columns)
         return xp.stack([self._inverse(transformed * xp.conj(spectrum)) for spectrum in self._spectrum])

@@ -84,25 +84,26 @@ class ForwardModel:
         self._rule = depth_rule or DepthRule()
 
     def forward(self, volume: Array, frame_edges_s: NDArray[np.float64] | None = None) -> Array:
-        """Return the exposure ``(C, H, W)`` of a volume ``(T, K, C, h, w)`` of mask irradiance.
+        """Return the exposure ``(..., C, H, W)`` of a volume ``(T, K, ..., C, h, w)`` of mask irradiance.
 
         Args:
-            volume: light of each frame and plane.
+            volume: light of each frame and plane; ``...`` is a batch, or nothing.
             frame_edges_s: ``(T + 1,)`` seconds; not needed for one frame, which is taken to last long enough.
 
         Raises:
             InputError: for a wrong shape, or several frames without a shutter or edges.
         """
         expected = (*self.stack.values.shape[:2], *self.scene_shape)
-        if volume.ndim != 5 or tuple(volume.shape[1:]) != tuple(expected):
-            raise InputError("volume", f"expected (T, {', '.join(map(str, expected))}), got {tuple(volume.shape)}")
+        if volume.ndim < 5 or (*volume.shape[1:2], *volume.shape[-3:]) != expected:
+            wanted = f"(T, K, ..., C, h, w) with (K, C, h, w) = {expected}"
+            raise InputError("volume", f"expected {wanted}, got {tuple(volume.shape)}")
         return self._convolution.forward_rows(volume, self.row_weights(volume.shape[0], frame_edges_s))
 
     def adjoint(self, image: Array, frame_edges_s: NDArray[np.float64] | None = None) -> Array:
-        """Apply the transpose of ``forward`` to an image ``(C, H, W)``: the result is a volume ``(T, K, C, h, w)``."""
+        """Return the volume ``(T, K, ..., C, h, w)`` of an image ``(..., C, H, W)``: the transpose of ``forward``."""
         expected = (self.stack.values.shape[1], *self.sensor_shape)
-        if tuple(image.shape) != tuple(expected):
-            raise InputError("image", f"expected (C, H, W) = {tuple(expected)}, got {tuple(image.shape)}")
+        if tuple(image.shape[-3:]) != tuple(expected):
+            raise InputError("image", f"expected (..., C, H, W) with (C, H, W) = {expected}, got {tuple(image.shape)}")
         frames = 1 if frame_edges_s is None else len(frame_edges_s) - 1
         return self._convolution.adjoint_rows(image, self.row_weights(frames, frame_edges_s))
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from pydantic import BaseModel, ValidationError
 
@@ -64,7 +64,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def load_model(
-    model: type[Model],
+    model: type[Model] | Callable[[dict[str, Any]], type[Model]],
     path: str | Path,
     overrides: Sequence[str] = (),
     faults: Callable[[Any], Iterable[Problem]] = lambda _: (),
@@ -72,7 +72,7 @@ def load_model(
     """Load any other YAML file: defaults, then the file, then the overrides.
 
     Args:
-        model: what the file must be, strict.
+        model: what the file must be, strict; or what tells it from the plain data.
         path: the file.
         overrides: see :func:`load_config`.
         faults: finds what is wrong with plain data beside what the model refuses; where there is any, only that is said.
@@ -82,10 +82,11 @@ def load_model(
     """
     data, origins = _read(path, overrides)
     if not (problems := list(faults(data))):
+        kind = cast("type[Model]", model if isinstance(model, type) else model(data))
         try:
-            return validate(model, data)
+            return validate(kind, data)
         except ValidationError as error:
-            problems = find_problems(error, model, data)
+            problems = find_problems(error, kind, data)
     raise ConfigError(problems, origins)
 
 

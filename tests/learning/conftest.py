@@ -26,6 +26,7 @@ class Patches:
     flat: bool = False
     black: bool = False
     frames: int = 1
+    speed: int = 0
     inputs: tuple[Path, ...] = ()
 
     def clip(self, index, rng):
@@ -47,14 +48,17 @@ class Patches:
         valid = np.ones(shape, bool)
         valid[0, 0] = False
         depth_m = (1 / disparity).clip(near, far)
-        alike = [np.stack([values] * self.frames) for values in (rgb, depth_m, valid)]
-        frames = alike[0].astype(np.float32), alike[1].astype(np.float32), alike[2]
+        moved = [
+            np.stack([np.roll(values, self.speed * t, axis=1) for t in range(self.frames)])
+            for values in (rgb, depth_m, valid)
+        ]
+        frames = moved[0].astype(np.float32), moved[1].astype(np.float32), moved[2]
         return Clip(*frames, np.arange(self.frames + 1) * 2e-3, source={})
 
 
-def patches(view, *, flat: bool = False, black: bool = False, frames: int = 1):
-    """Textured rectangles, each at a random depth, before a textured wall at a random depth."""
-    return Patches(view, flat, black, frames)
+def patches(view, *, flat: bool = False, black: bool = False, frames: int = 1, speed: int = 0):
+    """Textured rectangles, each at a random depth, before a textured wall; all move by ``speed`` columns per frame."""
+    return Patches(view, flat, black, frames, speed)
 '''
 
 # A camera of its own light and colours: the named ones come through colour-science, whose import takes seconds.
@@ -125,6 +129,32 @@ def wide_dataset(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable[
     trial = LearningTrial(make_trial(tmp_path_factory.mktemp("wide")))
     counts = {"train": 4, "validation": 2, "test": 0}
     return trial.generate(dataset=counts, scene={"margin": 20, "surroundings": "continue"}, psf={"as_captured": None})
+
+
+CLIPS: dict[str, dict[str, Any]] = {
+    "camera": {"shutter": {"type": "dual_rolling", "exposure_ms": 4, "line_time_us": 60}},
+    "psf": {"near_cm": None, "far_cm": None, "depths": None, "depths_cm": [5], "as_captured": None},
+    "scene": {"near_cm": 4, "far_cm": 6, "frames": 8, "speed": 1},
+    "dataset": {"slivers": 4, "ground_truth": "frames"},
+}
+"""Of a camera whose capture lasts 4 + 191 x 0.06 = 15.5 ms: 8 frames of 2 ms, 4 slivers of 2."""
+
+
+@pytest.fixture
+def clip_settings() -> dict[str, dict[str, Any]]:
+    """What makes the tiny data set one of clips."""
+    return CLIPS
+
+
+@pytest.fixture(scope="session")
+def clip_dataset(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable[[Path], Any]) -> Path:
+    """A data set's folder: 8 train, 2 validation, 2 test clips of 8 frames, 4 slivers; one PSF, dual rolling shutter.
+
+    Do not write into it.
+    """
+    trial = LearningTrial(make_trial(tmp_path_factory.mktemp("clips")))
+    counts = {"train": 8, "validation": 2, "test": 2}
+    return trial.generate(**CLIPS | {"dataset": CLIPS["dataset"] | counts})
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
 from learning.camera import CaptureModel, capture_model, plain_capture, typical_white
+from learning.layers.inversion import WienerInversion
 from simulator.camera.forward import ForwardModel
 from simulator.camera.surroundings import whole_frames
 from simulator.dataset.reader import Dataset, open_dataset
@@ -250,15 +251,57 @@ def test_measurements_of_other_kinds_are_refused(learning_trial: Any, override: 
         capture_model(dataset)
 
 
-def test_rows_of_different_exposure_are_refused(learning_trial: Any) -> None:
+def test_rows_may_be_exposed_for_times_of_their_own(learning_trial: Any) -> None:
+    """From 4 ms in the first physical row to 6 ms in the last, which is the first stored one."""
     rows = 48 * 8
     lines = [f"0,{0.004 + 0.002 * row / rows}" for row in range(rows)]
     (learning_trial.trial.folder / "rows.csv").write_text("\n".join(["open_s,close_s", *lines]), encoding="utf-8")
-    folder = learning_trial.generate(
-        "camera.shutter={type: windows, file: rows.csv}", dataset=ONE, psf={"as_captured": None}
-    )
-    with pytest.raises(InputError, match=r"^camera\.shutter: "):
-        capture_model(open_dataset(folder))
+    own = "camera.shutter={type: windows, file: rows.csv}"
+    dataset = open_dataset(learning_trial.generate(own, dataset=ONE, psf={"as_captured": None}))
+    capture = capture_model(dataset)
+    assert capture.row_exposure is not None
+    assert capture.row_exposure[[0, -1]] == pytest.approx([1.2, 0.8], abs=5e-3)  # the mean of 8 physical rows
+    assert capture.row_weights.shape == (1, 48)
+    for sample in dataset:
+        exposed = blurred(capture, light(capture, sample.rgb[0], sample.depth_m[0])) * capture.row_weights[0][:, None]
+        by_scipy = capture.offset[:, None, None] + capture.gain * exposed
+        assert np.abs(by_scipy - sample.noiseless).max() < 1e-6 * sample.noiseless.max()
+    # An inversion sees the light as if all rows had been exposed alike.
+    evenly = WienerInversion(replace(capture, row_exposure=None)).light(torch.ones(3, 48, 48))
+    by_rows = torch.from_numpy(capture.row_exposure).float()[:, None]
+    assert torch.allclose(WienerInversion(capture).light(torch.ones(3, 48, 48)) * by_rows, evenly, rtol=1e-6)
+
+
+@pytest.mark.parametrize("time", ["integral", "mean"])
+def test_clips_are_what_the_shutter_lets_through(learning_trial: Any, clip_settings: Any, time: str) -> None:
+    """Each frame blurred by SciPy and weighed by rows: the slivers' means of frames that do not move are exact."""
+    changes = clip_settings | {
+        "dataset": clip_settings["dataset"] | ONE,
+        "scene": clip_settings["scene"] | {"speed": 0},
+    }
+    scale = ["camera.exposure.full_scale=6e-4"] if time == "mean" else []
+    dataset = open_dataset(learning_trial.generate(f"forward.time={time}", *scale, **changes))
+    capture = capture_model(dataset)
+    assert capture.frames == 4
+    assert capture.row_weights.sum(axis=0) == pytest.approx(np.ones(48))
+    model = capture.space_time(np.zeros(1, np.float32))
+    for sample in dataset:
+        frames = np.stack([light(capture, rgb, depth) for rgb, depth in zip(sample.rgb, sample.depth_m, strict=True)])
+        slivers = frames.reshape(4, 2, *frames.shape[1:]).mean(axis=1)
+        seen = sum(blurred(capture, frame) * w[:, None] for frame, w in zip(slivers, capture.row_weights, strict=True))
+        peak = sample.noiseless.max()
+        assert np.abs(capture.offset[:, None, None] + capture.gain * seen - sample.noiseless).max() < 1e-6 * peak
+        assert (
+            np.abs(capture.gain * model.forward(slivers.astype(np.float32)) - capture.gain * seen).max() < 1e-6 * peak
+        )
+    # Batches, and the transpose
+    rng = np.random.default_rng(0)
+    volumes, seen = rng.random((4, 1, 2, 3, 16, 16)), rng.random((2, 3, 48, 48))
+    exact = replace(capture, stack=replace(capture.stack, values=capture.stack.values.astype(float)))
+    model = exact.space_time(seen)
+    both, single = model.forward(volumes), model.forward(volumes[:, :, 1])
+    np.testing.assert_allclose(both[1], single, rtol=1e-12)
+    assert np.vdot(both, seen) == pytest.approx(np.vdot(volumes, model.adjoint(seen)), rel=1e-12)
 
 
 def test_depths_and_disparities(tiny_capture: CaptureModel) -> None:

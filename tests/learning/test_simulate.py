@@ -19,7 +19,7 @@ from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.types import Clip, Surroundings
 
-NONE = Augmentation(flip=False, colour=0, exposure=0)
+NONE = Augmentation(flip=False, reverse=False, colour=0, exposure=0)
 
 
 @pytest.fixture(params=["tiny", "wide"])
@@ -58,7 +58,7 @@ def test_scenes_are_mirrored_and_recoloured(clip: Clip) -> None:
     counts = dict.fromkeys([(False, False), (False, True), (True, False), (True, True)], 0)
     gains = []
     for seed in range(400):
-        changed = Augmentation(colour=0.3, exposure=1.5).apply(clip, np.random.default_rng(seed))
+        changed = Augmentation(reverse=False, colour=0.3, exposure=1.5).apply(clip, np.random.default_rng(seed))
         (turns,) = (turns for turns in counts if np.array_equal(changed.depth_m, mirrored(clip.depth_m, *turns)))
         counts[turns] += 1
         gain = (changed.rgb / mirrored(clip.rgb, *turns))[0, 0, 0]
@@ -83,13 +83,44 @@ def test_scenes_are_mirrored_and_recoloured(clip: Clip) -> None:
     assert spread == pytest.approx(np.sqrt(0.3**2 / 3 + (np.log(2) * 1.5) ** 2 / 3), rel=0.1)
 
 
+def test_time_runs_backwards_in_half_of_the_clips_and_stills_draw_nothing_for_it(clip: Clip) -> None:
+    """Surroundings of one frame stay; of several they run with the image. Each frame keeps the times of its place."""
+    many = replace(clip, surroundings=Surroundings(*(np.repeat(part, 2, 0) for part in _of(clip)), 2))
+    assert many.surroundings is not None
+    many.surroundings.rgb[1] *= 2
+    backwards = 0
+    for seed in range(200):
+        changed = Augmentation(flip=False, colour=0, exposure=0).apply(many, np.random.default_rng(seed))
+        turned = np.array_equal(changed.rgb, clip.rgb[::-1])
+        assert turned or np.array_equal(changed.rgb, clip.rgb)
+        way = slice(None, None, -1 if turned else 1)
+        for found, given in ((changed.depth_m, clip.depth_m), (changed.valid, clip.valid)):
+            assert np.array_equal(found, given[way])
+        assert changed.surroundings is not None
+        assert np.array_equal(changed.surroundings.rgb, many.surroundings.rgb[way])
+        assert changed.frame_edges_s is many.frame_edges_s
+        backwards += turned
+    assert abs(backwards - 100) < 29  # four deviations of a binomial
+    first = {"rgb": clip.rgb[:1], "depth_m": clip.depth_m[:1], "valid": clip.valid[:1], "extras": {}}
+    still = replace(clip, frame_edges_s=clip.frame_edges_s[:2], **first)
+    one, other = (Augmentation(reverse=each).apply(still, np.random.default_rng(1)) for each in (False, True))
+    assert np.array_equal(one.rgb, other.rgb)
+
+
+def _of(clip: Clip) -> tuple[NDArray, NDArray]:
+    assert clip.surroundings is not None
+    return clip.surroundings.rgb, clip.surroundings.depth_m
+
+
 def test_each_change_can_be_left_out(clip: Clip) -> None:
     same = NONE.apply(clip, np.random.default_rng(0))
     assert np.array_equal(same.rgb, clip.rgb)
     assert np.array_equal(same.depth_m, clip.depth_m)
     stops = []
     for seed in range(200):
-        brighter = Augmentation(flip=False, colour=0, exposure=0.7).apply(clip, np.random.default_rng(seed))
+        brighter = Augmentation(flip=False, reverse=False, colour=0, exposure=0.7).apply(
+            clip, np.random.default_rng(seed)
+        )
         ratio = brighter.rgb / clip.rgb
         assert np.ptp(ratio) < 1e-5
         stops.append(np.log2(ratio.mean()))

@@ -1,0 +1,43 @@
+"""All classical methods by the names that YAML files and the command line call them by: of stills and of clips."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from learning.camera import CaptureModel
+from learning.classical.clips import CLIP_DEFAULTS, CLIP_SEARCH, ClipMethod, Value
+from learning.classical.method import (
+    DEFAULTS,
+    SEARCH,
+    VOLUME_PARAMETERS,
+    ClassicalMethod,
+    build_classical,
+    check_parameters,
+)
+from learning.method import check_choices
+from simulator.errors import InputError
+
+ALL_DEFAULTS: dict[str, dict[str, Value]] = DEFAULTS | CLIP_DEFAULTS
+"""All parameters, where tuning begins."""
+ALL_SEARCH: dict[str, dict[str, tuple[Value, ...]]] = SEARCH | CLIP_SEARCH
+"""Candidates for tuning."""
+ALL_VOLUME_PARAMETERS = VOLUME_PARAMETERS | {name: tuple(known) for name, known in CLIP_DEFAULTS.items()}
+"""Those on which the volume, or the frames, depend."""
+
+
+def build_method(
+    capture: CaptureModel, name: str, parameters: Mapping[str, Value] | None = None
+) -> ClassicalMethod | ClipMethod:
+    """Return a method for a camera, with `ALL_DEFAULTS` for the parameters that are not given.
+
+    Raises:
+        InputError: another name, a parameter that the method does not have, a value that it refuses, or clips for a method
+            of stills and the reverse.
+    """
+    check_choices(("name", name, ALL_DEFAULTS))
+    if name in CLIP_DEFAULTS:
+        check_parameters(parameters or {}, CLIP_DEFAULTS[name], name)
+        return ClipMethod(capture, name, CLIP_DEFAULTS[name] | dict(parameters or {}))
+    if capture.timing is not None:
+        raise InputError(name, f"got clips, but it reconstructs stills; take one of {', '.join(CLIP_DEFAULTS)}")
+    return build_classical(capture, name, parameters)

@@ -1,0 +1,146 @@
+"""Classical methods for clips by name, with their parameters: from one capture to the frames that it saw.
+
+The two linear ones that know nothing of motion are here; `learning.layers.space_time` has the joint least squares,
+`learning.classical.fista` total variation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Self
+
+import torch
+from torch import Tensor, nn
+
+from learning.camera import CaptureModel
+from learning.classical.fista import FistaTv
+from learning.layers.inversion import RegularisedInversion
+from learning.layers.padding import check_measurement
+from learning.layers.space_time import JOINT, JointLeastSquares
+from learning.method import Clock, Estimate, linear_to_srgb, threads_for
+from simulator.errors import InputError
+
+Value = float | int | str
+"""Of a parameter of a classical method."""
+
+_STATIC: dict[str, Value] = {"regularisation_lambda": 1.0, "tikhonov": 1.0}
+CLIP_DEFAULTS: dict[str, dict[str, Value]] = {
+    "static": _STATIC,
+    "slivers": _STATIC,
+    "joint": JOINT,
+    "fista": {"tv": 0.01, "tv_over_time": 1.0, "iterations": 200, "prox": "exact", "inner": 4, "start": "joint"},
+}
+CLIP_SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
+    "static": {"regularisation_lambda": (0.1, 0.3, 1.0, 3.0), "tikhonov": (0.3, 1.0, 3.0, 10.0)},
+    "slivers": {"regularisation_lambda": (0.1, 0.3, 1.0, 3.0), "tikhonov": (0.3, 1.0, 3.0, 10.0)},
+    "joint": {
+        "static": (0.03, 0.1, 0.3),
+        "moving": (0.05, 0.1, 0.2, 0.4),
+        "memory": (2.0, 5.0, 10.0, 20.0),
+        "sharpest": (0.025, 0.05, 0.1),
+        "decay": (1.5, 2.0, 3.0),
+        "iterations": (10, 20, 40),
+    },
+    "fista": {
+        "tv": (0.003, 0.01, 0.03),
+        "tv_over_time": (0.3, 1.0, 3.0),
+        "iterations": (50, 100, 200, 400),
+    },
+}
+_LABELS = {
+    "static": "static inversion, repeated",
+    "slivers": "zero-filled slivers, inverted",
+    "joint": "joint least squares",
+    "fista": "FISTA-TV",
+}
+
+
+class StaticInversion(nn.Module):
+    """One inversion of the whole capture as if nothing had moved, repeated for all frames: a baseline for all others."""
+
+    def __init__(self, capture: CaptureModel, *, regularisation_lambda: float, tikhonov: float) -> None:
+        """See `RegularisedInversion`; of one plane."""
+        super().__init__()
+        options: dict[str, Any] = {"regularisation_lambda": regularisation_lambda, "tikhonov": tikhonov}
+        self.inversion = RegularisedInversion(capture, learned=False, **options)
+        self._frames = capture.frames
+
+    def forward(self, measurement: Tensor) -> Tensor:
+        """Return ``(B, N, C, h, w)`` radiance / white in the camera's channels of measurements ``(B, C, H, W)``."""
+        return self.inversion(measurement).expand(-1, self._frames, -1, -1, -1)
+
+
+class SliverInversion(StaticInversion):
+    """Each sliver inverted by itself, closed rows left dark, as bright as if all had been open: the thesis's start."""
+
+    weights: Tensor
+
+    def __init__(self, capture: CaptureModel, *, regularisation_lambda: float, tikhonov: float) -> None:
+        """See `StaticInversion`."""
+        super().__init__(capture, regularisation_lambda=regularisation_lambda, tikhonov=tikhonov)
+        shares = capture.row_weights
+        shares = shares / shares.mean(axis=1, keepdims=True)
+        self.register_buffer("weights", torch.from_numpy(shares).to(torch.get_default_dtype()), persistent=False)
+
+    def forward(self, measurement: Tensor) -> Tensor:
+        """Return ``(B, N, C, h, w)`` as `StaticInversion` does."""
+        inversion = self.inversion
+        check_measurement(measurement, inversion.offset, inversion.rows, inversion.columns)
+        slivers = inversion.light(measurement)[:, None] * self.weights[:, None, :, None]
+        found = inversion.volume(inversion.spectrum(slivers.flatten(0, 1)))
+        return found[:, 0].unflatten(0, slivers.shape[:2])
+
+
+def _fista(capture: CaptureModel, *, start: str, **parameters: Any) -> FistaTv:
+    if start not in ("joint", "dark"):
+        raise InputError("start", f"got {start!r}, expected joint or dark")
+    first: dict[str, Any] = dict(JOINT)
+    return FistaTv(capture, start=JointLeastSquares(capture, **first) if start == "joint" else None, **parameters)
+
+
+_FILMS: dict[str, Callable[..., nn.Module]] = {
+    "static": StaticInversion,
+    "slivers": SliverInversion,
+    "joint": JointLeastSquares,
+    "fista": _fista,
+}
+
+
+class ClipMethod:
+    """A classical method for the clips of one plane: a `learning.method.Method`."""
+
+    def __init__(self, capture: CaptureModel, name: str, parameters: Mapping[str, Any]) -> None:
+        """Prepare the method; ``parameters`` are all of `CLIP_DEFAULTS`.
+
+        Raises:
+            InputError: the camera of stills, a stack of several planes, or values that the method refuses.
+        """
+        if capture.timing is None:
+            raise InputError(name, "got the camera of stills, but it reconstructs clips; take cls, admm or pnp")
+        if len(capture.stack.depths_m) != 1:
+            planes = len(capture.stack.depths_m)
+            raise InputError("stack", f"got {planes} planes, but {name} knows one: set psf.depths_cm to a single depth")
+        self.name, self.capture, self.stage = _LABELS[name], capture, name
+        self._film = _FILMS[name](capture, **parameters)
+
+    def to(self, device: torch.device | str) -> Self:
+        """Move what makes films to a device, and return this."""
+        self._film.to(device)
+        return self
+
+    @torch.no_grad()
+    def volume(self, measurement: Tensor) -> Tensor:
+        """Return the frames ``(B, N, C, h, w)`` of measurements ``(B, C, H, W)``: the camera's channels, 1 for white."""
+        with threads_for(measurement[0].numel() * self.capture.frames):
+            return self._film(measurement)
+
+    def estimate(self, volume: Tensor, clock: Clock | None = None) -> Estimate:
+        """Return the estimate of such frames; no further stage is timed. Their disparity is that of the one plane, 0."""
+        del clock
+        image = linear_to_srgb(self.capture.to_srgb(volume), 1.0, clip=False)
+        return Estimate(image, torch.zeros_like(image[:, :, :1]))
+
+    def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
+        """Return the estimate of measurements; the clock's stage is the method's name."""
+        with (clock or Clock(measurement.device)).stage(self.stage):
+            return self.estimate(self.volume(measurement))

@@ -1,0 +1,167 @@
+"""What a network for clips learns from: captures, frames, and what is dear to compute of them, kept in a file.
+
+The joint estimate that a network may begin with takes longer than a step of its training. So a clip is changed and
+re-simulated a fixed number of times, and each time is worked out once, by whichever process needs it first.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import Dataset as TorchDataset
+
+from learning.data import Draw, ExampleSet, SampleCache, clip_of, read_scene
+from learning.method import torch_threads
+from learning.provenance import sample_digests
+from learning.simulate import SceneCamera
+from simulator.io.files import sha256_bytes, storage_errors
+
+_FORMAT = 1  # to be raised when the same draw of a clip, or the joint estimate of it, becomes another one
+
+
+class ClipExample(NamedTuple):
+    """A capture and its frames; what a training does not need is empty. Batches have a leading B.
+
+    Attributes:
+        measurement: ``(C, H, W)`` float32, DN / 2^bits.
+        radiance: ``(N, 3, h, w)`` float32, linear sRGB, the means of the slivers.
+        start: ``(N, C, rows, columns)``, the estimate that the network begins with; see `VideoNet.begin`.
+        measured: ``(N, C, H, W)``, what a global shutter would have measured of each sliver, without noise.
+    """
+
+    measurement: Tensor
+    radiance: Tensor
+    start: Tensor
+    measured: Tensor
+
+
+class ClipExamples(TorchDataset[ClipExample]):
+    """The clips of an `ExampleSet` with what a network for them needs."""
+
+    def __init__(
+        self,
+        examples: ExampleSet,
+        begin: Callable[[Tensor], Tensor | None],
+        *,
+        identity: Mapping[str, Any],
+        measured: bool,
+        draws: int,
+        cache: Path | None,
+    ) -> None:
+        """Prepare; a training's examples are worked out when they are asked for.
+
+        Args:
+            examples: the clips, changed and re-simulated or as they are stored.
+            begin: gives the start of measurements ``(1, C, H, W)``, or None where there is none.
+            identity: all that decides ``begin`` and the draws of ``examples``, plain: by it what is kept is told apart.
+            measured: whether global measurements are wanted.
+            draws: how many times each clip is changed; 0 changes it anew for every draw, of which nothing is kept.
+            cache: folder to keep examples in; None keeps nothing.
+        """
+        self.dataset, self._examples, self._begin = examples.dataset, examples, begin
+        self._draws = 1 if examples.augment is None else draws
+        self._measured = measured
+        self._camera = SceneCamera(examples.dataset) if measured else None
+        self._scene = partial(read_scene, examples.dataset, timing=examples.timing)
+        self._kept: KeptRecords | None = None
+        if cache is None:
+            return
+        if measured:
+            self._scene = SampleCache.filled(cache, examples.dataset, "scene", self._scene).read
+        if self._draws:
+            told = [dict(identity), sample_digests(examples.dataset), examples.dataset.ids, self._draws]
+            name = sha256_bytes(repr((_FORMAT, told)).encode())[:32]
+            self._kept = KeptRecords(cache / f"{name}.clips", self._worked_out(0, 0))
+
+    def __len__(self) -> int:
+        """Return the number of clips."""
+        return len(self._examples)
+
+    def __getitem__(self, draw: Draw | int) -> ClipExample:
+        """Return a clip; a plain position is draw number 0."""
+        position, number = draw if isinstance(draw, tuple) else (draw, 0)
+        number = number % self._draws if self._draws else number
+        at = position * self._draws + number
+        arrays = None if self._kept is None else self._kept.read(at)
+        if arrays is None:
+            arrays = self._worked_out(position, number)
+            if self._kept is not None:
+                self._kept.write(at, arrays)
+        seen = self._seen(position, number) if self._measured else np.empty(0, np.float32)
+        every = (*(arrays[name] for name in ("measurement", "radiance", "start")), seen)
+        return ClipExample(*(torch.from_numpy(values.astype(np.float32)) for values in every))
+
+    def _worked_out(self, position: int, number: int) -> dict[str, NDArray[Any]]:
+        """Return measurement, radiance and start; the latter two in half precision, of which a loss sees nothing."""
+        example = self._examples[Draw(position, number)]
+        with torch_threads(1):  # beside the training, and the other workers
+            start = self._begin(example.measurement[None])
+        first = np.empty(0, np.float16) if start is None else start[0].numpy().astype(np.float16)
+        radiance = example.radiance.numpy().astype(np.float16)
+        return {"measurement": example.measurement.numpy(), "radiance": radiance, "start": first}
+
+    def _seen(self, position: int, number: int) -> NDArray[np.float32]:
+        """Return the global measurements of the clip as this draw has changed it."""
+        assert self._camera is not None
+        assert self._examples.timing is not None
+        clip = clip_of(self._scene(position))
+        if self._examples.augment is not None:
+            clip = self._examples.augment.apply(clip, self._examples.generator(position, number))
+        return self._camera.global_measurements(clip, self._examples.timing.frames)
+
+
+class KeptRecords:
+    """Records of one kind in a file, each written once, by any process, when it was worked out.
+
+    Each record is written before the byte that says so; two processes that write the same one write the same bytes. Plain
+    reads and writes: of a full disk they raise an error, where a memory map would crash.
+    """
+
+    def __init__(self, path: Path, like: Mapping[str, NDArray[Any]]) -> None:
+        """Open the file, or begin it; ``like`` is a record of its kind. A StorageError says that it cannot be."""
+        self._path = path
+        self._kind = np.dtype([(name, values.dtype, values.shape) for name, values in like.items()])
+        self._descriptors: tuple[int, int] | None = None
+        with storage_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._open()
+
+    def read(self, at: int) -> dict[str, NDArray[Any]] | None:
+        """Return a record's arrays, None where it was not written yet."""
+        data, done = self._open()
+        size = self._kind.itemsize
+        if os.pread(done, 1, at) != b"\1" or len(content := os.pread(data, size, at * size)) < size:
+            return None
+        record = np.frombuffer(content, self._kind)[0]
+        return {name: record[name] for name in self._kind.names or ()}
+
+    def write(self, at: int, arrays: Mapping[str, NDArray[Any]]) -> None:
+        """Keep a record."""
+        record = np.zeros((), self._kind)
+        for name, values in arrays.items():
+            record[name] = values
+        data, done = self._open()
+        with storage_errors(self._path):
+            os.pwrite(data, record.tobytes(), at * self._kind.itemsize)
+            os.pwrite(done, b"\1", at)
+
+    def _open(self) -> tuple[int, int]:
+        """Return the descriptors of the records and of the bytes that say which are there."""
+        if self._descriptors is None:
+            data, done = (
+                os.open(path, os.O_RDWR | os.O_CREAT, 0o666) for path in (self._path, self._path.with_suffix(".done"))
+            )
+            self._descriptors = data, done
+        return self._descriptors
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the descriptors out, which are this process's."""
+        return self.__dict__ | {"_descriptors": None}

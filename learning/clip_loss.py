@@ -1,0 +1,62 @@
+"""What networks for clips are trained to minimise: global measurements, frames, their differences, features of the frames."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from learning.config import ClipLossConfig
+from learning.losses import multiscale
+from learning.models.videonet import Film
+from learning.perceptual import PerceptualLoss
+
+
+class ClipLoss(nn.Module):
+    """Weighted sum of its terms; thesis equations 4.2 to 4.6.
+
+    - ``measurement``: mean squared error of MeasNet's global measurements, DN / 2^bits; absent without MeasNet;
+    - ``intensity``: mean squared or mean absolute difference of the frames' sRGB codes;
+    - ``change``: mean absolute error of the differences between neighbouring frames;
+    - ``multiscale``: see `learning.losses.ReconstructionLoss`;
+    - ``perceptual``: of VGG-16, see `learning.perceptual.PerceptualLoss`; absent with ``none``.
+    """
+
+    def __init__(self, settings: ClipLossConfig) -> None:
+        """Build the loss; an InputError says that there is no weight file."""
+        super().__init__()
+        names = ("measurement", "intensity", "change", "multiscale")
+        self.weights = {name: getattr(settings, f"{name}_weight") for name in names}
+        self.perceptual: PerceptualLoss | None = None
+        if settings.perceptual != "none":
+            self.weights["perceptual"] = settings.perceptual_weight
+            self.perceptual = PerceptualLoss(settings.perceptual, "vgg16", seed=settings.perceptual_seed)
+        self.intensity = settings.intensity
+
+    def forward(self, film: Film, image: Tensor, measured: Tensor) -> dict[str, Tensor]:
+        """Return scalars: ``total``, each term under its name, and each weighted as ``intensity_weighted`` and so on.
+
+        ``film`` is as the network gave it; ``image`` ``(B, N, 3, h, w)`` holds the true sRGB codes, ``measured``
+        ``(B, N, C, H, W)`` the true global measurements less the offset, empty where the network has no MeasNet.
+        """
+        found, difference = film.image, film.image - image
+        terms = {"intensity": (difference.square() if self.intensity == "mse" else difference.abs()).mean()}
+        if film.measured.numel():
+            terms["measurement"] = (film.measured - measured).square().mean()
+        if self.weights["change"]:
+            terms["change"] = difference.diff(dim=1).abs().mean()
+        pair = (found.flatten(0, 1), image.flatten(0, 1))
+        if self.weights["multiscale"]:
+            terms["multiscale"] = multiscale(*pair)
+        if self.perceptual is not None:
+            terms["perceptual"] = self.perceptual(*pair)
+        weighted = {f"{name}_weighted": self.weights[name] * value for name, value in terms.items()}
+        return {"total": torch.stack(list(weighted.values())).sum(), **terms, **weighted}
+
+    def record(self) -> dict[str, Any]:
+        """Return what a checkpoint and a table of results must say of this loss."""
+        perceptual = {"perceptual": "none"} if self.perceptual is None else self.perceptual.record()
+        return {"intensity": self.intensity, **perceptual} | {
+            f"{name}_weight": weight for name, weight in self.weights.items()
+        }

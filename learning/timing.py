@@ -1,0 +1,115 @@
+"""When the rows of a sensor see the frames that a capture is taken apart into: what a rolling shutter adds to a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.camera.shutter import Shutter, shutter_from_record, shutter_record
+from simulator.camera.slivers import sliver_edges
+from simulator.dataset.manifest import load_manifest
+from simulator.dataset.reader import Dataset
+from simulator.dataset.sample import StoredSample, sample_folder, sample_index
+from simulator.errors import InputError
+
+_ALIKE = 1e-6  # of a capture's time: forgives times that were written with few digits
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """The frames that are told apart in a capture, and the shutter.
+
+    Attributes:
+        shutter: of the physical sensor.
+        frame_edges_s: ``(N + 1,)`` seconds after the start of the capture: frame n, which a sliver of the capture saw, lasts
+            from edge n to n + 1.
+    """
+
+    shutter: Shutter
+    frame_edges_s: NDArray[np.float64]
+
+    @property
+    def frames(self) -> int:
+        """N."""
+        return len(self.frame_edges_s) - 1
+
+    def sliver_weights(self, rows: int) -> NDArray[np.float64]:
+        """Return the share of each frame's time in which each of so many rows of the stored image is open, ``(N, rows)``.
+
+        A measurement times these is its slivers; see `simulator.camera.slivers`.
+        """
+        # Shutter rows are physical; the stored image is rotated by 180 degrees.
+        return self.shutter.weights(rows, self.frame_edges_s)[:, ::-1].copy()
+
+    def row_shares(self, rows: int) -> NDArray[np.float64]:
+        """Return the share of each row's exposure that falls into each frame, ``(N, rows)``; over frames they add up to 1."""
+        seconds = self.sliver_weights(rows) * np.diff(self.frame_edges_s)[:, None]
+        return seconds / seconds.sum(axis=0)
+
+    def record(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return {"shutter": shutter_record(self.shutter), "frame_edges_s": self.frame_edges_s.tolist()}
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> Timing:
+        """Return the timing of a record; an InputError says what is wrong with it."""
+        edges_s = np.asarray(record["frame_edges_s"], np.float64)
+        if edges_s.ndim != 1 or len(edges_s) < 2 or not np.all(np.diff(edges_s) > 0):
+            raise InputError("frame_edges_s", f"got {edges_s.tolist()!r:.60}, expected at least two increasing times")
+        return cls(shutter_from_record(record["shutter"]), edges_s)
+
+    def check_same(self, known: Timing, rows: int) -> None:
+        """Refuse the timing of a capture, this one, for a method that knows another, of a sensor with so many rows.
+
+        Raises:
+            InputError: another number of slivers, other times, or another shutter.
+        """
+        if self.frames != known.frames:
+            cure = "take a method for as many, or set dataset.slivers"
+            raise InputError("slivers", f"got {self.frames}, the method was made for {known.frames}; {cure}")
+        last_s = known.frame_edges_s[-1]
+        if not np.allclose(self.frame_edges_s, known.frame_edges_s, rtol=0, atol=_ALIKE * last_s):
+            here, there = (f"{1e3 * each.frame_edges_s[-1]:.6g} ms" for each in (self, known))
+            raise InputError("frame_edges_s", f"got frames up to {here}, the method was made for frames up to {there}")
+        windows = [each.shutter.windows_s(rows) for each in (self, known)]
+        if not (windows[0].shape == windows[1].shape and np.allclose(*windows, rtol=0, atol=_ALIKE * last_s)):
+            here, there = (_described(each.shutter) for each in (self, known))
+            raise InputError("shutter", f"got {here}, the method was made for {there}; train and tune anew")
+
+
+def _described(shutter: Shutter) -> str:
+    """Return a shutter's record in words, without long tables."""
+    shown = {key: value for key, value in shutter_record(shutter).items() if not isinstance(value, list)}
+    return " ".join(
+        f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in shown.items()
+    )
+
+
+def recorded_timing(dataset: Dataset) -> Timing | None:
+    """Return the timing of a data set's clips, which is that of any of its samples; None of stills.
+
+    Clips are taken apart into their slivers, whether the ground truth holds these or all frames.
+
+    Raises:
+        InputError: no sample of any split, from which to tell; a damaged sample; no record of a shutter.
+    """
+    if len(dataset):
+        return sample_timing(dataset, dataset.stored(0))
+    for split, name in load_manifest(dataset.root).entries:
+        return sample_timing(dataset, StoredSample(sample_folder(dataset.root, split, sample_index(name))))
+    if dataset.config["scene"].get("frames") in (None, 1):
+        return None
+    raise InputError(dataset.root, "has no sample from which to tell the times of its frames; generate some first")
+
+
+def sample_timing(dataset: Dataset, stored: StoredSample) -> Timing | None:
+    """Return the timing of one sample; None of a still."""
+    if stored.frame_edges_s is None:
+        return None
+    if (shutter := dataset.shutter) is None:
+        raise InputError(dataset.root, "records no shutter (time.shutter), which clips need; make it again")
+    return Timing(shutter, sliver_edges(stored.frame_edges_s, dataset.info.time.get("slivers") or stored.frames))

@@ -1,0 +1,161 @@
+"""Training a VideoNet on a data set's clips: the usual loop with clips in place of stills."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from learning.camera import CaptureModel
+from learning.checkpoint import find_checkpoint, load_checkpoint, save_checkpoint
+from learning.clip_examples import ClipExample, ClipExamples
+from learning.clip_loss import ClipLoss
+from learning.config import VideoTrainConfig
+from learning.data import ExampleSet, Loader
+from learning.distributed import Processes
+from learning.layers.inversion import FourierInversion
+from learning.method import Progress, Say, linear_to_srgb
+from learning.metrics import moving_pixels, psnr, psnr_at
+from learning.models.videonet import Film, VideoNet, build_videonet
+from learning.train import find_data, freeze_statistics
+from learning.training_loop import Plan, Training, TrainResult, find_cache, run
+from learning.validation import to_device
+from simulator.dataset.reader import Dataset
+from simulator.io.files import sha256_file
+
+
+def train_video(
+    config: VideoTrainConfig, *, progress: Progress = lambda *_: None, say: Say = lambda _: None
+) -> TrainResult:
+    """Train a VideoNet, or go on with a training that was interrupted; see `learning.training_loop.run`."""
+    return run(VideoTraining, config, progress, say)
+
+
+class VideoTraining(Training[ClipExample]):
+    """From captures to frames."""
+
+    command = "train"
+    _config: VideoTrainConfig
+    _network: VideoNet
+
+    @classmethod
+    def plan(cls, config: VideoTrainConfig, group: Processes) -> Plan:
+        """Find the data, build loss and network, which is seeded, and give it the weights that it begins with."""
+        train, validation, capture = find_data(config)
+        loss = ClipLoss(config.loss)
+        torch.manual_seed(config.seed)
+        network = build_videonet(capture, config.network.size, **config.network.changes)
+        init_from, taken = None, []
+        if config.init_from is not None:
+            path = find_checkpoint(config.init_from, "init_from", config.resolve_path)
+            known = load_checkpoint(path)
+            taken = [f"{path.name}: {line}" for line in network.take(known.network, str(path))]
+            init_from = {"sha256": sha256_file(path), "architecture": known.architecture, "file": path.name}
+            init_from |= {key: known.record.get(key) for key in ("data sets", "scenes", "init_from")}
+        camera = {"stack": capture.stack.fingerprint, "white": capture.white}
+        assert capture.timing is not None  # the network sees to it
+        camera["timing"] = capture.timing.record()
+        return Plan(config, group, train, validation, capture, camera, network, loss, init_from, taken)
+
+    def _rate(self, module: nn.Module) -> float:
+        return self._config.optimiser.inversion_rate if isinstance(module, FourierInversion) else 1.0
+
+    def _schedule(self) -> None:
+        super()._schedule()
+        if self.progress.step >= self._config.optimiser.freeze_statistics * self._config.steps:
+            freeze_statistics(self._network)
+
+    def _open(self, dataset: Dataset) -> ClipExamples:
+        config, network = self._config, self._plan.network
+        assert isinstance(network, VideoNet)
+        cache = find_cache(dataset, config, self._say)
+        augment = config.data.augment if dataset.split == "train" else None
+        # The clips that are kept are the same for all seeds, which then differ in weights and order.
+        seed = 0 if augment is not None and config.data.draws else config.seed
+        examples = ExampleSet(dataset, noise_db=config.data.noise_db, augment=augment, seed=seed, cache=cache)
+        identity = {"seed": seed, "augment": augment and vars(augment), "noise_db": config.data.noise_db}
+        identity |= {"stack": self._capture.stack.fingerprint, "white": self._capture.white}
+        identity |= {"start": network.joint and network.joint.told}
+        # A copy on the CPU, without weights: workers work it out.
+        begin = _Begin(network)
+        return ClipExamples(
+            examples,
+            begin,
+            identity=identity,
+            measured=network.measnet is not None,
+            draws=config.data.draws,
+            cache=cache,
+        )
+
+    def _film(self, network: nn.Module, example: ClipExample) -> Film:
+        with self._plan.precision.autocast():
+            film = network(example.measurement, example.start if example.start.numel() else None)
+        return Film(film.image.float(), film.measured.float())
+
+    def _losses(self, film: Film, example: ClipExample) -> dict[str, Tensor]:
+        offset = self._network.inversion.offset
+        measured = example.measured - offset if example.measured.numel() else example.measured
+        return self._loss(film, linear_to_srgb(example.radiance, self._capture.white), measured)
+
+    def _terms(self, wrapped: nn.Module, example: ClipExample) -> dict[str, Tensor]:
+        return self._losses(self._film(wrapped, example), example)
+
+    def _metrics(self, batches: Loader[ClipExample]) -> dict[str, float]:
+        """Return means over the validation clips: the loss's terms, ``psnr_db``, ``moving_psnr_db``; and ``score_db``.
+
+        The score is the mean of both PSNRs: what stands still is most of a clip, and easy.
+        """
+        sums: dict[str, float] = {}
+        counts: dict[str, int] = {}
+        self._network.eval()
+        with torch.inference_mode():
+            for batch in batches:
+                example = to_device(batch, self._group.device)
+                film = self._film(self._network, example)
+                count = len(example.measurement)
+                values = {name: value.expand(count) for name, value in self._losses(film, example).items()}
+                values |= _errors(film.image, example, self._capture)
+                for name, value in values.items():
+                    known = value[value.isfinite()] if name == "moving_psnr_db" else value
+                    sums[name] = sums.get(name, 0.0) + float(known.double().sum())
+                    counts[name] = counts.get(name, 0) + len(known)
+        self._network.train()
+        both = torch.tensor([list(sums.values()), list(counts.values())], dtype=torch.float64)
+        summed = self._group.add(both.to(self._group.device))
+        means = (summed[0] / summed[1].clamp_min(1)).tolist()
+        found = dict(zip(sums, means, strict=True))
+        return found | {"score_db": (found["psnr_db"] + found["moving_psnr_db"]) / 2}
+
+    def _drawn(self, example: ClipExample) -> NDArray[np.uint8]:
+        """Return an image: of each clip a row of its true frames, and below it one of the estimated."""
+        self._network.eval()
+        with torch.inference_mode():
+            film = self._film(self._network, example)
+        self._network.train()
+        truth = linear_to_srgb(example.radiance, self._capture.white)
+        rows = [row for pair in zip(truth, film.image.clamp(0, 1), strict=True) for row in pair]
+        sheet = torch.cat([torch.cat(list(row), dim=-1) for row in rows], dim=-2)
+        return (sheet * 255).round().byte().permute(1, 2, 0).cpu().numpy()
+
+    def _save(self, path: Path, architecture: dict[str, Any], record: dict[str, Any]) -> None:
+        save_checkpoint(path, self._network, architecture=architecture, capture=self._capture, record=record)
+
+
+class _Begin:
+    """What a network begins with, without the network: for the processes that read examples."""
+
+    def __init__(self, network: VideoNet) -> None:
+        self._joint = network.joint
+
+    def __call__(self, measurement: Tensor) -> Tensor | None:
+        return None if self._joint is None else self._joint(measurement)
+
+
+def _errors(image: Tensor, example: ClipExample, capture: CaptureModel) -> dict[str, Tensor]:
+    truth = linear_to_srgb(example.radiance, capture.white)
+    found = image.clamp(0, 1)
+    return {"psnr_db": psnr(found, truth).clamp_max(100), "moving_psnr_db": psnr_at(found, truth, moving_pixels(truth))}
