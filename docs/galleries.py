@@ -119,7 +119,7 @@ FAMILIES = {
     "endoscopy": Family("endoscopy"),
     "files": Family("flying_things", {"path": "models"}, own_models),
     "flying_things": Family("flying_things"),
-    "high_speed": Family("high_speed_64", {"background": "mixed"}),
+    "high_speed": Family("high_speed_64"),
 }
 
 

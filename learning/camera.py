@@ -91,11 +91,15 @@ class CaptureModel:
         return 1 if self.timing is None else self.timing.frames
 
     @property
+    def row_shares(self) -> NDArray[np.float64]:
+        """Which share of each stored row's exposure each frame has, ``(N, H)``; 1 of a still."""
+        rows = self.sensor_shape[0]
+        return np.ones((1, rows)) if self.timing is None else self.timing.row_shares(rows)
+
+    @property
     def row_weights(self) -> NDArray[np.float64]:
         """What each frame's irradiance counts for in each stored row, ``(N, H)``; 1 in all of them of a usual still."""
-        rows = self.sensor_shape[0]
-        shares = np.ones((1, rows)) if self.timing is None else self.timing.row_shares(rows)
-        return shares if self.row_exposure is None else shares * self.row_exposure
+        return self.row_shares if self.row_exposure is None else self.row_shares * self.row_exposure
 
     @property
     def field_shape(self) -> tuple[int, int]:

@@ -63,11 +63,12 @@ class ClipExamples(TorchDataset[ClipExample]):
             begin: gives the start of measurements ``(1, C, H, W)``, or None where there is none.
             identity: all that decides ``begin`` and the draws of ``examples``, plain: by it what is kept is told apart.
             measured: whether global measurements are wanted.
-            draws: how many times each clip is changed; 0 changes it anew for every draw, of which nothing is kept.
+            draws: how many times each clip is changed, or its noise drawn; 0 does so for every draw, of which nothing is
+                kept.
             cache: folder to keep examples in; None keeps nothing.
         """
         self.dataset, self._examples, self._begin = examples.dataset, examples, begin
-        self._draws = 1 if examples.augment is None else draws
+        self._draws = draws if examples.redrawn else 1
         self._measured = measured
         self._camera = SceneCamera(examples.dataset) if measured else None
         self._scene = partial(read_scene, examples.dataset, timing=examples.timing)
@@ -150,7 +151,10 @@ class KeptRecords:
             record[name] = values
         data, done = self._open()
         with storage_errors(self._path):
-            os.pwrite(data, record.tobytes(), at * self._kind.itemsize)
+            content, first = record.tobytes(), at * self._kind.itemsize
+            while content:  # of a nearly full disk, the system takes a part and says so
+                taken = os.pwrite(data, content, first)
+                content, first = content[taken:], first + taken
             os.pwrite(done, b"\1", at)
 
     def _open(self) -> tuple[int, int]:

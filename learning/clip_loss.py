@@ -18,7 +18,7 @@ class ClipLoss(nn.Module):
 
     - ``measurement``: mean squared error of MeasNet's global measurements, DN / 2^bits; absent without MeasNet;
     - ``intensity``: mean squared or mean absolute difference of the frames' sRGB codes;
-    - ``change``: mean absolute error of the differences between neighbouring frames;
+    - ``change``: mean absolute error of the differences between neighbouring frames; absent of a single one;
     - ``multiscale``: see `learning.losses.ReconstructionLoss`;
     - ``perceptual``: of VGG-16, see `learning.perceptual.PerceptualLoss`; absent with ``none``.
     """
@@ -44,7 +44,7 @@ class ClipLoss(nn.Module):
         terms = {"intensity": (difference.square() if self.intensity == "mse" else difference.abs()).mean()}
         if film.measured.numel():
             terms["measurement"] = (film.measured - measured).square().mean()
-        if self.weights["change"]:
+        if self.weights["change"] and difference.shape[1] > 1:
             terms["change"] = difference.diff(dim=1).abs().mean()
         pair = (found.flatten(0, 1), image.flatten(0, 1))
         if self.weights["multiscale"]:

@@ -75,6 +75,7 @@ class ExampleSet(TorchDataset[Example]):
     Attributes:
         timing: of its clips, which all have the same; None of stills.
         augment: how scenes are changed before they are re-simulated; None takes them as stored.
+        redrawn: whether another draw of a sample is another example.
     """
 
     def __init__(
@@ -108,6 +109,7 @@ class ExampleSet(TorchDataset[Example]):
         if noise_db is not None and not 0 < noise_db[0] <= noise_db[1] <= 120:
             raise InputError("noise_db", f"got {noise_db}, expected a range of PSNRs such as (20, 50), in 0 to 120 dB")
         self.dataset, self._noise_db, self.augment, self._seed = dataset, noise_db, augment, seed
+        self.redrawn = augment is not None or noise_db is not None
         self._sensor, self._dark, self._clip, self._quantise = _converter(dataset)
         self._camera = None if augment is None else SceneCamera(dataset)
         self._kind = "scene" if augment else "measurement" if noise_db is None else "noiseless"

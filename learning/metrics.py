@@ -37,6 +37,7 @@ DEFINITIONS = {
     "flip": f"mean FLIP (LDR) of Andersson et al. 2020 at {PIXELS_PER_DEGREE:.2f} pixels per degree; lower is better",
     "lpips": "LPIPS 0.1 of Zhang et al. 2018; lower is better",
     "moving_psnr": "PSNR like psnr at a clip's moving pixels: where a code differs from its mean over time by more than 0.1",
+    "warping_error": "of a clip, root mean square difference of sRGB codes along the true motion, frame to frame",
     "depth_rmse_cm": "root mean square error of depth in cm",
     "disparity_rmse": "root mean square error of disparity, evenly in 1 / z from 0 (far) to 1 (near)",
     "disparity_rmse_per_m": "root mean square error of 1 / z in 1 / m",

@@ -15,6 +15,7 @@ from simulator.dataset.manifest import load_manifest
 from simulator.dataset.reader import Dataset
 from simulator.dataset.sample import StoredSample, sample_folder, sample_index
 from simulator.errors import InputError
+from simulator.text import show
 
 _ALIKE = 1e-6  # of a capture's time: forgives times that were written with few digits
 
@@ -57,10 +58,15 @@ class Timing:
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Timing:
         """Return the timing of a record; an InputError says what is wrong with it."""
-        edges_s = np.asarray(record["frame_edges_s"], np.float64)
-        if edges_s.ndim != 1 or len(edges_s) < 2 or not np.all(np.diff(edges_s) > 0):
-            raise InputError("frame_edges_s", f"got {edges_s.tolist()!r:.60}, expected at least two increasing times")
-        return cls(shutter_from_record(record["shutter"]), edges_s)
+        given = record if isinstance(record, Mapping) else {}
+        try:
+            edges_s = np.asarray(given.get("frame_edges_s"), np.float64)
+        except (TypeError, ValueError):
+            edges_s = np.empty(0)
+        if edges_s.ndim != 1 or len(edges_s) < 2 or not (np.isfinite(edges_s).all() and (np.diff(edges_s) > 0).all()):
+            got = show(given.get("frame_edges_s"))
+            raise InputError("frame_edges_s", f"got {got}, expected at least two increasing times")
+        return cls(shutter_from_record(given.get("shutter")), edges_s)
 
     def check_same(self, known: Timing, rows: int) -> None:
         """Refuse the timing of a capture, this one, for a method that knows another, of a sensor with so many rows.

@@ -26,13 +26,13 @@ Value = float | int | str
 _STATIC: dict[str, Value] = {"regularisation_lambda": 1.0, "tikhonov": 1.0}
 CLIP_DEFAULTS: dict[str, dict[str, Value]] = {
     "static": _STATIC,
-    "slivers": _STATIC,
+    "slivers": {"regularisation_lambda": 10.0, "tikhonov": 10.0},
     "joint": JOINT,
     "fista": {"tv": 0.01, "tv_over_time": 1.0, "iterations": 200, "prox": "exact", "inner": 4, "start": "joint"},
 }
 CLIP_SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
     "static": {"regularisation_lambda": (0.1, 0.3, 1.0, 3.0), "tikhonov": (0.3, 1.0, 3.0, 10.0)},
-    "slivers": {"regularisation_lambda": (0.1, 0.3, 1.0, 3.0), "tikhonov": (0.3, 1.0, 3.0, 10.0)},
+    "slivers": {"regularisation_lambda": (1.0, 10.0, 100.0), "tikhonov": (1.0, 10.0, 100.0)},
     "joint": {
         "static": (0.03, 0.1, 0.3),
         "moving": (0.05, 0.1, 0.2, 0.4),
@@ -78,7 +78,7 @@ class SliverInversion(StaticInversion):
     def __init__(self, capture: CaptureModel, *, regularisation_lambda: float, tikhonov: float) -> None:
         """See `StaticInversion`."""
         super().__init__(capture, regularisation_lambda=regularisation_lambda, tikhonov=tikhonov)
-        shares = capture.row_weights
+        shares = capture.row_shares  # of light, which is as if all rows had been exposed alike
         shares = shares / shares.mean(axis=1, keepdims=True)
         self.register_buffer("weights", torch.from_numpy(shares).to(torch.get_default_dtype()), persistent=False)
 

@@ -110,6 +110,8 @@ class EvaluateConfig(FileSection):
     """scenes for noise_db and compare_stacks, the first so many; null: all"""
     depth_bins_cm: list[Annotated[float, Range(0.01, 1e6, "cm")]] | None = None
     """edges of the depth bins of the errors; null: eight bins, even in disparity"""
+    group_by: str | None = None
+    """a word of the scenes' metadata, such as background or event, by whose values scores are also given apart"""
     dark_share: Annotated[float, Range(0, 1)] | None = None
     """also report depth without pixels darker than this share of white; null: not"""
     perceptual: Literal["none", "auto", "lpips"] = "auto"

@@ -36,7 +36,11 @@ _COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _GOLDEN = (5**0.5 - 1) / 2  # steps of it round the circle of hues never meet again
 _BEHIND = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.5}  # words, lest lines run through them
 _MARKS, _NAIVE = "osD^vP", "#8a9299"
-PANELS = (("psnr", "PSNR of images, dB"), ("depth_rmse_cm", "depth RMSE, cm"))
+PANELS = {
+    "psnr": "PSNR of images, dB",
+    "moving_psnr": "PSNR of moving pixels, dB",
+    "depth_rmse_cm": "depth RMSE, cm",
+}
 
 
 def method_colours(names: Sequence[str]) -> dict[str, str]:
@@ -76,7 +80,7 @@ def noise_png(outcomes: Sequence[Outcome], colours: Mapping[str, str], naive: Se
         axes.grid(color=GRID)
         return "PSNR of measurements, dB"
 
-    return _two_panels(11, naive, draw)
+    return _panels(5.5, [*outcomes, *naive], naive, draw)
 
 
 def depth_png(
@@ -129,7 +133,7 @@ def stacks_png(
         axes.margins(y=0.12)
         return ""
 
-    return _two_panels(2.4 * max(4, len(colours)), naive, draw)
+    return _panels(1.2 * max(4, len(colours)), [*outcomes, *naive], naive, draw)
 
 
 def times_png(times: Sequence[Times], colours: Mapping[str, str], where: str) -> bytes:
@@ -162,12 +166,19 @@ def times_png(times: Sequence[Times], colours: Mapping[str, str], where: str) ->
     return _png(9, 1.8 + 0.6 * len(times), draw)
 
 
-def _two_panels(width_inch: float, naive: Sequence[Outcome], draw: Callable[[Axes, str], str]) -> bytes:
-    """Return a panel for each score of `PANELS`, with the naive baselines as lines; ``draw`` gives the label of x."""
+def _panels(
+    width_inch: float, outcomes: Sequence[Outcome], naive: Sequence[Outcome], draw: Callable[[Axes, str], str]
+) -> bytes:
+    """Return a panel for each score of `PANELS` that was measured, with the naive baselines as lines.
 
-    def both(figure: Figure) -> None:
+    ``draw`` gives the label of x; ``width_inch`` is of each panel.
+    """
+    measured = [score for score in PANELS if any(score in one.scores for one in outcomes)]
+
+    def every(figure: Figure) -> None:
         where: Any = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "ha": "right"}
-        for axes, (score, label) in zip(figure.subplots(1, 2), PANELS, strict=True):
+        for axes, score in zip(figure.subplots(1, len(measured), squeeze=False)[0], measured, strict=True):
+            label = PANELS[score]
             x_label = draw(axes, score)
             for one in naive:
                 if score in one.scores:
@@ -177,7 +188,7 @@ def _two_panels(width_inch: float, naive: Sequence[Outcome], draw: Callable[[Axe
             style(axes, x_label, label)
         _legend(figure)
 
-    return _png(width_inch, 4.4, both)
+    return _png(width_inch * len(measured), 4.4, every)
 
 
 def _broken(name: str) -> str:

@@ -13,11 +13,12 @@ from learning.camera import CaptureModel
 from learning.config import EvaluateConfig
 from learning.data import check_dataset
 from learning.evaluate.figures import Shown
+from learning.evaluate.films import Film
 from learning.evaluate.methods import Entry, LearnedEntry, read_methods, says_scenes
-from learning.evaluate.outcome import Outcome, first_scenes, outcome
+from learning.evaluate.outcome import Outcome, chosen_scenes, first_scenes, outcome
 from learning.evaluate.report import OWN_FILES, Evaluation, Findings, claim_folder, is_claimed, write_results
 from learning.evaluate.runs import Cameras, ResultCache, Run, Runner
-from learning.evaluate.scoring import Criteria, Times, naive_baselines, score, take_times
+from learning.evaluate.scoring import Constant, Criteria, Times, naive_baselines, score, take_times
 from learning.method import Progress, Say, choose_device, describe_device, linear_to_srgb, torch_threads
 from learning.perceptual import LpipsDistance, available_lpips
 from simulator.dataset.reader import Dataset, open_dataset
@@ -132,10 +133,36 @@ class Trial:
                 outcome(one.name, "naive", [first_scenes(found, part or len(test))], only=one.scores)
                 for one, found in naive
             ],
+            groups=self._groups(naive),
             times=_times(config, runner, self.methods, progress),
-            montage=_montage(config, runner, self.methods),
+            montage=[] if runner.clips else _montage(config, runner, self.methods),
             columns=["truth", *(method.name for method in config.methods)],
+            films=_films(config, runner, self.methods) if runner.clips else [],
         )
+
+    def _groups(self, naive: Sequence[tuple[Constant, dict[str, Any]]]) -> dict[str, list[Outcome]]:
+        """Return the rows of the table for each value of ``group_by`` alone, as stored."""
+        word = self.config.group_by
+        if word is None:
+            return {}
+        scenes = [self.test.stored(at).description["metadata"]["scene"] for at in range(len(self.test))]
+        if unknown := [name for name, scene in zip(self.test.ids, scenes, strict=True) if word not in scene]:
+            known = ", ".join(sorted(set.intersection(*(set(scene) for scene in scenes))))
+            raise InputError(
+                "group_by", f"got {word}, which sample {unknown[0]} does not have; expected one of {known}"
+            )
+        groups: dict[str, list[Outcome]] = {}
+        for value in sorted({str(scene[word]) for scene in scenes}):
+            places = [at for at, scene in enumerate(scenes) if str(scene[word]) == value]
+            rows = []
+            for seeds in self.methods:
+                found = [self.runner.result(Run(entry, self.config.data.stack)) for entry in seeds]
+                rows.append(outcome(seeds[0].name, seeds[0].kind, [chosen_scenes(one, places) for one in found]))
+            rows += [
+                outcome(one.name, "naive", [chosen_scenes(found, places)], only=one.scores) for one, found in naive
+            ]
+            groups[f"{word}: {value}"] = rows
+        return groups
 
 
 def find_perceptual(wanted: str, device: torch.device) -> tuple[LpipsDistance | None, str]:
@@ -201,10 +228,32 @@ def _times(
     return take_times(timed, measurements, config.time.repeats, lambda done, total: progress("times", done, total))
 
 
+def _spread(config: EvaluateConfig, runner: Runner) -> list[int]:
+    """Return the positions of the scenes that are shown, evenly spread."""
+    count = min(config.figures.montage, len(runner.test))
+    return np.unique(np.linspace(0, len(runner.test) - 1, count).round().astype(int)).tolist()
+
+
+def _films(config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[Entry]]) -> list[list[Film]]:
+    """Return evenly spread clips as they were and as the first seed of every method has them."""
+    positions = _spread(config, runner)
+    runs = [Run(seeds[0], config.data.stack) for seeds in methods]
+    estimates = [runner.estimates(run, positions) for run in runs]
+    known = [runner.result(run)["scores"] for run in runs]
+    examples, clips = runner.examples(None), []
+    for at, position in enumerate(positions):
+        frames = linear_to_srgb(examples[position].radiance, runner.cameras.test.white)
+        films = [Film("truth", np.moveaxis(frames.numpy(), 1, -1), runner.test.ids[position])]
+        for method, shown, scores in zip(config.methods, estimates, known, strict=True):
+            words = f"{scores[position]['psnr']:.1f} dB, moving {scores[position]['moving_psnr']:.1f} dB"
+            films.append(Film(method.name, np.moveaxis(shown[at]["image"], 1, -1), words))
+        clips.append(films)
+    return clips
+
+
 def _montage(config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[Entry]]) -> list[list[Shown]]:
     """Return evenly spread scenes as they were and as the first seed of every method has them."""
-    count = min(config.figures.montage, len(runner.test))
-    positions = np.unique(np.linspace(0, len(runner.test) - 1, count).round().astype(int)).tolist()
+    positions = _spread(config, runner)
     runs = [Run(seeds[0], config.data.stack) for seeds in methods]
     estimates = [runner.estimates(run, positions) for run in runs]
     known = [runner.result(run)["scores"] for run in runs]

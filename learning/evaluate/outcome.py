@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 SCORES: dict[str, tuple[str, int, bool]] = {
     "psnr": ("PSNR dB", 2, True),
+    "moving_psnr": ("moving PSNR dB", 2, True),
     "ssim": ("SSIM", 3, True),
     "lpips": ("LPIPS", 3, False),
     "flip": ("FLIP", 3, False),
+    "warping_error": ("warping error", 3, False),
     "linear_psnr": ("linear PSNR dB", 2, True),
     "depth_rmse_cm": ("depth RMSE cm", 2, False),
     "disparity_rmse": ("disparity RMSE", 3, False),
@@ -176,4 +178,9 @@ def outcome(
 
 def first_scenes(result: Mapping[str, Any], scenes: int) -> dict[str, Any]:
     """Return what `learning.evaluate.scoring.score` found, of the first so many scenes only."""
-    return {name: values[:scenes] for name, values in result.items()}
+    return chosen_scenes(result, range(scenes))
+
+
+def chosen_scenes(result: Mapping[str, Any], positions: Sequence[int]) -> dict[str, Any]:
+    """Return what `learning.evaluate.scoring.score` found, of some scenes only."""
+    return {name: [values[at] for at in positions] if values else [] for name, values in result.items()}

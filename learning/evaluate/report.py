@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from learning.evaluate.figures import (
     stacks_png,
     times_png,
 )
+from learning.evaluate.films import Film, film_sheet_png, film_webp
 from learning.evaluate.outcome import SCORES, Outcome
 from learning.evaluate.paired import COMPARED, EXPLAINED, Difference, compare
 from learning.evaluate.scoring import Times
@@ -47,7 +48,8 @@ DESCRIPTION = "evaluation.json"
 """Says that the folder is an evaluation's, and its name; written first."""
 RESULTS, TABLE, PAIRED, REPORT = "results.json", "table.csv", "paired.csv", "report.md"
 MONTAGE, NOISE, DEPTH, STACKS, TIMES = "montage.png", "noise.png", "depth.png", "stacks.png", "times.png"
-_OWN = (REPORT, TABLE, PAIRED, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES)
+FILMS, ANIMATION = "films.png", "films.webp"
+_OWN = (REPORT, TABLE, PAIRED, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES, FILMS, ANIMATION)
 OWN_FILES = (DESCRIPTION, *_OWN)
 """Names that no data set may have: the folder of its figures lies beside these files."""
 _FORMAT = "flatlight evaluation"
@@ -91,7 +93,9 @@ class Findings:
         outcomes: of all methods, PSFs and levels.
         naive: of the naive baselines; ``naive_part`` on the scenes of noise levels and of compared PSFs.
         times: seconds per scene; empty where none were taken.
-        montage: for each scene shown the truth and every method, in the order of ``columns``.
+        montage: for each scene shown the truth and every method, in the order of ``columns``; empty of clips.
+        films: for each clip shown the same; empty of stills.
+        groups: the rows of the table for some of the scenes alone, by a title for these.
     """
 
     config: EvaluateConfig
@@ -106,6 +110,8 @@ class Findings:
     times: Sequence[Times]
     montage: Sequence[Sequence[Shown]]
     columns: Sequence[str]
+    films: Sequence[Sequence[Film]] = ()
+    groups: Mapping[str, Sequence[Outcome]] = field(default_factory=dict)
 
     @property
     def part(self) -> int:
@@ -150,7 +156,7 @@ class Findings:
     def differences(self) -> dict[str, list[Difference]]:
         """The paired differences from the reference, as stored and at each further level of noise; empty for one method."""
         reference = self.config.reference or self.config.methods[0].name
-        cases = {f"stored ({self.stored_db:.0f} dB)": self.main} | self.levels
+        cases = {f"stored ({self.stored_db:.0f} dB)": self.main} | dict(self.groups) | self.levels
         methods = {title: [one for one in outcomes if one.kind != "naive"] for title, outcomes in cases.items()}
         found = {title: compare(reference, judged, self.config.seed) for title, judged in methods.items()}
         return found if len(self.config.methods) > 1 else {}
@@ -234,16 +240,22 @@ def conditions(findings: Findings) -> str:
     planes = f", PSFs {psf['model']} at {count} depths" if psf.get("model") and count else ""
     stack = findings.config.data.stack
     assumed = "their own PSFs" if stack == "own" else f"the PSFs {stack}"
+    timing = findings.camera.timing
+    slivers = (
+        "" if timing is None else f", {timing.frames} slivers of a capture of {1e3 * timing.frame_edges_s[-1]:.3g} ms"
+    )
     ranges: dict[str, list[str]] = {}
     for method in findings.methods:
         near_cm, far_cm = (100 * depth_m for depth_m in method["depth_range_m"])
         text = f"{method['planes']} planes, depths from {near_cm:.3g} to {far_cm:.3g} cm"
+        if method["planes"] == 1:
+            text = f"one plane at {near_cm:.3g} cm"
         ranges.setdefault(text, []).append(method["name"])
     told = "; ".join(text if len(ranges) == 1 else f"{', '.join(names)}: {text}" for text, names in ranges.items())
     return (
         f"{len(findings.test)} scenes, split {findings.test.split} of a data set with fingerprint "
-        f"`{findings.test.fingerprint[:12]}`{planes}; measurements as stored have {findings.stored_db:.1f} dB. The methods "
-        f"assume {assumed}: {told}."
+        f"`{findings.test.fingerprint[:12]}`{planes}{slivers}; measurements as stored have {findings.stored_db:.1f} dB. "
+        f"The methods assume {assumed}: {told}."
     )
 
 
@@ -252,12 +264,22 @@ def how(evaluation: Evaluation) -> str:
     rows = [one for found in evaluation.findings.values() for one in found.main]
     seeds = [len(next(iter(one.scores.values())).seeds) for one in rows if one.kind == "learned"]
     brackets = f", in brackets over {max(seeds)} seeds" if seeds and max(seeds) > 1 else ""
-    depth = "Every method's depths are clamped to its range, and count where there is a surface."
+    depth = (
+        " Every method's depths are clamped to its range, and count where there is a surface. Pooled: over all pixels of all "
+        "scenes; shares are those of the best constant depth's, pooled."
+    )
+    told = any("depth_rmse_cm" in one.scores for one in rows)
     return (
         f"Mean ± standard deviation over scenes{brackets}; the best of each column is bold; naive baselines are in "
-        f"italics. {depth} Pooled: over all pixels of all scenes; shares are those of the best constant depth's, pooled. "
-        f"SSIM: {SSIM_DEFINITION}. {evaluation.perceptual[0].upper()}{evaluation.perceptual[1:]}."
+        f"italics.{depth if told else ''} SSIM: {SSIM_DEFINITION}. "
+        f"{evaluation.perceptual[0].upper()}{evaluation.perceptual[1:]}."
     )
+
+
+def _compared(rows: Iterable[Outcome]) -> list[str]:
+    """Return the scores that are compared, as far as they were measured."""
+    known = {score for one in rows for score in one.scores}
+    return [score for score in COMPARED if score in known]
 
 
 def left_out(outcomes: Sequence[Outcome]) -> str:
@@ -323,7 +345,13 @@ def _figures(evaluation: Evaluation, name: str) -> dict[str, bytes]:
     findings = evaluation.findings[name]
     colours = method_colours([method.name for method in findings.config.methods])
     part, stacks = findings.naive_part, findings.config.data.compare_stacks
-    figures = {DEPTH: depth_png(findings.main, colours, findings.naive, findings.edges_cm)}
+    figures: dict[str, bytes] = {}
+    if any(one.bins_cm for one in findings.main):
+        figures[DEPTH] = depth_png(findings.main, colours, findings.naive, findings.edges_cm)
+    if findings.films:
+        title = ": ".join(filter(None, [evaluation.config.name, name]))
+        figures[FILMS] = film_sheet_png(findings.films, title, f"white = radiance {findings.camera.white:.3g}")
+        figures[ANIMATION] = film_webp(findings.films[0])
     if findings.montage:
         camera = findings.camera
         line = f"white = radiance {camera.white:.3g}; depth z {depth_range(camera.near_m, camera.far_m)}"
@@ -342,17 +370,18 @@ def _report(evaluation: Evaluation) -> str:
     """Return the whole report: what all data sets share stands before and behind the sections of each."""
     parts = [f"# {evaluation.config.name}"]
     several = "" not in evaluation.findings
+    rows = [one for found in evaluation.findings.values() for one in found.main]
     if several:
-        parts += ["## All data sets", *(markdown_matrix(score, evaluation.side_by_side) for score in COMPARED)]
+        parts += ["## All data sets", *(markdown_matrix(score, evaluation.side_by_side) for score in _compared(rows))]
         parts += [how(evaluation)]
         if evaluation.differences:
             parts += ["## Paired differences on all data sets", EXPLAINED, markdown_verdicts(evaluation.differences)]
-            parts += [markdown_differences(score, evaluation.differences) for score in COMPARED]
+            parts += [markdown_differences(score, evaluation.differences) for score in _compared(rows)]
     for name, found in evaluation.findings.items():
         heading = "###" if several else "##"
         parts += [f"## {name}" if several else "", *_sections(found, evaluation, name, heading)]
     parts += [
-        PUBLISHED,
+        PUBLISHED if any("depth_rmse_cm" in one.scores for one in rows) else "",
         "## Made with",
         ", ".join(f"{name} {version}" for name, version in versions(*_PACKAGES).items()),
     ]
@@ -381,29 +410,30 @@ def _sections(findings: Findings, evaluation: Evaluation, name: str, heading: st
         f"{heading} Further scores",
         markdown_further(rows),
         f"{heading} Scenes\n\n{shown('truth and estimates', MONTAGE)}" if findings.montage else "",
+        f"{heading} Films\n\n{shown('one clip', ANIMATION)}\n\n{shown('films', FILMS)}" if findings.films else "",
     ]
+    for title, group in findings.groups.items():
+        parts += [f"{heading} {title[0].upper()}{title[1:]}", f"{group[0].scenes} scenes.", markdown_table(group, {})]
     if ablation:
         notes: dict[tuple[str, str], list[str]] = {}
         for one in (one for one in ablation if one.tuned_db is not None):
             notes.setdefault((one.method, one.note), []).append(f"{one.noise_db:g}")
         lines = [f"- {method} at {', '.join(levels)} dB: {note}" for (method, note), levels in notes.items()]
         elsewhere = any(one.tuned_elsewhere for one in ablation)
-        tables = [markdown_matrix(score, findings.levels) for score in COMPARED]
+        tables = [markdown_matrix(score, findings.levels) for score in _compared(rows)]
         parts += [f"{heading} Noise", on_part, *tables, _TUNED_ELSEWHERE if elsewhere else "", "\n".join(lines)]
         parts += [shown("scores against noise", NOISE), "Small dots are single seeds."]
     if findings.differences:
-        tables = [markdown_differences(score, findings.differences) for score in COMPARED]
+        tables = [markdown_differences(score, findings.differences) for score in _compared(rows)]
         words = ["" if name else EXPLAINED, f"At further levels: {on_part.lower()}" if findings.part < whole else ""]
         parts += [f"{heading} Paired differences", *words, markdown_verdicts(findings.differences), *tables]
-    parts += [
-        f"{heading} Depth error against depth",
-        markdown_bins(rows, findings.edges_cm),
-        shown("depth error", DEPTH),
-    ]
+    if any(one.bins_cm for one in rows):
+        by_depth = markdown_bins(rows, findings.edges_cm)
+        parts += [f"{heading} Depth error against depth", by_depth, shown("depth error", DEPTH)]
     if compared:
         stacks = findings.config.data.compare_stacks
         columns = {f"{stack} PSFs": [one for one in compared if one.stack == stack] for stack in stacks}
-        tables = [markdown_matrix(score, columns) for score in COMPARED]
+        tables = [markdown_matrix(score, columns) for score in _compared(rows)]
         parts += [f"{heading} Which PSFs are assumed", on_part, *tables, _WHISKERS, shown("scores by PSFs", STACKS)]
     if findings.times:
         words = (

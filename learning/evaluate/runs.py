@@ -33,11 +33,11 @@ from simulator.optics.stack_files import read_psf_stack
 _WHITES_ALIKE = 1e-6
 # By these, and what they import, a measurement becomes a score.
 _DECIDING = (
-    "learning.classical.method",
+    "learning.classical.by_name",
     "learning.checkpoint",
     "learning.data",
     "learning.evaluate.scoring",
-    "learning.models.flatnet",
+    "learning.models",
 )
 
 
@@ -97,7 +97,9 @@ def camera_identity(capture: CaptureModel) -> str:
     arrays = (capture.stack.values, capture.stack.depths_m, capture.irradiance, capture.offset, capture.scene_to_camera)
     parts = [sha256_bytes(np.ascontiguousarray(to_numpy(array)).tobytes()) for array in arrays]
     numbers = (capture.stack.pixel_pitch_m, capture.gain, capture.white, *capture.sensor_shape, *capture.scene_shape)
-    return sha256_bytes(canonical_json([parts, numbers, capture.stack.channels]))
+    of_clips = [] if capture.timing is None else [capture.timing.record()]
+    of_rows = [] if capture.row_exposure is None else [capture.row_exposure.tolist()]
+    return sha256_bytes(canonical_json([parts, numbers, capture.stack.channels, *of_clips, *of_rows]))
 
 
 class ResultCache:
@@ -161,6 +163,7 @@ class Runner:
 
     Attributes:
         stored_db: the PSNR of its measurements as stored, decibels: by it parameters are chosen that depend on noise.
+        clips: whether its samples are clips.
     """
 
     def __init__(
@@ -176,6 +179,7 @@ class Runner:
     ) -> None:
         """Look at the noise of a few samples; see `learning.config.EvaluateConfig` for the settings."""
         self.test, self.stored_db = test, measured_psnr_db(test)
+        self.clips = cameras.test.timing is not None
         self.cameras, self.criteria, self._cache = cameras, criteria, cache
         self.device, self.batch, self._seed = device, batch, seed
         self._digests, self._code = sample_digests(test), code_digest(*_DECIDING)
@@ -212,7 +216,7 @@ class Runner:
         return found
 
     def estimates(self, run: Run, positions: Sequence[int]) -> list[dict[str, NDArray[np.float32]]]:
-        """Return ``image`` (3, h, w) and ``depth_m`` (h, w) of some scenes, which are kept."""
+        """Return ``image`` (3, h, w) and ``depth_m`` (h, w) of some scenes, of clips with a leading N, which are kept."""
         method: Method | None = None
         examples, shown = self.examples(run.noise_db), []
         for position in positions:
@@ -223,7 +227,7 @@ class Runner:
                 example = Example(*(values[None].to(self.device) for values in examples[position]))
                 estimate = checked(method, method.reconstruct(example.measurement), examples, position)
                 depth_m = estimate.depth_m(method.capture)
-                arrays = {"image": estimate.image[0].cpu().numpy(), "depth_m": depth_m[0, 0].cpu().numpy()}
+                arrays = {"image": estimate.image[0].cpu().numpy(), "depth_m": depth_m[0, ..., 0, :, :].cpu().numpy()}
                 self._cache.save_arrays(key, arrays)
             shown.append(arrays)
         return shown

@@ -13,6 +13,7 @@ from torch.utils.data import default_collate
 
 from learning.camera import CaptureModel
 from learning.data import Example, ExampleSet
+from learning.evaluate.motion import sliver_motion, warping_error
 from learning.method import Clock, Estimate, Method, linear_to_srgb
 from learning.metrics import dark_mask, depth_scores, measure
 from learning.perceptual import LpipsDistance
@@ -44,13 +45,23 @@ def score(
 ) -> dict[str, Any]:
     """Run a method over all scenes; depth counts where something was seen. ``progress`` gets the scenes of each batch.
 
-    Returns ``scores`` of each scene, see `learning.metrics.measure`, ``pixels``, at how many of it depth counts, and for each
-    scene and bin ``squares_cm2``, the sum of squared depth errors, and ``counts``, the number of pixels.
+    Returns ``scores`` of each scene, see `learning.metrics.measure` (and of clips whose data set records it,
+    `learning.evaluate.motion`); of cameras that tell depths apart also ``pixels``, at how many of it depth counts, and for
+    each scene and bin ``squares_cm2``, the sum of squared depth errors, and ``counts``, the number of pixels.
     """
     found: dict[str, list[Any]] = {"scores": [], "pixels": [], "squares_cm2": [], "counts": []}
     for first, example in batches(examples, batch, device):
         estimate = checked(method, method.reconstruct(example.measurement), examples, first)
         scenes = measure(estimate, example, method.capture, lpips=criteria.lpips, pixels=example.valid)
+        if examples.timing is not None:
+            for at, scene in enumerate(scenes):
+                motion = sliver_motion(examples.dataset.stored(first + at), examples.timing.frames)
+                if motion is not None:
+                    scene["warping_error"] = warping_error(estimate.image[at], motion)
+        if len(method.capture.stack.depths_m) < 2:
+            found["scores"] += scenes
+            progress(len(scenes))
+            continue
         if criteria.dark_share is not None:
             lit = example.valid & ~dark_mask(example, method.capture, criteria.dark_share)
             errors = depth_scores(estimate, example, method.capture, lit).depth_rmse_cm.tolist()
@@ -61,7 +72,7 @@ def score(
             for errors, depth_cm, valid in zip(error_cm2, example.depth_m * 100, example.valid, strict=True)
         ]
         found["scores"] += scenes
-        found["pixels"] += example.valid.sum(dim=(1, 2, 3)).tolist()
+        found["pixels"] += example.valid.flatten(1).sum(dim=1).tolist()
         for name, values in zip(("squares_cm2", "counts"), zip(*by_scene, strict=True), strict=True):
             found[name] += values
         progress(len(scenes))
@@ -97,7 +108,7 @@ def _binned(error_cm2: Tensor, depth_cm: Tensor, edges_cm: Sequence[float]) -> t
     return sums.tolist(), torch.bincount(place[inside], minlength=bins).tolist()
 
 
-IMAGE_SCORES = ("psnr", "ssim", "lpips", "flip", "linear_psnr")
+IMAGE_SCORES = ("psnr", "moving_psnr", "ssim", "lpips", "flip", "warping_error", "linear_psnr")
 DEPTH_SCORES = ("depth_rmse_cm", "lit_depth_rmse_cm")
 DISPARITY_SCORES = ("disparity_rmse", "disparity_rmse_per_m")
 
@@ -106,8 +117,8 @@ DISPARITY_SCORES = ("disparity_rmse", "disparity_rmse_per_m")
 class Constant:
     """A method that gives the same answer to everything; see `learning.method.Method`.
 
-    ``image`` has sRGB codes ``(3, h, w)``, ``disparity`` ``(1, h, w)``; ``scores`` are those that it is an answer to, and
-    ``best_in`` says in what no other answer of its kind is better.
+    ``image`` has sRGB codes ``(3, h, w)``, ``disparity`` ``(1, h, w)``, of clips with a leading N; ``scores`` are those that
+    it is an answer to, and ``best_in`` says in what no other answer of its kind is better.
     """
 
     name: str
@@ -119,16 +130,17 @@ class Constant:
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
         """Return the answer, as often as there are measurements."""
-        many = (len(measurement), 1, 1, 1)
-        device = measurement.device
-        return Estimate(self.image.to(device).repeat(many), self.disparity.to(device).repeat(many))
+        many, device = len(measurement), measurement.device
+        every = (each.to(device)[None].repeat(many, *[1] * each.ndim) for each in (self.image, self.disparity))
+        return Estimate(*every)
 
 
 def naive_baselines(examples: ExampleSet, capture: CaptureModel, batch: int) -> list[Constant]:
     """Return the best constant depth, the best constant disparity, the mean image, and black, all of these scenes.
 
     Over all that was seen, no constant has a smaller root mean square error in cm than the mean depth, and none in disparity
-    than the mean disparity, which is another depth.
+    than the mean disparity, which is another depth. Where the camera knows one depth, there is none to guess; of clips the
+    mean and black are films.
     """
     depth_m, disparity, image = (torch.zeros(1, dtype=torch.float64) for _ in range(3))
     seen = 0
@@ -138,7 +150,7 @@ def naive_baselines(examples: ExampleSet, capture: CaptureModel, batch: int) -> 
         disparity = disparity + capture.disparity(seen_m).sum()
         image = image + linear_to_srgb(example.radiance, capture.white).double().sum(dim=0)
     mean_image = (image / len(examples)).float()
-    black, far = torch.zeros_like(mean_image), torch.zeros_like(mean_image[:1])
+    black, far = torch.zeros_like(mean_image), torch.zeros_like(mean_image[..., :1, :, :])
     mean_m, mean_disparity = depth_m / max(seen, 1), disparity / max(seen, 1)
     of_depth = torch.as_tensor(capture.disparity(mean_m), dtype=torch.float32).expand_as(far)
     of_disparity = mean_disparity.float().expand_as(far)
@@ -148,13 +160,19 @@ def naive_baselines(examples: ExampleSet, capture: CaptureModel, batch: int) -> 
     of_inverse = f"no constant has a smaller RMSE of disparity and of 1/z, {pooled}"
     of_codes = "no one image has a smaller mean square error of sRGB codes over these scenes"
     nothing = "best in nothing: the answer of a method that detects no light"
+    what = "image" if examples.timing is None else "film"
+    images = [
+        Constant(f"mean {what}", capture, mean_image, far, IMAGE_SCORES, of_codes.replace("image", what)),
+        Constant("black", capture, black, far, IMAGE_SCORES, nothing),
+    ]
+    if len(capture.stack.depths_m) < 2:
+        return images
     return [
         Constant(f"constant depth ({100 * mean_m.item():.2f} cm)", capture, black, of_depth, DEPTH_SCORES, of_cm),
         Constant(
             f"constant disparity ({nearer_cm:.2f} cm)", capture, black, of_disparity, DISPARITY_SCORES, of_inverse
         ),
-        Constant("mean image", capture, mean_image, far, IMAGE_SCORES, of_codes),
-        Constant("black", capture, black, far, IMAGE_SCORES, nothing),
+        *images,
     ]
 
 

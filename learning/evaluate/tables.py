@@ -14,7 +14,7 @@ from learning.evaluate.scoring import Times
 from learning.method import aligned
 
 # Of the thesis's table 5.2, and FLIP, which needs no weights.
-MAIN = ("psnr", "ssim", "lpips", "flip", "depth_rmse_cm")
+MAIN = ("psnr", "moving_psnr", "ssim", "lpips", "flip", "depth_rmse_cm")
 _VERDICTS = {"reference": "▲", "other": "▼", None: "○"}
 _PLAIN = str.maketrans("▲▼○–−", "+-.--")  # for terminals
 TUNED_ELSEWHERE = "†"
@@ -42,19 +42,22 @@ def markdown_table(outcomes: Sequence[Outcome], times: Mapping[str, Times]) -> s
     rows = []
     for one, cells in _with_any(names, outcomes):
         seconds = [f"{times[one.method].total:.3g}" if one.method in times and not one.seed else "–"] if times else []
-        rows.append([_name(one), *cells, _share(one, whole_cm) or "–", *seconds])
-    return markdown(["method", *_titles(names), "of constant", *(["s per scene ↓"] if times else [])], rows)
+        share = [_share(one, whole_cm) or "–"] if whole_cm else []
+        rows.append([_name(one), *cells, *share, *seconds])
+    head = ["method", *_titles(names), *(["of constant"] if whole_cm else [])]
+    return markdown([*head, *(["s per scene ↓"] if times else [])], rows)
 
 
 def markdown_further(outcomes: Sequence[Outcome]) -> str:
     """Return the scores that are not in the table, and the depth RMSE over all pixels of all scenes together."""
     names = _measured([name for name in SCORES if name not in MAIN], outcomes)
-    best, pooled = _best(names, outcomes), "pooled depth RMSE cm ↓"
+    best, every = _best(names, outcomes), list(_with_seeds(outcomes))
+    pooled = ["pooled depth RMSE cm ↓"] if any(one.pooled_depth_rmse_cm is not None for one in every) else []
     return markdown(
-        ["method", *_titles(names), pooled],
+        ["method", *_titles(names), *pooled],
         (
-            [_name(one), *_cells(one, names, best), _or_dash(one.pooled_depth_rmse_cm, ".2f")]
-            for one in _with_seeds(outcomes)
+            [_name(one), *_cells(one, names, best), *(_or_dash(one.pooled_depth_rmse_cm, ".2f") for _ in pooled)]
+            for one in every
         ),
     )
 

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel, SpaceTime
+from learning.layers.inversion import samples_at_once
 from learning.layers.noise import noise_level
 from learning.layers.padding import AxisPlan, axis_plans, check_measurement
 from simulator.arrays import to_numpy
@@ -167,6 +168,12 @@ class JointLeastSquares(nn.Module):
     @torch.no_grad()
     def light(self, measurement: Tensor) -> Tensor:
         """Return x ``(N, K, B, C, rows, columns)``; see `ClipProblem`."""
+        # Sums of a batch round otherwise, and few steps of conjugate gradients in float32 amplify that to some 1e-3: on a
+        # CPU, where a batch saves no time, a capture gives the same whatever else is in its batch.
+        parts = measurement.split(samples_at_once(measurement))
+        return torch.cat([self._light(part) for part in parts], dim=2)
+
+    def _light(self, measurement: Tensor) -> Tensor:
         target = self.problem.target(measurement)
         # Of a measurement without noise it is that of what is finer than pixels: never 0, by which is divided.
         noise = noise_level(measurement).clamp_min(1e-6)[:, None, None, None] * self.problem.scale

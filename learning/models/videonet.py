@@ -160,7 +160,7 @@ class VideoNet(nn.Module):
         self.joint = JointLeastSquares(capture, **steps) if initial_estimate == "joint" else None
         channels = len(capture.stack.channels)
         numbers = {
-            "weights": torch.from_numpy(capture.row_weights)[:, None, :, None],
+            "weights": torch.from_numpy(capture.row_shares)[:, None, :, None],  # of light as if rows were exposed alike
             "colours": torch.linalg.pinv(torch.from_numpy(capture.scene_to_camera)),
             "to_camera": torch.from_numpy(capture.scene_to_camera),
         }
@@ -226,13 +226,17 @@ class VideoNet(nn.Module):
             InputError: weights of other shapes, naming the ``source``; the network stays as it was.
         """
         own, found = self.state_dict(), known.state_dict()
+        wanted: list[str] = []
         if not isinstance(known, VideoNet):
-            inner = {f"enhancement.body.{name.removeprefix('enhancement.')}": name for name in found}
-            ends = ("enhancement.body.intro.", "enhancement.body.head.", "enhancement.body.down.0.0.")
-            found = {name: found[other] for name, other in inner.items() if name in own and not name.startswith(ends)}
+            body = "enhancement.body."
+            ends = (body + self.enhancement.body.first_weight.removesuffix("weight"), f"{body}head.")
+            known_body = {name.replace("enhancement.", body): name for name in found if name.startswith("enhancement.")}
+            found = {name: found[other] for name, other in known_body.items() if not name.startswith(ends)}
+            wanted = [name for name in own if name.startswith(body) and not name.startswith(ends)]
         missing = [name for name in found if name not in own or own[name].shape != found[name].shape]
+        missing += [name for name in wanted if name not in found]
         if missing or not found:
-            what = f"{missing[0]} has another shape or no place here" if missing else "nothing in it fits"
+            what = f"{missing[0]} has another shape, or is only in one of both" if missing else "nothing in it fits"
             raise InputError(source, f"{what}; take a checkpoint of the same size (filters, blocks, levels, body)")
         self.load_state_dict(own | found)
         return [f"copied {len(found)} of {len(own)} tensors"]

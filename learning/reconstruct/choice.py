@@ -11,7 +11,9 @@ import numpy as np
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white, plain_capture, typical_white
 from learning.checkpoint import find_checkpoint, load_checkpoint, read_camera, shipped_checkpoints
-from learning.classical.method import DEFAULTS, PLANAR_DEFAULTS, PlanarMethod, build_classical, check_parameters
+from learning.classical.by_name import ALL_DEFAULTS, build_method
+from learning.classical.clips import CLIP_DEFAULTS
+from learning.classical.method import PLANAR_DEFAULTS, PlanarMethod, check_parameters
 from learning.method import Method
 from learning.models import learned_method
 from learning.reconstruct.inputs import RGB, Frame, Measurement, check_frame, load_psf_image
@@ -116,8 +118,9 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
 
 
 def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
-    if name not in DEFAULTS:
-        raise InputError("--method", f"got {name!r}, expected cls, admm or pnp; a network is named by --checkpoint")
+    if name not in ALL_DEFAULTS:
+        known = ", ".join(ALL_DEFAULTS)
+        raise InputError("--method", f"got {name!r}, expected one of {known}; a network is named by --checkpoint")
     capture, numbers_from, dataset = camera_of(measurement, request)
     _check_fit(measurement, capture, f"the stack {request.stack or 'of the data set'}")
     if request.scene is not None and capture.scene_shape != request.scene:
@@ -126,10 +129,14 @@ def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
     capture = _lit(measurement, capture)
     white, white_from = _white(measurement, request, dataset, capture)
     capture = replace(capture, white=white)
-    flat = len(capture.stack.depths_m) == 1
+    flat = len(capture.stack.depths_m) == 1 and name in PLANAR_DEFAULTS
+    if flat and capture.timing is not None:
+        raise InputError(
+            "--method", f"got {name}, which is for stills, of a clip; take one of {', '.join(CLIP_DEFAULTS)}"
+        )
     if flat and request.tuned is not None:
         raise InputError("--tuned", f"{request.tuned} is for depth, these PSFs are of one; give --set instead")
-    known, of = (PLANAR_DEFAULTS[name], f"{name} for one plane") if flat else (DEFAULTS[name], name)
+    known, of = (PLANAR_DEFAULTS[name], f"{name} for one plane") if flat else (ALL_DEFAULTS[name], name)
     told = dict(request.parameters or {})
     check_parameters(told, known, of, "--set")
     parameters, source = _parameters(measurement, request, name, told)
@@ -141,7 +148,7 @@ def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
     }
     if flat:
         return Setup(PlanarMethod(capture, name, parameters), name, record)
-    return Setup(build_classical(capture, name, parameters), name, record)
+    return Setup(build_method(capture, name, parameters), name, record)
 
 
 def _parameters(

@@ -125,8 +125,6 @@ def load_measurement(
             frame = "stored"  # a file of ours that was copied out of its sample says so itself
     else:
         stored = StoredSample(sample)
-        if stored.frames != 1:
-            raise InputError(sample, f"a clip of {stored.frames} frames; reconstruct takes stills, of one frame")
         values, channels = stored.measurement()[0], stored.channels
         scale, assumed = (1.0, "as stored: DN / 2^bits") if bits is None else (2.0**bits, "as told")
         if frame is not None:

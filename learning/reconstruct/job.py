@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -29,8 +29,11 @@ from simulator.io.exr import write_exr
 from simulator.io.files import committed_folder, write_atomic
 from simulator.io.json import plain, readable_json
 from simulator.plots import drawing
-from simulator.plots.drawing import LEGEND_WIDTH, PAPER, centimetres, depth_colours, png_bytes
+from simulator.plots.drawing import LEGEND_WIDTH, PAPER, animation_webp, centimetres, depth_colours, png_bytes
 from simulator.types import FARTHEST_M
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 RECORD = "reconstruction.json"
 _WHITE_PERCENTILE = 99.5  # of the lit values, as in all images that the simulator shows
@@ -120,7 +123,9 @@ def _report(measurement: Measurement, name: str, record: dict[str, Any], result:
     depth = "none: the PSFs are of one depth"
     if result.depth_m is not None:
         depth = f"{centimetres(result.depth_m.min())} to {centimetres(result.depth_m.max())}"
-    size = " x ".join(map(str, result.image.shape[1:]))
+    size = " x ".join(map(str, result.image.shape[-2:]))
+    if result.image.ndim == 4:
+        size = f"{len(result.image)} frames of {size}"
     frame = "rotated by 180 degrees" if measurement.frame == "physical" else "in the stored frame"
     lines = {
         "measurement": f"{rows} x {columns}, {', '.join(measurement.channels)}; {frame}; {scale}",
@@ -141,9 +146,9 @@ class Reconstruction:
     """What was made of a measurement.
 
     Attributes:
-        radiance: ``(3, h, w)`` float32 linear sRGB, not clipped. Of PSFs without a scale of their own, in the unit
-            measurement / PSF.
-        image: ``(3, h, w)`` float32 sRGB codes 0..1; 1 is ``white``.
+        radiance: ``(3, h, w)`` float32 linear sRGB, not clipped, of clips ``(N, 3, h, w)``. Of PSFs without a scale of their
+            own, in the unit measurement / PSF.
+        image: the same in sRGB codes 0..1; 1 is ``white``.
         white: the radiance that the image shows as 1.
         white_from: why this one.
         depth_m: ``(h, w)`` float32 metres, at most `FARTHEST_M`; None where the PSFs are of one depth.
@@ -170,7 +175,9 @@ def reconstruct(
     white: float | None = None,
     device: torch.device | str = "cpu",
 ) -> Reconstruction:
-    """Reconstruct a still ``(C, H, W)``, DN / 2^bits, by a method on ``device``, with the volume where it is wanted.
+    """Reconstruct a still or clip of one measurement ``(C, H, W)``, DN / 2^bits, by a method on ``device``.
+
+    The volume is given where it is wanted.
 
     ``white`` is the radiance that the image shows as 1, None shows its brightest half per cent as white; the radiance itself
     is never clipped.
@@ -207,7 +214,7 @@ def reconstruct(
         lit = radiance[radiance > 0]
         white = float(np.percentile(lit, _WHITE_PERCENTILE)) if lit.size else 1.0
         reason = f"{_WHITE_PERCENTILE}th percentile of the image's positive values"
-    depth_m = np.minimum(to_numpy(estimate.clamped().depth_m(capture))[0, 0], FARTHEST_M)
+    depth_m = np.minimum(to_numpy(estimate.clamped().depth_m(capture))[0, ..., 0, :, :], FARTHEST_M)
     return Reconstruction(
         radiance=radiance,
         image=to_numpy(linear_to_srgb(torch.from_numpy(radiance), white)),
@@ -227,7 +234,8 @@ def write_reconstruction(
 
     ``image.png`` (sRGB, 8 bit), ``image.exr`` (linear R, G, B), ``depth.exr`` (Z, metres), ``depth.png`` (colours and
     what they mean), ``volume.exr`` (channels ``plane00.R`` and so on, nearest first), ``reconstruction.json`` (``record``),
-    as far as there is something to write. An earlier reconstruction in the folder is replaced.
+    as far as there is something to write. Of clips, in place of the image, ``film.webp`` (an animation), ``film.png`` (its
+    frames side by side) and ``frames/image.0000.exr`` and so on. An earlier reconstruction in the folder is replaced.
 
     Raises:
         InputError: the folder holds other things.
@@ -237,10 +245,18 @@ def write_reconstruction(
 
     is_own_folder(folder, RECORD, "reconstruction", "--output")
     with committed_folder(folder) as place:
-        codes = np.round(np.moveaxis(result.image, 0, -1) * 255).astype(np.uint8)
-        write_atomic(place / "image.png", png_bytes(Image.fromarray(codes)))
-        channels = {name: np.ascontiguousarray(values) for name, values in zip("RGB", result.radiance, strict=True)}
-        write_exr(place / "image.exr", channels, {"white": result.white})
+        codes = np.round(np.moveaxis(result.image, -3, -1) * 255).astype(np.uint8)
+        if capture.timing is None:
+            write_atomic(place / "image.png", png_bytes(Image.fromarray(codes)))
+            _write_radiance(place / "image.exr", result.radiance, {"white": result.white})
+        else:
+            write_atomic(place / "film.png", png_bytes(Image.fromarray(np.concatenate(list(codes), axis=1))))
+            write_atomic(place / "film.webp", animation_webp([_enlarged(frame) for frame in codes]))
+            (place / "frames").mkdir()
+            edges_s = capture.timing.frame_edges_s
+            for number, radiance in enumerate(result.radiance):
+                about = {"white": result.white, "begins_s": edges_s[number], "ends_s": edges_s[number + 1]}
+                _write_radiance(place / "frames" / f"image.{number:04d}.exr", radiance, plain(about))
         if result.depth_m is not None:
             write_exr(place / "depth.exr", {"Z": result.depth_m}, {"unit": "m", "z": "from the mask plane"})
             near_m, far_m = capture.near_m, min(capture.far_m, FARTHEST_M)
@@ -258,13 +274,21 @@ def write_reconstruction(
     return files
 
 
+def _write_radiance(path: Path, radiance: NDArray[np.float32], about: dict[str, Any]) -> None:
+    write_exr(path, {name: np.ascontiguousarray(values) for name, values in zip("RGB", radiance, strict=True)}, about)
+
+
+def _enlarged(pixels: NDArray[np.uint8]) -> Image.Image:
+    """Return pixels as an image, small ones enlarged by a whole number."""
+    rows = len(pixels)
+    return drawing.resized(pixels, rows * max(1, -(-_LEAST_HEIGHT // rows)))
+
+
 def _depth_image(depth_m: NDArray[np.float32], near_m: float, far_m: float) -> bytes:
     """Return the depth in colours beside their legend, small ones enlarged by a whole number."""
     from PIL import Image, ImageDraw
 
-    rows = len(depth_m)
-    pixels = depth_colours(depth_m, np.ones_like(depth_m, dtype=bool), near_m, far_m)
-    shown = drawing.resized(pixels, rows * max(1, -(-_LEAST_HEIGHT // rows)))
+    shown = _enlarged(depth_colours(depth_m, np.ones_like(depth_m, dtype=bool), near_m, far_m))
     # As high as the image: the legend's grey, for where nothing was seen, has no meaning here and falls off the paper.
     paper = Image.new("RGB", (shown.width + LEGEND_WIDTH + _MARGIN, shown.height), PAPER)
     paper.paste(shown, (0, 0))

@@ -43,7 +43,7 @@ FORMULAS = {
 }
 _MOST_BYTES = 2 << 30  # of volumes that are kept
 # With all that they import, what makes a score of parameters and scenes.
-_DECIDING = ("learning.classical.method", "learning.data", "learning.metrics", "learning.tune.job")
+_DECIDING = ("learning.classical.by_name", "learning.data", "learning.metrics", "learning.tune.job")
 
 _LIMITS: dict[str, tuple[float, float]] = {
     "regularisation_lambda": (1e-7, 100.0),  # below float32's rounding; nothing but the mean brightness is left
@@ -95,6 +95,9 @@ def tune_file(
     white = measure_reference_white(open_dataset(config.resolve_path(data.train or data.validation), "train"))
     capture = capture_model(dataset, config.resolve_stack(data.stack), white=white)
     check_range(capture)
+    if len(capture.stack.depths_m) < 2 and config.objective != "image":
+        reason = f"got {config.objective}, but these PSFs are of one depth, which says nothing of others; take image"
+        raise InputError("objective", reason)
     methods = tunables(capture) if tunables else [classical(capture, name, config, device) for name in config.methods]
     score = Score(config.objective, _load(dataset, None, config.seed), capture)
     identity = {  # all that decides the score of given parameters
@@ -117,7 +120,7 @@ def tune_file(
         "scenes": data.scenes,
         "fewer_scenes_than_advised": data.scenes < FEWEST_SCENES,
         "objective": FORMULAS[config.objective],
-        "constant_guess": asdict(score.constant),
+        "constant_guess": score.constant.plain(),
         "device": config.device,
         "torch": torch.__version__,
     }
@@ -218,10 +221,17 @@ def limits(parameter: str, capture: CaptureModel) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Errors:
-    """Means over scenes, of the estimate within its ranges: PSNR of sRGB codes, and depth RMSE of valid pixels."""
+    """Means over scenes, of the estimate within its ranges: PSNR of sRGB codes, and depth RMSE of valid pixels.
+
+    The latter is NaN where the camera knows one depth.
+    """
 
     psnr_db: float
     depth_rmse_cm: float
+
+    def plain(self) -> dict[str, float | None]:
+        """Return the same for JSON, None for what is not finite."""
+        return {name: value if math.isfinite(value) else None for name, value in asdict(self).items()}
 
 
 class Score:
@@ -237,7 +247,8 @@ class Score:
         self.objective, self._capture = objective, capture
         self._truth, self._images = truth, linear_to_srgb(truth.radiance, capture.white)
         self._seen = truth.valid.flatten(1).any(dim=1)
-        constant_colour = self._images.mean(dim=(0, 2, 3), keepdim=True).expand_as(self._images)
+        all_but_colours = [dim for dim in range(self._images.ndim) if dim != self._images.ndim - 3]
+        constant_colour = self._images.mean(dim=all_but_colours, keepdim=True).expand_as(self._images)
         mean_m = truth.depth_m[truth.valid].double().mean().float()
         constant_depth = torch.as_tensor(capture.disparity(mean_m.expand_as(truth.depth_m)))
         self.constant = self.errors([Estimate(constant_colour, constant_depth)])
@@ -245,9 +256,11 @@ class Score:
     def errors(self, estimates: list[Estimate]) -> Errors:
         """Return the errors of estimates that follow each other as the scenes do; NaN where one holds NaN."""
         together = Estimate(*(torch.cat([values.cpu() for values in each]) for each in zip(*estimates, strict=True)))
-        estimate = together.clamped()
-        depth = depth_scores(estimate, self._truth, self._capture, self._truth.valid).depth_rmse_cm
-        return Errors(float(psnr(estimate.image, self._images).mean()), float(depth[self._seen].mean()))
+        estimate, depth_cm = together.clamped(), math.nan
+        if len(self._capture.stack.depths_m) > 1:
+            depth = depth_scores(estimate, self._truth, self._capture, self._truth.valid).depth_rmse_cm
+            depth_cm = float(depth[self._seen].mean())
+        return Errors(float(psnr(estimate.image, self._images).mean()), depth_cm)
 
     def __call__(self, errors: Errors) -> float:
         """Return the number to minimise; infinite where something is NaN."""
@@ -315,7 +328,7 @@ def tune(
                 "seconds": round(sum(t["volume_s"] + t["estimate_s"] for t in made), 3),
             }
             study.add_result(result)
-            say(in_words(result, asdict(score.constant)))
+            say(in_words(result, score.constant.plain()))
             before = [found.parameters]
 
 
@@ -369,13 +382,12 @@ class _Trials:
             errors = Errors(math.nan, math.nan)  # of parameters with which the iteration diverges
             if all(bool(torch.isfinite(volume).all()) for volume in self._volumes[key]):
                 errors = self._score.errors([method.estimate(volume) for volume in self._volumes[key]])
-        known = {name: value if math.isfinite(value) else None for name, value in asdict(errors).items()}
         return {
             "method": self._tunable.name,
             "noise_db": self._noise_db,
             "parameters": dict(parameters),
             "score": self._score(errors),
-            **known,
+            **errors.plain(),
             "volume_reused": reused,
             "volume_s": round(half - start, 4),
             "estimate_s": round(time.perf_counter() - half, 4),
@@ -384,10 +396,12 @@ class _Trials:
 
 def in_words(result: Mapping[str, Any], constant: Mapping[str, Any]) -> str:
     """Return a line about the result of a method at a level, beside the errors of the constant guess."""
+    depth = ""
+    if constant["depth_rmse_cm"] is not None:
+        depth = f", depth RMSE {_number(result['depth_rmse_cm'])} cm ({_number(constant['depth_rmse_cm'])})"
     return (
         f"{result['method']} at {result['noise_db']:g} dB: PSNR {_number(result['psnr_db'])} dB (constant guess "
-        f"{_number(constant['psnr_db'])}), depth RMSE {_number(result['depth_rmse_cm'])} cm "
-        f"({_number(constant['depth_rmse_cm'])}), score {result['score']:.4g} with {_parameters_and_remarks(result)}"
+        f"{_number(constant['psnr_db'])}){depth}, score {result['score']:.4g} with {_parameters_and_remarks(result)}"
     )
 
 

@@ -42,7 +42,24 @@ MODELS: dict[str, dict[str, Any]] = {
         "source": (
             "Sony IMX183 format (5472 x 3648 of 2.4 um); full well, noise, quantum efficiency and spectral response nominal"
         ),
-    }
+    },
+    "pco_edge_5_5": {
+        "pixel_pitch_m": 6.5e-6,
+        "physical_shape": (2160, 2560),
+        "full_well_e": 30000.0,
+        "read_noise_e": 1.5,
+        "row_noise_e": 0.3,
+        "dark_current_e_per_s": 5.0,
+        "dsnu_e": 1.0,
+        "prnu": 0.006,
+        "black_level_dn": 103.0,
+        "bit_depth": 16,
+        "peak_quantum_efficiency": 0.6,
+        "source": (
+            "pco.edge 5.5 format (2560 x 2160 of 6.5 um), 16 bit; dark level as published with rolling-shutter captures, "
+            "full well, noise, quantum efficiency and spectral response nominal"
+        ),
+    },
 }
 
 

@@ -16,6 +16,7 @@ from simulator.plots.drawing import (
     INK,
     LEGEND_WIDTH,
     PAPER,
+    animation_webp,
     depth_colours,
     depth_range,
     draw_depth_legend,
@@ -263,10 +264,9 @@ def _legends(scales: Scales, drawn: set[str]) -> list[tuple[int, Callable[[Any, 
     return legends
 
 
-ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
+ANIMATIONS = (".gif", ".webp")
 _LOOP_MS, _FASTEST_MS, _SLOWEST_MS = 2500, 50, 250
 _TICK_MS = 10  # of GIF
-_WEBP_QUALITY = 90
 
 
 def animation(clips: Sequence[Clip], captions: Sequence[str], title: str, suffix: str) -> bytes:
@@ -300,15 +300,10 @@ def animation(clips: Sequence[Clip], captions: Sequence[str], title: str, suffix
         drawn = {tile.name for cell in cells for tile in cell.tiles}
         line = f"{describe_scales(scales, drawn)}; {slower}"
         pages.append(draw_sheet(cells, title, line, scales, drawn))
-    stream = io.BytesIO()
-    if suffix == ".gif":
-        pages = _one_palette(pages)
-        options: dict[str, Any] = {"disposal": 1}
-    else:
-        options = {"quality": _WEBP_QUALITY, "method": 4}
-    pages[0].save(
-        stream, ANIMATIONS[suffix], save_all=True, append_images=pages[1:], duration=shown_ms, loop=0, **options
-    )
+    if suffix == ".webp":
+        return animation_webp(pages, shown_ms)
+    stream, (first, *others) = io.BytesIO(), _one_palette(pages)
+    first.save(stream, "GIF", save_all=True, append_images=others, duration=shown_ms, loop=0, disposal=1)
     return stream.getvalue()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -61,6 +61,14 @@ def png_bytes(image: Image.Image) -> bytes:
     """Return an image as PNG, without clock times: the same image gives the same bytes."""
     stream = io.BytesIO()
     image.save(stream, "PNG", optimize=True)
+    return stream.getvalue()
+
+
+def animation_webp(frames: Sequence[Image.Image], milliseconds: int = 200) -> bytes:
+    """Return images of one size as an endless animation; each is shown for so long."""
+    stream = io.BytesIO()
+    first, *others = frames
+    first.save(stream, "WEBP", save_all=True, append_images=others, duration=milliseconds, loop=0, quality=90, method=4)
     return stream.getvalue()
 
 

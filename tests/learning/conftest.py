@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.checkpoint import save_checkpoint
 from learning.config import TrainConfig
 from learning.models import build_network
+from learning.timing import Timing
+from simulator.camera.shutter import DualRollingShutter
 from simulator.dataset import open_dataset
 from simulator.optics.stack import PsfStack, depth_planes
 
@@ -53,7 +56,7 @@ class Patches:
             for values in (rgb, depth_m, valid)
         ]
         frames = moved[0].astype(np.float32), moved[1].astype(np.float32), moved[2]
-        return Clip(*frames, np.arange(self.frames + 1) * 2e-3, source={})
+        return Clip(*frames, np.arange(self.frames + 1) * 2e-3, source={"parity": index % 2})
 
 
 def patches(view, *, flat: bool = False, black: bool = False, frames: int = 1, speed: int = 0):
@@ -178,6 +181,15 @@ def tiny_capture() -> CaptureModel:
         scene_to_camera=np.array([[0.8, 0.2, 0.0], [0.1, 0.8, 0.1], [0.0, 0.3, 0.7]]),
         white=0.9,
     )
+
+
+@pytest.fixture(scope="session")
+def clip_capture(tiny_capture: CaptureModel) -> CaptureModel:
+    """The tiny camera with its middle plane alone, and a dual rolling shutter that tells 4 frames of 4 ms apart."""
+    stack = tiny_capture.stack
+    one = replace(stack, values=stack.values[1:2], depths_m=stack.depths_m[1:2])
+    shutter = DualRollingShutter(4e-3, 0.5e-3)  # the last of 24 pairs of rows closes after 15.5 ms
+    return replace(tiny_capture, stack=one, timing=Timing(shutter, np.arange(5) * 4e-3))
 
 
 @pytest.fixture

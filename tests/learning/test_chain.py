@@ -104,3 +104,61 @@ def test_generate_train_evaluate_reconstruct(
         # The same method by two commands, in float32: batches of two and of one; image.exr holds float32 radiance.
         assert psnr_db == pytest.approx(by_method[name]["psnr"]["mean"], rel=1e-4), name
         assert depth_cm == pytest.approx(by_method[name]["depth_rmse_cm"]["mean"], rel=1e-3), name
+
+
+@pytest.mark.slow
+def test_clips_from_generating_to_a_film(
+    learning_trial: Any, clip_settings: Any, flatlight: Any, tmp_path: Path, monkeypatch: Any
+) -> None:
+    """The same for clips: VideoNet, joint least squares and FISTA-TV, scored alike by two commands."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(learning_trial.trial, "generate", learning_trial.trial.write)
+    counts = {"train": 16, "validation": 4, "test": SCENES}
+    generation = learning_trial.generate(**clip_settings | {"dataset": clip_settings["dataset"] | counts})
+    code, _, err = flatlight("generate", generation)
+    assert code == 0, err
+    data = tmp_path / "out"
+    training = {"name": "VideoNet tiny", "output": "trained", "steps": STEPS, "batch": 4, "validate_every": STEPS // 2}
+    training |= {"data": {"train": str(data), "workers": 0, "augment": {}, "draws": 1, "cache": str(tmp_path / "kept")}}
+    training |= {"network": {"name": "videonet", "size": "tiny"}, "log_every": 5}
+    code, out, err = flatlight("train", write(tmp_path / "train.yaml", training))
+    assert code == 0, err
+    assert "of moving pixels" in out
+    checkpoint = tmp_path / "trained" / "best.safetensors"
+    evaluation = {
+        "name": "chain",
+        "output": "evaluated",
+        "data": {"test": str(data), "training": str(data)},
+        "methods": [
+            {"name": "VideoNet", "checkpoints": [str(checkpoint)]},
+            {"name": "joint", "classical": "joint", "parameters": {"iterations": 5}},
+            {"name": "FISTA", "classical": "fista", "parameters": {"iterations": 5}},
+        ],
+        "perceptual": "none",
+        "time": {"repeats": 1},
+        "figures": {"montage": 1},
+    }
+    code, out, err = flatlight("evaluate", write(tmp_path / "evaluate.yaml", evaluation))
+    assert code == 0, err
+    results = json.loads((tmp_path / "evaluated" / "results.json").read_text(encoding="utf-8"))
+    by_method = {one["method"]: one["scores"] for one in results["outcomes"]}
+    test = open_dataset(data, "test")
+    options = {
+        "VideoNet": ("videonet", ["--checkpoint", checkpoint]),
+        "joint": ("joint", ["--method", "joint", "--set", "iterations=5"]),
+        "FISTA": ("fista", ["--method", "fista", "--set", "iterations=5"]),
+    }
+    for name, (short, told) in options.items():
+        psnr = []
+        for scene in range(SCENES):
+            sample = test.folder(scene)
+            code, out, err = flatlight("reconstruct", sample, *told)
+            assert code == 0, err
+            frames = sorted((tmp_path / f"test_{sample.name}_{short}" / "frames").iterdir())
+            linear = np.stack([np.stack([read_exr(path)[0][c] for c in "RGB"], axis=-1) for path in frames])
+            truth = test[scene].rgb.reshape(4, 2, *linear.shape[1:]).mean(axis=1)
+            both = (torch.from_numpy(np.ascontiguousarray(values, np.float32)) for values in (linear, truth))
+            found, true = (linear_to_srgb(values, results["white"]).numpy().astype(np.float64) for values in both)
+            psnr.append(-10 * np.log10(np.mean((found - true) ** 2)))
+        # As of stills: float32, batches of two and of one
+        assert np.mean(psnr) == pytest.approx(by_method[name]["psnr"]["mean"], rel=1e-4), name

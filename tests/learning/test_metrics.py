@@ -17,10 +17,20 @@ from torch import Tensor
 from learning.camera import CaptureModel
 from learning.data import Example
 from learning.method import Estimate, linear_to_srgb
-from learning.metrics import DEFINITIONS, dark_mask, depth_scores, image_scores, measure, psnr
+from learning.metrics import (
+    DEFINITIONS,
+    dark_mask,
+    depth_scores,
+    image_scores,
+    measure,
+    moving_pixels,
+    psnr,
+    psnr_at,
+)
 from simulator.errors import InputError
 
 Pixels = NDArray[np.float32]
+OF_CLIPS = ("moving_psnr", "warping_error")
 
 
 @pytest.fixture
@@ -174,7 +184,7 @@ def test_a_perfect_estimate_is_perfect(batch: tuple[Estimate, Example], wide: Ca
     _, example = batch
     estimate = Estimate(linear_to_srgb(example.radiance, wide.white), wide.disparity(example.depth_m))
     for scores in measure(estimate, example, wide):
-        assert list(scores) == [name for name in DEFINITIONS if name not in ("lpips", "moving_psnr")]
+        assert list(scores) == [name for name in DEFINITIONS if name not in ("lpips", *OF_CLIPS)]
         assert scores["psnr"] == math.inf
         assert scores["linear_psnr"] > 130  # float32 through both curves
         assert scores["ssim"] == pytest.approx(1, abs=1e-12)
@@ -224,7 +234,7 @@ def test_lpips_is_a_score_of_each_scene(batch: tuple[Estimate, Example], wide: C
     expected = (estimate.image.clamp(0, 1) - linear_to_srgb(example.radiance, 0.9)).abs().mean(dim=(1, 2, 3))
     scores = measure(estimate, example, wide, lpips=distance)  # pyright: ignore[reportArgumentType]
     assert [scene["lpips"] for scene in scores] == expected.tolist()
-    assert list(scores[0]) == [name for name in DEFINITIONS if name != "moving_psnr"]
+    assert list(scores[0]) == [name for name in DEFINITIONS if name not in OF_CLIPS]
 
 
 def test_nonsense_is_refused(batch: tuple[Estimate, Example], wide: CaptureModel) -> None:
@@ -239,3 +249,122 @@ def test_nonsense_is_refused(batch: tuple[Estimate, Example], wide: CaptureModel
         measure(Estimate(*(v[..., :10] for v in estimate)), Example(*(v[..., :10] for v in example)), wide)
     with pytest.raises(InputError, match=r"^share: "):
         dark_mask(example, wide, 2)
+
+
+@pytest.fixture
+def clips(clip_capture: CaptureModel) -> tuple[Estimate, Example]:
+    """Three clips of four frames of 20 x 24 pixels: one moves in a window, one by less than counts, one not at all."""
+    rng = np.random.default_rng(6)
+    codes = np.repeat(rng.uniform(0.2, 0.8, (3, 1, 3, 20, 24)), 4, axis=1)
+    for frame in range(4):
+        codes[0, frame, :, 3:9, 4 : 6 + 2 * frame] = rng.uniform(0, 1, (3, 1, 1))
+        codes[1, frame, 1, 5:10, 5:10] += 0.08 * (-1) ** frame  # less than 0.1 from the mean
+    linear = np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
+    radiance = torch.from_numpy(linear * clip_capture.white).float()
+    depth = torch.full((3, 4, 1, 20, 24), 0.02)
+    example = Example(torch.zeros(3, 3, 48, 48), radiance, depth, torch.ones_like(depth, dtype=torch.bool))
+    found = torch.from_numpy(codes + rng.normal(0, 0.1, codes.shape)).float()
+    return Estimate(found, torch.zeros(3, 4, 1, 20, 24)), example
+
+
+def true_codes(example: Example, white: float) -> NDArray[np.float64]:
+    """Return sRGB codes by the standard's curve, in float64."""
+    linear = (example.radiance.numpy().astype(np.float64) / white).clip(0, 1)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+def test_psnr_of_clips_is_over_all_frames_and_over_moving_pixels(
+    clips: tuple[Estimate, Example], clip_capture: CaptureModel
+) -> None:
+    estimate, example = clips
+    scores, truth = measure(estimate, example, clip_capture), true_codes(example, clip_capture.white)
+    found = estimate.image.numpy().astype(np.float64).clip(0, 1)
+    assert len(scores) == 3
+    for clip, score in enumerate(scores):
+        # 1e-4 dB: codes are float32 there
+        assert score["psnr"] == pytest.approx(peak_signal_noise_ratio(truth[clip], found[clip], data_range=1), abs=1e-4)
+        linear = np.where(found[clip] <= 0.04045, found[clip] / 12.92, ((found[clip] + 0.055) / 1.055) ** 2.4)
+        true = (example.radiance[clip].numpy().astype(np.float64) / clip_capture.white).clip(0, 1)
+        assert score["linear_psnr"] == pytest.approx(peak_signal_noise_ratio(true, linear, data_range=1), abs=1e-4)
+    moves = np.zeros((20, 24), bool)
+    for row, column in np.ndindex(20, 24):
+        here = truth[0, :, :, row, column]
+        moves[row, column] = np.abs(here - here.mean(axis=0)).max() > 0.1
+    assert 10 < moves.sum() < 60
+    squares = (truth[0] - found[0])[:, :, moves] ** 2
+    assert scores[0]["moving_psnr"] == pytest.approx(-10 * np.log10(squares.mean()), abs=1e-4)
+    assert [math.isnan(score["moving_psnr"]) for score in scores] == [False, True, True]
+    mask = moving_pixels(torch.from_numpy(truth))
+    assert mask.shape == (3, 1, 1, 20, 24)
+    assert (mask[0, 0, 0].numpy() == moves).all()
+    assert not mask[1:].any()
+
+
+def test_a_clips_ssim_and_flip_are_means_of_its_frames(
+    clips: tuple[Estimate, Example], clip_capture: CaptureModel
+) -> None:
+    estimate, example = clips
+    scores, truth = measure(estimate, example, clip_capture), linear_to_srgb(example.radiance, clip_capture.white)
+    for clip, score in enumerate(scores):
+        frames = [
+            image_scores(*(each[clip, frame].permute(1, 2, 0).numpy() for each in (estimate.image.clamp(0, 1), truth)))
+            for frame in range(4)
+        ]
+        for name in ("ssim", "flip"):
+            assert score[name] == pytest.approx(sum(each[name] for each in frames) / 4, rel=1e-12)
+
+
+def test_a_clips_lpips_is_a_mean_of_its_frames(clips: tuple[Estimate, Example], clip_capture: CaptureModel) -> None:
+    """A stand-in that sees images of frames, clips one after the other."""
+
+    def distance(image: Tensor, truth: Tensor) -> Tensor:
+        assert image.shape == truth.shape == (12, 3, 20, 24)
+        return (image - truth).abs().mean(dim=(1, 2, 3))
+
+    estimate, example = clips
+    scores = measure(estimate, example, clip_capture, lpips=distance)  # pyright: ignore[reportArgumentType]
+    errors = np.abs(estimate.image.numpy().clip(0, 1) - true_codes(example, clip_capture.white))
+    # float32
+    assert [score["lpips"] for score in scores] == pytest.approx(errors.mean(axis=(1, 2, 3, 4)).tolist(), rel=1e-5)
+
+
+def test_one_plane_has_no_depth_to_be_scored(clips: tuple[Estimate, Example], clip_capture: CaptureModel) -> None:
+    for score in measure(*clips, clip_capture):
+        assert list(score) == ["psnr", "ssim", "linear_psnr", "flip", "moving_psnr"]
+
+
+def test_a_perfect_clip_and_one_that_is_wrong_where_it_moves(
+    clips: tuple[Estimate, Example], clip_capture: CaptureModel
+) -> None:
+    _, example = clips
+    truth = linear_to_srgb(example.radiance, clip_capture.white)
+    perfect = measure(Estimate(truth, torch.zeros_like(truth[:, :, :1])), example, clip_capture)[0]
+    assert perfect["psnr"] == perfect["moving_psnr"] == math.inf
+    # The mean over time, which a static method would give, costs more where things move than anywhere.
+    static = truth.mean(dim=1, keepdim=True).expand_as(truth)
+    score = measure(Estimate(static, torch.zeros_like(truth[:, :, :1])), example, clip_capture)[0]
+    assert score["moving_psnr"] < score["psnr"] - 5
+
+
+def test_psnr_at_counts_the_pixels_that_it_is_told() -> None:
+    rng = np.random.default_rng(1)
+    image, truth = (torch.from_numpy(rng.random((3, 4, 3, 5, 6))) for _ in range(2))
+    counted = torch.from_numpy(rng.random((3, 1, 1, 5, 6)) < 0.4)
+    counted[2] = False
+    found = psnr_at(image, truth, counted)
+    for clip in range(2):
+        squares = ((image[clip] - truth[clip]).numpy() ** 2)[..., counted[clip, 0, 0].numpy()]
+        assert found[clip].item() == pytest.approx(-10 * np.log10(squares.mean()), rel=1e-12)
+    assert math.isnan(found[2].item())
+    everywhere = torch.ones(1, 1, 1, 1, 1, dtype=torch.bool)
+    torch.testing.assert_close(psnr_at(image, truth, everywhere), psnr(image, truth), rtol=1e-12, atol=0)
+
+
+def test_clips_that_are_not_like_the_truth_are_refused(
+    clips: tuple[Estimate, Example], clip_capture: CaptureModel
+) -> None:
+    estimate, example = clips
+    with pytest.raises(InputError, match=r"^estimate\.image: "):
+        measure(Estimate(estimate.image[:, :3], estimate.disparity), example, clip_capture)
+    with pytest.raises(InputError, match=r"^estimate\.disparity: "):
+        measure(Estimate(estimate.image, estimate.disparity[:, :, 0]), example, clip_capture)

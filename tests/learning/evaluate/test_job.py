@@ -17,6 +17,7 @@ from PIL import Image
 
 from learning.camera import capture_model, measure_reference_white
 from learning.checkpoint import load_checkpoint, save_checkpoint
+from learning.classical.by_name import build_method
 from learning.classical.method import DEFAULTS, build_classical
 from learning.config import EvaluateConfig, load_file
 from learning.data import ExampleSet
@@ -70,6 +71,56 @@ def _results(tmp_path: Path) -> dict[str, Any]:
 
 def _psnr_db(measurement: np.ndarray, noiseless: np.ndarray) -> float:
     return 20 * np.log10(noiseless.max() / np.sqrt(np.mean((measurement - noiseless).astype(np.float64) ** 2)))
+
+
+def test_clips_are_judged_frame_by_frame_and_by_group(load: Load, tmp_path: Path, clip_dataset: Path) -> None:
+    """Two test clips of the tiny data set, by parity one each; depth has no part in it."""
+    config = load(
+        data={"test": str(clip_dataset), "training": str(clip_dataset), "scenes": 2},
+        methods=[
+            {"name": "joint", "classical": "joint", "parameters": {"iterations": 5}},
+            {"name": "static", "classical": "static", "parameters": {}},
+        ],
+        group_by="parity",
+        noise_db=[30],
+        figures={"montage": 1},
+    )
+    evaluation, files = evaluate(config)
+    found = evaluation.findings[""]
+    names = {path.name for path in files}
+    assert {"films.png", "films.webp", "report.md"} <= names
+    assert not names & {"montage.png", "depth.png"}
+    test = open_dataset(clip_dataset, "test")
+    capture = capture_model(test, white=found.camera.white)
+    truth = linear_to_srgb(torch.stack([ExampleSet(test)[n].radiance for n in range(2)]), capture.white).numpy()
+    measured = torch.stack([ExampleSet(test)[n].measurement for n in range(2)])
+    image = build_method(capture, "joint", {"iterations": 5}).reconstruct(measured).image.numpy().clip(0, 1)
+    psnr = -10 * np.log10(np.mean((image.astype(np.float64) - truth) ** 2, axis=(1, 2, 3, 4)))
+    row = next(one for one in found.main if one.method == "joint")
+    assert row.values["psnr"][0] == pytest.approx(psnr, rel=1e-4)  # float32, in batches
+    assert "depth_rmse_cm" not in row.scores
+    assert "moving_psnr" in row.scores
+    for parity in range(2):
+        group = {one.method: one for one in found.groups[f"parity: {parity}"]}
+        assert group["joint"].scores["psnr"].mean == pytest.approx(psnr[parity], rel=1e-4)
+        assert {"black", "mean film"} < set(group)
+    text = (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
+    for words in ("4 slivers", "one plane at 5 cm", "## Parity: 0", "moving PSNR dB", "films.webp"):
+        assert words in text
+    assert "epth RMSE" not in text
+
+
+def test_a_word_that_no_scene_has_and_methods_of_the_other_kind_are_refused(load: Load, clip_dataset: Path) -> None:
+    data = {"test": str(clip_dataset), "training": str(clip_dataset), "scenes": 2}
+    joint = [{"name": "joint", "classical": "joint", "parameters": {"iterations": 1}}]
+    with pytest.raises(InputError, match=r"^group_by: .*parity"):
+        evaluate(load(data=data, methods=joint, group_by="colour"))
+    with pytest.raises(InputError, match=r"^CLS: .*clips"):
+        evaluate(load(data=data, methods=[{"name": "CLS", "classical": "cls", "parameters": {}}]))
+    with pytest.raises(InputError, match=r"^joint: .*stills"):
+        evaluate(load(methods=joint))
+    with pytest.raises(InputError, match=r"^FlatNet3D: .*(clips|stills)"):
+        evaluate(load(data=data))
 
 
 @pytest.mark.usefixtures("no_figures")

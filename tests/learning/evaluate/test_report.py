@@ -22,17 +22,25 @@ class _Test(SimpleNamespace):
         return 3
 
 
-def _conditions(psf: dict[str, Any], *methods: tuple[str, int, tuple[float, float]]) -> str:
+def _conditions(psf: dict[str, Any], *methods: tuple[str, int, tuple[float, float]], timing: Any = None) -> str:
     test = _Test(info=SimpleNamespace(config={"psf": psf}), split="test", fingerprint="f" * 64)
     config = SimpleNamespace(data=SimpleNamespace(stack="own"))
     about = [{"name": name, "planes": planes, "depth_range_m": limits} for name, planes, limits in methods]
-    return report.conditions(cast("Findings", SimpleNamespace(test=test, config=config, stored_db=40.0, methods=about)))
+    parts = {"test": test, "config": config, "stored_db": 40.0, "methods": about}
+    return report.conditions(cast("Findings", SimpleNamespace(**parts, camera=SimpleNamespace(timing=timing))))
 
 
 def test_depths_of_the_scenes_are_counted_where_they_are_listed() -> None:
     assert "PSFs exact at 25 depths" in _conditions({"model": "exact", "depths": 25}, ("A", 8, RANGE))
     listed = {"model": "exact", "depths": None, "depths_cm": [4, 8, 16]}
     assert "PSFs exact at 3 depths" in _conditions(listed, ("A", 8, RANGE))
+
+
+def test_slivers_and_the_one_plane_are_said_of_clips() -> None:
+    timing = SimpleNamespace(frames=10, frame_edges_s=[0.0, 0.02])
+    told = _conditions({"model": "exact", "depths": 5}, ("A", 1, (0.3, 0.3)), timing=timing)
+    assert "PSFs exact at 5 depths, 10 slivers of a capture of 20 ms" in told
+    assert told.endswith("their own PSFs: one plane at 30 cm.")
 
 
 def test_planes_and_range_are_said_of_each_method_where_they_differ() -> None:

@@ -77,6 +77,7 @@ class Changed:
 
     def __init__(self, examples: ExampleSet, change: Callable[[Example], Example]) -> None:
         self.dataset, self._examples, self._change = examples.dataset, examples, change
+        self.timing = examples.timing
 
     def __len__(self) -> int:
         return len(self._examples)

@@ -18,7 +18,9 @@ from learning.config import (
     SwapConfig,
     TrainConfig,
     TuneConfig,
+    VideoTrainConfig,
     load_file,
+    training_kind,
 )
 from learning.presets import preset_texts
 from scenes.endoscopy.organs import ORGANS
@@ -30,7 +32,7 @@ from simulator.presets import preset_names, preset_text
 def test_preset(name: str, tmp_path: Path) -> None:
     text = preset_texts()[name]
     denoiser = name.startswith("denoiser")
-    config = load_file(DenoiserConfig if denoiser else TrainConfig, _written(name, tmp_path))
+    config = load_file(DenoiserConfig if denoiser else training_kind, _written(name, tmp_path))
     assert text.startswith("# ")
     assert f"flatlight {'train-denoiser' if denoiser else 'train'} FILE" in text
     assert config.output == f"out/{name}"
@@ -111,6 +113,35 @@ def test_the_commands_at_its_head_make_the_data_that_it_reads(tmp_path: Path) ->
     assert made[0].psf.as_captured is not None  # pyright: ignore[reportAttributeAccessIssue]
     assert (made[1].psf.model, made[1].psf.depths) == ("exact", 25)  # pyright: ignore[reportAttributeAccessIssue]
     assert (made[1].dataset.train, made[1].dataset.validation, made[1].dataset.test) == (0, 0, 240)
+
+
+def test_the_evaluation_of_clips_reads_what_training_and_tuning_write(tmp_path: Path) -> None:
+    config = load_file(EvaluateConfig, _written("evaluate_video_64", tmp_path))
+    training = load_file(VideoTrainConfig, _written("videonet_64", tmp_path))
+    tuning = load_file(TuneConfig, _written("tune_video_64", tmp_path))
+    network, *rivals = config.methods
+    outputs = [training.output, *(f"{training.output}_seed{seed}" for seed in (1, 2))]
+    assert network.checkpoints == [f"{output}/best.safetensors" for output in outputs]
+    assert {rival.classical for rival in rivals} == set(tuning.methods)
+    assert {rival.tuned for rival in rivals} == {str(tuning.output)}
+    assert (config.noise_db, tuning.objective) == (tuning.noise_db, "image")
+    known, test = _made("evaluate_video_64", "high_speed_64", tmp_path)
+    assert str(known.dataset.output) == config.data.training == training.data.train == str(tuning.data.validation)
+    assert str(test.dataset.output) == config.data.test
+    assert (test.psf.model, test.psf.depths) == ("exact", 5)  # pyright: ignore[reportAttributeAccessIssue]
+    assert (test.dataset.train, test.dataset.validation, test.dataset.test) == (0, 0, 128)
+    assert known.dataset.ground_truth == test.dataset.ground_truth == "frames"  # to be re-simulated; for motion
+    assert test.render.outputs == ("motion",)
+
+
+def test_the_thesis_s_network_learns_from_clips_of_its_sizes_on_one_plane(tmp_path: Path) -> None:
+    config = load_file(VideoTrainConfig, _written("videonet_thesis", tmp_path))
+    (made,) = _made("videonet_thesis", "video_thesis", tmp_path)
+    assert str(made.dataset.output) == config.data.train
+    assert made.psf.depths_cm == (30.0,)  # pyright: ignore[reportAttributeAccessIssue]
+    assert config.loss.model_dump()["intensity"] == "mse"
+    weights = [getattr(config.loss, f"{name}_weight") for name in ("measurement", "intensity", "perceptual")]
+    assert weights == [1, 5, 0.1]
 
 
 def test_three_organs_are_judged_through_psfs_and_in_scenes_that_are_new(tmp_path: Path) -> None:

@@ -15,13 +15,15 @@ from PIL import Image
 from learning import checkpoint as checkpoint_module
 from learning.camera import CaptureModel, capture_model, measure_reference_white, plain_capture, typical_white
 from learning.checkpoint import load_checkpoint, save_checkpoint
+from learning.classical.by_name import build_method
 from learning.classical.method import DEFAULTS, ConstrainedLeastSquares, PlanarMethod, build_classical
+from learning.method import srgb_to_linear
 from learning.models import build_network
 from learning.models.flatnet import LearnedMethod
 from learning.reconstruct import job
 from learning.reconstruct.choice import Request, choose_method
 from learning.reconstruct.inputs import load_measurement
-from learning.reconstruct.job import reconstruct, write_reconstruction
+from learning.reconstruct.job import Options, reconstruct, reconstruct_file, write_reconstruction
 from learning.tune.study import Study
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
@@ -159,6 +161,32 @@ def test_the_shipped_checkpoint_that_fits_is_taken(
     assert named.endswith("flatnet2d.safetensors")
     with pytest.raises(InputError, match="s00000002: "):
         choose_method(load_measurement(sample, binning=2), Request())
+
+
+def test_a_clip_gives_frames_and_an_animation(clip_dataset: Path, tmp_path: Path) -> None:
+    """The frames of the method, each with its time; an image of all frames, and one that moves."""
+    dataset = open_dataset(clip_dataset, "test")
+    folder = tmp_path / "out"
+    options = Options(measurement=dataset.folder(0), method="joint", parameters={"iterations": 3}, output=folder)
+    assert "4 frames of 16 x 16" in reconstruct_file(options)
+    white = measure_reference_white(open_dataset(clip_dataset, "train"))
+    method = build_method(capture_model(dataset, white=white), "joint", {"iterations": 3})
+    codes = method.reconstruct(torch.from_numpy(dataset[0].measurement[None])).image
+    expected = srgb_to_linear(codes, white, clip=False)[0].numpy()
+    for number in range(4):
+        planes, about = read_exr(folder / "frames" / f"image.{number:04d}.exr")
+        # float32; codes of dark noise below zero go through the curve's straight end
+        for name, plane in zip("RGB", expected[number], strict=True):
+            np.testing.assert_allclose(planes[name], plane, atol=1e-5 * white)
+        assert [about["begins_s"], about["ends_s"]] == pytest.approx([number * 4e-3, (number + 1) * 4e-3])
+    assert Image.open(folder / "film.png").size == (64, 16)
+    with Image.open(folder / "film.webp") as film:
+        assert film.n_frames == 4
+    assert not (folder / "image.png").exists()
+    with pytest.raises(InputError, match=r"^--method: "):
+        reconstruct_file(Options(measurement=dataset.folder(0), method="cls", output=tmp_path / "cls"))
+    with pytest.raises(InputError, match=r"^volume: "):
+        reconstruct_file(Options(measurement=dataset.folder(0), method="joint", volume=True, output=tmp_path / "v"))
 
 
 def test_a_small_measurement_has_one_thread(sample: Path, tmp_path: Path, monkeypatch: Any) -> None:

@@ -178,3 +178,23 @@ def _rows(windows, binning=1):
 def test_senseless_shutters_are_refused(make, words):
     with pytest.raises(InputError, match=words):
         make()
+
+
+def test_the_dual_shutter_is_the_published_indicator_averaged_in_pairs() -> None:
+    """Antipa et al., Video from Stills, ICCP 2019, section 3: whether a row is open at a time, sampled finely.
+
+    Rows are read from both edges to the middle, and binned in pairs. A sample of 0.1 us may be on the wrong side of a
+    window's edge: of a frame of 220 us, at most 4 in 2200.
+    """
+    line_us, exposure_us, rows = 27.52, 1320.0, 40
+    edges_us = np.linspace(0, 19 * line_us + exposure_us, 9)
+    shutter = DualRollingShutter(exposure_us * 1e-6, line_us * 1e-6, binning=2)
+    times_us = np.arange(0.05, edges_us[-1], 0.1)
+    expected = np.zeros((8, rows // 2))
+    for row in range(rows):
+        begins = line_us * min(row, rows - 1 - row)
+        indicator = (times_us >= begins) & (times_us < begins + exposure_us)
+        for frame in range(8):
+            inside = (times_us >= edges_us[frame]) & (times_us < edges_us[frame + 1])
+            expected[frame, row // 2] += indicator[inside].mean() / 2
+    np.testing.assert_allclose(shutter.weights(rows // 2, edges_us * 1e-6), expected, atol=4 / 2200)

@@ -50,15 +50,16 @@ def test_a_preset_says_what_it_is_and_how_to_use_it(preset: Path) -> None:
 @pytest.mark.parametrize("preset", WITH_MASKS, indirect=True)
 def test_the_whole_psf_and_scene_fit_the_sensor(preset: Path) -> None:
     """Along its longer side the sensor takes in what a mask casts from the picture's edges at the nearest depth."""
-    config = load_config(preset, COARSE_MASK)
+    config = load_config(preset, [] if preset.stem == "rolling_diffusercam" else COARSE_MASK)
     view = Assembly(config).view
     assert config.camera.mask is not None
     cast_m = config.camera.mask.params["width_mm"] * 1e-3 * (1 + view.distance_m / view.near_m)
     needed = cast_m / view.pixel_pitch_m + view.shape[1]
     assert needed <= config.camera.sensor.shape[1] * 1.001
     wide = np.degrees(2 * np.arctan(view.tan_half_width))
-    # As wide as the default camera; 160 pixels of 19.2 um at 1.9 mm see 78 degrees.
-    assert 77 < wide < 79 if preset.stem in THESIS else 60 < wide < 70
+    # As wide as the default camera; 160 pixels of 19.2 um at 1.9 mm see 78 degrees, 128 of 52 um at 10 mm 37 degrees.
+    least = {**dict.fromkeys(THESIS, 77), "rolling_diffusercam": 36}.get(preset.stem, 60)
+    assert least < wide < least + (10 if least == 60 else 2)
 
 
 @pytest.mark.parametrize("preset", CLIPS, indirect=True)
@@ -76,6 +77,23 @@ def test_the_shutter_takes_in_the_whole_clip_and_its_slivers_come_out_even(prese
     if preset.stem in THESIS:
         assert sizes == {"frames": params["frames"], "size": config.scene.size, "shape": config.camera.sensor.shape}
         assert config.camera.noise.std == 0.005  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize("preset", ["rolling_diffusercam"], indirect=True)
+def test_the_published_shutter_reads_all_of_its_sensor(preset: Path) -> None:
+    """2160 rows, 27.52 us per pair, 1320 us open, dark level 103: 140 frames at 4500 per second (Antipa et al. 2019)."""
+    config = load_config(preset)
+    shutter, rows = Assembly(config).shutter, config.camera.sensor.shape[0]
+    windows = shutter.physical_windows_s(2160)
+    assert rows * shutter.binning == 2160
+    assert windows[[0, 1, 1079, 1080, 2159], 0] == pytest.approx([0, 27.52e-6, 1079 * 27.52e-6, 1079 * 27.52e-6, 0])
+    assert np.ptp(windows, axis=1) == pytest.approx(np.full(2160, 1320e-6))
+    params = config.scene.params
+    assert params["frames"] == 140
+    assert params["frames_per_second"] == pytest.approx(4500, rel=0.01)
+    assert check_parameters(params, shutter, rows, config.dataset)
+    assert config.dataset.slivers == shutter.separable_frames(rows) == 20
+    assert Assembly(config).sensor.black_level_dn == 103
 
 
 @pytest.mark.parametrize("preset", SMALL, indirect=True)

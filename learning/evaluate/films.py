@@ -1,0 +1,72 @@
+"""Films side by side: the frames of a clip as the truth and every method have them, as a sheet and as an animation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.plots.drawing import INK, PAPER, animation_webp, fitted, font, png_bytes, resized
+
+_TILE, _GAP, _WORDS, _HEAD, _NAMES, _MARGIN = 72, 4, 16, 48, 190, 10  # pixels
+_ANIMATED = 160
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Frames ``(N, h, w, 3)`` in sRGB codes 0..1, of a method or the truth, and a few words."""
+
+    name: str
+    frames: NDArray[np.floating]
+    words: str = ""
+
+
+def film_sheet_png(clips: Sequence[Sequence[Film]], title: str, line: str) -> bytes:
+    """Return a sheet: for each clip a row per method, the truth first, whose columns are the frames."""
+    from PIL import Image, ImageDraw
+
+    frames, rows, columns = clips[0][0].frames.shape[:3]
+    height = max(_TILE // rows, 1) * rows
+    width = max(1, round(columns * height / rows))
+    block = sum(height + _GAP for _ in clips[0]) + 2 * _WORDS
+    across = max(_NAMES + frames * (width + _GAP) + _MARGIN, round(font(15).getlength(title)) + 2 * _MARGIN)
+    across = max(across, round(font(12).getlength(line)) + 2 * _MARGIN)
+    sheet = Image.new("RGB", (across, _HEAD + len(clips) * block + _MARGIN), PAPER)
+    draw = ImageDraw.Draw(sheet)
+    draw.text((_MARGIN, 8), title, fill=INK, font=font(15))
+    draw.text((_MARGIN, 28), line, fill=INK, font=font(12))
+    for number, films in enumerate(clips):
+        top = _HEAD + number * block + _WORDS
+        for row, film in enumerate(films):
+            y = top + row * (height + _GAP)
+            draw.text((_MARGIN, y + 4), fitted(film.name, 12, _NAMES - 2 * _MARGIN), fill=INK, font=font(12))
+            draw.text((_MARGIN, y + 22), fitted(film.words, 11, _NAMES - 2 * _MARGIN), fill=INK, font=font(11))
+            for at, frame in enumerate(film.frames):
+                sheet.paste(resized(_codes(frame), height), (_NAMES + at * (width + _GAP), y))
+    return png_bytes(sheet)
+
+
+def film_webp(films: Sequence[Film]) -> bytes:
+    """Return an animation of one clip: the methods side by side under their names, frame after frame."""
+    from PIL import Image, ImageDraw
+
+    rows, columns = films[0].frames.shape[1:3]
+    height = max(_ANIMATED // rows, 1) * rows
+    width = max(1, round(columns * height / rows))
+    pictures = []
+    for number in range(len(films[0].frames)):
+        size = (_MARGIN + len(films) * (width + _MARGIN), height + 2 * _MARGIN + _WORDS)
+        picture = Image.new("RGB", size, PAPER)
+        draw = ImageDraw.Draw(picture)
+        for at, film in enumerate(films):
+            x = _MARGIN + at * (width + _MARGIN)
+            draw.text((x, 4), fitted(film.name, 12, width), fill=INK, font=font(12))
+            picture.paste(resized(_codes(film.frames[number]), height), (x, _WORDS + _MARGIN))
+        pictures.append(picture)
+    return animation_webp(pictures)
+
+
+def _codes(frame: NDArray[np.floating]) -> NDArray[np.uint8]:
+    return np.round(np.clip(frame, 0, 1) * 255).astype(np.uint8)

@@ -1,0 +1,43 @@
+"""Films side by side: every frame of every method is where it belongs."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from learning.evaluate.films import Film, film_sheet_png, film_webp
+
+
+def films(names: int, frames: int = 3) -> list[Film]:
+    """Return films whose frames are of one grey each, all different."""
+    grey = np.arange(names * frames).reshape(names, frames) / (names * frames)
+    shape = (frames, 16, 16, 3)
+    return [Film(f"method {n}", np.broadcast_to(grey[n][:, None, None, None], shape), "words") for n in range(names)]
+
+
+def test_the_sheet_has_a_row_per_method_and_a_column_per_frame() -> None:
+    clips = [films(2), films(2)]
+    sheet = np.asarray(Image.open(io.BytesIO(film_sheet_png(clips, "title", "line"))).convert("L")).astype(int)
+    middles = []
+    for grey in np.round(np.arange(6) / 6 * 255).astype(int):
+        rows, columns = np.nonzero(sheet == grey)
+        assert len(rows) >= 2 * 64 * 64  # in both clips, enlarged to 64 pixels
+        assert np.ptp(np.percentile(columns, [10, 90])) < 64  # words have a few such greys, too
+        middles.append((np.median(columns), np.percentile(rows, 10)))
+    across, down = zip(*middles, strict=True)
+    assert sorted(across[:3]) == list(across[:3])  # frames from left to right
+    assert across[3:] == pytest.approx(across[:3], abs=1)
+    assert max(down[:3]) < min(down[3:])  # methods from top to bottom
+
+
+def test_the_animation_has_every_frame_of_every_method() -> None:
+    with Image.open(io.BytesIO(film_webp(films(2)))) as animation:
+        assert animation.n_frames == 3
+        for number in range(3):
+            animation.seek(number)
+            page = np.asarray(animation.convert("L")).astype(int)
+            for value in (number / 6, (number + 3) / 6):
+                assert np.count_nonzero(np.abs(page - round(value * 255)) <= 3) > 0.9 * 160 * 160
