@@ -1,4 +1,4 @@
-"""Seconds per scene and stage of the FlatNets and the classical methods, in one run on one device.
+"""Seconds per scene and stage of the networks and the classical methods, of stills or clips, in one run on one device.
 
     uv run --extra learn python benchmarks/reconstruct.py DATASET [--tuned tuned.json] [--device cuda] [--repeats 7]
 
@@ -16,18 +16,33 @@ from pathlib import Path
 import torch
 import yaml
 
-from learning.camera import capture_model, measure_reference_white
-from learning.classical.method import DEFAULTS, build_classical
+from learning.camera import CaptureModel, capture_model, measure_reference_white
+from learning.classical.by_name import ALL_DEFAULTS, build_method
+from learning.classical.clips import CLIP_DEFAULTS
+from learning.classical.method import DEFAULTS
 from learning.evaluate.scoring import take_times
 from learning.method import Method, describe_device
-from learning.models import build_network
-from learning.models.flatnet import LearnedMethod
+from learning.models import build_network, build_videonet, learned_method
 from learning.presets import preset_texts
 from learning.tune.study import load_tuned
 from simulator.dataset import open_dataset
 
-REFERENCE = "FlatNet3D"
-PRESETS = {REFERENCE: "flatnet3d_64", "FlatNet3D refined": "flatnet3d_refined_64", "FlatNet2D": "flatnet2d_64"}
+PRESETS = {"FlatNet3D": "flatnet3d_64", "FlatNet3D refined": "flatnet3d_refined_64", "FlatNet2D": "flatnet2d_64"}
+VIDEONETS = {
+    "VideoNet": {},
+    "VideoNet from slivers": {"initial_estimate": "slivers", "measnet": True, "refinements": 0},
+    "VideoNet 3D": {"dimensions": 3},
+}
+
+
+def networks(capture: CaptureModel, size: str, device: torch.device) -> list[Method]:
+    """Return the networks for a camera of stills or clips, with random weights; the first one is what all compare with."""
+    if capture.timing is not None:
+        built = {name: build_videonet(capture, size, **changes) for name, changes in VIDEONETS.items()}
+    else:
+        keys = {name: yaml.safe_load(preset_texts()[preset])["network"] for name, preset in PRESETS.items()}
+        built = {name: build_network(capture, **own | {"size": size}) for name, own in keys.items()}
+    return [learned_method(name, network.to(device), capture) for name, network in built.items()]
 
 
 def main() -> None:
@@ -43,25 +58,24 @@ def main() -> None:
     device = torch.device(chosen.device)
     train = open_dataset(chosen.dataset, "train")
     capture = capture_model(train, white=measure_reference_white(train))
-    methods: list[Method] = []
-    for name, preset in PRESETS.items():
-        keys = yaml.safe_load(preset_texts()[preset])["network"] | {"size": chosen.size}
-        methods.append(LearnedMethod(name, build_network(capture, **keys).to(device), capture))
-    for name in ("cls", "admm", "pnp"):
-        parameters, where = DEFAULTS[name], "by default"
+    methods = networks(capture, chosen.size, device)
+    for name in DEFAULTS if capture.timing is None else CLIP_DEFAULTS:
+        parameters, where = ALL_DEFAULTS[name], "by default"
         if chosen.tuned is not None:
             parameters, level = load_tuned(chosen.tuned).parameters(name, chosen.noise_db)
             where = f"tuned at {level:g} dB"
         print(f"{name}, {where}: {parameters}")
-        methods.append(build_classical(capture, name, parameters).to(device))
+        methods.append(build_method(capture, name, parameters).to(device))
     scenes = range(min(len(train), chosen.repeats + 1))
     measurements = torch.stack([torch.from_numpy(train.stored(scene).measurement()[0]) for scene in scenes]).to(device)
     times = take_times(methods, measurements, chosen.repeats)
-    reference = next(each.total for each in times if each.method == REFERENCE)
+    reference = times[0].total
     print(f"{describe_device(device)}; medians of {chosen.repeats} scenes, ms")
     for each in times:
         stages = ", ".join(f"{stage} {1e3 * seconds:.1f}" for stage, seconds in each.stages.items())
-        print(f"{each.method:<32} {1e3 * each.total:8.1f}  {each.total / reference:6.2f} x {REFERENCE}   ({stages})")
+        print(
+            f"{each.method:<32} {1e3 * each.total:8.1f}  {each.total / reference:6.2f} x {times[0].method}   ({stages})"
+        )
 
 
 if __name__ == "__main__":

@@ -138,7 +138,7 @@ Scene = Option(help="ROWSxCOLUMNS of the result where no data set or network set
 def reconstruct(
     measurement: Annotated[Path, Sample],
     checkpoint: Annotated[str | None, Network] = None,
-    method: Annotated[str | None, Option(help="a classical method instead: cls, admm or pnp")] = None,
+    method: Annotated[str | None, Option(help="a classical method instead: cls, admm or pnp; of clips e.g. joint or fista")] = None,
     stack: Annotated[str | None, Stack] = None,
     tuned: Annotated[Path | None, Option(help="its parameters: what `flatlight tune` wrote")] = None,
     noise_db: Annotated[float | None, Option(help="PSNR of the measurement, to choose tuned parameters")] = None,
@@ -158,7 +158,7 @@ def reconstruct(
     white: Annotated[float | None, Option(help="radiance shown as white in image.png; default: from the image")] = None,
     device: Annotated[str, Option(help="auto, cpu or cuda")] = "auto",
 ) -> None:
-    """Reconstruct image and depth from one measurement, by a network or a classical method."""
+    """Reconstruct image and depth, or the frames of a clip, from one measurement, by a network or a classical method."""
     given = locals()  # an option of the command is a field of Options, but for the two that are parsed
     from learning.reconstruct.job import Options, parse_changes, parse_size, reconstruct_file
 

@@ -84,7 +84,7 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
         except InputError as error:
             refused.append(f"{name}: {error}")
     reasons = "; ".join(refused) or "none is shipped"
-    cure = "Give --checkpoint FILE of a network for this camera, or --method cls, admm or pnp with --stack, its PSFs"
+    cure = "Give --checkpoint FILE of a network for this camera, or --method (joint for clips) with --stack, its PSFs"
     raise InputError(measurement.path, f"no shipped checkpoint fits ({reasons}). {cure}")
 
 
