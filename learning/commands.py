@@ -138,7 +138,7 @@ Scene = Option(help="ROWSxCOLUMNS of the result where no data set or network set
 def reconstruct(
     measurement: Annotated[Path, Sample],
     checkpoint: Annotated[str | None, Network] = None,
-    method: Annotated[str | None, Option(help="a classical method instead: cls, admm or pnp; of clips e.g. joint or fista")] = None,
+    method: Annotated[str | None, Option(help="a classical method: cls, admm or pnp; of clips joint, fista")] = None,
     stack: Annotated[str | None, Stack] = None,
     tuned: Annotated[Path | None, Option(help="its parameters: what `flatlight tune` wrote")] = None,
     noise_db: Annotated[float | None, Option(help="PSNR of the measurement, to choose tuned parameters")] = None,

@@ -35,8 +35,8 @@ from learning.config import (
 from learning.evaluate.job import CACHE, evaluate, find_perceptual
 from learning.evaluate.methods import check_learned
 from learning.evaluate.outcome import SCORES, Outcome
-from learning.evaluate.paired import COMPARED, EXPLAINED, compare
-from learning.evaluate.report import OWN_FILES, Evaluation, is_claimed
+from learning.evaluate.paired import EXPLAINED, compare
+from learning.evaluate.report import OWN_FILES, Evaluation, compared_scores, is_claimed
 from learning.evaluate.tables import markdown, markdown_differences, markdown_verdicts
 from learning.method import Progress, Say, choose_device
 from learning.resume import BEST
@@ -291,7 +291,7 @@ def _table(evaluation: Evaluation, merits: Mapping[str, Candidate]) -> list[list
     exposed = [found.test.info.exposure["pilot_shares"] for found in sets.values()]
     for title, key in (("Values saturated", "saturated"), ("Values below the noise", "below_noise")):
         table.append([title, *(share(one[key]) for one in exposed)])
-    for score in COMPARED:
+    for score in compared_scores(next(iter(sets.values())).main):
         title, digits, more = SCORES[score]
         title += " ↑" if more else " ↓"
 
@@ -330,7 +330,7 @@ def _write(folder: Path, evaluation: Evaluation, merits: Mapping[str, Candidate]
             for at, method in enumerate(evaluation.config.methods)
         }
         parts += ["## Paired differences", f"Of masks, by the same method. {EXPLAINED}", markdown_verdicts(differences)]
-        parts += [markdown_differences(score, differences) for score in COMPARED]
+        parts += [markdown_differences(score, differences) for score in compared_scores(found.main)]
     with storage_errors(folder):
         write_atomic(folder / PAGE, comparison_html(candidates).encode())
         write_atomic(folder / REPORT, ("\n\n".join(parts) + "\n").encode())

@@ -17,6 +17,7 @@ from simulator.dataset.sample import StoredSample, sample_folder, sample_index
 from simulator.errors import InputError
 from simulator.text import show
 
+_MOST_FRAMES = 2000  # a number that somebody else wrote decides how much memory a reader takes
 _ALIKE = 1e-6  # of a capture's time: forgives times that were written with few digits
 
 
@@ -66,6 +67,8 @@ class Timing:
         if edges_s.ndim != 1 or len(edges_s) < 2 or not (np.isfinite(edges_s).all() and (np.diff(edges_s) > 0).all()):
             got = show(given.get("frame_edges_s"))
             raise InputError("frame_edges_s", f"got {got}, expected at least two increasing times")
+        if len(edges_s) > _MOST_FRAMES + 1:
+            raise InputError("frame_edges_s", f"got {len(edges_s) - 1} frames, expected at most {_MOST_FRAMES}")
         return cls(shutter_from_record(given.get("shutter")), edges_s)
 
     def check_same(self, known: Timing, rows: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 from typing import Any
 
@@ -74,13 +75,13 @@ class VideoTraining(Training[ClipExample]):
         assert isinstance(network, VideoNet)
         cache = find_cache(dataset, config, self._say)
         augment = config.data.augment if dataset.split == "train" else None
-        # The clips that are kept are the same for all seeds, which then differ in weights and order.
-        seed = 0 if augment is not None and config.data.draws else config.seed
+        # The clips that are kept are the same for all seeds, which then differ in weights and order; so are those as stored.
+        kept, stored = augment is not None and config.data.draws, augment is None and config.data.noise_db is None
+        seed = 0 if kept or stored else config.seed
         examples = ExampleSet(dataset, noise_db=config.data.noise_db, augment=augment, seed=seed, cache=cache)
         identity = {"seed": seed, "augment": augment and vars(augment), "noise_db": config.data.noise_db}
         identity |= {"stack": self._capture.stack.fingerprint, "white": self._capture.white}
         identity |= {"start": network.joint and network.joint.told}
-        # A copy on the CPU, without weights: workers work it out.
         begin = _Begin(network)
         return ClipExamples(
             examples,
@@ -97,8 +98,9 @@ class VideoTraining(Training[ClipExample]):
         return Film(film.image.float(), film.measured.float())
 
     def _losses(self, film: Film, example: ClipExample) -> dict[str, Tensor]:
-        offset = self._network.inversion.offset
-        measured = example.measured - offset if example.measured.numel() else example.measured
+        measured = example.measured  # brought to rows exposed alike, as MeasNet's are
+        if measured.numel():
+            measured = self._network.inversion.light(measured)
         return self._loss(film, linear_to_srgb(example.radiance, self._capture.white), measured)
 
     def _terms(self, wrapped: nn.Module, example: ClipExample) -> dict[str, Tensor]:
@@ -146,10 +148,12 @@ class VideoTraining(Training[ClipExample]):
 
 
 class _Begin:
-    """What a network begins with, without the network: for the processes that read examples."""
+    """What a network begins with, without the network, which may be on a GPU: for the processes that read examples."""
 
     def __init__(self, network: VideoNet) -> None:
-        self._joint = network.joint
+        self._joint = copy.deepcopy(network.joint)
+        if self._joint is not None:
+            self._joint.cpu()
 
     def __call__(self, measurement: Tensor) -> Tensor | None:
         return None if self._joint is None else self._joint(measurement)

@@ -48,8 +48,8 @@ class ClipDataConfig(DataConfig):
     """What is learned from clips."""
 
     draws: Annotated[int, Range(0, 1000)] = 4
-    """how many times each clip is changed and re-simulated; these are kept in the cache, with the joint estimate, which takes
-    longest. 0: anew for every example"""
+    """how many times each clip is changed, re-simulated and given other noise; these are kept in the cache, with the joint
+    estimate, which takes longest. 0: anew for every example"""
 
 
 class NetworkConfig(Section):

@@ -276,7 +276,7 @@ def how(evaluation: Evaluation) -> str:
     )
 
 
-def _compared(rows: Iterable[Outcome]) -> list[str]:
+def compared_scores(rows: Iterable[Outcome]) -> list[str]:
     """Return the scores that are compared, as far as they were measured."""
     known = {score for one in rows for score in one.scores}
     return [score for score in COMPARED if score in known]
@@ -372,11 +372,14 @@ def _report(evaluation: Evaluation) -> str:
     several = "" not in evaluation.findings
     rows = [one for found in evaluation.findings.values() for one in found.main]
     if several:
-        parts += ["## All data sets", *(markdown_matrix(score, evaluation.side_by_side) for score in _compared(rows))]
+        parts += [
+            "## All data sets",
+            *(markdown_matrix(score, evaluation.side_by_side) for score in compared_scores(rows)),
+        ]
         parts += [how(evaluation)]
         if evaluation.differences:
             parts += ["## Paired differences on all data sets", EXPLAINED, markdown_verdicts(evaluation.differences)]
-            parts += [markdown_differences(score, evaluation.differences) for score in _compared(rows)]
+            parts += [markdown_differences(score, evaluation.differences) for score in compared_scores(rows)]
     for name, found in evaluation.findings.items():
         heading = "###" if several else "##"
         parts += [f"## {name}" if several else "", *_sections(found, evaluation, name, heading)]
@@ -420,11 +423,11 @@ def _sections(findings: Findings, evaluation: Evaluation, name: str, heading: st
             notes.setdefault((one.method, one.note), []).append(f"{one.noise_db:g}")
         lines = [f"- {method} at {', '.join(levels)} dB: {note}" for (method, note), levels in notes.items()]
         elsewhere = any(one.tuned_elsewhere for one in ablation)
-        tables = [markdown_matrix(score, findings.levels) for score in _compared(rows)]
+        tables = [markdown_matrix(score, findings.levels) for score in compared_scores(rows)]
         parts += [f"{heading} Noise", on_part, *tables, _TUNED_ELSEWHERE if elsewhere else "", "\n".join(lines)]
         parts += [shown("scores against noise", NOISE), "Small dots are single seeds."]
     if findings.differences:
-        tables = [markdown_differences(score, findings.differences) for score in _compared(rows)]
+        tables = [markdown_differences(score, findings.differences) for score in compared_scores(rows)]
         words = ["" if name else EXPLAINED, f"At further levels: {on_part.lower()}" if findings.part < whole else ""]
         parts += [f"{heading} Paired differences", *words, markdown_verdicts(findings.differences), *tables]
     if any(one.bins_cm for one in rows):
@@ -433,7 +436,7 @@ def _sections(findings: Findings, evaluation: Evaluation, name: str, heading: st
     if compared:
         stacks = findings.config.data.compare_stacks
         columns = {f"{stack} PSFs": [one for one in compared if one.stack == stack] for stack in stacks}
-        tables = [markdown_matrix(score, columns) for score in _compared(rows)]
+        tables = [markdown_matrix(score, columns) for score in compared_scores(rows)]
         parts += [f"{heading} Which PSFs are assumed", on_part, *tables, _WHISKERS, shown("scores by PSFs", STACKS)]
     if findings.times:
         words = (

@@ -86,8 +86,8 @@ class ClipProblem(nn.Module):
         return self.scale.new_zeros((frames, planes, batch, *rest))
 
     def _operator(self, reference: Tensor) -> SpaceTime:
-        if self._model is None or self._model[0] != reference.device:
-            self._model = reference.device, self._capture.space_time(reference)
+        if self._model is None or self._model[0] != (reference.device, reference.dtype):
+            self._model = (reference.device, reference.dtype), self._capture.space_time(reference)
         return self._model[1]
 
 

@@ -19,11 +19,14 @@ from learning.checkpoint import (
     find_checkpoint,
     load_checkpoint,
     plane_mixing,
+    read_camera,
     save_checkpoint,
     transfer,
 )
 from learning.models import SIZES, LearnedMethod, build_network
 from learning.models.flatnet import Inverted
+from learning.models.videonet import VIDEO_SIZES, build_videonet
+from learning.timing import Timing
 from simulator.errors import InputError
 from simulator.io.files import StorageError
 from simulator.optics.stack import depth_planes
@@ -487,3 +490,122 @@ def test_refuses_other_channels(tiny_capture):
     stack = replace(tiny_capture.stack, channels=("A", "B", "C"))
     with pytest.raises(InputError, match=r"^checkpoint: "):
         transfer(build_network(replace(tiny_capture, stack=stack), "flatnet3d", "tiny"), trained(tiny_capture))
+
+
+VIDEO = {"network": "videonet", "size": "tiny", "filters": 4, "joint_iterations": 3}
+
+
+@pytest.fixture
+def video_path(tmp_path, clip_capture):
+    """A VideoNet for a camera whose rows are open for unlike times."""
+    exposure = np.linspace(0.5, 1.5, 48)
+    capture = replace(clip_capture, row_exposure=exposure)
+    torch.manual_seed(3)
+    network = build_videonet(capture, "tiny", filters=4, joint_iterations=3)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter += 0.1 * torch.randn_like(parameter)
+    path = tmp_path / "video.safetensors"
+    save_checkpoint(path, network.eval(), architecture=VIDEO, capture=capture, record=RECORD)
+    return path, network, capture
+
+
+def test_a_videonet_comes_back_with_its_times(video_path):
+    path, network, capture = video_path
+    checkpoint = load_checkpoint(path, network="videonet")
+    assert checkpoint.architecture == VIDEO_SIZES["tiny"] | VIDEO
+    back = checkpoint.capture
+    assert back.timing.shutter == capture.timing.shutter
+    np.testing.assert_array_equal(back.timing.frame_edges_s, capture.timing.frame_edges_s, strict=True)
+    np.testing.assert_array_equal(back.row_exposure, capture.row_exposure, strict=True)
+    np.testing.assert_array_equal(back.row_weights, capture.row_weights, strict=True)
+    np.testing.assert_array_equal(read_camera(path).row_weights, capture.row_weights, strict=True)
+    assert not checkpoint.network.training
+    measurement = torch.rand(2, 3, 48, 48)
+    with torch.no_grad():
+        wanted, got = network(measurement), checkpoint.network(measurement)
+    assert torch.equal(got.image, wanted.image)
+    assert torch.equal(got.measured, wanted.measured)
+
+
+def test_stills_have_no_times(path):
+    back = load_checkpoint(path).capture
+    assert back.timing is None
+    assert back.row_exposure is None
+
+
+def test_a_videonet_for_another_camera_of_the_same_times(video_path, clip_capture):
+    path, network, _ = video_path
+    other = replace(clip_capture, gain=7.0, timing=Timing.from_record(clip_capture.timing.record()))
+    checkpoint = load_checkpoint(path, capture=other)
+    assert checkpoint.capture is other
+    for (key, value), mine in zip(checkpoint.network.state_dict().items(), network.state_dict().values(), strict=True):
+        assert torch.equal(value, mine), key
+
+
+def test_a_videonet_for_other_times_is_refused_by_file_and_key(video_path, tiny_capture, clip_capture):
+    path, _, capture = video_path
+    known = capture.timing
+    others = {
+        "slivers": Timing(known.shutter, np.linspace(0, 16e-3, 9)),
+        "frame_edges_s": Timing(known.shutter, known.frame_edges_s * 1.01),
+        "shutter": Timing(replace(known.shutter, order="centre_out"), known.frame_edges_s),
+    }
+    for key, timing in others.items():
+        with pytest.raises(InputError, match=rf"video\.safetensors: {key}: "):
+            load_checkpoint(path, capture=replace(clip_capture, timing=timing))
+    with pytest.raises(InputError, match=r"video\.safetensors: .*clips.*stills"):
+        load_checkpoint(path, capture=replace(clip_capture, timing=None))
+    with pytest.raises(InputError, match=r"video\.safetensors: "):
+        load_checkpoint(path, network="flatnet3d")
+
+
+def test_a_flatnet_for_clips_is_refused(path, tiny_capture, clip_capture):
+    with pytest.raises(InputError, match=r"flatnet\.safetensors: .*stills.*clips"):
+        load_checkpoint(path, capture=replace(tiny_capture, timing=clip_capture.timing))
+
+
+@pytest.mark.parametrize(
+    "timing",
+    [
+        "soon",
+        [],
+        {},
+        {"frame_edges_s": [0, 1]},
+        {"shutter": {"type": "dual_rolling"}, "frame_edges_s": [0, 0.004, 0.008, 0.012, 0.016]},
+        {"shutter": {"type": "global", "exposure_s": 0.01, "binning": 1}, "frame_edges_s": [0.02, 0.01]},
+        {"shutter": {"type": "global", "exposure_s": 0.01, "binning": 1}, "frame_edges_s": {"a": 1}},
+        # Frames that end before the shutter closes
+        {"shutter": {"type": "global", "exposure_s": 0.01, "binning": 1}, "frame_edges_s": [0, 1e-3, 2e-3, 3e-3, 4e-3]},
+        {"shutter": {"type": "windows", "table_s": [[0, 1]], "binning": 1}, "frame_edges_s": [0, 1, 2, 3, 4]},
+    ],
+)
+def test_damaged_times_are_refused(video_path, timing):
+    path, *_ = video_path
+    with pytest.raises(InputError, match=r"video\.safetensors: "):
+        load_checkpoint(rewritten(path, lambda content: content["camera"].update(timing=timing)))
+
+
+def test_a_videonet_without_times_is_refused(video_path):
+    path, *_ = video_path
+    with pytest.raises(InputError, match=r"video\.safetensors: "):
+        load_checkpoint(rewritten(path, lambda content: content["camera"].pop("timing")))
+
+
+def test_a_videonet_of_another_architecture_is_refused_before_it_is_written(video_path, tmp_path):
+    path, network, capture = video_path
+    before = path.read_bytes()
+    for architecture, key in (
+        (VIDEO | {"filters": 8}, "architecture"),
+        (VIDEO | {"size": "huge"}, "size"),
+        ({"network": "flatnet3d", "size": "tiny"}, "capture"),
+    ):
+        with pytest.raises(InputError, match=rf"^{key}: "):
+            save_checkpoint(path, network, architecture=architecture, capture=capture, record={})
+    assert path.read_bytes() == before
+
+
+def test_a_videonet_is_nothing_for_a_flatnet_to_begin_with(video_path, tiny_capture):
+    path, *_ = video_path
+    with pytest.raises(InputError, match=r"video\.safetensors: "):
+        transfer(build_network(tiny_capture, "flatnet2d", "tiny"), load_checkpoint(path))

@@ -118,7 +118,7 @@ def test_a_method_for_other_times_is_refused_by_what_differs() -> None:
                 one.check_same(two, ROWS)
 
 
-def test_a_data_set_says_its_times(clip_dataset: Path, tiny_dataset: Path) -> None:
+def test_a_data_set_says_its_times(clip_dataset: Path) -> None:
     """8 frames of 2 ms in 4 slivers; a capture of 48 x 8 rows in pairs, 4 ms each, 60 us apart."""
     for split in ("train", "validation"):
         timing = recorded_timing(open_dataset(clip_dataset, split))
@@ -127,12 +127,9 @@ def test_a_data_set_says_its_times(clip_dataset: Path, tiny_dataset: Path) -> No
         opens_s = np.minimum(np.arange(384), np.arange(384)[::-1]) * 60e-6
         windows = np.stack([opens_s, opens_s + 4e-3], axis=-1).reshape(48, 8, 2)
         np.testing.assert_allclose(timing.shutter.windows_s(48), windows, rtol=1e-12)
-    stills = open_dataset(tiny_dataset, "train")
-    assert recorded_timing(stills) is None
-    assert sample_timing(stills, stills.stored(3)) is None
 
 
-def test_an_empty_split_has_the_times_of_the_others(clip_dataset: Path, tiny_dataset: Path, tmp_path: Path) -> None:
+def test_an_empty_split_has_the_times_of_the_others(clip_dataset: Path, tmp_path: Path) -> None:
     root = tmp_path / "copy"
     shutil.copytree(clip_dataset, root)
     lines = (root / MANIFEST).read_text().splitlines(keepends=True)
@@ -145,10 +142,16 @@ def test_an_empty_split_has_the_times_of_the_others(clip_dataset: Path, tiny_dat
     (root / MANIFEST).write_text("")
     with pytest.raises(InputError, match="copy: "):
         recorded_timing(open_dataset(root, "train"))
-    stills = tmp_path / "stills"
-    shutil.copytree(tiny_dataset, stills)
-    (stills / MANIFEST).write_text("")
-    assert recorded_timing(open_dataset(stills, "train")) is None
+
+
+def test_stills_have_no_times(learning_trial: Any) -> None:
+    """Nor has a data set of stills of which no sample is there yet."""
+    counts = {"train": 1, "validation": 0, "test": 0}
+    stills = open_dataset(learning_trial.generate(dataset=counts, psf={"as_captured": None}), "train")
+    assert recorded_timing(stills) is None
+    assert sample_timing(stills, stills.stored(0)) is None
+    (stills.root / MANIFEST).write_text("")
+    assert recorded_timing(open_dataset(stills.root, "train")) is None
 
 
 def seen(capture: CaptureModel, film: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from learning.camera import CaptureModel
+from learning.layers import space_time
 from learning.layers.noise import noise_level
 from learning.layers.space_time import JOINT, ClipProblem, JointLeastSquares
 from learning.timing import Timing
@@ -228,8 +229,12 @@ def test_a_few_steps_explain_most_of_a_capture(film_camera: Any) -> None:
 
 
 @pytest.mark.parametrize("uneven", [False, True])
-def test_captures_of_a_batch_do_not_know_of_each_other(film_camera: Any, uneven: bool) -> None:
+@pytest.mark.parametrize("at_once", [1, 3])  # as on a CPU, and as on a GPU
+def test_captures_of_a_batch_do_not_know_of_each_other(
+    film_camera: Any, at_once: int, uneven: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also where one is ten times as bright, and where one is dark."""
+    monkeypatch.setattr(space_time, "samples_at_once", lambda *_: at_once)
     capture = film_camera(margin=1, uneven=uneven)
     method = JointLeastSquares(capture, **dict(JOINT) | {"iterations": 4})
     drawn = np.random.default_rng(3).random((3, 2, *SENSOR)) * np.array([1.0, 0.1, 0.0])[:, None, None, None]

@@ -174,6 +174,68 @@ def test_torch_equals_numpy_and_gradients_are_the_adjoint(name):
     assert float((values.grad * values.detach()).sum()) == pytest.approx(np.vdot(image, found.detach().numpy()))
 
 
+@pytest.mark.parametrize("name", ["global", "dual", "rows"])
+@pytest.mark.parametrize("batch", [(), (1,), (3,), (2, 2)], ids=str)
+@pytest.mark.parametrize("kind", ["numpy", "torch"])
+def test_volumes_of_a_batch_are_those_of_each(name, batch, kind):
+    """``(T, K, ..., C, h, w)`` and back, NumPy and torch, against one call for each; and against direct convolution."""
+    shutter, stack = SHUTTERS[name], _stack()
+    edges = _edges(shutter)
+    rng = np.random.default_rng(2)
+    volume = rng.uniform(size=(len(edges) - 1, 3, *batch, 3, *SCENE))
+    volume[0] = 0  # a dark frame, and one that shines in one sample only
+    volume[1].reshape(3, -1, 3, *SCENE)[:, 1:] = 0
+    image = rng.normal(size=(*batch, 3, *SENSOR))
+    single = ForwardModel(stack, SENSOR, SCENE, shutter)
+    if kind == "torch":
+        torch = pytest.importorskip("torch")
+        tensors = replace(stack, values=torch.from_numpy(stack.values))
+        model = ForwardModel(tensors, SENSOR, SCENE, shutter)
+        light = torch.from_numpy(volume).requires_grad_()
+        seen, back = model.forward(light, edges), model.adjoint(torch.from_numpy(image), edges)
+        seen.backward(torch.from_numpy(image))
+        np.testing.assert_allclose(light.grad.numpy(), back.numpy(), atol=1e-12 * np.abs(back.numpy()).max())
+        seen, back = seen.detach().numpy(), back.numpy()
+    else:
+        given = volume.copy()
+        seen, back = single.forward(volume, edges), single.adjoint(image, edges)
+        np.testing.assert_array_equal(volume, given)  # sums are made elsewhere
+    assert seen.shape == (*batch, 3, *SENSOR)
+    assert back.shape == volume.shape
+    for at in np.ndindex(*batch):
+        one = volume[(slice(None), slice(None), *at)]
+        reference = single.forward(one, edges)
+        np.testing.assert_allclose(seen[at], reference, atol=1e-13 * reference.max())
+        reference = single.adjoint(image[at], edges)
+        np.testing.assert_allclose(
+            back[(slice(None), slice(None), *at)], reference, atol=1e-13 * np.abs(reference).max()
+        )
+    last = tuple(size - 1 for size in batch)
+    reference = _double_sum(stack, shutter, volume[(slice(None), slice(None), *last)], edges)
+    np.testing.assert_allclose(seen[last], reference, atol=1e-13 * reference.max())
+
+
+def test_a_batch_in_the_dark_is_dark():
+    stack, edges = _stack(), _edges(SHUTTERS["dual"])
+    seen = ForwardModel(stack, SENSOR, SCENE, SHUTTERS["dual"]).forward(
+        np.zeros((len(edges) - 1, 3, 2, 3, *SCENE)), edges
+    )
+    assert seen.shape == (2, 3, *SENSOR)
+    assert not seen.any()
+
+
+def test_volumes_and_images_of_other_shapes_are_refused():
+    stack, edges = _stack(), _edges(SHUTTERS["dual"])
+    model = ForwardModel(stack, SENSOR, SCENE, SHUTTERS["dual"])
+    frames = len(edges) - 1
+    for shape in ((frames, 3, *SCENE), (frames, 2, 3, *SCENE), (frames, 3, 2, 2, *SCENE), (frames, 3, 3, 8, 10)):
+        with pytest.raises(InputError, match=r"^volume: "):
+            model.forward(np.zeros(shape), edges)
+    for shape in (SENSOR, (2, 2, *SENSOR), (3, 18, 24)):
+        with pytest.raises(InputError, match=r"^image: "):
+            model.adjoint(np.zeros(shape), edges)
+
+
 @shutters
 def test_a_clip_is_the_volume_of_its_planes(shutter):
     """forward_clip builds lazily what forward takes whole; frames after the shutter has closed change nothing."""
