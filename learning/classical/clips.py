@@ -1,7 +1,8 @@
 """Classical methods for clips by name, with their parameters: from one capture to the frames that it saw.
 
 The two linear ones that know nothing of motion are here; `learning.layers.space_time` has the joint least squares,
-`learning.classical.fista` total variation.
+`learning.classical.fista` total variation, `learning.classical.clip_prior` a denoiser of frames. Two fit a network to each
+capture, which takes minutes to hours: `learning.classical.untrained`, `learning.classical.neural_space_time`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,11 @@ import torch
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
+from learning.checkpoint import DENOISER, find_denoiser, load_denoiser
+from learning.classical.clip_prior import ClipPlugAndPlay
 from learning.classical.fista import FistaTv
+from learning.classical.neural_space_time import NeuralSpaceTime
+from learning.classical.untrained import UntrainedNetwork
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.padding import check_measurement
 from learning.layers.space_time import JOINT, JointLeastSquares
@@ -29,6 +34,35 @@ CLIP_DEFAULTS: dict[str, dict[str, Value]] = {
     "slivers": {"regularisation_lambda": 10.0, "tikhonov": 10.0},
     "joint": JOINT,
     "fista": {"tv": 0.01, "tv_over_time": 1.0, "iterations": 200, "prox": "exact", "inner": 4, "start": "joint"},
+    "pnp_clips": {
+        "denoiser": DENOISER,
+        "prior": 2.0,
+        "level_first": 0.2,
+        "level_last": 0.02,
+        "over_time": 1.0,
+        "iterations": 24,
+        "inner": 4,
+    },
+    "udn": {
+        "iterations": 2000,
+        "seed": 0,
+        "learning_rate": 1e-3,
+        "input_noise": 0.05,
+        "tv": 1e-20,
+        "filters": 128,
+        "levels": 5,
+    },
+    "nstm": {
+        "iterations": 2000,
+        "seed": 0,
+        "scene_rate": 1e-2,
+        "motion_rate": 1e-3,
+        "scene_cells": 0.6,
+        "motion_cells": 0.1,
+        "motion_cells_over_time": 1.0,
+        "coarse": 0.8,
+        "width": 64,
+    },
 }
 CLIP_SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
     "static": {"regularisation_lambda": (0.1, 0.3, 1.0, 3.0), "tikhonov": (0.3, 1.0, 3.0, 10.0)},
@@ -46,12 +80,25 @@ CLIP_SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
         "tv_over_time": (0.3, 1.0, 3.0),
         "iterations": (50, 100, 200, 400),
     },
+    "pnp_clips": {
+        "prior": (0.5, 1.0, 2.0, 4.0),
+        "level_first": (0.1, 0.2, 0.4),
+        "level_last": (0.01, 0.02, 0.04),
+        "over_time": (0.5, 1.0, 2.0),
+        "iterations": (12, 24, 48),
+        "inner": (2, 4, 8),
+    },
+    "udn": {"learning_rate": (3e-4, 1e-3, 3e-3)},
+    "nstm": {"scene_cells": (0.3, 0.6, 1.2), "scene_rate": (3e-3, 1e-2, 3e-2), "motion_rate": (1e-4, 1e-3, 1e-2)},
 }
 _LABELS = {
     "static": "static inversion, repeated",
     "slivers": "zero-filled slivers, inverted",
     "joint": "joint least squares",
     "fista": "FISTA-TV",
+    "pnp_clips": "plug-and-play over frames",
+    "udn": "untrained network (UDN)",
+    "nstm": "neural space-time model",
 }
 
 
@@ -98,11 +145,20 @@ def _fista(capture: CaptureModel, *, start: str, **parameters: Any) -> FistaTv:
     return FistaTv(capture, start=JointLeastSquares(capture, **first) if start == "joint" else None, **parameters)
 
 
+def _plug_and_play(capture: CaptureModel, *, denoiser: str, **parameters: Any) -> ClipPlugAndPlay:
+    prior, _ = load_denoiser(find_denoiser(denoiser))
+    first: dict[str, Any] = dict(JOINT)
+    return ClipPlugAndPlay(capture, denoiser=prior, start=JointLeastSquares(capture, **first), **parameters)
+
+
 _FILMS: dict[str, Callable[..., nn.Module]] = {
     "static": StaticInversion,
     "slivers": SliverInversion,
     "joint": JointLeastSquares,
     "fista": _fista,
+    "pnp_clips": _plug_and_play,
+    "udn": UntrainedNetwork,
+    "nstm": NeuralSpaceTime,
 }
 
 

@@ -62,7 +62,7 @@ class TuneConfig(FileSection):
     methods: list[Classical] = Field(default_factory=lambda: ["cls", "admm"], min_length=1)
     """classical methods"""
     denoiser: str = "denoiser"
-    """prior of pnp: a file of `flatlight train-denoiser`, or denoiser, the shipped one"""
+    """prior of pnp and pnp_clips: a file of `flatlight train-denoiser`, or denoiser, the shipped one"""
     noise_db: list[Decibels | Literal["stored"]] = Field(default_factory=lambda: [20.0, 30.0, 40.0, 50.0], min_length=1)
     """PSNR of the measurements, decibels, each tuned by itself; stored takes them with the noise that they have"""
     objective: Literal["both", "image", "depth"] = "both"
@@ -76,8 +76,8 @@ class TuneConfig(FileSection):
 
     @model_validator(mode="after")
     def _check_methods(self) -> TuneConfig:
-        if self.denoiser != "denoiser" and "pnp" not in self.methods:
-            text = f"only pnp has one; methods: {', '.join(self.methods)}"
+        if self.denoiser != "denoiser" and not {"pnp", "pnp_clips"}.intersection(self.methods):
+            text = f"only pnp and pnp_clips have one; methods: {', '.join(self.methods)}"
             raise refusal(text, "denoiser", on_key=True)
         for key in ("methods", "noise_db"):
             if len(set(values := getattr(self, key))) < len(values):

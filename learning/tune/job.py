@@ -113,7 +113,7 @@ def tune_file(
         "version": __version__,
         "code": code_digest(*_DECIDING),
     }
-    if "pnp" in config.methods:
+    if any(DENOISER in ALL_DEFAULTS[name] for name in config.methods):
         identity["denoiser"] = sha256_file(find_denoiser(config.denoiser, resolve=config.resolve_path))
     about = {
         "config": config.dump(),

@@ -1,0 +1,139 @@
+"""The untrained network: what its fits explain, what they follow from, and what they leave alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from learning.camera import CaptureModel
+from learning.classical.untrained import SkipNetwork, UntrainedNetwork
+from learning.layers.space_time import ClipProblem
+from learning.method import torch_threads
+from simulator.errors import InputError
+
+SMALL: dict[str, Any] = {"filters": 32, "learning_rate": 1e-2}
+NOISE = 0.03  # over the greatest value
+
+
+@pytest.fixture(scope="module")
+def capture(clip_capture: CaptureModel) -> CaptureModel:
+    """The tiny camera of clips with points that reach the whole sensor, and light from one pixel around the image."""
+    values, rng = np.zeros((1, 3, 81, 81), np.float32), np.random.default_rng(5)
+    values[:, :, rng.integers(0, 81, 90), rng.integers(0, 81, 90)] = 1
+    capture = clip_capture.with_stack(replace(clip_capture.stack, values=values))
+    return replace(capture, irradiance=np.pad(capture.irradiance, 1, mode="edge"))
+
+
+@pytest.fixture(scope="module")
+def film() -> Tensor:
+    """Return ``(1, 4, 1, 3, 16, 16)``: a coloured square that moves two pixels per frame before a dim wall."""
+    made = torch.full((1, 4, 1, 3, 16, 16), 0.1)
+    for frame in range(4):
+        made[0, frame, 0, :, 5:10, 2 * frame + 2 : 2 * frame + 7] = torch.tensor([0.9, 0.5, 0.7])[:, None, None]
+    return made
+
+
+def measure(capture: CaptureModel, film: Tensor, noise: float = NOISE) -> Tensor:
+    """Return the measurement ``(1, C, H, W)`` of a film."""
+    problem = ClipProblem(capture)
+    clean = problem(problem.light(film)) / problem.scale
+    drawn = torch.from_numpy(np.random.default_rng(4).standard_normal(clean.shape)).to(clean)
+    return clean + problem.offset + noise * clean.max() * drawn
+
+
+def test_explains_a_capture_down_to_its_noise_and_finds_the_film(capture: CaptureModel, film: Tensor) -> None:
+    method, given = UntrainedNetwork(capture, iterations=150, **SMALL), measure(capture, film)
+    with torch_threads(1):
+        fit = method.fit(given)
+    problem = method.problem
+    clean = problem(problem.light(film)) / problem.scale
+    noise = float((NOISE * clean.max() * problem.scale).square().mean().sqrt())
+    assert fit.residual < 1.15 * noise < 0.5 * fit.curve[0]
+    assert fit.film.shape == (1, 4, 3, 16, 16)
+    assert float(fit.film.min()) >= 0
+    wanted = film[:, :, 0]
+    still = wanted.mean(dim=1, keepdim=True).expand_as(wanted)
+    errors = [float((each - wanted).square().mean().sqrt()) for each in (fit.film, still)]
+    assert errors[0] < 0.6 * errors[1]  # no picture that stands still is nearer
+
+
+def test_an_interrupted_fit_goes_on_bit_for_bit(capture: CaptureModel, film: Tensor, tmp_path: Path) -> None:
+    """With the network's own drawing of noise; torch's generator is left alone, and seeds decide."""
+    given, method = measure(capture, film), UntrainedNetwork(capture, iterations=6, **SMALL)
+
+    def stop(done: int, total: int) -> None:
+        if done == 3:
+            raise KeyboardInterrupt
+
+    before = torch.get_rng_state()
+    with torch_threads(1):
+        whole = method.fit(given)
+        with pytest.raises(KeyboardInterrupt):
+            method.fit(given, state=tmp_path / "state.pt", save_every=3, progress=stop)
+        rest = method.fit(given, state=tmp_path / "state.pt")
+        other = UntrainedNetwork(capture, iterations=6, seed=1, **SMALL).fit(given)
+    assert torch.equal(torch.get_rng_state(), before)
+    assert torch.equal(whole.film, rest.film)
+    assert whole.curve == rest.curve
+    assert not torch.allclose(other.film, whole.film, rtol=1e-3)
+
+
+@pytest.mark.usefixtures("double")
+def test_a_capture_twice_as_bright_is_a_film_twice_as_bright(capture: CaptureModel, film: Tensor) -> None:
+    """Adam does not see the unit of the misfit; in float64, as it makes more of rounding from step to step."""
+    method = UntrainedNetwork(capture, iterations=5, **SMALL)
+    offset = method.problem.offset
+    given = measure(capture, film)
+    once, twice = (method.fit(offset + gain * (given - offset)).film for gain in (1.0, 2.0))
+    torch.testing.assert_close(twice, 2 * once, rtol=1e-6, atol=0)
+
+
+def test_noise_on_the_input_and_total_variation_have_their_effect(capture: CaptureModel, film: Tensor) -> None:
+    given = measure(capture, film)
+    settings: dict[str, Any] = {"iterations": 20, **SMALL}
+    plain, flat = (UntrainedNetwork(capture, tv=tv, **settings).fit(given).film for tv in (0.0, 1.0))
+    assert float(torch.diff(flat, dim=-1).abs().mean()) < 0.5 * float(torch.diff(plain, dim=-1).abs().mean())
+    usual = UntrainedNetwork(capture, **settings).fit(given).film
+    torch.testing.assert_close(usual, plain, rtol=1e-3, atol=1e-5)  # 1e-20 is too little to matter
+    steady = UntrainedNetwork(capture, input_noise=0.0, **settings).fit(given).film
+    assert not torch.allclose(steady, plain, rtol=1e-3)
+
+
+def test_the_network_is_that_of_the_notebook() -> None:
+    """The weights of each level, counted by hand, and any size of image."""
+    network = SkipNetwork((10, 1, 3), filters=128, levels=5)
+    norm = 2 * 128
+
+    def conv(inputs: int, outputs: int, side: int) -> int:
+        return inputs * outputs * side**2 + outputs
+
+    for source, skips, down, up in zip((10, *[128] * 4), network.skips, network.down, network.up, strict=True):
+        assert sum(each.numel() for each in skips.parameters()) == conv(source, 4, 1) + 2 * 4
+        wanted = conv(source, 128, 3) + norm + conv(128, 128, 3) + norm
+        assert sum(each.numel() for each in down.parameters()) == wanted
+        wanted = 2 * 132 + conv(132, 128, 3) + norm + conv(128, 128, 1) + norm
+        assert sum(each.numel() for each in up.parameters()) == wanted
+    assert network.inputs == 10
+    assert network(torch.rand(1, 10, 72, 41)).shape == (1, 30, 72, 41)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"learning_rate": 0.0}, "^learning_rate: "),
+        ({"input_noise": -0.1}, "^input_noise: "),
+        ({"tv": float("nan")}, "^tv: "),
+        ({"filters": 0}, "^filters: "),
+        ({"levels": 0}, "^levels: "),
+        ({"iterations": 0}, "^iterations: "),
+    ],
+)
+def test_bad_settings_are_refused(capture: CaptureModel, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        UntrainedNetwork(capture, **{"iterations": 3} | settings)
