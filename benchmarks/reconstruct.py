@@ -28,6 +28,7 @@ from learning.tune.study import load_tuned
 from simulator.dataset import open_dataset
 
 PRESETS = {"FlatNet3D": "flatnet3d_64", "FlatNet3D refined": "flatnet3d_refined_64", "FlatNet2D": "flatnet2d_64"}
+FITTED = ("udn", "nstm")
 VIDEONETS = {
     "VideoNet": {},
     "VideoNet from slivers": {"initial_estimate": "slivers", "measnet": True, "refinements": 0},
@@ -52,6 +53,9 @@ def main() -> None:
     parser.add_argument("--noise-db", type=float, default=40.0)
     parser.add_argument("--size", default="compact")
     parser.add_argument("--device", default="cpu")
+    parser.add_argument(
+        "--fitted", action="store_true", help="also methods that are fitted to each capture: minutes each"
+    )
     parser.add_argument("--repeats", type=int, default=7)
     chosen = parser.parse_args()
     torch.set_num_threads(1)
@@ -60,6 +64,8 @@ def main() -> None:
     capture = capture_model(train, white=measure_reference_white(train))
     methods = networks(capture, chosen.size, device)
     for name in DEFAULTS if capture.timing is None else CLIP_DEFAULTS:
+        if name in FITTED and not chosen.fitted:
+            continue
         parameters, where = ALL_DEFAULTS[name], "by default"
         if chosen.tuned is not None:
             parameters, level = load_tuned(chosen.tuned).parameters(name, chosen.noise_db)
