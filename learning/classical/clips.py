@@ -38,10 +38,10 @@ CLIP_DEFAULTS: dict[str, dict[str, Value]] = {
         "denoiser": DENOISER,
         "prior": 2.0,
         "level_first": 0.2,
-        "level_last": 0.02,
+        "level_last": 0.01,
         "over_time": 1.0,
         "iterations": 24,
-        "inner": 4,
+        "inner": 8,
     },
     "udn": {
         "iterations": 2000,
