@@ -124,6 +124,8 @@ class VideoNetworkConfig(Section):
     """pixels per side that MeasNet takes as one, in 2D"""
     refinements: Annotated[int, Range(0, 10)] | None = None
     """unrolled refinement steps: each re-simulates the capture, and inverts and enhances the residual"""
+    repeats: Annotated[int, Range(0, 10)] | None = None
+    """how many times the last refinement step is repeated, with shared weights"""
     noise_aware: bool | None = None
     """lambda adapts to the noise level, which is estimated from the measurement and is also an input of the bodies"""
     joint_iterations: Annotated[int, Range(1, 1000)] | None = None

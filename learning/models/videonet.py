@@ -115,6 +115,7 @@ class VideoNet(nn.Module):
         stem: int,
         refinements: int,
         noise_aware: bool,
+        repeats: int = 0,
         joint_iterations: int = 10,
     ) -> None:
         """Build the network for a camera.
@@ -130,8 +131,9 @@ class VideoNet(nn.Module):
             blocks: of NAF blocks on each level and way.
             levels: how many.
             stem: pixels per side that MeasNet takes as one; in 2D.
-            refinements: how many.
+            refinements: how many, each with weights of its own.
             noise_aware: lambda adapts to the noise level, which is an input of the bodies, too.
+            repeats: of the last refinement, with its weights.
             joint_iterations: of the joint least squares.
 
         Raises:
@@ -150,6 +152,8 @@ class VideoNet(nn.Module):
             )
         if body == "unet" and blocks != 1:
             raise InputError("blocks", f"got {blocks} with body: unet, which has none; take 1, or body: naf")
+        if repeats and not refinements:
+            raise InputError("repeats", f"got {repeats} without refinements, expected 0; or take refinements: 1")
         image, capture = capture.scene_shape, capture.with_border(_BORDER)
         self.image, self.frames = capture.middle(image), capture.frames
         self.start, self.noise_aware = initial_estimate, noise_aware
@@ -183,6 +187,7 @@ class VideoNet(nn.Module):
             for _ in range(refinements)
         )
         self.refinements = nn.ModuleList(corrections)
+        self.repeats = repeats
 
     def forward(self, measurement: Tensor, start: Tensor | None = None) -> Film:
         """Return the frames of measurements ``(B, C, H, W)``, DN / 2^bits; ``start`` is what `begin` gives, where known."""
@@ -206,7 +211,7 @@ class VideoNet(nn.Module):
             radiance = torch.einsum("ac,bnchw->bnahw", self.colours, base).clamp(0, MOST_RADIANCE)
             codes = linear_to_srgb(radiance, 1.0, clip=False)
         image = codes + self.enhancement(torch.cat([*own, codes], dim=2), torch.cat([static, *level], dim=1)).to(codes)
-        for refinement in self.refinements:
+        for refinement in (*self.refinements, *list(self.refinements)[-1:] * self.repeats):
             with torch.autocast(light.device.type, enabled=False):
                 of_frames, of_all = self._residuals(image, light, noise)
             shared = torch.cat([of_all, static, *level], dim=1)

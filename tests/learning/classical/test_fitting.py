@@ -136,6 +136,34 @@ def test_snapshots_are_what_a_fit_would_have_returned(fitting: PixelFitting, mea
     assert float(residual.square().mean().sqrt()) == pytest.approx(fit.residual, rel=1e-4)  # of float32
 
 
+def test_seconds_are_those_of_all_sessions(
+    fitting: PixelFitting, measurement: Tensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A clock that says one more each time it is asked: once before the first iteration, once after each."""
+    asked = iter(range(100, 1000))
+    monkeypatch.setattr("learning.classical.fitting.time.perf_counter", lambda: float(next(asked)))
+    file = tmp_path / "state.pt"
+    first = fitting.fit(measurement, seconds=4.0, state=file, snapshots=(3, 6))
+    assert (first.step, first.seconds, first.snapshots[3].seconds) == (4, 4.0, 3.0)
+    more = fitting.fit(measurement, seconds=7.0, state=file, snapshots=(3, 6))
+    assert (more.step, more.seconds, more.snapshots[6].seconds) == (7, 7.0, 6.0)
+
+
+def test_rates_follow_their_schedule(
+    fitting: PixelFitting, measurement: Tensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rates: list[float] = []
+    step = torch.optim.Adam.step
+
+    def recorded(self: torch.optim.Adam, *given: Any) -> Any:
+        rates.append(self.param_groups[0]["lr"])
+        return step(self, *given)
+
+    monkeypatch.setattr(torch.optim.Adam, "step", recorded)
+    fitting.fit(measurement)
+    assert rates == pytest.approx([0.1 * (1 - step / 12) for step in range(12)])
+
+
 def test_time_ends_a_fit_which_later_goes_on(fitting: PixelFitting, measurement: Tensor, tmp_path: Path) -> None:
     file = tmp_path / "state.pt"
     with torch_threads(1):
@@ -157,11 +185,11 @@ def test_the_best_is_kept_by_the_mean_residual(clip_capture: CaptureModel) -> No
         wanted = fitting.problem.film(fitting.light * (1 + errors[best]))[:, :, 0]
         torch.testing.assert_close(fit.film, wanted)
         assert fit.residual == fit.curve[best]
-    # After so long that the mean is of the latest fifty alone, a good iterate after a long bad time is not good enough.
-    errors = [0.3] * 60 + [0.9] * 60 + [0.2]
+    # The mean is of the latest fifty or so: what was bad long ago is forgotten.
+    errors = [0.3] * 5 + [0.9] * 60 + [0.2] * 250
     fitting = ListedFitting(clip_capture, iterations=len(errors), seed=0)
     fitting.light, fitting.errors = light_of(fitting.problem), errors
-    assert fitting.fit(measure(fitting.problem, fitting.light)).residual == pytest.approx(fitting.curve[59], rel=1e-6)
+    assert fitting.fit(measure(fitting.problem, fitting.light)).residual == pytest.approx(fitting.curve[-1], rel=1e-6)
 
 
 def test_the_curve_is_the_residual(clip_capture: CaptureModel) -> None:

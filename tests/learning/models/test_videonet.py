@@ -346,6 +346,7 @@ def test_sizes_are_their_numbers_with_what_is_changed(clip_capture: CaptureModel
         ({"levels": 0}, "^levels: "),
         ({"dimensions": 4}, "^dimensions: "),
         ({"attention": True}, "^attention: "),
+        ({"refinements": 0, "repeats": 1}, "^repeats: "),
     ],
 )
 def test_what_makes_no_sense_is_refused(clip_capture: CaptureModel, changes: dict[str, Any], message: str) -> None:
@@ -403,6 +404,21 @@ def test_a_flatnet_of_another_size_is_refused(
     with pytest.raises(InputError, match=r"^flatnet\.safetensors: "):
         net.take(known, "flatnet.safetensors")
     assert all(torch.equal(value, before[name]) for name, value in net.state_dict().items())
+
+
+def test_a_repeated_refinement_is_a_further_one_of_the_same_weights(
+    clip_capture: CaptureModel, measurement: Tensor
+) -> None:
+    fewer = shaken(network(clip_capture, refinements=2))
+    repeated, further = network(clip_capture, refinements=2, repeats=1), network(clip_capture, refinements=3)
+    weights = fewer.state_dict()
+    again = {name.replace(".1.", ".2.", 1): value for name, value in weights.items() if name.startswith("refinements.1.")}
+    repeated.load_state_dict(weights)
+    further.load_state_dict(weights | again)
+    with torch.no_grad():
+        once, twice, never = (net(measurement).image for net in (repeated, further, fewer))
+    assert torch.equal(once, twice)
+    assert float((once - never).abs().mean()) > 0.01
 
 
 def test_takes_another_videonet_whose_refinements_may_be_fewer(clip_capture: CaptureModel, measurement: Tensor) -> None:
