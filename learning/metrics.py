@@ -5,7 +5,6 @@ Every method's estimate is clamped to its ranges first. Images are judged at all
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -16,11 +15,9 @@ from torch import Tensor
 from learning.camera import CaptureModel
 from learning.data import Example
 from learning.method import Estimate, linear_to_srgb, srgb_to_linear
-from learning.perceptual import LpipsDistance
+from learning.perceptual import PIXELS_PER_DEGREE, LpipsDistance
+from learning.video_quality import VideoQuality
 from simulator.errors import InputError
-
-# Andersson et al. 2020, section 4: a display 0.7 m wide with 3840 pixels, seen from 0.7 m.
-PIXELS_PER_DEGREE = 0.7 * 3840 / 0.7 * math.pi / 180
 
 SSIM_PIXELS = 11
 """Side of SSIM's window: smaller images have none."""
@@ -36,6 +33,7 @@ DEFINITIONS = {
     "linear_psnr": "PSNR of linear radiance / white in dB, peak 1; the truth is clipped at white, as images are",
     "flip": f"mean FLIP (LDR) of Andersson et al. 2020 at {PIXELS_PER_DEGREE:.2f} pixels per degree; lower is better",
     "lpips": "LPIPS 0.1 of Zhang et al. 2018; lower is better",
+    "cvvdp": "ColorVideoVDP of Mantiuk et al. 2024 of a clip, just-objectionable differences: 10 is equal, less is worse",
     "moving_psnr": "PSNR like psnr at a clip's moving pixels: where a code differs from its mean over time by more than 0.1",
     "warping_error": "of a clip, root mean square difference of sRGB codes along the true motion, frame to frame",
     "depth_rmse_cm": "root mean square error of depth in cm",
@@ -63,6 +61,7 @@ def measure(
     capture: CaptureModel,
     *,
     lpips: LpipsDistance | None = None,
+    cvvdp: VideoQuality | None = None,
     pixels: Tensor | None = None,
 ) -> list[dict[str, float]]:
     """Return the scores of each of B scenes by name; see `DEFINITIONS`. The estimate is clamped here.
@@ -83,6 +82,8 @@ def measure(
     columns = {"psnr": psnr(estimate.image, truth), "linear_psnr": linear}
     if truth.ndim == 5:
         columns["moving_psnr"] = psnr_at(estimate.image, truth, moving_pixels(truth))
+        if cvvdp is not None:
+            columns["cvvdp"] = cvvdp(estimate.image, truth)
     if lpips is not None:
         every = lpips(*(each.flatten(0, -4) for each in (estimate.image, truth)))
         columns["lpips"] = every.unflatten(0, (scenes, -1)).mean(dim=1)

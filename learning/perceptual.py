@@ -6,6 +6,7 @@ else takes their place unless it was asked for by name.
 
 from __future__ import annotations
 
+import math
 import pickle
 import warnings
 from importlib.metadata import version
@@ -238,6 +239,9 @@ def available_lpips() -> tuple[LpipsDistance | None, str]:
 
 FILES = {"vgg19": "vgg19-dcbb9e9d.pth", "vgg16": "vgg16-397923af.pth", "alex": "alexnet-owt-7be5be79.pth"}
 """Torchvision's names of the files (weights IMAGENET1K_V1); the digits are the beginning of the file's SHA-256."""
+
+PIXELS_PER_DEGREE = 3840 * math.pi / 180
+"""That a viewer sees, of a display as wide as its distance, 3840 pixels across; Andersson et al. 2020 (FLIP), section 4."""
 
 SMALLEST_IMAGE = 32
 """Pixels: below this, the networks' pools leave nothing to compare."""

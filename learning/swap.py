@@ -76,7 +76,7 @@ def swap_masks(config: SwapConfig, *, progress: Progress = lambda *_: None, say:
     """
     folder = config.resolve_path(config.output)
     # Mistakes come out before the work that they would spoil.
-    find_perceptual(config.perceptual, choose_device(config.device))
+    find_perceptual(config.perceptual, choose_device(config.device), clips=False)
     for name in config.masks:
         if name in (REPORT, PAGE, _EVALUATION, CACHE, *OWN_FILES):
             raise InputError(f"masks.{name}", f"{name} is a file or folder of the result; take another name")

@@ -115,7 +115,8 @@ class EvaluateConfig(FileSection):
     dark_share: Annotated[float, Range(0, 1)] | None = None
     """also report depth without pixels darker than this share of white; null: not"""
     perceptual: Literal["none", "auto", "lpips"] = "auto"
-    """LPIPS: none, where its weight files are (auto), or always, an error without them"""
+    """auto: LPIPS where its weight files are and, of clips, ColorVideoVDP where the package cvvdp is; none; lpips: as auto,
+    with an error if LPIPS has no files"""
     batch: Count = 8
     """scenes at a time, except where time is taken"""
     seed: int = Field(0, ge=0)

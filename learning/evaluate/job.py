@@ -21,6 +21,8 @@ from learning.evaluate.runs import Cameras, ResultCache, Run, Runner
 from learning.evaluate.scoring import Constant, Criteria, Times, naive_baselines, score, take_times
 from learning.method import Progress, Say, choose_device, describe_device, linear_to_srgb, torch_threads
 from learning.perceptual import LpipsDistance, available_lpips
+from learning.timing import recorded_timing
+from learning.video_quality import VideoQuality, available_video_quality
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 
@@ -46,10 +48,12 @@ def evaluate(
             raise InputError(f"data.test.{name}", f"{name} is a file or folder of each evaluation; take another name")
     opened = {name: _open(alone) for name, alone in config.sets.items()}
     is_claimed(folder, config.name)
-    lpips, perceptual = find_perceptual(config.perceptual, device)
+    clips = any(recorded_timing(test) is not None for test, _ in opened.values())
+    lpips, cvvdp, perceptual = find_perceptual(config.perceptual, device, clips)
     cache = ResultCache(folder / CACHE)
     trials = {
-        name: Trial(alone, *opened[name], cache, device=device, lpips=lpips) for name, alone in config.sets.items()
+        name: Trial(alone, *opened[name], cache, device=device, lpips=lpips, cvvdp=cvvdp)
+        for name, alone in config.sets.items()
     }
     claim_folder(folder, config.name)
     say(perceptual)
@@ -85,6 +89,7 @@ class Trial:
         *,
         device: torch.device,
         lpips: LpipsDistance | None,
+        cvvdp: VideoQuality | None,
     ) -> None:
         """Find the cameras; an InputError says what of methods, PSFs and data does not fit."""
         self.config, self.test, self.methods = config, test, methods
@@ -95,7 +100,7 @@ class Trial:
         edges_cm = tuple(config.depth_bins_cm or ())
         if not edges_cm:  # even in disparity: what a mask resolves
             edges_cm = tuple((100 * camera.depth_m(np.linspace(1, 0, _BINS + 1))).tolist())
-        criteria = Criteria(edges_cm, config.dark_share, lpips)
+        criteria = Criteria(edges_cm, config.dark_share, lpips, cvvdp)
         self.runner = Runner(test, self.cameras, criteria, cache, device=device, batch=config.batch, seed=config.seed)
         # PSFs and noise of all runs of a method, each once, the table's first.
         usual = config.data.stack
@@ -165,14 +170,23 @@ class Trial:
         return groups
 
 
-def find_perceptual(wanted: str, device: torch.device) -> tuple[LpipsDistance | None, str]:
-    """Return LPIPS, or None, and words about it; an InputError says which of its files are missing where it must be."""
+def find_perceptual(
+    wanted: str, device: torch.device, clips: bool
+) -> tuple[LpipsDistance | None, VideoQuality | None, str]:
+    """Return LPIPS or None, ColorVideoVDP (of clips) or None, and words about both.
+
+    An InputError says which files of LPIPS are missing where it must be.
+    """
     if wanted == "none":
-        return None, "no LPIPS: it was not asked for"
+        return None, None, "no LPIPS: it was not asked for"
     lpips, words = available_lpips()
     if wanted == "lpips" and lpips is None:
         raise InputError("perceptual", f"got lpips, but {words}; put one there, or take auto")
-    return lpips and lpips.to(device), words
+    cvvdp = None
+    if clips:
+        cvvdp, more = available_video_quality(device)
+        words = f"{words}; {more}"
+    return lpips and lpips.to(device), cvvdp, words
 
 
 def _outcomes(

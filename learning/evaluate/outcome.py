@@ -16,6 +16,7 @@ SCORES: dict[str, tuple[str, int, bool]] = {
     "ssim": ("SSIM", 3, True),
     "lpips": ("LPIPS", 3, False),
     "flip": ("FLIP", 3, False),
+    "cvvdp": ("ColorVideoVDP JOD", 2, True),
     "warping_error": ("warping error", 3, False),
     "linear_psnr": ("linear PSNR dB", 2, True),
     "depth_rmse_cm": ("depth RMSE cm", 2, False),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from learning.evaluate.outcome import SCORES, Outcome
 
-COMPARED = ("psnr", "moving_psnr", "ssim", "flip", "depth_rmse_cm")
+COMPARED = ("psnr", "moving_psnr", "ssim", "flip", "cvvdp", "depth_rmse_cm")
 """The scores that are compared."""
 CONFIDENCE, RESAMPLES = 0.95, 10_000
 _TOGETHER = 1000  # resamples in memory

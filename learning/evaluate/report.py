@@ -53,7 +53,7 @@ _OWN = (REPORT, TABLE, PAIRED, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES, FI
 OWN_FILES = (DESCRIPTION, *_OWN)
 """Names that no data set may have: the folder of its figures lies beside these files."""
 _FORMAT = "flatlight evaluation"
-_PACKAGES = ("torch", "numpy", "scikit-image", "flip-evaluator", "lpips", "ortools")
+_PACKAGES = ("torch", "numpy", "scikit-image", "flip-evaluator", "lpips", "cvvdp", "ortools")
 _WHISKERS = "Whiskers are the standard deviation over seeds."
 _TUNED_ELSEWHERE = f"{TUNED_ELSEWHERE} with parameters that were tuned at another level, see below."
 

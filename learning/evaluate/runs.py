@@ -203,8 +203,7 @@ class Runner:
 
     def result(self, run: Run, progress: ScenesDone = lambda _: None) -> dict[str, Any]:
         """Return what `score` finds, which is kept."""
-        lpips = self.criteria.lpips
-        key = self._key(run) | {"criteria": vars(self.criteria) | {"lpips": lpips and lpips.record()}}
+        key = self._key(run) | {"criteria": self.criteria.record()}
         known = self._cache.load(key)
         if known is not None:
             progress(len(known["scores"]))

@@ -17,6 +17,7 @@ from learning.evaluate.motion import sliver_motion, warping_error
 from learning.method import Clock, Estimate, Method, linear_to_srgb
 from learning.metrics import dark_mask, depth_scores, measure
 from learning.perceptual import LpipsDistance
+from learning.video_quality import VideoQuality
 from simulator.errors import InputError
 
 ScenesDone = Callable[[int], None]
@@ -24,7 +25,7 @@ ScenesDone = Callable[[int], None]
 
 @dataclass(frozen=True)
 class Criteria:
-    """By what methods are judged: the edges of the bins of true depth, LPIPS or None, and what counts as too dark.
+    """By what methods are judged: the edges of the bins of true depth, what counts as too dark, LPIPS, ColorVideoVDP.
 
     Pixels darker than ``dark_share`` of white's luminance do not count in ``lit_depth_rmse_cm``; None leaves that score out.
     """
@@ -32,6 +33,12 @@ class Criteria:
     edges_cm: tuple[float, ...]
     dark_share: float | None = None
     lpips: LpipsDistance | None = None
+    cvvdp: VideoQuality | None = None
+
+    def record(self) -> dict[str, Any]:
+        """Return what tells results by one set of criteria from those by another."""
+        packages = {"lpips": self.lpips and self.lpips.record(), "cvvdp": self.cvvdp and self.cvvdp.record()}
+        return {"edges_cm": self.edges_cm, "dark_share": self.dark_share, **packages}
 
 
 def score(
@@ -52,7 +59,8 @@ def score(
     found: dict[str, list[Any]] = {"scores": [], "pixels": [], "squares_cm2": [], "counts": []}
     for first, example in batches(examples, batch, device):
         estimate = checked(method, method.reconstruct(example.measurement), examples, first)
-        scenes = measure(estimate, example, method.capture, lpips=criteria.lpips, pixels=example.valid)
+        how: Any = {"lpips": criteria.lpips, "cvvdp": criteria.cvvdp, "pixels": example.valid}
+        scenes = measure(estimate, example, method.capture, **how)
         if examples.timing is not None:
             for at, scene in enumerate(scenes):
                 motion = sliver_motion(examples.dataset.stored(first + at), examples.timing.frames)
@@ -108,7 +116,7 @@ def _binned(error_cm2: Tensor, depth_cm: Tensor, edges_cm: Sequence[float]) -> t
     return sums.tolist(), torch.bincount(place[inside], minlength=bins).tolist()
 
 
-IMAGE_SCORES = ("psnr", "moving_psnr", "ssim", "lpips", "flip", "warping_error", "linear_psnr")
+IMAGE_SCORES = ("psnr", "moving_psnr", "ssim", "lpips", "flip", "cvvdp", "warping_error", "linear_psnr")
 DEPTH_SCORES = ("depth_rmse_cm", "lit_depth_rmse_cm")
 DISPARITY_SCORES = ("disparity_rmse", "disparity_rmse_per_m")
 

@@ -13,8 +13,8 @@ from learning.evaluate.paired import COMPARED, Difference
 from learning.evaluate.scoring import Times
 from learning.method import aligned
 
-# Of the thesis's table 5.2, and FLIP, which needs no weights.
-MAIN = ("psnr", "moving_psnr", "ssim", "lpips", "flip", "depth_rmse_cm")
+# Of the thesis's table 5.2, FLIP, which needs no weights, and what there is of clips
+MAIN = ("psnr", "moving_psnr", "ssim", "lpips", "flip", "cvvdp", "depth_rmse_cm")
 _VERDICTS = {"reference": "▲", "other": "▼", None: "○"}
 _PLAIN = str.maketrans("▲▼○–−", "+-.--")  # for terminals
 TUNED_ELSEWHERE = "†"

@@ -30,7 +30,7 @@ from learning.metrics import (
 from simulator.errors import InputError
 
 Pixels = NDArray[np.float32]
-OF_CLIPS = ("moving_psnr", "warping_error")
+OF_CLIPS = ("moving_psnr", "warping_error", "cvvdp")
 
 
 @pytest.fixture
@@ -326,6 +326,20 @@ def test_a_clips_lpips_is_a_mean_of_its_frames(clips: tuple[Estimate, Example], 
     errors = np.abs(estimate.image.numpy().clip(0, 1) - true_codes(example, clip_capture.white))
     # float32
     assert [score["lpips"] for score in scores] == pytest.approx(errors.mean(axis=(1, 2, 3, 4)).tolist(), rel=1e-5)
+
+
+def test_a_clip_is_seen_whole(clips: tuple[Estimate, Example], clip_capture: CaptureModel) -> None:
+    """A stand-in for ColorVideoVDP that sees clips, clamped."""
+
+    def quality(film: Tensor, truth: Tensor) -> Tensor:
+        assert film.shape == truth.shape == (3, 4, 3, 20, 24)
+        assert 0 <= float(film.min()) <= float(film.max()) <= 1
+        return 10 - (film - truth).abs().mean(dim=(1, 2, 3, 4))
+
+    estimate, example = clips
+    scores = measure(estimate, example, clip_capture, cvvdp=quality)  # pyright: ignore[reportArgumentType]
+    errors = np.abs(estimate.image.numpy().clip(0, 1) - true_codes(example, clip_capture.white))
+    assert [10 - score["cvvdp"] for score in scores] == pytest.approx(errors.mean(axis=(1, 2, 3, 4)).tolist(), rel=1e-4)
 
 
 def test_one_plane_has_no_depth_to_be_scored(clips: tuple[Estimate, Example], clip_capture: CaptureModel) -> None:

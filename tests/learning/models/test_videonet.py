@@ -412,7 +412,9 @@ def test_a_repeated_refinement_is_a_further_one_of_the_same_weights(
     fewer = shaken(network(clip_capture, refinements=2))
     repeated, further = network(clip_capture, refinements=2, repeats=1), network(clip_capture, refinements=3)
     weights = fewer.state_dict()
-    again = {name.replace(".1.", ".2.", 1): value for name, value in weights.items() if name.startswith("refinements.1.")}
+    again = {
+        name.replace(".1.", ".2.", 1): value for name, value in weights.items() if name.startswith("refinements.1.")
+    }
     repeated.load_state_dict(weights)
     further.load_state_dict(weights | again)
     with torch.no_grad():
