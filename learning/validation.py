@@ -113,6 +113,17 @@ def _joined(tiles: list[NDArray[Any]], axis: int) -> NDArray[np.uint8]:
     return np.concatenate([part for tile in tiles for part in (tile, gap)][:-1], axis=axis)
 
 
+def read_metrics(folder: Path) -> list[dict[str, Any]]:
+    """Return the lines of a training's metrics.jsonl, see `Log`; none where there is no such file."""
+    path, found = folder / METRICS, []
+    for text in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
+        try:
+            found.append(json.loads(text))
+        except ValueError:  # the last line of a process that died while it wrote
+            continue
+    return found
+
+
 class Log:
     """metrics.jsonl for programs, TensorBoard for people, from some step on: what was written of later steps is removed.
 
@@ -125,7 +136,7 @@ class Log:
 
         self._path, self._preview = folder / METRICS, folder / PREVIEW
         with storage_errors(self._path):
-            kept = [line for line in self._lines() if line["step"] <= step]
+            kept = [line for line in read_metrics(folder) if line["step"] <= step]
             write_atomic(self._path, b"".join(_encoded(line) for line in kept))
             self._board = SummaryWriter(str(folder / TENSORBOARD), purge_step=step + 1)
 
@@ -148,15 +159,6 @@ class Log:
     def close(self) -> None:
         """Finish the files."""
         self._board.close()
-
-    def _lines(self) -> list[dict[str, Any]]:
-        found = []
-        for text in self._path.read_text(encoding="utf-8").splitlines() if self._path.exists() else []:
-            try:
-                found.append(json.loads(text))
-            except ValueError:  # the last line of a process that died while it wrote
-                continue
-        return found
 
 
 def _encoded(line: dict[str, Any]) -> bytes:

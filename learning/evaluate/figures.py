@@ -1,4 +1,4 @@
-"""The figures beside the table: noise ablation, error against depth, assumed PSFs, time per stage, and the montage."""
+"""The figures beside the table: noise ablation, error against depth, assumed PSFs, time, learning curves, and the montage."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.evaluate.curves import Curve
 from learning.evaluate.outcome import Outcome
 from learning.evaluate.scoring import Times
 from simulator.plots.drawing import INK as SHEET_INK
@@ -166,29 +167,42 @@ def times_png(times: Sequence[Times], colours: Mapping[str, str], where: str) ->
     return _png(9, 1.8 + 0.6 * len(times), draw)
 
 
+def curves_png(curves: Sequence[Curve], colours: Mapping[str, str]) -> bytes:
+    """Return the scores of every training on its validation scenes, against steps."""
+
+    def draw(axes: Axes, score: str) -> str:
+        for name, colour in colours.items():
+            of_it = [one for one in curves if one.method == name and score in one.scores]
+            for at, one in enumerate(of_it):
+                axes.plot(one.steps, one.scores[score], color=colour, lw=1.8, alpha=0.8, label="" if at else name)
+        axes.grid(color=GRID)
+        return "steps"
+
+    return _panels(5.5, curves, [], draw)
+
+
 def _panels(
-    width_inch: float, outcomes: Sequence[Outcome], naive: Sequence[Outcome], draw: Callable[[Axes, str], str]
+    width_inch: float, measured: Sequence[Outcome | Curve], naive: Sequence[Outcome], draw: Callable[[Axes, str], str]
 ) -> bytes:
     """Return a panel for each score of `PANELS` that was measured, with the naive baselines as lines.
 
     ``draw`` gives the label of x; ``width_inch`` is of each panel.
     """
-    measured = [score for score in PANELS if any(score in one.scores for one in outcomes)]
+    titles = {score: title for score, title in PANELS.items() if any(score in one.scores for one in measured)}
 
     def every(figure: Figure) -> None:
         where: Any = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "ha": "right"}
-        for axes, score in zip(figure.subplots(1, len(measured), squeeze=False)[0], measured, strict=True):
-            label = PANELS[score]
+        for axes, score in zip(figure.subplots(1, len(titles), squeeze=False)[0], titles, strict=True):
             x_label = draw(axes, score)
             for one in naive:
                 if score in one.scores:
                     mean = one.scores[score].mean
                     axes.axhline(mean, color=_NAIVE, ls="--", lw=1.2)
                     axes.annotate(one.method, (1.0, mean), (-2, 3), **where, fontsize=SMALL, color=FAINT, bbox=_BEHIND)
-            style(axes, x_label, label)
+            style(axes, x_label, titles[score])
         _legend(figure)
 
-    return _png(width_inch * len(measured), 4.4, every)
+    return _png(width_inch * len(titles), 4.4, every)
 
 
 def _broken(name: str) -> str:

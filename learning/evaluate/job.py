@@ -12,6 +12,7 @@ import torch
 from learning.camera import CaptureModel
 from learning.config import EvaluateConfig
 from learning.data import check_dataset
+from learning.evaluate.curves import Curve, learning_curve
 from learning.evaluate.figures import Shown
 from learning.evaluate.films import Film
 from learning.evaluate.methods import Entry, LearnedEntry, read_methods, says_scenes
@@ -143,6 +144,7 @@ class Trial:
             montage=[] if runner.clips else _montage(config, runner, self.methods),
             columns=["truth", *(method.name for method in config.methods)],
             films=_films(config, runner, self.methods) if runner.clips else [],
+            curves=[one for seeds in self.methods for each in seeds if (one := _curve(each)) is not None],
         )
 
     def _groups(self, naive: Sequence[tuple[Constant, dict[str, Any]]]) -> dict[str, list[Outcome]]:
@@ -187,6 +189,11 @@ def find_perceptual(
         cvvdp, more = available_video_quality(device)
         words = f"{words}; {more}"
     return lpips and lpips.to(device), cvvdp, words
+
+
+def _curve(entry: Entry) -> Curve | None:
+    """Return how a network learned, where its training is at hand; None of a classical method."""
+    return learning_curve(entry.name, entry.path) if isinstance(entry, LearnedEntry) else None
 
 
 def _outcomes(

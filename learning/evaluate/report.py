@@ -11,8 +11,10 @@ from urllib.parse import quote
 
 from learning.camera import CaptureModel
 from learning.config import EvaluateConfig
+from learning.evaluate.curves import Curve
 from learning.evaluate.figures import (
     Shown,
+    curves_png,
     depth_png,
     method_colours,
     montage_png,
@@ -48,8 +50,8 @@ DESCRIPTION = "evaluation.json"
 """Says that the folder is an evaluation's, and its name; written first."""
 RESULTS, TABLE, PAIRED, REPORT = "results.json", "table.csv", "paired.csv", "report.md"
 MONTAGE, NOISE, DEPTH, STACKS, TIMES = "montage.png", "noise.png", "depth.png", "stacks.png", "times.png"
-FILMS, ANIMATION = "films.png", "films.webp"
-_OWN = (REPORT, TABLE, PAIRED, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES, FILMS, ANIMATION)
+FILMS, ANIMATION, CURVES = "films.png", "films.webp", "curves.png"
+_OWN = (REPORT, TABLE, PAIRED, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES, FILMS, ANIMATION, CURVES)
 OWN_FILES = (DESCRIPTION, *_OWN)
 """Names that no data set may have: the folder of its figures lies beside these files."""
 _FORMAT = "flatlight evaluation"
@@ -112,6 +114,7 @@ class Findings:
     columns: Sequence[str]
     films: Sequence[Sequence[Film]] = ()
     groups: Mapping[str, Sequence[Outcome]] = field(default_factory=dict)
+    curves: Sequence[Curve] = ()
 
     @property
     def part(self) -> int:
@@ -179,6 +182,7 @@ class Findings:
             "naive": [one.plain() for one in self.naive],
             "paired": [one.plain() for found in self.differences.values() for one in found],
             "times": [one.plain() for one in self.times],
+            "curves": [one.plain() for one in self.curves],
         }
 
 
@@ -363,6 +367,8 @@ def _figures(evaluation: Evaluation, name: str) -> dict[str, bytes]:
         figures[STACKS] = stacks_png(findings.compared, colours, stacks, part)
     if findings.times:
         figures[TIMES] = times_png(findings.times, colours, evaluation.device)
+    if findings.curves:
+        figures[CURVES] = curves_png(findings.curves, colours)
     return figures
 
 
@@ -444,4 +450,7 @@ def _sections(findings: Findings, evaluation: Evaluation, name: str, heading: st
             "after one warm-up run. Networks are timed with their first seed."
         )
         parts += [f"{heading} Time", words, markdown_times(findings.times), shown("seconds per stage", TIMES)]
+    if findings.curves:
+        words = "Scores of the networks on their validation scenes while they were trained, a line for each seed."
+        parts += [f"{heading} Learning curves", words, shown("scores against steps", CURVES)]
     return parts

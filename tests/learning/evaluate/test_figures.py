@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from learning.evaluate.figures import Shown, depth_png, method_colours, montage_png, noise_png, stacks_png, times_png
+from learning.evaluate.curves import Curve
+from learning.evaluate.figures import (
+    Shown,
+    curves_png,
+    depth_png,
+    method_colours,
+    montage_png,
+    noise_png,
+    stacks_png,
+    times_png,
+)
 from learning.evaluate.outcome import Outcome, summarise
 from learning.evaluate.scoring import Times
 from simulator.plots.drawing import UNSEEN, depth_colours
@@ -52,6 +62,25 @@ def test_single_seeds_are_dots_in_the_ablation() -> None:
         np.abs(pixels[100:, :600] - [0x00, 0x72, 0xB2]).max(axis=-1).min(axis=1) < 60 for pixels in (with_dots, without)
     ]
     assert np.ptp(np.flatnonzero(rows[0])) > 5 * np.ptp(np.flatnonzero(rows[1]))
+
+
+def test_every_training_is_a_line_in_each_panel() -> None:
+    def curve(name: str, above: float) -> Curve:
+        scores = {"psnr": (10 + above, 15 + above), "depth_rmse_cm": (3.0, 2.0 - above / 10)}
+        return Curve(name, (100, 200), scores)
+
+    alone = _pixels(curves_png([curve(NAMES[0], 0)], COLOURS))
+    both = _pixels(curves_png([curve(NAMES[0], 0), curve(NAMES[0], 4)], COLOURS))
+    other = _pixels(curves_png([curve(NAMES[0], 0), curve(NAMES[1], 4)], COLOURS))
+    half = alone.shape[1] // 2
+    lines = [0.8 * np.array([int(each[at : at + 2], 16) for at in (1, 3, 5)]) + 0.2 * 255 for each in COLOURS.values()]
+    for panel in (slice(0, half), slice(half, None)):
+        drawn = [
+            [int((np.abs(pixels[:, panel] - line).max(axis=-1) < 30).sum()) for line in lines]
+            for pixels in (alone, both, other)
+        ]
+        assert drawn[1][0] > 1.5 * drawn[0][0]
+        assert drawn[0][1] < 0.2 * drawn[2][1]
 
 
 def test_bins_stacks_and_times_draw_every_method() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -263,6 +264,22 @@ def test_only_what_changed_is_done_anew(load: Load, tmp_path: Path, monkeypatch:
         before = len(scored)
         evaluate(load(methods=methods, **changes))
         assert scored[before:] == ["CLS"], changes
+
+
+def test_the_report_shows_how_networks_learned(load: Load, tmp_path: Path, checkpoints: list[Path]) -> None:
+    """Of the checkpoint that lies where it was trained; the other's training is not at hand."""
+    trained = tmp_path / "run" / "best.safetensors"
+    trained.parent.mkdir()
+    shutil.copyfile(checkpoints[0], trained)
+    lines = [{"step": step, "kind": "validation", "psnr_db": step / 10.0} for step in (100, 200)]
+    (trained.parent / "metrics.jsonl").write_text("\n".join(map(json.dumps, lines)), encoding="utf-8")
+    methods = [{"name": "FlatNet3D", "checkpoints": [str(trained), str(checkpoints[1])]}]
+    _, files = evaluate(load(methods=methods, data={"scenes": 2}))
+    assert "curves.png" in {path.name for path in files}
+    assert "(curves.png)" in files[0].read_text(encoding="utf-8")
+    assert _results(tmp_path)["curves"] == [
+        {"method": "FlatNet3D", "steps": [100, 200], "scores": {"psnr": [10.0, 20.0]}}
+    ]
 
 
 def test_all_files_are_written_and_the_report_shows_them(load: Load, tmp_path: Path) -> None:
