@@ -18,6 +18,7 @@ from learning.config import (
     SwapConfig,
     TrainConfig,
     TuneConfig,
+    VideoNetworkConfig,
     VideoTrainConfig,
     load_file,
     training_kind,
@@ -201,37 +202,49 @@ def test_masks_are_compared_by_scenes_and_a_network_of_other_presets(tmp_path: P
     assert {(each.psf.model, each.camera.noise.type) for each in made.values()} == {("exact", "physical")}  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_each_ablation_changes_one_part_and_is_evaluated(tmp_path: Path) -> None:
+FLATNET3D_PARTS = {
+    **{"unet": "network", "lambda": "network", "joint": "network", "head": "network"},
+    **{"augment": "data", "cm": "loss", "clip": "data"},
+}
+VIDEONET_PARTS = {
+    **dict.fromkeys(("static", "slivers", "measnet", "static_measnet", "slivers_measnet", "unrefined"), "network"),
+    **{"l1": "loss", "change": "loss"},
+}
+
+
+@pytest.mark.parametrize(
+    ("preset", "network", "parts"),
+    [("ablation_64", "flatnet3d", FLATNET3D_PARTS), ("ablation_video_64", "videonet", VIDEONET_PARTS)],
+)
+def test_each_ablation_changes_one_part_and_is_evaluated(
+    preset: str, network: str, parts: dict[str, str], tmp_path: Path
+) -> None:
     """The trainings at the head, as bash would run them, give the checkpoints of each method, and differ as it says."""
-    config = load_file(EvaluateConfig, _written("ablation_64", tmp_path))
-    head = "\n".join(line[1:] for line in preset_texts()["ablation_64"].splitlines() if line.startswith("#"))
+    config = load_file(EvaluateConfig, _written(preset, tmp_path))
+    head = "\n".join(line[1:] for line in preset_texts()[preset].splitlines() if line.startswith("#"))
     (common,) = re.findall(r"ablate\(\) \{ flatlight train \S+ (.*) \"\$\{@:2\}\"; \}", head.replace("\\\n", " "))
     trainings = re.findall(r"^ +ablate (\w+_\$seed) (.*)$", head.replace("\\\n", " "), flags=re.MULTILINE)
-    path = _written("flatnet3d_64", tmp_path)
-    made: dict[tuple[str, int], TrainConfig] = {}
+    path = _written(f"{network}_64", tmp_path)
+    made: dict[tuple[str, int], TrainConfig | VideoTrainConfig] = {}
     for name, words in trainings:
         for seed in (0, 1):
             overrides = shlex.split(f"{common} {words}".replace("$1", name).replace("$seed", str(seed)))[1::2]
-            made[name.removesuffix("_$seed"), seed] = load_file(TrainConfig, path, overrides)
+            made[name.removesuffix("_$seed"), seed] = load_file(training_kind, path, overrides)
     for method, name in zip(config.methods, [name for name, seed in made if seed == 0], strict=True):
         outputs = [made[name, seed].output for seed in (0, 1)]
         assert method.checkpoints == [f"{output}/best.safetensors" for output in outputs]
         assert [made[name, seed].seed for seed in (0, 1)] == [0, 1]
         assert made[name, 0].steps == 2000
     plain = made["preset", 0].dump()
-    for name, part in {
-        "unet": "network",
-        "lambda": "network",
-        "joint": "network",
-        "head": "network",
-        "augment": "data",
-        "cm": "loss",
-        "clip": "data",
-    }.items():
+    assert {name for name, _ in made} == {"preset", "thesis", *parts}
+    for name, part in parts.items():
         changed = made[name, 0].dump()
         assert {key for key in plain if changed[key] != plain[key]} == {"output", part}
-        assert len([key for key in plain[part] if changed[part][key] != plain[part][key]]) == 1
-    thesis = yaml.safe_load(preset_texts()["flatnet3d_thesis"])
-    assert made["thesis", 0].network.numbers == NetworkConfig(**thesis["network"]).numbers
-    assert made["thesis", 0].optimiser.inversion_rate == thesis["optimiser"]["inversion_rate"]
-    assert made["thesis", 0].optimiser.freeze_statistics == thesis["optimiser"]["freeze_statistics"]
+        # VideoNet's start and MeasNet are changed together, too; so are refinements and repeats, a loss and its weight.
+        keys = [key for key in plain[part] if changed[part][key] != plain[part][key]]
+        assert len(keys) == 1 or network == "videonet"
+    thesis = yaml.safe_load(preset_texts()[f"{network}_thesis"])
+    known = (NetworkConfig if network == "flatnet3d" else VideoNetworkConfig)(**thesis["network"])
+    assert made["thesis", 0].network.numbers == known.numbers
+    for name in ("inversion_rate", "freeze_statistics"):
+        assert getattr(made["thesis", 0].optimiser, name) == thesis["optimiser"][name]
