@@ -20,6 +20,7 @@ from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.classical.by_name import ALL_DEFAULTS, build_method
 from learning.classical.clips import CLIP_DEFAULTS
 from learning.classical.method import DEFAULTS
+from learning.config import VideoNetworkConfig
 from learning.evaluate.scoring import take_times
 from learning.method import Method, describe_device
 from learning.models import build_network, build_videonet, learned_method
@@ -31,15 +32,17 @@ PRESETS = {"FlatNet3D": "flatnet3d_64", "FlatNet3D refined": "flatnet3d_refined_
 FITTED = ("udn", "nstm")
 VIDEONETS = {
     "VideoNet": {},
-    "VideoNet from slivers": {"initial_estimate": "slivers", "measnet": True, "refinements": 0},
-    "VideoNet 3D": {"dimensions": 3},
+    "VideoNet from slivers": {"initial_estimate": "slivers", "measnet": True, "refinements": 0, "repeats": 0},
+    "VideoNet 3D, smaller": {"dimensions": 3, "filters": 12, "levels": 3, "refinements": 1, "repeats": 0},
 }
+"""By what differs from the preset videonet_64."""
 
 
 def networks(capture: CaptureModel, size: str, device: torch.device) -> list[Method]:
     """Return the networks for a camera of stills or clips, with random weights; the first one is what all compare with."""
     if capture.timing is not None:
-        built = {name: build_videonet(capture, size, **changes) for name, changes in VIDEONETS.items()}
+        preset = VideoNetworkConfig(**yaml.safe_load(preset_texts()["videonet_64"])["network"]).changes
+        built = {name: build_videonet(capture, size, **preset | changes) for name, changes in VIDEONETS.items()}
     else:
         keys = {name: yaml.safe_load(preset_texts()[preset])["network"] for name, preset in PRESETS.items()}
         built = {name: build_network(capture, **own | {"size": size}) for name, own in keys.items()}

@@ -18,21 +18,24 @@ import time
 from pathlib import Path
 
 import torch
+import yaml
 from torch.utils.flop_counter import FlopCounterMode
 
 from learning.camera import capture_model, measure_reference_white
 from learning.clip_loss import ClipLoss
-from learning.config import ClipLossConfig
+from learning.config import ClipLossConfig, VideoNetworkConfig
 from learning.models import build_videonet
+from learning.presets import preset_texts
 from simulator.dataset import open_dataset
 
 NETWORKS = {
-    "2D, from joint": {},
-    "2D, from joint, MeasNet": {"measnet": True},
-    "2D, from slivers, MeasNet": {"initial_estimate": "slivers", "measnet": True, "refinements": 0},
-    "2D, U-Net as in the thesis": {"size": "thesis"},
-    "3D, from joint": {"dimensions": 3},
+    "2D, as in the preset": {},
+    "2D, with MeasNet": {"measnet": True},
+    "2D, from slivers, MeasNet": {"initial_estimate": "slivers", "measnet": True, "refinements": 0, "repeats": 0},
+    "2D, U-Net as in the thesis": {"size": "thesis", "refinements": 0, "repeats": 0},
+    "3D, smaller": {"dimensions": 3, "filters": 12, "levels": 3, "refinements": 1, "repeats": 0},
 }
+"""By what differs from the preset videonet_64."""
 
 
 def one(dataset: Path, name: str, batch: int, rounds: int, precision: str) -> dict[str, float]:
@@ -40,7 +43,8 @@ def one(dataset: Path, name: str, batch: int, rounds: int, precision: str) -> di
     torch.set_num_threads(1)
     train = open_dataset(dataset, "train")
     capture = capture_model(train, white=measure_reference_white(train))
-    network, loss = build_videonet(capture, **NETWORKS[name]), ClipLoss(ClipLossConfig())
+    config = VideoNetworkConfig(**yaml.safe_load(preset_texts()["videonet_64"])["network"] | NETWORKS[name])
+    network, loss = build_videonet(capture, config.size, **config.changes), ClipLoss(ClipLossConfig())
     optimiser = torch.optim.AdamW(network.parameters())
     measurement = torch.rand(batch, len(capture.stack.channels), *capture.sensor_shape)
     start = network.begin(measurement)

@@ -163,7 +163,11 @@ _FILMS: dict[str, Callable[..., nn.Module]] = {
 
 
 class ClipMethod:
-    """A classical method for the clips of one plane: a `learning.method.Method`."""
+    """A classical method for the clips of one plane: a `learning.method.Method`.
+
+    Attributes:
+        film: what makes films ``(B, N, C, h, w)`` of measurements; those that are fitted can do more, see `FilmFitting`.
+    """
 
     def __init__(self, capture: CaptureModel, name: str, parameters: Mapping[str, Any]) -> None:
         """Prepare the method; ``parameters`` are all of `CLIP_DEFAULTS`.
@@ -177,18 +181,18 @@ class ClipMethod:
             planes = len(capture.stack.depths_m)
             raise InputError("stack", f"got {planes} planes, but {name} knows one: set psf.depths_cm to a single depth")
         self.name, self.capture, self.stage = _LABELS[name], capture, name
-        self._film = _FILMS[name](capture, **parameters)
+        self.film = _FILMS[name](capture, **parameters)
 
     def to(self, device: torch.device | str) -> Self:
         """Move what makes films to a device, and return this."""
-        self._film.to(device)
+        self.film.to(device)
         return self
 
     @torch.no_grad()
     def volume(self, measurement: Tensor) -> Tensor:
         """Return the frames ``(B, N, C, h, w)`` of measurements ``(B, C, H, W)``: the camera's channels, 1 for white."""
         with threads_for(measurement[0].numel() * self.capture.frames):
-            return self._film(measurement)
+            return self.film(measurement)
 
     def estimate(self, volume: Tensor, clock: Clock | None = None) -> Estimate:
         """Return the estimate of such frames; no further stage is timed. Their disparity is that of the one plane, 0."""
