@@ -21,6 +21,8 @@ from simulator.config.camera import ExposureConfig
 from simulator.dataset.dataset_info import FILE, DatasetInfo
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
+from simulator.io.files import sha256_bytes
+from simulator.io.json import canonical_json
 from simulator.optics.stack import PsfStack
 from simulator.optics.stack_files import CAPTURED_FOLDER, PSF_FOLDER, read_psf_stack
 from simulator.text import show
@@ -298,9 +300,19 @@ def capture_model(dataset: Dataset, stack: str | Path | PsfStack = "nominal", *,
     return model.with_stack(read_psf_stack(folder))
 
 
+def camera_identity(capture: CaptureModel) -> str:
+    """Return a hash of all that a camera model holds."""
+    arrays = (capture.stack.values, capture.stack.depths_m, capture.irradiance, capture.offset, capture.scene_to_camera)
+    parts = [sha256_bytes(np.ascontiguousarray(to_numpy(array)).tobytes()) for array in arrays]
+    numbers = (capture.stack.pixel_pitch_m, capture.gain, capture.white, *capture.sensor_shape, *capture.scene_shape)
+    of_clips = [] if capture.timing is None else [capture.timing.record()]
+    of_rows = [] if capture.row_exposure is None else [capture.row_exposure.tolist()]
+    return sha256_bytes(canonical_json([parts, numbers, capture.stack.channels, *of_clips, *of_rows]))
+
+
 def check_range(capture: CaptureModel) -> None:
     """Refuse PSFs up to infinity where depth errors are in centimetres: a single pixel there would outweigh all others."""
-    if not np.isfinite(capture.far_m):
+    if len(capture.stack.depths_m) > 1 and not np.isfinite(capture.far_m):
         cure = "make the data set, or data.stack, with a finite one, such as 1000"
         raise InputError("psf.far_cm", f"got PSFs up to infinity, where an error has no length in centimetres; {cure}")
 

@@ -108,6 +108,11 @@ class ExampleSet(TorchDataset[Example]):
             raise InputError(dataset.root, f"split {dataset.split!r} is empty; {cure}")
         if noise_db is not None and not 0 < noise_db[0] <= noise_db[1] <= 120:
             raise InputError("noise_db", f"got {noise_db}, expected a range of PSNRs such as (20, 50), in 0 to 120 dB")
+        if augment is not None and self.timing is not None and dataset.info.time.get("ground_truth") != "frames":
+            reason = f"{dataset.root} stores only the mean of each sliver, from which no capture can be simulated"
+            raise InputError(
+                "data.augment", f"{reason}; generate it with dataset.ground_truth: frames, or leave it out"
+            )
         self.dataset, self._noise_db, self.augment, self._seed = dataset, noise_db, augment, seed
         self.redrawn = augment is not None or noise_db is not None
         self._sensor, self._dark, self._clip, self._quantise = _converter(dataset)
@@ -161,18 +166,14 @@ def read_scene(dataset: Dataset, position: int, timing: Timing | None = None) ->
     """
     stored = dataset.stored(position)
     clip, around = _stored_clip(dataset, stored, timing), stored.surroundings()
-    arrays = _arrays(clip) if timing is not None else {name: values[0] for name, values in _arrays(clip).items()}
-    if timing is not None:
+    arrays = _arrays(clip)
+    if around is not None:
+        arrays |= {"light_beside": around.rgb, "depth_beside": around.depth_m}
+    if timing is None:
+        arrays = {name: values[0] for name, values in arrays.items()}
+    else:
         arrays |= {"frame_edges_s": clip.frame_edges_s}
-    if around is None:
-        return arrays
-    still = timing is None
-    beside = {"light_beside": around.rgb, "depth_beside": around.depth_m}
-    return (
-        arrays
-        | {name: values[0] if still else values for name, values in beside.items()}
-        | {"coarseness": np.array(around.coarseness)}
-    )
+    return arrays if around is None else arrays | {"coarseness": np.array(around.coarseness)}
 
 
 def _stored_clip(dataset: Dataset, stored: StoredSample, timing: Timing | None) -> Clip:

@@ -39,6 +39,7 @@ from learning.evaluate.paired import EXPLAINED, compare
 from learning.evaluate.report import OWN_FILES, Evaluation, compared_scores, is_claimed
 from learning.evaluate.tables import markdown, markdown_differences, markdown_verdicts
 from learning.method import Progress, Say, choose_device
+from learning.models.flatnet import FlatNet
 from learning.resume import BEST
 from learning.train import train
 from learning.tune.job import tune_file
@@ -86,6 +87,10 @@ def swap_masks(config: SwapConfig, *, progress: Progress = lambda *_: None, say:
     if config.network is not None:
         path = find_checkpoint(config.network.init_from, "network.init_from", config.resolve_path)
         known = load_checkpoint(path)
+        if not isinstance(known.network, FlatNet):
+            raise InputError(
+                "network.init_from", f"{path} is a VideoNet, for clips; expected a FlatNet: masks see stills"
+            )
         check_learned("network.init_from", path, known.record, unseen)
     judged = _evaluation(config, known, folder)
     is_claimed(folder / _EVALUATION, config.name)

@@ -121,4 +121,9 @@ def sample_timing(dataset: Dataset, stored: StoredSample) -> Timing | None:
         return None
     if (shutter := dataset.shutter) is None:
         raise InputError(dataset.root, "records no shutter (time.shutter), which clips need; make it again")
-    return Timing(shutter, sliver_edges(stored.frame_edges_s, dataset.info.time.get("slivers") or stored.frames))
+    slivers = dataset.info.time.get("slivers")
+    if slivers is not None and (type(slivers) is not int or slivers < 1):
+        raise InputError(
+            dataset.root, f"time.slivers: got {show(slivers)}, expected a number from 1; restore its record"
+        )
+    return Timing(shutter, sliver_edges(stored.frame_edges_s, slivers or stored.frames))

@@ -21,6 +21,7 @@ from learning.losses import ReconstructionLoss
 from learning.method import Progress, Say
 from learning.models import build_network
 from learning.models.flatnet import FlatNet
+from learning.timing import recorded_timing
 from learning.training_loop import Plan, Training, TrainResult, find_cache, open_splits, run
 from learning.validation import draw, true_estimate, validate
 from simulator.dataset.reader import Dataset
@@ -64,6 +65,7 @@ def find_data(config: TrainConfig | VideoTrainConfig) -> tuple[Dataset, Dataset,
     check_range(capture)
     if validation.root != train.root:
         _check_same_camera(train, validation)
+        _check_same_times(capture, validation)
     return train, validation, capture
 
 
@@ -81,6 +83,20 @@ def _check_same_camera(train: Dataset, validation: Dataset) -> None:
             for where, value in ((validation.root, np.asarray(two)), (f"data.train {train.root}", np.asarray(one)))
         )
         raise InputError("data.validation", f"{what} differs: {short}; validate on data of the same camera ({cure})")
+
+
+def _check_same_times(capture: CaptureModel, validation: Dataset) -> None:
+    """Refuse a validation split of stills for clips and the reverse, of another shutter, or of other slivers."""
+    own, known = recorded_timing(validation), capture.timing
+    if (own is None) != (known is None):
+        kinds = {True: "stills", False: "clips"}
+        got = f"{validation.root} holds {kinds[own is None]}, data.train {kinds[known is None]}"
+        raise InputError("data.validation", f"{got}; validate on data of the same camera (scene.frames)")
+    if own is not None and known is not None:
+        try:
+            own.check_same(known, capture.sensor_shape[0])
+        except InputError as error:
+            raise InputError("data.validation", f"{validation.root}: {error}") from error
 
 
 def _camera(dataset: Dataset) -> dict[str, Any]:
@@ -106,6 +122,13 @@ def open_examples(dataset: Dataset, config: TrainConfig, say: Say) -> ExampleSet
     )
 
 
+def check_normalisation(network: nn.Module, group: Processes) -> None:
+    """Refuse batch normalisation in several processes on CPUs, where torch cannot share its statistics."""
+    if group.world_size > 1 and not group.on_cuda and any(isinstance(each, _BatchNorm) for each in network.modules()):
+        reason = f"got unet, whose batch normalisation {group.world_size} processes share on GPUs only"
+        raise InputError("network.body", f"{reason}; take naf, or one process")
+
+
 def freeze_statistics(network: nn.Module) -> None:
     """Freeze the running statistics of batch normalisation, as at inference; training otherwise uses each batch's own."""
     for module in network.modules():
@@ -127,13 +150,7 @@ class FlatNetTraining(Training[Example]):
         loss = ReconstructionLoss(config.loss, capture)
         torch.manual_seed(config.seed)
         network = build_network(capture, config.network.name, config.network.size, **config.network.changes)
-        if (
-            group.world_size > 1
-            and not group.on_cuda
-            and any(isinstance(each, _BatchNorm) for each in network.modules())
-        ):
-            reason = f"got unet, whose batch normalisation {group.world_size} processes share on GPUs only"
-            raise InputError("network.body", f"{reason}; take naf, or one process")
+        check_normalisation(network, group)
         init_from, taken = None, []
         if config.init_from is not None:
             path = find_checkpoint(config.init_from, "init_from", config.resolve_path)

@@ -22,7 +22,7 @@ from learning.layers.inversion import FourierInversion
 from learning.method import Progress, Say, linear_to_srgb
 from learning.metrics import moving_pixels, psnr, psnr_at
 from learning.models.videonet import Film, VideoNet, build_videonet
-from learning.train import find_data, freeze_statistics
+from learning.train import check_normalisation, find_data, freeze_statistics
 from learning.training_loop import Plan, Training, TrainResult, find_cache, run
 from learning.validation import to_device
 from simulator.dataset.reader import Dataset
@@ -50,6 +50,7 @@ class VideoTraining(Training[ClipExample]):
         loss = ClipLoss(config.loss)
         torch.manual_seed(config.seed)
         network = build_videonet(capture, config.network.size, **config.network.changes)
+        check_normalisation(network, group)
         init_from, taken = None, []
         if config.init_from is not None:
             path = find_checkpoint(config.init_from, "init_from", config.resolve_path)

@@ -118,9 +118,11 @@ def read_metrics(folder: Path) -> list[dict[str, Any]]:
     path, found = folder / METRICS, []
     for text in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
         try:
-            found.append(json.loads(text))
+            line = json.loads(text)
         except ValueError:  # the last line of a process that died while it wrote
             continue
+        if isinstance(line, dict) and {"step", "kind"} <= set(line):  # else another program's
+            found.append(line)
     return found
 
 

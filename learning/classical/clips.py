@@ -78,7 +78,7 @@ CLIP_SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
     "fista": {
         "tv": (0.003, 0.01, 0.03),
         "tv_over_time": (0.3, 1.0, 3.0),
-        "iterations": (50, 100, 200, 400),
+        "iterations": (50, 100, 200),
     },
     "pnp_clips": {
         "prior": (0.5, 1.0, 2.0, 4.0),

@@ -85,31 +85,37 @@ class FistaTv(nn.Module):
     def _solve(self, measurement: Tensor) -> Tensor:
         problem, target = self.problem, self.problem.target(measurement)
         best = light = (problem.dark(1) if self._start is None else self._start.light(measurement)).clamp_min(0)
+        seen = seen_ahead = problem.forward(light)
         ahead, momentum = light, 1.0
         step = 1 / self._eigenvalue(light)
         dual = tuple(torch.zeros_like(each) for each in _differences(light))
         self.curve = []
         for _ in range(self.iterations):
-            gradient = problem.adjoint(problem.forward(ahead) - target)
+            gradient = problem.adjoint(seen_ahead - target)
             limits = [step * weight for weight in self._weights]
             if self._prox == "exact":
                 new, dual = prox_tv(ahead - step * gradient, limits, dual, self._inner)
             else:
                 new = prox_haar(ahead - step * gradient, limits).clamp_min(0)
+            seen_new = problem.forward(new)
             if torch.sum((ahead - new) * (new - light)) > 0:  # momentum leads uphill
-                momentum, ahead = 1.0, new
+                momentum, ahead, seen_ahead = 1.0, new, seen_new
             else:
                 after = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
-                ahead, momentum = new + (momentum - 1) / after * (new - light), after
-            light = new
-            self.curve.append(self.objective(light, target))
+                further, momentum = (momentum - 1) / after, after
+                ahead, seen_ahead = new + further * (new - light), seen_new + further * (seen_new - seen)
+            light, seen = new, seen_new
+            self.curve.append(self._value(light, seen - target))
             if self.curve[-1] <= min(self.curve):
                 best = light
         return best
 
     def objective(self, light: Tensor, target: Tensor) -> float:
         """Return what is minimised, of x ``(N, K, 1, C, rows, columns)`` and y ``(1, C, H, W)``."""
-        misfit = 0.5 * float((self.problem.forward(light) - target).double().square().sum())
+        return self._value(light, self.problem.forward(light) - target)
+
+    def _value(self, light: Tensor, residual: Tensor) -> float:
+        misfit = 0.5 * float(residual.double().square().sum())
         variations = (weight * float(part.abs().double().sum()) for weight, part in self._weighed(light))
         return misfit + sum(variations)
 

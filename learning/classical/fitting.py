@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from learning.camera import CaptureModel
+from learning.camera import CaptureModel, camera_identity
 from learning.layers.space_time import ClipProblem
 from simulator.errors import InputError
 from simulator.io.files import write_atomic
@@ -127,7 +127,7 @@ class FilmFitting(nn.Module, ABC):
         self.iterations, self.seed = iterations, seed
         self.told: dict[str, Any] = {"iterations": iterations, "seed": seed, **settings}
         self.curve: list[float] = []
-        self._psf = capture.stack.fingerprint
+        self._camera = camera_identity(capture)
 
     @abstractmethod
     def network(self, unit: Tensor, generator: torch.Generator) -> FilmNetwork:
@@ -182,7 +182,7 @@ class FilmFitting(nn.Module, ABC):
         optimiser = network.optimiser()
         first = [group["lr"] for group in optimiser.param_groups]
         fit = Fit()
-        identity = {"told": self.told, "psf": self._psf, "measurement": _digest(measurement)}
+        identity = {"told": self.told, "camera": self._camera, "measurement": _digest(measurement)}
         if state is not None and state.exists():
             fit = _load(state, identity, network, optimiser, generator, target)
         # Adam's epsilon is a size of gradients: without a unit of its own, the misfit would count more in a bright capture.
@@ -221,7 +221,7 @@ class FilmFitting(nn.Module, ABC):
         """Return the light that is the same everywhere and always and explains the measurement best, ``(C, 1, 1)``."""
         seen = self.problem(torch.ones_like(self.problem.dark(1)))
         unit = (seen * target).sum(dim=(0, 2, 3)) / seen.square().sum(dim=(0, 2, 3))
-        return unit.clamp_min(1e-6)[:, None, None]  # of a capture without light: as dark as nothing can be told from
+        return unit.clamp_min(1e-6)[:, None, None]  # positive, even of a capture without light
 
 
 @contextmanager

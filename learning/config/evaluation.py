@@ -111,7 +111,7 @@ class EvaluateConfig(FileSection):
     depth_bins_cm: list[Annotated[float, Range(0.01, 1e6, "cm")]] | None = None
     """edges of the depth bins of the errors; null: eight bins, even in disparity"""
     group_by: str | None = None
-    """a word of the scenes' metadata, such as background or event, by whose values scores are also given apart"""
+    """key of the scenes' metadata, such as background or event; scores are also reported for each of its values"""
     dark_share: Annotated[float, Range(0, 1)] | None = None
     """also report depth without pixels darker than this share of white; null: not"""
     perceptual: Literal["none", "auto", "lpips"] = "auto"

@@ -8,7 +8,9 @@ from pydantic import Field, model_validator
 
 from learning.config.files import Decibels, FileSection, Section, Weight
 from learning.simulate import Augmentation
+from simulator.errors import InputError
 from simulator.settings import Range
+from simulator.text import show
 from simulator.validation import refusal
 
 
@@ -109,7 +111,7 @@ class VideoNetworkConfig(Section):
     initial_estimate: Literal["slivers", "static", "joint"] | None = None
     """what it begins with: zero-filled slivers (the thesis), one inversion of the whole capture, or joint least squares"""
     measnet: bool | None = None
-    """complete the capture to a global measurement of each frame, and invert these, too"""
+    """predict what a global shutter would measure of each frame, and invert that as well"""
     dimensions: Literal[2, 3] | None = None
     """2: frames are channels of one image; 3: a stack of images"""
     body: Literal["naf", "unet"] | None = None
@@ -294,14 +296,18 @@ class VideoTrainConfig(LoopConfig):
     network: VideoNetworkConfig
     optimiser: NetworkOptimiserConfig = NetworkOptimiserConfig()
     init_from: str | None = None
-    """checkpoint (.safetensors) of a VideoNet to begin with, for fine-tuning"""
+    """checkpoint (.safetensors) of a VideoNet or a FlatNet2D to begin with"""
     loss: ClipLossConfig = ClipLossConfig()
 
 
 def training_kind(data: dict[str, Any]) -> type[TrainConfig] | type[VideoTrainConfig]:
-    """Return what a training's file must be: that of clips where it names VideoNet."""
+    """Return what a training's file must be: that of clips where it names VideoNet; an InputError refuses unknown names."""
     network = data.get("network")
-    return VideoTrainConfig if isinstance(network, dict) and network.get("name") == "videonet" else TrainConfig
+    name = network.get("name", "flatnet3d") if isinstance(network, dict) else "flatnet3d"
+    known = ("flatnet3d", "flatnet2d", "videonet")
+    if name not in known:
+        raise InputError("network.name", f"got {show(name)}, expected one of {', '.join(known)}")
+    return VideoTrainConfig if name == "videonet" else TrainConfig
 
 
 class DenoiserConfig(LoopConfig):

@@ -110,6 +110,7 @@ class Trial:
         for entry in entries:
             for stack, level in self.planned:
                 self.runner.method(Run(entry, stack, level))
+        self._places = self._grouped()
 
     def run(self, progress: Progress) -> Findings:
         """Return what comes out."""
@@ -147,8 +148,8 @@ class Trial:
             curves=[one for seeds in self.methods for each in seeds if (one := _curve(each)) is not None],
         )
 
-    def _groups(self, naive: Sequence[tuple[Constant, dict[str, Any]]]) -> dict[str, list[Outcome]]:
-        """Return the rows of the table for each value of ``group_by`` alone, as stored."""
+    def _grouped(self) -> dict[str, list[int]]:
+        """Return the positions of the scenes of each value of ``group_by``; an InputError refuses a key that one lacks."""
         word = self.config.group_by
         if word is None:
             return {}
@@ -158,9 +159,15 @@ class Trial:
             raise InputError(
                 "group_by", f"got {word}, which sample {unknown[0]} does not have; expected one of {known}"
             )
+        values = [str(scene[word]) for scene in scenes]
+        return {
+            f"{word}: {value}": [at for at, own in enumerate(values) if own == value] for value in sorted(set(values))
+        }
+
+    def _groups(self, naive: Sequence[tuple[Constant, dict[str, Any]]]) -> dict[str, list[Outcome]]:
+        """Return the rows of the table for each value of ``group_by`` alone, as stored."""
         groups: dict[str, list[Outcome]] = {}
-        for value in sorted({str(scene[word]) for scene in scenes}):
-            places = [at for at, scene in enumerate(scenes) if str(scene[word]) == value]
+        for title, places in self._places.items():
             rows = []
             for seeds in self.methods:
                 found = [self.runner.result(Run(entry, self.config.data.stack)) for entry in seeds]
@@ -168,7 +175,7 @@ class Trial:
             rows += [
                 outcome(one.name, "naive", [chosen_scenes(found, places)], only=one.scores) for one, found in naive
             ]
-            groups[f"{word}: {value}"] = rows
+            groups[title] = rows
         return groups
 
 

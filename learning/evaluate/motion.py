@@ -44,15 +44,18 @@ def sliver_motion(stored: StoredSample, slivers: int) -> SliverMotion | None:
     y, x = np.mgrid[:rows, :columns].astype(np.float64)
     places, seen = [], []
     for sliver in range(slivers - 1):
-        first = sliver * length + length // 2
+        # The middle of an even number of frames lies between two: half a step of the first, half a step of the last.
+        even = length % 2 == 0
+        first = sliver * length + length // 2 - even
+        steps = [0.5, *[1.0] * (length - 1), 0.5] if even else [1.0] * length
         at_x, at_y, visible = x.copy(), y.copy(), np.ones(x.shape, bool)
-        for frame in extras[first : first + length]:
+        for frame, step in zip(extras[first : first + len(steps)], steps, strict=True):
             j, i = np.rint(at_x).astype(int), np.rint(at_y).astype(int)
             visible &= (j >= 0) & (j < columns) & (i >= 0) & (i < rows)
             near = np.clip(i, 0, rows - 1), np.clip(j, 0, columns - 1)
             visible &= frame["motion_valid"][near]
-            at_x += frame["motion"][near][..., 0]
-            at_y += frame["motion"][near][..., 1]
+            at_x += step * frame["motion"][near][..., 0]
+            at_y += step * frame["motion"][near][..., 1]
         visible &= (at_x >= 0) & (at_x <= columns - 1) & (at_y >= 0) & (at_y <= rows - 1)
         places.append(np.stack([at_x, at_y], axis=-1))
         seen.append(visible)

@@ -10,21 +10,22 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-SCORES: dict[str, tuple[str, int, bool]] = {
+SCORES: dict[str, tuple[str, int, bool | None]] = {
     "psnr": ("PSNR dB", 2, True),
     "moving_psnr": ("moving PSNR dB", 2, True),
     "ssim": ("SSIM", 3, True),
     "lpips": ("LPIPS", 3, False),
     "flip": ("FLIP", 3, False),
     "cvvdp": ("ColorVideoVDP JOD", 2, True),
-    "warping_error": ("warping error", 3, False),
+    "warping_error": ("warping error", 3, None),
+    "true_warping_error": ("the truth's", 3, None),
     "linear_psnr": ("linear PSNR dB", 2, True),
     "depth_rmse_cm": ("depth RMSE cm", 2, False),
     "disparity_rmse": ("disparity RMSE", 3, False),
     "disparity_rmse_per_m": ("1/z RMSE 1/m", 2, False),
     "lit_depth_rmse_cm": ("lit depth RMSE cm", 2, False),
 }
-"""Title, digits and whether more is better; in this order, as far as they were measured."""
+"""Title, digits and whether more is better (None: neither); in this order, as far as they were measured."""
 
 
 @dataclass(frozen=True)

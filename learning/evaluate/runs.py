@@ -14,14 +14,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from learning.camera import CaptureModel, capture_model, measure_reference_white
+from learning.camera import CaptureModel, camera_identity, capture_model, measure_reference_white
 from learning.data import Example, ExampleSet, measured_psnr_db
 from learning.evaluate.methods import Entry, LearnedEntry
 from learning.evaluate.outcome import OWN
 from learning.evaluate.scoring import Criteria, ScenesDone, checked, score
 from learning.method import Method
 from learning.provenance import sample_digests
-from simulator.arrays import to_numpy
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.io.cache import code_digest
@@ -90,16 +89,6 @@ class Cameras:
                 found = f"{other.label} shows a radiance of {white:g} as white, {one.label} {first:g}"
                 raise InputError("methods", f"{found}: one table needs one white; train them with the same")
         return first
-
-
-def camera_identity(capture: CaptureModel) -> str:
-    """Return a hash of all that a camera model holds."""
-    arrays = (capture.stack.values, capture.stack.depths_m, capture.irradiance, capture.offset, capture.scene_to_camera)
-    parts = [sha256_bytes(np.ascontiguousarray(to_numpy(array)).tobytes()) for array in arrays]
-    numbers = (capture.stack.pixel_pitch_m, capture.gain, capture.white, *capture.sensor_shape, *capture.scene_shape)
-    of_clips = [] if capture.timing is None else [capture.timing.record()]
-    of_rows = [] if capture.row_exposure is None else [capture.row_exposure.tolist()]
-    return sha256_bytes(canonical_json([parts, numbers, capture.stack.channels, *of_clips, *of_rows]))
 
 
 class ResultCache:

@@ -65,7 +65,9 @@ def score(
             for at, scene in enumerate(scenes):
                 motion = sliver_motion(examples.dataset.stored(first + at), examples.timing.frames)
                 if motion is not None:
+                    truth = linear_to_srgb(example.radiance[at], method.capture.white)
                     scene["warping_error"] = warping_error(estimate.image[at], motion)
+                    scene["true_warping_error"] = warping_error(truth, motion)
         if len(method.capture.stack.depths_m) < 2:
             found["scores"] += scenes
             progress(len(scenes))
@@ -116,7 +118,17 @@ def _binned(error_cm2: Tensor, depth_cm: Tensor, edges_cm: Sequence[float]) -> t
     return sums.tolist(), torch.bincount(place[inside], minlength=bins).tolist()
 
 
-IMAGE_SCORES = ("psnr", "moving_psnr", "ssim", "lpips", "flip", "cvvdp", "warping_error", "linear_psnr")
+IMAGE_SCORES = (
+    "psnr",
+    "moving_psnr",
+    "ssim",
+    "lpips",
+    "flip",
+    "cvvdp",
+    "linear_psnr",
+    "warping_error",
+    "true_warping_error",
+)
 DEPTH_SCORES = ("depth_rmse_cm", "lit_depth_rmse_cm")
 DISPARITY_SCORES = ("disparity_rmse", "disparity_rmse_per_m")
 

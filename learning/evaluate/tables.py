@@ -16,6 +16,7 @@ from learning.method import aligned
 # Of the thesis's table 5.2, FLIP, which needs no weights, and what there is of clips
 MAIN = ("psnr", "moving_psnr", "ssim", "lpips", "flip", "cvvdp", "depth_rmse_cm")
 _VERDICTS = {"reference": "▲", "other": "▼", None: "○"}
+_ARROWS = {True: " ↑", False: " ↓", None: ""}
 _PLAIN = str.maketrans("▲▼○–−", "+-.--")  # for terminals
 TUNED_ELSEWHERE = "†"
 """Behind what was found with parameters of another level of noise."""
@@ -218,7 +219,7 @@ def _with_any(names: Sequence[str], outcomes: Sequence[Outcome]) -> list[tuple[O
 
 
 def _titles(names: Sequence[str]) -> list[str]:
-    return [f"{SCORES[name][0]} {'↑' if SCORES[name][2] else '↓'}" for name in names]
+    return [SCORES[name][0] + _ARROWS[SCORES[name][2]] for name in names]
 
 
 def _name(one: Outcome) -> str:
@@ -240,13 +241,15 @@ def _rank(one: Outcome, score: str) -> float:
 
 
 def _best(names: Sequence[str], outcomes: Sequence[Outcome]) -> dict[str, float]:
-    """Return the best mean of each score."""
-    means = {name: [one.scores[name].mean for one in outcomes if name in one.scores] for name in names}
+    """Return the best mean of each score of which there is one."""
+    ranked = [name for name in names if SCORES[name][2] is not None]
+    means = {name: [one.scores[name].mean for one in outcomes if name in one.scores] for name in ranked}
     return {name: (max if SCORES[name][2] else min)(values) for name, values in means.items()}
 
 
 def _cells(one: Outcome, names: Sequence[str], best: Mapping[str, float]) -> list[str]:
-    bold = {name for name in names if name in one.scores and not one.seed and one.scores[name].mean == best[name]}
+    known = {name for name in best if name in one.scores and not one.seed}
+    bold = {name for name in known if one.scores[name].mean == best[name]}
     return [f"**{_cell(one, name)}**" if name in bold else _cell(one, name) for name in names]
 
 

@@ -2,8 +2,8 @@
 
 A capture of a rolling shutter is linear in the frames: y = A x, with A from `learning.camera.CaptureModel.row_weights`. The
 unknown is what shone in the field that was simulated, image and margin, in each frame: fewer numbers than a period of the
-sensor's size has, though still more than the sensor's pixels (N frames of 64 x 64 in a capture of 160 x 192: 1.3 times as
-many for N = 10). So every method of clips has a prior.
+sensor's size has, though still more than the sensor's pixels (ten frames of a field of 72 x 72 in a capture of 160 x 192:
+1.7 times as many). So every method of clips has a prior.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ class JointLeastSquares(nn.Module):
 
     def _light(self, measurement: Tensor) -> Tensor:
         target = self.problem.target(measurement)
-        # Of a measurement without noise it is that of what is finer than pixels: never 0, by which is divided.
+        # Without noise it would be the fine detail's; never 0, because it is a divisor.
         noise = noise_level(measurement).clamp_min(1e-6)[:, None, None, None] * self.problem.scale
         found = self._solve(target / noise, noise)
         return self._synthesised(found)

@@ -241,7 +241,11 @@ class VideoNet(nn.Module):
         missing = [name for name in found if name not in own or own[name].shape != found[name].shape]
         missing += [name for name in wanted if name not in found]
         if missing or not found:
-            what = f"{missing[0]} has another shape, or is only in one of both" if missing else "nothing in it fits"
+            what = (
+                f"{missing[0]} differs in shape, or exists in only one of the two"
+                if missing
+                else "it has nothing of this network"
+            )
             raise InputError(source, f"{what}; take a checkpoint of the same size (filters, blocks, levels, body)")
         self.load_state_dict(own | found)
         return [f"copied {len(found)} of {len(own)} tensors"]

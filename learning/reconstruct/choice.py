@@ -76,7 +76,9 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
     if request.checkpoint is not None:
         return _learned(measurement, find_checkpoint(request.checkpoint), request)
     if request.stack or request.tuned or request.parameters:
-        raise InputError("--method", "missing; --stack, --tuned and --set are for cls, admm and pnp: add one of them")
+        raise InputError(
+            "--method", "missing; --stack, --tuned and --set belong to a classical method: add --method NAME"
+        )
     refused: list[str] = []
     for name, path in shipped_checkpoints().items():
         try:
@@ -84,7 +86,9 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
         except InputError as error:
             refused.append(f"{name}: {error}")
     reasons = "; ".join(refused) or "none is shipped"
-    cure = "Give --checkpoint FILE of a network for this camera, or --method (joint for clips) with --stack, its PSFs"
+    cure = (
+        "Give --checkpoint FILE of a network for this camera, or --method (cls; of clips joint) with --stack, its PSFs"
+    )
     raise InputError(measurement.path, f"no shipped checkpoint fits ({reasons}). {cure}")
 
 

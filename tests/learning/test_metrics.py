@@ -30,7 +30,7 @@ from learning.metrics import (
 from simulator.errors import InputError
 
 Pixels = NDArray[np.float32]
-OF_CLIPS = ("moving_psnr", "warping_error", "cvvdp")
+OF_CLIPS = ("moving_psnr", "warping_error", "true_warping_error", "cvvdp")
 
 
 @pytest.fixture

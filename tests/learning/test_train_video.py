@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 from collections.abc import Callable
 from dataclasses import replace
@@ -285,6 +286,38 @@ def test_stills_for_a_videonet_and_clips_for_a_flatnet_are_refused(
     assert not Path(config.output).exists()
 
 
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"slivers": 2}, r"^data\.validation: .*slivers: got 2, .*4"),
+        ({"order": "centre_out"}, r"^data\.validation: .*shutter: "),
+    ],
+)
+def test_validation_through_another_shutter_is_refused(
+    clip_dataset: Path, tmp_path: Path, video_settings: Settings, changes: dict[str, Any], message: str
+) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(clip_dataset, other)
+    description = json.loads((other / "dataset.json").read_bytes())
+    description["time"] |= {key: value for key, value in changes.items() if key == "slivers"}
+    description["time"]["shutter"] |= {key: value for key, value in changes.items() if key == "order"}
+    (other / "dataset.json").write_text(json.dumps(description), encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        train_video(video_settings(data={"validation": str(other)}))
+
+
+def test_clips_of_slivers_alone_cannot_be_changed(clip_dataset: Path, tmp_path: Path) -> None:
+    """Within a sliver, nothing that was stored moves."""
+    other = tmp_path / "other"
+    shutil.copytree(clip_dataset, other)
+    description = json.loads((other / "dataset.json").read_bytes())
+    assert description["time"]["ground_truth"] == "frames"
+    description["time"]["ground_truth"] = "slivers"
+    (other / "dataset.json").write_text(json.dumps(description), encoding="utf-8")
+    with pytest.raises(InputError, match=r"^data\.augment: .*dataset\.ground_truth: frames"):
+        ExampleSet(open_dataset(other, "train"), augment=Augmentation())
+
+
 def test_the_file_says_which_training_it_is(
     clip_dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -297,6 +330,10 @@ def test_the_file_says_which_training_it_is(
     assert isinstance(load_file(training_kind, file), VideoTrainConfig)
     assert training_kind({"network": {"name": "flatnet2d"}}) is TrainConfig
     assert training_kind({}) is training_kind({"network": "videonet"}) is TrainConfig
+    with pytest.raises(
+        InputError, match=r"^network\.name: got 'VideoNet', expected one of flatnet3d, flatnet2d, videonet"
+    ):
+        training_kind({"network": {"name": "VideoNet"}})
     command(file, ["network.filters=5"])
     out = capsys.readouterr().out
     assert "of moving pixels" in out

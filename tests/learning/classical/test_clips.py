@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,12 @@ from learning.classical.by_name import ALL_DEFAULTS, ALL_SEARCH, ALL_VOLUME_PARA
 from learning.classical.clips import CLIP_DEFAULTS, CLIP_SEARCH, ClipMethod, SliverInversion, StaticInversion
 from learning.classical.fista import FistaTv
 from learning.classical.method import ClassicalMethod, check_parameters
+from learning.config import TuneConfig
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.space_time import JOINT, JointLeastSquares
 from learning.method import Clock
 from learning.timing import Timing
+from learning.tune.job import classical
 from simulator.camera.shutter import RowShutter
 from simulator.errors import InputError
 
@@ -181,6 +184,13 @@ def test_what_makes_no_sense_is_refused(
 ) -> None:
     with pytest.raises(InputError, match=message):
         build_method(clip_capture, name, given)
+
+
+@pytest.mark.parametrize("name", sorted({*CLIP_DEFAULTS} - {"pnp_clips"}))  # whose denoiser is that of stills' tests
+def test_tuning_accepts_its_own_candidates(clip_capture: CaptureModel, name: str) -> None:
+    data = {"validation": Path("somewhere")}
+    config = TuneConfig.model_validate({"output": Path("tuned.json"), "data": data, "methods": [name]})
+    assert classical(clip_capture, name, config, torch.device("cpu")).space.keys() == CLIP_SEARCH[name].keys()
 
 
 def test_tuning_knows_parameters_of_every_method() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from learning.camera import CaptureModel
 from learning.classical.fitting import FilmFitting, FilmNetwork, Fit, drawn_from
 from learning.layers.space_time import ClipProblem
 from learning.method import torch_threads
+from simulator.camera.shutter import DualRollingShutter
 from simulator.errors import InputError
 
 
@@ -228,10 +230,14 @@ def test_each_capture_is_a_fit_of_its_own_without_gradients_around(fitting: Pixe
 def test_other_states_are_refused(clip_capture: CaptureModel, measurement: Tensor, tmp_path: Path) -> None:
     file = tmp_path / "state.pt"
     PixelFitting(clip_capture, iterations=2, seed=0).fit(measurement, state=file)
+    assert clip_capture.timing is not None
+    later = replace(clip_capture.timing, shutter=DualRollingShutter(4e-3, 0.4e-3))
     for other, seen in (
         (PixelFitting(clip_capture, iterations=2, seed=1), measurement),
         (PixelFitting(clip_capture, iterations=3, seed=0), measurement),
         (PixelFitting(clip_capture, iterations=2, seed=0), measurement + 1e-3),
+        (PixelFitting(replace(clip_capture, white=1.8), iterations=2, seed=0), measurement),
+        (PixelFitting(replace(clip_capture, timing=later), iterations=2, seed=0), measurement),
     ):
         with pytest.raises(InputError, match=r"state\.pt: holds another fit"):
             other.fit(seen, state=file)

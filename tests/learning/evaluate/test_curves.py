@@ -16,7 +16,8 @@ def test_a_curve_is_what_the_training_logged(tmp_path: Path) -> None:
         {"step": step, "kind": "validation", "psnr_db": step / 10, "depth_rmse_cm": 300 / step, "score_db": 0.0}
         for step in (100, 200)
     ]
-    text = "\n".join([*map(json.dumps, lines), '{"step": 300, "kind": "valida'])
+    others = [{"loss": 1.0}, [1]]  # of another program
+    text = "\n".join([*map(json.dumps, [*others, *lines]), '{"step": 300, "kind": "valida'])
     (tmp_path / METRICS).write_text(text, encoding="utf-8")
     curve = learning_curve("net", tmp_path / "best.safetensors")
     assert curve is not None

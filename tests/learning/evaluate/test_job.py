@@ -111,9 +111,12 @@ def test_clips_are_judged_frame_by_frame_and_by_group(load: Load, tmp_path: Path
     assert "epth RMSE" not in text
 
 
-def test_a_word_that_no_scene_has_and_methods_of_the_other_kind_are_refused(load: Load, clip_dataset: Path) -> None:
+def test_a_word_that_no_scene_has_and_methods_of_the_other_kind_are_refused(
+    load: Load, clip_dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     data = {"test": str(clip_dataset), "training": str(clip_dataset), "scenes": 2}
     joint = [{"name": "joint", "classical": "joint", "parameters": {"iterations": 1}}]
+    monkeypatch.setattr("learning.evaluate.runs.score", lambda *_, **__: pytest.fail("work before the refusal"))
     with pytest.raises(InputError, match=r"^group_by: .*parity"):
         evaluate(load(data=data, methods=joint, group_by="colour"))
     with pytest.raises(InputError, match=r"^CLS: .*clips"):

@@ -57,20 +57,31 @@ def stored(motion: np.ndarray, valid: np.ndarray, seen: int) -> StoredSample:
     return cast("StoredSample", SimpleNamespace(description=description, frames=len(motion), frame=frame))
 
 
-def test_motion_adds_up_from_middle_to_middle() -> None:
-    """Six frames, three slivers of two: from the second frame of one to that of the next; frame t moves by t + 1 columns."""
-    motion = np.zeros((6, 8, 32, 3), np.float32)
-    motion[..., 0] = np.arange(1, 7)[:, None, None]
-    valid = np.ones((6, 8, 32), bool)
-    valid[2, 4, 10] = False  # from frame 2 on, the point there is hidden
-    found = sliver_motion(stored(motion, valid, 6), 3)
+@pytest.mark.parametrize("length", [2, 3])
+def test_motion_is_that_of_the_slivers_middles(length: int) -> None:
+    """Of a thing that grows faster: frame t moves by 2 t + 2 columns. A sliver shows the mean of its frames' places."""
+    frames = 2 * length
+    motion = np.zeros((frames, 8, 32, 3), np.float32)
+    motion[..., 0] = 2 * np.arange(1, frames + 1)[:, None, None]
+    valid = np.ones((frames, 8, 32), bool)
+    at = np.concatenate([[0], np.cumsum(motion[:-1, 0, 0, 0])])
+    step = at[length:].mean() - at[:length].mean()
+    found = sliver_motion(stored(motion, valid, frames), 2)
     assert found is not None
     x = np.arange(32.0)
-    for sliver, step in ((0, 2 + 3), (1, 4 + 5)):
-        np.testing.assert_allclose(found.places[sliver, 0, :, 0], x + step)
-        assert (found.seen[sliver, 0] == (x + step <= 31)).all()
-    assert not found.seen[0, 4, 8]  # two columns before the hidden point, a frame earlier
-    assert found.seen[0, 4, 9]
+    np.testing.assert_allclose(found.places[0, 0, :, 0], x + step)
+    assert (found.seen[0, 0] == (x + step <= 31)).all()
+
+
+def test_what_is_hidden_on_the_way_is_not_seen() -> None:
+    motion = np.zeros((6, 8, 32, 3), np.float32)
+    motion[..., 0] = 2 * np.arange(1, 7)[:, None, None]
+    valid = np.ones((6, 8, 32), bool)
+    valid[2, 4, 10] = False
+    found = sliver_motion(stored(motion, valid, 6), 3)
+    assert found is not None
+    assert not found.seen[0, 4, 5]  # half a step of 2 and one of 4 columns before the hidden point
+    assert found.seen[0, 4, 6]
 
 
 def test_slivers_alone_and_samples_without_motion_say_nothing(clip_dataset: Path) -> None:

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from learning.camera import CaptureModel, measure_reference_white
+from learning.camera import CaptureModel, camera_identity, measure_reference_white
 from learning.evaluate.methods import ClassicalEntry, LearnedEntry
-from learning.evaluate.runs import Cameras, ResultCache, camera_identity
+from learning.evaluate.runs import Cameras, ResultCache
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.optics.stack_files import read_psf_stack, write_psf_stack

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from learning.config import (
     load_file,
     training_kind,
 )
+from learning.models.videonet import VideoNet
 from learning.presets import preset_texts
 from scenes.endoscopy.organs import ORGANS
 from simulator.config import Config, load_config
@@ -120,9 +122,10 @@ def test_the_evaluation_of_clips_reads_what_training_and_tuning_write(tmp_path: 
     config = load_file(EvaluateConfig, _written("evaluate_video_64", tmp_path))
     training = load_file(VideoTrainConfig, _written("videonet_64", tmp_path))
     tuning = load_file(TuneConfig, _written("tune_video_64", tmp_path))
-    network, *rivals = config.methods
+    network, begun, *rivals = config.methods
     outputs = [training.output, *(f"{training.output}_seed{seed}" for seed in (1, 2))]
     assert network.checkpoints == [f"{output}/best.safetensors" for output in outputs]
+    assert begun.parameters == {"iterations": signature(VideoNet).parameters["joint_iterations"].default}
     assert {rival.classical for rival in rivals} == set(tuning.methods)
     assert {rival.tuned for rival in rivals} == {str(tuning.output)}
     assert (config.noise_db, tuning.objective) == (tuning.noise_db, "image")
