@@ -26,7 +26,6 @@ from learning.camera import capture_model, measure_reference_white
 from learning.checkpoint import load_checkpoint
 from learning.classical.by_name import build_method
 from learning.classical.clips import ClipMethod
-from learning.classical.fitting import FilmFitting
 from learning.data import Example, ExampleSet
 from learning.method import Estimate
 from learning.metrics import measure
@@ -91,8 +90,8 @@ def main() -> None:
     for name in filter(None, chosen.methods.split(",")):
         method = build_method(capture, name, {"iterations": chosen.iterations})
         assert isinstance(method, ClipMethod)
-        fitting = method.film
-        assert isinstance(fitting, FilmFitting)
+        fitting = method.fitting
+        assert fitting is not None, f"{name} is not fitted to captures"
         fits = []
         for scene, example in examples.items():
             state = chosen.states / f"{name}_{chosen.iterations}_{scene}.pt"

@@ -132,13 +132,14 @@ How = "physical, as read from the sensor, or stored, rotated by 180 degrees so t
 InFrame = Option(help=f"orientation of an image file: {How}; samples record theirs")
 PsfFrame = Option(help="the same for the image of a PSF; default: as the measurement")
 Crop = Option(help="ROWSxCOLUMNS about the centre, or ROWSxCOLUMNS+TOP+LEFT, of the file's pixels")
+Classical = "a classical method: cls, admm or pnp; of clips joint, fista, pnp_clips, static, slivers, udn or nstm"
 Scene = Option(help="ROWSxCOLUMNS of the result where no data set or network sets it; default: the sensor's")
 
 
 def reconstruct(
     measurement: Annotated[Path, Sample],
     checkpoint: Annotated[str | None, Network] = None,
-    method: Annotated[str | None, Option(help="a classical method: cls, admm or pnp; of clips joint, fista")] = None,
+    method: Annotated[str | None, Option(help=Classical)] = None,
     stack: Annotated[str | None, Stack] = None,
     tuned: Annotated[Path | None, Option(help="its parameters: what `flatlight tune` wrote")] = None,
     noise_db: Annotated[float | None, Option(help="PSNR of the measurement, to choose tuned parameters")] = None,
@@ -156,11 +157,15 @@ def reconstruct(
     binning: Annotated[int, Option(help="binning factor per side, also applied to the PSF's image")] = 1,
     scene: Annotated[str | None, Scene] = None,
     white: Annotated[float | None, Option(help="radiance shown as white in image.png; default: from the image")] = None,
+    seconds: Annotated[float | None, Option(help="limit of time for udn and nstm; the same command goes on")] = None,
     device: Annotated[str, Option(help="auto, cpu or cuda")] = "auto",
 ) -> None:
     """Reconstruct image and depth, or the frames of a clip, from one measurement, by a network or a classical method."""
     given = locals()  # an option of the command is a field of Options, but for the two that are parsed
     from learning.reconstruct.job import Options, parse_changes, parse_size, reconstruct_file
+    from simulator.console import Bar
 
     parsed = {"parameters": parse_changes(given.pop("set_") or ()), "scene": parse_size(scene)}
-    print(reconstruct_file(Options(**given | parsed)))
+    with Bar() as bar:
+        report = reconstruct_file(Options(**given | parsed), progress=bar.update)
+    print(report)

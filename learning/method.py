@@ -17,6 +17,8 @@ from learning.camera import CaptureModel
 from simulator.errors import InputError
 from simulator.text import show
 
+Value = float | int | str
+"""Of a parameter of a classical method."""
 Progress = Callable[[str, int, int], None]
 """Called with a stage, what is done and how much there is in all."""
 Say = Callable[[str], None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from learning.camera import CaptureModel
-from learning.classical.clips import CLIP_DEFAULTS, CLIP_SEARCH, ClipMethod, Value
+from learning.classical.clips import CLIP_DEFAULTS, CLIP_SEARCH, ClipMethod
 from learning.classical.method import (
     DEFAULTS,
     SEARCH,
@@ -14,7 +14,7 @@ from learning.classical.method import (
     build_classical,
     check_parameters,
 )
-from learning.method import check_choices
+from learning.method import Value, check_choices
 from simulator.errors import InputError
 
 ALL_DEFAULTS: dict[str, dict[str, Value]] = DEFAULTS | CLIP_DEFAULTS

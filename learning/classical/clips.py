@@ -7,6 +7,7 @@ capture, which takes minutes to hours: `learning.classical.untrained`, `learning
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from typing import Any, Self
 
@@ -17,16 +18,21 @@ from learning.camera import CaptureModel
 from learning.checkpoint import DENOISER, find_denoiser, load_denoiser
 from learning.classical.clip_prior import ClipPlugAndPlay
 from learning.classical.fista import FistaTv
+from learning.classical.fitting import FilmFitting
 from learning.classical.neural_space_time import NeuralSpaceTime
 from learning.classical.untrained import UntrainedNetwork
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.padding import check_measurement
 from learning.layers.space_time import JOINT, JointLeastSquares
-from learning.method import Clock, Estimate, linear_to_srgb, threads_for
+from learning.method import Clock, Estimate, Value, linear_to_srgb, threads_for
 from simulator.errors import InputError
 
-Value = float | int | str
-"""Of a parameter of a classical method."""
+
+def _defaults(method: type) -> dict[str, Value]:
+    """Return the defaults of a method's settings."""
+    given = inspect.signature(method).parameters.values()
+    return {each.name: each.default for each in given if each.default is not each.empty}
+
 
 _STATIC: dict[str, Value] = {"regularisation_lambda": 1.0, "tikhonov": 1.0}
 CLIP_DEFAULTS: dict[str, dict[str, Value]] = {
@@ -43,26 +49,8 @@ CLIP_DEFAULTS: dict[str, dict[str, Value]] = {
         "iterations": 24,
         "inner": 8,
     },
-    "udn": {
-        "iterations": 2000,
-        "seed": 0,
-        "learning_rate": 1e-3,
-        "input_noise": 0.05,
-        "tv": 1e-20,
-        "filters": 128,
-        "levels": 5,
-    },
-    "nstm": {
-        "iterations": 2000,
-        "seed": 0,
-        "scene_rate": 1e-2,
-        "motion_rate": 1e-3,
-        "scene_cells": 0.6,
-        "motion_cells": 0.1,
-        "motion_cells_over_time": 1.0,
-        "coarse": 0.8,
-        "width": 64,
-    },
+    "udn": {"iterations": 2000, **_defaults(UntrainedNetwork)},
+    "nstm": {"iterations": 2000, **_defaults(NeuralSpaceTime)},
 }
 CLIP_SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
     "static": {"regularisation_lambda": (0.1, 0.3, 1.0, 3.0), "tikhonov": (0.3, 1.0, 3.0, 10.0)},
@@ -166,7 +154,7 @@ class ClipMethod:
     """A classical method for the clips of one plane: a `learning.method.Method`.
 
     Attributes:
-        film: what makes films ``(B, N, C, h, w)`` of measurements; those that are fitted can do more, see `FilmFitting`.
+        film: what makes films ``(B, N, C, h, w)`` of measurements.
     """
 
     def __init__(self, capture: CaptureModel, name: str, parameters: Mapping[str, Any]) -> None:
@@ -182,6 +170,11 @@ class ClipMethod:
             raise InputError("stack", f"got {planes} planes, but {name} knows one: set psf.depths_cm to a single depth")
         self.name, self.capture, self.stage = _LABELS[name], capture, name
         self.film = _FILMS[name](capture, **parameters)
+
+    @property
+    def fitting(self) -> FilmFitting | None:
+        """What fits a network to each capture, for minutes to hours; None of the other methods."""
+        return self.film if isinstance(self.film, FilmFitting) else None
 
     def to(self, device: torch.device | str) -> Self:
         """Move what makes films to a device, and return this."""

@@ -6,7 +6,6 @@ fit takes minutes to hours, so it has a limit of time, films kept on the way, an
 
 from __future__ import annotations
 
-import hashlib
 import io
 import math
 import time
@@ -23,9 +22,11 @@ from torch import Tensor, nn
 from learning.camera import CaptureModel, camera_identity
 from learning.layers.space_time import ClipProblem
 from simulator.errors import InputError
-from simulator.io.files import write_atomic
+from simulator.io.files import sha256_bytes, storage_errors, write_atomic
+from simulator.io.json import canonical_json
 
 _MEMORY = 50  # iterations over which residuals are averaged to tell which iterate is best: input noise makes them jump
+_SAVE_EVERY = 100
 _FORMAT = "flatlight fit state 1"
 
 
@@ -105,6 +106,9 @@ class FilmFitting(nn.Module, ABC):
 
     Attributes:
         told: the settings.
+        states: folder of the states from which `forward` goes on, a file for each capture; None keeps none.
+        seconds: after which `forward` ends a fit; see `fit`.
+        progress: called by `forward` with iterations done and in all.
         curve: the residual of each iteration of the last capture; see `Snapshot`.
     """
 
@@ -126,6 +130,9 @@ class FilmFitting(nn.Module, ABC):
         self.problem = ClipProblem(capture)
         self.iterations, self.seed = iterations, seed
         self.told: dict[str, Any] = {"iterations": iterations, "seed": seed, **settings}
+        self.states: Path | None = None
+        self.seconds = math.inf
+        self.progress: Callable[[int, int], None] | None = None
         self.curve: list[float] = []
         self._camera = camera_identity(capture)
 
@@ -140,7 +147,8 @@ class FilmFitting(nn.Module, ABC):
 
     def forward(self, measurement: Tensor) -> Tensor:
         """Return ``(B, N, C, h, w)`` radiance / white in the camera's channels, of measurements ``(B, C, H, W)``."""
-        return torch.cat([self.fit(each).film for each in measurement.split(1)])
+        how: dict[str, Any] = {"seconds": self.seconds, "progress": self.progress, "save_every": _SAVE_EVERY}
+        return torch.cat([self.fit(each, state=self._state(each), **how).film for each in measurement.split(1)])
 
     def fit(
         self,
@@ -182,7 +190,7 @@ class FilmFitting(nn.Module, ABC):
         optimiser = network.optimiser()
         first = [group["lr"] for group in optimiser.param_groups]
         fit = Fit()
-        identity = {"told": self.told, "camera": self._camera, "measurement": _digest(measurement)}
+        identity = self._identity(measurement)
         if state is not None and state.exists():
             fit = _load(state, identity, network, optimiser, generator, target)
         # Adam's epsilon is a size of gradients: without a unit of its own, the misfit would count more in a bright capture.
@@ -217,6 +225,18 @@ class FilmFitting(nn.Module, ABC):
         self.curve = fit.curve
         return fit
 
+    def _identity(self, measurement: Tensor) -> dict[str, Any]:
+        values = measurement.detach().cpu().contiguous().numpy()
+        return {"told": self.told, "camera": self._camera, "measurement": sha256_bytes(values.tobytes())}
+
+    def _state(self, measurement: Tensor) -> Path | None:
+        if self.states is None:
+            return None
+        with storage_errors(self.states):
+            self.states.mkdir(parents=True, exist_ok=True)
+        name = sha256_bytes(canonical_json([type(self).__name__, self._identity(measurement)]))
+        return self.states / f"{name[:32]}.pt"
+
     def _unit(self, target: Tensor) -> Tensor:
         """Return the light that is the same everywhere and always and explains the measurement best, ``(C, 1, 1)``."""
         seen = self.problem(torch.ones_like(self.problem.dark(1)))
@@ -234,10 +254,6 @@ def drawn_from(generator: torch.Generator) -> Iterator[None]:
         torch.default_generator.set_state(generator.get_state())
         yield
         generator.set_state(torch.default_generator.get_state())
-
-
-def _digest(measurement: Tensor) -> str:
-    return hashlib.sha256(measurement.detach().cpu().contiguous().numpy().tobytes()).hexdigest()
 
 
 def _save(

@@ -12,13 +12,12 @@ from torch import Tensor, nn
 from learning.camera import CaptureModel
 from learning.checkpoint import find_denoiser, load_denoiser
 from learning.classical.admm import Admm
-from learning.classical.clips import Value
 from learning.classical.focus import COSTS, LIGHT, MEASURES, assemble, unary_cost
 from learning.classical.graph_cut import cut_labels
 from learning.classical.plug_and_play import PlugAndPlay
 from learning.layers.inversion import RegularisedInversion, samples_at_once
 from learning.layers.padding import as_pairs, from_pairs, scene_of
-from learning.method import Clock, Estimate, check_choices, linear_to_srgb
+from learning.method import Clock, Estimate, Value, check_choices, linear_to_srgb
 from simulator.arrays import to_numpy
 from simulator.errors import InputError
 from simulator.validation import now_called

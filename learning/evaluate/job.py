@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from learning.camera import CaptureModel
+from learning.classical.clips import ClipMethod
 from learning.config import EvaluateConfig
 from learning.data import check_dataset
 from learning.evaluate.curves import Curve, learning_curve
@@ -249,7 +250,11 @@ def _times(
     if config.time.repeats == 0:
         return []
     level = config.time.noise_db
-    timed = [runner.method(Run(seeds[0], config.data.stack, level)) for seeds in methods]
+    ready = [runner.method(Run(seeds[0], config.data.stack, level)) for seeds in methods]
+    # Minutes to hours each, and what is kept would take no time at all: benchmarks/fits.py tells
+    timed = [method for method in ready if not (isinstance(method, ClipMethod) and method.fitting is not None)]
+    if not timed:
+        return []
     examples = runner.examples(level)
     scenes = [examples[position].measurement for position in range(min(len(examples), _TIMED_SCENES))]
     measurements = torch.stack(scenes).to(runner.device)

@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from learning.camera import CaptureModel, camera_identity, capture_model, measure_reference_white
+from learning.classical.clips import ClipMethod
 from learning.data import Example, ExampleSet, measured_psnr_db
 from learning.evaluate.methods import Entry, LearnedEntry
 from learning.evaluate.outcome import OWN
@@ -89,6 +90,10 @@ class Cameras:
                 found = f"{other.label} shows a radiance of {white:g} as white, {one.label} {first:g}"
                 raise InputError("methods", f"{found}: one table needs one white; train them with the same")
         return first
+
+
+FITS = "fits"
+"""Folder, below that of the kept results, of the states of methods that are fitted to each capture."""
 
 
 class ResultCache:
@@ -187,8 +192,11 @@ class Runner:
         return self.cameras.assumed(run.entry, run.stack)
 
     def method(self, run: Run) -> Method:
-        """Return a run's method, ready on the device."""
-        return run.entry.build(self.camera(run), self.level_db(run), self.device)
+        """Return a run's method, ready on the device; one that is fitted to each capture keeps its fits."""
+        method = run.entry.build(self.camera(run), self.level_db(run), self.device)
+        if isinstance(method, ClipMethod) and method.fitting is not None:
+            method.fitting.states = self._cache.folder / FITS
+        return method
 
     def result(self, run: Run, progress: ScenesDone = lambda _: None) -> dict[str, Any]:
         """Return what `score` finds, which is kept."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +16,9 @@ import torch
 from numpy.typing import NDArray
 
 from learning.camera import CaptureModel
+from learning.classical.clips import ClipMethod
 from learning.classical.method import ClassicalMethod, PlanarMethod
-from learning.method import Clock, Method, choose_device, linear_to_srgb, srgb_to_linear, threads_for
+from learning.method import Clock, Method, Progress, choose_device, linear_to_srgb, srgb_to_linear, threads_for
 from learning.models.flatnet import LearnedMethod
 from learning.provenance import is_own_folder
 from learning.reconstruct.choice import Request, choose_method
@@ -53,18 +56,22 @@ class Options(Request):
     frame: Frame | None = None
     accept_frame: bool = False
     white: float | None = None
+    seconds: float | None = None
     device: str = "auto"
 
 
-def reconstruct_file(options: Options) -> str:
+def reconstruct_file(options: Options, *, progress: Progress = lambda *_: None) -> str:
     """Reconstruct a measurement, write the result, and return some lines about it.
+
+    A method that is fitted to the capture keeps its state beside the result until it is done: the same call goes on from it.
 
     Raises:
         InputError: an option, a file, or a camera that does not fit.
         StorageError: the result cannot be written.
     """
-    if options.white is not None and not (math.isfinite(options.white) and options.white > 0):
-        raise InputError("--white", f"got {options.white}, expected a positive radiance")
+    for option, value, what in (("--white", options.white, "radiance"), ("--seconds", options.seconds, "time")):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise InputError(option, f"got {value}, expected a positive {what}")
     device = choose_device(options.device)
     of_file = {name: getattr(options, name) for name in ("bits", "background", "crop", "binning", "frame")}
     measurement = load_measurement(options.measurement, **of_file)
@@ -81,6 +88,15 @@ def reconstruct_file(options: Options) -> str:
             measurement.record["frame_evidence"] = round(evidence, 4)
         method: Any = setup.method
         (method.network if hasattr(method, "network") else method).to(device)
+        fitting = method.fitting if isinstance(method, ClipMethod) else None
+        states = folder.absolute().with_name(f"{folder.absolute().name}.fit")
+        if fitting is not None:
+            fitting.states, fitting.progress = states, partial(progress, method.name)
+            fitting.seconds = math.inf if options.seconds is None else options.seconds
+        elif options.seconds is not None:
+            raise InputError(
+                "--seconds", f"{method.name} is not fitted to the capture; leave it out, or take udn or nstm"
+            )
         result = reconstruct(measurement.values, method, volume=options.volume, white=options.white, device=device)
     record = {
         "measurement": measurement.record,
@@ -91,6 +107,11 @@ def reconstruct_file(options: Options) -> str:
     }
     files = write_reconstruction(folder, result, method.capture, record)
     wrote = f"{folder}: {', '.join(files)}{'; replaced an earlier reconstruction' if replaces else ''}"
+    if fitting is not None:
+        if len(fitting.curve) < fitting.iterations:
+            wrote += f"; {len(fitting.curve)} of {fitting.iterations} iterations: with more --seconds it goes on"
+        else:
+            shutil.rmtree(states, ignore_errors=True)
     return _report(measurement, setup.method.name, record, result, wrote)
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TypeAlias
 
+from learning.method import Value
 from simulator.errors import InputError
 
-Value: TypeAlias = float | int | str
 Parameters: TypeAlias = dict[str, Value]
 
 _MOST_STEPS = 40  # along one parameter: a score that improves for ever without a limit is nobody's optimum

@@ -111,6 +111,27 @@ def test_clips_are_judged_frame_by_frame_and_by_group(load: Load, tmp_path: Path
     assert "epth RMSE" not in text
 
 
+@pytest.mark.usefixtures("no_figures")
+def test_what_is_fitted_to_each_capture_is_kept_and_not_timed(load: Load, clip_dataset: Path, tmp_path: Path) -> None:
+    methods = [
+        {"name": "fit", "classical": "nstm", "parameters": {"iterations": 2, "width": 8}},
+        {"name": "static", "classical": "static", "parameters": {}},
+    ]
+    data = {"test": str(clip_dataset), "training": str(clip_dataset), "scenes": 2}
+    evaluate(load(data=data, methods=methods, time={"repeats": 1}))
+    fits = sorted((tmp_path / "out" / "cache" / "fits").iterdir())
+    assert len(fits) == 2
+    assert [one["method"] for one in _results(tmp_path)["times"]] == ["static"]
+    # Of an evaluation that died before its end, the fits are taken up again.
+    kept = [path.stat().st_mtime_ns for path in fits]
+    for path in (tmp_path / "out" / "cache").glob("*.json"):
+        path.unlink()
+    first = _results(tmp_path)["outcomes"]
+    evaluate(load(data=data, methods=methods))
+    assert _results(tmp_path)["outcomes"] == first
+    assert len(list((tmp_path / "out" / "cache" / "fits").iterdir())) == len(kept)
+
+
 def test_a_word_that_no_scene_has_and_methods_of_the_other_kind_are_refused(
     load: Load, clip_dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -163,6 +163,34 @@ def test_the_shipped_checkpoint_that_fits_is_taken(
         choose_method(load_measurement(sample, binning=2), Request())
 
 
+def test_a_fit_goes_on_from_beside_the_result(clip_dataset: Path, tmp_path: Path, monkeypatch: Any) -> None:
+    """It ends after its time, after an iteration at least; the same call with more gives what one call gives."""
+    monkeypatch.chdir(tmp_path)
+    sample = next((clip_dataset / "test").rglob("s0*"))
+    told: dict[str, Any] = {"measurement": sample, "method": "nstm", "parameters": {"iterations": 3, "width": 8}}
+    steps: list[tuple[str, int, int]] = []
+
+    def reconstructed(name: str, seconds: float | None) -> str:
+        options = Options(**told, output=Path(name), seconds=seconds)
+        return reconstruct_file(options, progress=lambda *step: steps.append(step))
+
+    assert "1 of 3 iterations: with more --seconds it goes on" in reconstructed("parts", 1e-6)
+    assert [path.name for path in tmp_path.glob("parts.fit/*.pt")]
+    assert "iterations" not in reconstructed("parts", None).splitlines()[-1]
+    assert not (tmp_path / "parts.fit").exists()
+    assert [step for _, step, of in steps if of == 3] == [1, 2, 3]
+    reconstructed("whole", None)
+    films = [
+        [path.read_bytes() for path in sorted(tmp_path.glob(f"{name}/frames/*.exr"))] for name in ("parts", "whole")
+    ]
+    assert len(films[0]) == 4
+    assert films[0] == films[1]
+    with pytest.raises(InputError, match=r"^--seconds: .*not fitted"):
+        reconstruct_file(Options(measurement=sample, method="joint", seconds=1.0))
+    with pytest.raises(InputError, match=r"^--seconds: got 0"):
+        reconstruct_file(Options(measurement=sample, method="nstm", seconds=0.0))
+
+
 def test_a_clip_gives_frames_and_an_animation(clip_dataset: Path, tmp_path: Path) -> None:
     """The frames of the method, each with its time; an image of all frames, and one that moves."""
     dataset = open_dataset(clip_dataset, "test")
