@@ -23,8 +23,8 @@ class VideoQuality:
 
     def __init__(self, device: torch.device | str = "cpu") -> None:
         """Build the metric; ImportError where the package is not installed."""
-        import pycvvdp
-        from pycvvdp.display_model import vvdp_display_geometry
+        import pycvvdp  # pyright: ignore[reportMissingImports]
+        from pycvvdp.display_model import vvdp_display_geometry  # pyright: ignore[reportMissingImports]
 
         # Size and distance count by the pixels per degree alone, which the package would work out of them.
         geometry = vvdp_display_geometry([3840, 2160], ppd=PIXELS_PER_DEGREE)
