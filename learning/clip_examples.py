@@ -7,6 +7,7 @@ re-simulated a fixed number of times, and each time is worked out once, by which
 from __future__ import annotations
 
 import os
+import zlib
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -24,7 +25,8 @@ from learning.provenance import sample_digests
 from learning.simulate import SceneCamera
 from simulator.io.files import sha256_bytes, storage_errors
 
-_FORMAT = 1  # to be raised when the same draw of a clip, or the joint estimate of it, becomes another one
+_FORMAT = 2  # to be raised when the same draw of a clip, or the joint estimate of it, becomes another one
+_CHECKSUM = 4  # bytes; of nothing but zeros it is not 0, so that a hole in the file is no record
 
 
 class ClipExample(NamedTuple):
@@ -122,24 +124,26 @@ class ClipExamples(TorchDataset[ClipExample]):
 class KeptRecords:
     """Records of one kind in a file, each written once, by any process, when it was worked out.
 
-    Each record is written before the byte that says so; two processes that write the same one write the same bytes. Plain
-    reads and writes: of a full disk they raise an error, where a memory map would crash.
+    Each begins with its checksum, which a place that was never written, or not wholly, does not match; two processes that
+    write the same record write the same bytes. Plain reads and writes: of a full disk they raise an error, where a memory map
+    would crash.
     """
 
     def __init__(self, path: Path, like: Mapping[str, NDArray[Any]]) -> None:
         """Open the file, or begin it; ``like`` is a record of its kind. A StorageError says that it cannot be."""
         self._path = path
         self._kind = np.dtype([(name, values.dtype, values.shape) for name, values in like.items()])
-        self._descriptors: tuple[int, int] | None = None
+        self._descriptor: int | None = None
         with storage_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._open()
 
     def read(self, at: int) -> dict[str, NDArray[Any]] | None:
-        """Return a record's arrays, None where it was not written yet."""
-        data, done = self._open()
-        size = self._kind.itemsize
-        if os.pread(done, 1, at) != b"\1" or len(content := os.pread(data, size, at * size)) < size:
+        """Return a record's arrays, None where it was not written yet, or is damaged."""
+        size = _CHECKSUM + self._kind.itemsize
+        stored = os.pread(self._open(), size, at * size)
+        content = stored[_CHECKSUM:]
+        if len(stored) < size or stored[:_CHECKSUM] != _checksum(content):
             return None
         record = np.frombuffer(content, self._kind)[0]
         return {name: record[name] for name in self._kind.names or ()}
@@ -149,23 +153,23 @@ class KeptRecords:
         record = np.zeros((), self._kind)
         for name, values in arrays.items():
             record[name] = values
-        data, done = self._open()
+        content = record.tobytes()
+        content = _checksum(content) + content
+        first = at * len(content)
         with storage_errors(self._path):
-            content, first = record.tobytes(), at * self._kind.itemsize
             while content:  # of a nearly full disk, the system takes a part and says so
-                taken = os.pwrite(data, content, first)
+                taken = os.pwrite(self._open(), content, first)
                 content, first = content[taken:], first + taken
-            os.pwrite(done, b"\1", at)
 
-    def _open(self) -> tuple[int, int]:
-        """Return the descriptors of the records and of the bytes that say which are there."""
-        if self._descriptors is None:
-            data, done = (
-                os.open(path, os.O_RDWR | os.O_CREAT, 0o666) for path in (self._path, self._path.with_suffix(".done"))
-            )
-            self._descriptors = data, done
-        return self._descriptors
+    def _open(self) -> int:
+        if self._descriptor is None:
+            self._descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
+        return self._descriptor
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the descriptors out, which are this process's."""
-        return self.__dict__ | {"_descriptors": None}
+        """Leave the descriptor out, which is this process's."""
+        return self.__dict__ | {"_descriptor": None}
+
+
+def _checksum(content: bytes) -> bytes:
+    return zlib.crc32(content).to_bytes(_CHECKSUM, "little")
