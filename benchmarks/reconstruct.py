@@ -23,7 +23,7 @@ from learning.classical.method import DEFAULTS
 from learning.config import VideoNetworkConfig
 from learning.evaluate.scoring import take_times
 from learning.method import Method, describe_device
-from learning.models import build_network, build_videonet, learned_method
+from learning.models import build_network, learned_method
 from learning.presets import preset_texts
 from learning.tune.study import load_tuned
 from simulator.dataset import open_dataset
@@ -42,7 +42,9 @@ def networks(capture: CaptureModel, size: str, device: torch.device) -> list[Met
     """Return the networks for a camera of stills or clips, with random weights; the first one is what all compare with."""
     if capture.timing is not None:
         preset = VideoNetworkConfig(**yaml.safe_load(preset_texts()["videonet_64"])["network"]).changes
-        built = {name: build_videonet(capture, size, **preset | changes) for name, changes in VIDEONETS.items()}
+        built = {
+            name: build_network(capture, "videonet", size, **preset | changes) for name, changes in VIDEONETS.items()
+        }
     else:
         keys = {name: yaml.safe_load(preset_texts()[preset])["network"] for name, preset in PRESETS.items()}
         built = {name: build_network(capture, **own | {"size": size}) for name, own in keys.items()}

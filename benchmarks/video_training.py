@@ -24,7 +24,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from learning.camera import capture_model, measure_reference_white
 from learning.clip_loss import ClipLoss
 from learning.config import ClipLossConfig, VideoNetworkConfig
-from learning.models import build_videonet
+from learning.models import VideoNet, build_network
 from learning.presets import preset_texts
 from simulator.dataset import open_dataset
 
@@ -44,7 +44,8 @@ def one(dataset: Path, name: str, batch: int, rounds: int, precision: str) -> di
     train = open_dataset(dataset, "train")
     capture = capture_model(train, white=measure_reference_white(train))
     config = VideoNetworkConfig(**yaml.safe_load(preset_texts()["videonet_64"])["network"] | NETWORKS[name])
-    network, loss = build_videonet(capture, config.size, **config.changes), ClipLoss(ClipLossConfig())
+    network, loss = build_network(capture, config.name, config.size, **config.changes), ClipLoss(ClipLossConfig())
+    assert isinstance(network, VideoNet)
     optimiser = torch.optim.AdamW(network.parameters())
     measurement = torch.rand(batch, len(capture.stack.channels), *capture.sensor_shape)
     start = network.begin(measurement)

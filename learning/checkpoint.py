@@ -21,9 +21,9 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
+from learning.models import VideoNet, build_network, full_architecture
 from learning.models.denoiser import Denoiser
-from learning.models.flatnet import FIRST_VERSION, FlatNet, PlaneWeights, build_network, full_architecture
-from learning.models.videonet import VideoNet, build_videonet, full_video_architecture
+from learning.models.flatnet import FIRST_VERSION, FlatNet, PlaneWeights
 from learning.timing import Timing
 from simulator.errors import InputError
 from simulator.io.files import expanded, write_atomic
@@ -39,8 +39,6 @@ FOLDER = Path(__file__).parent / "checkpoints"
 """The trained networks shipped with Flatlight: one small file each."""
 DENOISER = "denoiser"
 """Name of the network and of the shipped file; no method by itself."""
-VIDEONET = "videonet"
-"""Name of the network for clips."""
 _BEST = "flatnet3d"  # where several fit
 _NUMBERS: dict[str, Callable[[Any], object]] = {
     **dict.fromkeys(("sensor_shape", "scene_shape"), is_shape),
@@ -94,7 +92,7 @@ def save_checkpoint(
 
     Args:
         path: the file, by custom ``*.safetensors``.
-        network: of `learning.models.build_network` or `build_videonet`; unwrap it from DDP first.
+        network: of `learning.models.build_network`; unwrap it from DDP first.
         architecture: ``network``, ``size`` and the changes that it was built with.
         capture: the camera that it was built for.
         record: how it was made; plain values.
@@ -106,8 +104,7 @@ def save_checkpoint(
             has no JSON form.
         StorageError: the place cannot be written to.
     """
-    of_clips = architecture.get("network") == VIDEONET
-    full = full_video_architecture(architecture) if of_clips else full_architecture(architecture)
+    full = full_architecture(architecture)
     weights = {name: _stored(name, value, precision) for name, value in network.state_dict().items()}
     _check_shapes(_build(full, capture).state_dict(), weights, "architecture")
     stack = capture.stack
@@ -261,8 +258,6 @@ def _stored(name: str, value: Tensor, precision: torch.dtype) -> Tensor:
 def _build(architecture: Mapping[str, Any], capture: CaptureModel) -> FlatNet | VideoNet:
     """Return a network of this architecture; torch's generator stays where it is."""
     with torch.random.fork_rng(devices=[]):
-        if architecture.get("network") == VIDEONET:
-            return build_videonet(capture, **{key: value for key, value in architecture.items() if key != "network"})
         return build_network(capture, **_named(architecture))
 
 

@@ -150,6 +150,7 @@ class FlatNetTraining(Training[Example]):
         loss = ReconstructionLoss(config.loss, capture)
         torch.manual_seed(config.seed)
         network = build_network(capture, config.network.name, config.network.size, **config.network.changes)
+        assert isinstance(network, FlatNet)
         check_normalisation(network, group)
         init_from, taken = None, []
         if config.init_from is not None:

@@ -21,7 +21,8 @@ from learning.distributed import Processes
 from learning.layers.inversion import FourierInversion
 from learning.method import Progress, Say, linear_to_srgb
 from learning.metrics import moving_pixels, psnr, psnr_at
-from learning.models.videonet import Film, VideoNet, build_videonet
+from learning.models import build_network
+from learning.models.videonet import Film, VideoNet
 from learning.train import check_normalisation, find_data, freeze_statistics
 from learning.training_loop import Plan, Training, TrainResult, find_cache, run
 from learning.validation import to_device
@@ -49,7 +50,8 @@ class VideoTraining(Training[ClipExample]):
         train, validation, capture = find_data(config)
         loss = ClipLoss(config.loss)
         torch.manual_seed(config.seed)
-        network = build_videonet(capture, config.network.size, **config.network.changes)
+        network = build_network(capture, config.network.name, config.network.size, **config.network.changes)
+        assert isinstance(network, VideoNet)
         check_normalisation(network, group)
         init_from, taken = None, []
         if config.init_from is not None:

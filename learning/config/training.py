@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
@@ -304,10 +304,11 @@ def training_kind(data: dict[str, Any]) -> type[TrainConfig] | type[VideoTrainCo
     """Return what a training's file must be: that of clips where it names VideoNet; an InputError refuses unknown names."""
     network = data.get("network")
     name = network.get("name", "flatnet3d") if isinstance(network, dict) else "flatnet3d"
-    known = ("flatnet3d", "flatnet2d", "videonet")
-    if name not in known:
-        raise InputError("network.name", f"got {show(name)}, expected one of {', '.join(known)}")
-    return VideoTrainConfig if name == "videonet" else TrainConfig
+    kinds = dict.fromkeys(get_args(NetworkConfig.model_fields["name"].annotation), TrainConfig)
+    kinds |= dict.fromkeys(get_args(VideoNetworkConfig.model_fields["name"].annotation), VideoTrainConfig)
+    if name not in kinds:
+        raise InputError("network.name", f"got {show(name)}, expected one of {', '.join(kinds)}")
+    return kinds[name]
 
 
 class DenoiserConfig(LoopConfig):

@@ -18,7 +18,7 @@ from learning.classical.by_name import ALL_DEFAULTS, build_method
 from learning.config import EvaluateConfig, MethodConfig
 from learning.evaluate.outcome import Kind
 from learning.method import Method
-from learning.models import SIZES, VIDEO_SIZES, learned_method
+from learning.models import NETWORKS, learned_method
 from learning.provenance import scenes_of
 from learning.tune.study import load_tuned
 from simulator.dataset.reader import Dataset
@@ -56,7 +56,7 @@ class LearnedEntry:
         """Return what a reader should know of it at a level of noise: the architecture in words."""
         known = {"network": "", "size": "", **self.architecture}
         name, size = known.pop("network"), known.pop("size")
-        usual = (VIDEO_SIZES if name == "videonet" else SIZES).get(size, {})
+        usual = NETWORKS[name].sizes.get(size, {}) if name in NETWORKS else {}
         changes = (f"{key} {value}" for key, value in known.items() if usual.get(key) != value)
         return ", ".join(filter(None, [name, size, *changes]))
 

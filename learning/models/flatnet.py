@@ -6,7 +6,6 @@ Lensless Measurements, TPAMI 2020.
 
 from __future__ import annotations
 
-import inspect
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple, cast
@@ -25,7 +24,6 @@ from learning.layers.unet import UNet
 from learning.method import Clock, Estimate, check_choices, linear_to_srgb
 from learning.models.refinement import MOST_RADIANCE, PlaneChoice, Refinement, Surface
 from simulator.errors import InputError
-from simulator.validation import now_called
 
 _NOISE_WEIGHT = 30.0
 """Initial weight of noise / signal in lambda, about what is learned: at high frequencies scenes are faint."""
@@ -255,7 +253,6 @@ def hyperfocal_plane(capture: CaptureModel) -> int:
     return int(np.argmin(np.abs(capture.plane_disparities() - 0.5).round(9)))
 
 
-NETWORKS: dict[str, type[FlatNet3D] | type[FlatNet2D]] = {"flatnet3d": FlatNet3D, "flatnet2d": FlatNet2D}
 _THESIS: dict[str, Any] = {"noise_aware": False, "joint": False, "refinements": 0, "repeats": 0, "head": "linear"}
 _OURS: dict[str, Any] = {
     **{"body": "naf", "blocks": 1, "stem": 1, "noise_aware": True},
@@ -268,37 +265,6 @@ SIZES: dict[str, dict[str, Any]] = {
 }
 FIRST_VERSION: dict[str, Any] = {"body": "unet", "blocks": 1} | _THESIS
 """What all networks were before checkpoints said it: version 1 of their format."""
-
-
-def build_network(capture: CaptureModel, name: str, size: str = "compact", **changes: Any) -> FlatNet:
-    """Return a network of `NETWORKS` and `SIZES` for a camera, its weights drawn from torch's generator.
-
-    ``changes`` are of the size's numbers; see `FlatNet`.
-
-    Raises:
-        InputError: an unknown name or size, or numbers that the network refuses.
-    """
-    check_choices(("network", name, NETWORKS), ("size", size, SIZES))
-    numbers = [key for key in inspect.signature(NETWORKS[name]).parameters if key != "capture"]
-    for key in changes:
-        if key not in numbers:
-            raise InputError(key, f"unknown; {name} has {', '.join(numbers)}{now_called(key, numbers)}")
-    return NETWORKS[name](capture, **SIZES[size] | changes)
-
-
-def full_architecture(architecture: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``network``, ``size`` and changes with all numbers of the size: it stays the same network when sizes change.
-
-    Raises:
-        InputError: an unknown name or size.
-
-    Example:
-        >>> full_architecture({"network": "flatnet3d", "size": "tiny", "filters": 8})["filters"]
-        8
-    """
-    name, size = architecture.get("network"), architecture.get("size", "compact")
-    check_choices(("network", name, NETWORKS), ("size", size, SIZES))
-    return {"network": name, "size": size, **SIZES[size], **architecture}
 
 
 class LearnedMethod:

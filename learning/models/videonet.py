@@ -9,8 +9,6 @@ frames by it (Adler and Oektem, Learned Primal-Dual Reconstruction, TMI 2018; Ag
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 import torch
@@ -308,29 +306,6 @@ VIDEO_SIZES: dict[str, dict[str, Any]] = {
     },
 }
 """``thesis``: U-Nets of 32 to 128 filters on zero-filled slivers, blind to the noise."""
-
-
-def full_video_architecture(architecture: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``network``, ``size`` and changes with all numbers of the size; an InputError refuses an unknown size."""
-    size = architecture.get("size", "compact")
-    check_choices(("size", size, VIDEO_SIZES))
-    return {"network": "videonet", "size": size, **VIDEO_SIZES[size], **architecture}
-
-
-def build_videonet(capture: CaptureModel, size: str = "compact", **changes: Any) -> VideoNet:
-    """Return a VideoNet of `VIDEO_SIZES` for a camera, its weights drawn from torch's generator; see `VideoNet`.
-
-    ``changes`` are of the size's numbers.
-
-    Raises:
-        InputError: an unknown size, or numbers that the network refuses.
-    """
-    check_choices(("size", size, VIDEO_SIZES))
-    known = [name for name in inspect.signature(VideoNet).parameters if name != "capture"]
-    for key in changes:
-        if key not in known:
-            raise InputError(key, f"unknown; videonet has {', '.join(known)}")
-    return VideoNet(capture, **VIDEO_SIZES[size] | changes)
 
 
 class VideoMethod:

@@ -23,9 +23,8 @@ from learning.checkpoint import (
     save_checkpoint,
     transfer,
 )
-from learning.models import SIZES, LearnedMethod, build_network
+from learning.models import SIZES, VIDEO_SIZES, LearnedMethod, build_network
 from learning.models.flatnet import Inverted
-from learning.models.videonet import VIDEO_SIZES, build_videonet
 from learning.timing import Timing
 from simulator.errors import InputError
 from simulator.io.files import StorageError
@@ -501,7 +500,7 @@ def video_path(tmp_path, clip_capture):
     exposure = np.linspace(0.5, 1.5, 48)
     capture = replace(clip_capture, row_exposure=exposure)
     torch.manual_seed(3)
-    network = build_videonet(capture, "tiny", filters=4, joint_iterations=3)
+    network = build_network(capture, "videonet", "tiny", filters=4, joint_iterations=3)
     with torch.no_grad():
         for parameter in network.parameters():
             parameter += 0.1 * torch.randn_like(parameter)

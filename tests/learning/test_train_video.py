@@ -22,7 +22,7 @@ from learning.config import TrainConfig, VideoTrainConfig, load_file, training_k
 from learning.data import ExampleSet
 from learning.method import linear_to_srgb
 from learning.models import build_network
-from learning.models.videonet import VideoNet, build_videonet
+from learning.models.videonet import VideoNet
 from learning.resume import BEST, DESCRIPTION, LAST, STATE
 from learning.simulate import Augmentation
 from learning.timing import Timing
@@ -175,7 +175,7 @@ def test_seeds_share_what_is_kept(video_settings: Settings, tmp_path: Path, monk
 
 def test_what_a_network_begins_with_is_given_without_the_network(clip_capture: CaptureModel) -> None:
     """A copy: the network's own may be moved to a GPU, where other processes cannot follow."""
-    network = build_videonet(clip_capture, "tiny", **SMALL)
+    network = build_network(clip_capture, "videonet", "tiny", **SMALL)
     measurement = torch.rand(1, 3, 48, 48)
     wanted = network.begin(measurement)
     begin = _Begin(network)
@@ -184,7 +184,7 @@ def test_what_a_network_begins_with_is_given_without_the_network(clip_capture: C
     assert wanted is not None
     assert found is not None
     assert torch.equal(found, wanted)
-    static = _Begin(build_videonet(clip_capture, "tiny", initial_estimate="static", **SMALL))
+    static = _Begin(build_network(clip_capture, "videonet", "tiny", initial_estimate="static", **SMALL))
     assert static(measurement) is None
 
 
@@ -225,7 +225,7 @@ def test_measnet_learns_what_a_global_shutter_would_measure(clip_capture: Captur
     seen = np.stack([exposed * model.forward((frame * capture.irradiance)[None, None]) for frame in light])
     measured = torch.from_numpy(seen + capture.offset[:, None, None]).float()[None]
     training: Any = object.__new__(VideoTraining)
-    training._network, training._capture = build_videonet(capture, "tiny", **SMALL), capture
+    training._network, training._capture = build_network(capture, "videonet", "tiny", **SMALL), capture
     given: list[torch.Tensor] = []
     training._loss = lambda film, image, measured: given.append(measured) or {}
     with torch.no_grad():

@@ -16,14 +16,12 @@ from learning.layers.inversion import RegularisedInversion, WienerInversion
 from learning.layers.noise import noise_ratio
 from learning.layers.space_time import JOINT, JointLeastSquares
 from learning.method import Clock
-from learning.models import build_network
+from learning.models import build_network, full_architecture
 from learning.models.videonet import (
     STARTS,
     VIDEO_SIZES,
     VideoMethod,
     VideoNet,
-    build_videonet,
-    full_video_architecture,
 )
 from learning.timing import Timing
 from simulator.camera.shutter import RollingShutter, RowShutter
@@ -317,7 +315,7 @@ def test_as_a_method(clip_capture: CaptureModel, measurement: Tensor) -> None:
 
 
 def test_the_thesis_has_u_nets_of_32_to_128_filters_on_zero_filled_slivers(clip_capture: CaptureModel) -> None:
-    net = build_videonet(clip_capture, "thesis")
+    net = build_network(clip_capture, "videonet", "thesis")
     assert net.measnet is not None
     for body in (net.measnet.body, net.enhancement.body):
         widths = [level[0].out_channels for level in body.down]  # pyright: ignore[reportAttributeAccessIssue, reportIndexIssue]
@@ -328,9 +326,9 @@ def test_the_thesis_has_u_nets_of_32_to_128_filters_on_zero_filled_slivers(clip_
 
 @pytest.mark.parametrize("size", VIDEO_SIZES)
 def test_sizes_are_their_numbers_with_what_is_changed(clip_capture: CaptureModel, size: str) -> None:
-    full = full_video_architecture({"network": "videonet", "size": size, "filters": 4, "joint_iterations": 3})
+    full = full_architecture({"network": "videonet", "size": size, "filters": 4, "joint_iterations": 3})
     assert full == {"network": "videonet", "size": size} | VIDEO_SIZES[size] | {"filters": 4, "joint_iterations": 3}
-    changed = build_videonet(clip_capture, size, filters=4)
+    changed = build_network(clip_capture, "videonet", size, filters=4)
     whole = VideoNet(clip_capture, **VIDEO_SIZES[size] | {"filters": 4})
     shapes = [{name: value.shape for name, value in each.state_dict().items()} for each in (changed, whole)]
     assert shapes[0] == shapes[1]
@@ -351,17 +349,18 @@ def test_sizes_are_their_numbers_with_what_is_changed(clip_capture: CaptureModel
 )
 def test_what_makes_no_sense_is_refused(clip_capture: CaptureModel, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        build_videonet(clip_capture, "tiny", **changes)
+        build_network(clip_capture, "videonet", "tiny", **changes)
 
 
 def test_other_cameras_and_sizes_are_refused(tiny_capture: CaptureModel, clip_capture: CaptureModel) -> None:
     with pytest.raises(InputError, match=r"^capture: "):
-        build_videonet(tiny_capture, "tiny")
+        build_network(tiny_capture, "videonet", "tiny")
     with pytest.raises(InputError, match=r"^stack: "):
-        build_videonet(replace(tiny_capture, timing=clip_capture.timing), "tiny")
-    for refused in (build_videonet, lambda _, size: full_video_architecture({"size": size})):
-        with pytest.raises(InputError, match=r"^size: "):
-            refused(clip_capture, "huge")
+        build_network(replace(tiny_capture, timing=clip_capture.timing), "videonet", "tiny")
+    with pytest.raises(InputError, match=r"^size: "):
+        build_network(clip_capture, "videonet", "huge")
+    with pytest.raises(InputError, match=r"^size: "):
+        full_architecture({"network": "videonet", "size": "huge"})
     with pytest.raises(InputError, match=r"^measurement: "):
         network(clip_capture)(torch.zeros(1, 3, 48, 47))
     with pytest.raises(InputError, match=r"^capture: "):
