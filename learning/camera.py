@@ -48,7 +48,7 @@ class CaptureModel:
         scene_to_camera: M, ``(C, 3)``, from linear sRGB to the camera's channels.
         white: reference white, the radiance that images show as 1: one number for training, tests and every method.
         timing: the frames of a clip and when rows see them; None of stills.
-        row_exposure: exposure of each stored row over that of the gain, ``(H,)``; None where all rows are exposed alike.
+        row_exposure: exposure of each stored row over that of the gain, ``(H,)``; None where all rows have the same exposure.
 
     Raises:
         InputError: shapes that contradict each other, or numbers that make no sense.
@@ -315,6 +315,14 @@ def check_range(capture: CaptureModel) -> None:
     if len(capture.stack.depths_m) > 1 and not np.isfinite(capture.far_m):
         cure = "make the data set, or data.stack, with a finite one, such as 1000"
         raise InputError("psf.far_cm", f"got PSFs up to infinity, where an error has no length in centimetres; {cure}")
+
+
+def check_one_plane(capture: CaptureModel, name: str) -> None:
+    """Raise an InputError where the stack of a camera has several planes, but what is called ``name`` knows one."""
+    planes = len(capture.stack.depths_m)
+    if planes != 1:
+        cure = "take data made with a single depth in psf.depths_cm, or such PSFs for these data (--stack)"
+        raise InputError("stack", f"got {planes} planes, but {name} knows one: {cure}")
 
 
 def _recorded_field(info: DatasetInfo, config: Config) -> FieldOfView:

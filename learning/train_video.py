@@ -101,7 +101,7 @@ class VideoTraining(Training[ClipExample]):
         return Film(film.image.float(), film.measured.float())
 
     def _losses(self, film: Film, example: ClipExample) -> dict[str, Tensor]:
-        measured = example.measured  # brought to rows exposed alike, as MeasNet's are
+        measured = example.measured  # as if all rows had the same exposure, like MeasNet's
         if measured.numel():
             measured = self._network.inversion.light(measured)
         return self._loss(film, linear_to_srgb(example.radiance, self._capture.white), measured)

@@ -14,7 +14,7 @@ from typing import Any, Self
 import torch
 from torch import Tensor, nn
 
-from learning.camera import CaptureModel
+from learning.camera import CaptureModel, check_one_plane
 from learning.checkpoint import DENOISER, find_denoiser, load_denoiser
 from learning.classical.clip_prior import ClipPlugAndPlay
 from learning.classical.fista import FistaTv
@@ -113,7 +113,7 @@ class SliverInversion(StaticInversion):
     def __init__(self, capture: CaptureModel, *, regularisation_lambda: float, tikhonov: float) -> None:
         """See `StaticInversion`."""
         super().__init__(capture, regularisation_lambda=regularisation_lambda, tikhonov=tikhonov)
-        shares = capture.row_shares  # of light, which is as if all rows had been exposed alike
+        shares = capture.row_shares  # of light as if all rows had the same exposure
         shares = shares / shares.mean(axis=1, keepdims=True)
         self.register_buffer("weights", torch.from_numpy(shares).to(torch.get_default_dtype()), persistent=False)
 
@@ -165,9 +165,7 @@ class ClipMethod:
         """
         if capture.timing is None:
             raise InputError(name, "got the camera of stills, but it reconstructs clips; take cls, admm or pnp")
-        if len(capture.stack.depths_m) != 1:
-            planes = len(capture.stack.depths_m)
-            raise InputError("stack", f"got {planes} planes, but {name} knows one: set psf.depths_cm to a single depth")
+        check_one_plane(capture, name)
         self.name, self.capture, self.stage = _LABELS[name], capture, name
         self.film = _FILMS[name](capture, **parameters)
 

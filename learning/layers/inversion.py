@@ -67,7 +67,7 @@ class FourierInversion(nn.Module):
         self._keep("row_exposure", torch.from_numpy(exposed)[:, None])
 
     def light(self, measurement: Tensor) -> Tensor:
-        """Return measurements ``(..., C, H, W)`` without their offset, as if all rows had been exposed alike."""
+        """Return measurements ``(..., C, H, W)`` without their offset, as if all rows had the same exposure."""
         return (measurement.to(self.offset.dtype) - self.offset) / self.row_exposure
 
     def spectrum(self, light: Tensor) -> Tensor:
@@ -340,7 +340,7 @@ class WienerInversion(FourierInversion):
             return self.scene(self.light(measurements))
 
     def scene(self, light: Tensor) -> Tensor:
-        """Return the same of measurements without their offset, whose rows are exposed alike; see `light`."""
+        """Return the same of measurements without their offset, whose rows have the same exposure; see `light`."""
         return scene_of(self.spectrum(light) * self.inverse(), self.rows, self.columns) * self.scale
 
     def inverse(self) -> Tensor:

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from learning.camera import CaptureModel
+from learning.camera import CaptureModel, check_one_plane
 from learning.layers.inversion import RegularisedInversion, WienerInversion
 from learning.layers.multiscale import MultiScaleNetwork
 from learning.layers.naf import NafNet
@@ -143,11 +143,7 @@ class VideoNet(nn.Module):
             raise InputError(
                 "capture", "got the camera of stills, but VideoNet is for clips; take flatnet3d or flatnet2d"
             )
-        if len(capture.stack.depths_m) != 1:
-            planes = len(capture.stack.depths_m)
-            raise InputError(
-                "stack", f"got {planes} planes, but VideoNet knows one: set psf.depths_cm to a single depth"
-            )
+        check_one_plane(capture, "VideoNet")
         if body == "unet" and blocks != 1:
             raise InputError("blocks", f"got {blocks} with body: unet, which has none; take 1, or body: naf")
         if repeats and not refinements:
@@ -162,7 +158,9 @@ class VideoNet(nn.Module):
         self.joint = JointLeastSquares(capture, **steps) if initial_estimate == "joint" else None
         channels = len(capture.stack.channels)
         numbers = {
-            "weights": torch.from_numpy(capture.row_shares)[:, None, :, None],  # of light as if rows were exposed alike
+            "weights": torch.from_numpy(capture.row_shares)[
+                :, None, :, None
+            ],  # of light as if all rows had the same exposure
             "colours": torch.linalg.pinv(torch.from_numpy(capture.scene_to_camera)),
             "to_camera": torch.from_numpy(capture.scene_to_camera),
         }

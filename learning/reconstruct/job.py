@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 RECORD = "reconstruction.json"
 _WHITE_PERCENTILE = 99.5  # of the lit values, as in all images that the simulator shows
-_LEAST_HEIGHT, _MARGIN = 240, 12
+_LEAST_HEIGHT, _MARGIN, _GAP = 240, 12, 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,8 +271,9 @@ def write_reconstruction(
             write_atomic(place / "image.png", png_bytes(Image.fromarray(codes)))
             _write_radiance(place / "image.exr", result.radiance, {"white": result.white})
         else:
-            write_atomic(place / "film.png", png_bytes(Image.fromarray(np.concatenate(list(codes), axis=1))))
-            write_atomic(place / "film.webp", animation_webp([_enlarged(frame) for frame in codes]))
+            frames = [_enlarged(frame) for frame in codes]
+            write_atomic(place / "film.png", _side_by_side(frames))
+            write_atomic(place / "film.webp", animation_webp(frames))
             (place / "frames").mkdir()
             edges_s = capture.timing.frame_edges_s
             for number, radiance in enumerate(result.radiance):
@@ -303,6 +304,17 @@ def _enlarged(pixels: NDArray[np.uint8]) -> Image.Image:
     """Return pixels as an image, small ones enlarged by a whole number."""
     rows = len(pixels)
     return drawing.resized(pixels, rows * max(1, -(-_LEAST_HEIGHT // rows)))
+
+
+def _side_by_side(frames: Sequence[Image.Image]) -> bytes:
+    """Return frames of one size in a row, on paper that shows between them."""
+    from PIL import Image
+
+    width, height = frames[0].size
+    paper = Image.new("RGB", (len(frames) * (width + _GAP) - _GAP, height), PAPER)
+    for number, frame in enumerate(frames):
+        paper.paste(frame, (number * (width + _GAP), 0))
+    return png_bytes(paper)
 
 
 def _depth_image(depth_m: NDArray[np.float32], near_m: float, far_m: float) -> bytes:

@@ -266,7 +266,7 @@ def test_rows_may_be_exposed_for_times_of_their_own(learning_trial: Any) -> None
         exposed = blurred(capture, light(capture, sample.rgb[0], sample.depth_m[0])) * capture.row_weights[0][:, None]
         by_scipy = capture.offset[:, None, None] + capture.gain * exposed
         assert np.abs(by_scipy - sample.noiseless).max() < 1e-6 * sample.noiseless.max()
-    # An inversion sees the light as if all rows had been exposed alike.
+    # An inversion sees the light as if all rows had the same exposure.
     evenly = WienerInversion(replace(capture, row_exposure=None)).light(torch.ones(3, 48, 48))
     by_rows = torch.from_numpy(capture.row_exposure).float()[:, None]
     assert torch.allclose(WienerInversion(capture).light(torch.ones(3, 48, 48)) * by_rows, evenly, rtol=1e-6)

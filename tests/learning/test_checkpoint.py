@@ -496,7 +496,7 @@ VIDEO = {"network": "videonet", "size": "tiny", "filters": 4, "joint_iterations"
 
 @pytest.fixture
 def video_path(tmp_path, clip_capture):
-    """A VideoNet for a camera whose rows are open for unlike times."""
+    """A VideoNet for a camera whose rows differ in exposure."""
     exposure = np.linspace(0.5, 1.5, 48)
     capture = replace(clip_capture, row_exposure=exposure)
     torch.manual_seed(3)

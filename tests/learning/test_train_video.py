@@ -205,7 +205,7 @@ def test_fine_tuning_begins_with_a_checkpoint(video_settings: Settings) -> None:
 
 @pytest.mark.parametrize("uneven", [False, True])
 def test_measnet_learns_what_a_global_shutter_would_measure(clip_capture: CaptureModel, uneven: bool) -> None:
-    """Nothing is left to learn for what it completes from the true frames, also where rows are open for unlike times."""
+    """Nothing is left to learn for what it completes from the true frames, also where rows differ in exposure."""
     capture = clip_capture
     if uneven:
         opens_s = np.linspace(0, 1e-3, 48)

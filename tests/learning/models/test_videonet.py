@@ -196,7 +196,7 @@ def srgb(film: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("which", ["clip_capture", "spread", "uneven"])
 def test_nothing_is_left_of_the_true_frames(which: str, double: None, request: pytest.FixtureRequest) -> None:
-    """Also where rows are open for unlike times. Of frames that are wrong, what is left is inverted row by row."""
+    """Also where rows differ in exposure. Of frames that are wrong, what is left is inverted row by row."""
     capture: CaptureModel = request.getfixturevalue(which)
     film = moving(capture)
     measurement = torch.from_numpy(exposed(capture, film))

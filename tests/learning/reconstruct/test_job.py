@@ -17,7 +17,7 @@ from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.classical.by_name import build_method
 from learning.classical.method import DEFAULTS, ConstrainedLeastSquares, PlanarMethod, build_classical
-from learning.method import srgb_to_linear
+from learning.method import linear_to_srgb, srgb_to_linear
 from learning.models import build_network
 from learning.models.flatnet import LearnedMethod
 from learning.reconstruct import job
@@ -207,9 +207,18 @@ def test_a_clip_gives_frames_and_an_animation(clip_dataset: Path, tmp_path: Path
         for name, plane in zip("RGB", expected[number], strict=True):
             np.testing.assert_allclose(planes[name], plane, atol=1e-5 * white)
         assert [about["begins_s"], about["ends_s"]] == pytest.approx([number * 4e-3, (number + 1) * 4e-3])
-    assert Image.open(folder / "film.png").size == (64, 16)
     with Image.open(folder / "film.webp") as film:
         assert film.n_frames == 4
+        width, height = film.size
+    sheet = np.asarray(Image.open(folder / "film.png"))
+    gap = (sheet.shape[1] - 4 * width) // 3
+    assert gap > 0
+    shown = np.round(linear_to_srgb(torch.from_numpy(expected), about["white"]).numpy().transpose(0, 2, 3, 1) * 255)
+    enlarged = shown.repeat(height // 16, axis=1).repeat(width // 16, axis=2)
+    for number, frame in enumerate(enlarged):
+        place = sheet[:, number * (width + gap) :]
+        np.testing.assert_allclose(place[:, :width], frame, atol=1)  # of a code, where it lies half-way
+        assert len(np.unique(place[:, width : width + gap].reshape(-1, 3), axis=0)) <= 1  # paper
     assert not (folder / "image.png").exists()
     with pytest.raises(InputError, match=r"^--method: "):
         reconstruct_file(Options(measurement=dataset.folder(0), method="cls", output=tmp_path / "cls"))
