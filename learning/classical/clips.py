@@ -73,8 +73,6 @@ CLIP_SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
         "level_first": (0.1, 0.2, 0.4),
         "level_last": (0.01, 0.02, 0.04),
         "over_time": (0.5, 1.0, 2.0),
-        "iterations": (12, 24, 48),
-        "inner": (2, 4, 8),
     },
     "udn": {"learning_rate": (3e-4, 1e-3, 3e-3)},
     "nstm": {"scene_cells": (0.3, 0.6, 1.2), "scene_rate": (3e-3, 1e-2, 3e-2), "motion_rate": (1e-4, 1e-3, 1e-2)},
