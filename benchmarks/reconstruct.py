@@ -1,17 +1,23 @@
-"""Seconds per scene and stage of the networks and the classical methods, of stills or clips, in one run on one device.
+"""Seconds per scene and stage, and memory, of the networks and the classical methods, of stills or clips, on one device.
 
     uv run --extra learn python benchmarks/reconstruct.py DATASET [--tuned tuned.json] [--device cuda] [--repeats 7]
 
 Learned weights cost what random ones do, so the presets' networks are built for the data set's camera as they come. The
 classical methods take the parameters and the number of iterations that `flatlight tune` found, or their defaults. All share
 inversion code; the graph cut is OR-tools' and runs on the CPU whatever the device. One thread, one scene at a time, methods
-by turns.
+by turns, all in one run; then each once more in a process of its own, to see how much of the host's memory it takes beyond
+what that process has when the method is built (Linux only).
 """
 
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 import yaml
@@ -20,7 +26,6 @@ from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.classical.by_name import ALL_DEFAULTS, build_method
 from learning.classical.clips import CLIP_DEFAULTS
 from learning.classical.method import DEFAULTS
-from learning.config import VideoNetworkConfig
 from learning.evaluate.scoring import take_times
 from learning.method import Method, describe_device
 from learning.models import build_network, learned_method
@@ -38,17 +43,37 @@ VIDEONETS = {
 """By what differs from the preset videonet_64."""
 
 
-def networks(capture: CaptureModel, size: str, device: torch.device) -> list[Method]:
-    """Return the networks for a camera of stills or clips, with random weights; the first one is what all compare with."""
-    if capture.timing is not None:
-        preset = VideoNetworkConfig(**yaml.safe_load(preset_texts()["videonet_64"])["network"]).changes
-        built = {
-            name: build_network(capture, "videonet", size, **preset | changes) for name, changes in VIDEONETS.items()
-        }
-    else:
-        keys = {name: yaml.safe_load(preset_texts()[preset])["network"] for name, preset in PRESETS.items()}
-        built = {name: build_network(capture, **own | {"size": size}) for name, own in keys.items()}
-    return [learned_method(name, network.to(device), capture) for name, network in built.items()]
+def builders(capture: CaptureModel, chosen: argparse.Namespace) -> dict[str, Callable[[], Method]]:
+    """Return what builds each method for a camera of stills or clips; the first one is what all compare with."""
+    clips, device = capture.timing is not None, torch.device(chosen.device)
+    preset = {name: yaml.safe_load(preset_texts()[name])["network"] for name in ("videonet_64", *PRESETS.values())}
+    kinds = {name: preset["videonet_64"] | changes for name, changes in VIDEONETS.items()}
+    kinds = kinds if clips else {name: preset[own] for name, own in PRESETS.items()}
+
+    def network(name: str) -> Method:
+        return learned_method(name, build_network(capture, **kinds[name] | {"size": chosen.size}).to(device), capture)
+
+    def classical(name: str, parameters: Mapping[str, Any]) -> Method:
+        return build_method(capture, name, parameters).to(device)
+
+    made: dict[str, Callable[[], Method]] = {name: partial(network, name) for name in kinds}
+    for name in CLIP_DEFAULTS if clips else DEFAULTS:
+        if name in FITTED and not chosen.fitted:
+            continue
+        parameters, where = ALL_DEFAULTS[name], "by default"
+        if chosen.tuned is not None:
+            parameters, level = load_tuned(chosen.tuned).parameters(name, chosen.noise_db)
+            where = f"tuned at {level:g} dB"
+        if not chosen.only:
+            print(f"{name}, {where}: {parameters}")
+        made[name] = partial(classical, name, parameters)
+    return made
+
+
+def memory_kib(name: str) -> int:
+    """Return a number of this process's status, of Linux."""
+    status = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in status if line.startswith(f"{name}:"))
 
 
 def main() -> None:
@@ -62,31 +87,29 @@ def main() -> None:
         "--fitted", action="store_true", help="also methods that are fitted to each capture: minutes each"
     )
     parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--only", help=argparse.SUPPRESS)
     chosen = parser.parse_args()
     torch.set_num_threads(1)
-    device = torch.device(chosen.device)
     train = open_dataset(chosen.dataset, "train")
-    capture = capture_model(train, white=measure_reference_white(train))
-    methods = networks(capture, chosen.size, device)
-    for name in DEFAULTS if capture.timing is None else CLIP_DEFAULTS:
-        if name in FITTED and not chosen.fitted:
-            continue
-        parameters, where = ALL_DEFAULTS[name], "by default"
-        if chosen.tuned is not None:
-            parameters, level = load_tuned(chosen.tuned).parameters(name, chosen.noise_db)
-            where = f"tuned at {level:g} dB"
-        print(f"{name}, {where}: {parameters}")
-        methods.append(build_method(capture, name, parameters).to(device))
+    made = builders(capture_model(train, white=measure_reference_white(train)), chosen)
     scenes = range(min(len(train), chosen.repeats + 1))
-    measurements = torch.stack([torch.from_numpy(train.stored(scene).measurement()[0]) for scene in scenes]).to(device)
-    times = take_times(methods, measurements, chosen.repeats)
-    reference = times[0].total
-    print(f"{describe_device(device)}; medians of {chosen.repeats} scenes, ms")
-    for each in times:
+    measurements = torch.stack([torch.from_numpy(train.stored(scene).measurement()[0]) for scene in scenes])
+    measurements = measurements.to(chosen.device)
+    if chosen.only:
+        method = made[chosen.only]()
+        Path("/proc/self/clear_refs").write_text("5")  # the peak is what there is
+        before = memory_kib("VmHWM")
+        method.reconstruct(measurements[:1])
+        print(memory_kib("VmHWM") - before)
+        return
+    times = take_times([build() for build in made.values()], measurements, chosen.repeats)
+    print(f"{describe_device(torch.device(chosen.device))}; medians of {chosen.repeats} scenes, ms")
+    for name, each in zip(made, times, strict=True):
+        command = [sys.executable, *sys.argv, "--only", name]
+        peak = int(subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[-1])
+        numbers = f"{1e3 * each.total:8.1f}  {each.total / times[0].total:6.2f} x {times[0].method}"
         stages = ", ".join(f"{stage} {1e3 * seconds:.1f}" for stage, seconds in each.stages.items())
-        print(
-            f"{each.method:<32} {1e3 * each.total:8.1f}  {each.total / reference:6.2f} x {times[0].method}   ({stages})"
-        )
+        print(f"{each.method:<32} {numbers}  {peak / 2**10:5.0f} MiB   ({stages})")
 
 
 if __name__ == "__main__":
