@@ -48,19 +48,20 @@ def measure(capture: CaptureModel, film: Tensor, noise: float = NOISE) -> Tensor
 
 
 def test_explains_a_capture_down_to_its_noise_and_finds_the_film(capture: CaptureModel, film: Tensor) -> None:
-    method, given = UntrainedNetwork(capture, iterations=150, **SMALL), measure(capture, film)
+    method, given = UntrainedNetwork(capture, iterations=400, **SMALL), measure(capture, film)
     with torch_threads(1):
         fit = method.fit(given)
     problem = method.problem
     clean = problem(problem.light(film)) / problem.scale
     noise = float((NOISE * clean.max() * problem.scale).square().mean().sqrt())
-    assert fit.residual < 1.15 * noise < 0.5 * fit.curve[0]
+    # Four seeds gave 0.936 to 0.989 of the noise, and 0.17 to 0.20 of the error; rounding leads elsewhere, as seeds do.
+    assert fit.residual < 1.05 * noise < 0.5 * fit.curve[0]
     assert fit.film.shape == (1, 4, 3, 16, 16)
     assert float(fit.film.min()) >= 0
     wanted = film[:, :, 0]
     still = wanted.mean(dim=1, keepdim=True).expand_as(wanted)
     errors = [float((each - wanted).square().mean().sqrt()) for each in (fit.film, still)]
-    assert errors[0] < 0.6 * errors[1]  # no picture that stands still is nearer
+    assert errors[0] < 0.3 * errors[1]  # no picture that stands still is nearer
 
 
 def test_an_interrupted_fit_goes_on_bit_for_bit(capture: CaptureModel, film: Tensor, tmp_path: Path) -> None:
