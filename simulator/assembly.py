@@ -163,10 +163,10 @@ class Assembly:
     @cached_property
     def simulated_field(self) -> SimulatedField:
         """What beside the image is simulated, how light from each direction counts, and what is left out."""
-        return SimulatedField(self.config, self.image_view, lambda: self._reach)
+        return SimulatedField(self.config, self.image_view, lambda: self.nearest_light)
 
-    @cached_property
-    def _reach(self) -> NDArray[np.floating]:
+    @part("psf")
+    def nearest_light(self) -> NDArray[np.floating]:
         """Where the light of the nearest depth falls, ``(rows, columns)``: how far beside the image light matters.
 
         One PSF of one wavelength says that in about a second, before any other is computed (cached).

@@ -28,7 +28,10 @@ def shutter(
         check_output_folder("--figures", figures)
     loaded = load_config(config, set_ or [])
     rows = loaded.camera.sensor.shape[0]
-    facts = shutter_facts(Assembly(loaded).shutter, rows, loaded.scene.params, loaded.dataset.slivers)
+    assembly = Assembly(loaded)
+    facts = shutter_facts(
+        assembly.shutter, rows, loaded.scene.params, loaded.dataset.slivers, light=assembly.nearest_light
+    )
     width = max(len(what) for what, _ in facts)
     print("\n".join(f"{what:>{width}}  {value}" for what, value in facts))
     if figures:

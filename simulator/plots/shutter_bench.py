@@ -44,7 +44,11 @@ def shutter_name(shutter: Shutter) -> str:
 
 
 def shutter_facts(
-    shutter: Shutter, rows: int, scene: Mapping[str, Any], slivers: int | None = None
+    shutter: Shutter,
+    rows: int,
+    scene: Mapping[str, Any],
+    slivers: int | None = None,
+    light: NDArray[np.floating] | None = None,
 ) -> list[tuple[str, str]]:
     """Return what is worth knowing of a shutter, as (what, value).
 
@@ -53,6 +57,8 @@ def shutter_facts(
         rows: stored rows.
         scene: parameters of the scenes; ``frames`` and ``frames_per_second`` are compared with the shutter.
         slivers: how many are wanted; None is one per frame.
+        light: where a point in the middle of the scene shines, ``(height, width)`` in pixels around the sensor's middle;
+            None leaves out which rows see it.
     """
     facts = [("shutter", shutter_name(shutter)), ("exposure", _exposure(shutter, rows))]
     if isinstance(shutter, RollingShutter | DualRollingShutter):
@@ -64,7 +70,10 @@ def shutter_facts(
         ("capture", f"{duration(shutter.duration_s(rows))} until the last row closes; {_together(shutter, rows)}"),
         ("frames told apart", _separable(shutter, rows)),
     ]
-    return facts + _scene_facts(shutter, rows, scene, slivers)
+    facts += _scene_facts(shutter, rows, scene, slivers)
+    if light is not None and not isinstance(shutter, GlobalShutter):
+        facts.append(("light from the middle", _middle(shutter, rows, light)))
+    return facts
 
 
 def _exposure(shutter: Shutter, rows: int) -> str:
@@ -90,6 +99,22 @@ def _separable(shutter: Shutter, rows: int) -> str:
     if count == 1:
         return "1: any two rows are open together for some time; shorter frames come apart only as far as rows differ"
     return f"{count}: so many rows are open one after another, no two together; shorter frames mix in every row"
+
+
+def _middle(shutter: Shutter, rows: int, light: NDArray[np.floating]) -> str:
+    """Return which rows a point in the middle of the scene shines on, all but 1 % of its light, and when they are open."""
+    below = np.cumsum(light.sum(axis=1)) / light.sum()
+    first, last = (int(np.searchsorted(below, share)) + (rows - len(below)) // 2 for share in (0.005, 0.995))
+    lit = slice(max(0, first), min(rows, last + 1))
+    windows = shutter.windows_s(rows)
+    opening, closing = float(windows[lit, ..., 0].min()), float(windows[lit, ..., 1].max())
+    which = "all" if lit == slice(0, rows) else f"{lit.stop - lit.start} of {rows}"
+    seen = f"{which} rows see it, open from {duration(opening)} to {duration(closing)}"
+    lost = {"before": opening > windows[..., 0].min(), "after": closing < windows[..., 1].max()}
+    if not any(lost.values()):
+        return seen
+    when = " and ".join(word for word, is_lost in lost.items() if is_lost)
+    return f"{seen}; what moves there {when} is not recorded: a larger mask reaches more rows"
 
 
 def _slower(rate: float) -> str:

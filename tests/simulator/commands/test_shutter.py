@@ -13,6 +13,7 @@ def test_says_what_the_shutter_means(flatlight, trial) -> None:
     # 383 steps of 11 us and an exposure; a row of the picture is open for 1.077 ms, the next opens 88 us later.
     assert "5.213 ms until the last row closes" in out
     assert "frames told apart  4: " in out
+    assert "light from the middle  " in out
     assert err == ""
 
 

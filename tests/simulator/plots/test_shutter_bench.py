@@ -136,6 +136,31 @@ def test_rows_of_their_own():
 
 
 @pytest.mark.parametrize(
+    ("shutter", "height", "said"),
+    [
+        # Rows 6 to 13 of 20: in pairs from the outside the seventh to the last, 6 to 9 ms and 2 ms of exposure.
+        (
+            DualRollingShutter(0.002, 0.001),
+            8,
+            "8 of 20 rows see it, open from 6 ms to 11 ms; what moves there before is",
+        ),
+        (DualRollingShutter(0.002, 0.001, order="centre_out"), 8, "open from 0 ms to 5 ms; what moves there after is"),
+        (RollingShutter(0.002, 0.001), 8, "open from 6 ms to 15 ms; what moves there before and after is not recorded"),
+        (RollingShutter(0.002, 0.001), 20, "all rows see it, open from 0 ms to 21 ms"),
+        (RollingShutter(0.002, 0.001), 30, "all rows see it, open from 0 ms to 21 ms"),
+    ],
+)
+def test_rows_that_a_point_in_the_middle_shines_on(shutter, height, said):
+    light = np.ones((height, 5))
+    seen = dict(shutter_facts(shutter, 20, {}, light=light))["light from the middle"]
+    assert said in seen
+    assert ("a larger mask" in seen) == (height < 20)
+    faint = np.pad(light, ((40, 40), (0, 0)), constant_values=1e-5)  # less than 1 % of the light says nothing
+    assert dict(shutter_facts(shutter, 20, {}, light=faint))["light from the middle"] == seen
+    assert "light from the middle" not in dict(shutter_facts(GlobalShutter(0.01), 20, {}, light=light))
+
+
+@pytest.mark.parametrize(
     ("frames", "rate", "scenes", "slivers"),
     [
         (1, 25.0, "stand still", None),
