@@ -18,7 +18,8 @@ SMALL = [name for name in NAMES if name.endswith("_64")]
 IMPORTED = ["something_something_v2", "youtube_vos"]
 THESIS = ["video_thesis", "youtube_vos"]
 CLIPS = ["activity_64", "high_speed_64", *IMPORTED, "video_thesis"]
-WITH_MASKS = [pytest.param(NAMES[0], marks=pytest.mark.slow), *NAMES[1:]]  # the first one's mask is large
+SHADOWS = [name for name in NAMES if name != "two_sensors"]  # whose lens casts a spot
+WITH_MASKS = [pytest.param(SHADOWS[0], marks=pytest.mark.slow), *SHADOWS[1:]]  # the first one's mask is large
 COARSE_MASK = ["camera.mask.iterations=2"]  # as wide as after all of them: what can be seen is the same
 
 
@@ -94,6 +95,27 @@ def test_the_published_shutter_reads_all_of_its_sensor(preset: Path) -> None:
     assert check_parameters(params, shutter, rows, config.dataset)
     assert config.dataset.slivers == shutter.separable_frames(rows) == 20
     assert Assembly(config).sensor.black_level_dn == 103
+
+
+def test_two_sensors_see_the_same_scene_at_the_same_time(tmp_path: Path) -> None:
+    cameras = []
+    for name in ("high_speed_64", "two_sensors"):
+        (tmp_path / f"{name}.yaml").write_text(preset_text(name), encoding="utf-8")
+        cameras.append(Assembly(load_config(tmp_path / f"{name}.yaml", COARSE_MASK if not cameras else [])))
+    lensless, lens = cameras
+    assert lens.view == lensless.image_view  # a lens brings no light from beside the image to it
+    durations = [each.shutter.duration_s(each.config.camera.sensor.shape[0]) for each in cameras]
+    assert durations[0] == pytest.approx(durations[1], abs=1e-6)
+    windows = lens.shutter.windows_s(64)
+    assert np.ptp(windows[..., 0]) == np.ptp(windows[..., 1]) == 0
+    counts = [each.config.dataset for each in cameras]
+    assert [(each.train, each.validation, each.test, each.slivers, each.ground_truth) for each in counts] == [
+        (4000, 200, 200, 10, "frames")
+    ] * 2
+    psf = np.asarray(lens.psf_stack.values)[0]
+    middle = slice(psf.shape[-1] // 2 - 1, psf.shape[-1] // 2 + 2)
+    # The Airy pattern of 0.2 mm is 12 um wide, a third of a pixel: all but a few per cent falls on three by three.
+    assert psf[:, middle, middle].sum(axis=(1, 2)) == pytest.approx(psf.sum(axis=(1, 2)), rel=0.05)
 
 
 @pytest.mark.parametrize("preset", SMALL, indirect=True)
