@@ -317,6 +317,14 @@ def check_range(capture: CaptureModel) -> None:
         raise InputError("psf.far_cm", f"got PSFs up to infinity, where an error has no length in centimetres; {cure}")
 
 
+def check_lit(capture: CaptureModel) -> None:
+    """Refuse an image of which parts send no light to the sensor: methods divide by its irradiance."""
+    irradiance = capture.scene_irradiance
+    if dark := irradiance.size - np.count_nonzero(irradiance > 0):
+        got = f"got 0 at {dark} of the image's {irradiance.size} pixels, expected light from each"
+        raise InputError("irradiance", f"{got}: nothing can be known of the others; take a smaller scene.size")
+
+
 def check_one_plane(capture: CaptureModel, name: str) -> None:
     """Raise an InputError where the stack of a camera has several planes, but what is called ``name`` knows one."""
     planes = len(capture.stack.depths_m)

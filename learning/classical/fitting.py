@@ -110,6 +110,7 @@ class FilmFitting(nn.Module, ABC):
         seconds: after which `forward` ends a fit; see `fit`.
         progress: called by `forward` with iterations done and in all.
         curve: the residual of each iteration of the last capture; see `Snapshot`.
+        state: file of the last capture's state.
     """
 
     def __init__(self, capture: CaptureModel, *, iterations: int, seed: int, **settings: Any) -> None:
@@ -134,6 +135,7 @@ class FilmFitting(nn.Module, ABC):
         self.seconds = math.inf
         self.progress: Callable[[int, int], None] | None = None
         self.curve: list[float] = []
+        self.state: Path | None = None
         self._camera = camera_identity(capture)
 
     @abstractmethod
@@ -148,7 +150,11 @@ class FilmFitting(nn.Module, ABC):
     def forward(self, measurement: Tensor) -> Tensor:
         """Return ``(B, N, C, h, w)`` radiance / white in the camera's channels, of measurements ``(B, C, H, W)``."""
         how: dict[str, Any] = {"seconds": self.seconds, "progress": self.progress, "save_every": _SAVE_EVERY}
-        return torch.cat([self.fit(each, state=self._state(each), **how).film for each in measurement.split(1)])
+        films = []
+        for each in measurement.split(1):
+            self.state = self._state(each)
+            films.append(self.fit(each, state=self.state, **how).film)
+        return torch.cat(films)
 
     def fit(
         self,
@@ -175,8 +181,8 @@ class FilmFitting(nn.Module, ABC):
             The film of the best iterate: that with the least mean residual over the latest iterations.
 
         Raises:
-            InputError: several measurements or one of another camera, a misfit that is not finite, a state that is damaged or
-                of another fit, or ``save_every`` below 1.
+            InputError: several measurements, one of another camera or with values that are not finite, rates at which the misfit
+                does not stay finite, a state that is damaged or of another fit, or ``save_every`` below 1.
             StorageError: the state cannot be written.
         """
         if len(measurement) != 1:
@@ -184,6 +190,8 @@ class FilmFitting(nn.Module, ABC):
         if save_every < 1:
             raise InputError("save_every", f"got {save_every}, expected at least 1")
         problem, target = self.problem, self.problem.target(measurement)
+        if not target.isfinite().all():
+            raise InputError("measurement", "got values that are not finite, expected numbers: restore it from a copy")
         generator = torch.Generator().manual_seed(self.seed)
         with torch.no_grad():
             network = self.network(self._unit(target), generator).to(target)
@@ -203,14 +211,15 @@ class FilmFitting(nn.Module, ABC):
             with torch.enable_grad():
                 light = network(share)
                 misfit = (problem(light) - target).square().mean()
-                optimiser.zero_grad()
-                (misfit / power + network.penalty(light)).backward()
-            optimiser.step()
+                loss = misfit / power + network.penalty(light)
             residual = math.sqrt(float(misfit.detach()))
-            if not math.isfinite(residual):
-                raise InputError(
-                    "measurement", f"the misfit is not finite after {fit.step} iterations; lower the rates"
-                )
+            if not math.isfinite(residual):  # torch's way back through grids would crash
+                rates = {name: f"{value:g}" for name, value in self.told.items() if name.endswith("rate")}
+                reason = f"the misfit is not finite after {fit.step} iterations; expected lower ones"
+                raise InputError(", ".join(rates), f"got {', '.join(rates.values())}: {reason}")
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
             if fit.improves(residual):
                 fit.film = problem.film(light.detach())[:, :, 0]
             fit.seconds = time.perf_counter() - before

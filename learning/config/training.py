@@ -306,7 +306,7 @@ def training_kind(data: dict[str, Any]) -> type[TrainConfig] | type[VideoTrainCo
     name = network.get("name", "flatnet3d") if isinstance(network, dict) else "flatnet3d"
     kinds = dict.fromkeys(get_args(NetworkConfig.model_fields["name"].annotation), TrainConfig)
     kinds |= dict.fromkeys(get_args(VideoNetworkConfig.model_fields["name"].annotation), VideoTrainConfig)
-    if name not in kinds:
+    if not isinstance(name, str) or name not in kinds:
         raise InputError("network.name", f"got {show(name)}, expected one of {', '.join(kinds)}")
     return kinds[name]
 

@@ -93,7 +93,7 @@ class Cameras:
 
 
 FITS = "fits"
-"""Folder, below that of the kept results, of the states of methods that are fitted to each capture."""
+"""Folder, below that of the kept results, of the states of methods that are fitted to each capture, by what computes."""
 
 
 class ResultCache:
@@ -195,7 +195,7 @@ class Runner:
         """Return a run's method, ready on the device; one that is fitted to each capture keeps its fits."""
         method = run.entry.build(self.camera(run), self.level_db(run), self.device)
         if isinstance(method, ClipMethod) and method.fitting is not None:
-            method.fitting.states = self._cache.folder / FITS
+            method.fitting.states = self._cache.folder / FITS / sha256_bytes(canonical_json(self._computed_by))[:16]
         return method
 
     def result(self, run: Run, progress: ScenesDone = lambda _: None) -> dict[str, Any]:
@@ -239,7 +239,9 @@ class Runner:
                 "samples": sha256_bytes(canonical_json(self._digests[: run.scenes])),
             },
             "noise": "stored" if run.noise_db is None else {"db": run.noise_db, "seed": self._seed},
-            "device": self.device.type,
-            "torch": torch.__version__,
-            "code": self._code,
+            **self._computed_by,
         }
+
+    @property
+    def _computed_by(self) -> dict[str, Any]:
+        return {"device": self.device.type, "torch": torch.__version__, "code": self._code}

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from learning.camera import CaptureModel
+from learning.camera import CaptureModel, check_lit
 from learning.layers.noise import noise_ratio
 from learning.layers.padding import (
     AxisPlan,
@@ -57,10 +57,8 @@ class FourierInversion(nn.Module):
         """Prepare what is divided by; an InputError refuses an image of which parts send no light to the sensor."""
         super().__init__()
         self.rows, self.columns = axis_plans(capture)
+        check_lit(capture)
         irradiance = capture.scene_irradiance.astype(np.float64)
-        if dark := irradiance.size - np.count_nonzero(irradiance > 0):
-            got = f"got 0 at {dark} of the image's {irradiance.size} pixels, expected light from each"
-            raise InputError("irradiance", f"{got}: nothing can be known of the others; take a smaller scene.size")
         self._keep("scale", torch.from_numpy(1 / (capture.gain * capture.white * irradiance)))
         self._keep("offset", torch.from_numpy(capture.offset)[:, None, None])
         exposed = np.ones(1) if capture.row_exposure is None else capture.row_exposure

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from learning.camera import CaptureModel, SpaceTime
+from learning.camera import CaptureModel, SpaceTime, check_lit
 from learning.layers.inversion import samples_at_once
 from learning.layers.noise import noise_level
 from learning.layers.padding import AxisPlan, axis_plans, check_measurement
@@ -36,10 +36,11 @@ class ClipProblem(nn.Module):
     norm: Tensor
 
     def __init__(self, capture: CaptureModel) -> None:
-        """Prepare the numbers; an InputError refuses the camera of stills."""
+        """Prepare the numbers; an InputError refuses the camera of stills, and an image with parts that send no light."""
         super().__init__()
         if capture.timing is None:
             raise InputError("capture", "got the camera of stills, expected clips: a shutter with frames to tell apart")
+        check_lit(capture)
         self._capture, self._model = capture, None
         self.plans: tuple[AxisPlan, AxisPlan] = axis_plans(capture)
         self.shape = (capture.frames, len(capture.stack.depths_m), len(capture.stack.channels), *capture.field_shape)
@@ -156,7 +157,11 @@ class JointLeastSquares(nn.Module):
         power = (1 + square / sharpest**2) ** -decay
         half = np.sqrt(power / power.mean())[:, : columns // 2 + 1]
         apart = np.abs(np.subtract.outer(np.arange(frames), np.arange(frames)))
-        mixing = np.linalg.cholesky(static**2 + moving**2 * np.exp(-apart / memory))
+        try:
+            mixing = np.linalg.cholesky(static**2 + moving**2 * np.exp(-apart / memory))
+        except np.linalg.LinAlgError:
+            reason = f"got {memory:g} frames: changes are never forgotten, as far as numbers tell; take at most 1e6"
+            raise InputError("memory", reason) from None
         for name, numbers in (("spectrum", half), ("mixing", mixing)):
             self.register_buffer(name, torch.from_numpy(numbers).to(torch.get_default_dtype()), persistent=False)
 

@@ -9,6 +9,7 @@ frames by it (Adler and Oektem, Learned Primal-Dual Reconstruction, TMI 2018; Ag
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import torch
@@ -29,7 +30,8 @@ from simulator.errors import InputError
 Start = Literal["slivers", "static", "joint"]
 STARTS = ("slivers", "static", "joint")
 _BORDER = 8
-"""Pixels around the image that are estimated, too: all that a narrow stop leaves of the field."""
+"""Pixels around the image that are estimated, too: all that a narrow stop leaves of the field. Re-simulations and inversions
+take what lies farther out for dark."""
 _NOISE_WEIGHT = 30.0
 _WIENER = 1.0  # noise to signal at which the learned filter of global measurements begins
 _FAINTEST = 1e-4  # root mean square of a capture by which it is divided, at least: of full scale
@@ -148,14 +150,16 @@ class VideoNet(nn.Module):
             raise InputError("blocks", f"got {blocks} with body: unet, which has none; take 1, or body: naf")
         if repeats and not refinements:
             raise InputError("repeats", f"got {repeats} without refinements, expected 0; or take refinements: 1")
-        image, capture = capture.scene_shape, capture.with_border(_BORDER)
+        image, whole, capture = capture.scene_shape, capture, capture.with_border(_BORDER)
         self.image, self.frames = capture.middle(image), capture.frames
         self.start, self.noise_aware = initial_estimate, noise_aware
         options: dict[str, Any] = {"regularisation_lambda": 0.3, "tikhonov": 1.0}
         options["noise_weight"] = _NOISE_WEIGHT if noise_aware else None
         self.inversion = RegularisedInversion(capture, **options)
         steps: dict[str, Any] = dict(JOINT) | {"iterations": joint_iterations}
-        self.joint = JointLeastSquares(capture, **steps) if initial_estimate == "joint" else None
+        # It knows the whole field: light from beyond the border, taken for the border's, would spoil it.
+        bordered = replace(whole, scene_shape=capture.scene_shape)
+        self.joint = JointLeastSquares(bordered, **steps) if initial_estimate == "joint" else None
         channels = len(capture.stack.channels)
         numbers = {
             "weights": torch.from_numpy(capture.row_shares)[

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -110,8 +110,10 @@ def reconstruct_file(options: Options, *, progress: Progress = lambda *_: None) 
     if fitting is not None:
         if len(fitting.curve) < fitting.iterations:
             wrote += f"; {len(fitting.curve)} of {fitting.iterations} iterations: with more --seconds it goes on"
-        else:
-            shutil.rmtree(states, ignore_errors=True)
+        elif fitting.state is not None:
+            fitting.state.unlink(missing_ok=True)
+            with suppress(OSError):  # other fits, or files of the user's, are in it
+                states.rmdir()
     return _report(measurement, setup.method.name, record, result, wrote)
 
 

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from learning.classical.fitting import FilmFitting, FilmNetwork, Fit, drawn_from
+from learning.classical.neural_space_time import NeuralSpaceTime
 from learning.layers.space_time import ClipProblem
 from learning.method import torch_threads
 from simulator.camera.shutter import DualRollingShutter
@@ -252,6 +253,11 @@ def test_other_states_are_refused(clip_capture: CaptureModel, measurement: Tenso
 def test_what_cannot_be_fitted_is_refused(fitting: PixelFitting, given: Tensor) -> None:
     with pytest.raises(InputError, match=r"^measurement: "):
         fitting.fit(given)
+
+
+def test_a_rate_that_leads_to_infinity_is_named(clip_capture: CaptureModel, measurement: Tensor) -> None:
+    with pytest.raises(InputError, match=r"^scene_rate, motion_rate: got 1e\+30, 0\.001: .* after \d+ iterations"):
+        NeuralSpaceTime(clip_capture, iterations=20, width=8, scene_rate=1e30).fit(measurement)
 
 
 def test_counts_below_one_are_refused(clip_capture: CaptureModel, measurement: Tensor) -> None:

@@ -19,6 +19,7 @@ from PIL import Image
 from learning.camera import capture_model, measure_reference_white
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.classical.by_name import build_method
+from learning.classical.fitting import FilmNetwork
 from learning.classical.method import DEFAULTS, build_classical
 from learning.config import EvaluateConfig, load_file
 from learning.data import ExampleSet
@@ -112,24 +113,32 @@ def test_clips_are_judged_frame_by_frame_and_by_group(load: Load, tmp_path: Path
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_what_is_fitted_to_each_capture_is_kept_and_not_timed(load: Load, clip_dataset: Path, tmp_path: Path) -> None:
+def test_what_is_fitted_to_each_capture_is_kept_and_not_timed(
+    load: Load, clip_dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     methods = [
         {"name": "fit", "classical": "nstm", "parameters": {"iterations": 2, "width": 8}},
         {"name": "static", "classical": "static", "parameters": {}},
     ]
     data = {"test": str(clip_dataset), "training": str(clip_dataset), "scenes": 2}
     evaluate(load(data=data, methods=methods, time={"repeats": 1}))
-    fits = sorted((tmp_path / "out" / "cache" / "fits").iterdir())
+    cache = tmp_path / "out" / "cache"
+    fits = sorted(cache.glob("fits/*/*.pt"))
     assert len(fits) == 2
     assert [one["method"] for one in _results(tmp_path)["times"]] == ["static"]
     # Of an evaluation that died before its end, the fits are taken up again.
-    kept = [path.stat().st_mtime_ns for path in fits]
-    for path in (tmp_path / "out" / "cache").glob("*.json"):
+    for path in cache.glob("*.json"):
         path.unlink()
     first = _results(tmp_path)["outcomes"]
-    evaluate(load(data=data, methods=methods))
+    with monkeypatch.context() as patched:
+        patched.setattr(FilmNetwork, "penalty", lambda *_: pytest.fail("an iteration of a fit that was done"))
+        evaluate(load(data=data, methods=methods))
     assert _results(tmp_path)["outcomes"] == first
-    assert len(list((tmp_path / "out" / "cache" / "fits").iterdir())) == len(kept)
+    assert sorted(cache.glob("fits/*/*.pt")) == fits
+    # Other code may find other films.
+    monkeypatch.setattr("learning.evaluate.runs.code_digest", lambda *_: "another")
+    evaluate(load(data=data, methods=methods))
+    assert len(list(cache.glob("fits/*/*.pt"))) == 4
 
 
 def test_a_word_that_no_scene_has_and_methods_of_the_other_kind_are_refused(

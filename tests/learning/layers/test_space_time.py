@@ -159,8 +159,14 @@ def test_a_measurement_is_the_forward_model_of_what_was_there(film_camera: Any, 
     assert problem.dark(2).shape == (frames, planes, 2, channels, *field)
 
 
-def test_stills_and_other_shapes_are_refused(film_camera: Any) -> None:
-    capture = film_camera()
+def test_stills_dark_pixels_and_other_shapes_are_refused(film_camera: Any) -> None:
+    capture = film_camera(margin=1)
+    irradiance = capture.irradiance.copy()
+    irradiance[0] = 0  # beside the image
+    ClipProblem(replace(capture, irradiance=irradiance))
+    irradiance[1, 1] = 0
+    with pytest.raises(InputError, match=r"^irradiance: got 0 at 1 "):
+        ClipProblem(replace(capture, irradiance=irradiance))
     with pytest.raises(InputError, match=r"^capture: "):
         ClipProblem(replace(capture, timing=None))
     with pytest.raises(InputError, match=r"^measurement: "):
@@ -261,6 +267,7 @@ def test_numbers_that_are_not_positive_are_refused(film_camera: Any, name: str, 
         JointLeastSquares(film_camera(), **dict(JOINT) | {name: value})
 
 
-def test_the_camera_of_stills_is_refused(film_camera: Any) -> None:
-    with pytest.raises(InputError, match=r"^capture: "):
-        JointLeastSquares(replace(film_camera(), timing=None), **JOINT)
+def test_changes_that_are_never_forgotten_are_refused(film_camera: Any) -> None:
+    JointLeastSquares(film_camera(), **dict(JOINT) | {"memory": 1e6})
+    with pytest.raises(InputError, match=r"^memory: got 1e\+18 "):
+        JointLeastSquares(film_camera(), **dict(JOINT) | {"memory": 1e18})

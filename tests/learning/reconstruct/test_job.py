@@ -176,10 +176,12 @@ def test_a_fit_goes_on_from_beside_the_result(clip_dataset: Path, tmp_path: Path
 
     assert "1 of 3 iterations: with more --seconds it goes on" in reconstructed("parts", 1e-6)
     assert [path.name for path in tmp_path.glob("parts.fit/*.pt")]
+    (tmp_path / "parts.fit" / "notes.txt").write_text("of the user")
     assert "iterations" not in reconstructed("parts", None).splitlines()[-1]
-    assert not (tmp_path / "parts.fit").exists()
+    assert [path.name for path in tmp_path.glob("parts.fit/*")] == ["notes.txt"]
     assert [step for _, step, of in steps if of == 3] == [1, 2, 3]
     reconstructed("whole", None)
+    assert not (tmp_path / "whole.fit").exists()
     films = [
         [path.read_bytes() for path in sorted(tmp_path.glob(f"{name}/frames/*.exr"))] for name in ("parts", "whole")
     ]
