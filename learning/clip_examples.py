@@ -25,7 +25,7 @@ from learning.provenance import sample_digests
 from learning.simulate import SceneCamera
 from simulator.io.files import sha256_bytes, storage_errors
 
-_FORMAT = 2  # to be raised when the same draw of a clip, or the joint estimate of it, becomes another one
+_FORMAT = 3  # to be raised when the same draw of a clip, or the joint estimate of it, becomes another one
 _CHECKSUM = 4  # bytes; of nothing but zeros it is not 0, so that a hole in the file is no record
 
 
@@ -54,6 +54,7 @@ class ClipExamples(TorchDataset[ClipExample]):
         begin: Callable[[Tensor], Tensor | None],
         *,
         identity: Mapping[str, Any],
+        white: float,
         measured: bool,
         draws: int,
         cache: Path | None,
@@ -64,6 +65,7 @@ class ClipExamples(TorchDataset[ClipExample]):
             examples: the clips, changed and re-simulated or as they are stored.
             begin: gives the start of measurements ``(1, C, H, W)``, or None where there is none.
             identity: all that decides ``begin`` and the draws of ``examples``, plain: by it what is kept is told apart.
+            white: reference white, in units of which radiance is kept.
             measured: whether global measurements are wanted.
             draws: how many times each clip is changed, or its noise drawn; 0 does so for every draw, of which nothing is
                 kept.
@@ -71,7 +73,7 @@ class ClipExamples(TorchDataset[ClipExample]):
         """
         self.dataset, self._examples, self._begin = examples.dataset, examples, begin
         self._draws = draws if examples.redrawn else 1
-        self._measured = measured
+        self._measured, self._white = measured, np.float32(white)
         self._camera = SceneCamera(examples.dataset) if measured else None
         self._scene = partial(read_scene, examples.dataset, timing=examples.timing)
         self._kept: KeptRecords | None = None
@@ -80,7 +82,7 @@ class ClipExamples(TorchDataset[ClipExample]):
         if measured:
             self._scene = SampleCache.filled(cache, examples.dataset, "scene", self._scene).read
         if self._draws:
-            told = [dict(identity), sample_digests(examples.dataset), examples.dataset.ids, self._draws]
+            told = [dict(identity), white, sample_digests(examples.dataset), examples.dataset.ids, self._draws]
             name = sha256_bytes(repr((_FORMAT, told)).encode())[:32]
             self._kept = KeptRecords(cache / f"{name}.clips", self._worked_out(0, 0))
 
@@ -99,7 +101,8 @@ class ClipExamples(TorchDataset[ClipExample]):
             if self._kept is not None:
                 self._kept.write(at, arrays)
         seen = self._seen(position, number) if self._measured else np.empty(0, np.float32)
-        every = (*(arrays[name] for name in ("measurement", "radiance", "start")), seen)
+        radiance = arrays["radiance"].astype(np.float32) * self._white
+        every = (arrays["measurement"], radiance, arrays["start"], seen)
         return ClipExample(*(torch.from_numpy(values.astype(np.float32)) for values in every))
 
     def _worked_out(self, position: int, number: int) -> dict[str, NDArray[Any]]:
@@ -108,7 +111,7 @@ class ClipExamples(TorchDataset[ClipExample]):
         with torch_threads(1):  # beside the training, and the other workers
             start = self._begin(example.measurement[None])
         first = np.empty(0, np.float16) if start is None else start[0].numpy().astype(np.float16)
-        radiance = example.radiance.numpy().astype(np.float16)
+        radiance = (example.radiance.numpy() / self._white).astype(np.float16)
         return {"measurement": example.measurement.numpy(), "radiance": radiance, "start": first}
 
     def _seen(self, position: int, number: int) -> NDArray[np.float32]:

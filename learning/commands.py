@@ -27,11 +27,7 @@ def train(
     from learning.train_video import train_video
 
     settings = load_file(training_kind, config, set_ or [])
-    if isinstance(settings, TrainConfig):
-        folder = _train(partial(run, settings), "PSNR {psnr_db:.2f} dB, depth RMSE {depth_rmse_cm:.2f} cm")
-    else:
-        scores = "PSNR {psnr_db:.2f} dB, of moving pixels {moving_psnr_db:.2f} dB"
-        folder = _train(partial(train_video, settings), scores)
+    folder = _train(partial(run if isinstance(settings, TrainConfig) else train_video, settings))
     print(f"look at {folder / 'validation.png'}, or at the curves: tensorboard --logdir {folder}")
 
 
@@ -46,19 +42,20 @@ def train_denoiser(
     from learning.train_denoiser import train_denoiser as run
 
     settings = load_file(DenoiserConfig, config, set_ or [])
-    folder = _train(partial(run, settings), "PSNR {noisy_psnr_db:.2f} -> {psnr_db:.2f} dB")
+    folder = _train(partial(run, settings))
     print(f"use it: flatlight reconstruct SAMPLE --method pnp --set denoiser={folder / 'best.safetensors'}")
 
 
-def _train(run: Callable[..., TrainResult], scores: str) -> Path:
-    """Run a training, say what became of it, with these of its best scores, and return its folder."""
+def _train(run: Callable[..., TrainResult]) -> Path:
+    """Run a training, say what became of it, with its best scores, and return its folder."""
+    from learning.validation import errors_in_words
     from simulator.console import Bar
 
     with Bar() as bar:
         result = run(progress=bar.update, say=bar.say)
     best, folder, done = result.best, result.folder, f"{result.steps} steps, {result.seconds:.0f} s in all"
     print(f"{folder}: {done if result.steps else 'was finished before; raise steps to go on'}")
-    print(f"best after step {best['step']:.0f}: {scores.format(**best)} on validation; {folder / 'best.safetensors'}")
+    print(f"best after step {best['step']:.0f}: {errors_in_words(best)} on validation; {folder / 'best.safetensors'}")
     return folder
 
 

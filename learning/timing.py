@@ -82,8 +82,12 @@ class Timing:
             raise InputError("slivers", f"got {self.frames}, the method was made for {known.frames}; {cure}")
         last_s = known.frame_edges_s[-1]
         if not np.allclose(self.frame_edges_s, known.frame_edges_s, rtol=0, atol=_ALIKE * last_s):
-            here, there = (f"{1e3 * each.frame_edges_s[-1]:.6g} ms" for each in (self, known))
-            raise InputError("frame_edges_s", f"got frames up to {here}, the method was made for frames up to {there}")
+            apart = int(np.argmax(np.abs(self.frame_edges_s - known.frame_edges_s) > _ALIKE * last_s))
+            here, there = (f"{1e3 * each.frame_edges_s[apart]:.6g} ms" for each in (self, known))
+            got = f"got {here} for edge {apart} of 0 to {self.frames}, the method was made for {there}"
+            raise InputError(
+                "frame_edges_s", f"{got}; set scene.frames_per_second or dataset.slivers, or train and tune anew"
+            )
         windows = [each.shutter.windows_s(rows) for each in (self, known)]
         if not (windows[0].shape == windows[1].shape and np.allclose(*windows, rtol=0, atol=_ALIKE * last_s)):
             here, there = (_described(each.shutter) for each in (self, known))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +13,18 @@ from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from learning.camera import CaptureModel, capture_model, check_range, measure_reference_white
-from learning.checkpoint import find_checkpoint, load_checkpoint, save_checkpoint, transfer
+from learning.checkpoint import Checkpoint, find_checkpoint, load_checkpoint, save_checkpoint, transfer
 from learning.config import TrainConfig, VideoTrainConfig
 from learning.data import Example, ExampleSet, Loader
 from learning.distributed import Processes
-from learning.layers.inversion import FourierInversion
+from learning.layers.inversion import RegularisedInversion
 from learning.losses import ReconstructionLoss
 from learning.method import Progress, Say
 from learning.models import build_network
 from learning.models.flatnet import FlatNet
+from learning.models.videonet import VideoNet
 from learning.timing import recorded_timing
-from learning.training_loop import Plan, Training, TrainResult, find_cache, open_splits, run
+from learning.training_loop import Item, Plan, RecordedLoss, Training, TrainResult, find_cache, open_splits, run
 from learning.validation import draw, true_estimate, validate
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
@@ -136,39 +138,68 @@ def freeze_statistics(network: nn.Module) -> None:
             module.eval()
 
 
-class FlatNetTraining(Training[Example]):
-    """From measurements to image and disparity."""
+class NetworkTraining(Training[Item]):
+    """From measurements to images, by a network of `learning.models`: what stills and clips share."""
 
     command = "train"
-    _config: TrainConfig
-    _network: FlatNet
+    _config: Any
+    _network: FlatNet | VideoNet
 
     @classmethod
-    def plan(cls, config: TrainConfig, group: Processes) -> Plan:
+    def plan(cls, config: Any, group: Processes) -> Plan:
         """Find the data, build loss and network, which is seeded, and give it the weights that it begins with."""
         train, validation, capture = find_data(config)
-        loss = ReconstructionLoss(config.loss, capture)
+        loss = cls._build_loss(config, capture)
         torch.manual_seed(config.seed)
         network = build_network(capture, config.network.name, config.network.size, **config.network.changes)
-        assert isinstance(network, FlatNet)
         check_normalisation(network, group)
         init_from, taken = None, []
         if config.init_from is not None:
             path = find_checkpoint(config.init_from, "init_from", config.resolve_path)
-            known = load_checkpoint(path, network=config.network.name)
-            taken = [f"{path.name}: {line}" for line in transfer(network, known)]
+            known, lines = cls._take(config, network, path)
+            taken = [f"{path.name}: {line}" for line in lines]
             init_from = {"sha256": sha256_file(path), "architecture": known.architecture, "file": path.name}
             init_from |= {key: known.record.get(key) for key in ("data sets", "scenes", "init_from")}
-        camera = {"stack": capture.stack.fingerprint, "white": capture.white}
+        camera: dict[str, Any] = {"stack": capture.stack.fingerprint, "white": capture.white}
+        if capture.timing is not None:
+            camera["timing"] = capture.timing.record()
         return Plan(config, group, train, validation, capture, camera, network, loss, init_from, taken)
 
+    @classmethod
+    @abstractmethod
+    def _build_loss(cls, config: Any, capture: CaptureModel) -> RecordedLoss: ...
+
+    @classmethod
+    @abstractmethod
+    def _take(cls, config: Any, network: Any, path: Path) -> tuple[Checkpoint, list[str]]:
+        """Put the weights of a checkpoint into the network; return it, and lines that say what was taken."""
+
     def _rate(self, module: nn.Module) -> float:
-        return self._config.optimiser.inversion_rate if isinstance(module, FourierInversion) else 1.0
+        return self._config.optimiser.inversion_rate if isinstance(module, RegularisedInversion) else 1.0
 
     def _schedule(self) -> None:
         super()._schedule()
         if self.progress.step >= self._config.optimiser.freeze_statistics * self._config.steps:
             freeze_statistics(self._network)
+
+    def _save(self, path: Path, architecture: dict[str, Any], record: dict[str, Any]) -> None:
+        save_checkpoint(path, self._network, architecture=architecture, capture=self._capture, record=record)
+
+
+class FlatNetTraining(NetworkTraining[Example]):
+    """From measurements to image and disparity."""
+
+    _config: TrainConfig
+    _network: FlatNet
+
+    @classmethod
+    def _build_loss(cls, config: TrainConfig, capture: CaptureModel) -> ReconstructionLoss:
+        return ReconstructionLoss(config.loss, capture)
+
+    @classmethod
+    def _take(cls, config: TrainConfig, network: FlatNet, path: Path) -> tuple[Checkpoint, list[str]]:
+        known = load_checkpoint(path, network=config.network.name)
+        return known, transfer(network, known)
 
     def _open(self, dataset: Dataset) -> ExampleSet:
         return open_examples(dataset, self._config, self._say)
@@ -183,6 +214,3 @@ class FlatNetTraining(Training[Example]):
 
     def _drawn(self, example: Example) -> NDArray[np.uint8]:
         return draw(self._network, example, self._capture, precision=self._plan.precision)
-
-    def _save(self, path: Path, architecture: dict[str, Any], record: dict[str, Any]) -> None:
-        save_checkpoint(path, self._network, architecture=architecture, capture=self._capture, record=record)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -12,22 +11,18 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.checkpoint import find_checkpoint, load_checkpoint, save_checkpoint
+from learning.checkpoint import Checkpoint, load_checkpoint
 from learning.clip_examples import ClipExample, ClipExamples
 from learning.clip_loss import ClipLoss
 from learning.config import VideoTrainConfig
 from learning.data import ExampleSet, Loader
-from learning.distributed import Processes
-from learning.layers.inversion import FourierInversion
 from learning.method import Progress, Say, linear_to_srgb
 from learning.metrics import moving_pixels, psnr, psnr_at
-from learning.models import build_network
 from learning.models.videonet import Film, VideoNet
-from learning.train import check_normalisation, find_data, freeze_statistics
-from learning.training_loop import Plan, Training, TrainResult, find_cache, run
+from learning.train import NetworkTraining
+from learning.training_loop import TrainResult, find_cache, run
 from learning.validation import to_device
 from simulator.dataset.reader import Dataset
-from simulator.io.files import sha256_file
 
 
 def train_video(
@@ -37,41 +32,20 @@ def train_video(
     return run(VideoTraining, config, progress, say)
 
 
-class VideoTraining(Training[ClipExample]):
+class VideoTraining(NetworkTraining[ClipExample]):
     """From captures to frames."""
 
-    command = "train"
     _config: VideoTrainConfig
     _network: VideoNet
 
     @classmethod
-    def plan(cls, config: VideoTrainConfig, group: Processes) -> Plan:
-        """Find the data, build loss and network, which is seeded, and give it the weights that it begins with."""
-        train, validation, capture = find_data(config)
-        loss = ClipLoss(config.loss)
-        torch.manual_seed(config.seed)
-        network = build_network(capture, config.network.name, config.network.size, **config.network.changes)
-        assert isinstance(network, VideoNet)
-        check_normalisation(network, group)
-        init_from, taken = None, []
-        if config.init_from is not None:
-            path = find_checkpoint(config.init_from, "init_from", config.resolve_path)
-            known = load_checkpoint(path)
-            taken = [f"{path.name}: {line}" for line in network.take(known.network, str(path))]
-            init_from = {"sha256": sha256_file(path), "architecture": known.architecture, "file": path.name}
-            init_from |= {key: known.record.get(key) for key in ("data sets", "scenes", "init_from")}
-        camera = {"stack": capture.stack.fingerprint, "white": capture.white}
-        assert capture.timing is not None  # the network sees to it
-        camera["timing"] = capture.timing.record()
-        return Plan(config, group, train, validation, capture, camera, network, loss, init_from, taken)
+    def _build_loss(cls, config: VideoTrainConfig, capture: CaptureModel) -> ClipLoss:
+        return ClipLoss(config.loss)
 
-    def _rate(self, module: nn.Module) -> float:
-        return self._config.optimiser.inversion_rate if isinstance(module, FourierInversion) else 1.0
-
-    def _schedule(self) -> None:
-        super()._schedule()
-        if self.progress.step >= self._config.optimiser.freeze_statistics * self._config.steps:
-            freeze_statistics(self._network)
+    @classmethod
+    def _take(cls, config: VideoTrainConfig, network: VideoNet, path: Path) -> tuple[Checkpoint, list[str]]:
+        known = load_checkpoint(path)
+        return known, network.take(known.network, str(path))
 
     def _open(self, dataset: Dataset) -> ClipExamples:
         config, network = self._config, self._plan.network
@@ -83,13 +57,14 @@ class VideoTraining(Training[ClipExample]):
         seed = 0 if kept or stored else config.seed
         examples = ExampleSet(dataset, noise_db=config.data.noise_db, augment=augment, seed=seed, cache=cache)
         identity = {"seed": seed, "augment": augment and vars(augment), "noise_db": config.data.noise_db}
-        identity |= {"stack": self._capture.stack.fingerprint, "white": self._capture.white}
+        identity |= {"stack": self._capture.stack.fingerprint}
         identity |= {"start": network.joint and network.joint.told}
         begin = _Begin(network)
         return ClipExamples(
             examples,
             begin,
             identity=identity,
+            white=self._capture.white,
             measured=network.measnet is not None,
             draws=config.data.draws,
             cache=cache,
@@ -112,7 +87,8 @@ class VideoTraining(Training[ClipExample]):
     def _metrics(self, batches: Loader[ClipExample]) -> dict[str, float]:
         """Return means over the validation clips: the loss's terms, ``psnr_db``, ``moving_psnr_db``; and ``score_db``.
 
-        The score is the mean of both PSNRs: what stands still is most of a clip, and easy.
+        The score is the mean of both PSNRs: what stands still is most of a clip, and easy. Where nothing moves in any clip,
+        it is the first alone.
         """
         sums: dict[str, float] = {}
         counts: dict[str, int] = {}
@@ -125,15 +101,14 @@ class VideoTraining(Training[ClipExample]):
                 values = {name: value.expand(count) for name, value in self._losses(film, example).items()}
                 values |= _errors(film.image, example, self._capture)
                 for name, value in values.items():
-                    known = value[value.isfinite()] if name == "moving_psnr_db" else value
+                    known = value[~value.isnan()] if name == "moving_psnr_db" else value
                     sums[name] = sums.get(name, 0.0) + float(known.double().sum())
                     counts[name] = counts.get(name, 0) + len(known)
         self._network.train()
         both = torch.tensor([list(sums.values()), list(counts.values())], dtype=torch.float64)
         summed = self._group.add(both.to(self._group.device))
-        means = (summed[0] / summed[1].clamp_min(1)).tolist()
-        found = dict(zip(sums, means, strict=True))
-        return found | {"score_db": (found["psnr_db"] + found["moving_psnr_db"]) / 2}
+        found = {name: float(total / of) for name, (total, of) in zip(sums, summed.T, strict=True) if of}
+        return found | {"score_db": (found["psnr_db"] + found.get("moving_psnr_db", found["psnr_db"])) / 2}
 
     def _drawn(self, example: ClipExample) -> NDArray[np.uint8]:
         """Return an image: of each clip a row of its true frames, and below it one of the estimated."""
@@ -145,9 +120,6 @@ class VideoTraining(Training[ClipExample]):
         rows = [row for pair in zip(truth, film.image.clamp(0, 1), strict=True) for row in pair]
         sheet = torch.cat([torch.cat(list(row), dim=-1) for row in rows], dim=-2)
         return (sheet * 255).round().byte().permute(1, 2, 0).cpu().numpy()
-
-    def _save(self, path: Path, architecture: dict[str, Any], record: dict[str, Any]) -> None:
-        save_checkpoint(path, self._network, architecture=architecture, capture=self._capture, record=record)
 
 
 class _Begin:
@@ -165,4 +137,5 @@ class _Begin:
 def _errors(image: Tensor, example: ClipExample, capture: CaptureModel) -> dict[str, Tensor]:
     truth = linear_to_srgb(example.radiance, capture.white)
     found = image.clamp(0, 1)
-    return {"psnr_db": psnr(found, truth).clamp_max(100), "moving_psnr_db": psnr_at(found, truth, moving_pixels(truth))}
+    errors = {"psnr_db": psnr(found, truth), "moving_psnr_db": psnr_at(found, truth, moving_pixels(truth))}
+    return {name: values.clamp_max(100) for name, values in errors.items()}  # of what is equal, too

@@ -44,7 +44,7 @@ from learning.resume import (
     sole_use,
     stop_signals,
 )
-from learning.validation import SHOWN, Log, to_device
+from learning.validation import SHOWN, Log, errors_in_words, to_device
 from simulator import __version__
 from simulator.dataset import open_dataset
 from simulator.dataset.reader import Dataset
@@ -441,9 +441,7 @@ class Training(ABC, Generic[Item]):
             log.show(progress.step, self._drawn(example))
             if better:
                 self._save_network(BEST)
-        further = {"depth_rmse_cm": ", depth RMSE {:.2f} cm", "moving_psnr_db": ", of moving pixels {:.2f} dB"}
-        also = "".join(words.format(metrics[name]) for name, words in further.items() if name in metrics)
-        errors = f"validation PSNR {metrics['psnr_db']:.2f} dB{also}, loss {metrics['total']:.4g}"
+        errors = f"validation {errors_in_words(metrics)}, loss {metrics['total']:.4g}"
         self._say(f"step {progress.step}: {errors}{' (best)' if better else ''}")
 
     def _save_network(self, name: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,17 @@ def true_estimate(example: Example, capture: CaptureModel) -> Estimate:
     """Return image and disparity of what was there, of a batch; what was not seen lies at the far depth."""
     disparity = torch.where(example.valid, capture.disparity(example.depth_m), 0)
     return Estimate(linear_to_srgb(example.radiance, capture.white), disparity)
+
+
+def errors_in_words(metrics: Mapping[str, float]) -> str:
+    """Return what a validation found, for people: of all scores those that there are."""
+    words = {
+        "noisy_psnr_db": "of the input {:.2f} dB",
+        "depth_rmse_cm": "depth RMSE {:.2f} cm",
+        "moving_psnr_db": "of moving pixels {:.2f} dB",
+    }
+    found = [text.format(metrics[name]) for name, text in words.items() if name in metrics]
+    return ", ".join([f"PSNR {metrics['psnr_db']:.2f} dB", *found])
 
 
 def to_device(example: Item, device: torch.device) -> Item:

@@ -181,8 +181,8 @@ class FilmFitting(nn.Module, ABC):
             The film of the best iterate: that with the least mean residual over the latest iterations.
 
         Raises:
-            InputError: several measurements, one of another camera or with values that are not finite, rates at which the misfit
-                does not stay finite, a state that is damaged or of another fit, or ``save_every`` below 1.
+            InputError: several measurements, one of another camera or with values that are not finite, rates at which the
+                misfit does not stay finite, a state that is damaged or of another fit, or ``save_every`` below 1.
             StorageError: the state cannot be written.
         """
         if len(measurement) != 1:

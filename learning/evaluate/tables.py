@@ -244,7 +244,7 @@ def _best(names: Sequence[str], outcomes: Sequence[Outcome]) -> dict[str, float]
     """Return the best mean of each score of which there is one."""
     ranked = [name for name in names if SCORES[name][2] is not None]
     means = {name: [one.scores[name].mean for one in outcomes if name in one.scores] for name in ranked}
-    return {name: (max if SCORES[name][2] else min)(values) for name, values in means.items()}
+    return {name: (max if SCORES[name][2] else min)(values) for name, values in means.items() if values}
 
 
 def _cells(one: Outcome, names: Sequence[str], best: Mapping[str, float]) -> list[str]:

@@ -50,7 +50,13 @@ def make(train: Dataset, tmp_path: Path) -> Callable[..., ClipExamples]:
     """Make examples, three draws of each, kept in ``tmp_path``."""
 
     def made(begin: Any = None, *, augment: Augmentation | None = AUGMENT, **changes: Any) -> ClipExamples:
-        given: dict[str, Any] = {"identity": {"seed": 5}, "measured": False, "draws": 3, "cache": tmp_path}
+        given: dict[str, Any] = {
+            "identity": {"seed": 5},
+            "white": 1.5,
+            "measured": False,
+            "draws": 3,
+            "cache": tmp_path,
+        }
         noise = changes.pop("noise_db", None)
         examples = ExampleSet(train, augment=augment, noise_db=noise, seed=5)
         return ClipExamples(examples, Counted() if begin is None else begin, **given | changes)
@@ -76,13 +82,27 @@ def test_what_is_kept_is_what_would_be_worked_out(make: Any, train: Dataset, mea
         assert all(values.dtype == torch.float32 for values in first)
         wanted = examples[draw]
         assert torch.equal(first.measurement, wanted.measurement)
-        # Half precision: 11 bits, and steps of 2^-24 near 0
-        torch.testing.assert_close(first.radiance, wanted.radiance, rtol=2**-11, atol=2**-25)
+        # Half precision: 11 bits, and steps of 2^-24 near 0, of white
+        torch.testing.assert_close(first.radiance, wanted.radiance, rtol=2**-11, atol=1.5 * 2**-25)
         start = Counted()(wanted.measurement[None])[0]
         torch.testing.assert_close(first.start, start, rtol=2**-11, atol=2**-25)
     assert begin.calls == asked + 6  # each draw once
     assert len(kept) == 8
     assert kept.dataset is train
+
+
+def test_dim_scenes_are_kept_as_well_as_bright_ones(make: Any, train: Dataset, monkeypatch: Any) -> None:
+    """In units of white: of radiance around 1e-5, half precision alone would leave two digits."""
+    read = ExampleSet.__getitem__
+
+    def dim(examples: ExampleSet, draw: Any) -> Any:
+        example = read(examples, draw)
+        return example._replace(radiance=1e-5 * example.radiance)
+
+    monkeypatch.setattr(ExampleSet, "__getitem__", dim)
+    found = make(white=1.5e-5)[Draw(3, 1)].radiance
+    wanted = ExampleSet(train, augment=AUGMENT, seed=5)[Draw(3, 1)].radiance
+    torch.testing.assert_close(found, wanted, rtol=2**-10, atol=1.5e-5 * 2**-25)
 
 
 def test_two_processes_share_what_one_has_worked_out(make: Any, tmp_path: Path) -> None:

@@ -255,6 +255,52 @@ def test_validation_counts_clips_that_move(video_settings: Settings, monkeypatch
     assert result.best["moving_psnr_db"] == pytest.approx(found["moving_psnr_db"][1].item(), rel=1e-6)
     assert result.best["psnr_db"] == pytest.approx(found["psnr_db"].mean().item(), rel=1e-6)
 
+    def all_stand_still(*given: Any) -> dict[str, torch.Tensor]:
+        found = known(*given)
+        return found | {"moving_psnr_db": torch.full_like(found["moving_psnr_db"], float("nan"))}
+
+    monkeypatch.setattr(module, "_errors", all_stand_still)
+    still = train_video(video_settings("still", steps=1)).best
+    assert "moving_psnr_db" not in still
+    assert still["score_db"] == still["psnr_db"]
+
+
+def test_what_is_equal_has_100_db(clip_dataset: Path) -> None:
+    from learning import train_video as module
+
+    dataset = open_dataset(clip_dataset, "validation")
+    capture = capture_model(dataset, white=1.5)
+    measurement, radiance, *_ = (each[None] for each in ExampleSet(dataset)[0])
+    example = ClipExample(measurement, radiance, torch.empty(0), torch.empty(0))
+    found = module._errors(linear_to_srgb(radiance, capture.white), example, capture)
+    assert {name: values.tolist() for name, values in found.items()} == {"psnr_db": [100], "moving_psnr_db": [100]}
+
+
+@pytest.mark.parametrize(("measnet", "first"), [(True, "wiener"), (False, "inversion")])
+def test_p_and_lambda_learn_faster_and_nothing_else(video_settings: Settings, measnet: bool, first: str) -> None:
+    """Adam's first step changes every number that has a gradient, the first inversion's at least, by the learning rate."""
+    network = {"initial_estimate": "slivers", "measnet": measnet}
+
+    def trained(rate: float) -> dict[str, torch.Tensor]:
+        optimiser = {"schedule": "constant", "warm_up": 0.0, "inversion_rate": 10.0, "learning_rate": rate}
+        folder = train_video(video_settings(f"{rate}", steps=1, network=network, optimiser=optimiser)).folder
+        return dict(load_checkpoint(folder / LAST).network.named_parameters())
+
+    begun, ended = trained(1e-9), trained(1e-3)
+    steps = {name: (value - begun[name]).abs().max().item() for name, value in ended.items()}
+    for name, step in steps.items():
+        assert step == 0 or step == pytest.approx(1e-2 if name.startswith("inversion.") else 1e-3, rel=0.01), name
+    assert any(step for name, step in steps.items() if name.startswith(f"{first}."))
+
+
+@pytest.mark.parametrize(("share", "moved"), [(0.5, 2), (0.0, 0)])
+def test_batch_statistics_stay_after_their_share_of_the_steps(
+    video_settings: Settings, share: float, moved: int
+) -> None:
+    given: dict[str, Any] = {"network": {"body": "unet"}, "optimiser": {"freeze_statistics": share}}
+    found = load_checkpoint(train_video(video_settings(steps=4, **given)).folder / LAST).network.state_dict()
+    assert {int(value) for name, value in found.items() if name.endswith("num_batches_tracked")} == {moved}
+
 
 @pytest.mark.parametrize(
     "network",
