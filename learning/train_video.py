@@ -52,9 +52,9 @@ class VideoTraining(NetworkTraining[ClipExample]):
         assert isinstance(network, VideoNet)
         cache = find_cache(dataset, config, self._say)
         augment = config.data.augment if dataset.split == "train" else None
-        # The clips that are kept are the same for all seeds, which then differ in weights and order; so are those as stored.
-        kept, stored = augment is not None and config.data.draws, augment is None and config.data.noise_db is None
-        seed = 0 if kept or stored else config.seed
+        # The clips that are kept are the same for all seeds, which then differ in weights and order.
+        kept = config.data.draws or (augment is None and config.data.noise_db is None)
+        seed = 0 if kept else config.seed
         examples = ExampleSet(dataset, noise_db=config.data.noise_db, augment=augment, seed=seed, cache=cache)
         identity = {"seed": seed, "augment": augment and vars(augment), "noise_db": config.data.noise_db}
         identity |= {"stack": self._capture.stack.fingerprint}

@@ -1,4 +1,4 @@
-"""`flatlight reconstruct`: from one measurement to an image, a depth map and a volume, and the files they are written to."""
+"""`flatlight reconstruct`: from one measurement to image, depth map and volume, or to frames, and the files of these."""
 
 from __future__ import annotations
 

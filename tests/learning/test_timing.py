@@ -116,6 +116,8 @@ def test_a_method_for_other_times_is_refused_by_what_differs() -> None:
         for one, two in ((other, known), (known, other)):
             with pytest.raises(InputError, match=rf"^{key}: "):
                 one.check_same(two, ROWS)
+    with pytest.raises(InputError, match=r"got 0\.44 ms for edge 1 of 0 to 5, the method was made for 0\.3 ms; set "):
+        Timing(shutter, np.linspace(0, EDGES_S[-1], 6)).check_same(known, ROWS)
 
 
 def test_a_data_set_says_its_times(clip_dataset: Path) -> None:

@@ -158,14 +158,17 @@ def test_another_configuration_is_refused(video_settings: Settings) -> None:
     assert train_video(video_settings(steps=2, data={"workers": 1, "cache": False})).steps == 1
 
 
-def test_seeds_share_what_is_kept(video_settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of clips that are changed a fixed number of times; the joint estimate is worked out by the first training only."""
+@pytest.mark.parametrize("data", [{"augment": Augmentation()}, {"noise_db": (20.0, 50.0)}], ids=["changed", "noise"])
+def test_seeds_share_what_is_kept(
+    video_settings: Settings, data: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of clips that are drawn a fixed number of times; the joint estimate is worked out by the first training only."""
     calls = []
     begin = _Begin.__call__
     monkeypatch.setattr(_Begin, "__call__", lambda self, given: calls.append(1) or begin(self, given))
     counts = []
     for seed in (1, 2):
-        train_video(video_settings(str(seed), seed=seed, steps=9, data={"augment": Augmentation()}))
+        train_video(video_settings(str(seed), seed=seed, steps=9, data=data))
         counts.append(len(calls))
         calls.clear()
     # 9 batches of 3 are both draws of 8 clips, and more; 2 clips of validation; and one of each to see its shape.

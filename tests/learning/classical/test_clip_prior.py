@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from learning.checkpoint import find_denoiser, load_denoiser
+from learning.classical import clip_prior
 from learning.classical.clip_prior import ClipPlugAndPlay, MeanInverse
 from learning.layers.space_time import JOINT, ClipProblem, JointLeastSquares
 from learning.timing import Timing
@@ -197,7 +198,11 @@ def test_the_static_picture_is_denoised_with_less_noise(small: CaptureModel) -> 
     assert [each.tolist() for each in prior.told] == [[0.3] * 2, [pytest.approx(0.3 / 3**0.5)] * 2]
 
 
-def test_each_capture_is_a_problem_of_its_own(small: CaptureModel) -> None:
+@pytest.mark.parametrize("at_once", [1, 2])  # as on a CPU, and as on a GPU
+def test_each_capture_is_a_problem_of_its_own(
+    small: CaptureModel, at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clip_prior, "samples_at_once", lambda *_: at_once)
     problem = ClipProblem(small)
     both = torch.cat([measure(problem, gain * squares(problem), 0.03) for gain in (1.0, 0.3)])
     solver = method(small, Plain(), over_time=0.5)

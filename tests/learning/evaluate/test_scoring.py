@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 import torch
 
-from learning.camera import CaptureModel
+from learning.camera import CaptureModel, capture_model
 from learning.data import Example, ExampleSet
+from learning.evaluate import scoring
+from learning.evaluate.motion import SliverMotion
 from learning.evaluate.outcome import outcome
 from learning.evaluate.scoring import Criteria, naive_baselines, score, take_times
 from learning.method import Clock, Estimate, describe_device
@@ -43,6 +45,41 @@ def test_the_truth_is_perfect(examples: ExampleSet, tiny_camera: CaptureModel, o
         assert one.scores[name].mean == pytest.approx(0, abs=1e-4)
     assert one.pooled_depth_rmse_cm == pytest.approx(0, abs=1e-4)
     assert one.bins_cm == pytest.approx((0, 0, 0), abs=1e-4)
+
+
+@pytest.mark.parametrize("batch", [1, 2])
+def test_flicker_is_measured_along_each_clip_s_own_motion(
+    clip_dataset: Path, batch: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the estimate and of the truth; the second clip moves twice as fast."""
+    dataset = open_dataset(clip_dataset, "test")
+    examples, capture = ExampleSet(dataset), capture_model(dataset, white=1.5)
+    drawn = torch.rand(4, 3, 16, 16, generator=torch.Generator().manual_seed(2))
+
+    def motion(stored: Any, slivers: int) -> SliverMotion:
+        places = np.stack(np.meshgrid(np.arange(16.0), np.arange(16.0)), axis=-1)
+        places[..., 0] += 1 + dataset.ids.index(stored.folder.name)
+        assert slivers == 4
+        return SliverMotion(np.stack([places] * 3), np.stack([places[..., 0] <= 15] * 3))
+
+    class Drawn:
+        name = "drawn"
+
+        def __init__(self) -> None:
+            self.capture = capture
+
+        def reconstruct(self, measurement: torch.Tensor, clock: Clock | None = None) -> Estimate:
+            image = drawn.expand(len(measurement), -1, -1, -1, -1)
+            return Estimate(image, torch.zeros_like(image[:, :, :1]))
+
+    monkeypatch.setattr(scoring, "sliver_motion", motion)
+    found = score(Drawn(), examples, Criteria(EDGES_CM), device=CPU, batch=batch)["scores"]
+    assert len(found) == len(dataset) > 1
+    for at, scene in enumerate(found):
+        truth = linear_to_srgb(examples[at].radiance.numpy() / 1.5)
+        for name, film in (("warping_error", drawn.numpy()), ("true_warping_error", truth)):
+            change = film[1:, ..., 1 + at :] - film[:-1, ..., : 15 - at]  # a point is 1 + at columns farther right
+            assert scene[name] == pytest.approx(np.sqrt(np.mean(change.astype(np.float64) ** 2)), rel=1e-5)
 
 
 def test_bins_are_sums_over_valid_pixels(examples: ExampleSet, tiny_camera: CaptureModel, oracle: Any) -> None:

@@ -96,6 +96,9 @@ def test_a_matrix_has_a_column_for_each_level_and_a_row_for_each_seed() -> None:
         ["↳ seed 1", "–", "21.00 ± 1.41"],
         ["↳ seed 2", "–", "24.00 ± 1.41"],
     ]
+    # Of clips in which nothing moves, none has a PSNR of moving pixels.
+    still = {"moving": [_at(20, 10, 20)], "still": [replace(_at(20, 10, 20), scores={})]}
+    assert _rows(tables.markdown_matrix("psnr", still))[2:] == [["CLS", "**11.00 ± 1.41**", "–"]]
     depths = {row[0]: row[2] for row in _rows(tables.markdown_matrix("depth_rmse_cm", columns))[2:]}
     assert depths["Net"] == "2.25 ± 1.41 (0.35) · 60 %"
     assert depths["↳ seed 2"] == "2.50 ± 1.41 · 55 %"
