@@ -2,8 +2,8 @@
 
 The splitting is that of `learning.classical.plug_and_play` (Venkatakrishnan et al., Plug-and-Play Priors for Model Based
 Reconstruction, GlobalSIP 2013), the falling noise that of DPIR (Zhang et al., Plug-and-Play Image Restoration with Deep
-Denoiser Prior, TPAMI 2021, section 4.2). Rows of a rolling shutter see different frames, so the least squares in between have
-no closed form in frequencies: conjugate gradients begin where the last ones ended, and a few preconditioned steps serve.
+Denoiser Prior, TPAMI 2021, section 4.2). The least squares in between are those of `learning.layers.data_consistency`, which
+begin where the last ones ended.
 
 A denoiser of pictures knows nothing of time. So the static picture, a robust mean of the frames (Huber, Robust Estimation of
 a Location Parameter, Ann. Math. Statist. 35, 1964), is denoised by itself, with less noise than a frame has; and each frame
@@ -22,10 +22,10 @@ from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from learning.classical.plug_and_play import PlaneDenoiser
+from learning.layers.data_consistency import DataConsistency
 from learning.layers.inversion import samples_at_once
 from learning.layers.noise import noise_level
-from learning.layers.space_time import ClipProblem, JointLeastSquares
-from simulator.arrays import to_numpy
+from learning.layers.space_time import JointLeastSquares
 from simulator.errors import InputError
 
 _WINDOW = 5  # pixels on a side, over which the energy of a difference is averaged
@@ -80,8 +80,8 @@ class ClipPlugAndPlay(nn.Module):
         for name, value in (("iterations", iterations), ("inner", inner)):
             if value < 1:
                 raise InputError(name, f"got {value}, expected at least 1")
-        self.problem, self.denoiser, self._start = ClipProblem(capture), denoiser, start
-        self._inverse = MeanInverse(capture, self.problem)
+        self.data, self.denoiser, self._start = DataConsistency(capture), denoiser, start
+        self.problem = self.data.problem
         self.levels = np.geomspace(level_first, level_last, iterations).tolist()
         self._prior, self._over_time, self._inner = prior, over_time, inner
 
@@ -99,27 +99,11 @@ class ClipPlugAndPlay(nn.Module):
         for noise in self.levels:
             weight = self._prior * (measured / noise) ** 2
             multiplier *= (noise / before) ** 2
-            light = self._explained(light, seen + weight * (copy - multiplier), weight)
+            light = self.data(light, seen + weight * (copy - multiplier), weight, self._inner)
             copy = self.denoised(light + multiplier, noise).clamp_min(0)
             multiplier += light - copy
             before = noise
         return self.problem.film(copy)[:, :, 0]
-
-    def _explained(self, light: Tensor, wanted: Tensor, weight: Tensor) -> Tensor:
-        """Return what some steps make of x, towards (A^T A + weight) x = wanted; each channel is a problem of its own."""
-        problem = self.problem
-        residual = wanted - problem.adjoint(problem(light)) - weight * light
-        ahead = direction = self._inverse(residual, weight)
-        power = _products(residual, ahead)
-        for _ in range(self._inner):
-            image = problem.adjoint(problem(direction)) + weight * direction
-            step = power / _products(direction, image)
-            light = light + step * direction
-            residual = residual - step * image
-            ahead = self._inverse(residual, weight)
-            after = _products(residual, ahead)
-            direction, power = ahead + after / power * direction, after
-        return light
 
     def denoised(self, light: Tensor, noise: float) -> Tensor:
         """Return x ``(N, K, B, C, rows, columns)`` without noise of a standard deviation, 1 for white."""
@@ -140,44 +124,3 @@ class ClipPlugAndPlay(nn.Module):
         volume = light.movedim(2, 0).flatten(1, 2)
         found = self.denoiser.planes(volume, volume.new_full((len(volume),), noise))
         return found.unflatten(1, light.shape[:2]).movedim(0, 2)
-
-
-class MeanInverse(nn.Module):
-    """About the inverse of A^T A + weight, to precondition with: as if every row saw of each frame what it sees on average.
-
-    Then A^T A is a matrix over frames, how much the rows of two frames overlap, times the PSF's power in each frequency.
-    """
-
-    overlap: Tensor
-    mixing: Tensor
-    power: Tensor
-
-    def __init__(self, capture: CaptureModel, problem: ClipProblem) -> None:
-        """Prepare the eigenvalues."""
-        super().__init__()
-        rows, columns = problem.plans
-        values = to_numpy(capture.stack.values).astype(np.float64)
-        placed = np.stack([[columns.place(rows.place(each, 0), 1) for each in plane] for plane in values])
-        power = np.abs(np.fft.rfft2(placed)) ** 2 / problem.norm.double().numpy() ** 2
-        shares = capture.row_weights
-        overlap, mixing = np.linalg.eigh(shares @ shares.T / shares.shape[1])
-        buffers = {
-            "overlap": overlap.clip(0)[:, None, None, None, None, None],
-            "mixing": mixing,
-            "power": power[:, None],
-        }
-        for name, numbers in buffers.items():
-            self.register_buffer(name, torch.from_numpy(numbers).to(torch.get_default_dtype()), persistent=False)
-        self._period = (rows.length, columns.length)
-
-    def forward(self, light: Tensor, weight: Tensor) -> Tensor:
-        """Return it times x ``(N, K, B, C, rows, columns)``; the weight is ``(B, C, 1, 1)``."""
-        apart = torch.einsum("nm,n...->m...", self.mixing, light)
-        spectrum = torch.fft.rfft2(apart, s=self._period) / (self.overlap * self.power + weight)
-        apart = torch.fft.irfft2(spectrum, s=self._period)[..., : light.shape[-2], : light.shape[-1]]
-        return torch.einsum("nm,m...->n...", self.mixing, apart)
-
-
-def _products(one: Tensor, other: Tensor) -> Tensor:
-    """Return the inner product of each capture's and channel's, ``(B, C, 1, 1)``; never 0, by which is divided."""
-    return (one * other).sum(dim=(0, 1, 4, 5))[..., None, None].clamp_min(torch.finfo(one.dtype).tiny)

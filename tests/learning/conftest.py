@@ -192,6 +192,32 @@ def clip_capture(tiny_capture: CaptureModel) -> CaptureModel:
     return replace(tiny_capture, stack=one, timing=Timing(shutter, np.arange(5) * 4e-3))
 
 
+@pytest.fixture(scope="session")
+def dotted_camera() -> Callable[..., CaptureModel]:
+    """Make a camera of clips in any size, for tests that need no optics; see `_dotted`."""
+    return _dotted
+
+
+def _dotted(sensor: tuple[int, int], scene: tuple[int, int], psf: int, frames: int, dots: int = 25) -> CaptureModel:
+    """Return a camera of two colours: dots as wide apart as its sensor, light from one pixel around, two rolling shutters."""
+    rng = np.random.default_rng(3)
+    values = np.zeros((1, 2, psf, psf))
+    for row, column in rng.integers(0, psf, (dots, 2)):
+        values[0, :, row, column] = rng.uniform(0.5, 1.0, 2)
+    shutter = DualRollingShutter(10e-3 / frames, 10e-3 * (1 - 1 / frames) / ((sensor[0] - 1) // 2))
+    return CaptureModel(
+        stack=PsfStack(values, np.array([0.1]), 1e-5, ("R", "G"), "dots"),
+        sensor_shape=sensor,
+        scene_shape=scene,
+        gain=3.0,
+        offset=np.full(2, 0.02),
+        irradiance=rng.uniform(0.6, 0.9, (scene[0] + 2, scene[1] + 2)).astype(np.float32),
+        scene_to_camera=np.eye(2, 3),
+        white=0.7,
+        timing=Timing(shutter, np.linspace(0, 10e-3, frames + 1)),
+    )
+
+
 @pytest.fixture
 def settings(tiny_dataset: Path, tmp_path: Path) -> Callable[..., TrainConfig]:
     """Return a function that makes a small training; sections are changed key by key."""

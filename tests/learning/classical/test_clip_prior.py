@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -9,17 +10,14 @@ import numpy as np
 import pytest
 import torch
 from scipy.optimize import nnls
-from torch import Tensor, nn
+from torch import Tensor
 
 from learning.camera import CaptureModel
 from learning.checkpoint import find_denoiser, load_denoiser
 from learning.classical import clip_prior
-from learning.classical.clip_prior import ClipPlugAndPlay, MeanInverse
+from learning.classical.clip_prior import ClipPlugAndPlay
 from learning.layers.space_time import JOINT, ClipProblem, JointLeastSquares
-from learning.timing import Timing
-from simulator.camera.shutter import DualRollingShutter
 from simulator.errors import InputError
-from simulator.optics.stack import PsfStack
 
 pytestmark = pytest.mark.usefixtures("double")
 
@@ -38,37 +36,10 @@ class Plain:
         return volume.clone()
 
 
-class Nothing(nn.Module):
-    """What does not precondition."""
-
-    def forward(self, light: Tensor, weight: Tensor) -> Tensor:
-        return light
-
-
-def camera(sensor: tuple[int, int], scene: tuple[int, int], psf: int, frames: int, dots: int = 25) -> CaptureModel:
-    """Return a camera of two colours: dots as wide apart as its sensor, light from one pixel around, two rolling shutters."""
-    rng = np.random.default_rng(3)
-    values = np.zeros((1, 2, psf, psf))
-    for row, column in rng.integers(0, psf, (dots, 2)):
-        values[0, :, row, column] = rng.uniform(0.5, 1.0, 2)
-    shutter = DualRollingShutter(10e-3 / frames, 10e-3 * (1 - 1 / frames) / ((sensor[0] - 1) // 2))
-    return CaptureModel(
-        stack=PsfStack(values, np.array([0.1]), 1e-5, ("R", "G"), "dots"),
-        sensor_shape=sensor,
-        scene_shape=scene,
-        gain=3.0,
-        offset=np.full(2, 0.02),
-        irradiance=rng.uniform(0.6, 0.9, (scene[0] + 2, scene[1] + 2)).astype(np.float32),
-        scene_to_camera=np.eye(2, 3),
-        white=0.7,
-        timing=Timing(shutter, np.linspace(0, 10e-3, frames + 1)),
-    )
-
-
 @pytest.fixture(scope="module")
-def small() -> CaptureModel:
+def small(dotted_camera: Callable[..., CaptureModel]) -> CaptureModel:
     """16 x 14 pixels for three frames of 6 x 4 in a field of 8 x 6."""
-    return camera((16, 14), (6, 4), 11, 3)
+    return dotted_camera((16, 14), (6, 4), 11, 3)
 
 
 def method(capture: CaptureModel, denoiser: Any, **settings: Any) -> ClipPlugAndPlay:
@@ -116,63 +87,9 @@ def test_without_a_prior_it_is_non_negative_least_squares(small: CaptureModel, l
     np.testing.assert_allclose(torch.cat(prior.told), 0.2 * (level_last / 0.2) ** (np.arange(250) / 249))
 
 
-def test_the_data_step_solves_the_normal_equations(small: CaptureModel) -> None:
-    """Of each capture and channel with its own weight; from where it is begun, and nearer with each step."""
-    solver = method(small, Plain(), inner=80)
-    rng = np.random.default_rng(0)
-    wanted, begun = (torch.from_numpy(rng.normal(size=(3, 1, 2, 2, 8, 6))) for _ in range(2))
-    weight = torch.tensor([[0.1, 0.3], [1.0, 2.0]])[..., None, None]
-    found = solver._explained(begun, wanted, weight)
-    matrices = dense(solver.problem)
-    for capture, channel in np.ndindex(2, 2):
-        matrix, own = matrices[channel], float(weight[capture, channel])
-        right = wanted[:, 0, capture, channel].numpy().ravel()
-        exact = np.linalg.solve(matrix.T @ matrix + own * np.eye(len(right)), right)
-        np.testing.assert_allclose(found[:, 0, capture, channel].numpy().ravel(), exact, atol=1e-8)
-    exact, errors = found, []
-    for inner in (1, 3, 9, 27):
-        solver._inner = inner
-        errors.append(float((solver._explained(begun, wanted, weight) - exact).square().sum()))
-    assert errors[0] > errors[1] > errors[2] > errors[3]
-    torch.testing.assert_close(solver._explained(exact, wanted, weight), exact, rtol=0, atol=1e-8)
-
-
-def test_the_mean_inverse_is_symmetric_positive_and_exact_where_rows_see_alike(small: CaptureModel) -> None:
-    problem = ClipProblem(small)
-    inverse, weight = MeanInverse(small, problem), torch.full((1, 2, 1, 1), 0.1)
-    one, other = (torch.from_numpy(np.random.default_rng(n).normal(size=(3, 1, 1, 2, 8, 6))) for n in range(2))
-    there, back = ((a * inverse(b, weight)).sum() for a, b in ((one, other), (other, one)))
-    torch.testing.assert_close(there, back, rtol=1e-12, atol=0)
-    assert float((one * inverse(one, weight)).sum()) > 0
-    # A pinhole and one frame: all light is on the sensor, and A^T A is 1.
-    values = np.zeros((1, 2, 3, 3))
-    values[..., 1, 1] = 0.7
-    assert small.timing is not None
-    timing = replace(small.timing, frame_edges_s=small.timing.frame_edges_s[[0, -1]])
-    pinhole = replace(small, stack=replace(small.stack, values=values), timing=timing)
-    found = MeanInverse(pinhole, ClipProblem(pinhole))(one[:1], weight)
-    torch.testing.assert_close(found, one[:1] / 1.1, rtol=1e-12, atol=1e-14)
-
-
-def test_the_mean_inverse_saves_steps() -> None:
-    """Points over the whole sensor, four steps: less is left to minimise than without it."""
-    capture = camera((48, 44), (12, 12), 61, 4, dots=60)
-    problem = ClipProblem(capture)
-    begun = torch.zeros_like(problem.dark(1))
-    wanted, weight = problem.adjoint(problem(squares(problem))), torch.full((1, 2, 1, 1), 0.01)
-    exact = method(capture, Plain(), inner=200)._explained(begun, wanted, weight)
-    left: list[float] = []
-    for inverse in (MeanInverse(capture, problem), Nothing()):
-        solver = method(capture, Plain())
-        solver._inverse = inverse  # pyright: ignore[reportAttributeAccessIssue]
-        error = solver._explained(begun, wanted, weight) - exact
-        left.append(float(problem(error).square().sum() + (weight * error.square()).sum()))
-    assert left[0] < 0.6 * left[1]
-
-
-def test_frames_are_drawn_to_the_static_picture_where_nothing_moves() -> None:
+def test_frames_are_drawn_to_the_static_picture_where_nothing_moves(dotted_camera: Callable[..., CaptureModel]) -> None:
     """Five frames of a wall with noise of 0.1, which a bright square crosses on the left."""
-    capture = camera((32, 32), (20, 20), 11, 5)
+    capture = dotted_camera((32, 32), (20, 20), 11, 5)
     wall = torch.full((5, 1, 1, 2, 22, 22), 0.4)
     for frame in range(5):
         wall[frame, ..., 4 * frame : 4 * frame + 4, 2:6] = 1.6
@@ -212,9 +129,9 @@ def test_each_capture_is_a_problem_of_its_own(
         torch.testing.assert_close(film, solver(alone)[0], rtol=1e-9, atol=1e-12)
 
 
-def test_the_shipped_denoiser_improves_on_the_start() -> None:
+def test_the_shipped_denoiser_improves_on_the_start(dotted_camera: Callable[..., CaptureModel]) -> None:
     """A disc that moves before a wall with a brighter half, in two per cent of noise."""
-    capture = camera((64, 60), (24, 24), 81, 4, dots=60)
+    capture = dotted_camera((64, 60), (24, 24), 81, 4, dots=60)
     problem = ClipProblem(capture)
     rows, columns = np.mgrid[:26, :26]
     film = np.stack([np.where((rows - 12) ** 2 + (columns - 6 - 4 * n) ** 2 < 16, 0.9, 0.1) for n in range(4)])
