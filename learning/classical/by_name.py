@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
 from learning.camera import CaptureModel
-from learning.classical.clips import CLIP_DEFAULTS, CLIP_SEARCH, ClipMethod
+from learning.checkpoint import find_checkpoint, find_denoiser
+from learning.classical.clips import CLIP_DEFAULTS, CLIP_SEARCH, INITIAL_ESTIMATES, ClipMethod
 from learning.classical.method import (
     DEFAULTS,
     SEARCH,
@@ -16,6 +19,7 @@ from learning.classical.method import (
 )
 from learning.method import Value, check_choices
 from simulator.errors import InputError
+from simulator.io.files import expanded
 
 ALL_DEFAULTS: dict[str, dict[str, Value]] = DEFAULTS | CLIP_DEFAULTS
 """All parameters, where tuning begins."""
@@ -41,3 +45,19 @@ def build_method(
     if capture.timing is not None:
         raise InputError(name, f"got clips, but it reconstructs stills; take one of {', '.join(CLIP_DEFAULTS)}")
     return build_classical(capture, name, parameters)
+
+
+def learned_files(
+    parameters: Mapping[str, Any], key: str, resolve: Callable[[str], Path] = expanded
+) -> dict[str, Path]:
+    """Return the files of what a method learned, by the parameter that names them; ``resolve`` as of `find_checkpoint`.
+
+    Raises:
+        InputError: a file that does not exist, at ``key``.
+    """
+    found = {}
+    if (denoiser := parameters.get("denoiser")) is not None:
+        found["denoiser"] = find_denoiser(str(denoiser), key, resolve)
+    if (first := parameters.get("init_from", "dark")) not in INITIAL_ESTIMATES:
+        found["init_from"] = find_checkpoint(str(first), key, resolve)
+    return found

@@ -25,7 +25,7 @@ from learning.classical.plug_and_play import PlaneDenoiser
 from learning.layers.data_consistency import DataConsistency
 from learning.layers.inversion import samples_at_once
 from learning.layers.noise import noise_level
-from learning.layers.space_time import JointLeastSquares
+from learning.layers.space_time import FirstLight
 from simulator.errors import InputError
 
 _WINDOW = 5  # pixels on a side, over which the energy of a difference is averaged
@@ -45,7 +45,7 @@ class ClipPlugAndPlay(nn.Module):
         capture: CaptureModel,
         *,
         denoiser: PlaneDenoiser,
-        start: JointLeastSquares,
+        start: FirstLight,
         prior: float,
         level_first: float,
         level_last: float,

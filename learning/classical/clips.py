@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel, check_one_plane
-from learning.checkpoint import DENOISER, find_denoiser, load_denoiser
+from learning.checkpoint import DENOISER, find_checkpoint, find_denoiser, load_checkpoint, load_denoiser
 from learning.classical.clip_prior import ClipPlugAndPlay
 from learning.classical.fista import FistaTv
 from learning.classical.fitting import FilmFitting
@@ -23,8 +25,9 @@ from learning.classical.neural_space_time import NeuralSpaceTime
 from learning.classical.untrained import UntrainedNetwork
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.padding import check_measurement
-from learning.layers.space_time import JOINT, JointLeastSquares
-from learning.method import Clock, Estimate, Value, linear_to_srgb, threads_for
+from learning.layers.space_time import JOINT, ClipProblem, FirstLight, JointLeastSquares
+from learning.method import Clock, Estimate, Value, linear_to_srgb, srgb_to_linear, threads_for
+from learning.models.refinement import MOST_RADIANCE
 from simulator.errors import InputError
 
 
@@ -34,14 +37,17 @@ def _defaults(method: type) -> dict[str, Value]:
     return {each.name: each.default for each in given if each.default is not each.empty}
 
 
+INITIAL_ESTIMATES = ("joint", "dark")
+"""What ``init_from`` may be instead of the file of a network."""
 _STATIC: dict[str, Value] = {"regularisation_lambda": 1.0, "tikhonov": 1.0}
 CLIP_DEFAULTS: dict[str, dict[str, Value]] = {
     "static": _STATIC,
     "slivers": {"regularisation_lambda": 10.0, "tikhonov": 10.0},
     "joint": JOINT,
-    "fista": {"tv": 0.01, "tv_over_time": 1.0, "iterations": 200, "prox": "exact", "inner": 4, "start": "joint"},
+    "fista": {"tv": 0.01, "tv_over_time": 1.0, "iterations": 200, "prox": "exact", "inner": 4, "init_from": "joint"},
     "pnp_clips": {
         "denoiser": DENOISER,
+        "init_from": "joint",
         "prior": 1.0,
         "level_first": 0.2,
         "level_last": 0.01,
@@ -124,17 +130,46 @@ class SliverInversion(StaticInversion):
         return found[:, 0].unflatten(0, slivers.shape[:2])
 
 
-def _fista(capture: CaptureModel, *, start: str, **parameters: Any) -> FistaTv:
-    if start not in ("joint", "dark"):
-        raise InputError("start", f"got {start!r}, expected joint or dark")
+class NetworkStart(nn.Module):
+    """The light of the frames that a trained VideoNet finds, for methods that begin with it."""
+
+    to_camera: Tensor
+
+    def __init__(self, capture: CaptureModel, checkpoint: Path) -> None:
+        """Read the network; an InputError refuses another kind, and one of another camera."""
+        super().__init__()
+        self.network = load_checkpoint(checkpoint, capture=capture, network="videonet").network
+        self.problem = ClipProblem(capture)
+        to_camera = torch.from_numpy(np.array(capture.scene_to_camera)).to(torch.get_default_dtype())
+        self.register_buffer("to_camera", to_camera, persistent=False)
+
+    def light(self, measurement: Tensor) -> Tensor:
+        """Return x ``(N, K, B, C, rows, columns)`` of measurements ``(B, C, H, W)``; see `ClipProblem`."""
+        radiance = srgb_to_linear(self.network(measurement).image, 1.0, clip=False).clamp(0, MOST_RADIANCE)
+        return self.problem.light(torch.einsum("ca,bnahw->bnchw", self.to_camera, radiance)[:, :, None])
+
+
+def _first_light(capture: CaptureModel, init_from: Value, words: tuple[str, ...]) -> FirstLight | None:
+    """Return what gives the light that a method begins with, None for dark; ``words`` are what else it may be called."""
+    if init_from not in words:
+        try:
+            return NetworkStart(capture, find_checkpoint(str(init_from), "init_from"))
+        except InputError as error:
+            reason = f"{init_from}: {error.reason}; or take {' or '.join(words)}"
+            raise InputError("init_from", reason) from error
     first: dict[str, Any] = dict(JOINT)
-    return FistaTv(capture, start=JointLeastSquares(capture, **first) if start == "joint" else None, **parameters)
+    return JointLeastSquares(capture, **first) if init_from == "joint" else None
 
 
-def _plug_and_play(capture: CaptureModel, *, denoiser: str, **parameters: Any) -> ClipPlugAndPlay:
+def _fista(capture: CaptureModel, *, init_from: str, **parameters: Any) -> FistaTv:
+    return FistaTv(capture, start=_first_light(capture, init_from, INITIAL_ESTIMATES), **parameters)
+
+
+def _plug_and_play(capture: CaptureModel, *, denoiser: str, init_from: str, **parameters: Any) -> ClipPlugAndPlay:
     prior, _ = load_denoiser(find_denoiser(denoiser))
-    first: dict[str, Any] = dict(JOINT)
-    return ClipPlugAndPlay(capture, denoiser=prior, start=JointLeastSquares(capture, **first), **parameters)
+    first = _first_light(capture, init_from, ("joint",))
+    assert first is not None
+    return ClipPlugAndPlay(capture, denoiser=prior, start=first, **parameters)
 
 
 _FILMS: dict[str, Callable[..., nn.Module]] = {

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.layers.space_time import ClipProblem, JointLeastSquares
+from learning.layers.space_time import ClipProblem, FirstLight
 from learning.method import check_choices
 from simulator.errors import InputError
 
@@ -43,7 +43,7 @@ class FistaTv(nn.Module):
         iterations: int,
         prox: Literal["exact", "haar"],
         inner: int,
-        start: JointLeastSquares | None = None,
+        start: FirstLight | None = None,
     ) -> None:
         """Prepare the problem and its step, the reciprocal of the greatest eigenvalue of A^T A, by power iteration.
 

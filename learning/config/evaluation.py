@@ -54,7 +54,8 @@ class MethodConfig(Section):
     tuned: str | None = None
     """what `flatlight tune` wrote; parameters of the nearest noise level"""
     parameters: dict[str, Any] | None = None
-    """instead of tuned; {} takes the defaults. The denoiser of pnp is a file, or denoiser, the shipped one"""
+    """instead of tuned; {} takes the defaults. The denoiser of pnp is a file, or denoiser, the shipped one; pnp_clips and
+    fista may init_from a VideoNet's checkpoint"""
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:

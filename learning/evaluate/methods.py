@@ -13,8 +13,8 @@ from typing import Any
 import torch
 
 from learning.camera import CaptureModel
-from learning.checkpoint import find_checkpoint, find_denoiser, load_checkpoint, load_denoiser
-from learning.classical.by_name import ALL_DEFAULTS, build_method
+from learning.checkpoint import find_checkpoint, load_checkpoint, load_denoiser
+from learning.classical.by_name import ALL_DEFAULTS, build_method, learned_files
 from learning.config import EvaluateConfig, MethodConfig
 from learning.evaluate.outcome import Kind
 from learning.method import Method
@@ -72,7 +72,7 @@ class LearnedEntry:
 class ClassicalEntry:
     """A classical method, with parameters that may depend on the noise; it is told of its camera.
 
-    ``tuned`` is the file of its parameters, ``parameters`` are given ones; a denoiser's file among them is an absolute path.
+    ``tuned`` is the file of its parameters, ``parameters`` are given ones; files among them are absolute paths.
     """
 
     name: str
@@ -83,24 +83,26 @@ class ClassicalEntry:
     kind: Kind = "classical"
 
     @property
-    def denoisers(self) -> list[Path]:
-        """The files of the denoisers that it trusts at any level of noise; empty where it has none."""
+    def learned(self) -> dict[Path, Mapping[str, Any]]:
+        """The records of the networks that it trusts at any level of noise, by file: a denoiser, one that it begins with."""
         levels = [0.0] if self.tuned is None else load_tuned(self.tuned).levels_db(self.algorithm)
-        named = [self._chosen(level)[0].get("denoiser") for level in levels]
-        return [find_denoiser(text, self.name) for text in dict.fromkeys(named) if text is not None]
+        found: dict[Path, Mapping[str, Any]] = {}
+        for level in levels:
+            for parameter, path in learned_files(self._chosen(level)[0], self.name).items():
+                denoiser = parameter == "denoiser"
+                found[path] = load_denoiser(path)[1] if denoiser else load_checkpoint(path).record
+        return found
 
     def identity(self, noise_db: float) -> dict[str, Any]:
-        """Return algorithm and parameters; of a denoiser its file's hash, wherever it lies."""
+        """Return algorithm and parameters; of a file its hash, wherever it lies."""
         parameters, _ = self._chosen(noise_db)
-        if "denoiser" in parameters:
-            parameters["denoiser"] = sha256_file(find_denoiser(parameters["denoiser"], self.name))
-        return {"classical": self.algorithm, "parameters": parameters}
+        hashes = {name: sha256_file(path) for name, path in learned_files(parameters, self.name).items()}
+        return {"classical": self.algorithm, "parameters": parameters | hashes}
 
     def note(self, noise_db: float) -> str:
         """Return the parameters and where they come from."""
         parameters, level = self._chosen(noise_db)
-        if "denoiser" in parameters:
-            parameters["denoiser"] = Path(parameters["denoiser"]).name
+        parameters |= {name: Path(parameters[name]).name for name in learned_files(parameters, self.name)}
         shown = {name: f"{value:.4g}" if isinstance(value, float) else value for name, value in parameters.items()}
         words = ", ".join(f"{name} {value}" for name, value in shown.items())
         return f"{words or 'defaults'} ({'as given' if level is None else f'tuned at {level:g} dB'})"
@@ -145,11 +147,11 @@ def _read_method(config: EvaluateConfig, method: MethodConfig, test: Dataset) ->
         if tuned is not None:
             check_tuned(method.name, tuned, test)
         parameters = dict(method.parameters or {})
-        if "denoiser" in parameters:
-            parameters["denoiser"] = str(find_denoiser(str(parameters["denoiser"]), method.name, config.resolve_path))
+        files = learned_files(parameters, method.name, config.resolve_path)
+        parameters |= {name: str(path) for name, path in files.items()}
         entry = ClassicalEntry(method.name, method.classical, tuned, parameters)
-        for path in entry.denoisers:
-            check_learned(method.name, path, load_denoiser(path)[1], test)
+        for path, record in entry.learned.items():
+            check_learned(method.name, path, record, test)
         return [entry]
     entries: list[Entry] = []
     for text in method.checkpoints or ():
@@ -186,7 +188,7 @@ def says_scenes(entry: Entry) -> bool:
     """Return whether it is on record which scenes a method has seen; earlier versions of Flatlight kept data sets only."""
     if isinstance(entry, LearnedEntry):
         return _all_say_scenes(entry.record)
-    learned = all(_all_say_scenes(load_denoiser(path)[1]) for path in entry.denoisers)
+    learned = all(map(_all_say_scenes, entry.learned.values()))
     return learned and (entry.tuned is None or "scenes" in load_tuned(entry.tuned).content["identity"])
 
 

@@ -9,6 +9,7 @@ sensor's size has, though still more than the sensor's pixels (ten frames of a f
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -90,6 +91,14 @@ class ClipProblem(nn.Module):
         if self._model is None or self._model[0] != (reference.device, reference.dtype):
             self._model = (reference.device, reference.dtype), self._capture.space_time(reference)
         return self._model[1]
+
+
+class FirstLight(Protocol):
+    """What gives the light that an iteration begins with."""
+
+    def light(self, measurement: Tensor) -> Tensor:
+        """Return x ``(N, K, B, C, rows, columns)`` of measurements ``(B, C, H, W)``; see `ClipProblem`."""
+        ...
 
 
 JOINT: dict[str, float | int | str] = {

@@ -193,6 +193,20 @@ def clip_capture(tiny_capture: CaptureModel) -> CaptureModel:
 
 
 @pytest.fixture(scope="session")
+def clip_checkpoint(clip_capture: CaptureModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a tiny VideoNet for that camera, with weights at random."""
+    torch.manual_seed(3)
+    network = build_network(clip_capture, "videonet", "tiny", joint_iterations=3)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter += 0.02 * torch.randn_like(parameter)
+    path = tmp_path_factory.mktemp("clips") / "video.safetensors"
+    architecture = {"network": "videonet", "size": "tiny", "joint_iterations": 3}
+    save_checkpoint(path, network, architecture=architecture, capture=clip_capture, record={"scenes": {"train": ["a"]}})
+    return path
+
+
+@pytest.fixture(scope="session")
 def dotted_camera() -> Callable[..., CaptureModel]:
     """Make a camera of clips in any size, for tests that need no optics; see `_dotted`."""
     return _dotted

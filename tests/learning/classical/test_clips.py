@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from learning.camera import CaptureModel
+from learning.checkpoint import load_checkpoint
 from learning.classical.by_name import ALL_DEFAULTS, ALL_SEARCH, ALL_VOLUME_PARAMETERS, build_method
 from learning.classical.clips import CLIP_DEFAULTS, CLIP_SEARCH, ClipMethod, SliverInversion, StaticInversion
 from learning.classical.fista import FistaTv
@@ -20,10 +21,12 @@ from learning.config import TuneConfig
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.space_time import JOINT, JointLeastSquares
 from learning.method import Clock
+from learning.models import learned_method
 from learning.timing import Timing
 from learning.tune.job import classical
 from simulator.camera.shutter import RowShutter
 from simulator.errors import InputError
+from simulator.validation import renamed
 
 STATIC: dict[str, Any] = {"regularisation_lambda": 0.3, "tikhonov": 0.7}
 FEW: dict[str, dict[str, Any]] = {name: {"iterations": 3} for name in ("joint", "fista", "pnp_clips", "nstm")}
@@ -121,8 +124,27 @@ def test_joint_and_fista_are_their_modules_with_all_parameters(clip_capture: Cap
     tv: dict[str, Any] = {"tv": 0.03, "tv_over_time": 2.0, "iterations": 3, "prox": "haar", "inner": 2}
     for start, first in (("dark", None), ("joint", JointLeastSquares(clip_capture, **dict(JOINT)))):
         wanted = FistaTv(clip_capture, start=first, **tv)(measurement)
-        found = build_method(clip_capture, "fista", tv | {"start": start}).volume(measurement)
+        found = build_method(clip_capture, "fista", tv | {"init_from": start}).volume(measurement)
         assert torch.equal(found, wanted)
+
+
+@pytest.mark.parametrize("name", ["fista", "pnp_clips"])
+def test_begins_with_the_frames_of_a_network(
+    clip_capture: CaptureModel, clip_checkpoint: Path, measurement: Tensor, name: str
+) -> None:
+    method = build_method(clip_capture, name, FEW[name] | {"init_from": str(clip_checkpoint)})
+    assert isinstance(method, ClipMethod)
+    network = learned_method("VideoNet", load_checkpoint(clip_checkpoint).network, clip_capture)
+    codes = network.reconstruct(measurement).image.double().numpy()
+    light = np.where(codes <= 0.04045, codes / 12.92, ((np.maximum(codes, 0.04045) + 0.055) / 1.055) ** 2.4).clip(0, 4)
+    wanted = np.einsum("ca,bnahw->bnchw", clip_capture.scene_to_camera, light)
+    begun = method.film._start  # pyright: ignore[reportAttributeAccessIssue]
+    with torch.no_grad():
+        found = begun.problem.film(begun.light(measurement))[:, :, 0]
+    assert wanted.std(axis=1).max() > 0.01  # frames that differ: their order is tested, too
+    np.testing.assert_allclose(found.numpy(), wanted, rtol=0, atol=1e-5 * wanted.max())
+    joint = build_method(clip_capture, name, FEW[name]).volume(measurement)
+    assert float((method.volume(measurement) - joint).abs().max()) > 1e-3 * float(joint.abs().max())
 
 
 def test_joint_least_squares_see_what_moves(clip_capture: CaptureModel) -> None:
@@ -176,7 +198,13 @@ def test_several_planes_are_refused(tiny_capture: CaptureModel, clip_capture: Ca
         ("slivers", {"regularisation_lambda": -1.0}, "^regularisation_lambda: "),
         ("fista", {"prox": 3}, "^parameters: prox"),
         ("fista", {"prox": "soft"}, "^prox: "),
-        ("fista", {"start": "static"}, "^start: "),
+        ("fista", {"init_from": "static"}, "^init_from: static: .*not a file.* or take joint or dark"),
+        ("pnp_clips", {"init_from": "dark"}, "^init_from: dark: .*not a file.* or take joint"),
+        (
+            "pnp_clips",
+            {"init_from": "flatnet2d"},
+            "^init_from: flatnet2d: got a checkpoint of flatnet2d, expected videonet",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_refused(
@@ -195,6 +223,7 @@ def test_tuning_accepts_its_own_candidates(clip_capture: CaptureModel, name: str
 
 def test_tuning_knows_parameters_of_every_method() -> None:
     assert ALL_DEFAULTS.keys() == ALL_SEARCH.keys() == ALL_VOLUME_PARAMETERS.keys()
+    assert renamed(ALL_DEFAULTS) == ALL_DEFAULTS  # what was tuned is read as it was written
     for name, search in CLIP_SEARCH.items():
         assert set(ALL_VOLUME_PARAMETERS[name]) == set(CLIP_DEFAULTS[name])  # of frames, nothing is cheaper to change
         for parameter, candidates in search.items():

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from learning.checkpoint import FOLDER, save_denoiser
+from learning.checkpoint import FOLDER, load_checkpoint, save_checkpoint, save_denoiser
 from learning.classical.method import DEFAULTS
 from learning.config import EvaluateConfig
 from learning.evaluate.methods import (
@@ -151,11 +151,31 @@ def test_a_denoiser_lies_where_the_file_says(seen_again: Any, tmp_path: Path, mo
     monkeypatch.chdir(elsewhere)
     for config, expected in ((relative, own), (shipped, FOLDER / "denoiser.safetensors")):
         ((entry,),) = read_methods(config, seen_again("test"))
-        assert entry.denoisers == [expected]  # type: ignore[union-attr]
+        assert [*entry.learned] == [expected]  # type: ignore[union-attr]
         assert entry.identity(40.0)["parameters"]["denoiser"] == sha256_file(expected)
     assert "denoiser own.safetensors" in read_methods(relative, seen_again("test"))[0][0].note(40.0)
     with pytest.raises(InputError, match=r"^PnP: "):
         read_methods(pnp(parameters={"denoiser": "none"}), seen_again("test"))
+
+
+def test_a_network_that_a_method_begins_with_is_held_to_the_same(
+    seen_again: Any, clip_checkpoint: Path, tmp_path: Path
+) -> None:
+    known = load_checkpoint(clip_checkpoint)
+    scenes = {"train": scenes_of(seen_again("train"))}
+    path = tmp_path / "video.safetensors"
+    save_checkpoint(
+        path, known.network, architecture=known.architecture, capture=known.capture, record={"scenes": scenes}
+    )
+    config = pnp(classical="pnp_clips", parameters={"init_from": str(path)})
+    with pytest.raises(InputError, match=r"^PnP: .*video.safetensors learned from"):
+        read_methods(config, seen_again("train"))
+    ((entry,),) = read_methods(config, seen_again("test"))
+    assert says_scenes(entry)
+    assert entry.identity(40.0)["parameters"]["init_from"] == sha256_file(path)
+    assert "init_from video.safetensors" in entry.note(40.0)
+    with pytest.raises(InputError, match=r"^PnP: .*none"):
+        read_methods(pnp(classical="pnp_clips", parameters={"init_from": "none"}), seen_again("test"))
 
 
 def test_every_level_of_a_tuned_file_may_have_its_own_denoiser(

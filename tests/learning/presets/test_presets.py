@@ -122,9 +122,13 @@ def test_the_evaluation_of_clips_reads_what_training_and_tuning_write(tmp_path: 
     config = load_file(EvaluateConfig, _written("evaluate_video_64", tmp_path))
     training = load_file(VideoTrainConfig, _written("videonet_64", tmp_path))
     tuning = load_file(TuneConfig, _written("tune_video_64", tmp_path))
-    network, begun, *rivals = config.methods
+    network, polished, begun, *rivals = config.methods
     outputs = [training.output, *(f"{training.output}_seed{seed}" for seed in (1, 2))]
     assert network.checkpoints == [f"{output}/best.safetensors" for output in outputs]
+    assert (polished.classical, polished.parameters) == (
+        "pnp_clips",
+        {"init_from": f"{training.output}/best.safetensors"},
+    )
     assert begun.parameters == {"iterations": signature(VideoNet).parameters["joint_iterations"].default}
     assert {rival.classical for rival in rivals} == set(tuning.methods)
     assert {rival.tuned for rival in rivals} == {str(tuning.output)}
