@@ -115,8 +115,8 @@ class VideoNet(nn.Module):
         stem: int,
         refinements: int,
         noise_aware: bool,
-        repeats: int = 0,
-        joint_iterations: int = 10,
+        repeats: int,
+        joint_iterations: int,
     ) -> None:
         """Build the network for a camera.
 
@@ -296,15 +296,15 @@ class VideoNet(nn.Module):
 VIDEO_SIZES: dict[str, dict[str, Any]] = {
     "thesis": {
         **{"initial_estimate": "slivers", "measnet": True, "dimensions": 2, "body": "unet", "filters": 32, "blocks": 1},
-        **{"levels": 3, "stem": 1, "refinements": 0, "noise_aware": False},
+        **{"levels": 3, "stem": 1, "refinements": 0, "repeats": 0, "noise_aware": False, "joint_iterations": 10},
     },
     "compact": {
         **{"initial_estimate": "joint", "measnet": False, "dimensions": 2, "body": "naf", "filters": 32, "blocks": 1},
-        **{"levels": 4, "stem": 2, "refinements": 1, "noise_aware": True},
+        **{"levels": 4, "stem": 2, "refinements": 1, "repeats": 0, "noise_aware": True, "joint_iterations": 10},
     },
     "tiny": {
         **{"initial_estimate": "joint", "measnet": True, "dimensions": 2, "body": "naf", "filters": 8, "blocks": 1},
-        **{"levels": 2, "stem": 2, "refinements": 1, "noise_aware": True},
+        **{"levels": 2, "stem": 2, "refinements": 1, "repeats": 0, "noise_aware": True, "joint_iterations": 10},
     },
 }
 """``thesis``: U-Nets of 32 to 128 filters on zero-filled slivers, blind to the noise."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,7 @@ from learning.config import (
     load_file,
     training_kind,
 )
-from learning.models.videonet import VideoNet
+from learning.models.videonet import VIDEO_SIZES
 from learning.presets import preset_texts
 from scenes.endoscopy.organs import ORGANS
 from simulator.config import Config, load_config
@@ -129,7 +128,7 @@ def test_the_evaluation_of_clips_reads_what_training_and_tuning_write(tmp_path: 
         "pnp_clips",
         {"init_from": f"{training.output}/best.safetensors"},
     )
-    assert begun.parameters == {"iterations": signature(VideoNet).parameters["joint_iterations"].default}
+    assert begun.parameters == {"iterations": VIDEO_SIZES["compact"]["joint_iterations"]}
     assert {rival.classical for rival in rivals} == set(tuning.methods)
     assert {rival.tuned for rival in rivals} == {str(tuning.output)}
     assert (config.noise_db, tuning.objective) == (tuning.noise_db, "image")
