@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -100,12 +101,12 @@ def _commands(preset: str, verb: str) -> list[list[str]]:
 
 
 def _made(preset: str, data: str, folder: Path) -> list[Config]:
-    """Return the data sets, all of one preset of the simulator, that the commands at a preset's head make."""
+    """Return the data sets of one preset of the simulator that the commands at a preset's head make."""
     path = folder / f"{data}.yaml"
     path.write_text(preset_text(data), encoding="utf-8")
-    commands = _commands(preset, "generate")
-    assert {words[0] for words in commands} == {path.name}
-    return [load_config(path, words[2::2]) for words in commands]
+    commands = [words for words in _commands(preset, "generate") if words[0] == path.name]
+    overrides = [[word for before, word in pairwise(words) if before == "--set"] for words in commands]
+    return [load_config(path, words) for words in overrides]
 
 
 def test_the_commands_at_its_head_make_the_data_that_it_reads(tmp_path: Path) -> None:
@@ -149,6 +150,27 @@ def test_the_thesis_s_network_learns_from_clips_of_its_sizes_on_one_plane(tmp_pa
     assert config.loss.model_dump()["intensity"] == "mse"
     weights = [getattr(config.loss, f"{name}_weight") for name in ("measurement", "intensity", "perceptual")]
     assert weights == [1, 5, 0.1]
+
+
+def test_films_are_judged_by_two_small_trainings_at_the_thesis_s_sizes(tmp_path: Path) -> None:
+    config = load_file(EvaluateConfig, _written("evaluate_video_thesis", tmp_path))
+    (rendered,) = _made("evaluate_video_thesis", "video_thesis", tmp_path)
+    (films,) = _made("evaluate_video_thesis", "youtube_vos", tmp_path)
+    assert (str(rendered.dataset.output), str(films.dataset.output)) == (config.data.training, config.data.test)
+    assert films.scene.source == "davis"  # pyright: ignore[reportAttributeAccessIssue]
+    assert rendered.psf.depths_cm == films.psf.depths_cm == (30.0,)  # pyright: ignore[reportAttributeAccessIssue]
+    assert rendered.camera == films.camera
+    assert (films.dataset.train, films.dataset.validation) == (0, 0)
+    path = _written("videonet_thesis", tmp_path)
+    thesis, today = (
+        load_file(VideoTrainConfig, path, words[2::2]) for words in _commands("evaluate_video_thesis", "train")
+    )
+    assert (thesis.network.size, today.network.size) == ("thesis", "compact")
+    assert (thesis.steps, thesis.batch, thesis.data) == (today.steps, today.batch, today.data)
+    checkpoints = [method.checkpoints for method in config.methods[:2]]
+    assert checkpoints == [[f"{each.output}/best.safetensors"] for each in (today, thesis)]
+    begun = config.methods[2].parameters
+    assert begun == {"iterations": VIDEO_SIZES["compact"]["joint_iterations"]}
 
 
 def test_three_organs_are_judged_through_psfs_and_in_scenes_that_are_new(tmp_path: Path) -> None:
