@@ -86,7 +86,8 @@ def test_learns_and_leaves_what_belongs_to_it(settings: Settings) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stops", "augment"), [((1,), None), pytest.param((4, 7), None, marks=pytest.mark.slow), ((5,), Augmentation())]
+    ("stops", "augment"),
+    [*(pytest.param(stops, None, marks=pytest.mark.slow) for stops in ((1,), (4, 7))), ((5,), Augmentation())],
 )
 def test_goes_on_as_if_it_had_never_stopped(
     settings: Settings, stops: tuple[int, ...], augment: Augmentation | None

@@ -158,7 +158,13 @@ def test_another_configuration_is_refused(video_settings: Settings) -> None:
     assert train_video(video_settings(steps=2, data={"workers": 1, "cache": False})).steps == 1
 
 
-@pytest.mark.parametrize("data", [{"augment": Augmentation()}, {"noise_db": (20.0, 50.0)}], ids=["changed", "noise"])
+@pytest.mark.parametrize(
+    "data",
+    [
+        pytest.param({"augment": Augmentation()}, id="changed"),
+        pytest.param({"noise_db": (20.0, 50.0)}, id="noise", marks=pytest.mark.slow),
+    ],
+)
 def test_seeds_share_what_is_kept(
     video_settings: Settings, data: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -95,6 +95,7 @@ def test_everything_is_recorded(capture) -> None:
     np.testing.assert_array_equal(captured.depths_m, nominal.depths_m)  # what the laboratory assumes
 
 
+@pytest.mark.slow
 def test_the_seed_decides(capture, monkeypatch, tmp_path) -> None:
     _, first = capture()
     monkeypatch.setenv("FLATLIGHT_CACHE_DIR", str(tmp_path / "another"))

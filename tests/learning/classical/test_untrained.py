@@ -47,6 +47,7 @@ def measure(capture: CaptureModel, film: Tensor, noise: float = NOISE) -> Tensor
     return clean + problem.offset + noise * clean.max() * drawn
 
 
+@pytest.mark.slow
 def test_explains_a_capture_down_to_its_noise_and_finds_the_film(capture: CaptureModel, film: Tensor) -> None:
     method, given = UntrainedNetwork(capture, iterations=400, **SMALL), measure(capture, film)
     with torch_threads(1):

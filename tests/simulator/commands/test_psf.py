@@ -99,6 +99,7 @@ def test_the_check_is_printed_and_travels_with_the_stack(trial, flatlight, tmp_p
     assert provenance["sampling"]["error_bar"] == 2 * provenance["sampling"]["error"]
 
 
+@pytest.mark.slow
 def test_a_data_set_may_ask_for_the_full_check_and_resume_without_it(trial):
     """Looking more closely changes no sample, so the fingerprint stays."""
     folder = trial.generate(psf={"depths_cm": [5], "wavelengths_per_channel": 1, "accept_error": 1, "check": "full"})

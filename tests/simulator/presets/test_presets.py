@@ -97,6 +97,7 @@ def test_the_published_shutter_reads_all_of_its_sensor(preset: Path) -> None:
     assert Assembly(config).sensor.black_level_dn == 103
 
 
+@pytest.mark.slow
 def test_two_sensors_see_the_same_scene_at_the_same_time(tmp_path: Path) -> None:
     cameras = []
     for name in ("high_speed_64", "two_sensors"):

@@ -148,6 +148,7 @@ def test_missing_orders_are_not_counted_as_the_models_error():
     assert pixel_error(mask, CAMERA, config, [532e-9])["error"] < 0.5 * seeming
 
 
+@pytest.mark.slow
 def test_a_piece_at_the_rim_stands_for_a_wide_mask():
     """A mask half as wide as its source is far: the piece errs about as much as the whole, the middle far less."""
     mask, config = _mask(160), _config(0.6e-3)
