@@ -132,7 +132,11 @@ def test_the_evaluation_of_clips_reads_what_training_and_tuning_write(tmp_path: 
     assert begun.parameters == {"iterations": VIDEO_SIZES["compact"]["joint_iterations"]}
     assert {rival.classical for rival in rivals} == set(tuning.methods)
     assert {rival.tuned for rival in rivals} == {str(tuning.output)}
-    assert (config.noise_db, tuning.objective) == (tuning.noise_db, "image")
+    assert (config.noise_db, tuning.objective) == (None, "image")
+    (noise,) = [words for words in _commands("evaluate_video_64", "evaluate") if len(words) > 1 and words[1] == "--set"]
+    noisy = load_file(EvaluateConfig, _written("evaluate_video_64", tmp_path), noise[2::2])
+    assert noisy.noise_db == tuning.noise_db
+    assert noisy.output != config.output
     known, test = _made("evaluate_video_64", "high_speed_64", tmp_path)
     assert str(known.dataset.output) == config.data.training == training.data.train == str(tuning.data.validation)
     assert str(test.dataset.output) == config.data.test
