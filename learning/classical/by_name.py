@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from learning.camera import CaptureModel
-from learning.checkpoint import find_checkpoint, find_denoiser
-from learning.classical.clips import CLIP_DEFAULTS, CLIP_SEARCH, INITIAL_ESTIMATES, ClipMethod
+from learning.checkpoint import find_denoiser
+from learning.classical.clips import CLIP_DEFAULTS, CLIP_SEARCH, ClipMethod, find_initial_estimate
 from learning.classical.method import (
     DEFAULTS,
     SEARCH,
@@ -48,16 +48,16 @@ def build_method(
 
 
 def learned_files(
-    parameters: Mapping[str, Any], key: str, resolve: Callable[[str], Path] = expanded
+    method: str, parameters: Mapping[str, Any], key: str, resolve: Callable[[str], Path] = expanded
 ) -> dict[str, Path]:
-    """Return the files of what a method learned, by the parameter that names them; ``resolve`` as of `find_checkpoint`.
+    """Return the files of the networks that a method trusts, by parameter; ``key`` and ``resolve`` as of `find_checkpoint`.
 
     Raises:
         InputError: a file that does not exist, at ``key``.
     """
     found = {}
-    if (denoiser := parameters.get("denoiser")) is not None:
-        found["denoiser"] = find_denoiser(str(denoiser), key, resolve)
-    if (first := parameters.get("init_from", "dark")) not in INITIAL_ESTIMATES:
-        found["init_from"] = find_checkpoint(str(first), key, resolve)
-    return found
+    if isinstance(text := parameters.get("denoiser"), str):
+        found["denoiser"] = find_denoiser(text, key, resolve)
+    if isinstance(text := parameters.get("initial_estimate"), str):
+        found["initial_estimate"] = find_initial_estimate(method, text, key, resolve)
+    return {name: path for name, path in found.items() if path is not None}

@@ -29,6 +29,7 @@ from learning.layers.space_time import JOINT, ClipProblem, FirstLight, JointLeas
 from learning.method import Clock, Estimate, Value, linear_to_srgb, srgb_to_linear, threads_for
 from learning.models.refinement import MOST_RADIANCE
 from simulator.errors import InputError
+from simulator.io.files import expanded
 
 
 def _defaults(method: type) -> dict[str, Value]:
@@ -37,17 +38,24 @@ def _defaults(method: type) -> dict[str, Value]:
     return {each.name: each.default for each in given if each.default is not each.empty}
 
 
-INITIAL_ESTIMATES = ("joint", "dark")
-"""What ``init_from`` may be instead of the file of a network."""
+INITIAL_ESTIMATES = {"fista": ("joint", "dark"), "pnp_clips": ("joint",)}
+"""What ``initial_estimate`` may be, by method, beside the file of a network."""
 _STATIC: dict[str, Value] = {"regularisation_lambda": 1.0, "tikhonov": 1.0}
 CLIP_DEFAULTS: dict[str, dict[str, Value]] = {
     "static": _STATIC,
     "slivers": {"regularisation_lambda": 10.0, "tikhonov": 10.0},
     "joint": JOINT,
-    "fista": {"tv": 0.01, "tv_over_time": 1.0, "iterations": 200, "prox": "exact", "inner": 4, "init_from": "joint"},
+    "fista": {
+        "tv": 0.01,
+        "tv_over_time": 1.0,
+        "iterations": 200,
+        "prox": "exact",
+        "inner": 4,
+        "initial_estimate": "joint",
+    },
     "pnp_clips": {
         "denoiser": DENOISER,
-        "init_from": "joint",
+        "initial_estimate": "joint",
         "prior": 1.0,
         "level_first": 0.2,
         "level_last": 0.01,
@@ -130,18 +138,26 @@ class SliverInversion(StaticInversion):
         return found[:, 0].unflatten(0, slivers.shape[:2])
 
 
-class NetworkStart(nn.Module):
-    """The light of the frames that a trained VideoNet finds, for methods that begin with it."""
+class NetworkEstimate(nn.Module):
+    """The light of the frames that a trained VideoNet finds, for methods that begin with it.
+
+    The network assumes the PSFs and the white that it was trained with, as it does where it is the method itself.
+    """
 
     to_camera: Tensor
 
     def __init__(self, capture: CaptureModel, checkpoint: Path) -> None:
-        """Read the network; an InputError refuses another kind, and one of another camera."""
+        """Read the network; an InputError refuses another kind, and a camera with other sizes, times, pixels or channels."""
         super().__init__()
-        self.network = load_checkpoint(checkpoint, capture=capture, network="videonet").network
+        known = load_checkpoint(checkpoint, network="videonet").capture
+        try:
+            own = capture.with_assumed(known)
+        except InputError as error:
+            raise InputError(checkpoint, f"is for another camera: {error}") from error
+        self.network = load_checkpoint(checkpoint, capture=own).network
         self.problem = ClipProblem(capture)
-        to_camera = torch.from_numpy(np.array(capture.scene_to_camera)).to(torch.get_default_dtype())
-        self.register_buffer("to_camera", to_camera, persistent=False)
+        to_camera = np.asarray(capture.scene_to_camera) * own.white / capture.white
+        self.register_buffer("to_camera", torch.from_numpy(to_camera).to(torch.get_default_dtype()), persistent=False)
 
     def light(self, measurement: Tensor) -> Tensor:
         """Return x ``(N, K, B, C, rows, columns)`` of measurements ``(B, C, H, W)``; see `ClipProblem`."""
@@ -149,27 +165,40 @@ class NetworkStart(nn.Module):
         return self.problem.light(torch.einsum("ca,bnahw->bnchw", self.to_camera, radiance)[:, :, None])
 
 
-def _first_light(capture: CaptureModel, init_from: Value, words: tuple[str, ...]) -> FirstLight | None:
-    """Return what gives the light that a method begins with, None for dark; ``words`` are what else it may be called."""
-    if init_from not in words:
-        try:
-            return NetworkStart(capture, find_checkpoint(str(init_from), "init_from"))
-        except InputError as error:
-            reason = f"{init_from}: {error.reason}; or take {' or '.join(words)}"
-            raise InputError("init_from", reason) from error
-    first: dict[str, Any] = dict(JOINT)
-    return JointLeastSquares(capture, **first) if init_from == "joint" else None
+def find_initial_estimate(
+    method: str, text: str, key: str = "initial_estimate", resolve: Callable[[str], Path] = expanded
+) -> Path | None:
+    """Return the file of the network that a method is to begin with, None for a word of `INITIAL_ESTIMATES`.
+
+    ``key`` and ``resolve`` as of `find_checkpoint`; an InputError says that it is neither a word nor a file.
+    """
+    words = INITIAL_ESTIMATES[method]
+    if text in words:
+        return None
+    try:
+        return find_checkpoint(text, key, resolve)
+    except InputError as error:
+        raise InputError(key, f"{error.reason}; or take {' or '.join(words)} as initial_estimate") from error
 
 
-def _fista(capture: CaptureModel, *, init_from: str, **parameters: Any) -> FistaTv:
-    return FistaTv(capture, start=_first_light(capture, init_from, INITIAL_ESTIMATES), **parameters)
+def _initial_estimate(capture: CaptureModel, method: str, text: str) -> FirstLight:
+    if (path := find_initial_estimate(method, text)) is not None:
+        return NetworkEstimate(capture, path)
+    numbers: dict[str, Any] = dict(JOINT)
+    return JointLeastSquares(capture, **numbers)
 
 
-def _plug_and_play(capture: CaptureModel, *, denoiser: str, init_from: str, **parameters: Any) -> ClipPlugAndPlay:
+def _fista(capture: CaptureModel, *, initial_estimate: str, **parameters: Any) -> FistaTv:
+    start = None if initial_estimate == "dark" else _initial_estimate(capture, "fista", initial_estimate)
+    return FistaTv(capture, start=start, **parameters)
+
+
+def _plug_and_play(
+    capture: CaptureModel, *, denoiser: str, initial_estimate: str, **parameters: Any
+) -> ClipPlugAndPlay:
     prior, _ = load_denoiser(find_denoiser(denoiser))
-    first = _first_light(capture, init_from, ("joint",))
-    assert first is not None
-    return ClipPlugAndPlay(capture, denoiser=prior, start=first, **parameters)
+    start = _initial_estimate(capture, "pnp_clips", initial_estimate)
+    return ClipPlugAndPlay(capture, denoiser=prior, start=start, **parameters)
 
 
 _FILMS: dict[str, Callable[..., nn.Module]] = {

@@ -54,8 +54,8 @@ class MethodConfig(Section):
     tuned: str | None = None
     """what `flatlight tune` wrote; parameters of the nearest noise level"""
     parameters: dict[str, Any] | None = None
-    """instead of tuned; {} takes the defaults. The denoiser of pnp is a file, or denoiser, the shipped one; pnp_clips and
-    fista may init_from a VideoNet's checkpoint"""
+    """in place of tuned ones and defaults; {} takes the defaults. The denoiser of pnp is a file, or denoiser, the shipped
+    one; the initial_estimate of pnp_clips and fista may be a VideoNet's checkpoint"""
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -69,8 +69,8 @@ class MethodConfig(Section):
             if self.tuned is not None or self.parameters is not None:
                 text = "tuned and parameters belong to classical methods; leave them out"
                 raise refusal(text)
-        elif (self.tuned is None) == (self.parameters is None):
-            text = "a classical method needs either tuned (the file of `flatlight tune`) or parameters"
+        elif self.tuned is None and self.parameters is None:
+            text = "a classical method needs tuned (the file of `flatlight tune`), parameters, or both"
             raise refusal(text)
         return self
 

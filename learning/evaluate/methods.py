@@ -72,7 +72,8 @@ class LearnedEntry:
 class ClassicalEntry:
     """A classical method, with parameters that may depend on the noise; it is told of its camera.
 
-    ``tuned`` is the file of its parameters, ``parameters`` are given ones; files among them are absolute paths.
+    ``tuned`` is the file of its parameters, ``parameters`` are given ones, which come first; files among them are absolute
+    paths.
     """
 
     name: str
@@ -88,7 +89,7 @@ class ClassicalEntry:
         levels = [0.0] if self.tuned is None else load_tuned(self.tuned).levels_db(self.algorithm)
         found: dict[Path, Mapping[str, Any]] = {}
         for level in levels:
-            for parameter, path in learned_files(self._chosen(level)[0], self.name).items():
+            for parameter, path in learned_files(self.algorithm, self._chosen(level)[0], self.name).items():
                 denoiser = parameter == "denoiser"
                 found[path] = load_denoiser(path)[1] if denoiser else load_checkpoint(path).record
         return found
@@ -96,13 +97,17 @@ class ClassicalEntry:
     def identity(self, noise_db: float) -> dict[str, Any]:
         """Return algorithm and parameters; of a file its hash, wherever it lies."""
         parameters, _ = self._chosen(noise_db)
-        hashes = {name: sha256_file(path) for name, path in learned_files(parameters, self.name).items()}
+        hashes = {
+            name: sha256_file(path) for name, path in learned_files(self.algorithm, parameters, self.name).items()
+        }
         return {"classical": self.algorithm, "parameters": parameters | hashes}
 
     def note(self, noise_db: float) -> str:
         """Return the parameters and where they come from."""
         parameters, level = self._chosen(noise_db)
-        parameters |= {name: Path(parameters[name]).name for name in learned_files(parameters, self.name)}
+        parameters |= {
+            name: Path(parameters[name]).name for name in learned_files(self.algorithm, parameters, self.name)
+        }
         shown = {name: f"{value:.4g}" if isinstance(value, float) else value for name, value in parameters.items()}
         words = ", ".join(f"{name} {value}" for name, value in shown.items())
         return f"{words or 'defaults'} ({'as given' if level is None else f'tuned at {level:g} dB'})"
@@ -124,7 +129,7 @@ class ClassicalEntry:
         if self.tuned is None:
             return ALL_DEFAULTS[self.algorithm] | dict(self.parameters or {}), None
         parameters, level = load_tuned(self.tuned).parameters(self.algorithm, noise_db)
-        return ALL_DEFAULTS[self.algorithm] | parameters, level
+        return ALL_DEFAULTS[self.algorithm] | parameters | dict(self.parameters or {}), level
 
 
 Entry = LearnedEntry | ClassicalEntry
@@ -147,7 +152,7 @@ def _read_method(config: EvaluateConfig, method: MethodConfig, test: Dataset) ->
         if tuned is not None:
             check_tuned(method.name, tuned, test)
         parameters = dict(method.parameters or {})
-        files = learned_files(parameters, method.name, config.resolve_path)
+        files = learned_files(method.classical, parameters, method.name, config.resolve_path)
         parameters |= {name: str(path) for name, path in files.items()}
         entry = ClassicalEntry(method.name, method.classical, tuned, parameters)
         for path, record in entry.learned.items():

@@ -53,11 +53,11 @@ class DataConsistency(nn.Module):
 
 
 class MeanInverse(nn.Module):
-    """About the inverse of A^T A + weight, to precondition with: as if every row saw of each frame what it sees on average.
+    """About the inverse of A^T A + weight, to precondition with: as if in every row frames overlapped as in the mean of rows.
 
-    Then A^T A is a matrix over frames, how much the rows of two frames overlap, times a Toeplitz one over places: the PSF's
-    autocorrelation. For the latter stands the nearest circulant matrix of the field's own size (T. Chan, An Optimal Circulant
-    Preconditioner for Toeplitz Systems, SIAM J. Sci. Stat. Comput. 9, 1988).
+    Then A^T A is a matrix over frames, how much they overlap, times a Toeplitz one over places: the PSF's autocorrelation.
+    For the latter stands the nearest circulant matrix, of the field's size or, for fast FFTs, slightly larger (T. Chan, An
+    Optimal Circulant Preconditioner for Toeplitz Systems, SIAM J. Sci. Stat. Comput. 9, 1988).
     """
 
     overlap: Tensor
@@ -71,8 +71,8 @@ class MeanInverse(nn.Module):
         self._period = tuple(map(next_fast_len, field))
         whole = tuple(2 * size for size in values.shape[-2:])  # lags of both signs
         alike = np.fft.irfft2(np.abs(np.fft.rfft2(values, whole)) ** 2, whole)
-        for axis, (side, period) in enumerate(zip(field, self._period, strict=True), start=-2):
-            alike = _nearest_circulant(alike, side, period, axis)
+        for axis, period in zip((-2, -1), self._period, strict=True):
+            alike = _nearest_circulant(alike, period, axis)
         power = np.fft.rfft2(alike).real.clip(0) / problem.norm.double().numpy() ** 2
         shares = capture.row_weights
         overlap, mixing = np.linalg.eigh(shares @ shares.T / shares.shape[1])
@@ -92,14 +92,14 @@ class MeanInverse(nn.Module):
         return torch.einsum("nm,m...->n...", self.mixing, apart)
 
 
-def _nearest_circulant(kernel: NDArray[np.float64], side: int, period: int, axis: int) -> NDArray[np.float64]:
-    """Return the first column, so long as the period, of the circulant matrix nearest to a Toeplitz one of so many rows.
+def _nearest_circulant(kernel: NDArray[np.float64], period: int, axis: int) -> NDArray[np.float64]:
+    """Return the first column of the circulant matrix nearest to a Toeplitz one of so many rows as the period.
 
     Along the axis lie the lags of the Toeplitz matrix: 0, 1, ..., -2, -1.
     """
     moved = np.moveaxis(kernel, axis, -1)
     lags = np.rint(np.fft.fftfreq(moved.shape[-1], 1 / moved.shape[-1])).astype(int)
-    shared = moved * (1 - np.abs(lags) / side).clip(0)  # of all rows, those that have this lag
+    shared = moved * (1 - np.abs(lags) / period).clip(0)  # of all rows, those that have this lag
     found = np.zeros((period, *moved.shape[:-1]))
     np.add.at(found, lags % period, np.moveaxis(shared, -1, 0))
     return np.moveaxis(found, 0, axis)

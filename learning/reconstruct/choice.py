@@ -11,7 +11,7 @@ import numpy as np
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white, plain_capture, typical_white
 from learning.checkpoint import find_checkpoint, load_checkpoint, read_camera, shipped_checkpoints
-from learning.classical.by_name import ALL_DEFAULTS, build_method
+from learning.classical.by_name import ALL_DEFAULTS, build_method, learned_files
 from learning.classical.clips import CLIP_DEFAULTS
 from learning.classical.method import PLANAR_DEFAULTS, PlanarMethod, check_parameters
 from learning.method import Method
@@ -148,6 +148,7 @@ def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
         "method": name,
         "parameters": known | parameters,
         "parameters_from": source,
+        "files": {key: sha256_file(path) for key, path in learned_files(name, known | parameters, "--set").items()},
         "camera": _camera_record(capture, numbers_from, white_from),
     }
     if flat:

@@ -159,7 +159,7 @@ def test_a_denoiser_lies_where_the_file_says(seen_again: Any, tmp_path: Path, mo
 
 
 def test_a_network_that_a_method_begins_with_is_held_to_the_same(
-    seen_again: Any, clip_checkpoint: Path, tmp_path: Path
+    seen_again: Any, clip_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     known = load_checkpoint(clip_checkpoint)
     scenes = {"train": scenes_of(seen_again("train"))}
@@ -167,15 +167,17 @@ def test_a_network_that_a_method_begins_with_is_held_to_the_same(
     save_checkpoint(
         path, known.network, architecture=known.architecture, capture=known.capture, record={"scenes": scenes}
     )
-    config = pnp(classical="pnp_clips", parameters={"init_from": str(path)})
+    monkeypatch.chdir(tmp_path)
+    config = pnp(classical="pnp_clips", parameters={"initial_estimate": path.name})
+    monkeypatch.chdir(tmp_path.parent)  # the file's folder counts, not the current one
     with pytest.raises(InputError, match=r"^PnP: .*video.safetensors learned from"):
         read_methods(config, seen_again("train"))
     ((entry,),) = read_methods(config, seen_again("test"))
     assert says_scenes(entry)
-    assert entry.identity(40.0)["parameters"]["init_from"] == sha256_file(path)
-    assert "init_from video.safetensors" in entry.note(40.0)
-    with pytest.raises(InputError, match=r"^PnP: .*none"):
-        read_methods(pnp(classical="pnp_clips", parameters={"init_from": "none"}), seen_again("test"))
+    assert entry.identity(40.0)["parameters"]["initial_estimate"] == sha256_file(path)
+    assert "initial_estimate video.safetensors" in entry.note(40.0)
+    with pytest.raises(InputError, match=r"^PnP: .*'none'.*; or take joint as initial_estimate"):
+        read_methods(pnp(classical="pnp_clips", parameters={"initial_estimate": "none"}), seen_again("test"))
 
 
 def test_every_level_of_a_tuned_file_may_have_its_own_denoiser(
@@ -195,6 +197,15 @@ def test_every_level_of_a_tuned_file_may_have_its_own_denoiser(
     ((entry,),) = read_methods(config, seen_again("test"))
     digests = [entry.identity(level)["parameters"]["denoiser"] for level in (20.0, 40.0)]
     assert digests == [sha256_file(tmp_path / f"{name}.safetensors") for name in ("first", "second")]
+
+
+def test_given_parameters_come_before_tuned_ones(seen_again: Any, tmp_path: Path) -> None:
+    study = Study(tmp_path / "tuned.json", {"scenes": ["others"]}, {})
+    study.add_result({"method": "pnp", "noise_db": 40.0, "parameters": {"prior": 0.3, "iterations": 9}, "score": 1.0})
+    ((entry,),) = read_methods(pnp(tuned=str(study.path), parameters={"iterations": 5}), seen_again("test"))
+    chosen = entry.identity(40.0)["parameters"]
+    assert (chosen["prior"], chosen["iterations"]) == (0.3, 5)
+    assert chosen["noise_first"] == DEFAULTS["pnp"]["noise_first"]
 
 
 def test_a_shipped_network_is_named_like_its_file(seen_again: Any) -> None:

@@ -71,24 +71,34 @@ def test_the_mean_inverse_is_symmetric_positive_and_exact_where_rows_see_alike(s
     torch.testing.assert_close(found, one[:1] / 1.1, rtol=1e-12, atol=1e-14)
 
 
-def test_over_places_it_is_the_nearest_circulant_matrix(small: CaptureModel) -> None:
-    """Of one frame that is always open: its entries are the means of the Toeplitz matrix's along wrapped diagonals."""
-    assert small.timing is not None
-    timing = replace(small.timing, frame_edges_s=small.timing.frame_edges_s[[0, -1]])
-    still, weight = replace(small, timing=timing), 0.03
-    rows, columns = small.field_shape
-    light = torch.from_numpy(np.random.default_rng(3).normal(size=(1, 1, 1, 2, rows, columns)))
-    found = MeanInverse(still, ClipProblem(still))(light, torch.full((1, 2, 1, 1), weight))
-    places = np.array(list(np.ndindex(rows, columns)))
+@pytest.mark.parametrize(("image", "period"), [((6, 4), (8, 6)), ((12, 4), (15, 6))])
+def test_it_is_the_frames_overlap_times_the_nearest_circulant_matrix(
+    dotted_camera: Callable[..., CaptureModel], image: tuple[int, int], period: tuple[int, int]
+) -> None:
+    """Its entries over places are the means of the Toeplitz matrix's along wrapped diagonals; 14 rows are taken as 15."""
+    capture, weight = dotted_camera((24, 14), image, 11, 3), 0.03
+    rows, columns = capture.field_shape
+    light = torch.from_numpy(np.random.default_rng(3).normal(size=(3, 1, 1, 2, rows, columns)))
+    found = MeanInverse(capture, ClipProblem(capture))(light, torch.full((1, 2, 1, 1), weight))
+    shares = capture.row_weights
+    overlap = sum(np.outer(row, row) for row in shares.T) / shares.shape[1]
+    places = np.array(list(np.ndindex(*period)))
     apart = places[:, None] - places
-    wrapped = np.ravel_multi_index(tuple(np.moveaxis(apart % [rows, columns], -1, 0)), (rows, columns))
-    for channel, psf in enumerate(np.asarray(small.stack.values, np.float64)[0]):
-        alike = correlate2d(psf, psf) / np.sum(psf**2)
-        toeplitz = alike[tuple(np.moveaxis(apart + np.array(psf.shape) - 1, -1, 0))]
-        means = np.bincount(wrapped.ravel(), toeplitz.ravel()) / len(places)
-        circulant = means[wrapped] + weight * np.eye(len(places))
-        wanted = np.linalg.solve(circulant, light[0, 0, 0, channel].numpy().ravel())
-        np.testing.assert_allclose(found[0, 0, 0, channel].numpy().ravel(), wanted, rtol=0, atol=1e-10)
+    wrapped = np.ravel_multi_index(tuple(np.moveaxis(apart % period, -1, 0)), period)
+    for channel, psf in enumerate(np.asarray(capture.stack.values, np.float64)[0]):
+        alike = np.zeros(tuple(2 * side - 1 for side in period))  # of all lags between places
+        whole = correlate2d(psf, psf) / np.sum(psf**2)
+        middles = [(np.array(shape) - 1) // 2 for shape in (alike.shape, whole.shape)]
+        reach = np.minimum(*middles)
+        here, there = (tuple(slice(m - r, m + r + 1) for m, r in zip(middle, reach, strict=True)) for middle in middles)
+        alike[here] = whole[there]
+        toeplitz = alike[tuple(np.moveaxis(apart + middles[0], -1, 0))]
+        circulant = (np.bincount(wrapped.ravel(), toeplitz.ravel()) / len(places))[wrapped]
+        given = np.zeros((3, *period))
+        given[:, :rows, :columns] = light[:, 0, 0, channel].numpy()
+        matrix = np.kron(overlap, circulant) + weight * np.eye(given.size)
+        wanted = np.linalg.solve(matrix, given.ravel()).reshape(given.shape)[:, :rows, :columns]
+        np.testing.assert_allclose(found[:, 0, 0, channel].numpy(), wanted, rtol=0, atol=1e-10)
 
 
 def test_the_mean_inverse_saves_steps(dotted_camera: Callable[..., CaptureModel]) -> None:

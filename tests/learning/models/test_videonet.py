@@ -480,4 +480,6 @@ def test_the_shipped_one_finds_what_moves() -> None:
 def test_the_shipped_file_is_small_and_says_its_scenes() -> None:
     path = find_checkpoint("videonet")
     assert path.stat().st_size < 8e6
-    assert load_checkpoint(path).record["scenes"]["train"] == ["high_speed, seed 7, train"]
+    known = load_checkpoint(path)
+    assert known.record["scenes"]["train"] == ["high_speed, seed 7, train"]
+    assert full_architecture(known.architecture) == known.architecture  # nothing follows from today's defaults

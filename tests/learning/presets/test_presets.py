@@ -127,7 +127,7 @@ def test_the_evaluation_of_clips_reads_what_training_and_tuning_write(tmp_path: 
     assert network.checkpoints == [f"{output}/best.safetensors" for output in outputs]
     assert (polished.classical, polished.parameters) == (
         "pnp_clips",
-        {"init_from": f"{training.output}/best.safetensors"},
+        {"initial_estimate": f"{training.output}/best.safetensors"},
     )
     assert begun.parameters == {"iterations": VIDEO_SIZES["compact"]["joint_iterations"]}
     assert {rival.classical for rival in rivals} == set(tuning.methods)

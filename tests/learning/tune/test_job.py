@@ -394,6 +394,10 @@ def test_noise_as_stored_is_a_level_too(tiny_dataset: Path, tmp_path: Path) -> N
         (["data.stack=nowhere"], "nowhere: "),
         (["data.validation=nowhere"], "nowhere: "),
         (["methods=[pnp]", "search.pnp.denoiser.values=[denoiser]"], r"search\.pnp\.denoiser: "),
+        (
+            ["methods=[fista]", "search.fista.initial_estimate.values=[joint, dark]"],
+            r"search\.fista\.initial_estimate: ",
+        ),
         (["methods=[pnp]", "denoiser=nowhere"], "^denoiser: "),
         (["methods=[cls]", "denoiser=nowhere"], "denoiser: only pnp"),
     ],
