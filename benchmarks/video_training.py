@@ -1,9 +1,9 @@
-"""Parameters, multiplications, seconds and memory of a training step of VideoNet in 2D and 3D, for one camera.
+"""Parameters, floating-point operations, seconds and memory of a training step of VideoNet in 2D and 3D, for one camera.
 
     uv run --extra learn python benchmarks/video_training.py DATASET [--batch 4] [--rounds 3] [--precision bfloat16]
 
 Each network has a process of its own, so that its peak of memory is its own; one thread; the joint estimate is given, as a
-training keeps it. Convolutions and matrix products count as multiplications (`torch.utils.flop_counter`), FFTs do not.
+training keeps it. Operations are those of convolutions and matrix products (`torch.utils.flop_counter`), not those of FFTs.
 """
 
 from __future__ import annotations

@@ -154,7 +154,10 @@ def reconstruct(
     binning: Annotated[int, Option(help="binning factor per side, also applied to the PSF's image")] = 1,
     scene: Annotated[str | None, Scene] = None,
     white: Annotated[float | None, Option(help="radiance shown as white in image.png; default: from the image")] = None,
-    seconds: Annotated[float | None, Option(help="limit of time for udn and nstm; the same command goes on")] = None,
+    seconds: Annotated[
+        float | None,
+        Option(help="limit of time for udn and nstm, all calls together; with more it goes on"),
+    ] = None,
     device: Annotated[str, Option(help="auto, cpu or cuda")] = "auto",
 ) -> None:
     """Reconstruct image and depth, or the frames of a clip, from one measurement, by a network or a classical method."""

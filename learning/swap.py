@@ -41,6 +41,7 @@ from learning.evaluate.tables import markdown, markdown_differences, markdown_ve
 from learning.method import Progress, Say, choose_device
 from learning.models.flatnet import FlatNet
 from learning.resume import BEST
+from learning.timing import recorded_timing
 from learning.train import train
 from learning.tune.job import tune_file
 from simulator.assembly import Assembly
@@ -141,6 +142,8 @@ def _check_scenes(config: SwapConfig) -> Dataset:
     }
     found = {split: open_dataset(config.resolve_path(folder), split) for split, (folder, _) in asked.items()}
     for split, (_, count) in asked.items():
+        if recorded_timing(found[split]) is not None:
+            raise InputError("scenes", f"got clips, {found[split].root}, expected stills: masks are compared by those")
         if len(found[split]) < count:
             has = f"split {split!r} of {found[split].root} has {len(found[split])} samples"
             raise InputError(f"scenes.{split}_scenes", f"got {count}, but {has}; ask for fewer, or generate more")

@@ -47,7 +47,7 @@ from learning.resume import (
 from learning.validation import SHOWN, Log, errors_in_words, to_device
 from simulator import __version__
 from simulator.dataset import open_dataset
-from simulator.dataset.reader import Dataset
+from simulator.dataset.reader import Dataset, spread_positions
 from simulator.errors import InputError
 from simulator.io.cache import cache_folder
 
@@ -436,7 +436,7 @@ class Training(ABC, Generic[Item]):
             progress.best = progress.last
         if log is not None:
             log.write(progress.step, "validation", metrics)
-            shown = default_collate([self._held_out[n] for n in range(min(SHOWN, len(self._held_out)))])
+            shown = default_collate([self._held_out[n] for n in spread_positions(len(self._held_out), SHOWN)])
             example = to_device(shown, self._group.device)
             log.show(progress.step, self._drawn(example))
             if better:

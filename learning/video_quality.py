@@ -10,9 +10,7 @@ import torch
 from torch import Tensor
 
 from learning.perceptual import PIXELS_PER_DEGREE
-
-FRAMES_PER_SECOND = 5.0
-"""Of the animations that `flatlight` writes."""
+from simulator.plots.drawing import FRAMES_PER_SECOND
 
 
 class VideoQuality:

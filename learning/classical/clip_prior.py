@@ -63,18 +63,22 @@ class ClipPlugAndPlay(nn.Module):
             level_first: standard deviation of what the first step takes away, 1 for white.
             level_last: of the last step.
             over_time: how strongly frames are drawn to the static picture: what differs from it by a mean square of less than
-                this many times the step's noise is taken for noise. 0 denoises each frame by itself.
+                this many times the variance of the step's noise is taken for noise. 0 denoises each frame by itself.
             iterations: of each capture.
             inner: steps of conjugate gradients in each.
 
         Raises:
-            InputError: numbers that are not positive, ``over_time`` below zero.
+            InputError: numbers that are not positive, ``over_time`` below zero, levels that rise.
         """
         super().__init__()
         positive = {"prior": prior, "level_first": level_first, "level_last": level_last}
         for name, value in positive.items():
             if not 0 < value < math.inf:
                 raise InputError(name, f"got {value!r}, expected a positive number")
+        if level_last > level_first:
+            raise InputError(
+                "level_last", f"got {level_last:g} above level_first, {level_first:g}; expected at most that"
+            )
         if not 0 <= over_time < math.inf:
             raise InputError("over_time", f"got {over_time!r}, expected a finite number that is not negative")
         for name, value in (("iterations", iterations), ("inner", inner)):

@@ -123,11 +123,13 @@ class FilmFitting(nn.Module, ABC):
             settings: all others that decide the film.
 
         Raises:
-            InputError: no iteration, or the camera of stills.
+            InputError: no iteration, a seed below 0 or beyond 64 bits, or the camera of stills.
         """
         super().__init__()
         if iterations < 1:
             raise InputError("iterations", f"got {iterations}, expected at least 1")
+        if not 0 <= seed < 2**63:
+            raise InputError("seed", f"got {seed}, expected a whole number from 0 to 2^63 - 1")
         self.problem = ClipProblem(capture)
         self.iterations, self.seed = iterations, seed
         self.told: dict[str, Any] = {"iterations": iterations, "seed": seed, **settings}
@@ -181,8 +183,8 @@ class FilmFitting(nn.Module, ABC):
             The film of the best iterate: that with the least mean residual over the latest iterations.
 
         Raises:
-            InputError: several measurements, one of another camera or with values that are not finite, rates at which the
-                misfit does not stay finite, a state that is damaged or of another fit, or ``save_every`` below 1.
+            InputError: several measurements, one of another camera or with values that are not finite, settings with
+                which the misfit does not stay finite, a state that is damaged or of another fit, or ``save_every`` below 1.
             StorageError: the state cannot be written.
         """
         if len(measurement) != 1:
@@ -212,11 +214,12 @@ class FilmFitting(nn.Module, ABC):
                 light = network(share)
                 misfit = (problem(light) - target).square().mean()
                 loss = misfit / power + network.penalty(light)
+            if not math.isfinite(float(loss.detach())):  # torch's way back through grids would crash
+                told = {name: f"{value:g}" for name, value in self.told.items() if isinstance(value, float)}
+                cure = "expected lower rates, and all else nearer to the defaults"
+                reason = f"the misfit is not finite after {fit.step} iterations; {cure}"
+                raise InputError(", ".join(told), f"got {', '.join(told.values())}: {reason}")
             residual = math.sqrt(float(misfit.detach()))
-            if not math.isfinite(residual):  # torch's way back through grids would crash
-                rates = {name: f"{value:g}" for name, value in self.told.items() if name.endswith("rate")}
-                reason = f"the misfit is not finite after {fit.step} iterations; expected lower ones"
-                raise InputError(", ".join(rates), f"got {', '.join(rates.values())}: {reason}")
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
@@ -308,11 +311,11 @@ def _load(
         optimiser.load_state_dict(content["optimiser"])
         generator.set_state(content["generator"])
         fit = Fit(**content["fit"])
+        fit.film = fit.film.to(like)
+        fit.snapshots = {step: Snapshot(each[0].to(like), *each[1:]) for step, each in fit.snapshots.items()}
     except InputError:
         raise
     except Exception as error:  # torch raises what it likes for a damaged file
-        text = f"{type(error).__name__}: {str(error).splitlines()[0][:200]}"
+        text = ": ".join([type(error).__name__, *str(error)[:200].splitlines()[:1]])
         raise InputError(path, f"cannot be read ({text}); restore it, or delete it to begin again") from error
-    fit.film = fit.film.to(like)
-    fit.snapshots = {step: Snapshot(each[0].to(like), *each[1:]) for step, each in fit.snapshots.items()}
     return fit

@@ -3,9 +3,10 @@
 Cao et al., Neural Space-Time Model for Dynamic Multi-Shot Imaging, Nature Methods 21 (2024): frame n at a place p is
 scene(p + motion(p, t_n)). What shone once is seen again wherever motion takes it, so each frame learns from the rows that saw
 any other; but what appears, is covered or changes its brightness has no place in the model. Networks of coordinates with the
-hash grids of Mueller et al., Instant Neural Graphics Primitives, ACM Trans. Graph. 41 (2022), sections 3 and 4. All numbers
-but the learning rates are those of the authors' code (`diffcam_tennis` in rmcao/nstm: this kind of camera, 270 x 320
-pixels), sizes taken per pixel.
+hash grids of Mueller et al., Instant Neural Graphics Primitives, ACM Trans. Graph. 41 (2022), sections 3 and 4. Numbers are
+those of the authors' code (`diffcam_tennis` in rmcao/nstm: this kind of camera, 270 x 320 pixels), sizes taken per pixel,
+with three exceptions: the learning rates; the motion's finest grid has a cell for each frame, theirs 12 for some 280 moments;
+and light is a softplus, theirs an ELU with a small penalty on what is below zero.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class NeuralSpaceTime(FilmFitting):
         motion_cells: float = 0.1,
         motion_cells_over_time: float = 1.0,
         coarse: float = 0.8,
-        width: int = 64,
+        width: int = 128,
     ) -> None:
         """Prepare the fit.
 

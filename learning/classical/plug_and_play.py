@@ -63,11 +63,15 @@ class PlugAndPlay(Admm):
             dtype: float32 or float64.
 
         Raises:
-            InputError: numbers that are not positive.
+            InputError: numbers that are not positive, noise that rises.
         """
         for name, value in (("prior", prior), ("noise_first", noise_first), ("noise_last", noise_last)):
             if not 0 < value < np.inf:
                 raise InputError(name, f"got {value!r}, expected a positive number")
+        if noise_last > noise_first:
+            raise InputError(
+                "noise_last", f"got {noise_last:g} above noise_first, {noise_first:g}; expected at most that"
+            )
         weights = (image_weight, 0.0, prior / noise_first**2)
         super().__init__(
             capture, tv=0.0, sparsity=0.0, iterations=iterations, light=light, weights=weights, dtype=dtype

@@ -53,7 +53,7 @@ class UntrainedNetwork(FilmFitting):
             levels: how often the network halves the image; a small image as often as there are two pixels left.
 
         Raises:
-            InputError: numbers that make no sense.
+            InputError: numbers that make no sense, or a field of less than three pixels on a side.
         """
         numbers = {"learning_rate": learning_rate, "input_noise": input_noise, "tv": tv}
         super().__init__(capture, iterations=iterations, seed=seed, filters=filters, levels=levels, **numbers)
@@ -64,11 +64,13 @@ class UntrainedNetwork(FilmFitting):
         for name, value in (("filters", filters), ("levels", levels)):
             if value < 1:
                 raise InputError(name, f"got {value}, expected at least 1")
+        rows, columns = self.problem.shape[-2:]
+        if min(rows, columns) < 3:
+            raise InputError("capture", f"got a field of {rows} x {columns} pixels, expected at least 3 x 3 to halve")
 
     def network(self, unit: Tensor, generator: torch.Generator) -> FilmNetwork:
         """Return a network with random weights; see `FilmFitting.network`."""
-        side = min(self.problem.shape[-2:])
-        levels = min(self.told["levels"], max(1, math.ceil(math.log2(side)) - 1))
+        levels = min(self.told["levels"], math.ceil(math.log2(min(self.problem.shape[-2:]))) - 1)
         with drawn_from(generator):
             body = SkipNetwork(self.problem.shape, filters=self.told["filters"], levels=levels)
         return _Untrained(body, self.problem.shape, unit, generator, self.told)

@@ -258,7 +258,8 @@ class LoopConfig(FileSection):
     output: str = Field(min_length=1)
     """folder of the checkpoints, the metrics and the state to go on from"""
     seed: Annotated[int, Range(0, 2**31 - 1)] = 0
-    """of the initial weights, the order of the examples and all that is drawn for them, such as their noise"""
+    """of the initial weights, the order of the examples and all that is drawn for them, such as their noise; clips that are
+    kept (data.draws) are the same for all seeds"""
     data: SplitsConfig
     network: NetworkConfig | VideoNetworkConfig | DenoiserNetwork
     optimiser: OptimiserConfig = OptimiserConfig()

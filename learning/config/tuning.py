@@ -91,6 +91,8 @@ class TuneConfig(FileSection):
                 text = "a denoiser is not searched: name one in denoiser, tune for each, and compare the results"
                 raise refusal(text, "search", name, "denoiser", on_key=True)
             if "initial_estimate" in self.search[name]:
-                text = "an initial estimate is not searched: tune with the default, and compare others by `flatlight evaluate`"
+                text = (
+                    "an initial estimate is not searched: tune with the default, compare others by `flatlight evaluate`"
+                )
                 raise refusal(text, "search", name, "initial_estimate", on_key=True)
         return self

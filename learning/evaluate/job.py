@@ -25,7 +25,7 @@ from learning.method import Progress, Say, choose_device, describe_device, linea
 from learning.perceptual import LpipsDistance, available_lpips
 from learning.timing import recorded_timing
 from learning.video_quality import VideoQuality, available_video_quality
-from simulator.dataset.reader import Dataset, open_dataset
+from simulator.dataset.reader import Dataset, open_dataset, spread_positions
 from simulator.errors import InputError
 
 CACHE = "cache"
@@ -263,8 +263,7 @@ def _times(
 
 def _spread(config: EvaluateConfig, runner: Runner) -> list[int]:
     """Return the positions of the scenes that are shown, evenly spread."""
-    count = min(config.figures.montage, len(runner.test))
-    return np.unique(np.linspace(0, len(runner.test) - 1, count).round().astype(int)).tolist()
+    return spread_positions(len(runner.test), config.figures.montage)
 
 
 def _films(config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[Entry]]) -> list[list[Film]]:

@@ -22,7 +22,7 @@ class SliverMotion(NamedTuple):
 
     Attributes:
         places: ``(N - 1, h, w, 2)`` float64, columns and rows.
-        seen: ``(N - 1, h, w)`` bool, whether the point is seen all the way.
+        seen: ``(N - 1, h, w)`` bool, whether the point is seen all the way; where nothing is, it stands still.
     """
 
     places: NDArray[np.float64]
@@ -39,8 +39,8 @@ def sliver_motion(stored: StoredSample, slivers: int) -> SliverMotion | None:
     length = stored.frames // slivers
     if stored.description["metadata"].get("frames_seen") != stored.frames:
         return None  # of slivers, motion leads to the next frame only
-    extras = [stored.frame(number).extras for number in range(stored.frames)]
-    rows, columns = extras[0]["motion"].shape[:2]
+    frames = [stored.frame(number) for number in range(stored.frames)]
+    rows, columns = frames[0].valid.shape
     y, x = np.mgrid[:rows, :columns].astype(np.float64)
     places, seen = [], []
     for sliver in range(slivers - 1):
@@ -48,14 +48,14 @@ def sliver_motion(stored: StoredSample, slivers: int) -> SliverMotion | None:
         even = length % 2 == 0
         first = sliver * length + length // 2 - even
         steps = [0.5, *[1.0] * (length - 1), 0.5] if even else [1.0] * length
-        at_x, at_y, visible = x.copy(), y.copy(), np.ones(x.shape, bool)
-        for frame, step in zip(extras[first : first + len(steps)], steps, strict=True):
+        at_x, at_y, visible, empty = x.copy(), y.copy(), np.ones(x.shape, bool), ~frames[first].valid
+        for frame, step in zip(frames[first : first + len(steps)], steps, strict=True):
             j, i = np.rint(at_x).astype(int), np.rint(at_y).astype(int)
             visible &= (j >= 0) & (j < columns) & (i >= 0) & (i < rows)
             near = np.clip(i, 0, rows - 1), np.clip(j, 0, columns - 1)
-            visible &= frame["motion_valid"][near]
-            at_x += step * frame["motion"][near][..., 0]
-            at_y += step * frame["motion"][near][..., 1]
+            visible &= np.where(empty, ~frame.valid, frame.extras["motion_valid"][near])
+            at_x += np.where(empty, 0, step * frame.extras["motion"][near][..., 0])
+            at_y += np.where(empty, 0, step * frame.extras["motion"][near][..., 1])
         visible &= (at_x >= 0) & (at_x <= columns - 1) & (at_y >= 0) & (at_y <= rows - 1)
         places.append(np.stack([at_x, at_y], axis=-1))
         seen.append(visible)

@@ -124,12 +124,14 @@ class RegularisedInversion(FourierInversion):
             learned: whether P and lambda are parameters or stay as they are.
 
         Raises:
-            InputError: a lambda or weight that is not positive.
+            InputError: a lambda or weight that is not positive, a Tikhonov term below zero.
         """
         super().__init__(capture)
         for name, value in (("regularisation_lambda", regularisation_lambda), ("noise_weight", noise_weight)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise InputError(name, f"got {value!r}, expected a positive number")
+        if not 0 <= tikhonov < math.inf:
+            raise InputError("tikhonov", f"got {tikhonov!r}, expected a finite number that is not negative")
         self.planes = tuple(range(len(capture.stack.depths_m))) if planes is None else tuple(planes)
         self.disparities = capture.plane_disparities()[list(self.planes)]
         self.channels = capture.stack.channels

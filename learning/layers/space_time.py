@@ -115,12 +115,12 @@ JOINT: dict[str, float | int | str] = {
 class JointLeastSquares(nn.Module):
     """All frames at once: the mean of what they may be, given the capture, were they Gaussian.
 
-    The light is x_n = S sum_m L_nm u_m with white u: S smooths in space, with a spectrum 1 / (1 + (f / f0)^2)^p for
-    frequencies f in cycles per pixel; L L^T, the covariance over frames, is static^2 + moving^2 exp(-|n - m| / memory): a
-    picture that stands still and changes that are forgotten, whose inverse penalises differences between frames. With T for
-    x = T u and the noise's standard deviation s, which is found in the measurement, (T^T A^T A T + s^2) u = T^T A^T y by
-    conjugate gradients (Hestenes and Stiefel 1952). As T precedes A, these begin with what is most likely, a smooth static
-    picture, and a few steps serve.
+    The light is x_n = S sum_m L_nm u_m with white u. S S^T, the covariance over space, has the power spectrum
+    1 / (1 + (f / f0)^2)^p at frequencies f in cycles per pixel, scaled to a variance of 1; L L^T, the covariance over
+    frames, is static^2 + moving^2 exp(-|n - m| / memory): a picture that stands still and changes that are forgotten, whose
+    inverse penalises differences between frames. With T for x = T u and the noise's standard deviation s, which is found in
+    the measurement, (T^T A^T A T + s^2) u = T^T A^T y by conjugate gradients (Hestenes and Stiefel 1952). As T precedes A,
+    these begin with what is most likely, a smooth static picture, and a few steps serve.
 
     Attributes:
         told: the numbers of the prior and of the iterations.
@@ -169,8 +169,9 @@ class JointLeastSquares(nn.Module):
         try:
             mixing = np.linalg.cholesky(static**2 + moving**2 * np.exp(-apart / memory))
         except np.linalg.LinAlgError:
-            reason = f"got {memory:g} frames: changes are never forgotten, as far as numbers tell; take at most 1e6"
-            raise InputError("memory", reason) from None
+            reason = "changes vanish beside the static picture or are never forgotten, as far as numbers tell"
+            text = f"got {static:g}, {moving:g}, {memory:g}: {reason}; take more for moving, or less for memory"
+            raise InputError("static, moving, memory", text) from None
         for name, numbers in (("spectrum", half), ("mixing", mixing)):
             self.register_buffer(name, torch.from_numpy(numbers).to(torch.get_default_dtype()), persistent=False)
 

@@ -109,7 +109,7 @@ def load_measurement(
         frame: of an image's file: ``physical`` is rotated here; None leaves it as it is, to be told later.
 
     Raises:
-        InputError: a file that cannot be read or holds NaN, a clip, numbers above 2^bits, floats far above 1 without
+        InputError: a file that cannot be read or holds NaN, numbers above 2^bits, floats far above 1 without
             ``bits``, a background of another size, a crop beyond the image, a size that the binning does not divide, or a
             frame for a sample, which says it itself.
     """

@@ -75,8 +75,8 @@ def tune_file(
     done and about how many there will be, ``say`` with a line for each result.
 
     Raises:
-        InputError: data without enough scenes, without depth, or that are not for stills; a stack that does not fit; an
-            unknown parameter; a study of other data or settings.
+        InputError: data without enough scenes or without depth; methods of another kind than the data; a stack that does
+            not fit; an unknown parameter; a study of other data or settings.
         StorageError: the result cannot be written.
     """
     output = config.resolve_path(config.output)
@@ -90,7 +90,7 @@ def tune_file(
             cure += ", or set data.scenes (and allow_few_scenes: true below 32)"
         found = f"split {data.split!r} of {dataset.root} has {len(dataset)} samples"
         raise InputError("data.scenes", f"got {data.scenes}, but {found}; {cure}")
-    dataset = dataset[: data.scenes]
+    dataset = dataset.spread(data.scenes)
     check_dataset(dataset)
     white = measure_reference_white(open_dataset(config.resolve_path(data.train or data.validation), "train"))
     capture = capture_model(dataset, config.resolve_stack(data.stack), white=white)
@@ -99,6 +99,8 @@ def tune_file(
         reason = f"got {config.objective}, but these PSFs are of one depth, which says nothing of others; take image"
         raise InputError("objective", reason)
     methods = tunables(capture) if tunables else [classical(capture, name, config, device) for name in config.methods]
+    for method in methods:
+        method.build(method.defaults)  # one for other data is refused before the first is tuned
     score = Score(config.objective, _load(dataset, None, config.seed), capture)
     identity = {  # all that decides the score of given parameters
         "data": dataset.fingerprint,

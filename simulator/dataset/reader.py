@@ -93,6 +93,12 @@ class Dataset(Sequence[Sample]):
             return Dataset(self.root, self.split, self.ids[position], self.info)
         return self.stored(position).sample()
 
+    def spread(self, count: int) -> Dataset:
+        """Select so many samples, all of them at most, evenly spread over the split: families vary kinds with the index."""
+        return Dataset(
+            self.root, self.split, tuple(self.ids[at] for at in spread_positions(len(self), count)), self.info
+        )
+
     def stored(self, position: int) -> StoredSample:
         """Return the sample at a position for reading only a part of it: its measurement, its label, single frames.
 
@@ -163,3 +169,9 @@ def all_metadata(root: Path | str) -> Iterator[dict[str, Any]]:
     for split, name in load_manifest(root).entries:
         with suppress(InputError):
             yield read_description(sample_folder(Path(root), split, sample_index(name)))[0]["metadata"]
+
+
+def spread_positions(length: int, count: int) -> list[int]:
+    """Return so many positions, all of them at most, evenly spread: the middles of as many parts of the whole."""
+    count = min(count, length)
+    return [(2 * part + 1) * length // (2 * count) for part in range(count)]

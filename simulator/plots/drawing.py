@@ -64,7 +64,11 @@ def png_bytes(image: Image.Image) -> bytes:
     return stream.getvalue()
 
 
-def animation_webp(frames: Sequence[Image.Image], milliseconds: int = 200) -> bytes:
+FRAMES_PER_SECOND = 5
+"""Of animations."""
+
+
+def animation_webp(frames: Sequence[Image.Image], milliseconds: int = 1000 // FRAMES_PER_SECOND) -> bytes:
     """Return images of one size as an endless animation; each is shown for so long."""
     stream = io.BytesIO()
     first, *others = frames

@@ -47,11 +47,13 @@ def test_nothing_seen_is_no_number() -> None:
     assert np.isnan(warping_error(shifted(3, 1), motion._replace(seen=np.zeros_like(motion.seen))))
 
 
-def stored(motion: np.ndarray, valid: np.ndarray, seen: int) -> StoredSample:
-    """Return a sample whose frames have this motion ``(T, h, w, 3)``, which is valid there."""
+def stored(motion: np.ndarray, valid: np.ndarray, seen: int, there: np.ndarray | None = None) -> StoredSample:
+    """Return a sample whose frames have this motion ``(T, h, w, 3)``, which is valid there; None: something everywhere."""
+    there = np.ones_like(valid) if there is None else there
 
     def frame(number: int) -> Any:
-        return SimpleNamespace(extras={"motion": motion[number], "motion_valid": valid[number]})
+        extras = {"motion": motion[number], "motion_valid": valid[number]}
+        return SimpleNamespace(extras=extras, valid=there[number])
 
     description = {"extras": {"motion": {}}, "metadata": {"frames_seen": seen}}
     return cast("StoredSample", SimpleNamespace(description=description, frames=len(motion), frame=frame))
@@ -63,14 +65,17 @@ def test_motion_is_that_of_the_slivers_middles(length: int) -> None:
     frames = 2 * length
     motion = np.zeros((frames, 8, 32, 3), np.float32)
     motion[..., 0] = 2 * np.arange(1, frames + 1)[:, None, None]
+    motion[..., 1] = -0.1
     valid = np.ones((frames, 8, 32), bool)
     at = np.concatenate([[0], np.cumsum(motion[:-1, 0, 0, 0])])
     step = at[length:].mean() - at[:length].mean()
     found = sliver_motion(stored(motion, valid, frames), 2)
     assert found is not None
     x = np.arange(32.0)
-    np.testing.assert_allclose(found.places[0, 0, :, 0], x + step)
-    assert (found.seen[0, 0] == (x + step <= 31)).all()
+    np.testing.assert_allclose(found.places[0, 7, :, 0], x + step)
+    np.testing.assert_allclose(found.places[0, :, 0, 1], np.arange(8) - 0.1 * length, atol=1e-6)
+    assert (found.seen[0, 7] == (x + step <= 31)).all()
+    assert not found.seen[0, 0].any()
 
 
 def test_what_is_hidden_on_the_way_is_not_seen() -> None:
@@ -82,6 +87,21 @@ def test_what_is_hidden_on_the_way_is_not_seen() -> None:
     assert found is not None
     assert not found.seen[0, 4, 5]  # half a step of 2 and one of 4 columns before the hidden point
     assert found.seen[0, 4, 6]
+
+
+def test_where_nothing_is_nothing_moves() -> None:
+    """A film that flickers there is told from a dark one; not where something comes or goes."""
+    motion, there = np.zeros((4, 8, 8, 3), np.float32), np.zeros((4, 8, 8), bool)
+    there[2, 2, 5] = True
+    found = sliver_motion(stored(motion, there, 4, there), 2)
+    assert found is not None
+    assert (found.places[0] == np.stack(np.meshgrid(np.arange(8), np.arange(8)), axis=-1)).all()
+    assert not found.seen[0, 2, 5]
+    assert int(found.seen[0].sum()) == 63
+    film = torch.zeros(2, 3, 8, 8)
+    assert warping_error(film, found) == 0
+    film[1] = 0.3
+    assert warping_error(film, found) == pytest.approx(0.3, rel=1e-6)
 
 
 def test_slivers_alone_and_samples_without_motion_say_nothing(clip_dataset: Path) -> None:

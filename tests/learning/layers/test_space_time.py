@@ -269,5 +269,5 @@ def test_numbers_that_are_not_positive_are_refused(film_camera: Any, name: str, 
 
 def test_changes_that_are_never_forgotten_are_refused(film_camera: Any) -> None:
     JointLeastSquares(film_camera(), **dict(JOINT) | {"memory": 1e6})
-    with pytest.raises(InputError, match=r"^memory: got 1e\+18 "):
+    with pytest.raises(InputError, match=r"^static, moving, memory: got 0\.1, 0\.2, 1e\+18: "):
         JointLeastSquares(film_camera(), **dict(JOINT) | {"memory": 1e18})

@@ -373,7 +373,7 @@ def test_noise_as_stored_is_a_level_too(tiny_dataset: Path, tmp_path: Path) -> N
 
     file = write_config(tmp_path, tiny_dataset, noise_db=["stored", 30], data={"scenes": 2})
     tuned = load_tuned(tune_file(load_file(TuneConfig, file), tunables=tunables))
-    stored = open_dataset(tiny_dataset, "validation")[:2]
+    stored = open_dataset(tiny_dataset, "validation").spread(2)
     as_stored, other = np.concatenate(seen[:2]), np.concatenate(seen[2:])
     np.testing.assert_array_equal(as_stored, [stored.stored(position).measurement()[0] for position in range(2)])
     assert not np.array_equal(other, as_stored)

@@ -21,7 +21,7 @@ from simulator.camera.shutter import (
     shutter_record,
 )
 from simulator.camera.slivers import split_measurement
-from simulator.dataset.reader import Dataset, open_dataset
+from simulator.dataset.reader import Dataset, open_dataset, spread_positions
 from simulator.dataset.verification import verify
 from simulator.errors import InputError
 
@@ -210,3 +210,11 @@ def test_refusals_of_clips(clips: Path, samples: ModuleType, tmp_path: Path) -> 
         assert any("dataset.json" in line and "time" in line for line in verify(clips).problems)
         with pytest.raises(InputError, match=r"dataset\.json: time"):
             _ = open_dataset(clips).shutter
+
+
+@pytest.mark.parametrize(
+    ("length", "count", "expected"),
+    [(9, 3, [1, 4, 7]), (200, 8, [12, 37, 62, 87, 112, 137, 162, 187]), (2, 5, [0, 1]), (5, 1, [2])],
+)
+def test_spread_positions_are_the_middles_of_equal_parts(length: int, count: int, expected: list[int]) -> None:
+    assert spread_positions(length, count) == expected
