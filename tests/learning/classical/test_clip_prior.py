@@ -16,6 +16,7 @@ from learning.camera import CaptureModel
 from learning.checkpoint import find_denoiser, load_denoiser
 from learning.classical import clip_prior
 from learning.classical.clip_prior import ClipPlugAndPlay
+from learning.layers.noise import noise_level
 from learning.layers.space_time import JOINT, ClipProblem, JointLeastSquares
 from simulator.errors import InputError
 
@@ -87,6 +88,27 @@ def test_without_a_prior_it_is_non_negative_least_squares(small: CaptureModel, l
     np.testing.assert_allclose(torch.cat(prior.told), 0.2 * (level_last / 0.2) ** (np.arange(250) / 249))
 
 
+@pytest.mark.parametrize("weight", [0.1, 10.0])
+def test_the_prior_weighs_against_the_misfit_over_the_noise(small: CaptureModel, weight: float) -> None:
+    """One step that denoises nothing: argmin |(A x - y) / s|^2 + prior |(x - x0) / d|^2, dense, then cut off at zero."""
+    problem = ClipProblem(small)
+    given = measure(problem, squares(problem), 0.05)
+    solver = method(small, Plain(), prior=weight, iterations=1, inner=400)
+    found = solver(given)[0]
+    noise = (noise_level(given) * problem.scale).flatten()  # of each channel
+    start = solver._start.light(given).clamp_min(0)
+    wanted = torch.empty_like(start)
+    for channel, (matrix, target) in enumerate(zip(dense(problem), problem.target(given)[0], strict=True)):
+        own = weight * (float(noise[channel]) / SETTINGS["level_first"]) ** 2
+        first = start[:, 0, 0, channel].numpy().ravel()
+        right = matrix.T @ target.numpy().ravel() + own * first
+        light = np.linalg.solve(matrix.T @ matrix + own * np.eye(len(right)), right)
+        wanted[:, 0, 0, channel] = torch.from_numpy(light).reshape(3, *small.field_shape)
+    film = problem.film(wanted.clamp_min(0))[0, :, 0]
+    assert float((film - problem.film(start)[0, :, 0]).abs().max()) > 0.02  # it moves
+    np.testing.assert_allclose(found.numpy(), film.numpy(), atol=1e-6)
+
+
 def test_frames_are_drawn_to_the_static_picture_where_nothing_moves(dotted_camera: Callable[..., CaptureModel]) -> None:
     """Five frames of a wall with noise of 0.1, which a bright square crosses on the left."""
     capture = dotted_camera((32, 32), (20, 20), 11, 5)
@@ -150,6 +172,7 @@ def test_the_shipped_denoiser_improves_on_the_start(dotted_camera: Callable[...,
         ("prior", 0.0),
         ("level_first", float("nan")),
         ("level_last", -0.1),
+        ("level_last", 0.3),  # above the first
         ("over_time", -1.0),
         ("over_time", float("inf")),
         ("iterations", 0),

@@ -217,6 +217,31 @@ def test_reaches_the_least_objective(small: CaptureModel) -> None:
     assert own == pytest.approx(least, rel=1e-5)
 
 
+def test_its_steps_are_those_of_restarted_fista(small: CaptureModel) -> None:
+    """Beck and Teboulle's momentum, dropped as O'Donoghue and Candes do by the gradient, with dense matrices and tv 0."""
+    measurement = measure(small, moving(small), 40)
+    method = FistaTv(small, **SETTINGS | {"tv": 0.0, "iterations": 300})
+    method(measurement)
+    matrices = dense(small)
+    target = method.problem.target(measurement)[0].numpy().reshape(len(matrices), -1)
+    step = 1 / method._eigenvalue(method.problem.dark(1))
+    x = ahead = np.zeros((len(matrices), matrices.shape[2]))
+    t, curve, restarts = 1.0, [], 0
+    for _ in range(300):
+        misfit = np.einsum("cij,cj->ci", matrices, ahead) - target
+        new = np.maximum(ahead - step * np.einsum("cij,ci->cj", matrices, misfit), 0)
+        if np.sum((ahead - new) * (new - x)) > 0:
+            t, ahead, restarts = 1.0, new, restarts + 1
+        else:
+            after = (1 + np.sqrt(1 + 4 * t**2)) / 2
+            ahead, t = new + (t - 1) / after * (new - x), after
+        x = new
+        curve.append(np.sum((np.einsum("cij,cj->ci", matrices, x) - target) ** 2) / 2)
+    assert restarts > 0
+    # Rounding of A by FFTs and by matrices, some 1e-15 in each step
+    np.testing.assert_allclose(method.curve, curve, rtol=1e-8)
+
+
 @pytest.mark.parametrize("prox", ["exact", "haar"])
 def test_longer_is_never_worse_and_what_is_returned_is_the_best(small: CaptureModel, prox: str) -> None:
     measurement = measure(small, moving(small), 40)

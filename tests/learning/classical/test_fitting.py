@@ -264,5 +264,8 @@ def test_a_rate_that_leads_to_infinity_is_named(clip_capture: CaptureModel, meas
 def test_counts_below_one_are_refused(clip_capture: CaptureModel, measurement: Tensor) -> None:
     with pytest.raises(InputError, match=r"^iterations: "):
         PixelFitting(clip_capture, iterations=0, seed=0)
+    for seed in (-1, 2**63):
+        with pytest.raises(InputError, match=r"^seed: "):
+            PixelFitting(clip_capture, iterations=1, seed=seed)
     with pytest.raises(InputError, match=r"^save_every: "):
         PixelFitting(clip_capture, iterations=2, seed=0).fit(measurement, save_every=0)

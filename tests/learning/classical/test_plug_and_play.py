@@ -178,7 +178,7 @@ def test_each_measurement_is_a_problem_of_its_own() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [({"prior": 0.0}, "^prior: "), ({"noise_first": float("nan")}, "^noise_first: "),
-     ({"noise_last": 0.0}, "^noise_last: "), ({"iterations": 0}, "^iterations: ")],
+     ({"noise_last": 0.0}, "^noise_last: "), ({"noise_last": 0.3}, "^noise_last: "), ({"iterations": 0}, "^iterations: ")],
 )  # fmt: skip
 def test_refuses(change: dict[str, Any], message: str) -> None:
     settings: dict[str, Any] = {

@@ -318,6 +318,9 @@ def test_refuses_what_is_not_positive(camera, value):
     for kind, name in (*pairs, (WienerInversion, "noise_to_signal")):
         with pytest.raises(InputError, match=rf"^{name}: "):
             kind(camera(*SIZES[0]), **{name: value})
+    if value:
+        with pytest.raises(InputError, match=r"^tikhonov: "):
+            RegularisedInversion(camera(*SIZES[0]), tikhonov=value)
     with pytest.raises(InputError, match=r"^plane: "):
         WienerInversion(camera(*SIZES[0]), plane=3)
 
