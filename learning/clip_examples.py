@@ -23,9 +23,11 @@ from learning.data import Draw, ExampleSet, SampleCache, clip_of, read_scene
 from learning.method import torch_threads
 from learning.provenance import sample_digests
 from learning.simulate import SceneCamera
+from simulator.io.cache import code_digest
 from simulator.io.files import sha256_bytes, storage_errors
 
-_FORMAT = 3  # to be raised when the same draw of a clip, or the joint estimate of it, becomes another one
+# With all that they import, what makes the same draw of a clip, and the joint estimate of it, another one.
+_DECIDING = (__name__, "learning.layers.space_time")
 _CHECKSUM = 4  # bytes; of nothing but zeros it is not 0, so that a hole in the file is no record
 
 
@@ -83,7 +85,7 @@ class ClipExamples(TorchDataset[ClipExample]):
             self._scene = SampleCache.filled(cache, examples.dataset, "scene", self._scene).read
         if self._draws:
             told = [dict(identity), white, sample_digests(examples.dataset), examples.dataset.ids, self._draws]
-            name = sha256_bytes(repr((_FORMAT, told)).encode())[:32]
+            name = sha256_bytes(repr((code_digest(*_DECIDING), told)).encode())[:32]
             self._kept = KeptRecords(cache / f"{name}.clips", self._worked_out(0, 0))
 
     def __len__(self) -> int:

@@ -242,6 +242,12 @@ def test_mistakes_come_out_before_any_work(
     assert not (tmp_path / "out").exists()
 
 
+def test_clips_are_refused_before_any_work(load: Load, clip_dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(swap, "generate", lambda *_, **__: pytest.fail("work"))
+    with pytest.raises(InputError, match=r"^scenes: got clips, .* expected stills"):
+        swap_masks(load(scenes={"train": str(clip_dataset)}))
+
+
 def test_the_evaluation_of_another_name_is_kept(load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(swap, "generate", lambda *_, **__: pytest.fail("work"))
     report.claim_folder(tmp_path / "out" / "evaluation", "another")

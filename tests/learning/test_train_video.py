@@ -31,6 +31,7 @@ from learning.train_video import VideoTraining, _Begin, train_video
 from learning.validation import METRICS, PREVIEW
 from simulator.camera.shutter import RowShutter
 from simulator.dataset import open_dataset
+from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("ctrl_c")
@@ -53,6 +54,20 @@ def video_settings(clip_dataset: Path, tmp_path: Path) -> Settings:
         return VideoTrainConfig.model_validate(plain)
 
     return make
+
+
+def test_clips_are_changed_to_learn_from_and_not_to_validate_on(
+    video_settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: dict[str, Augmentation | None] = {}
+
+    def spy(dataset: Dataset, **options: Any) -> ExampleSet:
+        opened[dataset.split] = options["augment"]
+        return ExampleSet(dataset, **options)
+
+    monkeypatch.setattr("learning.train_video.ExampleSet", spy)
+    train_video(video_settings(steps=1, data={"augment": Augmentation(colour=0.1)}))
+    assert opened == {"train": Augmentation(colour=0.1), "validation": None}
 
 
 def lines(folder: Path, kind: str) -> list[dict[str, Any]]:

@@ -121,6 +121,12 @@ def test_the_network_is_that_of_the_notebook() -> None:
         assert sum(each.numel() for each in down.parameters()) == wanted
         wanted = 2 * 132 + conv(132, 128, 3) + norm + conv(128, 128, 1) + norm
         assert sum(each.numel() for each in up.parameters()) == wanted
+    steps = [each for each in network.modules() if isinstance(each, torch.nn.Conv2d) and each.kernel_size == (3, 3)]
+    assert {each.padding_mode for each in steps} == {"reflect"}
+    assert [each[0][0].stride for each in network.down] == [(2, 2)] * 5
+    assert [each[1][0].stride for each in network.down] == [(1, 1)] * 5
+    slopes = {each.negative_slope for each in network.modules() if isinstance(each, torch.nn.LeakyReLU)}
+    assert slopes == {0.2}
     assert network.inputs == 10
     assert network(torch.rand(1, 10, 72, 41)).shape == (1, 30, 72, 41)
 

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.utils.data import default_collate
 
-from learning.camera import CaptureModel
+from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.checkpoint import save_denoiser
+from learning.classical.by_name import build_method
 from learning.classical.method import DEFAULTS, ClassicalMethod
 from learning.config import TuneConfig, load_file
-from learning.data import Example
+from learning.data import Example, ExampleSet
 from learning.method import Estimate, linear_to_srgb
 from learning.metrics import depth_scores, psnr
 from learning.models.denoiser import Denoiser
@@ -407,6 +409,40 @@ def test_files_that_make_no_sense_are_refused(tiny_dataset: Path, tmp_path: Path
     with pytest.raises(InputError, match=message):
         tune_file(load_file(TuneConfig, path, overrides), tunables=lambda _: [])
     assert not (tmp_path / "tuned.json").exists()
+
+
+def test_clips_are_tuned_on_all_their_frames(clip_dataset: Path, tmp_path: Path) -> None:
+    """The static inversion, repeated: by hand its PSNR and that of the one colour that is nearest to all frames."""
+    searched = {"regularisation_lambda": {"values": [0.3]}, "tikhonov": {"values": [1.0]}}
+    changes: dict[str, Any] = {"data": {"scenes": 2}, "methods": ["static"], "objective": "image"}
+    file = write_config(tmp_path, clip_dataset, search={"static": searched}, noise_db=["stored"], **changes)
+    path = tune_file(load_file(TuneConfig, file))
+    validation = open_dataset(clip_dataset, "validation")
+    white = measure_reference_white(open_dataset(clip_dataset, "train"))
+    examples = ExampleSet(validation)
+    batch = default_collate([examples[position] for position in range(2)])
+    truth = linear_to_srgb(batch.radiance, white).double()
+    assert truth.shape[1] == 4
+    colour = truth.mean(dim=(0, 1, 3, 4), keepdim=True)
+    parameters, _ = load_tuned(path).parameters("static", 40.0)
+    method = build_method(capture_model(validation, white=white), "static", parameters)
+    found = method.reconstruct(batch.measurement).clamped().image.double()
+    by_hand = [float(-10 * (each - truth).square().mean(dim=(1, 2, 3, 4)).log10().mean()) for each in (found, colour)]
+    content = json.loads(path.read_text(encoding="utf-8"))
+    assert content["about"]["constant_guess"]["psnr_db"] == pytest.approx(by_hand[1], rel=1e-5)
+    [result] = content["results"]
+    assert result["psnr_db"] == pytest.approx(by_hand[0], rel=1e-5)
+
+
+@pytest.mark.parametrize("clips", [True, False])
+def test_a_method_for_other_data_is_refused_before_any_is_tuned(
+    clip_dataset: Path, tiny_dataset: Path, tmp_path: Path, clips: bool
+) -> None:
+    methods = ["static", "cls"] if clips else ["cls", "joint"]
+    changes: dict[str, Any] = {"data": {"scenes": 2}, "methods": methods, "objective": "image"}
+    file = write_config(tmp_path, clip_dataset if clips else tiny_dataset, **changes)
+    with pytest.raises(InputError, match=f"{methods[1]}: got"):
+        tune_file(load_file(TuneConfig, file), progress=lambda *_: pytest.fail("tuned"))
 
 
 def test_a_parameter_that_the_method_lacks_is_refused(truth: Truth) -> None:
