@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,7 @@ from simulator.optics.stack import PsfStack
 from simulator.optics.stack_files import read_psf_stack
 
 _WHITES_ALIKE = 1e-6
+_KEEP_EVERY_S = 30.0
 # By these, and what they import, a measurement becomes a score.
 _DECIDING = (
     "learning.classical.by_name",
@@ -116,6 +118,10 @@ class ResultCache:
         """Keep a result, which may hold infinities; a StorageError says that it cannot be written."""
         self._write(self._path(key, ".json"), json.dumps({"key": plain(key), "result": result}).encode())
 
+    def drop(self, key: Mapping[str, Any]) -> None:
+        """Forget what was kept under a key, if anything was."""
+        self._path(key, ".json").unlink(missing_ok=True)
+
     def load_arrays(self, key: Mapping[str, Any]) -> dict[str, NDArray[Any]] | None:
         """Return the arrays that were kept under a key, or None."""
         try:
@@ -199,16 +205,25 @@ class Runner:
         return method
 
     def result(self, run: Run, progress: ScenesDone = lambda _: None) -> dict[str, Any]:
-        """Return what `score` finds, which is kept."""
+        """Return what `score` finds, which is kept, also on the way."""
         key = self._key(run) | {"criteria": self.criteria.record()}
+        part, saved = key | {"part": True}, time.monotonic()
         known = self._cache.load(key)
         if known is not None:
             progress(len(known["scores"]))
             return known
         examples = self.examples(run.noise_db, run.scenes)
-        how: Any = {"device": self.device, "batch": self.batch, "progress": progress}
-        found = score(self.method(run), examples, self.criteria, **how)
+
+        def keep(found: Mapping[str, Any]) -> None:
+            nonlocal saved
+            if time.monotonic() - saved >= _KEEP_EVERY_S:
+                self._cache.save(part, found)
+                saved = time.monotonic()
+
+        how: Any = {"device": self.device, "batch": self.batch, "progress": progress, "keep": keep}
+        found = score(self.method(run), examples, self.criteria, begun=self._cache.load(part), **how)
         self._cache.save(key, found)
+        self._cache.drop(part)
         return found
 
     def estimates(self, run: Run, positions: Sequence[int]) -> list[dict[str, NDArray[np.float32]]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
@@ -48,16 +48,23 @@ def score(
     *,
     device: torch.device,
     batch: int,
+    begun: Mapping[str, list[Any]] | None = None,
     progress: ScenesDone = lambda _: None,
-) -> dict[str, Any]:
-    """Run a method over all scenes; depth counts where something was seen. ``progress`` gets the scenes of each batch.
+    keep: Callable[[dict[str, list[Any]]], object] = lambda _: None,
+) -> dict[str, list[Any]]:
+    """Run a method over all scenes; depth counts where something was seen.
+
+    ``keep`` gets after each batch what was found so far, from which another call goes on as ``begun``; ``progress`` gets the
+    number of scenes that were done.
 
     Returns ``scores`` of each scene, see `learning.metrics.measure` (and of clips whose data set records it,
     `learning.evaluate.motion`); of cameras that tell depths apart also ``pixels``, at how many of it depth counts, and for
     each scene and bin ``squares_cm2``, the sum of squared depth errors, and ``counts``, the number of pixels.
     """
-    found: dict[str, list[Any]] = {"scores": [], "pixels": [], "squares_cm2": [], "counts": []}
-    for first, example in batches(examples, batch, device):
+    found: dict[str, list[Any]] = {"scores": [], "pixels": [], "squares_cm2": [], "counts": []} | dict(begun or {})
+    if found["scores"]:
+        progress(len(found["scores"]))
+    for first, example in batches(examples, batch, device, len(found["scores"])):
         estimate = checked(method, method.reconstruct(example.measurement), examples, first)
         how: Any = {"lpips": criteria.lpips, "cvvdp": criteria.cvvdp, "pixels": example.valid}
         scenes = measure(estimate, example, method.capture, **how)
@@ -68,30 +75,28 @@ def score(
                     truth = linear_to_srgb(example.radiance[at], method.capture.white)
                     scene["warping_error"] = warping_error(estimate.image[at], motion)
                     scene["true_warping_error"] = warping_error(truth, motion)
-        if len(method.capture.stack.depths_m) < 2:
-            found["scores"] += scenes
-            progress(len(scenes))
-            continue
-        if criteria.dark_share is not None:
-            lit = example.valid & ~dark_mask(example, method.capture, criteria.dark_share)
-            errors = depth_scores(estimate, example, method.capture, lit).depth_rmse_cm.tolist()
-            scenes = [scene | {"lit_depth_rmse_cm": error} for scene, error in zip(scenes, errors, strict=True)]
-        error_cm2 = (100 * (method.capture.depth_m(estimate.disparity.double()) - example.depth_m)).square()
-        by_scene = [
-            _binned(errors[valid], depth_cm[valid], criteria.edges_cm)
-            for errors, depth_cm, valid in zip(error_cm2, example.depth_m * 100, example.valid, strict=True)
-        ]
+        if len(method.capture.stack.depths_m) > 1:
+            if criteria.dark_share is not None:
+                lit = example.valid & ~dark_mask(example, method.capture, criteria.dark_share)
+                errors = depth_scores(estimate, example, method.capture, lit).depth_rmse_cm.tolist()
+                scenes = [scene | {"lit_depth_rmse_cm": error} for scene, error in zip(scenes, errors, strict=True)]
+            error_cm2 = (100 * (method.capture.depth_m(estimate.disparity.double()) - example.depth_m)).square()
+            by_scene = [
+                _binned(errors[valid], depth_cm[valid], criteria.edges_cm)
+                for errors, depth_cm, valid in zip(error_cm2, example.depth_m * 100, example.valid, strict=True)
+            ]
+            found["pixels"] += example.valid.flatten(1).sum(dim=1).tolist()
+            for name, values in zip(("squares_cm2", "counts"), zip(*by_scene, strict=True), strict=True):
+                found[name] += values
         found["scores"] += scenes
-        found["pixels"] += example.valid.flatten(1).sum(dim=1).tolist()
-        for name, values in zip(("squares_cm2", "counts"), zip(*by_scene, strict=True), strict=True):
-            found[name] += values
         progress(len(scenes))
+        keep(found)
     return found
 
 
-def batches(examples: ExampleSet, batch: int, device: torch.device) -> Iterator[tuple[int, Example]]:
-    """Yield the position of each batch's first scene, and the batch on the device, in order."""
-    for first in range(0, len(examples), batch):
+def batches(examples: ExampleSet, batch: int, device: torch.device, begin: int = 0) -> Iterator[tuple[int, Example]]:
+    """Yield the position of each batch's first scene, and the batch on the device, in order, from position ``begin`` on."""
+    for first in range(begin, len(examples), batch):
         together = [examples[position] for position in range(first, min(first + batch, len(examples)))]
         yield first, Example(*(values.to(device) for values in default_collate(together)))
 

@@ -19,12 +19,13 @@ from PIL import Image
 from learning.camera import capture_model, measure_reference_white
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.classical.by_name import build_method
+from learning.classical.clips import ClipMethod
 from learning.classical.fitting import FilmNetwork
-from learning.classical.method import DEFAULTS, build_classical
+from learning.classical.method import DEFAULTS, ClassicalMethod, build_classical
 from learning.config import EvaluateConfig, load_file
 from learning.data import ExampleSet
 from learning.evaluate import report, runs
-from learning.evaluate.job import evaluate
+from learning.evaluate.job import CACHE, evaluate
 from learning.method import linear_to_srgb
 from learning.tune.study import Study
 from simulator.dataset.reader import open_dataset
@@ -297,6 +298,34 @@ def test_only_what_changed_is_done_anew(load: Load, tmp_path: Path, monkeypatch:
         before = len(scored)
         evaluate(load(methods=methods, **changes))
         assert scored[before:] == ["CLS"], changes
+
+
+@pytest.mark.usefixtures("no_figures")
+@pytest.mark.parametrize("clips", [True, False])
+def test_an_interrupted_run_goes_on_where_it_was(
+    load: Load, tmp_path: Path, clip_dataset: Path, monkeypatch: pytest.MonkeyPatch, clips: bool
+) -> None:
+    name, kind = ("static", ClipMethod) if clips else ("cls", ClassicalMethod)
+    told = {"methods": [{"name": "it", "classical": name, "parameters": {}}], "batch": 1}
+    if clips:
+        told["data"] = {"test": str(clip_dataset), "training": str(clip_dataset), "scenes": 2}
+    whole = evaluate(load(**told, output="whole"))[0].findings[""].main[0].scores
+    monkeypatch.setattr(runs, "_KEEP_EVERY_S", 0.0)
+    seen, real = [], kind.reconstruct
+
+    def stopping(self: Any, measurement: Any) -> Any:
+        seen.append(measurement)
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+        return real(self, measurement)
+
+    monkeypatch.setattr(kind, "reconstruct", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(load(**told))
+    rest = evaluate(load(**told))[0].findings[""].main[0].scores
+    assert len(seen) == 1 + (2 if clips else TEST_SCENES)  # what failed is done again, what was done is not
+    assert rest == whole
+    assert len(list((tmp_path / "out" / CACHE).glob("*.json"))) == 1
 
 
 def test_the_report_shows_how_networks_learned(load: Load, tmp_path: Path, checkpoints: list[Path]) -> None:
