@@ -1,4 +1,4 @@
-"""What networks fitted to one capture reach with more and more iterations, beside methods that need no training data either.
+"""What networks fitted to one capture reach with more and more iterations, beside methods untrained for this camera.
 
     uv run --extra learn python benchmarks/fits.py TEST --training TRAINING --states FOLDER [--scenes 8] \
         [--methods nstm,udn] [--iterations 2000] [--marks 100,200,500,1000] [--beside fista:iterations=2000,pnp_clips] \
@@ -66,6 +66,8 @@ def main() -> None:
     backgrounds = [str(scene.get("background", "all")) for scene in scenes]
     kinds = sorted(set(backgrounds))
     share = chosen.scenes // len(kinds)
+    if share < 1:
+        parser.error(f"--scenes: got {chosen.scenes}, expected at least one of each: {', '.join(kinds)}")
     places = [at for kind in kinds for at in [at for at, each in enumerate(backgrounds) if each == kind][:share]]
     every, groups = ExampleSet(test), [backgrounds[at] for at in places]
     examples = {test.ids[at]: Example(*default_collate([tuple(every[at])])) for at in places}
@@ -96,6 +98,8 @@ def main() -> None:
         for scene, example in examples.items():
             state = chosen.states / f"{name}_{chosen.iterations}_{scene}.pt"
             fits.append(fitting.fit(example.measurement, snapshots=marks, state=state, save_every=100))
+            if missing := [mark for mark in marks if mark not in fits[-1].snapshots]:
+                parser.error(f"--marks: {state} was fitted without {missing}; give its own marks, or delete it")
             print(f"{name}, {scene}: residual {fits[-1].residual:.4f} after {fits[-1].seconds:.0f} s", flush=True)
         for mark in marks:
             kept = [fit.snapshots[mark] for fit in fits]

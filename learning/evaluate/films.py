@@ -15,7 +15,7 @@ _ANIMATED = 160
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class NamedFilm:
     """Frames ``(N, h, w, 3)`` in sRGB codes 0..1, of a method or the truth, and a few words."""
 
     name: str
@@ -23,7 +23,7 @@ class Film:
     words: str = ""
 
 
-def film_sheet_png(clips: Sequence[Sequence[Film]], title: str, line: str) -> bytes:
+def film_sheet_png(clips: Sequence[Sequence[NamedFilm]], title: str, line: str) -> bytes:
     """Return a sheet: for each clip a row per method, the truth first, whose columns are the frames."""
     from PIL import Image, ImageDraw
 
@@ -48,7 +48,7 @@ def film_sheet_png(clips: Sequence[Sequence[Film]], title: str, line: str) -> by
     return png_bytes(sheet)
 
 
-def film_webp(films: Sequence[Film]) -> bytes:
+def film_webp(films: Sequence[NamedFilm]) -> bytes:
     """Return an animation of one clip: the methods side by side under their names, frame after frame."""
     from PIL import Image, ImageDraw
 

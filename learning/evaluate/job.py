@@ -15,7 +15,7 @@ from learning.config import EvaluateConfig
 from learning.data import check_dataset
 from learning.evaluate.curves import Curve, learning_curve
 from learning.evaluate.figures import Shown
-from learning.evaluate.films import Film
+from learning.evaluate.films import NamedFilm
 from learning.evaluate.methods import Entry, LearnedEntry, read_methods, says_scenes
 from learning.evaluate.outcome import Outcome, chosen_scenes, first_scenes, outcome
 from learning.evaluate.report import OWN_FILES, Evaluation, Findings, claim_folder, is_claimed, write_results
@@ -266,7 +266,7 @@ def _spread(config: EvaluateConfig, runner: Runner) -> list[int]:
     return spread_positions(len(runner.test), config.figures.montage)
 
 
-def _films(config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[Entry]]) -> list[list[Film]]:
+def _films(config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[Entry]]) -> list[list[NamedFilm]]:
     """Return evenly spread clips as they were and as the first seed of every method has them."""
     positions = _spread(config, runner)
     runs = [Run(seeds[0], config.data.stack) for seeds in methods]
@@ -275,10 +275,10 @@ def _films(config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[En
     examples, clips = runner.examples(None), []
     for at, position in enumerate(positions):
         frames = linear_to_srgb(examples[position].radiance, runner.cameras.test.white)
-        films = [Film("truth", np.moveaxis(frames.numpy(), 1, -1), runner.test.ids[position])]
+        films = [NamedFilm("truth", np.moveaxis(frames.numpy(), 1, -1), runner.test.ids[position])]
         for method, shown, scores in zip(config.methods, estimates, known, strict=True):
             words = f"{scores[position]['psnr']:.1f} dB, moving {scores[position]['moving_psnr']:.1f} dB"
-            films.append(Film(method.name, np.moveaxis(shown[at]["image"], 1, -1), words))
+            films.append(NamedFilm(method.name, np.moveaxis(shown[at]["image"], 1, -1), words))
         clips.append(films)
     return clips
 

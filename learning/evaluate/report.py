@@ -22,7 +22,7 @@ from learning.evaluate.figures import (
     stacks_png,
     times_png,
 )
-from learning.evaluate.films import Film, film_sheet_png, film_webp
+from learning.evaluate.films import NamedFilm, film_sheet_png, film_webp
 from learning.evaluate.outcome import SCORES, Outcome
 from learning.evaluate.paired import COMPARED, EXPLAINED, Difference, compare
 from learning.evaluate.scoring import Times
@@ -112,7 +112,7 @@ class Findings:
     times: Sequence[Times]
     montage: Sequence[Sequence[Shown]]
     columns: Sequence[str]
-    films: Sequence[Sequence[Film]] = ()
+    films: Sequence[Sequence[NamedFilm]] = ()
     groups: Mapping[str, Sequence[Outcome]] = field(default_factory=dict)
     curves: Sequence[Curve] = ()
 

@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from learning.evaluate.films import Film, film_sheet_png, film_webp
+from learning.evaluate.films import NamedFilm, film_sheet_png, film_webp
 
 
-def films(names: int, frames: int = 3) -> list[Film]:
+def films(names: int, frames: int = 3) -> list[NamedFilm]:
     """Return films whose frames are of one grey each, all different."""
     grey = np.arange(names * frames).reshape(names, frames) / (names * frames)
     shape = (frames, 16, 16, 3)
-    return [Film(f"method {n}", np.broadcast_to(grey[n][:, None, None, None], shape), "words") for n in range(names)]
+    return [
+        NamedFilm(f"method {n}", np.broadcast_to(grey[n][:, None, None, None], shape), "words") for n in range(names)
+    ]
 
 
 def test_the_sheet_has_a_row_per_method_and_a_column_per_frame() -> None:
