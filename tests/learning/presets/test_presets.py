@@ -239,9 +239,16 @@ FLATNET3D_PARTS = {
     **{"augment": "data", "cm": "loss", "clip": "data"},
 }
 VIDEONET_PARTS = {
-    **dict.fromkeys(("static", "slivers", "measnet", "static_measnet", "slivers_measnet", "unrefined"), "network"),
+    **dict.fromkeys(
+        ("static", "slivers", "measnet", "static_measnet", "slivers_measnet", "unrefined", "stack"), "network"
+    ),
     **{"l1": "loss", "change": "loss"},
 }
+
+
+def _unrolled(loop: re.Match[str]) -> str:
+    """Return the commands of bash's loop over seeds, one to a line."""
+    return "\n ".join(loop[2].replace("$seed", seed) for seed in loop[1].split())
 
 
 @pytest.mark.parametrize(
@@ -255,28 +262,26 @@ def test_each_ablation_changes_one_part_and_is_evaluated(
     config = load_file(EvaluateConfig, _written(preset, tmp_path))
     head = "\n".join(line[1:] for line in preset_texts()[preset].splitlines() if line.startswith("#"))
     (common,) = re.findall(r"ablate\(\) \{ flatlight train \S+ (.*) \"\$\{@:2\}\"; \}", head.replace("\\\n", " "))
-    trainings = re.findall(r"^ +ablate (\w+_\$seed) (.*)$", head.replace("\\\n", " "), flags=re.MULTILINE)
+    script = re.sub(r"for seed in ([\d ]+); do\s+(.*?);?\s+done", _unrolled, head.replace("\\\n", " "), flags=re.DOTALL)
     path = _written(f"{network}_64", tmp_path)
-    made: dict[tuple[str, int], TrainConfig | VideoTrainConfig] = {}
-    for name, words in trainings:
-        for seed in (0, 1):
-            overrides = shlex.split(f"{common} {words}".replace("$1", name).replace("$seed", str(seed)))[1::2]
-            made[name.removesuffix("_$seed"), seed] = load_file(training_kind, path, overrides)
-    for method, name in zip(config.methods, [name for name, seed in made if seed == 0], strict=True):
-        outputs = [made[name, seed].output for seed in (0, 1)]
-        assert method.checkpoints == [f"{output}/best.safetensors" for output in outputs]
-        assert [made[name, seed].seed for seed in (0, 1)] == [0, 1]
-        assert made[name, 0].steps == 2000
-    plain = made["preset", 0].dump()
-    assert {name for name, _ in made} == {"preset", "thesis", *parts}
+    made: dict[str, list[TrainConfig | VideoTrainConfig]] = {}
+    for name, words in re.findall(r"^ +ablate ([a-z]\S*) ?(.*)$", script, flags=re.MULTILINE):
+        training = load_file(training_kind, path, shlex.split(f"{common} {words}".replace("$1", name))[1::2])
+        assert training.steps == 2000
+        made.setdefault(re.sub(r"_\d$", "", name), []).append(training)
+    for method, trainings in zip(config.methods, made.values(), strict=True):
+        assert method.checkpoints == [f"{training.output}/best.safetensors" for training in trainings]
+        assert [training.seed for training in trainings] == list(range(len(trainings)))
+    plain = made["preset"][0].dump()
+    assert made.keys() == {"preset", "thesis", *parts}
     for name, part in parts.items():
-        changed = made[name, 0].dump()
+        changed = made[name][0].dump()
         assert {key for key in plain if changed[key] != plain[key]} == {"output", part}
         # VideoNet's start and MeasNet are changed together, too; so are refinements and repeats, a loss and its weight.
         keys = [key for key in plain[part] if changed[part][key] != plain[part][key]]
         assert len(keys) == 1 or network == "videonet"
     thesis = yaml.safe_load(preset_texts()[f"{network}_thesis"])
     known = (NetworkConfig if network == "flatnet3d" else VideoNetworkConfig)(**thesis["network"])
-    assert made["thesis", 0].network.numbers == known.numbers
+    assert made["thesis"][0].network.numbers == known.numbers
     for name in ("inversion_rate", "freeze_statistics"):
-        assert getattr(made["thesis", 0].optimiser, name) == thesis["optimiser"][name]
+        assert getattr(made["thesis"][0].optimiser, name) == thesis["optimiser"][name]
