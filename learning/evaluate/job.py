@@ -20,7 +20,7 @@ from learning.evaluate.methods import Entry, LearnedEntry, read_methods, says_sc
 from learning.evaluate.outcome import Outcome, chosen_scenes, first_scenes, outcome
 from learning.evaluate.report import OWN_FILES, Evaluation, Findings, claim_folder, is_claimed, write_results
 from learning.evaluate.runs import Cameras, ResultCache, Run, Runner
-from learning.evaluate.scoring import Constant, Criteria, Times, naive_baselines, score, take_times
+from learning.evaluate.scoring import Baseline, Criteria, Times, baselines, score, take_times
 from learning.method import Progress, Say, choose_device, describe_device, linear_to_srgb, torch_threads
 from learning.perceptual import LpipsDistance, available_lpips
 from learning.timing import recorded_timing
@@ -126,7 +126,7 @@ class Trial:
         examples, camera = runner.examples(None), self.cameras.assumed(self.methods[0][0], usual)
         naive = [
             (one, score(one, examples, criteria, device=device, batch=config.batch))
-            for one in naive_baselines(examples, camera, config.batch)
+            for one in baselines(examples, camera, config.batch)
         ]
         return Findings(
             config=config,
@@ -136,9 +136,9 @@ class Trial:
             edges_cm=criteria.edges_cm,
             methods=[_about(seeds, self.cameras.assumed(seeds[0], usual)) for seeds in self.methods],
             outcomes=outcomes,
-            naive=[outcome(one.name, "naive", [found], only=one.scores, note=one.best_in) for one, found in naive],
+            naive=[outcome(one.name, one.kind, [found], only=one.scores, note=one.best_in) for one, found in naive],
             naive_part=[
-                outcome(one.name, "naive", [first_scenes(found, part or len(test))], only=one.scores)
+                outcome(one.name, one.kind, [first_scenes(found, part or len(test))], only=one.scores)
                 for one, found in naive
             ],
             groups=self._groups(naive),
@@ -165,7 +165,7 @@ class Trial:
             f"{word}: {value}": [at for at, own in enumerate(values) if own == value] for value in sorted(set(values))
         }
 
-    def _groups(self, naive: Sequence[tuple[Constant, dict[str, Any]]]) -> dict[str, list[Outcome]]:
+    def _groups(self, naive: Sequence[tuple[Baseline, dict[str, Any]]]) -> dict[str, list[Outcome]]:
         """Return the rows of the table for each value of ``group_by`` alone, as stored."""
         groups: dict[str, list[Outcome]] = {}
         for title, places in self._places.items():
@@ -174,7 +174,7 @@ class Trial:
                 found = [self.runner.result(Run(entry, self.config.data.stack)) for entry in seeds]
                 rows.append(outcome(seeds[0].name, seeds[0].kind, [chosen_scenes(one, places) for one in found]))
             rows += [
-                outcome(one.name, "naive", [chosen_scenes(found, places)], only=one.scores) for one, found in naive
+                outcome(one.name, one.kind, [chosen_scenes(found, places)], only=one.scores) for one, found in naive
             ]
             groups[title] = rows
         return groups

@@ -77,7 +77,7 @@ def _spread(values: np.ndarray) -> float | None:
     return float(values.std(ddof=1))
 
 
-Kind = Literal["learned", "classical", "naive"]
+Kind = Literal["learned", "classical", "naive", "oracle"]
 OWN = "own"
 
 
@@ -87,7 +87,7 @@ class Outcome:
 
     Attributes:
         method: its name.
-        kind: learned, classical, or naive: an answer that looks at no measurement.
+        kind: learned, classical, or an answer that looks at no measurement: naive, or an oracle, which knows the truth.
         stack: how the PSFs that it assumed are named in the file; ``own`` for those that it always has.
         noise_db: level at which noise was drawn anew; None for measurements as stored.
         scores: mean and spreads by score, see `learning.metrics.measure`.

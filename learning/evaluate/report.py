@@ -93,7 +93,7 @@ class Findings:
         edges_cm: of the bins of depth.
         methods: what is known of each method and seed.
         outcomes: of all methods, PSFs and levels.
-        naive: of the naive baselines; ``naive_part`` on the scenes of noise levels and of compared PSFs.
+        naive: of what looks at no measurement; ``naive_part`` on the scenes of noise levels and of compared PSFs.
         times: seconds per scene; empty where none were taken.
         montage: for each scene shown the truth and every method, in the order of ``columns``; empty of clips.
         films: for each clip shown the same; empty of stills.
@@ -148,7 +148,7 @@ class Findings:
 
     @property
     def levels(self) -> dict[str, list[Outcome]]:
-        """Every method at each further level of noise, by a title for it, with the naive baselines."""
+        """Every method at each further level of noise, by a title for it, with what looks at no measurement."""
         levels = sorted({one.noise_db for one in self.ablation if one.noise_db is not None})
         return {
             f"{level:g} dB": [*(one for one in self.ablation if one.noise_db == level), *self.naive_part]
@@ -274,8 +274,8 @@ def how(evaluation: Evaluation) -> str:
     )
     told = any("depth_rmse_cm" in one.scores for one in rows)
     return (
-        f"Mean ± standard deviation over scenes{brackets}; the best of each column is bold; naive baselines are in "
-        f"italics.{depth if told else ''} SSIM: {SSIM_DEFINITION}. "
+        f"Mean ± standard deviation over scenes{brackets}; the best of each column is bold; what looks at no measurement "
+        f"is in italics.{depth if told else ''} SSIM: {SSIM_DEFINITION}. "
         f"{evaluation.perceptual[0].upper()}{evaluation.perceptual[1:]}."
     )
 

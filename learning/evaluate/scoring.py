@@ -1,7 +1,8 @@
-"""One method on all test scenes: scores, squared depth errors by bin of true depth, naive baselines, seconds per stage."""
+"""One method on all test scenes: scores, squared depth errors by bin of true depth, seconds per stage; what to beat."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
@@ -14,6 +15,7 @@ from torch.utils.data import default_collate
 from learning.camera import CaptureModel
 from learning.data import Example, ExampleSet
 from learning.evaluate.motion import sliver_motion, warping_error
+from learning.evaluate.outcome import Kind
 from learning.method import Clock, Estimate, Method, linear_to_srgb
 from learning.metrics import dark_mask, depth_scores, measure
 from learning.perceptual import LpipsDistance
@@ -41,8 +43,31 @@ class Criteria:
         return {"edges_cm": self.edges_cm, "dark_share": self.dark_share, **packages}
 
 
+@dataclass(eq=False)
+class Baseline(ABC):
+    """An answer to all scenes that looks at no measurement.
+
+    Attributes:
+        name: in tables.
+        capture: the camera whose white and depths count.
+        kind: naive, or an oracle, which knows the truth.
+        scores: those that it is an answer to.
+        best_in: in what no other answer of its kind is better.
+    """
+
+    name: str
+    capture: CaptureModel
+    kind: Kind
+    scores: tuple[str, ...]
+    best_in: str
+
+    @abstractmethod
+    def answer(self, example: Example) -> Estimate:
+        """Return the answer to a batch of scenes, on its device."""
+
+
 def score(
-    method: Method,
+    method: Method | Baseline,
     examples: ExampleSet,
     criteria: Criteria,
     *,
@@ -52,7 +77,7 @@ def score(
     progress: ScenesDone = lambda _: None,
     keep: Callable[[dict[str, list[Any]]], object] = lambda _: None,
 ) -> dict[str, list[Any]]:
-    """Run a method over all scenes; depth counts where something was seen.
+    """Judge a method or a baseline on all scenes; depth counts where something was seen.
 
     ``keep`` gets after each batch what was found so far, from which another call goes on as ``begun``; ``progress`` gets the
     number of scenes that were done.
@@ -65,7 +90,10 @@ def score(
     if found["scores"]:
         progress(len(found["scores"]))
     for first, example in batches(examples, batch, device, len(found["scores"])):
-        estimate = checked(method, method.reconstruct(example.measurement), examples, first)
+        if isinstance(method, Baseline):
+            estimate = method.answer(example)
+        else:
+            estimate = checked(method, method.reconstruct(example.measurement), examples, first)
         how: Any = {"lpips": criteria.lpips, "cvvdp": criteria.cvvdp, "pixels": example.valid}
         scenes = measure(estimate, example, method.capture, **how)
         if examples.timing is not None:
@@ -139,33 +167,36 @@ DISPARITY_SCORES = ("disparity_rmse", "disparity_rmse_per_m")
 
 
 @dataclass(eq=False)
-class Constant:
-    """A method that gives the same answer to everything; see `learning.method.Method`.
+class Constant(Baseline):
+    """Always the same: ``image`` has sRGB codes ``(3, h, w)``, ``disparity`` ``(1, h, w)``; of clips with a leading N."""
 
-    ``image`` has sRGB codes ``(3, h, w)``, ``disparity`` ``(1, h, w)``, of clips with a leading N; ``scores`` are those that
-    it is an answer to, and ``best_in`` says in what no other answer of its kind is better.
-    """
-
-    name: str
-    capture: CaptureModel
     image: Tensor
     disparity: Tensor
-    scores: tuple[str, ...]
-    best_in: str
 
-    def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
-        """Return the answer, as often as there are measurements."""
-        many, device = len(measurement), measurement.device
+    def answer(self, example: Example) -> Estimate:
+        """Return it as often as there are scenes."""
+        many, device = len(example.measurement), example.measurement.device
         every = (each.to(device)[None].repeat(many, *[1] * each.ndim) for each in (self.image, self.disparity))
         return Estimate(*every)
 
 
-def naive_baselines(examples: ExampleSet, capture: CaptureModel, batch: int) -> list[Constant]:
+@dataclass(eq=False)
+class LongExposure(Baseline):
+    """Each clip's true light, averaged over the capture: a film that stands still, which no method could make sharper."""
+
+    def answer(self, example: Example) -> Estimate:
+        """Return the mean of the true frames, in linear light, for every frame."""
+        mean = example.radiance.mean(dim=1, keepdim=True).expand_as(example.radiance)
+        return Estimate(linear_to_srgb(mean, self.capture.white), torch.zeros_like(mean[:, :, :1]))
+
+
+def baselines(examples: ExampleSet, capture: CaptureModel, batch: int) -> list[Baseline]:
     """Return the best constant depth, the best constant disparity, the mean image, and black, all of these scenes.
 
     Over all that was seen, no constant has a smaller root mean square error in cm than the mean depth, and none in disparity
     than the mean disparity, which is another depth. Where the camera knows one depth, there is none to guess; of clips the
-    mean and black are films.
+    mean and black are films, and there is an oracle: a perfect long exposure. A method that is better on moving pixels tells
+    when things were where.
     """
     depth_m, disparity, image = (torch.zeros(1, dtype=torch.float64) for _ in range(3))
     seen = 0
@@ -186,18 +217,23 @@ def naive_baselines(examples: ExampleSet, capture: CaptureModel, batch: int) -> 
     of_codes = "no one image has a smaller mean square error of sRGB codes over these scenes"
     nothing = "best in nothing: the answer of a method that detects no light"
     what = "image" if examples.timing is None else "film"
-    images = [
-        Constant(f"mean {what}", capture, mean_image, far, IMAGE_SCORES, of_codes.replace("image", what)),
-        Constant("black", capture, black, far, IMAGE_SCORES, nothing),
+
+    def constant(name: str, scores: tuple[str, ...], best_in: str, image: Tensor, disparity: Tensor) -> Constant:
+        return Constant(name, capture, "naive", scores, best_in, image, disparity)
+
+    found: list[Baseline] = [
+        constant(f"mean {what}", IMAGE_SCORES, of_codes.replace("image", what), mean_image, far),
+        constant("black", IMAGE_SCORES, nothing, black, far),
     ]
+    if examples.timing is not None:
+        of_still = "no film that stands still has a smaller mean square error of linear light"
+        found = [LongExposure("perfect long exposure", capture, "oracle", IMAGE_SCORES, of_still), *found]
     if len(capture.stack.depths_m) < 2:
-        return images
+        return found
     return [
-        Constant(f"constant depth ({100 * mean_m.item():.2f} cm)", capture, black, of_depth, DEPTH_SCORES, of_cm),
-        Constant(
-            f"constant disparity ({nearer_cm:.2f} cm)", capture, black, of_disparity, DISPARITY_SCORES, of_inverse
-        ),
-        *images,
+        constant(f"constant depth ({100 * mean_m.item():.2f} cm)", DEPTH_SCORES, of_cm, black, of_depth),
+        constant(f"constant disparity ({nearer_cm:.2f} cm)", DISPARITY_SCORES, of_inverse, black, of_disparity),
+        *found,
     ]
 
 

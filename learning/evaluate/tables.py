@@ -225,7 +225,7 @@ def _titles(names: Sequence[str]) -> list[str]:
 def _name(one: Outcome) -> str:
     if one.seed is not None:
         return f"↳ seed {one.seed}"
-    return f"*{one.method}*" if one.kind == "naive" else one.method
+    return f"*{one.method}*" if one.kind in ("naive", "oracle") else one.method
 
 
 def _share(one: Outcome, whole_cm: float | None) -> str:
@@ -241,9 +241,10 @@ def _rank(one: Outcome, score: str) -> float:
 
 
 def _best(names: Sequence[str], outcomes: Sequence[Outcome]) -> dict[str, float]:
-    """Return the best mean of each score of which there is one."""
+    """Return the best mean of each score of which there is one; an oracle is no rival."""
     ranked = [name for name in names if SCORES[name][2] is not None]
-    means = {name: [one.scores[name].mean for one in outcomes if name in one.scores] for name in ranked}
+    rivals = [one for one in outcomes if one.kind != "oracle"]
+    means = {name: [one.scores[name].mean for one in rivals if name in one.scores] for name in ranked}
     return {name: (max if SCORES[name][2] else min)(values) for name, values in means.items() if values}
 
 

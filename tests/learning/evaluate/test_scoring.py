@@ -17,7 +17,7 @@ from learning.data import Example, ExampleSet
 from learning.evaluate import scoring
 from learning.evaluate.motion import SliverMotion
 from learning.evaluate.outcome import outcome
-from learning.evaluate.scoring import Criteria, naive_baselines, score, take_times
+from learning.evaluate.scoring import Criteria, baselines, score, take_times
 from learning.method import Clock, Estimate, describe_device
 from simulator.colour import linear_to_srgb
 from simulator.dataset.reader import open_dataset
@@ -170,9 +170,9 @@ def test_naive_baselines_are_what_hand_computation_gives(tiny_dataset: Path, tin
     test = open_dataset(tiny_dataset, "test")
     examples = ExampleSet(test)
     criteria = Criteria((1.0, 20.0))
-    baselines = naive_baselines(examples, tiny_camera, 3)
-    found = [score(one, examples, criteria, device=CPU, batch=5) for one in baselines]
-    rows = [outcome(one.name, "naive", [each], only=one.scores) for one, each in zip(baselines, found, strict=True)]
+    naive = baselines(examples, tiny_camera, 3)
+    found = [score(one, examples, criteria, device=CPU, batch=5) for one in naive]
+    rows = [outcome(one.name, one.kind, [each], only=one.scores) for one, each in zip(naive, found, strict=True)]
     frames = [test.stored(position).frame(0) for position in range(len(test))]
     depth_cm = np.stack([100 * frame.depth_m.astype(np.float64) for frame in frames])
     valid = np.stack([frame.valid for frame in frames])

@@ -96,6 +96,12 @@ def test_a_matrix_has_a_column_for_each_level_and_a_row_for_each_seed() -> None:
         ["↳ seed 1", "–", "21.00 ± 1.41"],
         ["↳ seed 2", "–", "24.00 ± 1.41"],
     ]
+    # An oracle is shown, but is no rival.
+    oracle = replace(mean, method="oracle", kind="oracle", scores={"psnr": summarise([[40.0, 40.0]])})
+    assert _rows(tables.markdown_matrix("psnr", {"20 dB": [black, oracle]}))[2:] == [
+        ["*oracle*", "40.00 ± 0.00"],
+        ["*black*", "**5.00 ± 0.00**"],
+    ]
     # Of clips in which nothing moves, none has a PSNR of moving pixels.
     still = {"moving": [_at(20, 10, 20)], "still": [replace(_at(20, 10, 20), scores={})]}
     assert _rows(tables.markdown_matrix("psnr", still))[2:] == [["CLS", "**11.00 ± 1.41**", "–"]]
