@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import version
 from typing import Any
 
@@ -35,11 +38,27 @@ class VideoQuality:
         """Return the JOD ``(B,)`` of films ``(B, N, 3, h, w)``, sRGB codes 0..1."""
         pairs = zip(film.float(), truth.float(), strict=True)
         rates = {"dim_order": "FCHW", "frames_per_second": FRAMES_PER_SECOND}
-        return torch.stack([self._metric.predict(one, other, **rates)[0] for one, other in pairs]).cpu()
+        with _black_is_no_mistake():
+            return torch.stack([self._metric.predict(one, other, **rates)[0] for one, other in pairs]).cpu()
 
     def record(self) -> dict[str, Any]:
         """Return what a table of results must say of this metric."""
         return {"cvvdp": version("cvvdp"), "frames_per_second": FRAMES_PER_SECOND, "ppd": PIXELS_PER_DEGREE}
+
+
+@contextmanager
+def _black_is_no_mistake() -> Iterator[None]:
+    """Keep the package from warning of each film that is black for the most part, as if its unit were wrong."""
+
+    def heard(record: logging.LogRecord) -> bool:
+        return "absolute photometric units" not in record.getMessage()
+
+    root = logging.getLogger()
+    root.addFilter(heard)
+    try:
+        yield
+    finally:
+        root.removeFilter(heard)
 
 
 def available_video_quality(device: torch.device | str = "cpu") -> tuple[VideoQuality | None, str]:

@@ -17,7 +17,7 @@ def test_without_the_package_there_is_a_reason(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.slow  # importing the package takes 8 s
-def test_noise_that_changes_is_seen_less_than_the_same_at_rest() -> None:
+def test_noise_that_changes_is_seen_less_than_the_same_at_rest(caplog: pytest.LogCaptureFixture) -> None:
     """The eye averages it; a PSNR does not tell them apart. Equal films have the scale's end, 10."""
     pytest.importorskip("pycvvdp", reason="needs the package cvvdp: group bench")
     metric = VideoQuality()
@@ -29,6 +29,8 @@ def test_noise_that_changes_is_seen_less_than_the_same_at_rest() -> None:
     at_rest, changed = metric(torch.cat([still, changing]), truth.expand(2, -1, -1, -1, -1)).tolist()
     assert 0 < at_rest < changed < 10
     assert metric.record()["frames_per_second"] == 5
+    assert metric(0 * truth, 0 * truth).tolist() == [10.0]
+    assert not caplog.records  # black is no film in the wrong unit
     # As the package's own command would be called for such a display
     import pycvvdp
     from pycvvdp.display_model import vvdp_display_geometry
