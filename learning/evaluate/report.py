@@ -157,9 +157,10 @@ class Findings:
 
     @cached_property
     def differences(self) -> dict[str, list[Difference]]:
-        """The paired differences from the reference, as stored and at each further level of noise; empty for one method."""
+        """The paired differences from the reference, as stored, by group and level of noise; empty for one method."""
         reference = self.config.reference or self.config.methods[0].name
-        cases = {f"stored ({self.stored_db:.0f} dB)": self.main} | dict(self.groups) | self.levels
+        stored = {f"stored ({self.stored_db:.0f} dB)": [*self.main, *self.naive]}
+        cases = stored | dict(self.groups) | self.levels
         methods = {title: [one for one in outcomes if one.kind != "naive"] for title, outcomes in cases.items()}
         found = {title: compare(reference, judged, self.config.seed) for title, judged in methods.items()}
         return found if len(self.config.methods) > 1 else {}

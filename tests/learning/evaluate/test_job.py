@@ -114,6 +114,8 @@ def test_clips_are_judged_frame_by_frame_and_by_group(load: Load, tmp_path: Path
     oracle = next(one for one in found.groups["parity: 0"] if one.kind == "oracle")
     gain = psnr[0] - oracle.scores["psnr"].mean
     assert pairs["joint", "perfect long exposure"] == pytest.approx(gain, rel=1e-4)
+    compared = [{one.other for one in differences} for differences in found.differences.values()]
+    assert compared == 4 * [{"static", "perfect long exposure"}]  # as stored, of both parities, at 30 dB
     text = (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
     for words in ("4 slivers", "one plane at 5 cm", "## Parity: 0", "moving PSNR dB", "films.webp"):
         assert words in text
