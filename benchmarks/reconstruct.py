@@ -1,6 +1,7 @@
 """Seconds per scene and stage, and memory, of the networks and the classical methods, of stills or clips, on one device.
 
-    uv run --extra learn python benchmarks/reconstruct.py DATASET [--tuned tuned.json] [--device cuda] [--repeats 7]
+    uv run --extra learn python benchmarks/reconstruct.py DATASET [--tuned tuned.json] [--fitted N] \
+        [--device cuda] [--repeats 7]
 
 Learned weights cost what random ones do, so the presets' networks are built for the data set's camera as they come. The
 classical methods take the parameters and the number of iterations that `flatlight tune` found, or their defaults. All share
@@ -61,7 +62,9 @@ def builders(capture: CaptureModel, chosen: argparse.Namespace) -> dict[str, Cal
         if name in FITTED and not chosen.fitted:
             continue
         parameters, where = ALL_DEFAULTS[name], "by default"
-        if chosen.tuned is not None:
+        if name in FITTED:
+            parameters = parameters | {"iterations": chosen.fitted}
+        elif chosen.tuned is not None:
             parameters, level = load_tuned(chosen.tuned).parameters(name, chosen.noise_db)
             where = f"tuned at {level:g} dB"
         if not chosen.only:
@@ -84,7 +87,11 @@ def main() -> None:
     parser.add_argument("--size", default="compact")
     parser.add_argument("--device", default="cpu")
     parser.add_argument(
-        "--fitted", action="store_true", help="also methods that are fitted to each capture: minutes each"
+        "--fitted",
+        type=int,
+        default=0,
+        metavar="N",
+        help="also N iterations of methods that are fitted to each capture",
     )
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--only", help=argparse.SUPPRESS)

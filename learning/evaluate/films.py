@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.plots.drawing import INK, PAPER, animation_webp, fitted, font, png_bytes, resized
+from simulator.plots.drawing import INK, PAPER, animation_webp, fitted, font, png_bytes, resized, wrapped
 
 _TILE, _GAP, _WORDS, _HEAD, _NAMES, _MARGIN = 72, 4, 16, 48, 190, 10  # pixels
 _ANIMATED = 160
@@ -48,23 +48,28 @@ def film_sheet_png(clips: Sequence[Sequence[NamedFilm]], title: str, line: str) 
     return png_bytes(sheet)
 
 
-def film_webp(films: Sequence[NamedFilm]) -> bytes:
-    """Return an animation of one clip: the methods side by side under their names, frame after frame."""
+def film_webp(clips: Sequence[Sequence[NamedFilm]]) -> bytes:
+    """Return an animation: for each clip a row, the methods side by side under their names, frame after frame."""
     from PIL import Image, ImageDraw
 
-    rows, columns = films[0].frames.shape[1:3]
+    first = clips[0]
+    frames, rows, columns = first[0].frames.shape[:3]
     height = max(_ANIMATED // rows, 1) * rows
     width = max(1, round(columns * height / rows))
-    pictures = []
-    for number in range(len(films[0].frames)):
-        size = (_MARGIN + len(films) * (width + _MARGIN), height + 2 * _MARGIN + _WORDS)
-        picture = Image.new("RGB", size, PAPER)
+    names = [wrapped(film.name, 12, width) for film in first]
+    head = _GAP + _WORDS * max(len(lines) for lines in names)
+    size = (_MARGIN + len(first) * (width + _MARGIN), head + len(clips) * (height + _MARGIN))
+    pictures = [Image.new("RGB", size, PAPER) for _ in range(frames)]
+    for number, picture in enumerate(pictures):
         draw = ImageDraw.Draw(picture)
-        for at, film in enumerate(films):
-            x = _MARGIN + at * (width + _MARGIN)
-            draw.text((x, 4), fitted(film.name, 12, width), fill=INK, font=font(12))
-            picture.paste(resized(_codes(film.frames[number]), height), (x, _WORDS + _MARGIN))
-        pictures.append(picture)
+        for column in range(len(first)):
+            x = _MARGIN + column * (width + _MARGIN)
+            for line, words in enumerate(names[column]):
+                draw.text((x, _GAP + line * _WORDS), words, fill=INK, font=font(12))
+            for row, films in enumerate(clips):
+                picture.paste(
+                    resized(_codes(films[column].frames[number]), height), (x, head + row * (height + _MARGIN))
+                )
     return animation_webp(pictures)
 
 

@@ -356,7 +356,7 @@ def _figures(evaluation: Evaluation, name: str) -> dict[str, bytes]:
     if findings.films:
         title = ": ".join(filter(None, [evaluation.config.name, name]))
         figures[FILMS] = film_sheet_png(findings.films, title, f"white = radiance {findings.camera.white:.3g}")
-        figures[ANIMATION] = film_webp(findings.films[0])
+        figures[ANIMATION] = film_webp(findings.films)
     if findings.montage:
         camera = findings.camera
         line = f"white = radiance {camera.white:.3g}; depth z {depth_range(camera.near_m, camera.far_m)}"
@@ -420,7 +420,7 @@ def _sections(findings: Findings, evaluation: Evaluation, name: str, heading: st
         f"{heading} Further scores",
         markdown_further(rows),
         f"{heading} Scenes\n\n{shown('truth and estimates', MONTAGE)}" if findings.montage else "",
-        f"{heading} Films\n\n{shown('one clip', ANIMATION)}\n\n{shown('films', FILMS)}" if findings.films else "",
+        f"{heading} Films\n\n{shown('animation', ANIMATION)}\n\n{shown('films', FILMS)}" if findings.films else "",
     ]
     for title, group in findings.groups.items():
         parts += [f"{heading} {title[0].upper()}{title[1:]}", f"{group[0].scenes} scenes.", markdown_table(group, {})]

@@ -37,6 +37,18 @@ def fitted(text: str, size: int, width: int) -> str:
     return f"{text.rstrip()}…"
 
 
+def wrapped(text: str, size: int, width: int) -> list[str]:
+    """Return a text in lines of at most ``width`` pixels, broken between words; a longer word is shortened."""
+    lines: list[str] = []
+    for word in text.split():
+        longer = f"{lines[-1]} {word}" if lines else ""
+        if longer and font(size).getlength(longer) <= width:
+            lines[-1] = longer
+        else:
+            lines.append(fitted(word, size, width))
+    return lines
+
+
 def white_level(images: Iterable[NDArray[np.float32]]) -> float:
     """Return the radiance that a set of images shows as white; 1 where all is black."""
     lit = np.concatenate([image[image > 0] for image in images])

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from learning.evaluate.films import NamedFilm, film_sheet_png, film_webp
+from simulator.plots.drawing import fitted, font, wrapped
 
 
 def films(names: int, frames: int = 3) -> list[NamedFilm]:
@@ -35,11 +36,24 @@ def test_the_sheet_has_a_row_per_method_and_a_column_per_frame() -> None:
     assert max(down[:3]) < min(down[3:])  # methods from top to bottom
 
 
-def test_the_animation_has_every_frame_of_every_method() -> None:
-    with Image.open(io.BytesIO(film_webp(films(2)))) as animation:
+def test_the_animation_has_every_frame_of_every_method_of_each_clip() -> None:
+    with Image.open(io.BytesIO(film_webp([films(2), films(2)[::-1]]))) as animation:
         assert animation.n_frames == 3
         for number in range(3):
             animation.seek(number)
             page = np.asarray(animation.convert("L")).astype(int)
-            for value in (number / 6, (number + 3) / 6):
-                assert np.count_nonzero(np.abs(page - round(value * 255)) <= 3) > 0.9 * 160 * 160
+            first, second = number / 6, (number + 3) / 6
+            for value, row, column in ((first, 0, 0), (second, 0, 1), (second, 1, 0), (first, 1, 1)):
+                tile = page[20 + row * 170 :, 10 + column * 170 :][:160, :160]
+                assert np.count_nonzero(np.abs(tile - round(value * 255)) <= 3) > 0.9 * 160 * 160
+
+
+def test_a_long_name_above_the_animation_takes_several_lines() -> None:
+    """No letter of it is lost: the head grows by a line of 16 pixels."""
+    long = [NamedFilm("plug-and-play over frames, from VideoNet", film.frames) for film in films(2)]
+    with Image.open(io.BytesIO(film_webp([long]))) as animation, Image.open(io.BytesIO(film_webp([films(2)]))) as short:
+        assert animation.height == short.height + 16
+    lines = wrapped(long[0].name, 12, 160)
+    assert " ".join(lines) == long[0].name
+    assert all(font(12).getlength(line) <= 160 for line in lines)
+    assert wrapped("unbreakable", 12, 30) == [fitted("unbreakable", 12, 30)]
