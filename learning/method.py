@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from simulator.errors import InputError
@@ -139,6 +139,18 @@ def choose_device(wanted: str) -> torch.device:
 
 WORTH_THREADS = 2**20
 """Numbers in an array from which on several threads pay; see `threads_for`."""
+
+
+@contextmanager
+def inference(network: nn.Module) -> Iterator[None]:
+    """Apply a network without gradients, its batch normalisation by what training saw; its mode is restored afterwards."""
+    training = network.training
+    network.eval()
+    try:
+        with torch.no_grad():
+            yield
+    finally:
+        network.train(training)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from learning.checkpoint import save_denoiser
 from learning.config import DenoiserConfig
 from learning.data import Loader
 from learning.distributed import Processes
-from learning.method import Progress, Say, linear_to_srgb
+from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.models.denoiser import NOISE_RANGE, Denoiser, DenoisingLoss
 from learning.pictures import NoisyPicture, Pictures
 from learning.training_loop import Plan, Training, TrainResult, find_cache, open_splits, run
@@ -68,8 +68,7 @@ class DenoiserTraining(Training[NoisyPicture]):
     def _metrics(self, batches: Loader[NoisyPicture]) -> dict[str, float]:
         """Return means over the validation pictures: the loss, PSNR of linear light before and after, and the score."""
         sums, count = torch.zeros(3, dtype=torch.float64, device=self._group.device), 0
-        self._network.eval()
-        with torch.inference_mode():
+        with inference(self._network):
             for batch in batches:
                 example = to_device(batch, self._group.device)
                 found = self._denoised(self._network, example)
@@ -77,7 +76,6 @@ class DenoiserTraining(Training[NoisyPicture]):
                 psnrs = [_psnr_db(each, example.clean).sum() for each in (found, example.noisy)]
                 sums += torch.stack([total, *psnrs])
                 count += len(found)
-        self._network.train()
         sums = self._group.add(sums)
         every = float(self._group.add(sums.new_tensor(count)))
         total, psnr_db, noisy_db = (sums / every).tolist()

@@ -16,7 +16,7 @@ from learning.clip_examples import ClipExample, ClipExamples
 from learning.clip_loss import ClipLoss
 from learning.config import VideoTrainConfig
 from learning.data import ExampleSet, Loader
-from learning.method import Progress, Say, linear_to_srgb
+from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.metrics import moving_pixels, psnr, psnr_at
 from learning.models.videonet import Film, VideoNet
 from learning.train import NetworkTraining
@@ -92,8 +92,7 @@ class VideoTraining(NetworkTraining[ClipExample]):
         """
         sums: dict[str, float] = {}
         counts: dict[str, int] = {}
-        self._network.eval()
-        with torch.inference_mode():
+        with inference(self._network):
             for batch in batches:
                 example = to_device(batch, self._group.device)
                 film = self._film(self._network, example)
@@ -104,7 +103,6 @@ class VideoTraining(NetworkTraining[ClipExample]):
                     known = value[~value.isnan()] if name == "moving_psnr_db" else value
                     sums[name] = sums.get(name, 0.0) + float(known.double().sum())
                     counts[name] = counts.get(name, 0) + len(known)
-        self._network.train()
         both = torch.tensor([list(sums.values()), list(counts.values())], dtype=torch.float64)
         summed = self._group.add(both.to(self._group.device))
         found = {name: float(total / of) for name, (total, of) in zip(sums, summed.T, strict=True) if of}
@@ -112,10 +110,8 @@ class VideoTraining(NetworkTraining[ClipExample]):
 
     def _drawn(self, example: ClipExample) -> NDArray[np.uint8]:
         """Return an image: of each clip a row of its true frames, and below it one of the estimated."""
-        self._network.eval()
-        with torch.inference_mode():
+        with inference(self._network):
             film = self._film(self._network, example)
-        self._network.train()
         truth = linear_to_srgb(example.radiance, self._capture.white)
         rows = [row for pair in zip(truth, film.image.clamp(0, 1), strict=True) for row in pair]
         sheet = torch.cat([torch.cat(list(row), dim=-1) for row in rows], dim=-2)

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from learning.camera import CaptureModel
 from learning.data import Example, Item
 from learning.distributed import Precision, Processes
-from learning.method import Estimate, linear_to_srgb
+from learning.method import Estimate, inference, linear_to_srgb
 from learning.metrics import depth_scores
 from simulator.io.files import storage_errors, write_atomic
 
@@ -65,12 +65,11 @@ def validate(
     The score, by which the best checkpoint is chosen, is made of what is reported: PSNR minus the depth error's decibels, so
     that halving either error is worth as much. PSNR is of sRGB codes, clamped. The depth's error is that of
     `learning.metrics.depth_scores` at valid pixels; a scene without any counts in the other numbers only. The processes
-    share the scenes. The network is left in training mode.
+    share the scenes.
     """
-    network.eval()
     sums: dict[str, float] = {}
     counts: dict[str, int] = {}
-    with torch.inference_mode():
+    with inference(network):
         for batch in batches:
             example = to_device(batch, group.device)
             estimate = precision.estimate(network, example.measurement)
@@ -81,7 +80,6 @@ def validate(
             for name, value in values.items():
                 sums[name] = sums.get(name, 0.0) + float(value.double().sum())
                 counts[name] = counts.get(name, 0) + len(value)
-    network.train()
     both = torch.tensor([list(sums.values()), list(counts.values())], dtype=torch.float64, device=group.device)
     means = torch.div(*group.add(both)).tolist()
     found = dict(zip(sums, means, strict=True))
@@ -96,16 +94,11 @@ def _errors(estimate: Estimate, truth: Estimate, example: Example, capture: Capt
 
 
 def draw(network: nn.Module, example: Example, capture: CaptureModel, *, precision: Precision) -> NDArray[np.uint8]:
-    """Return an image ``(rows, columns, 3)``: a row per scene, with the truth and the estimate of image and of depth.
-
-    The network is left in training mode.
-    """
+    """Return an image ``(rows, columns, 3)``: a row per scene, with the truth and the estimate of image and of depth."""
     from simulator.plots.drawing import depth_colours
 
-    network.eval()
-    with torch.inference_mode():
+    with inference(network):
         estimate = precision.estimate(network, example.measurement).clamped()
-    network.train()
     both = (true_estimate(example, capture), estimate)
     rows = []
     for scene in range(len(example.measurement)):

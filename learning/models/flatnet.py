@@ -21,7 +21,7 @@ from learning.layers.naf import NafNet
 from learning.layers.noise import level_image, noise_ratio
 from learning.layers.padding import check_measurement
 from learning.layers.unet import UNet
-from learning.method import Clock, Estimate, check_choices, linear_to_srgb
+from learning.method import Clock, Estimate, check_choices, inference, linear_to_srgb
 from learning.models.refinement import MOST_RADIANCE, PlaneChoice, Refinement, Surface
 from simulator.errors import InputError
 
@@ -279,15 +279,10 @@ class LearnedMethod:
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
         """Return the estimate of measurements ``(B, C, H, W)``; stages ``inversion``, ``network`` and ``refinement``."""
         clock = clock or Clock(measurement.device)
-        training = self.network.training
-        self.network.eval()  # batch normalisation by what training saw, not by this batch
-        try:
-            with torch.no_grad():
-                with clock.stage("inversion"):
-                    inverted = self.network.invert(measurement)
-                with clock.stage("network"):
-                    surface = self.network.enhance(inverted)
-                with clock.stage("refinement" if self.network.refinements else "network"):
-                    return self.network.refine(surface, inverted)
-        finally:
-            self.network.train(training)
+        with inference(self.network):
+            with clock.stage("inversion"):
+                inverted = self.network.invert(measurement)
+            with clock.stage("network"):
+                surface = self.network.enhance(inverted)
+            with clock.stage("refinement" if self.network.refinements else "network"):
+                return self.network.refine(surface, inverted)

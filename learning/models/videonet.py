@@ -23,7 +23,7 @@ from learning.layers.noise import level_image, noise_ratio
 from learning.layers.padding import check_measurement
 from learning.layers.space_time import JOINT, JointLeastSquares
 from learning.layers.unet import UNet
-from learning.method import Clock, Estimate, check_choices, linear_to_srgb, srgb_to_linear, threads_for
+from learning.method import Clock, Estimate, check_choices, inference, linear_to_srgb, srgb_to_linear, threads_for
 from learning.models.refinement import MOST_RADIANCE
 from simulator.errors import InputError
 
@@ -319,16 +319,11 @@ class VideoMethod:
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
         """Return the frames of measurements ``(B, C, H, W)``; stages ``joint`` where it begins so, and ``network``."""
         clock = clock or Clock(measurement.device)
-        training = self.network.training
-        self.network.eval()  # batch normalisation by what training saw, not by this batch
-        try:
-            with torch.no_grad():
-                start = None
-                if self.network.joint is not None:
-                    with clock.stage("joint"), threads_for(measurement[0].numel() * self.capture.frames):
-                        start = self.network.begin(measurement)
-                with clock.stage("network"):
-                    image = self.network(measurement, start).image
-        finally:
-            self.network.train(training)
+        with inference(self.network):
+            start = None
+            if self.network.joint is not None:
+                with clock.stage("joint"), threads_for(measurement[0].numel() * self.capture.frames):
+                    start = self.network.begin(measurement)
+            with clock.stage("network"):
+                image = self.network(measurement, start).image
         return Estimate(image, torch.zeros_like(image[:, :, :1]))
