@@ -232,17 +232,20 @@ def baselines(examples: ExampleSet, capture: CaptureModel, batch: int) -> list[B
     def constant(name: str, scores: tuple[str, ...], best_in: str, image: Tensor, disparity: Tensor) -> Constant:
         return Constant(name, capture, "naive", scores, best_in, image, disparity)
 
+    def still(name: str, best: str, *, of_light: bool) -> StillFilm:
+        best_in = f"no film that stands still has {best}"
+        return StillFilm(name, capture, "oracle", IMAGE_SCORES, best_in, of_light=of_light)
+
     found: list[Baseline] = [
         constant(f"mean {what}", IMAGE_SCORES, of_codes.replace("image", what), mean_image, far),
         constant("black", IMAGE_SCORES, nothing, black, far),
     ]
     if examples.timing is not None:
-        for name, of_light, best in (
-            ("best still film", False, "a better PSNR, of all or of moving pixels"),
-            ("perfect long exposure", True, "a smaller mean square error of linear light"),
-        ):
-            best = f"no film that stands still has {best}"
-            found = [StillFilm(name, capture, "oracle", IMAGE_SCORES, best, of_light=of_light), *found]
+        found = [
+            still("perfect long exposure", "a smaller mean square error of linear light", of_light=True),
+            still("best still film", "a better PSNR, of all or of moving pixels", of_light=False),
+            *found,
+        ]
     if len(capture.stack.depths_m) < 2:
         return found
     return [
