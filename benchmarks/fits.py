@@ -6,7 +6,8 @@
 
 TEST is a data set of clips; of its test split the first scenes of each background are taken, as many of each, as stored.
 The methods know the PSFs of TRAINING. Fits take minutes to hours; their states lie in FOLDER, and the same call goes on
-from there. One thread. Scores are means over the captures, also by background; seconds are per capture.
+from there. One thread. Scores are means over the captures, also by background; seconds are per capture. Of each fit, the
+residual at each mark is told in units of the noise in that capture: below 1 it explains the noise, too.
 """
 
 from __future__ import annotations
@@ -70,6 +71,7 @@ def main() -> None:
         parser.error(f"--scenes: got {chosen.scenes}, expected at least one of each: {', '.join(kinds)}")
     places = [at for kind in kinds for at in [at for at, each in enumerate(backgrounds) if each == kind][:share]]
     every, groups = ExampleSet(test), [backgrounds[at] for at in places]
+    both = {test.ids[at]: test.stored(at).measurement() for at in places}
     examples = {test.ids[at]: Example(*default_collate([tuple(every[at])])) for at in places}
 
     def judge(title: str, image: Iterable[Tensor], seconds: Iterable[float]) -> None:
@@ -96,11 +98,14 @@ def main() -> None:
         assert fitting is not None, f"{name} is not fitted to captures"
         fits = []
         for scene, example in examples.items():
+            seen, clean = (fitting.problem.target(torch.from_numpy(each)[None]) for each in both[scene])
+            noise = float((seen - clean).square().mean().sqrt())
             state = chosen.states / f"{name}_{chosen.iterations}_{scene}.pt"
             fits.append(fitting.fit(example.measurement, snapshots=marks, state=state, save_every=100))
             if missing := [mark for mark in marks if mark not in fits[-1].snapshots]:
                 parser.error(f"--marks: {state} was fitted without {missing}; give its own marks, or delete it")
-            print(f"{name}, {scene}: residual {fits[-1].residual:.4f} after {fits[-1].seconds:.0f} s", flush=True)
+            of_marks = ", ".join(f"{fits[-1].snapshots[mark].residual / noise:.2f}" for mark in marks)
+            print(f"{name}, {scene}: residual over noise {of_marks}; {fits[-1].seconds:.0f} s", flush=True)
         for mark in marks:
             kept = [fit.snapshots[mark] for fit in fits]
             images = (method.estimate(each.film).image for each in kept)

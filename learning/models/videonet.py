@@ -98,6 +98,7 @@ class VideoNet(nn.Module):
     """
 
     weights: Tensor
+    brightened: Tensor
     colours: Tensor
     to_camera: Tensor
 
@@ -122,8 +123,9 @@ class VideoNet(nn.Module):
 
         Args:
             capture: the camera, with its timing and the PSFs of one plane.
-            initial_estimate: what it begins with: zero-filled slivers (of which the thesis's MeasNet makes measurements), the
-                static inversion of the whole capture, or joint least squares.
+            initial_estimate: what it begins with: each sliver inverted by itself, closed rows left dark, as bright as if all
+                had been open (with MeasNet, the inversions of what it completes, as in the thesis); the static inversion of
+                the whole capture; or joint least squares.
             measnet: complete the capture to a global measurement of each frame, and invert these, too.
             dimensions: 2: frames are channels; 3: a stack.
             body: NAF blocks, or the thesis's U-Net.
@@ -161,10 +163,10 @@ class VideoNet(nn.Module):
         bordered = replace(whole, scene_shape=capture.scene_shape)
         self.joint = JointLeastSquares(bordered, **steps) if initial_estimate == "joint" else None
         channels = len(capture.stack.channels)
+        rows = torch.from_numpy(capture.row_shares)[:, None, :, None]  # of light as if all rows had the same exposure
         numbers = {
-            "weights": torch.from_numpy(capture.row_shares)[
-                :, None, :, None
-            ],  # of light as if all rows had the same exposure
+            "weights": rows,
+            "brightened": rows / rows.mean(dim=2, keepdim=True),  # as if all rows had been open in every frame
             "colours": torch.linalg.pinv(torch.from_numpy(capture.scene_to_camera)),
             "to_camera": torch.from_numpy(capture.scene_to_camera),
         }
@@ -258,7 +260,7 @@ class VideoNet(nn.Module):
             return found
         if self.start == "static":
             return static[:, None].expand(-1, self.frames, -1, -1, -1)
-        return self._inverted(light[:, None] * self.weights, noise)
+        return self._inverted(light[:, None] * self.brightened, noise)
 
     def _inverted(self, light: Tensor, noise: Tensor | None) -> Tensor:
         """Return the static inversion of each of ``(B, N, C, H, W)``."""
@@ -288,8 +290,7 @@ class VideoNet(nn.Module):
         linear = srgb_to_linear(image, 1.0, clip=False).clamp(0, MOST_RADIANCE)
         frames = torch.einsum("ca,bnahw->bnchw", self.to_camera, linear)
         residual = light - (self._seen(frames) * self.weights).sum(dim=1)
-        shares = self.weights / self.weights.mean(dim=2, keepdim=True)
-        every = self._inverted(torch.cat([residual[:, None] * shares, residual[:, None]], dim=1), noise)
+        every = self._inverted(torch.cat([residual[:, None] * self.brightened, residual[:, None]], dim=1), noise)
         return every[:, :-1], every[:, -1]
 
 
@@ -307,7 +308,9 @@ VIDEO_SIZES: dict[str, dict[str, Any]] = {
         **{"levels": 2, "stem": 2, "refinements": 1, "repeats": 0, "noise_aware": True, "joint_iterations": 10},
     },
 }
-"""``thesis``: U-Nets of 32 to 128 filters on zero-filled slivers, blind to the noise."""
+"""``thesis``: its U-Nets of 32 to 128 filters on zero-filled slivers, blind to the noise. Beyond the thesis, MeasNet is told
+the whole capture and which rows were open, EnhanceNet the static inversion and that of each sliver, and both add to what they
+begin with."""
 
 
 class VideoMethod:

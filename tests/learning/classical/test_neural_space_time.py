@@ -143,16 +143,20 @@ def measure(capture: CaptureModel, film: Tensor, noise: float = 0.0) -> Tensor:
 FAST: dict[str, Any] = {"scene_rate": 1e-2, "motion_rate": 1e-3, "width": 32}
 
 
-def test_follows_a_spot_that_moves() -> None:
-    """Within a fifth of a pixel, which is a tenth of a frame's step; and the misfit falls to the noise."""
+@pytest.mark.parametrize(
+    ("iterations", "share"),  # 1.01 to 1.02 and 0.97 with three seeds
+    [(250, 1.05), pytest.param(600, 1.0, marks=pytest.mark.slow)],
+)
+def test_follows_a_spot_that_moves(iterations: int, share: float) -> None:
+    """Within a fifth of a pixel, which is a tenth of a frame's step; and the misfit falls to the noise, then below it."""
     capture = camera()
     film = blob(capture, 2.0)
-    method = NeuralSpaceTime(capture, iterations=250, **FAST)
+    method = NeuralSpaceTime(capture, iterations=iterations, **FAST)
     with torch_threads(1):
         fit = method.fit(measure(capture, film, 0.03))
     found = fit.film[0, :, 0].numpy()
     noise = 0.03 * float(method.problem(method.problem.light(film)).max())
-    assert fit.residual < 1.05 * noise < 0.3 * fit.curve[0]
+    assert fit.residual < share * noise < 0.3 * fit.curve[0]
     weights = np.maximum(found - 0.3 * found.max(axis=(1, 2), keepdims=True), 0)
     rows, columns = ((weights * at).sum(axis=(1, 2)) / weights.sum(axis=(1, 2)) for at in np.mgrid[:16, :16])
     np.testing.assert_allclose(columns, 4 + 2.0 * np.arange(5), atol=0.2)
@@ -175,6 +179,11 @@ def test_begins_evenly_bright_and_at_rest_and_grows_finer() -> None:
     torch.testing.assert_close(network._window(0.25), torch.tensor([1.0] * 4 + [0.0] * 4))
     torch.testing.assert_close(network._window(0.5), torch.ones(8))
     assert network._window(0.5 * 2.5 / 8)[2].item() == pytest.approx(0.5)
+    for one in (network.scene_grid, network.motion_grid):
+        one.table.data = torch.from_numpy(np.random.default_rng(5).normal(size=one.table.shape)).float()
+    moves = [float(network.displacement(share).detach().abs().max()) for share in (0.0, 0.25, 0.5)]
+    assert moves[0] == 0 < moves[1] != moves[2]
+    torch.testing.assert_close(network(0.0), light)
     assert [network.rate(share) for share in (0.0, 0.5, 1.0)] == pytest.approx([1.0, 0.1**0.5, 0.1])
 
 

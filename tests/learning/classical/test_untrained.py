@@ -49,14 +49,14 @@ def measure(capture: CaptureModel, film: Tensor, noise: float = NOISE) -> Tensor
 
 @pytest.mark.slow
 def test_explains_a_capture_down_to_its_noise_and_finds_the_film(capture: CaptureModel, film: Tensor) -> None:
-    method, given = UntrainedNetwork(capture, iterations=400, **SMALL), measure(capture, film)
+    method, given = UntrainedNetwork(capture, iterations=600, **SMALL), measure(capture, film)
     with torch_threads(1):
         fit = method.fit(given)
     problem = method.problem
     clean = problem(problem.light(film)) / problem.scale
     noise = float((NOISE * clean.max() * problem.scale).square().mean().sqrt())
-    # Four seeds gave 0.936 to 0.989 of the noise, and 0.17 to 0.20 of the error; rounding leads elsewhere, as seeds do.
-    assert fit.residual < 1.05 * noise < 0.5 * fit.curve[0]
+    # Four seeds gave 0.90 to 0.95 of the noise, and 0.16 to 0.22 of the error; rounding leads elsewhere, as seeds do.
+    assert fit.residual < noise < 0.5 * fit.curve[0]
     assert fit.film.shape == (1, 4, 3, 16, 16)
     assert float(fit.film.min()) >= 0
     wanted = film[:, :, 0]
@@ -105,6 +105,26 @@ def test_noise_on_the_input_and_total_variation_have_their_effect(capture: Captu
     torch.testing.assert_close(usual, plain, rtol=1e-3, atol=1e-5)  # 1e-20 is too little to matter
     steady = UntrainedNetwork(capture, input_noise=0.0, **settings).fit(given).film
     assert not torch.allclose(steady, plain, rtol=1e-3)
+
+
+def test_the_constants_are_those_of_the_notebook(capture: CaptureModel) -> None:
+    """A fixed input from 0 to 0.1, noise of 0.05, Adam at 1e-3, total variation of 1e-20."""
+    unit = torch.ones(3, 1, 1)
+    network = UntrainedNetwork(capture, iterations=1, filters=8).network(unit, torch.Generator().manual_seed(0))
+    given: list[Tensor] = []
+    network.body.register_forward_pre_hook(lambda _, inputs: given.append(inputs[0]))  # pyright: ignore[reportAttributeAccessIssue]
+    for _ in range(20):
+        network(0.0)
+    drawn = torch.stack(given).numpy()
+    fixed = drawn.mean(axis=0)  # but for noise of 0.05 / sqrt(20)
+    assert fixed.mean() == pytest.approx(0.05, abs=2e-3)
+    assert np.sqrt(fixed.var() - 0.05**2 / 20) == pytest.approx(0.1 / np.sqrt(12), rel=0.05)
+    assert drawn.std(axis=0, ddof=1).mean() == pytest.approx(0.05, rel=0.03)
+    (group,) = network.optimiser().param_groups
+    assert group["lr"] == 1e-3
+    light = torch.rand(4, 1, 1, 3, 18, 18)
+    squares = sum(float(np.square(np.diff(light.numpy().astype(np.float64), axis=axis)).sum()) for axis in (-2, -1))
+    assert float(network.penalty(light)) == pytest.approx(1e-20 * squares, rel=1e-4)
 
 
 def test_the_network_is_that_of_the_notebook() -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from learning.checkpoint import find_checkpoint, load_checkpoint
@@ -37,6 +37,7 @@ EVERY = [
     {"initial_estimate": start, "measnet": measnet, "dimensions": dimensions, "body": body}
     for start, measnet, dimensions, body in product(STARTS, (True, False), (2, 3), ("naf", "unet"))
 ]
+Network = TypeVar("Network", bound=nn.Module)
 every = pytest.mark.parametrize("which", EVERY, ids=["-".join(map(str, each.values())) for each in EVERY])
 
 
@@ -69,7 +70,7 @@ def network(capture: CaptureModel, seed: int = 0, **changes: Any) -> VideoNet:
         return VideoNet(capture, **TINY | changes)
 
 
-def shaken(net: VideoNet, size: float = 0.1) -> VideoNet:
+def shaken(net: Network, size: float = 0.1) -> Network:
     """Move all parameters: bodies begin with heads and residuals of 0, behind which nothing is seen."""
     generator = torch.Generator().manual_seed(3)
     with torch.no_grad():
@@ -142,7 +143,8 @@ def test_at_first_it_gives_what_it_begins_with(
     still = replace(clip_capture, timing=None)
     inversion = RegularisedInversion(still, regularisation_lambda=0.3, tikhonov=1.0, noise_weight=30.0)
     offset = torch.from_numpy(clip_capture.offset).float()[:, None, None]
-    slivers = (measurement - offset)[:, None] * torch.from_numpy(clip_capture.row_shares)[:, None, :, None].float()
+    shares = torch.from_numpy(clip_capture.row_shares)[:, None, :, None].float()
+    slivers = (measurement - offset)[:, None] * shares
     with torch.no_grad():
         if start == "joint":
             numbers: dict[str, Any] = dict(JOINT) | {"iterations": 4}
@@ -151,16 +153,70 @@ def test_at_first_it_gives_what_it_begins_with(
             light = inversion(measurement).expand(-1, 4, -1, -1, -1)
         elif measnet:  # which completes the slivers to measurements; those are inverted
             light = WienerInversion(still, noise_to_signal=1.0)(slivers + offset)
-        else:  # each is inverted, with the lambda of the whole capture's noise
+        else:  # each is inverted, with the lambda of the whole capture's noise, as bright as if all rows had been open
             noise = noise_ratio(measurement - offset)
-            light = torch.stack(
-                [inversion.volume(inversion.spectrum(each), noise)[:, 0] for each in slivers.unbind(1)], 1
-            )
+            every = (slivers / shares.mean(dim=2, keepdim=True)).unbind(1)
+            light = torch.stack([inversion.volume(inversion.spectrum(each), noise)[:, 0] for each in every], dim=1)
     wanted = codes(light, clip_capture)
     # float32, behind transforms and a curve with a slope of 12.92
     np.testing.assert_allclose(film.image.numpy(), wanted, rtol=0, atol=1e-4 * max(1, np.abs(wanted).max()))
     if measnet and start == "slivers":
         torch.testing.assert_close(film.measured, slivers, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_bodies_are_given_all_that_is_known(clip_capture: CaptureModel, measurement: Tensor, start: Any) -> None:
+    """MeasNet the measurements, the slivers, which rows were open, the capture; EnhanceNet and refinements what was inverted.
+
+    All are told the noise level. Only MeasNet has learned something: what it adds is in units of the capture.
+    """
+    net = network(clip_capture, initial_estimate=start)
+    assert net.measnet is not None
+    assert net.wiener is not None
+    shaken(net.measnet)
+    own: dict[str, Tensor] = {}
+    shared: dict[str, Tensor] = {}
+
+    def keep(name: str, module: nn.Module) -> None:
+        def hook(_: nn.Module, given: tuple[Tensor, Tensor]) -> None:
+            own[name], shared[name] = given
+
+        module.register_forward_pre_hook(hook)
+
+    for name, module in (("measnet", net.measnet), ("enhance", net.enhancement), ("refine", net.refinements[0])):
+        keep(name, module)
+    with torch.no_grad():
+        film = net(measurement)
+        light = measurement - torch.from_numpy(clip_capture.offset).float()[:, None, None]
+        shares = torch.from_numpy(clip_capture.row_shares)[:, None, :, None].float()
+        noise = noise_ratio(light)
+        level = (1 + noise.mean(dim=1).log10() / 3)[:, None, None, None]  # about 0 at 1/1000, 1 where noise is all
+        still = replace(clip_capture, timing=None)
+        inversion = RegularisedInversion(still, regularisation_lambda=0.3, tikhonov=1.0, noise_weight=30.0)
+        static = inversion(measurement)[:, 0]
+        slivers = light[:, None] * shares
+        of_slivers = (slivers / shares.mean(dim=2, keepdim=True)).flatten(0, 1)
+        each = inversion.volume(inversion.spectrum(of_slivers), noise.repeat_interleave(4, dim=0))[:, 0]
+        frames = {"slivers": each.unflatten(0, (2, 4)), "static": static[:, None].expand(-1, 4, -1, -1, -1)}
+        frames |= {"joint": net.begin(measurement)}
+        known = slivers if start == "slivers" else net._seen(frames[start])
+        unit = light.square().mean(dim=(1, 2, 3)).sqrt()[:, None, None, None, None]
+        completed = known + unit * net.measnet(own["measnet"], shared["measnet"])
+        inverted = net.wiener.scene(completed)
+        image = torch.from_numpy(codes(inverted if start == "slivers" else frames[start], clip_capture)).float()
+        of_frames, of_all = net._residuals(image, light, noise)
+    pixels, image_level = level.expand(-1, -1, 48, 48), level.expand(-1, -1, 16, 16)
+    masks = shares.expand(2, -1, 1, -1, 48)
+    wanted = {
+        "measnet": ([known / unit, slivers / unit, masks], [light / unit[:, 0], pixels]),
+        "enhance": ([frames[start], inverted, image], [static, image_level]),
+        "refine": ([of_frames, image], [of_all, static, image_level]),
+    }
+    close: dict[str, Any] = {"rtol": 1e-4, "atol": 2e-4}  # float32, behind transforms and a curve with a slope of 12.92
+    torch.testing.assert_close(film.measured, completed, **close)
+    for name, (of_frame, of_clip) in wanted.items():
+        torch.testing.assert_close(own[name], torch.cat(of_frame, dim=2), **close)
+        torch.testing.assert_close(shared[name], torch.cat(of_clip, dim=1), **close)
 
 
 def test_a_start_that_is_known_is_taken(clip_capture: CaptureModel, measurement: Tensor) -> None:
