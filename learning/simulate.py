@@ -76,7 +76,12 @@ class SceneCamera:
         )
 
     def global_measurements(self, clip: Clip, slivers: int) -> NDArray[np.float32]:
-        """Return what a global shutter would measure of each sliver of a clip, without noise, ``(N, C, H, W)``."""
+        """Return what a global shutter would measure of each sliver of a clip, without noise, ``(N, C, H, W)``.
+
+        Raises:
+            InputError: see `exposure`.
+        """
+        self._check_surroundings(clip, "network.measnet")
         return np.stack([self.sensor.noiseless(seen) for seen in self._model.global_measurements(clip, slivers)])
 
     def exposure(self, clip: Clip) -> NDArray[np.float32]:
@@ -85,8 +90,10 @@ class SceneCamera:
         Raises:
             InputError: scenes without what shines beside the image, where the camera sees that, too.
         """
-        beside = self._capture.field_shape != self._capture.scene_shape
-        if beside and clip.surroundings is None:
-            reason = "its samples do not say what shone beside the image: made by an earlier version; make it again"
-            raise InputError("data.augment", reason)
+        self._check_surroundings(clip, "data.augment")
         return self._model.forward_clip(clip)
+
+    def _check_surroundings(self, clip: Clip, key: str) -> None:
+        if clip.surroundings is None and self._capture.field_shape != self._capture.scene_shape:
+            reason = "its samples do not say what shone beside the image: made by an earlier version; make it again"
+            raise InputError(key, reason)

@@ -232,6 +232,13 @@ class ClipMethod:
         self.film = _FILMS[name](capture, **parameters)
 
     @property
+    def convergence(self) -> dict[str, list[float]]:
+        """What the latest capture's iterations made smaller, by its name, after each of them; empty of the other methods."""
+        if isinstance(self.film, FistaTv):
+            return {"objective": self.film.curve}
+        return {} if self.fitting is None else {"residual": self.fitting.curve}
+
+    @property
     def fitting(self) -> FilmFitting | None:
         """What fits a network to each capture, for minutes to hours; None of the other methods."""
         return self.film if isinstance(self.film, FilmFitting) else None

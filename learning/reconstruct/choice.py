@@ -138,6 +138,12 @@ def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
         raise InputError(
             "--method", f"got {name}, which is for stills, of a clip; take one of {', '.join(CLIP_DEFAULTS)}"
         )
+    if name in CLIP_DEFAULTS and capture.timing is None:
+        what = "a still" if dataset is not None else "a capture of which only the PSFs are known, not the shutter"
+        cure = "take cls, admm or pnp"
+        if dataset is None:
+            cure = f"give a data set of clips by this camera as --stack, or {cure}"
+        raise InputError("--method", f"got {name}, which is for clips, of {what}; {cure}")
     if flat and request.tuned is not None:
         raise InputError("--tuned", f"{request.tuned} is for depth, these PSFs are of one; give --set instead")
     known, of = (PLANAR_DEFAULTS[name], f"{name} for one plane") if flat else (ALL_DEFAULTS[name], name)

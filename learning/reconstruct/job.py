@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -33,6 +33,7 @@ from simulator.io.files import committed_folder, write_atomic
 from simulator.io.json import plain, readable_json
 from simulator.plots import drawing
 from simulator.plots.drawing import LEGEND_WIDTH, PAPER, animation_webp, centimetres, depth_colours, png_bytes
+from simulator.plots.psf import GRID, INK, style
 from simulator.types import FARTHEST_M
 
 if TYPE_CHECKING:
@@ -178,6 +179,7 @@ class Reconstruction:
         volume: ``(K, C, h, w)`` float32 radiance in the camera's channels; None where it was not asked for.
         volume_depths_m: of its planes, ``(K,)``, nearest first: all of the stack's, or those that a network inverts at.
         seconds: by stage.
+        convergence: see `ClipMethod.convergence`.
     """
 
     radiance: NDArray[np.float32]
@@ -188,6 +190,7 @@ class Reconstruction:
     volume: NDArray[np.float32] | None
     volume_depths_m: NDArray[np.float64]
     seconds: dict[str, float]
+    convergence: dict[str, list[float]]
 
 
 def reconstruct(
@@ -247,6 +250,7 @@ def reconstruct(
         volume=to_numpy(planes)[0] * np.float32(capture.white) if volume and planes is not None else None,
         volume_depths_m=depths_m,
         seconds=clock.seconds,
+        convergence=method.convergence if isinstance(method, ClipMethod) else {},
     )
 
 
@@ -258,7 +262,8 @@ def write_reconstruction(
     ``image.png`` (sRGB, 8 bit), ``image.exr`` (linear R, G, B), ``depth.exr`` (Z, metres), ``depth.png`` (colours and
     what they mean), ``volume.exr`` (channels ``plane00.R`` and so on, nearest first), ``reconstruction.json`` (``record``),
     as far as there is something to write. Of clips, in place of the image, ``film.webp`` (an animation), ``film.png`` (its
-    frames side by side) and ``frames/image.0000.exr`` and so on. An earlier reconstruction in the folder is replaced.
+    frames side by side) and ``frames/image.0000.exr`` and so on; of methods that iterate until they converge,
+    ``convergence.png``, whose numbers are in the record. An earlier reconstruction in the folder is replaced.
 
     Raises:
         InputError: the folder holds other things.
@@ -292,9 +297,13 @@ def write_reconstruction(
                 for name, values in zip(capture.stack.channels, plane, strict=True)
             }
             write_exr(place / "volume.exr", planes, {"depths_m": plain(result.volume_depths_m.tolist())})
+        content = dict(record)
+        if result.convergence:
+            write_atomic(place / "convergence.png", _curve_png(result.convergence))
+            content["convergence"] = result.convergence
         files = sorted([*(path.name for path in place.iterdir()), RECORD])
-        content = record | {"files": files, "white": result.white}
-        write_atomic(place / RECORD, readable_json(content | {"seconds": result.seconds}))
+        content |= {"files": files, "white": result.white, "seconds": result.seconds}
+        write_atomic(place / RECORD, readable_json(content))
     return files
 
 
@@ -317,6 +326,17 @@ def _side_by_side(frames: Sequence[Image.Image]) -> bytes:
     for number, frame in enumerate(frames):
         paper.paste(frame, (number * (width + _GAP), 0))
     return png_bytes(paper)
+
+
+def _curve_png(convergence: Mapping[str, Sequence[float]]) -> bytes:
+    """Return values after each iteration as a figure with logarithmic axes."""
+    figure = drawing.new_figure((6, 3.6), 120)
+    axes = figure.subplots()
+    for name, values in convergence.items():
+        axes.loglog(range(1, len(values) + 1), values, color=INK, lw=1.6)
+        style(axes, "iteration", name)
+    axes.grid(color=GRID, which="both")
+    return drawing.figure_png(figure)
 
 
 def _depth_image(depth_m: NDArray[np.float32], near_m: float, far_m: float) -> bytes:

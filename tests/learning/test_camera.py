@@ -14,7 +14,9 @@ from scipy.signal import fftconvolve
 
 from learning.camera import CaptureModel, capture_model, plain_capture, typical_white
 from learning.layers.inversion import WienerInversion
+from learning.timing import Timing
 from simulator.camera.forward import ForwardModel
+from simulator.camera.shutter import DualRollingShutter
 from simulator.camera.surroundings import whole_frames
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
@@ -373,6 +375,19 @@ def test_belief_needs_the_same_camera_and_known_depths(tiny_capture: CaptureMode
     for near_m, far_m in ((0.01, 0.2), (0.02, 0.1), (0.01 - 1e-9, 0.2 + 1e-9)):
         assert stack_at(known, near_m, far_m).with_assumed(known).near_m == 0.01
     assert known.with_assumed(stack_at(known, 0.05)).near_m == 0.05  # a single plane says nothing of the range
+
+
+def test_belief_needs_the_same_shutter(clip_capture: CaptureModel) -> None:
+    """And as many slivers: a method would take rows for those of other frames."""
+    assert clip_capture.with_assumed(replace(clip_capture)).timing is clip_capture.timing
+    edges_s = clip_capture.timing.frame_edges_s  # pyright: ignore[reportOptionalMemberAccess]
+    for timing, key in (
+        (Timing(DualRollingShutter(4e-3, 0.4e-3), edges_s), "shutter"),
+        (Timing(DualRollingShutter(4e-3, 0.5e-3), np.arange(4) * 16e-3 / 3), "slivers"),
+        (None, r"scene\.frames"),
+    ):
+        with pytest.raises(InputError, match=f"^{key}: "):
+            clip_capture.with_assumed(replace(clip_capture, timing=timing))
 
 
 @pytest.mark.parametrize(

@@ -179,3 +179,5 @@ def test_surroundings_count_where_there_are_some_and_must_be_there(wide_dataset:
     assert camera.exposure(dark).sum() < 0.8 * camera.exposure(clip).sum()
     with pytest.raises(InputError, match=r"^data\.augment: "):
         camera.exposure(replace(clip, surroundings=None))
+    with pytest.raises(InputError, match=r"^network\.measnet: "):
+        camera.global_measurements(replace(clip, surroundings=None), 1)

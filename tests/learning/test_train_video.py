@@ -197,6 +197,27 @@ def test_seeds_share_what_is_kept(
     assert len(list((tmp_path / "cache").glob("*.clips"))) == 2
 
 
+@pytest.mark.parametrize(
+    ("changes", "files"),
+    [
+        ({}, 0),
+        ({"network": {"joint_iterations": 4}}, 2),
+        ({"data": {"noise_db": (20.0, 40.0)}}, 2),
+        ({"data": {"augment": Augmentation(colour=0.3)}}, 1),  # clips to validate on are never changed
+        ({"data": {"draws": 3}}, 2),
+    ],
+)
+def test_what_is_kept_is_of_the_same_estimate_noise_and_changes(
+    video_settings: Settings, tmp_path: Path, changes: dict[str, Any], files: int
+) -> None:
+    data = {"augment": Augmentation(), "noise_db": (30.0, 40.0)}
+    train_video(video_settings("first", steps=1, data=data))
+    before = set((tmp_path / "cache").glob("*.clips"))
+    train_video(video_settings("second", steps=1, **changes | {"data": data | changes.get("data", {})}))
+    assert len(before) == 2
+    assert len(set((tmp_path / "cache").glob("*.clips")) - before) == files
+
+
 def test_what_a_network_begins_with_is_given_without_the_network(clip_capture: CaptureModel) -> None:
     """A copy: the network's own may be moved to a GPU, where other processes cannot follow."""
     network = build_network(clip_capture, "videonet", "tiny", **SMALL)
