@@ -201,7 +201,7 @@ def _plug_and_play(
     return ClipPlugAndPlay(capture, denoiser=prior, start=start, **parameters)
 
 
-_FILMS: dict[str, Callable[..., nn.Module]] = {
+_SOLVERS: dict[str, Callable[..., nn.Module]] = {
     "static": StaticInversion,
     "slivers": SliverInversion,
     "joint": JointLeastSquares,
@@ -216,7 +216,7 @@ class ClipMethod:
     """A classical method for the clips of one plane: a `learning.method.Method`.
 
     Attributes:
-        film: what makes films ``(B, N, C, h, w)`` of measurements.
+        solver: what makes films ``(B, N, C, h, w)`` of measurements.
     """
 
     def __init__(self, capture: CaptureModel, name: str, parameters: Mapping[str, Any]) -> None:
@@ -229,30 +229,30 @@ class ClipMethod:
             raise InputError(name, "got the camera of stills, but it reconstructs clips; take cls, admm or pnp")
         check_one_plane(capture, name)
         self.name, self.capture, self.stage = _LABELS[name], capture, name
-        self.film = _FILMS[name](capture, **parameters)
+        self.solver = _SOLVERS[name](capture, **parameters)
 
     @property
     def convergence(self) -> dict[str, list[float]]:
         """What the latest capture's iterations made smaller, by its name, after each of them; empty of the other methods."""
-        if isinstance(self.film, FistaTv):
-            return {"objective": self.film.curve}
+        if isinstance(self.solver, FistaTv):
+            return {"objective": self.solver.curve}
         return {} if self.fitting is None else {"residual": self.fitting.curve}
 
     @property
     def fitting(self) -> FilmFitting | None:
         """What fits a network to each capture, for minutes to hours; None of the other methods."""
-        return self.film if isinstance(self.film, FilmFitting) else None
+        return self.solver if isinstance(self.solver, FilmFitting) else None
 
     def to(self, device: torch.device | str) -> Self:
         """Move what makes films to a device, and return this."""
-        self.film.to(device)
+        self.solver.to(device)
         return self
 
     @torch.no_grad()
     def volume(self, measurement: Tensor) -> Tensor:
         """Return the frames ``(B, N, C, h, w)`` of measurements ``(B, C, H, W)``: the camera's channels, 1 for white."""
         with threads_for(measurement[0].numel() * self.capture.frames):
-            return self.film(measurement)
+            return self.solver(measurement)
 
     def estimate(self, volume: Tensor, clock: Clock | None = None) -> Estimate:
         """Return the estimate of such frames; no further stage is timed. Their disparity is that of the one plane, 0."""

@@ -212,21 +212,32 @@ def dotted_camera() -> Callable[..., CaptureModel]:
     return _dotted
 
 
-def _dotted(sensor: tuple[int, int], scene: tuple[int, int], psf: int, frames: int, dots: int = 25) -> CaptureModel:
-    """Return a camera of two colours: dots as wide apart as its sensor, light from one pixel around, two rolling shutters."""
+def _dotted(
+    sensor: tuple[int, int],
+    scene: tuple[int, int],
+    psf: int,
+    frames: int,
+    dots: int = 25,
+    channels: int = 2,
+    margin: int = 1,
+) -> CaptureModel:
+    """Return a camera with dots as wide apart as its sensor, light from around the image, and a dual rolling shutter.
+
+    The shutter closes with the last frame, after 10 ms.
+    """
     rng = np.random.default_rng(3)
-    values = np.zeros((1, 2, psf, psf))
+    values = np.zeros((1, channels, psf, psf))
     for row, column in rng.integers(0, psf, (dots, 2)):
-        values[0, :, row, column] = rng.uniform(0.5, 1.0, 2)
+        values[0, :, row, column] = rng.uniform(0.5, 1.0, channels)
     shutter = DualRollingShutter(10e-3 / frames, 10e-3 * (1 - 1 / frames) / ((sensor[0] - 1) // 2))
     return CaptureModel(
-        stack=PsfStack(values, np.array([0.1]), 1e-5, ("R", "G"), "dots"),
+        stack=PsfStack(values, np.array([0.1]), 1e-5, ("R", "G", "B")[:channels], "dots"),
         sensor_shape=sensor,
         scene_shape=scene,
         gain=3.0,
-        offset=np.full(2, 0.02),
-        irradiance=rng.uniform(0.6, 0.9, (scene[0] + 2, scene[1] + 2)).astype(np.float32),
-        scene_to_camera=np.eye(2, 3),
+        offset=np.full(channels, 0.02),
+        irradiance=rng.uniform(0.6, 0.9, tuple(side + 2 * margin for side in scene)).astype(np.float32),
+        scene_to_camera=np.eye(channels, 3),
         white=0.7,
         timing=Timing(shutter, np.linspace(0, 10e-3, frames + 1)),
     )

@@ -48,13 +48,6 @@ def method(capture: CaptureModel, denoiser: Any, **settings: Any) -> ClipPlugAnd
     return ClipPlugAndPlay(capture, denoiser=denoiser, start=start, **SETTINGS | settings)
 
 
-def measure(problem: ClipProblem, light: Tensor, noise: float) -> Tensor:
-    """Return the measurement ``(1, C, H, W)`` of light, with noise over the greatest value."""
-    clean = problem(light) / problem.scale
-    drawn = torch.from_numpy(np.random.default_rng(4).standard_normal(clean.shape))
-    return clean + problem.offset + noise * clean.max() * drawn
-
-
 def squares(problem: ClipProblem) -> Tensor:
     """Return light with a bright square that moves in the dark: where there is none, noise pulls below zero."""
     light = problem.dark(1)
@@ -63,19 +56,13 @@ def squares(problem: ClipProblem) -> Tensor:
     return light
 
 
-def dense(problem: ClipProblem) -> np.ndarray:
-    """Return A for each channel, column by column, ``(C, H W, N rows columns)``; that these are right is tested elsewhere."""
-    frames, _, channels, *field = problem.shape
-    count = frames * field[0] * field[1]
-    units = torch.eye(count).reshape(count, frames, 1, 1, *field).movedim(0, 2).expand(-1, -1, -1, channels, -1, -1)
-    return problem(units).permute(1, 2, 3, 0).flatten(1, 2).numpy()
-
-
 @pytest.mark.parametrize("level_last", [0.2, 0.1])
-def test_without_a_prior_it_is_non_negative_least_squares(small: CaptureModel, level_last: float) -> None:
+def test_without_a_prior_it_is_non_negative_least_squares(
+    small: CaptureModel, level_last: float, measured: Callable[..., Tensor], dense: Callable[[ClipProblem], np.ndarray]
+) -> None:
     """Against an active-set solver on the matrix of each channel, with a weight that stays or rises fourfold."""
     prior, problem = Plain(), ClipProblem(small)
-    given = measure(problem, squares(problem), 0.05)
+    given = measured(problem, squares(problem), 0.05)
     solver = method(small, prior, prior=0.3, level_last=level_last, iterations=250)
     found = solver(given)[0]
     assert float(found.min()) >= 0
@@ -89,10 +76,12 @@ def test_without_a_prior_it_is_non_negative_least_squares(small: CaptureModel, l
 
 
 @pytest.mark.parametrize("weight", [0.1, 10.0])
-def test_the_prior_weighs_against_the_misfit_over_the_noise(small: CaptureModel, weight: float) -> None:
+def test_the_prior_weighs_against_the_misfit_over_the_noise(
+    small: CaptureModel, weight: float, measured: Callable[..., Tensor], dense: Callable[[ClipProblem], np.ndarray]
+) -> None:
     """One step that denoises nothing: argmin |(A x - y) / s|^2 + prior |(x - x0) / d|^2, dense, then cut off at zero."""
     problem = ClipProblem(small)
-    given = measure(problem, squares(problem), 0.05)
+    given = measured(problem, squares(problem), 0.05)
     solver = method(small, Plain(), prior=weight, iterations=1, inner=400)
     found = solver(given)[0]
     noise = (noise_level(given) * problem.scale).flatten()  # of each channel
@@ -139,11 +128,11 @@ def test_the_static_picture_is_denoised_with_less_noise(small: CaptureModel) -> 
 
 @pytest.mark.parametrize("at_once", [1, 2])  # as on a CPU, and as on a GPU
 def test_each_capture_is_a_problem_of_its_own(
-    small: CaptureModel, at_once: int, monkeypatch: pytest.MonkeyPatch
+    small: CaptureModel, at_once: int, monkeypatch: pytest.MonkeyPatch, measured: Callable[..., Tensor]
 ) -> None:
     monkeypatch.setattr(clip_prior, "samples_at_once", lambda *_: at_once)
     problem = ClipProblem(small)
-    both = torch.cat([measure(problem, gain * squares(problem), 0.03) for gain in (1.0, 0.3)])
+    both = torch.cat([measured(problem, gain * squares(problem), 0.03) for gain in (1.0, 0.3)])
     solver = method(small, Plain(), over_time=0.5)
     together = solver(both)
     assert together.shape == (2, 3, 2, 6, 4)
@@ -151,14 +140,16 @@ def test_each_capture_is_a_problem_of_its_own(
         torch.testing.assert_close(film, solver(alone)[0], rtol=1e-9, atol=1e-12)
 
 
-def test_the_shipped_denoiser_improves_on_the_start(dotted_camera: Callable[..., CaptureModel]) -> None:
+def test_the_shipped_denoiser_improves_on_the_start(
+    dotted_camera: Callable[..., CaptureModel], measured: Callable[..., Tensor]
+) -> None:
     """A disc that moves before a wall with a brighter half, in two per cent of noise."""
     capture = dotted_camera((64, 60), (24, 24), 81, 4, dots=60)
     problem = ClipProblem(capture)
     rows, columns = np.mgrid[:26, :26]
     film = np.stack([np.where((rows - 12) ** 2 + (columns - 6 - 4 * n) ** 2 < 16, 0.9, 0.1) for n in range(4)])
     light = torch.from_numpy(film + 0.2 * (rows > 18))[:, None, None, None].repeat(1, 1, 1, 2, 1, 1)
-    given, wanted = measure(problem, light, 0.02), problem.film(light)[:, :, 0]
+    given, wanted = measured(problem, light, 0.02), problem.film(light)[:, :, 0]
     denoiser, _ = load_denoiser(find_denoiser("denoiser"))
     settings: dict[str, Any] = {"prior": 2.0, "level_last": 0.02, "over_time": 1.0}
     solver = method(capture, denoiser.double(), **settings)

@@ -141,7 +141,7 @@ def test_begins_with_the_frames_of_a_network(
     codes = network.reconstruct(measurement).image.double().numpy()
     light = np.where(codes <= 0.04045, codes / 12.92, ((np.maximum(codes, 0.04045) + 0.055) / 1.055) ** 2.4).clip(0, 4)
     wanted = np.einsum("ca,bnahw->bnchw", capture.scene_to_camera, light) / 0.3
-    begun = method.film._start  # pyright: ignore[reportAttributeAccessIssue]
+    begun = method.solver._start  # pyright: ignore[reportAttributeAccessIssue]
     with torch.no_grad():
         found = begun.problem.film(begun.light(measurement))[:, :, 0]
     assert wanted.std(axis=1).max() > 0.01  # frames that differ: their order is tested, too

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,8 @@ from torch import Tensor
 
 from learning.camera import CaptureModel
 from learning.classical.neural_space_time import HashGrid, NeuralSpaceTime, SpaceTimeNetwork
-from learning.layers.space_time import ClipProblem
 from learning.method import torch_threads
-from learning.timing import Timing
-from simulator.camera.shutter import DualRollingShutter
 from simulator.errors import InputError
-from simulator.optics.stack import PsfStack
 
 SHAPES: list[tuple[list[float], list[float]]] = [([2, 3], [9, 7]), ([1, 1, 1], [4, 5, 6])]
 ALL = torch.ones(8, dtype=torch.float64)
@@ -104,24 +101,10 @@ def test_the_window_weighs_the_levels() -> None:
     torch.testing.assert_close(made(at, window), made(at, ALL) * window.repeat_interleave(2), rtol=1e-12, atol=0)
 
 
-def camera(frames: int = 5, channels: int = 1) -> CaptureModel:
-    """Return a camera of 16 x 16 pixels: dots as wide apart as its sensor, a dual rolling shutter."""
-    rng = np.random.default_rng(3)
-    values = np.zeros((1, channels, 61, 61))
-    for row, column in rng.integers(0, 61, (60, 2)):
-        values[0, :, row, column] = rng.uniform(0.5, 1.0, channels)
-    shutter = DualRollingShutter(10e-3 / frames, 10e-3 * (1 - 1 / frames) / 23)
-    return CaptureModel(
-        stack=PsfStack(values, np.array([0.1]), 1e-5, ("R", "G", "B")[:channels], "dots"),
-        sensor_shape=(48, 44),
-        scene_shape=(16, 16),
-        gain=3.0,
-        offset=np.full(channels, 0.02),
-        irradiance=rng.uniform(0.6, 0.9, (18, 18)).astype(np.float32),
-        scene_to_camera=np.eye(channels, 3),
-        white=0.7,
-        timing=Timing(shutter, np.linspace(0, 10e-3, frames + 1)),
-    )
+@pytest.fixture
+def camera(dotted_camera: Callable[..., CaptureModel]) -> Callable[..., CaptureModel]:
+    """Make a camera of 16 x 16 pixels, by frames and channels."""
+    return lambda frames=5, channels=1: dotted_camera((48, 44), (16, 16), 61, frames, dots=60, channels=channels)
 
 
 def blob(capture: CaptureModel, speed: float) -> Tensor:
@@ -132,14 +115,6 @@ def blob(capture: CaptureModel, speed: float) -> Tensor:
     return torch.from_numpy(np.stack(film))[None, :, None, None].float().repeat(1, 1, 1, len(capture.offset), 1, 1)
 
 
-def measure(capture: CaptureModel, film: Tensor, noise: float = 0.0) -> Tensor:
-    """Return the measurement ``(1, C, H, W)`` of a film, with noise relative to the greatest value."""
-    problem = ClipProblem(capture)
-    clean = problem(problem.light(film)) / problem.scale
-    drawn = torch.from_numpy(np.random.default_rng(4).standard_normal(clean.shape)).to(clean)
-    return clean + problem.offset + noise * clean.max() * drawn
-
-
 FAST: dict[str, Any] = {"scene_rate": 1e-2, "motion_rate": 1e-3, "width": 32}
 
 
@@ -147,13 +122,15 @@ FAST: dict[str, Any] = {"scene_rate": 1e-2, "motion_rate": 1e-3, "width": 32}
     ("iterations", "share"),  # 1.01 to 1.02 and 0.97 with three seeds
     [(250, 1.05), pytest.param(600, 1.0, marks=pytest.mark.slow)],
 )
-def test_follows_a_spot_that_moves(iterations: int, share: float) -> None:
+def test_follows_a_spot_that_moves(
+    camera: Callable[..., CaptureModel], measured: Callable[..., Tensor], iterations: int, share: float
+) -> None:
     """Within a fifth of a pixel, which is a tenth of a frame's step; and the misfit falls to the noise, then below it."""
     capture = camera()
     film = blob(capture, 2.0)
     method = NeuralSpaceTime(capture, iterations=iterations, **FAST)
     with torch_threads(1):
-        fit = method.fit(measure(capture, film, 0.03))
+        fit = method.fit(measured(method.problem, method.problem.light(film), 0.03))
     found = fit.film[0, :, 0].numpy()
     noise = 0.03 * float(method.problem(method.problem.light(film)).max())
     assert fit.residual < share * noise < 0.3 * fit.curve[0]
@@ -165,7 +142,7 @@ def test_follows_a_spot_that_moves(iterations: int, share: float) -> None:
     assert float((fit.film - film[:, :, 0]).square().mean().sqrt()) < 0.04
 
 
-def test_begins_evenly_bright_and_at_rest_and_grows_finer() -> None:
+def test_begins_evenly_bright_and_at_rest_and_grows_finer(camera: Callable[..., CaptureModel]) -> None:
     capture = camera(channels=2)
     method = NeuralSpaceTime(capture, iterations=4, coarse=0.5, **FAST)
     unit = torch.tensor([0.3, 0.6])[:, None, None]
@@ -187,9 +164,12 @@ def test_begins_evenly_bright_and_at_rest_and_grows_finer() -> None:
     assert [network.rate(share) for share in (0.0, 0.5, 1.0)] == pytest.approx([1.0, 0.1**0.5, 0.1])
 
 
-def test_an_interrupted_fit_goes_on_bit_for_bit(tmp_path: Path) -> None:
+def test_an_interrupted_fit_goes_on_bit_for_bit(
+    camera: Callable[..., CaptureModel], measured: Callable[..., Tensor], tmp_path: Path
+) -> None:
     capture = camera(3)
-    given, method = measure(capture, blob(capture, 2.0)), NeuralSpaceTime(capture, iterations=6, **FAST)
+    method = NeuralSpaceTime(capture, iterations=6, **FAST)
+    given = measured(method.problem, method.problem.light(blob(capture, 2.0)))
 
     def stop(done: int, total: int) -> None:
         if done == 3:
@@ -213,6 +193,6 @@ def test_an_interrupted_fit_goes_on_bit_for_bit(tmp_path: Path) -> None:
     "name", ["scene_rate", "motion_rate", "scene_cells", "motion_cells", "motion_cells_over_time", "coarse", "width"]
 )
 @pytest.mark.parametrize("value", [0, float("nan")])
-def test_bad_settings_are_refused(name: str, value: float) -> None:
+def test_bad_settings_are_refused(camera: Callable[..., CaptureModel], name: str, value: float) -> None:
     with pytest.raises(InputError, match=f"^{name}: "):
         NeuralSpaceTime(camera(), iterations=3, **{name: value})

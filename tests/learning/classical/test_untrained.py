@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,17 +40,18 @@ def film() -> Tensor:
     return made
 
 
-def measure(capture: CaptureModel, film: Tensor, noise: float = NOISE) -> Tensor:
-    """Return the measurement ``(1, C, H, W)`` of a film."""
+@pytest.fixture
+def given(capture: CaptureModel, film: Tensor, measured: Callable[..., Tensor]) -> Tensor:
+    """Return the measurement ``(1, C, H, W)`` of the film."""
     problem = ClipProblem(capture)
-    clean = problem(problem.light(film)) / problem.scale
-    drawn = torch.from_numpy(np.random.default_rng(4).standard_normal(clean.shape)).to(clean)
-    return clean + problem.offset + noise * clean.max() * drawn
+    return measured(problem, problem.light(film), NOISE)
 
 
 @pytest.mark.slow
-def test_explains_a_capture_down_to_its_noise_and_finds_the_film(capture: CaptureModel, film: Tensor) -> None:
-    method, given = UntrainedNetwork(capture, iterations=600, **SMALL), measure(capture, film)
+def test_explains_a_capture_down_to_its_noise_and_finds_the_film(
+    capture: CaptureModel, film: Tensor, given: Tensor
+) -> None:
+    method = UntrainedNetwork(capture, iterations=600, **SMALL)
     with torch_threads(1):
         fit = method.fit(given)
     problem = method.problem
@@ -65,9 +67,9 @@ def test_explains_a_capture_down_to_its_noise_and_finds_the_film(capture: Captur
     assert errors[0] < 0.3 * errors[1]  # no picture that stands still is nearer
 
 
-def test_an_interrupted_fit_goes_on_bit_for_bit(capture: CaptureModel, film: Tensor, tmp_path: Path) -> None:
+def test_an_interrupted_fit_goes_on_bit_for_bit(capture: CaptureModel, given: Tensor, tmp_path: Path) -> None:
     """With the network's own drawing of noise; torch's generator is left alone, and seeds decide."""
-    given, method = measure(capture, film), UntrainedNetwork(capture, iterations=6, **SMALL)
+    method = UntrainedNetwork(capture, iterations=6, **SMALL)
 
     def stop(done: int, total: int) -> None:
         if done == 3:
@@ -87,17 +89,15 @@ def test_an_interrupted_fit_goes_on_bit_for_bit(capture: CaptureModel, film: Ten
 
 
 @pytest.mark.usefixtures("double")
-def test_a_capture_twice_as_bright_is_a_film_twice_as_bright(capture: CaptureModel, film: Tensor) -> None:
+def test_a_capture_twice_as_bright_is_a_film_twice_as_bright(capture: CaptureModel, given: Tensor) -> None:
     """Adam does not see the unit of the misfit; in float64, as it makes more of rounding from step to step."""
     method = UntrainedNetwork(capture, iterations=5, **SMALL)
     offset = method.problem.offset
-    given = measure(capture, film)
     once, twice = (method.fit(offset + gain * (given - offset)).film for gain in (1.0, 2.0))
     torch.testing.assert_close(twice, 2 * once, rtol=1e-6, atol=0)
 
 
-def test_noise_on_the_input_and_total_variation_have_their_effect(capture: CaptureModel, film: Tensor) -> None:
-    given = measure(capture, film)
+def test_noise_on_the_input_and_total_variation_have_their_effect(capture: CaptureModel, given: Tensor) -> None:
     settings: dict[str, Any] = {"iterations": 20, **SMALL}
     plain, flat = (UntrainedNetwork(capture, tv=tv, **settings).fit(given).film for tv in (0.0, 1.0))
     assert float(torch.diff(flat, dim=-1).abs().mean()) < 0.5 * float(torch.diff(plain, dim=-1).abs().mean())
