@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 import torch
 from torch import Tensor, nn
@@ -95,6 +95,10 @@ class Method(Protocol):
 
     name: str
     capture: CaptureModel
+
+    def to(self, device: torch.device | str) -> Self:
+        """Move all that it computes with to a device, and return this."""
+        ...
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
         """Return the estimate of measurements ``(B, C, H, W)``, DN / 2^bits, on their device, without gradients.

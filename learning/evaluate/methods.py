@@ -62,7 +62,7 @@ class LearnedEntry:
 
     def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
         """Return the network, ready on a device, for a camera; an InputError says that it does not fit."""
-        return learned_method(self.name, load_checkpoint(self.path, capture=capture).network.to(device), capture)
+        return learned_method(self.name, load_checkpoint(self.path, capture=capture).network, capture).to(device)
 
     def tuned_db(self, noise_db: float) -> None:
         """Return None: nothing of it was tuned at a level of noise."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple, Self, cast
 
 import numpy as np
 import torch
@@ -275,6 +275,11 @@ class LearnedMethod:
 
     def __init__(self, name: str, network: FlatNet, capture: CaptureModel) -> None:
         self.name, self.network, self.capture = name, network, capture
+
+    def to(self, device: torch.device | str) -> Self:
+        """Move the network to a device, and return this."""
+        self.network.to(device)
+        return self
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
         """Return the estimate of measurements ``(B, C, H, W)``; stages ``inversion``, ``network`` and ``refinement``."""

@@ -10,7 +10,7 @@ frames by it (Adler and Oektem, Learned Primal-Dual Reconstruction, TMI 2018; Ag
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Self
 
 import torch
 from torch import Tensor, nn
@@ -318,6 +318,11 @@ class VideoMethod:
 
     def __init__(self, name: str, network: VideoNet, capture: CaptureModel) -> None:
         self.name, self.network, self.capture = name, network, capture
+
+    def to(self, device: torch.device | str) -> Self:
+        """Move the network to a device, and return this."""
+        self.network.to(device)
+        return self
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
         """Return the frames of measurements ``(B, C, H, W)``; stages ``joint`` where it begins so, and ``network``."""

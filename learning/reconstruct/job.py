@@ -87,8 +87,7 @@ def reconstruct_file(options: Options, *, progress: Progress = lambda *_: None) 
         if measurement.frame is None or options.frame is not None:  # an image's file
             evidence = check_frame_fits(measurement, setup.method.capture, options, accept=options.accept_frame)
             measurement.record["frame_evidence"] = round(evidence, 4)
-        method: Any = setup.method
-        (method.network if hasattr(method, "network") else method).to(device)
+        method = setup.method.to(device)
         fitting = method.fitting if isinstance(method, ClipMethod) else None
         states = folder.absolute().with_name(f"{folder.absolute().name}.fit")
         if fitting is not None:

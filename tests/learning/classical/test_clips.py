@@ -20,7 +20,7 @@ from learning.classical.method import ClassicalMethod, check_parameters
 from learning.config import TuneConfig
 from learning.layers.inversion import RegularisedInversion
 from learning.layers.space_time import JOINT, JointLeastSquares
-from learning.method import Clock
+from learning.method import Clock, Method
 from learning.models import learned_method
 from learning.timing import Timing
 from learning.tune.job import classical
@@ -81,6 +81,17 @@ def test_captures_of_a_batch_do_not_touch(clip_capture: CaptureModel, measuremen
         alone = method.volume(measurement[scene : scene + 1])[0]
         # FFTs of other batch sizes round differently
         torch.testing.assert_close(alone, both[scene], rtol=0, atol=1e-4 * float(both.abs().max()))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
+def test_a_gpu_gives_what_the_cpu_gives(clip_capture: CaptureModel, clip_checkpoint: Path, measurement: Tensor) -> None:
+    network = load_checkpoint(clip_checkpoint, capture=clip_capture).network
+    methods: list[Method] = [build_method(clip_capture, name, FEW.get(name)) for name in CLIP_DEFAULTS]
+    for method in (*methods, learned_method("VideoNet", network, clip_capture)):
+        wanted = method.reconstruct(measurement).image
+        found = method.to("cuda").reconstruct(measurement.to("cuda")).image.cpu()
+        # Sums in other orders, in float32; the fits' few steps of Adam make more of it
+        torch.testing.assert_close(found, wanted, rtol=0, atol=1e-2 * float(wanted.abs().max()), msg=method.name)
 
 
 def test_static_is_the_inversion_of_a_still_repeated(clip_capture: CaptureModel, measurement: Tensor) -> None:
