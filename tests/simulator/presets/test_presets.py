@@ -8,6 +8,7 @@ import pytest
 
 from simulator.assembly import Assembly
 from simulator.config import load_config
+from simulator.dataset import generate, open_dataset
 from simulator.dataset.clips import check_parameters
 from simulator.errors import InputError
 from simulator.presets import preset_names, preset_text
@@ -98,7 +99,7 @@ def test_the_published_shutter_reads_all_of_its_sensor(preset: Path) -> None:
 
 
 @pytest.mark.slow
-def test_two_sensors_see_the_same_scene_at_the_same_time(tmp_path: Path) -> None:
+def test_two_sensors_see_the_same_scene_at_the_same_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cameras = []
     for name in ("high_speed_64", "two_sensors"):
         (tmp_path / f"{name}.yaml").write_text(preset_text(name), encoding="utf-8")
@@ -117,6 +118,18 @@ def test_two_sensors_see_the_same_scene_at_the_same_time(tmp_path: Path) -> None
     middle = slice(psf.shape[-1] // 2 - 1, psf.shape[-1] // 2 + 2)
     # The Airy pattern of 0.2 mm is 12 um wide, a third of a pixel: all but a few per cent falls on three by three.
     assert psf[:, middle, middle].sum(axis=(1, 2)) == pytest.approx(psf.sum(axis=(1, 2)), rel=0.05)
+
+    monkeypatch.chdir(tmp_path)
+    one = ["dataset.train=1", "dataset.validation=0", "dataset.test=0", "dataset.engine=inline"]
+    changes = {"high_speed_64": ["camera.exposure.full_scale=1e-5", *COARSE_MASK, *one], "two_sensors": one}
+    sets = [generate(f"{name}.yaml", told).path for name, told in changes.items()]
+    both = [open_dataset(path, "train")[0] for path in sets]
+    assert [sample.measurement.shape for sample in both] == [(3, 160, 192), (3, 64, 64)]
+    for values in ("rgb", "depth_m", "frame_edges_s"):
+        np.testing.assert_array_equal(getattr(both[0], values), getattr(both[1], values))
+    # What the lens sees is the mean frame, upright, in the camera's colours and dimmer at the edges.
+    mean = both[0].rgb.mean(axis=(0, -1))
+    assert np.corrcoef(both[1].measurement.mean(axis=0).ravel(), mean.ravel())[0, 1] > 0.95
 
 
 @pytest.mark.parametrize("preset", SMALL, indirect=True)
