@@ -143,8 +143,7 @@ def test_at_first_it_gives_what_it_begins_with(
     still = replace(clip_capture, timing=None)
     inversion = RegularisedInversion(still, regularisation_lambda=0.3, tikhonov=1.0, noise_weight=30.0)
     offset = torch.from_numpy(clip_capture.offset).float()[:, None, None]
-    shares = torch.from_numpy(clip_capture.row_shares)[:, None, :, None].float()
-    slivers = (measurement - offset)[:, None] * shares
+    slivers = (measurement - offset)[:, None] * torch.from_numpy(clip_capture.row_shares)[:, None, :, None].float()
     with torch.no_grad():
         if start == "joint":
             numbers: dict[str, Any] = dict(JOINT) | {"iterations": 4}
@@ -153,9 +152,9 @@ def test_at_first_it_gives_what_it_begins_with(
             light = inversion(measurement).expand(-1, 4, -1, -1, -1)
         elif measnet:  # which completes the slivers to measurements; those are inverted
             light = WienerInversion(still, noise_to_signal=1.0)(slivers + offset)
-        else:  # each is inverted, with the lambda of the whole capture's noise, as bright as if all rows had been open
+        else:  # each is inverted, with the lambda of the whole capture's noise
             noise = noise_ratio(measurement - offset)
-            every = (slivers / shares.mean(dim=2, keepdim=True)).unbind(1)
+            every = slivers.unbind(1)
             light = torch.stack([inversion.volume(inversion.spectrum(each), noise)[:, 0] for each in every], dim=1)
     wanted = codes(light, clip_capture)
     # float32, behind transforms and a curve with a slope of 12.92
@@ -195,8 +194,7 @@ def test_bodies_are_given_all_that_is_known(clip_capture: CaptureModel, measurem
         inversion = RegularisedInversion(still, regularisation_lambda=0.3, tikhonov=1.0, noise_weight=30.0)
         static = inversion(measurement)[:, 0]
         slivers = light[:, None] * shares
-        of_slivers = (slivers / shares.mean(dim=2, keepdim=True)).flatten(0, 1)
-        each = inversion.volume(inversion.spectrum(of_slivers), noise.repeat_interleave(4, dim=0))[:, 0]
+        each = inversion.volume(inversion.spectrum(slivers.flatten(0, 1)), noise.repeat_interleave(4, dim=0))[:, 0]
         frames = {"slivers": each.unflatten(0, (2, 4)), "static": static[:, None].expand(-1, 4, -1, -1, -1)}
         frames |= {"joint": net.begin(measurement)}
         known = slivers if start == "slivers" else net._seen(frames[start])
