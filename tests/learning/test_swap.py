@@ -176,6 +176,7 @@ def test_a_further_mask_leaves_the_others_as_they_are(load: Load, tmp_path: Path
     assert [row[:2] for row in again.table] == first.table
 
 
+@pytest.mark.slow
 def test_methods_are_tuned_for_each_mask_on_its_validation_scenes(
     load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

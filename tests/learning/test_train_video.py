@@ -132,9 +132,8 @@ def test_a_checkpoint_for_other_times_is_refused_by_its_name(video_settings: Set
         load_checkpoint(folder / LAST, capture=later)
 
 
-@pytest.mark.parametrize(
-    ("body", "augment"), [("naf", Augmentation()), pytest.param("unet", None, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("body", "augment"), [("naf", Augmentation()), ("unet", None)])
 def test_goes_on_as_if_it_had_never_stopped(
     video_settings: Settings, augment: Augmentation | None, body: str, tmp_path: Path
 ) -> None:
@@ -173,13 +172,8 @@ def test_another_configuration_is_refused(video_settings: Settings) -> None:
     assert train_video(video_settings(steps=2, data={"workers": 1, "cache": False})).steps == 1
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
-        pytest.param({"augment": Augmentation()}, id="changed"),
-        pytest.param({"noise_db": (20.0, 50.0)}, id="noise", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("data", [{"augment": Augmentation()}, {"noise_db": (20.0, 50.0)}], ids=["changed", "noise"])
 def test_seeds_share_what_is_kept(
     video_settings: Settings, data: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

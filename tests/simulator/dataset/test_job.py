@@ -127,6 +127,7 @@ def test_a_worker_that_is_killed_costs_nothing(trial, tmp_path: Path) -> None:
     assert contents(trial.generate(dataset={"output": "undisturbed"}, scene=scene)) == contents(root)
 
 
+@pytest.mark.slow
 def test_a_killed_run_is_finished_by_the_next(trial, tmp_path: Path) -> None:
     scene = SLOW | {"seconds": 0.2}
     path = trial.write(dataset={"engine": "local", "workers": 1, "train": 4}, scene=scene)
