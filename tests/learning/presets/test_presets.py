@@ -122,9 +122,10 @@ def test_the_evaluation_of_clips_reads_what_training_and_tuning_write(tmp_path: 
     config = load_file(EvaluateConfig, _written("evaluate_video_64", tmp_path))
     training = load_file(VideoTrainConfig, _written("videonet_64", tmp_path))
     tuning = load_file(TuneConfig, _written("tune_video_64", tmp_path))
-    network, polished, begun, *rivals = config.methods
+    network, stacked, polished, begun, *rivals = config.methods
     outputs = [training.output, *(f"{training.output}_seed{seed}" for seed in (1, 2))]
     assert network.checkpoints == [f"{output}/best.safetensors" for output in outputs]
+    assert stacked.checkpoints == [f"{training.output}_stack/best.safetensors"]
     assert (polished.classical, polished.parameters) == (
         "pnp_clips",
         {"initial_estimate": f"{training.output}/best.safetensors"},
