@@ -126,7 +126,13 @@ def test_a_cover_glass_moves_the_focus_by_its_reduced_thickness():
     assert through.sum() == pytest.approx(air.sum(), rel=1e-6)
 
 
-@pytest.mark.parametrize("make", [_staircase, lambda: _lens(2e-3, 150)], ids=["staircase", "smooth"])
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(_staircase, marks=pytest.mark.slow, id="staircase"),
+        pytest.param(lambda: _lens(2e-3, 150), id="smooth"),
+    ],
+)
 def test_scaled_and_exact_psfs_agree_through_glass(make):
     """From infinity they differ in the grid's rule alone (0.5 %, and a staircase's fading orders); both see the glass."""
     mask, camera = make(), _camera(GAP, 8e-6)
