@@ -14,14 +14,6 @@ from simulator.commands import compare, datasets, importing, masks, psf, render,
 from simulator.errors import InputError
 from simulator.text import described, show
 
-app = typer.Typer(
-    help="Flatlight: a physically based simulator of lensless cameras.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-
 
 def schema() -> None:
     """Print the JSON schema of sim_config.yaml, for editors."""
@@ -40,7 +32,21 @@ def doctor() -> None:
     print_checks(diagnose())
 
 
-for command in (
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"flatlight {__version__}")
+        raise typer.Exit
+
+
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="print the version")
+    ] = False,
+) -> None:
+    """Options of the command itself."""
+
+
+_OWN = (
     datasets.init,
     datasets.generate,
     render.render,
@@ -54,38 +60,37 @@ for command in (
     datasets.verify,
     schema,
     doctor,
-):
-    app.command()(command)
-app.command("import")(importing.import_check)  # a word that no function can be called
+)
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
-        print(f"flatlight {__version__}")
-        raise typer.Exit
+def _command_line() -> typer.Typer:
+    """Return the simulator's commands and those that other rooms and packages add."""
+    from simulator.entry_points import commands
 
-
-@app.callback()
-def options(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="print the version")
-    ] = False,
-) -> None:
-    """Options of the command itself."""
+    app = typer.Typer(
+        help="Flatlight: a physically based simulator of lensless cameras.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(_options)
+    for command in _OWN:
+        app.command()(command)
+    app.command("import")(importing.import_check)  # a word that no function can be called
+    for name, entry in commands().items():
+        try:
+            app.command(name)(entry.load())
+        except (Exception, SystemExit) as error:  # another package's fault must not take our own commands away
+            reason = f"({entry.value}) cannot be loaded: {described(error)}"
+            print(f"warning: the command {name!r} {reason}", file=sys.stderr)
+    return app
 
 
 def main() -> None:
     """Run the command: one clear line per mistake, exit code 2 for the user's, 1 for ours."""
-    from simulator.entry_points import commands
-
     try:
-        for name, entry in commands().items():
-            try:
-                app.command(name)(entry.load())
-            except (Exception, SystemExit) as error:  # another package's fault must not take our own commands away
-                reason = f"({entry.value}) cannot be loaded: {described(error)}"
-                print(f"warning: the command {name!r} {reason}", file=sys.stderr)
-        app(standalone_mode=True)
+        _command_line()(standalone_mode=True)
     except InputError as error:
         print("error: " + (f"{error.place}: " if error.place else "") + str(error), file=sys.stderr)
         raise SystemExit(2) from None

@@ -13,12 +13,6 @@ from simulator.entry_points import commands
 from simulator.errors import InputError
 
 
-@pytest.fixture
-def own_commands(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let packages add commands, for this test alone."""
-    monkeypatch.setattr(cli.app, "registered_commands", list(cli.app.registered_commands))
-
-
 class TestStart:
     def test_help_is_quick(self, command) -> None:
         heavy = ["numpy", "pydantic", "mitsuba", "drjit", "torch", "colour", "matplotlib", "scipy", "OpenEXR", "yaml"]
@@ -41,7 +35,6 @@ class TestStart:
         assert "Usage: " in out + err
         assert "Traceback" not in out + err
 
-    @pytest.mark.usefixtures("own_commands")
     def test_a_command_of_another_package(self, flatlight, install) -> None:
         code = "def greet(name: str):\n    '''Say hello.'''\n    print('hello', name)\n"
         install("others", "[flatlight.commands]\ngreet = others:greet\n", __init__=code)
@@ -51,7 +44,6 @@ class TestStart:
         with pytest.raises(InputError, match=r"'greet' .*(others|rivals):greet .*(others|rivals):greet"):
             commands()
 
-    @pytest.mark.usefixtures("own_commands")
     def test_a_command_that_does_not_import_stops_no_other(self, flatlight, install) -> None:
         install("broken", "[flatlight.commands]\ngreet = broken_module:greet\n")
         code, out, err = flatlight("masks", "pinhole")
