@@ -53,6 +53,7 @@ def modules_defining(package: str, kind: str) -> frozenset[str]:
     return frozenset(names)
 
 
+@cache
 def _defines(source: str, name: str) -> bool:
     """Whether a module's top level binds a name; a module that does not even parse is left for its import to report."""
     binding = rf"^(?:(?:def|class)\s+)?{name}\b|^(?:from|import)\s.*\b{name}\b|^[ \t]+(?:\w+\s+as\s+)?{name}\b"

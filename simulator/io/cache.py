@@ -124,6 +124,7 @@ def _imported(code: bytes) -> list[str]:
     return names
 
 
+@cache
 def _version(package: str) -> str:
     try:
         return metadata.version(_DISTRIBUTIONS.get(package, package))
