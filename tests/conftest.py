@@ -281,6 +281,14 @@ def few_directions() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def no_power_cut() -> Iterator[None]:
+    """Let files reach the disk when the system likes: thousands of tests would wait for it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
+
+
 @pytest.fixture
 def trial(tmp_path: Path) -> Trial:
     """A tiny configuration in ``tmp_path``."""

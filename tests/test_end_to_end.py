@@ -78,6 +78,7 @@ def test_a_data_set_of_rendered_scenes(trial) -> None:
     assert sample_hashes(trial.generate(**changes, dataset=local)) == sample_hashes(root)
 
 
+@pytest.mark.slow
 def test_plugins_of_an_installed_package(trial, monkeypatch: pytest.MonkeyPatch) -> None:
     package = trial.folder / "site" / "lensless_plugins"
     package.mkdir(parents=True)

@@ -480,7 +480,7 @@ def config(train: Path, **data: Any) -> TrainConfig:
         ("camera.exposure.full_scale=6e-6", "gain"),
         ("camera.noise={type: physical}", "offset"),
         ("forward.vignetting=false", "irradiance"),
-        ("camera.mask.seed=5", "mask"),
+        pytest.param("camera.mask.seed=5", "mask", marks=pytest.mark.slow),
         pytest.param("psf.far_cm=25", "range of depths", marks=pytest.mark.slow),
         ("camera.scene_to_camera=[[0.9, 0.1, 0.0], [0.1, 0.8, 0.2], [0.0, 0.1, 0.7]]", "scene_to_camera"),
     ],

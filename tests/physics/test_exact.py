@@ -153,7 +153,7 @@ def test_a_staircase_equals_its_direct_sum():
         assert error(stored[20 - pixels[:, 0], 20 - pixels[:, 1]], np.array(truth)) < 0.006
 
 
-@pytest.mark.parametrize(("oversampling", "pixel_m"), [(1, 2e-6), (2, 3e-6)])
+@pytest.mark.parametrize(("oversampling", "pixel_m"), [(1, 2e-6), pytest.param(2, 3e-6, marks=pytest.mark.slow)])
 def test_the_light_of_a_staircase_is_that_of_the_orders_that_are_followed(oversampling, pixel_m):
     """Its spectrum is that of its samples, repeated under the sinc of a pixel; the band's soft edge lies within 5 %."""
     mask, camera = replace(staircase(), pitch_m=pixel_m), CameraGeometry(4e-3, 8e-6, GREEN)

@@ -103,7 +103,9 @@ def test_psf_of_a_staircase_equals_the_direct_sum(depth_m):
     assert stack.energy_m2()[0, 0] < mask.transmitted_area_m2
 
 
-@pytest.mark.parametrize(("pixel_m", "d"), [(20e-6, 1.9e-3), (30e-6, 0.5e-3)], ids=["20 um", "FlatCam"])
+@pytest.mark.parametrize(
+    ("pixel_m", "d"), [pytest.param(20e-6, 1.9e-3, marks=pytest.mark.slow), (30e-6, 0.5e-3)], ids=["20 um", "FlatCam"]
+)
 def test_psf_of_coarse_mask_pixels_equals_the_direct_sum(pixel_m, d):
     """Mask pixels larger than the sensor's, and the first diffraction orders closer than a Fresnel length sqrt(lambda d).
 

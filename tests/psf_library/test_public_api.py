@@ -97,6 +97,7 @@ def test_no_stack(tmp_path: Path) -> None:
             load_psf_stack(place)
 
 
+@pytest.mark.slow
 def test_the_readme_s_mask_works(trial) -> None:
     """The code block that defines a mask, read from the README itself, makes a camera."""
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)

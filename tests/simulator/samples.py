@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 
@@ -89,17 +88,12 @@ def make_info(**changes) -> DatasetInfo:
 
 def make_dataset(root: Path, make: Callable[[int], Sample] = make_sample, **changes) -> Path:
     """Write a whole data set: three training samples (finished in another order) and one for validation."""
-    with mock.patch("os.fsync"):  # most of the time, and no power cut is tested here
-        _write_dataset(root, make, make_info(**changes))
-    return root
-
-
-def _write_dataset(root: Path, make: Callable[[int], Sample], info: DatasetInfo) -> None:
     root.mkdir()
-    write_info(root, info)
+    write_info(root, make_info(**changes))
     values = np.random.default_rng(0).random((2, 3, 5, 5), dtype=np.float32)
     write_psf_stack(root / "psf", PsfStack(values, np.array([0.036, 0.2]), 2e-5, ("R", "G", "B"), "a" * 64))
     with ManifestWriter(root) as manifest:
         for split, index in (("train", 2), ("train", 0), ("validation", 0), ("train", 1)):
             manifest.append(write_sample(root, split, index, make(index)), seconds=0.1)
     write_seal(root)
+    return root

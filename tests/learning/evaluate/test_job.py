@@ -448,6 +448,7 @@ def other_camera(learning_trial: Any) -> Path:
     )
 
 
+@pytest.mark.slow
 def test_several_data_sets_have_a_table_each_and_a_joint_one(
     load: Load, tmp_path: Path, tiny_dataset: Path, other_camera: Path
 ) -> None:

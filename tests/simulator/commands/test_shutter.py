@@ -28,6 +28,7 @@ def test_draws_the_figures(flatlight, trial, tmp_path) -> None:
             assert min(picture.size) > 600
 
 
+@pytest.mark.slow
 def test_one_depth_is_no_figure_of_two(flatlight, trial, tmp_path) -> None:
     psf = {"depths_cm": [20], "wavelengths_per_channel": 1, "accept_error": 1}
     scene = {"family": "./plugins.py:boxes", "size": [16, 20], "near_cm": 10, "far_cm": 30}

@@ -2,11 +2,10 @@
 
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -21,13 +20,6 @@ from simulator.types import Surroundings
 
 ARRAYS = ("measurement", "noiseless", "rgb", "depth_m", "valid", "frame_edges_s", "global_measurements")
 DTYPES = ("bool", "uint8", "int16", "uint16", "int32", "float16", "float32")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def no_fsync() -> Iterator[None]:
-    """Most of the time goes there, and no power cut is tested here."""
-    with mock.patch("os.fsync"):
-        yield
 
 
 def any_values(rng: np.random.Generator, shape: tuple[int, ...], dtype: str) -> np.ndarray:
