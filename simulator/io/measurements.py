@@ -38,6 +38,8 @@ def read_measurement(path: Path, channels: tuple[str, ...]) -> NDArray[Any]:
         image = readers[path.suffix.lower()](path)
         if image.ndim == 3 and path.suffix.lower() != ".npy":
             image = np.moveaxis(image, -1, 0)
+    elif not path.exists():
+        raise InputError(path, "there is no such file or folder")
     else:
         raise InputError(path, "expected .tif, .tiff, .png, .exr or .npy (linear, without loss)")
     image = image[None] if image.ndim == 2 else image

@@ -152,10 +152,12 @@ def test_folders_without_a_sample_are_refused(tiny_dataset: Path, tmp_path: Path
         load_measurement(tiny_dataset)
     with pytest.raises(InputError, match=f"{tmp_path.name}: "):
         load_measurement(tmp_path)
+    with pytest.raises(InputError, match=r"s00000099: there is no such file or folder"):
+        load_measurement(tmp_path / "s00000099")
     with pytest.raises(InputError, match=r"gone\.tif: "):
         load_measurement(tmp_path / "gone.tif")
     (tmp_path / "text.txt").write_text("x", encoding="utf-8")
-    with pytest.raises(InputError, match=r"text\.txt: "):
+    with pytest.raises(InputError, match=r"text\.txt: expected \.tif"):
         load_measurement(tmp_path / "text.txt")
 
 
