@@ -19,12 +19,8 @@ from learning.layers.noise import noise_ratio
 from learning.layers.space_time import JOINT, ClipProblem, JointLeastSquares
 from learning.method import Clock, Method, linear_to_srgb
 from learning.models import build_network, full_architecture, learned_method
-from learning.models.videonet import (
-    STARTS,
-    VIDEO_SIZES,
-    VideoMethod,
-    VideoNet,
-)
+from learning.models.clip_network import STARTS
+from learning.models.videonet import VIDEO_SIZES, VideoMethod, VideoNet
 from learning.timing import Timing
 from simulator.camera.shutter import RollingShutter, RowShutter
 from simulator.errors import InputError
