@@ -20,7 +20,7 @@ from simulator.types import Clip, View
 _ALIKE = 1e-3  # relative: numbers that were written with few digits
 
 
-def samples(view: View, *, path: Path) -> Samples:
+def samples(view: View, *, path: Path, backwards: bool = False) -> Samples:
     """Read the scenes of a data set: light and depth of its ground truth, and what shone beside the images.
 
     Splits stay apart: that of the same name is seen again, in its order; a split that the data set does not have takes from
@@ -31,6 +31,7 @@ def samples(view: View, *, path: Path) -> Samples:
     Args:
         view: the new camera's view.
         path: folder of the data set.
+        backwards: let time run backwards; labels stay what they were.
 
     Returns:
         A scene source; a scene's ``source`` says which sample it was, and what made that: a family or a source of its own.
@@ -58,7 +59,7 @@ def samples(view: View, *, path: Path) -> Samples:
             got = f"the samples of {path} know {known[0]} x {known[1]} pixels, image and margin"
             wanted = f"expected {' x '.join(map(str, view.field.shape))}: a narrower one, or camera.field_stop_deg"
             raise InputError("margin", f"{got}, {wanted}")
-    return Samples(splits)
+    return Samples(splits, backwards)
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,7 @@ class Samples:
     """All samples of a data set, split after split, as scenes."""
 
     parts: tuple[Dataset, ...]
+    backwards: bool = False
 
     @property
     def splits(self) -> Mapping[str, range]:
@@ -89,15 +91,31 @@ class Samples:
         for dataset in self.parts:
             if index < len(dataset):
                 sample, scene = dataset[index], dataset.config["scene"]
+                clip = sample.clip()
                 return replace(
-                    sample.clip(),
+                    _reversed(clip) if self.backwards else clip,
                     source={
                         "data set": dataset.fingerprint,
                         "sample": f"{dataset.split}/{dataset.ids[index]}",
                         "made by": {key: scene[key] for key in ("family", "source") if scene.get(key) is not None},
                         "scene": sample.metadata["scene"],
                         "seed": sample.seed,
+                        **({"backwards": True} if self.backwards else {}),
                     },
                 )
             index -= len(dataset)
         raise IndexError(index)
+
+
+def _reversed(clip: Clip) -> Clip:
+    """Return a clip whose time runs backwards; extras, such as motion to the next frame, are left out."""
+    around, end_s = clip.surroundings, clip.frame_edges_s[-1]
+    return replace(
+        clip,
+        rgb=clip.rgb[::-1].copy(),
+        depth_m=clip.depth_m[::-1].copy(),
+        valid=clip.valid[::-1].copy(),
+        frame_edges_s=end_s - clip.frame_edges_s[::-1],
+        extras={},
+        surroundings=around and replace(around, rgb=around.rgb[::-1].copy(), depth_m=around.depth_m[::-1].copy()),
+    )

@@ -307,3 +307,32 @@ class TestTimes:
         said: list[str] = []
         generate(path, ["dataset.share_videos=true", f"dataset.output={trial.folder / 'shared'}"], say=said.append)
         assert any("splits share source videos" in line for line in said)
+
+
+def test_clips_of_a_data_set_run_backwards_for_another_camera(
+    tmp_path: Path, make_trial: Callable, irradiance: Callable
+) -> None:
+    """Frames in the other order, before the same shutter; the label stays."""
+    trial = make_trial(tmp_path)
+    known = make(trial, {"ground_truth": "frames", "train": 1, "validation": 0, "test": 0})
+    again = {"source": "samples", "path": str(known), "size": [16, 20], "backwards": True}
+    counts = {
+        "train": 1,
+        "validation": 0,
+        "test": 0,
+        "ground_truth": "frames",
+        "slivers": 4,
+        "output": str(tmp_path / "again"),
+    }
+    root = generate(trial.write(camera=CAMERA, scene=again, dataset=counts)).path
+    (one,), (other,) = open_dataset(known), open_dataset(root)
+    for name in ("rgb", "depth_m", "valid"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(one, name)[::-1])
+    assert other.label == one.label
+    assert other.metadata["scene"]["backwards"] is True
+    seen = (irradiance(root, *frame) for frame in zip(one.rgb[::-1], one.depth_m[::-1], strict=True))
+    expected = (
+        sum(light * seconds[:, None] for light, seconds in zip(seen, seconds_open(len(one.rgb)), strict=True))
+        / other.metadata["full_scale"]
+    )
+    assert np.abs(other.noiseless - expected).max() < 2e-6 * expected.max()
