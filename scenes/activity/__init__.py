@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,11 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from scenes.activity.actions import ACTIONS, GRAINS, Action, Cast, Moment, course
+from scenes.activity.actions import ACTIONS, Action, Moment, course
+from scenes.activity.cast import Cast, draw_cast
+from scenes.activity.grains import GRAINS
 from scenes.activity.hand import hand_surface
-from scenes.activity.holds import Actor, Pose
+from scenes.activity.holds import Pose
 from scenes.activity.tabletop import Viewpoint, check_range, draw_lights, draw_viewpoint, table_mesh, wall_mesh
 from scenes.activity.things import BACKGROUNDS, Looks, draw_looks, draw_thing, grains_mesh, paint
+from scenes.layout import rotation
 from scenes.meshes import UnitMesh
 from simulator.errors import InputError
 from simulator.render import Environment, Material, Renderer, Scene, SphereLight, TriangleMesh
@@ -37,13 +40,16 @@ def activity(
     frames_per_second: Annotated[float, Field(gt=0, le=100_000)] = 12.0,
     samples_per_pixel: Annotated[int, Field(ge=1, le=4096)] = 16,
     actions: Annotated[list[Action], Field(min_length=1)] | None = None,
+    only_background: bool = False,
     renderer: Renderer,
 ) -> Activity:
     """Return the family for a view: each clip is one action, labelled, with the classes in turn from index to index.
 
-    Thing, hand, skin, light, background and viewpoint are drawn before the action is looked at, so that nothing but the
-    action tells the label. The action fills the clip, whatever its length; things fall with the gravity of the set, which
-    is a real one scaled down to the depth range, unless the clip is shorter than 1.4 s: then all of it runs faster.
+    Thing, hand, skin, light, background and viewpoint, and how things are done, are drawn before the action is looked at, so
+    that nothing but the action tells the label; and stills of different actions are alike, as far as these can be: things
+    are held upright or tipped over, whole or torn, by one hand or by both, other hands come in that do nothing, grains lie
+    on the table. The action fills half of the clip at least, whatever its length; things fall with the gravity of the set,
+    which is a real one scaled down to the depth range, unless the clip is shorter than 1.4 s: then all of it runs faster.
 
     Args:
         view: image shape, pinhole geometry and depth range; ``far_m`` must be about 3.5 ``near_m`` (65 degrees wide).
@@ -51,6 +57,7 @@ def activity(
         frames_per_second: frame rate; the default is that of Something-Something, 20 frames last 1.7 s.
         samples_per_pixel: light paths per pixel of a frame; noise falls with the square root.
         actions: the classes, in turn; all ten unless given.
+        only_background: without hands, what they handle, and grains: what is left should tell nothing of the action.
         renderer: how to render.
 
     Raises:
@@ -60,7 +67,7 @@ def activity(
     chosen = tuple(actions) if actions is not None else ACTIONS
     if len(set(chosen)) < len(chosen):
         raise InputError("actions", f"got {', '.join(chosen)}, expected each at most once; leave out what is repeated")
-    return Activity(view, frames, frames_per_second, samples_per_pixel, chosen, renderer)
+    return Activity(view, frames, frames_per_second, samples_per_pixel, chosen, only_background, renderer)
 
 
 @dataclass(frozen=True)
@@ -72,6 +79,7 @@ class Activity:
     frames_per_second: float
     samples_per_pixel: int
     actions: tuple[str, ...]
+    only_background: bool
     renderer: Renderer
     inputs: tuple[Path, ...] = field(default=(), init=False)
 
@@ -81,7 +89,7 @@ class Activity:
         duration = self.frames / self.frames_per_second
         drawn = draw_parameters(action, self.view, rng, duration_s=max(duration, _SHORTEST_S))
         return self.renderer.clip(
-            clip_scenes(drawn, self.view, self.frames),
+            clip_scenes(drawn, self.view, self.frames, only_background=self.only_background),
             self.view,
             frames_per_second=self.frames_per_second,
             samples_per_pixel=self.samples_per_pixel,
@@ -93,10 +101,15 @@ class Activity:
 
 @dataclass(frozen=True)
 class Parameters:
-    """All that a clip shows: the action, its cast, how things look, where the set stands and how it is lit."""
+    """All that a clip shows: the action, its cast, how things look, where the set stands and how it is lit.
+
+    Attributes:
+        companion: a thing that stands aside, as a mesh of the set; None where none does.
+    """
 
     action: str
     cast: Cast
+    companion: UnitMesh | None
     looks: Looks
     viewpoint: Viewpoint
     light: str
@@ -110,6 +123,9 @@ class Parameters:
             "light": self.light,
             "skin": self.looks.skin,
             "hand": "left" if self.cast.main.left else "right",
+            "manner": asdict(self.cast.manner),
+            "starts": round(self.cast.margins[0], 3),
+            "ends": round(1 - self.cast.margins[1], 3),
             "pitch_deg": round(math.degrees(self.viewpoint.pitch_rad), 3),
             "scale": round(self.viewpoint.scale, 6),
         }
@@ -121,40 +137,34 @@ def draw_parameters(action: str, view: View, rng: np.random.Generator, *, durati
     light, lights = draw_lights(viewpoint, rng)
     thing = draw_thing(rng)
     looks = draw_looks(rng)
-    shares = rng.random(16)
-    # Long things are gripped in the middle, flat ones high enough for the hand to stay above the table.
-    grip_height = min(max((0.55 + 0.2 * shares[0]) * thing.height_m, 0.045), 0.85 * thing.height_m)
-    least = math.acos(min(1.0, grip_height / 0.058))
-    elevation = max(math.radians(30 * shares[1]), least)
-    left = bool(shares[2] < 0.5)
-    elbow = 0.06 + 0.08 * shares[3]
-    cast = Cast(
-        thing=thing,
-        main=Actor(looks.hand_size, left, math.radians(42 + 38 * shares[4]), elevation, elbow),
-        second=Actor(looks.hand_size, not left, math.radians(42 + 38 * shares[5]), elevation, elbow),
-        second_rests=bool(shares[6] < 0.25),
-        spot_m=np.array([0.06 * (2 * shares[7] - 1), 0.04 * (2 * shares[8] - 1)]),
-        aloft_m=0.055 + 0.045 * shares[9],
-        grip_height_m=grip_height,
-        to_viewer=-viewpoint.turn[2],
-        duration_s=duration_s,
-        margins=(0.02 + 0.12 * shares[10], 0.02 + 0.12 * shares[11]),
-        tremor_m=0.0006 + 0.0012 * shares[12],
-        grain_m=0.0065 + 0.003 * shares[13],
-        luck=rng.random(32),
-    )
-    return Parameters(action, cast, looks, viewpoint, light, lights)
+    cast = draw_cast(thing, looks.hand_size, -viewpoint.turn[2], rng, duration_s=duration_s)
+    companion = _draw_companion(cast.second.side, viewpoint, rng)
+    return Parameters(action, cast, companion, looks, viewpoint, light, lights)
 
 
-def clip_scenes(drawn: Parameters, view: View, frames: int) -> Iterator[Scene]:
+def _draw_companion(side: float, viewpoint: Viewpoint, rng: np.random.Generator) -> UnitMesh | None:
+    """Draw a thing that stands at a side, beyond where things are moved to; None, too, where the wall leaves no room."""
+    thing, shares = draw_thing(rng), rng.random(4)
+    x = side * (0.25 + 0.04 * shares[0])
+    room = viewpoint.wall_m - x * math.tan(viewpoint.wall_yaw_rad) - 0.06
+    if shares[1] > 0.6 or room < 0.06:
+        return None
+    turn = rotation([0, 1, 0], 2 * math.pi * shares[3])
+    place = np.array([x, 0, min(room, 0.06 + 0.06 * shares[2])])
+    whole = thing.whole
+    return UnitMesh(place + whole.vertices @ turn.T, whole.normals @ turn.T, whole.uv, whole.faces)
+
+
+def clip_scenes(drawn: Parameters, view: View, frames: int, *, only_background: bool = False) -> Iterator[Scene]:
     """Yield the scene in the middle of each frame, in the rendered world.
 
-    The slots are: table, wall, acting hand, other hand, the thing's left and right half, grains.
+    The slots are: table, wall, the companion, acting hand, other hand, the thing's left and right half, grains.
     """
     at = course(drawn.action, drawn.cast)
     set_up = _SetUp(drawn, view)
     for number in range(frames):
-        yield set_up.scene(at(drawn.cast.duration_s * (number + 0.5) / frames))
+        moment = at(drawn.cast.duration_s * (number + 0.5) / frames)
+        yield set_up.scene(None if only_background else moment)
 
 
 class _SetUp:
@@ -164,24 +174,35 @@ class _SetUp:
         looks = paint(drawn.looks)
         self._drawn = drawn
         self._looks = looks
-        self._backdrop = (
-            table_mesh(view, drawn.viewpoint, looks.table, looks.repeats[0]),
-            wall_mesh(view, drawn.viewpoint, looks.wall, looks.repeats[1]),
-        )
         self._hands = (replace(looks.hand, left=drawn.cast.main.left), replace(looks.hand, left=drawn.cast.second.left))
         # Out of sight: a speck behind the camera.
         self._parked_m = np.array([0, 0, -0.5 * view.near_m])
         surface = hand_surface().mesh
         self._no_hand = self._speck(surface, looks.hand.material)
+        self._no_halves = tuple(self._speck(half, looks.thing) for half in drawn.cast.thing.halves)
         self._no_grains = self._speck(grains_mesh(np.zeros((GRAINS, 3)), np.ones(GRAINS)), looks.grains)
+        companion = drawn.companion
+        place = drawn.viewpoint.placed
+        self._backdrop = (
+            table_mesh(view, drawn.viewpoint, looks.table, looks.repeats[0]),
+            wall_mesh(view, drawn.viewpoint, looks.wall, looks.repeats[1]),
+            self._speck(drawn.cast.thing.whole, looks.companion)
+            if companion is None
+            else place(
+                TriangleMesh(companion.vertices, companion.normals, companion.uv, companion.faces, looks.companion)
+            ),
+        )
         self._last: dict[str, tuple[bytes, TriangleMesh]] = {}
 
     def _speck(self, mesh: UnitMesh, material: Material) -> TriangleMesh:
         small = 1e-3 * self._parked_m[2] * mesh.vertices
         return TriangleMesh(self._parked_m + small, mesh.normals, mesh.uv, mesh.faces, material)
 
-    def scene(self, moment: Moment) -> Scene:
-        """Return the scene of a moment."""
+    def scene(self, moment: Moment | None) -> Scene:
+        """Return the scene of a moment; of the background alone for None."""
+        if moment is None:
+            shapes = (*self._backdrop, self._no_hand, self._no_hand, *self._no_halves, self._no_grains)
+            return Scene(shapes, self._drawn.lights)
         place = self._drawn.viewpoint.placed
         second = self._no_hand
         if moment.second is not None:
@@ -216,6 +237,9 @@ class _SetUp:
     def _grains(self, centres_m: Array | None) -> TriangleMesh:
         if centres_m is None:
             return self._no_grains
+        return self._kept("grains", centres_m.tobytes(), lambda: self._grains_at(centres_m))
+
+    def _grains_at(self, centres_m: Array) -> TriangleMesh:
         inside = np.isnan(centres_m[:, :1])
         world = np.where(inside, self._parked_m, self._drawn.viewpoint.to_world(centres_m))
         sizes = np.full(GRAINS, self._drawn.cast.grain_m * self._drawn.viewpoint.scale)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scenes.activity.hand import PAD_M, POINTING, RELAXED, HandLook, grip, pose_bones, posed_hand
+from scenes.activity.hand import PAD_M, RELAXED, HandLook, grip, pose_bones, posed_hand
 from scenes.layout import rotation
 from scenes.meshes import unit
 from simulator.render import TriangleMesh
@@ -175,15 +175,15 @@ class Actor:
         frame = frame if turn is None else turn @ frame
         return HandState(held.angles_rad, frame, point_m - self.size * frame @ held.centre_m, shoulder_m)
 
-    def pointing(self, tip_m: Array, shoulder_m: Array, elevation_rad: float) -> HandState:
-        """Return the hand whose index fingertip touches a point from the arm's side."""
-        bones = pose_bones(POINTING)
+    def pointing(self, tip_m: Array, shoulder_m: Array, elevation_rad: float, angles_rad: Array) -> HandState:
+        """Return the hand, its joints at ``angles_rad``, whose index fingertip touches a point from the arm's side."""
+        bones = pose_bones(angles_rad)
         along = unit(bones.ends_m[7] - bones.starts_m[5])
         tip = bones.tip_m(1) + PAD_M[1] * along
         approach = math.cos(elevation_rad) * self.forwards - math.sin(elevation_rad) * _UP
         back = math.sin(elevation_rad) * self.forwards + math.cos(elevation_rad) * _UP
         frame = self._frame((along, unit(np.array([0, 0, 1.0]) - along[2] * along)), (approach, back))
-        return HandState(POINTING, frame, tip_m - self.size * frame @ tip, shoulder_m)
+        return HandState(angles_rad, frame, tip_m - self.size * frame @ tip, shoulder_m)
 
     def resting(self, wrist_m: Array) -> HandState:
         """Return the hand that lies on the table, palm down."""

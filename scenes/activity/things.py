@@ -84,6 +84,17 @@ class Thing:
     height_m: float
     halves: tuple[UnitMesh, UnitMesh]
 
+    @property
+    def whole(self) -> UnitMesh:
+        """Both shells as one mesh."""
+        left, right = self.halves
+        return UnitMesh(
+            np.concatenate([left.vertices, right.vertices]),
+            np.concatenate([left.normals, right.normals]),
+            np.concatenate([left.uv, right.uv]),
+            np.concatenate([left.faces, right.faces + len(left.vertices)]),
+        )
+
     def share_at(self, height_m: float) -> float:
         """Return the outer half width at a height above the table, as a share of the greatest."""
         profile = np.array(KINDS[self.kind].profile)
@@ -199,6 +210,7 @@ class Paint:
     hand: HandLook
     thing: Material
     grains: Material
+    companion: Material
 
 
 def draw_looks(rng: np.random.Generator) -> Looks:
@@ -234,6 +246,7 @@ def paint(looks: Looks) -> Paint:
         hand=_paint_hand(looks, theme, rng),
         thing=Material(thing, float(rng.uniform(0.25, 0.6))),
         grains=Material(np.ascontiguousarray(grain[coarse, coarse])),
+        companion=Material(draw_reflectance(rng, draw_ramp(rng, draw_theme(rng)), _SIZE)),
     )
 
 

@@ -37,8 +37,23 @@ def test_every_choice_occurs() -> None:
     assert {p.looks.background for p in drawn} == set(range(len(BACKGROUNDS)))
     assert {p.light for p in drawn} == set(LIGHTS)
     assert {p.looks.skin for p in drawn} == set(range(SKINS))
-    assert {p.cast.main.left for p in drawn} == {p.cast.second_rests for p in drawn} == {False, True}
-    assert {p.looks.sleeved for p in drawn} == {False, True}
+    assert {p.cast.main.left for p in drawn} == {p.looks.sleeved for p in drawn} == {False, True}
+    manners = [p.cast.manner for p in drawn]
+    for name in ("both_hands", "joins", "tipped", "lifted", "offered", "from_above", "finger"):
+        assert {getattr(manner, name) for manner in manners} == {False, True}
+    assert {manner.idle for manner in manners} == {"away", "rests", "enters"}
+    for shares in ([m.apart for m in manners], [m.spilled for m in manners], [p.companion is None for p in drawn]):
+        assert 0.2 < np.mean(np.array(shares) == 0) < 0.8
+
+
+def test_an_action_begins_early_or_late_and_fills_half_of_the_clip_at_least() -> None:
+    """And takes 0.9 s or more, in which a hand can do it."""
+    casts = [draw_parameters("poking", DEFAULT, np.random.default_rng((1, index))).cast for index in range(300)]
+    starts, ends = (np.array([cast.times(share)[0] / cast.duration_s for cast in casts]) for share in (0, 1))
+    assert starts.min() < 0.02
+    assert starts.max() > 0.35
+    assert ends.max() > 0.98
+    assert (ends - starts).min() >= 0.9 / (5 / 3) - 1e-9
 
 
 def test_nothing_but_the_action_depends_on_the_label() -> None:
@@ -81,10 +96,10 @@ def test_slots_keep_their_kind_whatever_the_action() -> None:
         assert len(counts) == 1, "a mesh keeps its size within a clip"
         assert all(scene.shapes[0] is scenes[0].shapes[0] for scene in scenes), "the table is one object"
         assert all(
-            a.uv is b.uv for scene in scenes for a, b in zip(meshes(scene)[2:6], meshes(scenes[0])[2:6], strict=True)
+            a.uv is b.uv for scene in scenes for a, b in zip(meshes(scene)[2:7], meshes(scenes[0])[2:7], strict=True)
         )
     assert len(seen) == 1
-    assert len(next(iter(seen))) == 7 + 3
+    assert len(next(iter(seen))) == 8 + 3
 
 
 def meshes(scene: Scene) -> list[TriangleMesh]:
@@ -93,8 +108,25 @@ def meshes(scene: Scene) -> list[TriangleMesh]:
 
 def test_a_thing_at_rest_stays_the_same_object() -> None:
     scenes = list(clip_scenes(draw_parameters("picking_up", DEFAULT, np.random.default_rng(0)), DEFAULT, 20))
-    assert scenes[0].shapes[4] is scenes[3].shapes[4]
-    assert scenes[0].shapes[4] is not scenes[-1].shapes[4]
+    assert scenes[0].shapes[5] is scenes[3].shapes[5]
+    assert scenes[0].shapes[5] is not scenes[-1].shapes[5]
+
+
+def test_the_background_alone_is_the_same_whatever_the_action() -> None:
+    sources = [
+        activity(SMALL, frames=2, samples_per_pixel=1, actions=[action], only_background=True, renderer=SCALAR)
+        for action in ACTIONS[:3]
+    ]
+    clips = [source.clip(0, np.random.default_rng(3)) for source in sources]
+    acted = activity(SMALL, frames=2, samples_per_pixel=1, actions=["holding"], renderer=SCALAR).clip(
+        0, np.random.default_rng(3)
+    )
+    assert len({clip.label for clip in clips}) == 3
+    assert len({clip.rgb.tobytes() for clip in clips}) == 1
+    assert (clips[0].depth_m[0] == clips[0].depth_m[1]).all()
+    hidden = acted.depth_m[0] < 0.99 * clips[0].depth_m[0]
+    assert 0.02 < hidden.mean() < 0.6, "the hand and the thing are in front of it"
+    assert not (acted.depth_m[0] > 1.01 * clips[0].depth_m[0]).any()
 
 
 @pytest.mark.parametrize("name", VIEWS)
@@ -112,7 +144,7 @@ def test_what_is_seen_lies_in_the_depth_range(name: str) -> None:
                 points = points[points[:, 2] > 0]
                 seen = points[(np.abs(points[:, :2] / points[:, 2:]) < limits).all(axis=1)]
                 assert seen.size == 0 or (seen[:, 2].min() >= view.near_m and seen[:, 2].max() <= view.far_m)
-            centre = np.concatenate([mesh.vertices_m for mesh in meshes(scene)[4:6]]).mean(axis=0)
+            centre = np.concatenate([mesh.vertices_m for mesh in meshes(scene)[5:7]]).mean(axis=0)
             in_view.append(bool(np.all(np.abs(centre[:2] / centre[2]) < limits)))
             for light in scene.lights:
                 if isinstance(light, SphereLight):
@@ -154,8 +186,8 @@ def test_short_clips_show_the_whole_action_faster() -> None:
     seconds = max(source.frames / source.frames_per_second, 1.4)
     drawn = draw_parameters("dropping", DEFAULT, np.random.default_rng(0), duration_s=seconds)
     scenes = list(clip_scenes(drawn, DEFAULT, 20))
-    assert scenes[-1].shapes[4] is scenes[-2].shapes[4], "at rest"
-    assert scenes[-1].shapes[4] is not scenes[0].shapes[4]
+    assert scenes[-1].shapes[5] is scenes[-2].shapes[5], "at rest"
+    assert scenes[-1].shapes[5] is not scenes[0].shapes[5]
 
 
 def test_a_depth_range_too_thin_is_refused_with_the_one_that_is_needed() -> None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
 from scenes.activity import draw_parameters
-from scenes.activity.actions import ACTIONS, GRAINS, Cast, Course, course
+from scenes.activity.actions import ACTIONS, Course, course
+from scenes.activity.cast import Cast
+from scenes.activity.grains import GRAINS
 from scenes.activity.hand import PAD_M, HandLook, pose_bones
 from scenes.activity.holds import GRAVITY_M_S2, HandState, Pose, bounce_height, keyed
 from scenes.activity.things import KINDS, draw_thing, grains_mesh
@@ -20,9 +24,14 @@ SEEDS = range(3)
 LOOK = HandLook(Material(np.full((4, 4, 3), 0.5, np.float32)))
 
 
-def acted(action: str, seed: int) -> tuple[Cast, Course, np.ndarray]:
+def acted(action: str, seed: int, **manner: Any) -> tuple[Cast, Course, np.ndarray]:
+    """Draw a cast, with a manner that differs from the one drawn as told, and let it act."""
     cast = draw_parameters(action, VIEW, np.random.default_rng(seed)).cast
+    cast = dataclasses.replace(cast, manner=dataclasses.replace(cast.manner, **manner))
     return cast, course(action, cast), np.linspace(0, cast.duration_s, 61)
+
+
+UPRIGHT = {"both_hands": False, "tipped": False, "offered": False}
 
 
 def feet(at: Course, times: np.ndarray, half: int = 0) -> np.ndarray:
@@ -65,20 +74,22 @@ def test_nothing_goes_into_the_table_or_jumps(action: str) -> None:
 def test_the_hand_does_not_jump_when_it_closes_or_touches(action: str) -> None:
     """In steps of 1 ms the speed changes steadily: a jump of x would show as a second difference of x.
 
-    A reach of 0.3 m in 0.4 s accelerates by at most 5.8 D / T^2 = 11 m/s^2 (minimum jerk) and the wrist by as much again
-    as the fingers open, which is 2.2e-5 m per step squared; the tremor adds 1.8 mm * 0.25 * (2 pi 9.2 Hz)^2 = 1.5 m/s^2.
+    The quickest reach is 0.25 m in 0.36 of 0.9 s, and accelerates by at most 5.8 D / T^2 = 14 m/s^2 (minimum jerk); the
+    tremor adds 1.8 mm * 0.25 * (2 pi 9.2 Hz)^2 = 1.5 m/s^2. In 0.14 of 0.9 s fingers open by up to 3.5 cm, which moves the
+    wrist by up to a half as much: 5.8 * 0.0175 / 0.126^2 = 6.4 m/s^2.
     """
-    for seed in SEEDS:
+    for seed in range(6):
         cast, at, _ = acted(action, seed)
         wrists = np.array([at(time).hand.wrist_m for time in np.arange(0, cast.duration_s, 1e-3)])
-        assert np.abs(np.diff(wrists, 2, axis=0)).max() < 2.5e-5
+        assert np.abs(np.diff(wrists, 2, axis=0)).max() < 2.3e-5
 
 
 def test_grains_are_poured_early_and_on_the_viewers_side_of_the_hand() -> None:
     for seed in range(6):
-        cast, at, times = acted("pouring", seed)
+        cast, at, times = acted("pouring", seed, spilled=0.0)
         first = next(time for time in times if at(time).grains_m is not None)
-        assert 0.25 < first / cast.duration_s < 0.5
+        begin, end = cast.times(0, 1)
+        assert 0.25 < (first - begin) / (end - begin) < 0.5
         moment = at(times[-1])
         assert moment.grains_m is not None
         thumb, fingers = pads_m(cast, moment.hand)
@@ -88,14 +99,15 @@ def test_grains_are_poured_early_and_on_the_viewers_side_of_the_hand() -> None:
 
 @pytest.mark.parametrize(("action", "sign"), [("moving_right_to_left", -1), ("moving_left_to_right", 1)])
 def test_moving_crosses_the_picture_in_its_direction(action: str, sign: int) -> None:
-    for seed in SEEDS:
+    for seed in range(8):
         drawn = draw_parameters(action, VIEW, np.random.default_rng(seed))
-        at, times = course(action, drawn.cast), np.linspace(0, drawn.cast.duration_s, 41)
+        _, at, times = acted(action, seed)
         seen = drawn.viewpoint.to_world(feet(at, times))
         across = sign * seen[:, 0] / seen[:, 2] / VIEW.tan_half_width
         assert across[-1] - across[0] > 0.4, "a fifth of the picture's width at least"
         assert np.diff(across).min() > -0.01, "in one go"
-        assert -feet(at, times)[:, 1].max() == pytest.approx(0, abs=1e-9)
+        _, at, times = acted(action, seed, **UPRIGHT, lifted=False)
+        assert -feet(at, times)[:, 1].max() == pytest.approx(0, abs=1e-9), "along the table"
 
 
 def test_dropped_things_fall_freely_and_come_to_rest() -> None:
@@ -108,7 +120,7 @@ def test_dropped_things_fall_freely_and_come_to_rest() -> None:
         acceleration = np.polyfit(times[start : start + 14], falling, 2)[0] * 2
         assert acceleration == pytest.approx(-GRAVITY_M_S2, rel=1e-6)
         assert heights[: start - 20].min() > 0.05, "held before"
-        assert np.all(heights[-10:] == 0), "at rest on the table"
+        assert heights[-1] == 0, "at rest on the table"
         thumb, fingers = pads_m(cast, at(times[-1]).hand)
         assert np.linalg.norm(fingers - thumb) > cast.width_m + 0.01, "the hand is open"
 
@@ -127,10 +139,14 @@ def test_picking_up_starts_on_the_table_and_ends_aloft_in_the_hand() -> None:
     for seed in SEEDS:
         cast, at, times = acted("picking_up", seed)
         heights = -feet(at, times)[:, 1]
-        assert np.all(heights[:20] == 0)
+        assert np.all(heights[times < cast.times(0.5)[0]] == 0)
         assert heights[-1] > 0.04
         assert_gripped(cast, at, times[-1])
-        assert np.linalg.norm(at(times[0]).hand.wrist_m - at(times[-1]).hand.wrist_m) > 0.1
+        came = at(times[0]).hand.wrist_m - at(cast.times(0.36)[0]).hand.wrist_m
+        if cast.manner.from_above:
+            assert came[1] < -0.05, "down onto it"
+        else:
+            assert np.linalg.norm(came[[0, 2]]) > 0.1, "from its side"
 
 
 def test_putting_down_ends_at_rest_on_the_table() -> None:
@@ -139,9 +155,23 @@ def test_putting_down_ends_at_rest_on_the_table() -> None:
         heights = -feet(at, times)[:, 1]
         assert heights[0] > 0.04
         assert_gripped(cast, at, times[0])
-        assert np.all(heights[-20:] == 0)
-        assert np.ptp(feet(at, times[-20:]), axis=0).max() == 0
-        assert np.linalg.norm(at(times[-1]).hand.wrist_m - at(times[30]).hand.wrist_m) > 0.08, "the hand leaves"
+        (down,) = cast.times(0.5)
+        assert np.all(heights[times > down] == 0)
+        assert np.ptp(feet(at, times[times > down]), axis=0).max() == 0
+        assert np.linalg.norm(at(times[-1]).hand.wrist_m - at(down).hand.wrist_m) > 0.05, "the hand leaves"
+
+
+def test_putting_down_is_picking_up_backwards() -> None:
+    """So no still tells one from the other: hand and thing are the same, but for the tremor."""
+    cast, *_ = acted("picking_up", 0)
+    cast = dataclasses.replace(cast, tremor_m=0.0)
+    mirrored = dataclasses.replace(cast, margins=cast.margins[::-1])
+    forwards, backwards = course("picking_up", cast), course("putting_down", mirrored)
+    for share in np.linspace(0, 1, 41):
+        one, other = forwards(cast.duration_s * share), backwards(cast.duration_s * (1 - share))
+        np.testing.assert_allclose(one.hand.wrist_m, other.hand.wrist_m, atol=1e-9)
+        np.testing.assert_allclose(one.hand.angles_rad, other.hand.angles_rad, atol=1e-9)
+        np.testing.assert_allclose(one.halves[0].place_m, other.halves[0].place_m, atol=1e-9)
 
 
 def assert_gripped(cast: Cast, at: Course, time_s: float) -> None:
@@ -155,12 +185,81 @@ def assert_gripped(cast: Cast, at: Course, time_s: float) -> None:
     assert np.linalg.norm(fingers - thumb) == pytest.approx(cast.width_m, abs=1e-3)
 
 
+@pytest.mark.parametrize("tipped", [False, True])
 @pytest.mark.parametrize("action", ["holding", "showing", "pouring", "moving_left_to_right"])
-def test_held_things_stay_in_the_grip(action: str) -> None:
+def test_held_things_stay_in_the_grip(action: str, tipped: bool) -> None:
     for seed in SEEDS:
-        cast, at, times = acted(action, seed)
+        cast, at, times = acted(action, seed, both_hands=False, tipped=tipped)
         for time in times[::10]:
             assert_gripped(cast, at, time)
+
+
+@pytest.mark.parametrize("action", ["holding", "showing", "moving_left_to_right"])
+def test_what_is_done_with_both_hands_looks_like_tearing_but_the_halves_stay_as_far_apart(action: str) -> None:
+    for seed in SEEDS:
+        for apart in (0.0, 0.6):
+            _, at, times = acted(action, seed, both_hands=True, apart=apart, joins=False)
+            places = feet(at, times, 1) - feet(at, times, 0)
+            # Tearing moves each half by 5 to 8.5 cm, and a tenth of that upwards and forwards.
+            distance = np.linalg.norm(places, axis=1)
+            np.testing.assert_allclose(distance, distance[0], atol=1e-9)
+            assert (distance[0] > 0.02) == (apart > 0)
+            hands = [at(times[30]).hand, at(times[30]).second]
+            assert all(hand is not None for hand in hands)
+            halves = sorted(float(at(times[30]).halves[half].place_m[0]) for half in (0, 1))
+            wrists = sorted(hand.wrist_m[0] for hand in hands if hand is not None)
+            assert wrists[0] < halves[0] <= halves[1] < wrists[1]
+
+
+def test_a_tipped_thing_is_held_as_at_the_end_of_pouring() -> None:
+    for seed in SEEDS:
+        _, poured, times = acted("pouring", seed, both_hands=False, tipped=True)
+        _, held, _ = acted("holding", seed, both_hands=False, tipped=True, offered=False)
+        one, other = poured(times[-1]).halves[0], held(times[0]).halves[0]
+        np.testing.assert_allclose(one.turn, other.turn, atol=1e-9)
+        # The drift of holding and the tremor: 12 and 1.8 mm along an axis.
+        np.testing.assert_allclose(one.place_m, other.place_m, atol=0.016)
+
+
+def test_spilled_grains_lie_where_poured_ones_do() -> None:
+    """In any action, from its beginning; pouring adds the others."""
+    places = {}
+    for action in ("holding", "pouring"):
+        _, at, times = acted(action, 0, spilled=0.5)
+        first, last = at(times[0]).grains_m, at(times[-1]).grains_m
+        assert first is not None
+        assert last is not None
+        assert np.isfinite(first[:, 0]).sum() == GRAINS // 2
+        np.testing.assert_array_equal(first[: GRAINS // 2], last[: GRAINS // 2])
+        places[action] = first[: GRAINS // 2]
+        if action == "pouring":
+            poured = last[GRAINS // 2 :][np.isfinite(last[GRAINS // 2 :, 0])]
+            middle = np.nanmean(poured, axis=0) - first[: GRAINS // 2].mean(axis=0)
+            assert np.abs(middle[[0, 2]]).max() < 0.05
+    np.testing.assert_array_equal(places["holding"], places["pouring"])
+
+
+@pytest.mark.parametrize("idle", ["away", "rests", "enters"])
+def test_an_idle_hand_keeps_to_its_side_and_touches_nothing(idle: str) -> None:
+    for seed in SEEDS:
+        cast, at, times = acted("picking_up", seed, idle=idle)
+        states = [at(time).second for time in times]
+        if idle == "away":
+            assert states == [None] * len(times)
+            continue
+        wrists = np.array([state.wrist_m for state in states if state is not None])
+        moved = np.linalg.norm(np.ptp(wrists, axis=0))
+        assert moved > 0.2 if idle == "enters" else moved == 0
+        for time, state in zip(times[::10], states[::10], strict=True):
+            assert state is not None
+            hand = state.mesh(LOOK).vertices_m
+            assert (cast.second.side * hand[:, 0]).min() > -0.02
+            things = [
+                mesh.vertices @ pose.turn.T + pose.place_m
+                for mesh, pose in zip(cast.thing.halves, at(time).halves, strict=True)
+            ]
+            gaps = np.linalg.norm(hand[:, None] - np.concatenate(things)[None, ::7], axis=2)
+            assert gaps.min() > 0.005
 
 
 def test_a_poke_touches_then_pushes_a_little() -> None:
@@ -193,7 +292,7 @@ def test_a_poke_touches_then_pushes_a_little() -> None:
 
 def test_holding_is_almost_still() -> None:
     for seed in SEEDS:
-        _, at, times = acted("holding", seed)
+        _, at, times = acted("holding", seed, **UPRIGHT)
         places = feet(at, times)
         assert 1e-4 < np.ptp(places, axis=0).max() < 0.025
         assert tilt_deg(at(times[30]).halves[0]) < 1e-3
@@ -201,9 +300,9 @@ def test_holding_is_almost_still() -> None:
 
 def test_showing_brings_the_thing_to_the_viewer_and_turns_it() -> None:
     for seed in SEEDS:
-        cast, at, times = acted("showing", seed)
+        cast, at, times = acted("showing", seed, **UPRIGHT)
         towards = feet(at, times) @ cast.to_viewer
-        assert towards[30:45].mean() - towards[0] > 0.01
+        assert towards[-15:].mean() - towards[0] > 0.01
         poses = [at(time).halves[0] for time in times]
         yaws = [math.degrees(math.acos(np.clip((np.trace(p.turn @ poses[0].turn.T) - 1) / 2, -1, 1))) for p in poses]
         assert max(yaws) > 24
@@ -213,7 +312,7 @@ def test_tearing_parts_the_halves_between_two_hands() -> None:
     for seed in SEEDS:
         cast, at, times = acted("tearing", seed)
         apart = feet(at, times, 1) - feet(at, times, 0)
-        assert np.abs(apart[:16]).max() < 1e-9, "whole at first"
+        assert np.abs(apart[times < cast.times(0.38)[0]]).max() < 1e-9, "whole at first"
         ends = [at(times[-1]).halves[half] for half in (0, 1)]
         middles = [
             mesh.vertices.mean(axis=0) @ pose.turn.T + pose.place_m
@@ -227,15 +326,15 @@ def test_tearing_parts_the_halves_between_two_hands() -> None:
 
 
 @pytest.mark.parametrize("action", [action for action in ACTIONS if action != "tearing"])
-def test_only_tearing_parts_the_halves(action: str) -> None:
-    _, at, times = acted(action, 0)
+def test_one_hand_does_not_part_the_halves_and_only_pouring_lets_grains_out(action: str) -> None:
+    _, at, times = acted(action, 0, both_hands=False, spilled=0.0)
     np.testing.assert_array_equal(feet(at, times, 0), feet(at, times, 1))
     assert (at(times[-1]).grains_m is not None) == (action == "pouring")
 
 
 def test_pouring_tips_the_thing_over_and_grains_fall_on_the_table() -> None:
     for seed in range(3):
-        cast, at, times = acted("pouring", seed)
+        cast, at, times = acted("pouring", seed, spilled=0.0)
         assert tilt_deg(at(0.0).halves[0]) < 1e-3
         assert max(tilt_deg(at(time).halves[0]) for time in times) > 100
         assert at(0.0).grains_m is None
