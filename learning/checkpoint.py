@@ -21,7 +21,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.models import VideoNet, build_network, full_architecture
+from learning.models import Network, build_network, full_architecture, named
 from learning.models.denoiser import Denoiser
 from learning.models.flatnet import FIRST_VERSION, FlatNet, PlaneWeights
 from learning.timing import Timing
@@ -59,7 +59,7 @@ class Checkpoint:
     ``path`` is the file, for messages.
     """
 
-    network: FlatNet | VideoNet
+    network: Network
     capture: CaptureModel
     fingerprint: str
     architecture: dict[str, Any]
@@ -69,7 +69,7 @@ class Checkpoint:
     @property
     def named(self) -> dict[str, Any]:
         """The architecture as `learning.models.build_network` takes it: ``name`` instead of ``network``."""
-        return _named(self.architecture)
+        return named(self.architecture)
 
     def for_camera(self, capture: CaptureModel) -> FlatNet:
         """Return its FlatNet for another camera, whose planes and PSFs may differ; see `transfer`."""
@@ -81,7 +81,7 @@ class Checkpoint:
 
 def save_checkpoint(
     path: Path | str,
-    network: FlatNet | VideoNet,
+    network: Network,
     *,
     architecture: Mapping[str, Any],
     capture: CaptureModel,
@@ -255,14 +255,10 @@ def _stored(name: str, value: Tensor, precision: torch.dtype) -> Tensor:
     return rounded
 
 
-def _build(architecture: Mapping[str, Any], capture: CaptureModel) -> FlatNet | VideoNet:
+def _build(architecture: Mapping[str, Any], capture: CaptureModel) -> Network:
     """Return a network of this architecture; torch's generator stays where it is."""
     with torch.random.fork_rng(devices=[]):
-        return build_network(capture, **_named(architecture))
-
-
-def _named(architecture: Mapping[str, Any]) -> dict[str, Any]:
-    return {"name" if key == "network" else key: value for key, value in architecture.items()}
+        return build_network(capture, **named(architecture))
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:

@@ -6,9 +6,10 @@ re-simulated a fixed number of times, and each time is worked out once, by which
 
 from __future__ import annotations
 
+import copy
 import os
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,10 +20,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset as TorchDataset
 
+from learning.camera import CaptureModel
+from learning.config import ActivityTrainConfig, VideoTrainConfig
 from learning.data import Draw, ExampleSet, SampleCache, clip_of, read_scene
+from learning.layers.space_time import JointLeastSquares
 from learning.method import torch_threads
 from learning.provenance import sample_digests
 from learning.simulate import SceneCamera
+from simulator.dataset.reader import Dataset
 from simulator.io.cache import code_digest
 from simulator.io.files import sha256_bytes, storage_errors
 
@@ -39,12 +44,14 @@ class ClipExample(NamedTuple):
         radiance: ``(N, 3, h, w)`` float32, linear sRGB, the means of the slivers.
         start: ``(N, C, rows, columns)``, the estimate that the network begins with; see `VideoNet.begin`.
         measured: ``(N, C, H, W)``, what a global shutter would have measured of each sliver, without noise.
+        label: ``()`` int64, the number of the clip's class.
     """
 
     measurement: Tensor
     radiance: Tensor
     start: Tensor
     measured: Tensor
+    label: Tensor
 
 
 class ClipExamples(TorchDataset[ClipExample]):
@@ -60,6 +67,7 @@ class ClipExamples(TorchDataset[ClipExample]):
         measured: bool,
         draws: int,
         cache: Path | None,
+        labels: Sequence[int] | None = None,
     ) -> None:
         """Prepare; a training's examples are worked out when they are asked for.
 
@@ -72,10 +80,11 @@ class ClipExamples(TorchDataset[ClipExample]):
             draws: how many times each clip is changed, or its noise drawn; 0 does so for every draw, of which nothing is
                 kept.
             cache: folder to keep examples in; None keeps nothing.
+            labels: of each clip, the number of its class; None where classes do not matter.
         """
         self.dataset, self._examples, self._begin = examples.dataset, examples, begin
         self._draws = draws if examples.redrawn else 1
-        self._measured, self._white = measured, np.float32(white)
+        self._measured, self._white, self._labels = measured, np.float32(white), labels
         self._camera = SceneCamera(examples.dataset) if measured else None
         self._scene = partial(read_scene, examples.dataset, timing=examples.timing)
         self._kept: KeptRecords | None = None
@@ -84,7 +93,8 @@ class ClipExamples(TorchDataset[ClipExample]):
         if measured:
             self._scene = SampleCache.filled(cache, examples.dataset, "scene", self._scene).read
         if self._draws:
-            told = [dict(identity), white, sample_digests(examples.dataset), examples.dataset.ids, self._draws]
+            frames = None if examples.timing is None else examples.timing.frames
+            told = [dict(identity), white, frames, sample_digests(examples.dataset), examples.dataset.ids, self._draws]
             name = sha256_bytes(repr((code_digest(*_DECIDING), told)).encode())[:32]
             self._kept = KeptRecords(cache / f"{name}.clips", self._worked_out(0, 0))
 
@@ -105,7 +115,9 @@ class ClipExamples(TorchDataset[ClipExample]):
         seen = self._seen(position, number) if self._measured else np.empty(0, np.float32)
         radiance = arrays["radiance"].astype(np.float32) * self._white
         every = (arrays["measurement"], radiance, arrays["start"], seen)
-        return ClipExample(*(torch.from_numpy(values.astype(np.float32)) for values in every))
+        label = torch.empty(0, dtype=torch.int64) if self._labels is None else torch.tensor(self._labels[position])
+        measurement, radiance, start, seen = (torch.from_numpy(values.astype(np.float32)) for values in every)
+        return ClipExample(measurement, radiance, start, seen, label)
 
     def _worked_out(self, position: int, number: int) -> dict[str, NDArray[Any]]:
         """Return measurement, radiance and start; the latter two in half precision, of which a loss sees nothing."""
@@ -124,6 +136,51 @@ class ClipExamples(TorchDataset[ClipExample]):
         if self._examples.augment is not None:
             clip = self._examples.augment.apply(clip, self._examples.generator(position, number))
         return self._camera.global_measurements(clip, self._examples.timing.frames)
+
+
+def open_clip_examples(
+    dataset: Dataset,
+    config: VideoTrainConfig | ActivityTrainConfig,
+    capture: CaptureModel,
+    *,
+    joint: JointLeastSquares | None,
+    measured: bool,
+    cache: Path | None,
+    labels: Sequence[int] | None = None,
+) -> ClipExamples:
+    """Return a split's examples for a training: ``joint`` is what its network begins with, where it does so.
+
+    See `ClipExamples` for the others.
+    """
+    augment = config.data.augment if dataset.split == "train" else None
+    # The clips that are kept are the same for all seeds, which then differ in weights and order.
+    kept = config.data.draws or (augment is None and config.data.noise_db is None)
+    seed = 0 if kept else config.seed
+    examples = ExampleSet(dataset, noise_db=config.data.noise_db, augment=augment, seed=seed, cache=cache)
+    identity = {"seed": seed, "augment": augment and vars(augment), "noise_db": config.data.noise_db}
+    identity |= {"stack": capture.stack.fingerprint, "start": joint and joint.told}
+    return ClipExamples(
+        examples,
+        _Begin(joint),
+        identity=identity,
+        white=capture.white,
+        measured=measured,
+        draws=config.data.draws,
+        cache=cache,
+        labels=labels,
+    )
+
+
+class _Begin:
+    """What a network begins with, without the network, which may be on a GPU: for the processes that read examples."""
+
+    def __init__(self, joint: JointLeastSquares | None) -> None:
+        self._joint = copy.deepcopy(joint)
+        if self._joint is not None:
+            self._joint.cpu()
+
+    def __call__(self, measurement: Tensor) -> Tensor | None:
+        return None if self._joint is None else self._joint(measurement)
 
 
 class KeptRecords:

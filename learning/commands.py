@@ -12,6 +12,7 @@ from typer import Argument, Option
 from simulator.commands.shared import Overrides
 
 if TYPE_CHECKING:
+    from learning.config import EvaluateConfig, RecognitionConfig
     from learning.training_loop import TrainResult
 
 
@@ -22,12 +23,18 @@ def train(
     set_: Overrides = None,
 ) -> None:
     """Train a network on a data set, or resume an interrupted training."""
-    from learning.config import TrainConfig, load_file, training_kind
+    from learning.config import ActivityTrainConfig, TrainConfig, VideoTrainConfig, load_file, training_kind
     from learning.train import train as run
+    from learning.train_activity import train_activity
     from learning.train_video import train_video
 
+    runs: dict[type, Callable[..., TrainResult]] = {
+        TrainConfig: run,
+        VideoTrainConfig: train_video,
+        ActivityTrainConfig: train_activity,
+    }
     settings = load_file(training_kind, config, set_ or [])
-    folder = _train(partial(run if isinstance(settings, TrainConfig) else train_video, settings))
+    folder = _train(partial(runs[type(settings)], settings))
     print(f"look at {folder / 'validation.png'}, or at the curves: tensorboard --logdir {folder}")
 
 
@@ -80,13 +87,20 @@ def evaluate(
     config: Annotated[Path, Argument(help="what is compared, on which scenes (YAML)", show_default=False)],
     set_: Overrides = None,
 ) -> None:
-    """Compare networks and classical methods on test scenes; an interrupted run resumes."""
-    from learning.config import EvaluateConfig, load_file
+    """Compare networks and classical methods, or classifiers, on test scenes; an interrupted run resumes."""
+    from learning.config import RecognitionConfig, evaluation_kind, load_file
+
+    settings = load_file(evaluation_kind, config, set_ or [])
+    report = _recognise(settings) if isinstance(settings, RecognitionConfig) else _evaluate(settings)
+    print(f"look at {report}")
+
+
+def _evaluate(settings: EvaluateConfig) -> Path:
+    """Evaluate reconstructions, print the tables, and return the report."""
     from learning.evaluate.job import evaluate as run
     from learning.evaluate.tables import terminal_table, terminal_verdicts
     from simulator.console import Bar
 
-    settings = load_file(EvaluateConfig, config, set_ or [])
     with Bar() as bar:
         evaluation, files = run(settings, progress=bar.update, say=bar.say)
     for name, found in evaluation.findings.items():
@@ -96,7 +110,19 @@ def evaluate(
             print(f"\n{terminal_verdicts(found.differences)}\n")
     if evaluation.differences:
         print("+ the first is better (95 % interval excludes zero); - the second is; . undecided")
-    print(f"look at {files[0]}")
+    return files[0]
+
+
+def _recognise(settings: RecognitionConfig) -> Path:
+    """Evaluate classifiers, print the table, and return the report."""
+    from learning.recognition.job import recognise
+    from learning.recognition.report import terminal_tables
+    from simulator.console import Bar
+
+    with Bar() as bar:
+        found, files = recognise(settings, progress=bar.update, say=bar.say)
+    print(terminal_tables(found))
+    return files[0]
 
 
 def swap_masks(

@@ -118,7 +118,11 @@ class ExampleSet(TorchDataset[Example]):
         self._sensor, self._dark, self._clip, self._quantise = _converter(dataset)
         self._camera = None if augment is None else SceneCamera(dataset)
         self._kind = "scene" if augment else "measurement" if noise_db is None else "noiseless"
-        self._cache = None if cache is None else SampleCache.filled(cache, dataset, self._kind, self._read)
+        # Of a clip, a scene is all of its frames, anything else has the slivers' means beside it.
+        kept = (
+            self._kind if self._kind == "scene" or self.timing is None else f"{self._kind}, {self.timing.frames} frames"
+        )
+        self._cache = None if cache is None else SampleCache.filled(cache, dataset, kept, self._read)
 
     def __len__(self) -> int:
         """Return the number of samples."""

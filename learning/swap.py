@@ -32,11 +32,13 @@ from learning.config import (
     TuneData,
     WarmStart,
 )
-from learning.evaluate.job import CACHE, evaluate, find_perceptual
+from learning.evaluate.folder import is_claimed
+from learning.evaluate.job import evaluate, find_perceptual
 from learning.evaluate.methods import check_learned
 from learning.evaluate.outcome import SCORES, Outcome
 from learning.evaluate.paired import EXPLAINED, compare
-from learning.evaluate.report import OWN_FILES, Evaluation, compared_scores, is_claimed
+from learning.evaluate.report import OWN_FILES, Evaluation, compared_scores
+from learning.evaluate.runs import CACHE
 from learning.evaluate.tables import markdown, markdown_differences, markdown_verdicts
 from learning.method import Progress, Say, choose_device
 from learning.models.flatnet import FlatNet

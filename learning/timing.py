@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -117,6 +117,25 @@ def recorded_timing(dataset: Dataset) -> Timing | None:
     if dataset.config["scene"].get("frames") in (None, 1):
         return None
     raise InputError(dataset.root, "has no sample from which to tell the times of its frames; generate some first")
+
+
+def with_slivers(dataset: Dataset, slivers: int | None) -> Dataset:
+    """Return a data set whose captures are taken apart into another number of slivers; None leaves them.
+
+    Raises:
+        InputError: stills, clips of which only the slivers' means are stored, or a number that does not divide the frames.
+    """
+    time = dataset.info.time
+    if slivers is None or slivers == time.get("slivers"):
+        return dataset
+    if time.get("ground_truth") != "frames":
+        reason = (
+            "does not store all frames, from which other slivers could be made; generate it with ground_truth: frames"
+        )
+        raise InputError("slivers", f"got {slivers}, but {dataset.root} {reason}")
+    other = Dataset(dataset.root, dataset.split, dataset.ids, replace(dataset.info, time=time | {"slivers": slivers}))
+    recorded_timing(other)
+    return other
 
 
 def sample_timing(dataset: Dataset, stored: StoredSample) -> Timing | None:

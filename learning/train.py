@@ -14,16 +14,15 @@ from torch.nn.modules.batchnorm import _BatchNorm
 
 from learning.camera import CaptureModel, capture_model, check_range, measure_reference_white
 from learning.checkpoint import Checkpoint, find_checkpoint, load_checkpoint, save_checkpoint, transfer
-from learning.config import TrainConfig, VideoTrainConfig
+from learning.config import ActivityTrainConfig, ClipDataConfig, TrainConfig, VideoTrainConfig
 from learning.data import Example, ExampleSet, Loader
 from learning.distributed import Processes
 from learning.layers.inversion import RegularisedInversion
 from learning.losses import ReconstructionLoss
 from learning.method import Progress, Say
-from learning.models import build_network
+from learning.models import Network, build_network, named
 from learning.models.flatnet import FlatNet
-from learning.models.videonet import VideoNet
-from learning.timing import recorded_timing
+from learning.timing import recorded_timing, with_slivers
 from learning.training_loop import Item, Plan, RecordedLoss, Training, TrainResult, find_cache, open_splits, run
 from learning.validation import draw, true_estimate, validate
 from simulator.dataset.reader import Dataset
@@ -51,7 +50,7 @@ def train(config: TrainConfig, *, progress: Progress = lambda *_: None, say: Say
     return run(FlatNetTraining, config, progress, say)
 
 
-def find_data(config: TrainConfig | VideoTrainConfig) -> tuple[Dataset, Dataset, CaptureModel]:
+def find_data(config: TrainConfig | VideoTrainConfig | ActivityTrainConfig) -> tuple[Dataset, Dataset, CaptureModel]:
     """Open both splits of a training, look at some of their samples, and return them with the camera that the network knows.
 
     The validation split must come from the same camera: mask, sensor, exposure and range of depths. How finely its PSFs were
@@ -63,6 +62,8 @@ def find_data(config: TrainConfig | VideoTrainConfig) -> tuple[Dataset, Dataset,
             a validation split of another camera: what differs is named.
     """
     train, validation = open_splits(config)
+    if isinstance(config.data, ClipDataConfig):
+        train, validation = (with_slivers(each, config.data.slivers) for each in (train, validation))
     capture = capture_model(train, config.resolve_stack(config.data.stack), white=measure_reference_white(train))
     check_range(capture)
     if validation.root != train.root:
@@ -143,7 +144,7 @@ class NetworkTraining(Training[Item]):
 
     command = "train"
     _config: Any
-    _network: FlatNet | VideoNet
+    _network: Network
 
     @classmethod
     def plan(cls, config: Any, group: Processes) -> Plan:
@@ -151,7 +152,12 @@ class NetworkTraining(Training[Item]):
         train, validation, capture = find_data(config)
         loss = cls._build_loss(config, capture)
         torch.manual_seed(config.seed)
-        network = build_network(capture, config.network.name, config.network.size, **config.network.changes)
+        architecture = {
+            "network": config.network.name,
+            **config.network.numbers,
+            **cls._told_by(config, train, validation),
+        }
+        network = build_network(capture, **named(architecture))
         check_normalisation(network, group)
         init_from, taken = None, []
         if config.init_from is not None:
@@ -163,7 +169,12 @@ class NetworkTraining(Training[Item]):
         camera: dict[str, Any] = {"stack": capture.stack.fingerprint, "white": capture.white}
         if capture.timing is not None:
             camera["timing"] = capture.timing.record()
-        return Plan(config, group, train, validation, capture, camera, network, loss, init_from, taken)
+        return Plan(config, group, train, validation, capture, camera, network, architecture, loss, init_from, taken)
+
+    @classmethod
+    def _told_by(cls, config: Any, train: Dataset, validation: Dataset) -> dict[str, Any]:
+        """Return what the data add to the network's architecture."""
+        return {}
 
     @classmethod
     @abstractmethod

@@ -51,8 +51,8 @@ class DenoiserTraining(Training[NoisyPicture]):
             cure = "validate on pictures of the same size (scene.size)"
             raise InputError("data.validation", f"got pictures of {size} pixels, data.train has {wanted}; {cure}")
         torch.manual_seed(config.seed)
-        network = Denoiser(**config.network.numbers)
-        return Plan(config, group, train, validation, capture, {"white": capture.white}, network, DenoisingLoss())
+        network, told = Denoiser(**config.network.numbers), {"network": config.network.name, **config.network.numbers}
+        return Plan(config, group, train, validation, capture, {"white": capture.white}, network, told, DenoisingLoss())
 
     def _open(self, dataset: Dataset) -> Pictures:
         cache = find_cache(dataset, self._config, self._say)
@@ -80,7 +80,7 @@ class DenoiserTraining(Training[NoisyPicture]):
         every = float(self._group.add(sums.new_tensor(count)))
         total, psnr_db, noisy_db = (sums / every).tolist()
         # Chosen by the loss, a power: over levels of noise from faint to strong, PSNR says little.
-        return {"total": total, "psnr_db": psnr_db, "noisy_psnr_db": noisy_db, "score_db": -10 * math.log10(total)}
+        return {"total": total, "psnr_db": psnr_db, "noisy_psnr_db": noisy_db, "score": -10 * math.log10(total)}
 
     def _drawn(self, example: NoisyPicture) -> NDArray[np.uint8]:
         """Return an image: a row per picture, clean, noisy, denoised."""

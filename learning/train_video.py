@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +11,10 @@ from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from learning.checkpoint import Checkpoint, load_checkpoint
-from learning.clip_examples import ClipExample, ClipExamples
+from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
 from learning.clip_loss import ClipLoss
 from learning.config import VideoTrainConfig
-from learning.data import ExampleSet, Loader
+from learning.data import Loader
 from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.metrics import moving_pixels, psnr, psnr_at
 from learning.models.videonet import Film, VideoNet
@@ -50,24 +49,13 @@ class VideoTraining(NetworkTraining[ClipExample]):
     def _open(self, dataset: Dataset) -> ClipExamples:
         config, network = self._config, self._plan.network
         assert isinstance(network, VideoNet)
-        cache = find_cache(dataset, config, self._say)
-        augment = config.data.augment if dataset.split == "train" else None
-        # The clips that are kept are the same for all seeds, which then differ in weights and order.
-        kept = config.data.draws or (augment is None and config.data.noise_db is None)
-        seed = 0 if kept else config.seed
-        examples = ExampleSet(dataset, noise_db=config.data.noise_db, augment=augment, seed=seed, cache=cache)
-        identity = {"seed": seed, "augment": augment and vars(augment), "noise_db": config.data.noise_db}
-        identity |= {"stack": self._capture.stack.fingerprint}
-        identity |= {"start": network.joint and network.joint.told}
-        begin = _Begin(network)
-        return ClipExamples(
-            examples,
-            begin,
-            identity=identity,
-            white=self._capture.white,
+        return open_clip_examples(
+            dataset,
+            config,
+            self._capture,
+            joint=network.joint,
             measured=network.measnet is not None,
-            draws=config.data.draws,
-            cache=cache,
+            cache=find_cache(dataset, config, self._say),
         )
 
     def _film(self, network: nn.Module, example: ClipExample) -> Film:
@@ -85,7 +73,7 @@ class VideoTraining(NetworkTraining[ClipExample]):
         return self._losses(self._film(wrapped, example), example)
 
     def _metrics(self, batches: Loader[ClipExample]) -> dict[str, float]:
-        """Return means over the validation clips: the loss's terms, ``psnr_db``, ``moving_psnr_db``; and ``score_db``.
+        """Return means over the validation clips: the loss's terms, ``psnr_db``, ``moving_psnr_db``; and ``score``.
 
         The score is the mean of both PSNRs: what stands still is most of a clip, and easy. Where nothing moves in any clip,
         it is the first alone.
@@ -106,7 +94,7 @@ class VideoTraining(NetworkTraining[ClipExample]):
         both = torch.tensor([list(sums.values()), list(counts.values())], dtype=torch.float64)
         summed = self._group.add(both.to(self._group.device))
         found = {name: float(total / of) for name, (total, of) in zip(sums, summed.T, strict=True) if of}
-        return found | {"score_db": (found["psnr_db"] + found.get("moving_psnr_db", found["psnr_db"])) / 2}
+        return found | {"score": (found["psnr_db"] + found.get("moving_psnr_db", found["psnr_db"])) / 2}
 
     def _drawn(self, example: ClipExample) -> NDArray[np.uint8]:
         """Return an image: of each clip a row of its true frames, and below it one of the estimated."""
@@ -116,18 +104,6 @@ class VideoTraining(NetworkTraining[ClipExample]):
         rows = [row for pair in zip(truth, film.image.clamp(0, 1), strict=True) for row in pair]
         sheet = torch.cat([torch.cat(list(row), dim=-1) for row in rows], dim=-2)
         return (sheet * 255).round().byte().permute(1, 2, 0).cpu().numpy()
-
-
-class _Begin:
-    """What a network begins with, without the network, which may be on a GPU: for the processes that read examples."""
-
-    def __init__(self, network: VideoNet) -> None:
-        self._joint = copy.deepcopy(network.joint)
-        if self._joint is not None:
-            self._joint.cpu()
-
-    def __call__(self, measurement: Tensor) -> Tensor | None:
-        return None if self._joint is None else self._joint(measurement)
 
 
 def _errors(image: Tensor, example: ClipExample, capture: CaptureModel) -> dict[str, Tensor]:

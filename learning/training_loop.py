@@ -153,6 +153,7 @@ class Plan:
         capture: the camera, with the PSFs that the inversion knows and the reference white.
         camera: what of it decides the numbers, beside the data sets; plain.
         network: with the weights to begin with, on the CPU, as is the loss.
+        architecture: all from which the network can be built anew for its camera, plain; see `learning.models`.
         init_from: the checkpoint that it begins with, identified by content, because a path does not tell what lay there;
             with what its network was trained on.
         taken: lines that say what was taken from that checkpoint.
@@ -165,6 +166,7 @@ class Plan:
     capture: CaptureModel
     camera: dict[str, Any]
     network: nn.Module
+    architecture: dict[str, Any]
     loss: RecordedLoss
     init_from: dict[str, Any] | None = None
     taken: Sequence[str] = ()
@@ -431,7 +433,7 @@ class Training(ABC, Generic[Item]):
             reason = f"non-finite metrics ({_listed(metrics)}); {self._kept()}; {cure}"
             raise DivergedError(f"validation after step {progress.step}", reason)
         progress.last = {"step": progress.step, **metrics}
-        better = metrics["score_db"] > progress.best.get("score_db", float("-inf"))
+        better = metrics["score"] > progress.best.get("score", float("-inf"))
         if better:
             progress.best = progress.last
         if log is not None:
@@ -464,7 +466,7 @@ class Training(ABC, Generic[Item]):
             "processes": self._group.world_size,
             "versions": {"flatlight": __version__, "torch": str(torch.__version__)},
         }
-        self._save(self.folder / name, {"network": config.network.name, **config.network.numbers}, record)
+        self._save(self.folder / name, plan.architecture, record)
 
     def _rate(self, module: nn.Module) -> float:
         """Return the learning rate of a module's own parameters, as a multiple of the configuration's."""
@@ -492,8 +494,8 @@ class Training(ABC, Generic[Item]):
     def _metrics(self, batches: Loader[Item]) -> dict[str, float]:
         """Return means over the validation split by name; the network is left in training mode.
 
-        Among them: ``total``, the loss; ``psnr_db``; ``score_db``, by whose maximum the best checkpoint is chosen; and, where
-        there are depths, ``depth_rmse_cm``. All are logged, and all must be finite.
+        Among them: ``total``, the loss, and ``score``, by whose maximum the best checkpoint is chosen. All are logged, and
+        must be finite; see `learning.validation.errors_in_words` for those that people are told.
         """
 
     @abstractmethod

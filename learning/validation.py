@@ -38,12 +38,14 @@ def true_estimate(example: Example, capture: CaptureModel) -> Estimate:
 def errors_in_words(metrics: Mapping[str, float]) -> str:
     """Return what a validation found, for people: of all scores those that there are."""
     words = {
+        "psnr_db": "PSNR {:.2f} dB",
         "noisy_psnr_db": "of the input {:.2f} dB",
         "depth_rmse_cm": "depth RMSE {:.2f} cm",
         "moving_psnr_db": "of moving pixels {:.2f} dB",
+        "top_1": "right {:.1%}",
+        "top_2": "among two guesses {:.1%}",
     }
-    found = [text.format(metrics[name]) for name, text in words.items() if name in metrics]
-    return ", ".join([f"PSNR {metrics['psnr_db']:.2f} dB", *found])
+    return ", ".join(text.format(metrics[name]) for name, text in words.items() if name in metrics)
 
 
 def to_device(example: Item, device: torch.device) -> Item:
@@ -60,7 +62,7 @@ def validate(
     precision: Precision,
     group: Processes,
 ) -> dict[str, float]:
-    """Return means over the scenes of a split: each term of the loss, ``psnr_db``, ``depth_rmse_cm``; and ``score_db``.
+    """Return means over the scenes of a split: each term of the loss, ``psnr_db``, ``depth_rmse_cm``; and ``score``.
 
     The score, by which the best checkpoint is chosen, is made of what is reported: PSNR minus the depth error's decibels, so
     that halving either error is worth as much. PSNR is of sRGB codes, clamped. The depth's error is that of
@@ -83,7 +85,7 @@ def validate(
     both = torch.tensor([list(sums.values()), list(counts.values())], dtype=torch.float64, device=group.device)
     means = torch.div(*group.add(both)).tolist()
     found = dict(zip(sums, means, strict=True))
-    return found | {"score_db": found["psnr_db"] - 20 * math.log10(max(found["depth_rmse_cm"], _SMALLEST_ERROR))}
+    return found | {"score": found["psnr_db"] - 20 * math.log10(max(found["depth_rmse_cm"], _SMALLEST_ERROR))}
 
 
 def _errors(estimate: Estimate, truth: Estimate, example: Example, capture: CaptureModel) -> dict[str, Tensor]:

@@ -2,8 +2,12 @@
 
 from learning.config.evaluation import EvaluateConfig, EvaluationData, MethodConfig, Timing
 from learning.config.files import FileSection, load_file
+from learning.config.recognition import ClassifierConfig, RecognitionConfig, RecognitionData, evaluation_kind
 from learning.config.swap import SwapConfig, WarmStart
 from learning.config.training import (
+    ActivityLossConfig,
+    ActivityTrainConfig,
+    ClipDataConfig,
     ClipLossConfig,
     DataConfig,
     DenoiserConfig,
@@ -20,6 +24,10 @@ from learning.config.tuning import FEWEST_SCENES, TuneConfig, TuneData
 
 __all__ = [
     "FEWEST_SCENES",
+    "ActivityLossConfig",
+    "ActivityTrainConfig",
+    "ClassifierConfig",
+    "ClipDataConfig",
     "ClipLossConfig",
     "DataConfig",
     "DenoiserConfig",
@@ -31,6 +39,8 @@ __all__ = [
     "MethodConfig",
     "NetworkConfig",
     "OptimiserConfig",
+    "RecognitionConfig",
+    "RecognitionData",
     "SwapConfig",
     "Timing",
     "TrainConfig",
@@ -39,6 +49,7 @@ __all__ = [
     "VideoNetworkConfig",
     "VideoTrainConfig",
     "WarmStart",
+    "evaluation_kind",
     "load_file",
     "training_kind",
 ]

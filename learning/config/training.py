@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, TypeAlias, get_args
 
 from pydantic import Field, model_validator
 
@@ -25,6 +25,9 @@ class SplitsConfig(Section):
     """keep decoded samples, to save time: in Flatlight's cache folder (true), in another folder, or not (false)"""
     workers: Annotated[int, Range(0, 256)] | Literal["auto"] = "auto"
     """processes that read examples; 0 reads between the steps"""
+
+
+ClassifierName: TypeAlias = Literal["dronet", "resnet18", "cnn3d", "s3d"]
 
 
 class DataConfig(SplitsConfig):
@@ -52,6 +55,15 @@ class ClipDataConfig(DataConfig):
     draws: Annotated[int, Range(0, 1000)] = 4
     """how many times each clip is changed, re-simulated and given other noise; these are kept in the cache, with the joint
     estimate, which takes longest. 0: anew for every example"""
+    slivers: Annotated[int, Range(1, 2000)] | None = None
+    """how many frames are told apart in a capture; left out: as many as the data set's slivers"""
+
+
+class ActivityDataConfig(ClipDataConfig):
+    """What is learned from clips with labels."""
+
+    shuffle_labels: bool = False
+    """deal the labels out anew among the training clips: what is then right by more than chance is leakage"""
 
 
 class NetworkConfig(Section):
@@ -145,6 +157,78 @@ class VideoNetworkConfig(Section):
         return {key: value for key, value in given.items() if value is not None}
 
 
+class ActivityNetworkConfig(Section):
+    """ActivityNet: a size, and what differs from it."""
+
+    name: Literal["activitynet"]
+    """what is done in a clip, from one capture of a rolling shutter"""
+    size: Literal["thesis", "compact", "tiny"] = "compact"
+    """the numbers below that are left out"""
+    classifier: ClassifierName | None = None
+    """of the estimated frames: as channels of one image (dronet, the thesis's, and resnet18), or a stack (cnn3d, s3d)"""
+    initial_estimate: Literal["slivers", "static", "joint"] | None = None
+    """what it begins with: zero-filled slivers (the thesis), one inversion of the whole capture, or joint least squares"""
+    measnet: bool | None = None
+    """predict what a global shutter would measure of each frame, and invert that as well"""
+    dimensions: Literal[2, 3] | None = None
+    """of MeasNet, 2: frames are channels of one image; 3: a stack of images"""
+    body: Literal["naf", "unet"] | None = None
+    """of MeasNet: NAF blocks (layer normalisation, gates), or the thesis's U-Net (batch normalisation)"""
+    filters: Annotated[int, Range(1, 1024)] | None = None
+    """channels of MeasNet's first level; each further one has twice as many"""
+    blocks: Annotated[int, Range(1, 64)] | None = None
+    """NAF blocks on each level and way"""
+    levels: Annotated[int, Range(1, 8)] | None = None
+    """levels of MeasNet"""
+    stem: Annotated[int, Range(1, 8)] | None = None
+    """pixels per side that MeasNet takes as one, in 2D"""
+    noise_aware: bool | None = None
+    """lambda adapts to the noise level, which is estimated from the measurement and is also an input"""
+    joint_iterations: Annotated[int, Range(1, 1000)] | None = None
+    """of the joint least squares that it begins with"""
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The size, and what differs from it: with the name, an architecture."""
+        return {"size": self.size, **self.changes}
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What differs from the size; see `learning.models.activitynet.ActivityNet`."""
+        given = self.model_dump(exclude={"name", "size"})
+        return {key: value for key, value in given.items() if value is not None}
+
+
+class RawClassifierConfig(Section):
+    """A classifier of captures without any inversion."""
+
+    name: Literal["raw_classifier"]
+    """what is done in a clip, from the capture itself"""
+    classifier: Literal["dronet", "resnet18"] = "dronet"
+    """of one image; see ActivityNet"""
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """With the name, an architecture."""
+        return self.model_dump(exclude={"name"})
+
+
+class LensClassifierConfig(Section):
+    """A classifier of the frames of a camera with a lens."""
+
+    name: Literal["lens_classifier"]
+    """what is done in a clip, from the true frames"""
+    classifier: ClassifierName = "dronet"
+    """which; see ActivityNet"""
+    frames: Literal["all", "shuffled", "middle"] = "all"
+    """what it looks at: all frames in their order, all in random order, or the one in the middle"""
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """With the name, an architecture."""
+        return self.model_dump(exclude={"name"})
+
+
 class DenoiserNetwork(Section):
     """How big the denoiser is; see `learning.layers.naf.NafNet`."""
 
@@ -226,6 +310,17 @@ class ClipLossConfig(Section):
         return self
 
 
+class ActivityLossConfig(Section):
+    """The loss of recognition: the sum of the weighted terms; the thesis's (4.7, 4.8) has weights 3 and 1."""
+
+    class_weight: Annotated[float, Range(1e-9, 1e9, below="without it nothing is learned of classes")] = 3.0
+    """of the cross entropy of the classes"""
+    measurement_weight: Weight = 1.0
+    """of the mean squared error of the global measurements that MeasNet completes, where there is one"""
+    label_smoothing: Annotated[float, Range(0, 0.9)] = 0.0
+    """share of the probability that the target of the cross entropy gives to all classes alike (Szegedy et al. 2016)"""
+
+
 class OptimiserConfig(Section):
     """Adam (AdamW where weights decay), and its learning rate over the steps."""
 
@@ -261,7 +356,14 @@ class LoopConfig(FileSection):
     """of the initial weights, the order of the examples and all that is drawn for them, such as their noise; clips that are
     kept (data.draws) are the same for all seeds"""
     data: SplitsConfig
-    network: NetworkConfig | VideoNetworkConfig | DenoiserNetwork
+    network: (
+        NetworkConfig
+        | VideoNetworkConfig
+        | ActivityNetworkConfig
+        | RawClassifierConfig
+        | LensClassifierConfig
+        | DenoiserNetwork
+    )
     optimiser: OptimiserConfig = OptimiserConfig()
     steps: Annotated[int, Range(1, 10**9)]
     """batches to train on; if raised later, the learning rate jumps back up its cosine; every change is recorded"""
@@ -301,12 +403,45 @@ class VideoTrainConfig(LoopConfig):
     loss: ClipLossConfig = ClipLossConfig()
 
 
-def training_kind(data: dict[str, Any]) -> type[TrainConfig] | type[VideoTrainConfig]:
-    """Return what a training's file must be: that of clips where it names VideoNet; an InputError refuses unknown names."""
+class ActivityTrainConfig(LoopConfig):
+    """One training of a network that recognises what is done in a clip."""
+
+    data: ActivityDataConfig
+    network: ActivityNetworkConfig | RawClassifierConfig | LensClassifierConfig = Field(discriminator="name")
+    optimiser: NetworkOptimiserConfig = NetworkOptimiserConfig(learning_rate=3e-4)
+    init_from: str | None = None
+    """of ActivityNet: checkpoint (.safetensors) of a VideoNet, of which inversion and MeasNet are taken, or an ActivityNet"""
+    loss: ActivityLossConfig = ActivityLossConfig()
+
+    @model_validator(mode="after")
+    def _sense(self) -> Self:
+        augment = self.data.augment
+        if augment is not None and augment.reverse:
+            text = "got true, but backwards another thing is done (picking up becomes putting down); set reverse: false"
+            raise refusal(text, "data", "augment", "reverse")
+        if self.init_from is not None and self.network.name != "activitynet":
+            text = f"got a checkpoint, but {self.network.name} begins with random weights; leave it out"
+            raise refusal(text, "init_from")
+        return self
+
+
+_TRAININGS: dict[type[LoopConfig], tuple[type[Section], ...]] = {
+    TrainConfig: (NetworkConfig,),
+    VideoTrainConfig: (VideoNetworkConfig,),
+    ActivityTrainConfig: (ActivityNetworkConfig, RawClassifierConfig, LensClassifierConfig),
+}
+
+
+def training_kind(data: dict[str, Any]) -> type[LoopConfig]:
+    """Return what a training's file must be, by the name of its network; an InputError refuses unknown names."""
     network = data.get("network")
     name = network.get("name", "flatnet3d") if isinstance(network, dict) else "flatnet3d"
-    kinds = dict.fromkeys(get_args(NetworkConfig.model_fields["name"].annotation), TrainConfig)
-    kinds |= dict.fromkeys(get_args(VideoNetworkConfig.model_fields["name"].annotation), VideoTrainConfig)
+    kinds = {
+        known: kind
+        for kind, networks in _TRAININGS.items()
+        for each in networks
+        for known in get_args(each.model_fields["name"].annotation)
+    }
     if not isinstance(name, str) or name not in kinds:
         raise InputError("network.name", f"got {show(name)}, expected one of {', '.join(kinds)}")
     return kinds[name]

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.plots.drawing import INK, PAPER, animation_webp, fitted, font, png_bytes, resized, wrapped
+from simulator.plots.drawing import INK, PAPER, animation_webp, fitted, font, resized, wrapped
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 _TILE, _GAP, _WORDS, _HEAD, _NAMES, _MARGIN = 72, 4, 16, 48, 190, 10  # pixels
 _ANIMATED = 160
@@ -23,7 +27,7 @@ class NamedFilm:
     words: str = ""
 
 
-def film_sheet_png(clips: Sequence[Sequence[NamedFilm]], title: str, line: str) -> bytes:
+def film_sheet(clips: Sequence[Sequence[NamedFilm]], title: str, line: str) -> Image.Image:
     """Return a sheet: for each clip a row per method, the truth first, whose columns are the frames."""
     from PIL import Image, ImageDraw
 
@@ -45,7 +49,7 @@ def film_sheet_png(clips: Sequence[Sequence[NamedFilm]], title: str, line: str) 
             draw.text((_MARGIN, y + 22), fitted(film.words, 11, _NAMES - 2 * _MARGIN), fill=INK, font=font(11))
             for at, frame in enumerate(film.frames):
                 sheet.paste(resized(_codes(frame), height), (_NAMES + at * (width + _GAP), y))
-    return png_bytes(sheet)
+    return sheet
 
 
 def film_webp(clips: Sequence[Sequence[NamedFilm]]) -> bytes:

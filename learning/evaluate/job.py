@@ -16,10 +16,11 @@ from learning.data import check_dataset
 from learning.evaluate.curves import Curve, learning_curve
 from learning.evaluate.figures import Shown
 from learning.evaluate.films import NamedFilm
+from learning.evaluate.folder import claim_folder, is_claimed
 from learning.evaluate.methods import Entry, LearnedEntry, read_methods, says_scenes
 from learning.evaluate.outcome import Outcome, chosen_scenes, first_scenes, outcome
-from learning.evaluate.report import OWN_FILES, Evaluation, Findings, claim_folder, is_claimed, write_results
-from learning.evaluate.runs import Cameras, ResultCache, Run, Runner
+from learning.evaluate.report import OWN_FILES, Evaluation, Findings, write_results
+from learning.evaluate.runs import CACHE, Cameras, ResultCache, Run, Runner
 from learning.evaluate.scoring import Baseline, Criteria, Times, baselines, score, take_times
 from learning.method import Progress, Say, choose_device, describe_device, linear_to_srgb, torch_threads
 from learning.perceptual import LpipsDistance, available_lpips
@@ -28,7 +29,6 @@ from learning.video_quality import VideoQuality, available_video_quality
 from simulator.dataset.reader import Dataset, open_dataset, spread_positions
 from simulator.errors import InputError
 
-CACHE = "cache"
 _BINS, _TIMED_SCENES = 8, 8
 
 

@@ -22,7 +22,8 @@ from learning.evaluate.figures import (
     stacks_png,
     times_png,
 )
-from learning.evaluate.films import NamedFilm, film_sheet_png, film_webp
+from learning.evaluate.films import NamedFilm, film_sheet, film_webp
+from learning.evaluate.folder import DESCRIPTION, remove_stale
 from learning.evaluate.outcome import SCORES, Outcome
 from learning.evaluate.paired import COMPARED, EXPLAINED, Difference, compare
 from learning.evaluate.scoring import Times
@@ -39,48 +40,21 @@ from learning.evaluate.tables import (
     markdown_verdicts,
 )
 from learning.metrics import DEFINITIONS, SSIM_DEFINITION
-from learning.provenance import is_own_folder, read_description, versions
+from learning.provenance import versions
 from simulator.dataset.reader import Dataset
-from simulator.errors import InputError
 from simulator.io.files import storage_errors, write_atomic
 from simulator.io.json import readable_json
-from simulator.plots.drawing import depth_range
+from simulator.plots.drawing import depth_range, png_bytes
 
-DESCRIPTION = "evaluation.json"
-"""Says that the folder is an evaluation's, and its name; written first."""
 RESULTS, TABLE, PAIRED, REPORT = "results.json", "table.csv", "paired.csv", "report.md"
 MONTAGE, NOISE, DEPTH, STACKS, TIMES = "montage.png", "noise.png", "depth.png", "stacks.png", "times.png"
 FILMS, ANIMATION, CURVES = "films.png", "films.webp", "curves.png"
 _OWN = (REPORT, TABLE, PAIRED, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES, FILMS, ANIMATION, CURVES)
 OWN_FILES = (DESCRIPTION, *_OWN)
 """Names that no data set may have: the folder of its figures lies beside these files."""
-_FORMAT = "flatlight evaluation"
 _PACKAGES = ("torch", "numpy", "scikit-image", "flip-evaluator", "lpips", "cvvdp", "ortools")
 _WHISKERS = "Whiskers are the standard deviation over seeds."
 _TUNED_ELSEWHERE = f"{TUNED_ELSEWHERE} with parameters that were tuned at another level, see below."
-
-
-def is_claimed(folder: Path, name: str) -> bool:
-    """Return whether a folder is of the evaluation of this name; an InputError refuses what is of another, or not empty."""
-    path = folder / DESCRIPTION
-    if is_own_folder(folder, DESCRIPTION, "evaluation"):
-        content = read_description(path, "evaluation")
-        known = content.get("name")
-        if content.get("format") != _FORMAT or not isinstance(known, str):
-            raise InputError(path, "not a description of an evaluation; choose another output folder")
-        if known != name:
-            found = f"{folder} holds the evaluation {known!r}, not {name!r}"
-            raise InputError("output", f"{found}; choose another folder, or keep its name")
-        return True
-    return False
-
-
-def claim_folder(folder: Path, name: str) -> None:
-    """See that a folder is new, empty, or of the evaluation of this name; make it and say whose it is."""
-    if not is_claimed(folder, name):
-        with storage_errors(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-        write_atomic(folder / DESCRIPTION, readable_json({"format": _FORMAT, "name": name}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,22 +297,8 @@ def write_results(folder: Path, evaluation: Evaluation) -> list[Path]:
         with storage_errors(folder / name):
             (folder / name).parent.mkdir(exist_ok=True)
         write_atomic(folder / name, content)
-    remove_stale(folder, files)
+    remove_stale(folder, files, _OWN)
     return [folder / name for name in files]
-
-
-def remove_stale(folder: Path, written: Iterable[str]) -> None:
-    """Delete the files of an earlier run that this one did not write: they show other scenes or settings."""
-    path = folder / DESCRIPTION
-    description = read_description(path, "evaluation")
-    for name in {*_OWN, *description.get("files", ())} - set(written):
-        *inside, own = str(name).split("/")
-        if own in _OWN and len(inside) <= 1 and all(part[:1] not in ("", ".") for part in inside):
-            with storage_errors(folder / name):
-                (folder / name).unlink(missing_ok=True)
-                if inside and not any((folder / name).parent.iterdir()):
-                    (folder / name).parent.rmdir()
-    write_atomic(path, readable_json(description | {"files": sorted(written)}))
 
 
 def _place(name: str, figure: str) -> str:
@@ -355,7 +315,8 @@ def _figures(evaluation: Evaluation, name: str) -> dict[str, bytes]:
         figures[DEPTH] = depth_png(findings.main, colours, findings.naive, findings.edges_cm)
     if findings.films:
         title = ": ".join(filter(None, [evaluation.config.name, name]))
-        figures[FILMS] = film_sheet_png(findings.films, title, f"white = radiance {findings.camera.white:.3g}")
+        line = f"white = radiance {findings.camera.white:.3g}"
+        figures[FILMS] = png_bytes(film_sheet(findings.films, title, line))
         figures[ANIMATION] = film_webp(findings.films)
     if findings.montage:
         camera = findings.camera

@@ -94,6 +94,8 @@ class Cameras:
         return first
 
 
+CACHE = "cache"
+"""Folder of kept results in that of an evaluation."""
 FITS = "fits"
 """Folder, below that of the kept results, of the states of methods that are fitted to each capture, by what computes."""
 

@@ -8,45 +8,70 @@ from typing import Any, NamedTuple
 
 from learning.camera import CaptureModel
 from learning.method import check_choices
+from learning.models.activitynet import (
+    ACTIVITY_SIZES,
+    ActivityMethod,
+    ActivityNet,
+    Classifier,
+    LensClassifier,
+    RawClassifier,
+)
 from learning.models.flatnet import SIZES, FlatNet, FlatNet2D, FlatNet3D, LearnedMethod
 from learning.models.videonet import VIDEO_SIZES, VideoMethod, VideoNet
 from simulator.errors import InputError
 from simulator.validation import now_called
 
 __all__ = [
+    "ACTIVITY_SIZES",
     "NETWORKS",
     "SIZES",
     "VIDEO_SIZES",
+    "ActivityMethod",
+    "ActivityNet",
+    "Classifier",
     "FlatNet2D",
     "FlatNet3D",
     "LearnedMethod",
+    "LensClassifier",
+    "Network",
+    "RawClassifier",
     "VideoMethod",
     "VideoNet",
     "build_network",
     "full_architecture",
     "learned_method",
+    "named",
 ]
 
 
+Network = FlatNet | VideoNet | Classifier
+"""Any of `NETWORKS`."""
+
+
 class Kind(NamedTuple):
-    """A network, the numbers of its sizes, and what makes it a method."""
+    """A network, the numbers of its sizes, and what makes it a method; None of what looks at no capture."""
 
-    network: type[FlatNet2D | FlatNet3D | VideoNet]
+    network: type[Network]
     sizes: Mapping[str, Mapping[str, Any]]
-    method: type[LearnedMethod | VideoMethod]
+    method: type[LearnedMethod | VideoMethod | ActivityMethod] | None
 
+
+_ONE_SIZE: dict[str, dict[str, Any]] = {"compact": {"classifier": "dronet"}}
 
 NETWORKS = {
     "flatnet3d": Kind(FlatNet3D, SIZES, LearnedMethod),
     "flatnet2d": Kind(FlatNet2D, SIZES, LearnedMethod),
     "videonet": Kind(VideoNet, VIDEO_SIZES, VideoMethod),
+    "activitynet": Kind(ActivityNet, ACTIVITY_SIZES, ActivityMethod),
+    "raw_classifier": Kind(RawClassifier, _ONE_SIZE, None),
+    "lens_classifier": Kind(LensClassifier, {"compact": _ONE_SIZE["compact"] | {"frames": "all"}}, None),
 }
 
 
-def build_network(capture: CaptureModel, name: str, size: str = "compact", **changes: Any) -> FlatNet | VideoNet:
+def build_network(capture: CaptureModel, name: str, size: str = "compact", **changes: Any) -> Network:
     """Return a network of `NETWORKS` for a camera, its weights drawn from torch's generator.
 
-    ``changes`` are of the size's numbers; see `FlatNet` and `VideoNet`.
+    ``changes`` are of the size's numbers, and the ``classes`` of what tells some apart; see the networks.
 
     Raises:
         InputError: an unknown name or size, or numbers that the network refuses.
@@ -74,10 +99,24 @@ def full_architecture(architecture: Mapping[str, Any]) -> dict[str, Any]:
     return {"network": name, "size": size, **_numbers(name, size), **architecture}
 
 
-def learned_method(name: str, network: FlatNet | VideoNet, capture: CaptureModel) -> LearnedMethod | VideoMethod:
-    """Return a trained network as a `learning.method.Method` of a name, for the camera that it was built for."""
+def named(architecture: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an architecture as `build_network` takes it: ``name`` instead of ``network``."""
+    return {"name" if key == "network" else key: value for key, value in architecture.items()}
+
+
+def learned_method(name: str, network: Network, capture: CaptureModel) -> LearnedMethod | VideoMethod | ActivityMethod:
+    """Return a trained network as a `learning.method.Method` of a name, for the camera that it was built for.
+
+    Raises:
+        InputError: a network that estimates no images of captures.
+    """
     (kind,) = {kind.method for kind in NETWORKS.values() if isinstance(network, kind.network)}
-    return kind(name, network, capture)  # pyright: ignore[reportArgumentType]  of two pairs, the right one
+    if kind is None:
+        reason = (
+            f"got a {type(network).__name__}, which reconstructs nothing; take another network, such as activitynet"
+        )
+        raise InputError(name, reason)
+    return kind(name, network, capture)  # pyright: ignore[reportArgumentType]  of several pairs, the right one
 
 
 def _numbers(name: Any, size: Any) -> Mapping[str, Any]:

@@ -32,7 +32,15 @@ _BORDER = 8
 take what lies farther out for dark."""
 _NOISE_WEIGHT = 30.0
 _WIENER = 1.0  # noise to signal at which the learned filter of global measurements begins
-_FAINTEST = 1e-4  # root mean square of a capture by which it is divided, at least: of full scale
+FAINTEST = 1e-4
+"""Least light of a capture by which it is divided, of full scale."""
+
+
+def check_clips(capture: CaptureModel, name: str) -> None:
+    """Raise an InputError where a camera's captures are stills, while what is called ``name`` is for clips."""
+    if capture.timing is None:
+        reason = f"got the camera of stills, but {name} is for clips; take data with scene.frames, or flatnet3d"
+        raise InputError("capture", reason)
 
 
 class Begun(NamedTuple):
@@ -138,9 +146,7 @@ class ClipNetwork(nn.Module):
         super().__init__()
         check_choices(("initial_estimate", initial_estimate, STARTS), ("body", body["body"], ("naf", "unet")))
         name = type(self).__name__
-        if capture.timing is None:
-            reason = f"got the camera of stills, but {name} is for clips; take flatnet3d or flatnet2d, or scene.frames"
-            raise InputError("capture", reason)
+        check_clips(capture, name)
         check_one_plane(capture, name)
         if body["body"] == "unet" and body["blocks"] != 1:
             raise InputError("blocks", f"got {body['blocks']} with body: unet, which has none; take 1, or body: naf")
@@ -166,7 +172,7 @@ class ClipNetwork(nn.Module):
             self.register_buffer(name, values.to(torch.get_default_dtype()), persistent=False)
         self.measnet = self.wiener = None
         if measnet:
-            sizes = body | {"stem": body["stem"] if body["dimensions"] == 2 else 1}
+            sizes: dict[str, Any] = body | {"stem": body["stem"] if body["dimensions"] == 2 else 1}
             self.measnet = FrameBody(self.frames, 2 * channels + 1, self.shared, channels, **sizes)
             self.wiener = WienerInversion(capture, noise_to_signal=_WIENER)
 
@@ -223,7 +229,7 @@ class ClipNetwork(nn.Module):
         """Return what MeasNet takes for the global measurements of the frames, without their offset."""
         assert self.measnet is not None
         with torch.autocast(light.device.type, enabled=False):
-            unit = light.square().mean(dim=(1, 2, 3), keepdim=True).sqrt().clamp_min(_FAINTEST)
+            unit = light.square().mean(dim=(1, 2, 3), keepdim=True).sqrt().clamp_min(FAINTEST)
             slivers = light[:, None] * self.weights
             known = slivers if self.start == "slivers" else self._seen(frames)
             masks = self.weights.expand(len(light), -1, 1, -1, light.shape[-1])

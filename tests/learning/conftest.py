@@ -30,6 +30,7 @@ class Patches:
     black: bool = False
     frames: int = 1
     speed: int = 0
+    labelled: bool = False
     inputs: tuple[Path, ...] = ()
 
     def clip(self, index, rng):
@@ -51,17 +52,24 @@ class Patches:
         valid = np.ones(shape, bool)
         valid[0, 0] = False
         depth_m = (1 / disparity).clip(near, far)
+        way = -1 if self.labelled and index % 2 else 1
+        label = ("leftwards" if way < 0 else "rightwards") if self.labelled else None
         moved = [
-            np.stack([np.roll(values, self.speed * t, axis=1) for t in range(self.frames)])
+            np.stack([np.roll(values, way * self.speed * t, axis=1) for t in range(self.frames)])
             for values in (rgb, depth_m, valid)
         ]
         frames = moved[0].astype(np.float32), moved[1].astype(np.float32), moved[2]
-        return Clip(*frames, np.arange(self.frames + 1) * 2e-3, source={"parity": index % 2})
+        return Clip(*frames, np.arange(self.frames + 1) * 2e-3, label, source={"parity": index % 2})
 
 
-def patches(view, *, flat: bool = False, black: bool = False, frames: int = 1, speed: int = 0):
-    """Textured rectangles, each at a random depth, before a textured wall; all move by ``speed`` columns per frame."""
-    return Patches(view, flat, black, frames, speed)
+def patches(
+    view, *, flat: bool = False, black: bool = False, frames: int = 1, speed: int = 0, labelled: bool = False
+):
+    """Textured rectangles, each at a random depth, before a textured wall; all move by ``speed`` columns per frame.
+
+    ``labelled``: every other clip moves to the left, and labels say which way.
+    """
+    return Patches(view, flat, black, frames, speed, labelled)
 '''
 
 # A camera of its own light and colours: the named ones come through colour-science, whose import takes seconds.
@@ -158,6 +166,18 @@ def clip_dataset(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable[
     trial = LearningTrial(make_trial(tmp_path_factory.mktemp("clips")))
     counts = {"train": 8, "validation": 2, "test": 2}
     return trial.generate(**CLIPS | {"dataset": CLIPS["dataset"] | counts})
+
+
+@pytest.fixture(scope="session")
+def labelled_dataset(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable[[Path], Any]) -> Path:
+    """The clips of `clip_dataset` moving to the left or to the right by two columns a frame, as their labels say.
+
+    16 train, 4 validation, 8 test clips. Do not write into it.
+    """
+    trial = LearningTrial(make_trial(tmp_path_factory.mktemp("labelled")))
+    counts = {"train": 16, "validation": 4, "test": 8}
+    scene = CLIPS["scene"] | {"labelled": True, "speed": 2}
+    return trial.generate(**CLIPS | {"dataset": CLIPS["dataset"] | counts, "scene": scene})
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,7 @@ from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.classical.method import DEFAULTS, build_classical
 from learning.config import SwapConfig, TuneConfig, load_file
 from learning.data import ExampleSet
-from learning.evaluate import report
+from learning.evaluate import folder, report
 from learning.method import Method, linear_to_srgb
 from learning.models.flatnet import LearnedMethod
 from learning.provenance import scenes_of
@@ -251,7 +251,7 @@ def test_clips_are_refused_before_any_work(load: Load, clip_dataset: Path, monke
 
 def test_the_evaluation_of_another_name_is_kept(load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(swap, "generate", lambda *_, **__: pytest.fail("work"))
-    report.claim_folder(tmp_path / "out" / "evaluation", "another")
+    folder.claim_folder(tmp_path / "out" / "evaluation", "another")
     with pytest.raises(InputError, match=r"^output: "):
         swap_masks(load())
 

@@ -76,7 +76,7 @@ def test_learns_and_leaves_what_belongs_to_it(settings: Settings) -> None:
     last = trained[-1]
     assert last["total"] == pytest.approx(last["intensity_weighted"] + last["depth_weighted"], rel=1e-5)
     best = load_checkpoint(result.folder / BEST)
-    scores = {line["step"]: line["score_db"] for line in validated}
+    scores = {line["step"]: line["score"] for line in validated}
     assert best.record["step"] == result.best["step"] == max(scores, key=lambda step: scores[step])
     assert best.record["config"]["batch"] == 5
     assert best.record["data sets"]["train"]["samples"] == 32
@@ -417,10 +417,10 @@ def test_best_is_the_greatest_score(settings: Settings, monkeypatch: Patch) -> N
     scores, totals = iter([-3.0, 5.0, 4.0]), iter([2.0, 3.0, 1.0])
     others = {"psnr_db": 1.0, "depth_rmse_cm": 1.0}
     monkeypatch.setattr(
-        "learning.train.validate", lambda *_, **__: {"total": next(totals), "score_db": next(scores), **others}
+        "learning.train.validate", lambda *_, **__: {"total": next(totals), "score": next(scores), **others}
     )
     result = train(settings(steps=3, validate_every=1))
-    assert (result.best["step"], result.best["score_db"]) == (2, 5.0)
+    assert (result.best["step"], result.best["score"]) == (2, 5.0)
     assert load_checkpoint(result.folder / BEST).record["step"] == 2
     record = load_checkpoint(result.folder / LAST).record
     assert (record["validation"]["best"]["step"], record["validation"]["last"]["total"]) == (2, 1.0)

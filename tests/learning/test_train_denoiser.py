@@ -137,7 +137,7 @@ def test_learns(denoiser_settings: Callable[..., DenoiserConfig]) -> None:
     config = denoiser_settings(steps=30, validate_every=30, optimiser={"learning_rate": 1e-2})
     best = train_denoiser(config).best
     assert best["psnr_db"] > best["noisy_psnr_db"] + 2  # dB
-    assert best["score_db"] == pytest.approx(-10 * np.log10(best["total"]))  # of squared errors
+    assert best["score"] == pytest.approx(-10 * np.log10(best["total"]))  # of squared errors
     _, record = load_denoiser(Path(config.output) / BEST)
     assert record["data sets"]["train"]["samples"] == 32
     assert record["step"] == best["step"]

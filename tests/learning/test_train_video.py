@@ -16,7 +16,7 @@ import torch
 
 from learning.camera import CaptureModel, capture_model
 from learning.checkpoint import load_checkpoint, save_checkpoint
-from learning.clip_examples import ClipExample
+from learning.clip_examples import ClipExample, _Begin
 from learning.commands import train as command
 from learning.config import TrainConfig, VideoTrainConfig, load_file, training_kind
 from learning.data import ExampleSet
@@ -27,7 +27,7 @@ from learning.resume import BEST, DESCRIPTION, LAST, STATE
 from learning.simulate import Augmentation
 from learning.timing import Timing
 from learning.train import train
-from learning.train_video import VideoTraining, _Begin, train_video
+from learning.train_video import VideoTraining, train_video
 from learning.validation import METRICS, PREVIEW
 from simulator.camera.shutter import RowShutter
 from simulator.dataset import open_dataset
@@ -65,7 +65,7 @@ def test_clips_are_changed_to_learn_from_and_not_to_validate_on(
         opened[dataset.split] = options["augment"]
         return ExampleSet(dataset, **options)
 
-    monkeypatch.setattr("learning.train_video.ExampleSet", spy)
+    monkeypatch.setattr("learning.clip_examples.ExampleSet", spy)
     train_video(video_settings(steps=1, data={"augment": Augmentation(colour=0.1)}))
     assert opened == {"train": Augmentation(colour=0.1), "validation": None}
 
@@ -95,7 +95,7 @@ def test_learns_and_leaves_what_belongs_to_it(
     terms = ("measurement", "intensity", "change")
     assert trained[-1]["total"] == pytest.approx(sum(trained[-1][f"{name}_weighted"] for name in terms), rel=1e-5)
     for line in validated:
-        assert line["score_db"] == pytest.approx((line["psnr_db"] + line["moving_psnr_db"]) / 2, rel=1e-9)
+        assert line["score"] == pytest.approx((line["psnr_db"] + line["moving_psnr_db"]) / 2, rel=1e-9)
     files = {BEST, LAST, DESCRIPTION, METRICS, PREVIEW, STATE, "tensorboard"}
     assert {path.name for path in result.folder.iterdir()} == files
 
@@ -217,14 +217,13 @@ def test_what_a_network_begins_with_is_given_without_the_network(clip_capture: C
     network = build_network(clip_capture, "videonet", "tiny", **SMALL)
     measurement = torch.rand(1, 3, 48, 48)
     wanted = network.begin(measurement)
-    begin = _Begin(network)
+    begin = _Begin(network.joint)
     network.to("meta")
     found = begin(measurement)
     assert wanted is not None
     assert found is not None
     assert torch.equal(found, wanted)
-    static = _Begin(build_network(clip_capture, "videonet", "tiny", initial_estimate="static", **SMALL))
-    assert static(measurement) is None
+    assert _Begin(None)(measurement) is None
 
 
 def test_fine_tuning_begins_with_a_checkpoint(video_settings: Settings) -> None:
@@ -270,7 +269,8 @@ def test_measnet_learns_what_a_global_shutter_would_measure(clip_capture: Captur
     with torch.no_grad():
         start = torch.from_numpy(light / capture.white).float()[None]
         film = training._network(torch.rand(1, 3, 48, 48), start)
-    training._losses(film, ClipExample(torch.zeros(1), torch.from_numpy(radiance).float()[None], start, measured))
+    light, nothing = torch.from_numpy(radiance).float()[None], torch.empty(0)
+    training._losses(film, ClipExample(torch.zeros(1), light, start, measured, nothing))
     # float32
     torch.testing.assert_close(film.measured, given[0], rtol=0, atol=1e-5 * float(given[0].max()))
 
@@ -301,7 +301,7 @@ def test_validation_counts_clips_that_move(video_settings: Settings, monkeypatch
     monkeypatch.setattr(module, "_errors", all_stand_still)
     still = train_video(video_settings("still", steps=1)).best
     assert "moving_psnr_db" not in still
-    assert still["score_db"] == still["psnr_db"]
+    assert still["score"] == still["psnr_db"]
 
 
 def test_what_is_equal_has_100_db(clip_dataset: Path) -> None:
@@ -310,7 +310,7 @@ def test_what_is_equal_has_100_db(clip_dataset: Path) -> None:
     dataset = open_dataset(clip_dataset, "validation")
     capture = capture_model(dataset, white=1.5)
     measurement, radiance, *_ = (each[None] for each in ExampleSet(dataset)[0])
-    example = ClipExample(measurement, radiance, torch.empty(0), torch.empty(0))
+    example = ClipExample(measurement, radiance, *[torch.empty(0)] * 3)
     found = module._errors(linear_to_srgb(radiance, capture.white), example, capture)
     assert {name: values.tolist() for name, values in found.items()} == {"psnr_db": [100], "moving_psnr_db": [100]}
 

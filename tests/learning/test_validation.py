@@ -63,7 +63,7 @@ def test_known_errors(tiny_capture: CaptureModel) -> None:
         assert result["intensity"] == pytest.approx((0.1 + 0.01 + 7) / 3, rel=1e-5)
         assert result["depth"] == pytest.approx(2 / 3, rel=1e-5)  # the loss sees what is not clipped
         depth_db = 20 * np.log10(2 / 3 * (middle_cm - 100 * tiny_capture.near_m))
-        assert result["score_db"] == pytest.approx((20 + 40 + 20 * np.log10(2)) / 3 - depth_db, abs=1e-3)
+        assert result["score"] == pytest.approx((20 + 40 + 20 * np.log10(2)) / 3 - depth_db, abs=1e-3)
 
 
 def test_what_has_no_error_has_a_finite_score(tiny_capture: CaptureModel) -> None:
@@ -71,8 +71,8 @@ def test_what_has_no_error_has_a_finite_score(tiny_capture: CaptureModel) -> Non
     truth = truth._replace(depth_m=tiny_capture.depth_m(truth.measurement[:, 3:]))
     result = validate(Known(), [truth], ReconstructionLoss(LossConfig(), tiny_capture), tiny_capture, **HERE)
     assert result["depth_rmse_cm"] < 1e-4
-    assert np.isfinite(result["score_db"])
-    assert result["score_db"] > result["psnr_db"] + 80
+    assert np.isfinite(result["score"])
+    assert result["score"] > result["psnr_db"] + 80
 
 
 def test_depth_is_judged_as_in_the_evaluation(tiny_capture: CaptureModel) -> None:

@@ -13,7 +13,7 @@ def test_a_curve_is_what_the_training_logged(tmp_path: Path) -> None:
     """Validations alone, in order; the last line of a process that died while it wrote is none."""
     lines = [{"step": 50, "kind": "train", "psnr_db": 3.0}]
     lines += [
-        {"step": step, "kind": "validation", "psnr_db": step / 10, "depth_rmse_cm": 300 / step, "score_db": 0.0}
+        {"step": step, "kind": "validation", "psnr_db": step / 10, "depth_rmse_cm": 300 / step, "score": 0.0}
         for step in (100, 200)
     ]
     others = [{"loss": 1.0}, [1]]  # of another program

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from learning.evaluate.films import NamedFilm, film_sheet_png, film_webp
+from learning.evaluate.films import NamedFilm, film_sheet, film_webp
 from simulator.plots.drawing import fitted, font, wrapped
 
 
@@ -23,7 +23,7 @@ def films(names: int, frames: int = 3) -> list[NamedFilm]:
 
 def test_the_sheet_has_a_row_per_method_and_a_column_per_frame() -> None:
     clips = [films(2), films(2)]
-    sheet = np.asarray(Image.open(io.BytesIO(film_sheet_png(clips, "title", "line"))).convert("L")).astype(int)
+    sheet = np.asarray(film_sheet(clips, "title", "line").convert("L")).astype(int)
     middles = []
     for grey in np.round(np.arange(6) / 6 * 255).astype(int):
         rows, columns = np.nonzero(sheet == grey)

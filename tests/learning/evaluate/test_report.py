@@ -10,8 +10,9 @@ from typing import Any, cast
 import pytest
 
 from learning.evaluate import report
+from learning.evaluate.folder import claim_folder, remove_stale
 from learning.evaluate.outcome import Outcome, summarise
-from learning.evaluate.report import Findings, claim_folder
+from learning.evaluate.report import Findings
 from simulator.errors import InputError
 
 RANGE = (0.036, 0.2)
@@ -99,7 +100,7 @@ def test_what_was_not_written_this_time_goes_and_foreign_files_stay(tmp_path: Pa
 
     def left(*written: str, **recorded: Any) -> set[str]:
         (tmp_path / "evaluation.json").write_text(json.dumps({"name": "trial", **recorded}))
-        report.remove_stale(tmp_path, written)
+        remove_stale(tmp_path, written, report._OWN)
         assert json.loads((tmp_path / "evaluation.json").read_text()) == {"name": "trial", "files": sorted(written)}
         return {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")} - {"evaluation.json"}
 

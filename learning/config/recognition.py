@@ -1,0 +1,86 @@
+"""The YAML file of an evaluation of classifiers: test captures, classifiers, noise levels, figures."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from learning.config.evaluation import EvaluateConfig
+from learning.config.files import Count, Decibels, FileSection, Section
+from simulator.validation import refusal
+
+
+class ClassifierConfig(Section):
+    """A classifier: its checkpoints, one per seed."""
+
+    name: str = Field(min_length=1)
+    """in tables and figures"""
+    checkpoints: list[str] = Field(min_length=1)
+    """files, one per seed, or names of shipped ones"""
+    test: str | None = None
+    """folder of another data set that it is tested on, such as the same clips through another shutter; null: that of all"""
+
+
+class RecognitionData(Section):
+    """The test captures."""
+
+    test: str = Field(min_length=1)
+    """folder of the data set"""
+    split: Literal["train", "validation", "test"] = "test"
+    """which split, of every data set here"""
+    clips: Count | None = None
+    """only the first so many; null takes all"""
+    backwards: str | None = None
+    """folder of a data set with the same clips backwards (scene: {source: samples, backwards: true}): what do those that the
+    reference names rightly become?"""
+
+
+class RecognitionConfig(FileSection):
+    """The whole file."""
+
+    name: str = Field(min_length=1)
+    """title of the report"""
+    output: str
+    """folder of results, tables and figures"""
+    data: RecognitionData
+    classifiers: list[ClassifierConfig] = Field(min_length=1)
+    reference: str | None = None
+    """the one that all others are compared with; null: the first"""
+    ceiling: str | None = None
+    """the one of whose accuracy the others' shares are given, such as that of the frames of a lens; null: none"""
+    noise_db: list[Decibels] | None = None
+    """further levels at which noise is drawn anew from the noiseless measurements; null: only as stored"""
+    batch: Count = 8
+    """captures at a time"""
+    seed: int = Field(0, ge=0)
+    """of noise that is drawn anew, and of the intervals"""
+    timed: int = Field(8, ge=0, le=1000)
+    """captures whose recognition is timed, one at a time; 0: none"""
+    shown: int = Field(6, ge=0, le=100)
+    """captures on the sheet, with what their slivers show and what is said of them; 0: no sheet"""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """auto takes CUDA where there is some"""
+
+    @model_validator(mode="after")
+    def _sense(self) -> Self:
+        names = [one.name for one in self.classifiers]
+        for at, name in enumerate(names):
+            if name in names[:at]:
+                text = f"{name!r} is the name of two classifiers"
+                raise refusal(text, "classifiers", at, "name")
+        for key in ("reference", "ceiling"):
+            wanted = getattr(self, key)
+            if wanted is not None and wanted not in names:
+                text = f"got {wanted!r}, expected one of the classifiers: {', '.join(names)}"
+                raise refusal(text, key)
+        levels = self.noise_db
+        if levels is not None and (not levels or len(set(levels)) < len(levels)):
+            text = "expected at least one level, each of them once"
+            raise refusal(text, "noise_db")
+        return self
+
+
+def evaluation_kind(data: dict[str, Any]) -> type[EvaluateConfig] | type[RecognitionConfig]:
+    """Return what an evaluation's file must be: one that lists classifiers is of these."""
+    return RecognitionConfig if "classifiers" in data else EvaluateConfig

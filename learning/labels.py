@@ -1,0 +1,56 @@
+"""What the samples of a data set show, by name and by number: the classes that recognition tells apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from simulator.dataset.manifest import load_manifest
+from simulator.dataset.reader import Dataset
+from simulator.errors import InputError
+from simulator.text import show
+
+
+def labels(dataset: Dataset) -> list[str]:
+    """Return the label of each sample of a split.
+
+    Raises:
+        InputError: a sample without one.
+    """
+    entries = load_manifest(dataset.root).entries
+    found = [entries[dataset.split, name].label for name in dataset.ids]
+    without = [name for name, label in zip(dataset.ids, found, strict=True) if label is None]
+    if without:
+        more = f" and {len(without) - 1} more" if without[1:] else ""
+        reason = f"{dataset.split}/{without[0]}{more} has no label, without which there is nothing to recognise"
+        raise InputError(dataset.root, f"{reason}; take scenes with classes, such as the family activity")
+    return [label for label in found if label is not None]
+
+
+def class_names(dataset: Dataset) -> tuple[str, ...]:
+    """Return the classes of a split, sorted.
+
+    Raises:
+        InputError: a sample without a label, or only one class.
+    """
+    classes = tuple(sorted(set(labels(dataset))))
+    if len(classes) < 2:
+        got = (
+            f"all {len(dataset)} samples of split {dataset.split!r} are {show(classes[0])}" if classes else "no sample"
+        )
+        raise InputError(dataset.root, f"got {got}; recognition needs two classes at least: check scene.actions")
+    return classes
+
+
+def class_numbers(dataset: Dataset, classes: Sequence[str]) -> list[int]:
+    """Return the number of each sample's class among those that a network tells apart.
+
+    Raises:
+        InputError: a sample without a label, or one of another class.
+    """
+    number = {name: place for place, name in enumerate(classes)}
+    found = labels(dataset)
+    unknown = sorted(set(found) - set(number))
+    if unknown:
+        got = f"split {dataset.split!r} has samples of {', '.join(map(show, unknown[:3]))}{' ...' * (len(unknown) > 3)}"
+        raise InputError(dataset.root, f"{got}, a class that the network does not know; it knows {', '.join(classes)}")
+    return [number[label] for label in found]

@@ -1,0 +1,118 @@
+"""Classifiers of clips: what is done in a stack of frames, beside pictures that all frames share.
+
+2D classifiers take the frames as channels of one image, 3D ones as a stack.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from learning.method import check_choices
+from simulator.errors import InputError
+
+_DROPOUT = 0.5
+_S3D_FRAMES = 6  # with 4 its poolings leave nothing, with 5 a convolution aborts on CPUs (torch 2.15)
+
+
+class FrameClassifier(nn.Module):
+    """A classifier of `CLASSIFIERS` for frames of ``own`` channels each and pictures of ``shared`` channels in all."""
+
+    def __init__(self, name: str, frames: int, own: int, shared: int, classes: int) -> None:
+        """Build it with random weights; an InputError refuses an unknown name, or too few frames."""
+        super().__init__()
+        check_choices(("classifier", name, CLASSIFIERS))
+        if name == "s3d" and frames < _S3D_FRAMES:
+            text = f"got s3d for {frames} frames, which it halves three times; take {_S3D_FRAMES} at least, or dronet"
+            raise InputError("classifier", text)
+        self.flat, build = CLASSIFIERS[name]
+        self.body = build(frames * own + shared if self.flat else own + shared, classes)
+
+    def forward(self, own: Tensor, shared: Tensor) -> Tensor:
+        """Return logits ``(B, classes)`` of ``own`` ``(B, N, own, h, w)`` and ``shared`` ``(B, shared, h, w)``."""
+        if self.flat:
+            return self.body(torch.cat([own.flatten(1, 2), shared], dim=1))
+        alike = shared[:, None].expand(-1, own.shape[1], -1, -1, -1)
+        return self.body(torch.cat([own, alike], dim=2).transpose(1, 2))
+
+
+def dronet(inputs: int, classes: int) -> nn.Module:
+    """Return DroNet: three residual blocks (Loquercio et al., DroNet: Learning to Fly by Driving, RA-L 2018)."""
+    widths = (32, 32, 64, 128)
+    return nn.Sequential(
+        nn.Conv2d(inputs, widths[0], 5, stride=2, padding=2),
+        nn.MaxPool2d(3, stride=2, padding=1),
+        *(_DroNetBlock(*pair) for pair in itertools.pairwise(widths)),
+        nn.ReLU(),
+        nn.AdaptiveAvgPool2d(2),
+        nn.Flatten(),
+        nn.Dropout(_DROPOUT),
+        nn.Linear(4 * widths[-1], classes),
+    )
+
+
+class _DroNetBlock(nn.Module):
+    """Normalisation and activation before each of two convolutions, and a linear way around them."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.way = nn.Sequential(
+            nn.BatchNorm2d(inputs),
+            nn.ReLU(),
+            nn.Conv2d(inputs, outputs, 3, stride=2, padding=1),
+            nn.BatchNorm2d(outputs),
+            nn.ReLU(),
+            nn.Conv2d(outputs, outputs, 3, padding=1),
+        )
+        self.around = nn.Conv2d(inputs, outputs, 1, stride=2)
+
+    def forward(self, image: Tensor) -> Tensor:
+        return self.way(image) + self.around(image)
+
+
+def cnn3d(inputs: int, classes: int) -> nn.Module:
+    """Return a plain 3D network: convolutions of 3 x 3 x 3 and pooling in turn (as C3D, Tran et al., ICCV 2015)."""
+    layers: list[nn.Module] = []
+    for number, width in enumerate((16, 32, 64, 128)):
+        layers += [nn.Conv3d(inputs, width, 3, padding=1, bias=False), nn.BatchNorm3d(width), nn.ReLU()]
+        layers.append(nn.MaxPool3d((1 if number == 0 else 2, 2, 2), ceil_mode=True))
+        inputs = width
+    return nn.Sequential(
+        *layers, nn.AdaptiveAvgPool3d((1, 2, 2)), nn.Flatten(), nn.Dropout(_DROPOUT), nn.Linear(4 * inputs, classes)
+    )
+
+
+def resnet18(inputs: int, classes: int) -> nn.Module:
+    """Return ResNet-18 (He et al., CVPR 2016)."""
+    from torchvision.models import resnet18 as build
+
+    network = build(num_classes=classes)
+    network.conv1 = nn.Conv2d(inputs, 64, 7, stride=2, padding=3, bias=False)
+    nn.init.kaiming_normal_(network.conv1.weight, mode="fan_out", nonlinearity="relu")
+    return network
+
+
+def s3d(inputs: int, classes: int) -> nn.Module:
+    """Return S3D, separable in space and time (Xie et al., Rethinking Spatiotemporal Feature Learning, ECCV 2018)."""
+    from torchvision.models.video import s3d as build
+
+    network: Any = build(num_classes=classes, dropout=_DROPOUT)
+    first = network.features[0][0][0]
+    network.features[0][0][0] = nn.Conv3d(
+        inputs, first.out_channels, first.kernel_size, first.stride, first.padding, bias=False
+    )
+    network.avgpool = nn.AdaptiveAvgPool3d(1)  # its own is for 224 x 224 pixels
+    return network
+
+
+CLASSIFIERS: dict[str, tuple[bool, Callable[[int, int], nn.Module]]] = {
+    "dronet": (True, dronet),
+    "resnet18": (True, resnet18),
+    "cnn3d": (False, cnn3d),
+    "s3d": (False, s3d),
+}
+"""Whether it takes the frames as channels of one image, and what builds it for input channels and classes."""

@@ -1,0 +1,284 @@
+"""ActivityNet: what is done in a clip, from one capture of a rolling shutter; and what it is measured against.
+
+The thesis, section 4.3: a `ClipNetwork`, MeasNet and a learned inversion, gives estimates of every frame, and a classifier
+says what is done in them. The same classifier may look at the frames of a camera with a lens, which is the ceiling, at one of
+them, which shows what appearance alone tells, at all of them in random order, which shows what motion adds, or at the capture
+itself.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, Self
+
+import torch
+import torch.nn.functional as nnf
+from torch import Tensor, nn
+
+from learning.camera import CaptureModel
+from learning.layers.classifiers import FrameClassifier
+from learning.layers.padding import axis_plans, check_measurement
+from learning.method import Clock, Estimate, check_choices, inference, threads_for
+from learning.models.clip_network import FAINTEST, ClipNetwork, Start, check_clips
+from simulator.errors import InputError
+
+Frames = Literal["all", "shuffled", "middle"]
+FRAMES = ("all", "shuffled", "middle")
+_COMMON = ("inversion.", "measnet.", "wiener.")  # names of the weights that networks for clips have in common
+_MOVED = 8  # pixels to each side by which frames are moved in training
+
+
+class Answer(NamedTuple):
+    """What a classifier says of clips.
+
+    Attributes:
+        logits: ``(B, classes)``, of which the softmax are probabilities.
+        measured: see `learning.models.clip_network.Begun`; empty without MeasNet.
+    """
+
+    logits: Tensor
+    measured: Tensor
+
+
+class ActivityNet(ClipNetwork):
+    """What is done in captures. In training it looks at the frames through a window that is moved by some pixels.
+
+    Attributes:
+        classes: the names of what it tells apart.
+    """
+
+    def __init__(
+        self,
+        capture: CaptureModel,
+        *,
+        classes: Sequence[str],
+        classifier: str,
+        initial_estimate: Start,
+        measnet: bool,
+        dimensions: Literal[2, 3],
+        body: Literal["naf", "unet"],
+        filters: int,
+        blocks: int,
+        levels: int,
+        stem: int,
+        noise_aware: bool,
+        joint_iterations: int,
+    ) -> None:
+        """Build the network for a camera.
+
+        Args:
+            capture: the camera, with its timing and the PSFs of one plane.
+            classes: the names of what it tells apart.
+            classifier: see `learning.layers.classifiers.CLASSIFIERS`.
+            initial_estimate: what MeasNet, or the classifier, begins with.
+            measnet: complete the capture to a global measurement of each frame, and invert these, too.
+            dimensions: of MeasNet, 2: frames are channels; 3: a stack.
+            body: of MeasNet: NAF blocks, or the thesis's U-Net.
+            filters: of MeasNet's first level.
+            blocks: of NAF blocks on each level and way.
+            levels: how many.
+            stem: pixels per side that MeasNet takes as one; in 2D.
+            noise_aware: lambda adapts to the noise level, which is an input, too.
+            joint_iterations: of the joint least squares.
+        """
+        super().__init__(
+            capture,
+            initial_estimate=initial_estimate,
+            measnet=measnet,
+            dimensions=dimensions,
+            body=body,
+            filters=filters,
+            blocks=blocks,
+            levels=levels,
+            stem=stem,
+            noise_aware=noise_aware,
+            joint_iterations=joint_iterations,
+        )
+        self.classes = tuple(classes)
+        shared = 3 + noise_aware
+        self.classifier = FrameClassifier(classifier, self.frames, 3 * self.estimates, shared, len(self.classes))
+
+    def forward(self, measurement: Tensor, start: Tensor | None = None) -> Answer:
+        """Return the answer to measurements ``(B, C, H, W)``, DN / 2^bits; ``start`` is what `begin` gives, where known."""
+        begun = self.begun(measurement, start)
+        frames = self.codes(begun.frames.unflatten(2, (self.estimates, -1))).clamp(0, 1).flatten(2, 3)
+        channels = self.shared - self.noise_aware
+        static = self.codes(begun.shared[:, :channels]).clamp(0, 1)
+        shared = torch.cat([static, begun.shared[:, channels:]], dim=1)
+        both = (frames[self.image], shared[self.image])
+        if self.training:
+            both = moved_windows(frames, shared, both[0].shape[-2:])
+        return Answer(self.classifier(*both), begun.measured)
+
+    def looked_at(self, measurement: Tensor, start: Tensor | None = None) -> Tensor:
+        """Return the best estimates of the frames, ``(B, N, 3, h, w)`` sRGB codes, not clipped; arguments as of `forward`."""
+        return self.codes(self.begun(measurement, start).best)[self.image]
+
+    def looks_at(self, measurement: Tensor, start: Tensor | None, frames: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the arguments of `forward`, of a capture, what `begin` gives of it, and the true frames."""
+        return measurement, start
+
+    def take(self, known: nn.Module, source: str) -> list[str]:
+        """Put what another network for clips has in common with this one into it, and say what was taken.
+
+        Of an ActivityNet that is everything, of a VideoNet the inversions and MeasNet.
+
+        Raises:
+            InputError: weights of other shapes, or another kind of network, naming the ``source``; the network stays as it
+                was.
+        """
+        if not isinstance(known, ClipNetwork):
+            raise InputError(source, f"got a {type(known).__name__}, expected a VideoNet or an ActivityNet")
+        own, found = self.state_dict(), known.state_dict()
+        if not isinstance(known, ActivityNet):
+            found = {name: value for name, value in found.items() if name.startswith(_COMMON)}
+            if self.measnet is not None and known.measnet is None:
+                raise InputError(
+                    source, "it has no MeasNet; take a VideoNet with measnet: true, or measnet: false here"
+                )
+            found = {name: value for name, value in found.items() if name in own}
+        differing = [name for name in found if name not in own or own[name].shape != found[name].shape]
+        if differing:
+            reason = f"{differing[0]} differs in shape, or is of another classifier; take a checkpoint of the same size"
+            raise InputError(source, reason)
+        self.load_state_dict(own | found)
+        return [f"copied {len(found)} of {len(own)} tensors"]
+
+
+class RawClassifier(nn.Module):
+    """What is done in captures, without any inversion: the classifier looks at the capture, in units of its mean light."""
+
+    offset: Tensor
+
+    def __init__(self, capture: CaptureModel, *, classes: Sequence[str], classifier: str) -> None:
+        """Build it for the camera of clips; see `ActivityNet`."""
+        super().__init__()
+        check_clips(capture, type(self).__name__)
+        self.classes = tuple(classes)
+        self.rows, self.columns = axis_plans(capture)
+        offset = torch.from_numpy(capture.offset)[:, None, None].to(torch.get_default_dtype())
+        self.register_buffer("offset", offset, persistent=False)
+        self.classifier = FrameClassifier(classifier, 1, len(capture.offset), 0, len(self.classes))
+
+    def forward(self, measurement: Tensor) -> Answer:
+        """Return the answer to measurements ``(B, C, H, W)``, DN / 2^bits."""
+        check_measurement(measurement, self.offset, self.rows, self.columns)
+        light = measurement - self.offset
+        light = light / light.mean(dim=(1, 2, 3), keepdim=True).clamp_min(FAINTEST)
+        return Answer(self.classifier(light[:, None], light[:, :0]), light.new_zeros(0))
+
+    def looks_at(self, measurement: Tensor, start: Tensor | None, frames: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the arguments of `forward`; see `ActivityNet.looks_at`."""
+        return (measurement,)
+
+
+class LensClassifier(nn.Module):
+    """What is done in the frames of a camera with a lens, of the same field of view: sharp, in time, without noise."""
+
+    def __init__(self, capture: CaptureModel, *, classes: Sequence[str], classifier: str, frames: Frames) -> None:
+        """Build it for the clips of a camera; see `ActivityNet`.
+
+        ``frames``: ``all`` in their order; ``shuffled``, all in an order that is drawn for each clip; ``middle``, only one.
+        """
+        super().__init__()
+        check_clips(capture, type(self).__name__)
+        check_choices(("frames", frames, FRAMES))
+        self.classes, self.frames = tuple(classes), frames
+        count = 1 if frames == "middle" else capture.frames
+        self.classifier = FrameClassifier(classifier, count, 3, 0, len(self.classes))
+
+    def forward(self, frames: Tensor) -> Answer:
+        """Return the answer to frames ``(B, N, 3, h, w)``, sRGB codes."""
+        if self.frames == "middle":
+            middle = frames.shape[1] // 2
+            frames = frames[:, middle : middle + 1]
+        elif self.frames == "shuffled":
+            frames = torch.stack([clip[self._order(clip)] for clip in frames])
+        nothing = frames[:, 0, :0]
+        if self.training:
+            size = frames.shape[-2:]
+            wider = nnf.pad(frames.flatten(1, 2), [_MOVED] * 4, mode="replicate").unflatten(1, frames.shape[1:3])
+            frames, nothing = moved_windows(wider, wider[:, 0, :0], size)
+        return Answer(self.classifier(frames, nothing), frames.new_zeros(0))
+
+    def _order(self, clip: Tensor) -> Tensor:
+        """Return an order of a clip's frames: another one each time in training, else drawn by its content."""
+        generator = None
+        if not self.training:
+            generator = torch.Generator().manual_seed(zlib.crc32(clip.detach().cpu().float().numpy().tobytes()))
+        return torch.randperm(len(clip), generator=generator)
+
+    def looks_at(self, measurement: Tensor, start: Tensor | None, frames: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the arguments of `forward`; see `ActivityNet.looks_at`."""
+        return (frames,)
+
+
+def moved_windows(frames: Tensor, shared: Tensor, size: Sequence[int]) -> tuple[Tensor, Tensor]:
+    """Return windows of a size, at a random place of each clip, of ``(B, N, c, h, w)`` and of what all frames share."""
+    rows, columns = size
+    places = [
+        torch.randint(whole - part + 1, (len(frames),)).tolist()
+        for whole, part in zip(frames.shape[-2:], size, strict=True)
+    ]
+    parts = [(..., slice(top, top + rows), slice(left, left + columns)) for top, left in zip(*places, strict=True)]
+    cut = [torch.stack([clip[part] for clip, part in zip(every, parts, strict=True)]) for every in (frames, shared)]
+    return cut[0], cut[1]
+
+
+Classifier = ActivityNet | RawClassifier | LensClassifier
+"""Each has ``classes``, and ``looks_at``, which says what of a clip it is given."""
+
+ACTIVITY_SIZES: dict[str, dict[str, Any]] = {
+    "thesis": {
+        **{"classifier": "dronet", "initial_estimate": "slivers", "measnet": True, "dimensions": 2, "body": "unet"},
+        **{"filters": 32, "blocks": 1, "levels": 3, "stem": 1, "noise_aware": False, "joint_iterations": 10},
+    },
+    "compact": {
+        **{"classifier": "dronet", "initial_estimate": "joint", "measnet": False, "dimensions": 2, "body": "naf"},
+        **{"filters": 32, "blocks": 1, "levels": 4, "stem": 2, "noise_aware": True, "joint_iterations": 10},
+    },
+    "tiny": {
+        **{"classifier": "dronet", "initial_estimate": "joint", "measnet": True, "dimensions": 2, "body": "naf"},
+        **{"filters": 8, "blocks": 1, "levels": 2, "stem": 2, "noise_aware": True, "joint_iterations": 10},
+    },
+}
+"""``thesis``: MeasNet and its inversion from zero-filled slivers, blind to the noise; see `VIDEO_SIZES`."""
+
+
+class ActivityMethod:
+    """An ActivityNet as a method: the estimates of the frames that it looks at, and what it says is done in them.
+
+    See `learning.method.Method`. Its weights and device may change between calls.
+    """
+
+    def __init__(self, name: str, network: ActivityNet, capture: CaptureModel) -> None:
+        self.name, self.network, self.capture = name, network, capture
+
+    def to(self, device: torch.device | str) -> Self:
+        """Move the network to a device, and return this."""
+        self.network.to(device)
+        return self
+
+    def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
+        """Return the estimated frames of measurements ``(B, C, H, W)``; stages ``joint`` where it begins so, ``network``."""
+        clock = clock or Clock(measurement.device)
+        with inference(self.network):
+            start = self._begin(measurement, clock)
+            with clock.stage("network"):
+                image = self.network.looked_at(measurement, start)
+        return Estimate(image, torch.zeros_like(image[:, :, :1]))
+
+    def classify(self, measurement: Tensor, clock: Clock | None = None) -> Tensor:
+        """Return the probabilities ``(B, classes)`` of the network's classes; stages as of `reconstruct`."""
+        clock = clock or Clock(measurement.device)
+        with inference(self.network):
+            start = self._begin(measurement, clock)
+            with clock.stage("network"):
+                return self.network(measurement, start).logits.softmax(dim=1)
+
+    def _begin(self, measurement: Tensor, clock: Clock) -> Tensor | None:
+        if self.network.joint is None:
+            return None
+        with clock.stage("joint"), threads_for(measurement[0].numel() * self.capture.frames):
+            return self.network.begin(measurement)

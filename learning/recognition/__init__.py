@@ -1,0 +1,1 @@
+"""Evaluating what recognises: scores, the job, its report and figures."""

@@ -1,0 +1,248 @@
+"""`flatlight evaluate` of classifiers, all on the same captures, or the same clips seen otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from learning.camera import CaptureModel, camera_identity
+from learning.checkpoint import find_checkpoint, load_checkpoint
+from learning.config import ClassifierConfig, RecognitionConfig
+from learning.data import ExampleSet, measured_psnr_db
+from learning.evaluate.films import NamedFilm
+from learning.evaluate.folder import claim_folder, is_claimed
+from learning.evaluate.methods import LearnedEntry, check_learned
+from learning.evaluate.runs import CACHE, Cameras, ResultCache
+from learning.labels import class_numbers
+from learning.method import (
+    Clock,
+    Progress,
+    Say,
+    choose_device,
+    describe_device,
+    inference,
+    linear_to_srgb,
+    threads_for,
+)
+from learning.models import ActivityMethod, ActivityNet, Classifier, LensClassifier, RawClassifier
+from learning.provenance import sample_digests
+from learning.recognition.report import Recognition, write_recognition
+from learning.recognition.scores import Answers
+from learning.timing import with_slivers
+from simulator.dataset.reader import Dataset, open_dataset, spread_positions
+from simulator.errors import InputError
+from simulator.io.cache import code_digest
+from simulator.io.files import sha256_bytes, sha256_file
+from simulator.io.json import canonical_json
+
+# By these, and what they import, a measurement becomes probabilities.
+_DECIDING = ("learning.checkpoint", "learning.data", "learning.models", "learning.layers.classifiers")
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """One seed of a classifier, built for the camera of the captures that it is tested on, and these."""
+
+    name: str
+    path: Path
+    digest: str
+    network: Classifier
+    capture: CaptureModel
+    test: Dataset
+
+    @property
+    def slivers(self) -> int | None:
+        """How many frames it tells apart in a capture; None where it looks at none, or takes it as a whole."""
+        return self.capture.frames if isinstance(self.network, ActivityNet) else None
+
+
+def recognise(
+    config: RecognitionConfig, *, progress: Progress = lambda *_: None, say: Say = lambda _: None
+) -> tuple[Recognition, list[Path]]:
+    """Evaluate as a file says, write results, tables and figures to its folder, and return findings and files, report first.
+
+    Raises:
+        InputError: data without labels, or with classes that a network does not know; networks that are no classifiers, of
+            other cameras, or that know the captures already; a folder that holds something else.
+        StorageError: the folder cannot be written to.
+    """
+    folder, device = config.resolve_path(config.output), choose_device(config.device)
+    is_claimed(folder, config.name)
+    # What does not fit is said of all data sets now, not after hours of work.
+    rows = [_read(config, one) for one in config.classifiers]
+    reference = next(row for row in rows if row[0].name == (config.reference or rows[0][0].name))
+    back = [] if config.data.backwards is None else [_moved(config, one, config.data.backwards) for one in reference]
+    claim_folder(folder, config.name)
+    cache = ResultCache(folder / CACHE)
+    levels: list[float | None] = [None, *(config.noise_db or ())]
+    found: list[Answers] = []
+    for row in rows:
+        for level in levels if not isinstance(row[0].network, LensClassifier) else levels[:1]:
+            found.append(_answers(config, row, level, cache, device, progress))
+    backwards = _answers(config, back, None, cache, device, progress) if back else None
+    seen = [row[0] for row in rows if row[0].slivers is not None]
+    recognition = Recognition(
+        config,
+        found,
+        backwards,
+        stored_db=measured_psnr_db(reference[0].test),
+        fingerprint=reference[0].test.fingerprint,
+        times={one.name: _times(one, config.timed, device, progress) for one in seen} if config.timed else {},
+        sheet=_sheet(config, reference[0], device),
+        device=describe_device(device),
+    )
+    say(f"{len(rows)} classifiers on {len(reference[0].test)} captures")
+    return recognition, write_recognition(folder, recognition)
+
+
+def _read(config: RecognitionConfig, row: ClassifierConfig) -> list[Trained]:
+    """Return the seeds of a classifier."""
+    found = []
+    for text in row.checkpoints:
+        path = find_checkpoint(text, row.name, config.resolve_path)
+        known = load_checkpoint(path)
+        network = known.network
+        if not isinstance(network, ActivityNet | RawClassifier | LensClassifier):
+            names = "activitynet, raw_classifier or lens_classifier"
+            raise InputError(
+                row.name, f"{path} is a {type(network).__name__}, which names no classes; expected {names}"
+            )
+        test = _open(config, row.test or config.data.test, network.classes, known.capture.frames)
+        check_learned(row.name, path, known.record, test)
+        found.append(_built(row.name, path, test))
+    if len({each.network.classes for each in found}) > 1:
+        raise InputError(
+            row.name, "its checkpoints tell other classes apart; give those of one training with several seeds"
+        )
+    return found
+
+
+def _moved(config: RecognitionConfig, one: Trained, folder: str) -> Trained:
+    """Return the same network for other captures."""
+    test = _open(config, folder, one.network.classes, one.capture.frames)
+    check_learned(one.name, one.path, load_checkpoint(one.path).record, test)
+    if class_numbers(test, one.network.classes) != class_numbers(one.test, one.network.classes):
+        raise InputError("data.backwards", f"{test.root} has other clips than {one.test.root}; make it from these")
+    return _built(one.name, one.path, test)
+
+
+def _open(config: RecognitionConfig, folder: str, classes: Sequence[str], slivers: int) -> Dataset:
+    test = open_dataset(config.resolve_path(folder), config.data.split)
+    test = test if config.data.clips is None else test[: config.data.clips]
+    if not len(test):
+        raise InputError(test.root, f"split {test.split!r} is empty; set dataset.{test.split} and generate again")
+    class_numbers(test, classes)
+    return with_slivers(test, slivers)
+
+
+def _built(name: str, path: Path, test: Dataset) -> Trained:
+    """Build a checkpoint's network for the camera of a data set, which it takes for its own, but for gain and offset."""
+    known, digest = load_checkpoint(path), sha256_file(path)
+    entry = LearnedEntry(name, path, digest, known.capture, known.architecture, known.record)
+    camera = Cameras(test, None, [entry]).assumed(entry, "own")
+    network = load_checkpoint(path, capture=camera).network
+    assert isinstance(network, ActivityNet | RawClassifier | LensClassifier)
+    return Trained(name, path, digest, network, camera, test)
+
+
+def _answers(
+    config: RecognitionConfig,
+    seeds: Sequence[Trained],
+    noise_db: float | None,
+    cache: ResultCache,
+    device: torch.device,
+    progress: Progress,
+) -> Answers:
+    """Return the answers of a classifier at a level of noise, which are kept."""
+    chances = []
+    for number, one in enumerate(seeds):
+        level = "" if noise_db is None else f" at {noise_db:g} dB"
+        stage = f"{one.name}{level}{f', seed {number + 1}' if len(seeds) > 1 else ''}"
+        key = {
+            "checkpoint": one.digest,
+            "camera": camera_identity(one.capture),
+            "samples": sha256_bytes(canonical_json([one.test.fingerprint, one.test.split, sample_digests(one.test)])),
+            "noise": "stored" if noise_db is None else {"db": noise_db, "seed": config.seed},
+            "device": device.type,
+            "torch": torch.__version__,
+            "code": code_digest(*_DECIDING),
+        }
+        kept = cache.load_arrays(key)
+        if kept is None:
+            kept = {"probabilities": _probabilities(config, one, noise_db, device, stage, progress)}
+            cache.save_arrays(key, kept)
+        chances.append(kept["probabilities"])
+    first = seeds[0]
+    truth = np.array(class_numbers(first.test, first.network.classes))
+    about: Any = {"noise_db": noise_db, "slivers": first.slivers, "note": _note(first)}
+    return Answers(first.name, first.network.classes, truth, np.stack(chances), **about)
+
+
+def _note(one: Trained) -> str:
+    architecture = load_checkpoint(one.path).architecture
+    parameters = sum(parameter.numel() for parameter in one.network.parameters()) / 1e6
+    looks = f", {architecture['frames']} frames" if "frames" in architecture else ""
+    return f"{architecture['network']}{looks}, {architecture['classifier']}, {parameters:.2f} million parameters"
+
+
+def _probabilities(
+    config: RecognitionConfig,
+    one: Trained,
+    noise_db: float | None,
+    device: torch.device,
+    stage: str,
+    progress: Progress,
+) -> NDArray[np.float32]:
+    """Return the probabilities ``(n, classes)`` of all captures."""
+    examples = ExampleSet(one.test, noise_db=None if noise_db is None else (noise_db, noise_db), seed=config.seed)
+    network, found = one.network.to(device), []
+    with inference(network):
+        for first in range(0, len(examples), config.batch):
+            batch = [examples[at] for at in range(first, min(first + config.batch, len(examples)))]
+            measurement = torch.stack([each.measurement for each in batch]).to(device)
+            frames = linear_to_srgb(torch.stack([each.radiance for each in batch]).to(device), one.capture.white)
+            with threads_for(measurement[0].numel() * one.capture.frames):
+                start = network.begin(measurement) if isinstance(network, ActivityNet) else None
+            answer = network(*network.looks_at(measurement, start, frames))
+            found.append(answer.logits.softmax(dim=1).cpu().numpy())
+            progress(stage, first + len(batch), len(examples))
+    return np.concatenate(found)
+
+
+def _times(one: Trained, count: int, device: torch.device, progress: Progress) -> dict[str, float]:
+    """Return the median seconds of each stage, for one capture at a time."""
+    assert isinstance(one.network, ActivityNet)
+    method = ActivityMethod(one.name, one.network, one.capture).to(device)
+    examples, taken = ExampleSet(one.test), []
+    for at in range(min(count, len(examples)) + 1):  # the first one warms up
+        clock = Clock(device)
+        method.classify(examples[at % len(examples)].measurement[None].to(device), clock)
+        taken.append(clock.seconds)
+        progress(f"{one.name}: time", at, min(count, len(examples)))
+    return {stage: float(np.median([each[stage] for each in taken[1:]])) for stage in taken[0]}
+
+
+def _sheet(config: RecognitionConfig, one: Trained, device: torch.device) -> list[list[NamedFilm]]:
+    """Return, for some captures, the true frames and what the reference's first seed sees in each sliver, and says."""
+    if not isinstance(one.network, ActivityNet):
+        return []
+    method, examples = ActivityMethod(one.name, one.network, one.capture).to(device), ExampleSet(one.test)
+    numbers, classes = class_numbers(one.test, one.network.classes), one.network.classes
+    sheet = []
+    for at in spread_positions(len(examples), config.shown):
+        example = examples[at]
+        measurement = example.measurement[None].to(device)
+        frames = linear_to_srgb(example.radiance, one.capture.white)
+        chances = method.classify(measurement)[0].cpu()
+        best = chances.topk(2)
+        words = ", ".join(f"{classes[int(k)]} {float(p):.0%}" for p, k in zip(*best, strict=True))
+        looked = method.reconstruct(measurement).clamped().image[0]
+        truth, seen = (each.permute(0, 2, 3, 1).cpu().numpy() for each in (frames, looked))
+        sheet.append([NamedFilm(classes[numbers[at]], truth), NamedFilm(words, seen)])
+    return sheet

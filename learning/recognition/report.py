@@ -1,0 +1,300 @@
+"""What an evaluation of classifiers found, and its files: results.json, table.csv, report.md and figures."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from learning.config import RecognitionConfig
+from learning.evaluate.figures import method_colours
+from learning.evaluate.films import NamedFilm, film_sheet
+from learning.evaluate.folder import remove_stale
+from learning.evaluate.tables import markdown
+from learning.method import aligned
+from learning.provenance import versions
+from learning.recognition.figures import against_png, confusion_png, reliability_png
+from learning.recognition.scores import TOP, Answers, Lead, become, chance, lead, majority
+from simulator.io.files import storage_errors, write_atomic
+from simulator.io.json import readable_json
+from simulator.plots.drawing import png_bytes
+
+REPORT, RESULTS, TABLE = "report.md", "results.json", "table.csv"
+CONFUSION, RELIABILITY, NOISE, SLIVERS, SHEET = (
+    "confusion.png",
+    "reliability.png",
+    "noise.png",
+    "slivers.png",
+    "sheet.png",
+)
+_OWN = (REPORT, RESULTS, TABLE, CONFUSION, RELIABILITY, NOISE, SLIVERS, SHEET)
+_PUBLISHED = """## Published, on other data
+
+| thesis, table 5.1: Something-Something V2, ten classes | top-1 | top-2 | top-5 |
+| --- | ---: | ---: | ---: |
+| ActivityNet with DroNet | 29.69 % | 46.92 % | 76.7 % |
+| DroNet on the frames of a lens | 39.13 % | 55.65 % | 82.55 % |
+| pretrained 2D CNN on the frames of a lens | 45.30 % | 65.90 % | |
+
+The thesis's method keeps 76 % of the top-1 accuracy of the same classifier on the frames of a lens. Its films, classes and
+training differ from those above; only such shares may be compared, with caution."""
+_HOW = (
+    "Accuracies are shares of the test captures, means over seeds; in brackets the 95 % bootstrap interval over captures, "
+    "then the standard deviation over seeds where there are several. The log loss is in nats; the calibration error is the "
+    "mean difference of confidence and accuracy (ECE, 10 bins)."
+)
+_LEAD = (
+    "The reference's top-1 accuracy minus the other's, in percentage points, and the 95 % bootstrap interval over captures: "
+    "of the differences capture by capture where both saw the same clips, else of independent means."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Recognition:
+    """All that came out.
+
+    Attributes:
+        answers: of every classifier, as stored and at further levels of noise.
+        backwards: of the reference on the same clips backwards, None where there are none.
+        stored_db: PSNR of the captures as stored.
+        fingerprint: of the reference's test data.
+        times: seconds of each stage for a capture, of those classifiers that invert captures.
+        sheet: for some captures the true frames, and what is seen of them and said.
+    """
+
+    config: RecognitionConfig
+    answers: Sequence[Answers]
+    backwards: Answers | None
+    stored_db: float
+    fingerprint: str
+    times: Mapping[str, Mapping[str, float]]
+    sheet: Sequence[Sequence[NamedFilm]]
+    device: str
+
+    @property
+    def main(self) -> list[Answers]:
+        """The rows of the table: every classifier on the captures as stored."""
+        return [one for one in self.answers if one.noise_db is None]
+
+    @property
+    def reference(self) -> Answers:
+        """The one that all others are compared with."""
+        return self._named(self.config.reference or self.config.classifiers[0].name)
+
+    @property
+    def ceiling(self) -> Answers | None:
+        """The one of whose accuracy shares are given."""
+        return None if self.config.ceiling is None else self._named(self.config.ceiling)
+
+    def _named(self, name: str) -> Answers:
+        return next(one for one in self.main if one.name == name)
+
+    @cached_property
+    def leads(self) -> list[Lead]:
+        """The reference against every other one, on the captures as stored."""
+        others = (one for one in self.main if one is not self.reference)
+        return [lead(self.reference, other, self.config.seed) for other in others]
+
+    def rows(self) -> list[list[str]]:
+        """Return the table: its titles, every classifier, and what looks at nothing."""
+        first, ceiling = self.reference, self.ceiling
+        titles = ["classifier", *(f"top-{top} %" for top in TOP), *(["of the ceiling"] if ceiling else [])]
+        titles += ["calibration error %", "log loss", "seeds"]
+        rows = []
+        for one in self.main:
+            cells = [_accuracy(one, top, self.config.seed) for top in TOP]
+            if ceiling:
+                cells.append(f"{one.accuracy() / ceiling.accuracy():.0%}" if ceiling.accuracy() else "–")
+            cells += [f"{100 * one.calibration_error():.1f}", f"{one.log_loss():.3f}", str(len(one.probabilities))]
+            rows.append([one.name, *cells])
+        rest = ["–"] * (len(titles) - 1 - len(TOP))
+        rows.append(["chance", *(f"{100 * chance(first.classes, top):.1f}" for top in TOP), *rest])
+        rows.append(["most frequent class", *(f"{100 * majority(first.truth, top):.1f}" for top in TOP), *rest])
+        return [titles, *rows]
+
+    def plain(self) -> dict[str, Any]:
+        """Return all of it but the images, for JSON."""
+        return {
+            "name": self.config.name,
+            "config": self.config.dump(),
+            "data": {"fingerprint": self.fingerprint, "stored_psnr_db": self.stored_db},
+            "classes": list(self.reference.classes),
+            "answers": [one.plain(self.config.seed) for one in self.answers],
+            "reference_leads": [
+                {"other": one.other, "mean": one.mean, "interval": one.interval, "paired": one.paired}
+                for one in self.leads
+            ],
+            "backwards": self.turned(),
+            "chance": chance(self.reference.classes),
+            "majority": majority(self.reference.truth),
+            "seconds": {name: dict(stages) for name, stages in self.times.items()},
+            "device": self.device,
+            "versions": versions("torch", "torchvision", "numpy"),
+        }
+
+    def turned(self) -> list[list[float | None]] | None:
+        """Return what right answers become backwards; None in place of what a class without right answers becomes."""
+        if self.backwards is None:
+            return None
+        rows = become(self.reference, self.backwards).tolist()
+        return [[None if math.isnan(share) else share for share in row] for row in rows]
+
+
+def terminal_tables(found: Recognition) -> str:
+    """Return the table and the leads of the reference as plain text."""
+    lines = [f"{found.reference.name} is ahead of {one.other} by {_points(one)} points" for one in found.leads]
+    return "\n".join([*aligned(found.rows()), "", *lines])
+
+
+def write_recognition(folder: Path, found: Recognition) -> list[Path]:
+    """Write everything, and delete what an earlier run left; returns the files, the report first."""
+    figures = _figures(found)
+    files = {
+        REPORT: _report(found, figures).encode(),
+        TABLE: _csv(found).encode(),
+        RESULTS: readable_json(found.plain()),
+        **figures,
+    }
+    for name, content in files.items():
+        with storage_errors(folder / name):
+            write_atomic(folder / name, content)
+    remove_stale(folder, files, _OWN)
+    return [folder / name for name in files]
+
+
+def _figures(found: Recognition) -> dict[str, bytes]:
+    colours = method_colours([one.name for one in found.config.classifiers])
+    ceiling = [] if found.ceiling in (None, found.reference) else [found.ceiling]
+    figures = {CONFUSION: confusion_png([one for one in (found.reference, *ceiling) if one])}
+    figures[RELIABILITY] = reliability_png(found.main, colours)
+    levels = [one for one in found.answers if one.noise_db is not None]
+    still = chance(found.reference.classes)
+    if levels:
+        points = {
+            name: [(one.noise_db, one) for one in levels if one.name == name and one.noise_db is not None]
+            for name in dict.fromkeys(one.name for one in levels)
+        }
+        figures[NOISE] = against_png(points, colours, "PSNR of the capture, dB", still, found.config.seed)
+    by_slivers = _by_slivers(found)
+    if by_slivers:
+        name = found.reference.name
+        points = {name: [(float(one.slivers or 0), one) for one in by_slivers]}
+        figures[SLIVERS] = against_png(points, colours, "slivers", still, found.config.seed)
+    if found.sheet:
+        line = "above what is done, as a lens sees it; below what the network sees in each sliver, and says"
+        figures[SHEET] = png_bytes(film_sheet(found.sheet, found.config.name, line))
+    return figures
+
+
+def _by_slivers(found: Recognition) -> list[Answers]:
+    """Return the rows that are like the reference but for the number of slivers, fewest first; empty without any."""
+    alike = [one for one in found.main if one.slivers is not None and one.name.startswith(found.reference.name)]
+    by_number = {one.slivers: one for one in reversed(alike)}
+    return [by_number[number] for number in sorted(by_number)] if len(by_number) > 1 else []  # pyright: ignore
+
+
+def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
+    titles, *rows = found.rows()
+    classes, seed = found.reference.classes, found.config.seed
+    parts = [
+        f"# {found.config.name}",
+        f"{len(found.reference.truth)} captures of data with fingerprint `{found.fingerprint[:12]}`, split "
+        f"{found.config.data.split}, {len(classes)} classes; captures as stored have {found.stored_db:.1f} dB.",
+        markdown(titles, rows),
+        _HOW,
+        "\n".join(f"- {one.name}: {one.note}" for one in found.main),
+        "## Against the reference",
+        _LEAD,
+        markdown(
+            ["", f"{found.reference.name} is ahead by", "same clips"],
+            [[one.other, _points(one), "yes" if one.paired else "no"] for one in found.leads],
+        )
+        if found.leads
+        else "",
+        "## Confusion",
+        f"![who is taken for what]({CONFUSION})",
+        "## Per class",
+        "Share of each class's captures that are named rightly, %, mean over seeds.",
+        markdown(
+            ["class", *(one.name for one in found.main)],
+            [
+                [name, *(f"{100 * one.confusion()[at, at]:.0f}" for one in found.main)]
+                for at, name in enumerate(classes)
+            ],
+        ),
+        "## Calibration",
+        f"![confidence against accuracy]({RELIABILITY})",
+    ]
+    if NOISE in figures:
+        levels = sorted({one.noise_db for one in found.answers if one.noise_db is not None})
+        by_name: dict[str, dict[float, Answers]] = {}
+        for one in found.answers:
+            if one.noise_db is not None:
+                by_name.setdefault(one.name, {})[one.noise_db] = one
+        table = [[name, *(_accuracy(of[level], 1, seed) for level in levels)] for name, of in by_name.items()]
+        parts += ["## Noise", markdown(["top-1 %", *(f"{level:g} dB" for level in levels)], table)]
+        parts.append(f"![accuracy against noise]({NOISE})")
+    if SLIVERS in figures:
+        table = [[str(one.slivers), _accuracy(one, 1, seed)] for one in _by_slivers(found)]
+        parts += ["## Slivers", markdown(["slivers", "top-1 %"], table), f"![accuracy against slivers]({SLIVERS})"]
+    if (shares := found.turned()) is not None:
+        rows = [
+            [name, *("–" if share is None else f"{100 * share:.0f}" for share in shares[at])]
+            for at, name in enumerate(classes)
+        ]
+        words = (
+            "The same clips run backwards and seen anew: what becomes of the captures that were named rightly, % of these. "
+            "A classifier that looks at the order of things takes picking up for putting down."
+        )
+        parts += ["## Backwards", words, markdown(["", *classes], rows)]
+    if found.times:
+        words = f"Seconds for a capture, one at a time, median of {found.config.timed}; {found.device}."
+        stages = list(dict.fromkeys(stage for times in found.times.values() for stage in times))
+        rows = [
+            [
+                name,
+                *(f"{times[stage]:.3g}" if stage in times else "–" for stage in stages),
+                f"{sum(times.values()):.3g}",
+            ]
+            for name, times in found.times.items()
+        ]
+        parts += ["## Time", words, markdown(["", *stages, "all"], rows)]
+    if found.sheet:
+        parts += ["## Captures", f"![captures]({SHEET})"]
+    packages = ", ".join(f"{name} {version}" for name, version in versions("torch", "torchvision", "numpy").items())
+    parts += [_PUBLISHED, "## Made with", packages]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _accuracy(one: Answers, top: int, seed: int) -> str:
+    """Return an accuracy with its interval and spread, in per cent."""
+    ends, spread = one.interval(seed, top), one.over_seeds(top)
+    interval = "" if ends is None else f" [{100 * ends[0]:.1f}, {100 * ends[1]:.1f}]"
+    return f"{100 * one.accuracy(top):.1f}{interval}{'' if spread is None else f' ±{100 * spread:.1f}'}"
+
+
+def _points(one: Lead) -> str:
+    interval = "" if one.interval is None else f" [{100 * one.interval[0]:+.1f}, {100 * one.interval[1]:+.1f}]"
+    return f"{100 * one.mean:+.1f}{interval}"
+
+
+def _csv(found: Recognition) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    columns = [
+        name for top in TOP for name in (f"top_{top}", f"top_{top}_low", f"top_{top}_high", f"top_{top}_over_seeds")
+    ]
+    writer.writerow(["classifier", "noise_db", "slivers", "seeds", *columns, "calibration_error", "log_loss"])
+    for one in found.answers:
+        numbers: list[float | None] = []
+        for top in TOP:
+            ends = one.interval(found.config.seed, top) or (None, None)
+            numbers += [one.accuracy(top), *ends, one.over_seeds(top)]
+        about = [one.name, one.noise_db, one.slivers, len(one.probabilities)]
+        writer.writerow([*about, *numbers, one.calibration_error(), one.log_loss()])
+    return stream.getvalue()

@@ -1,0 +1,175 @@
+"""Training a network that recognises what is done in a clip: the usual loop with labels in place of images."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from learning.camera import CaptureModel
+from learning.checkpoint import Checkpoint, load_checkpoint
+from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
+from learning.config import ActivityLossConfig, ActivityTrainConfig
+from learning.data import Loader
+from learning.evaluate.films import NamedFilm, film_sheet
+from learning.labels import class_names, class_numbers
+from learning.method import Progress, Say, inference, linear_to_srgb
+from learning.models.activitynet import ActivityNet, Answer, Classifier
+from learning.train import NetworkTraining
+from learning.training_loop import TrainResult, find_cache, run
+from learning.validation import to_device
+from simulator.dataset.reader import Dataset
+from simulator.errors import InputError
+
+_SIDED = re.compile(r"left|right", re.IGNORECASE)
+
+
+def train_activity(
+    config: ActivityTrainConfig, *, progress: Progress = lambda *_: None, say: Say = lambda _: None
+) -> TrainResult:
+    """Train a classifier of clips, or go on with a training that was interrupted; see `learning.training_loop.run`."""
+    return run(ActivityTraining, config, progress, say)
+
+
+class ActivityLoss(nn.Module):
+    """Weighted sum of its terms; thesis equations 4.7 and 4.8.
+
+    - ``classes``: cross entropy of the classes;
+    - ``measurement``: mean squared error of MeasNet's global measurements, DN / 2^bits; absent without MeasNet.
+    """
+
+    def __init__(self, settings: ActivityLossConfig) -> None:
+        super().__init__()
+        self.settings = settings
+
+    def forward(self, answer: Answer, label: Tensor, measured: Tensor) -> dict[str, Tensor]:
+        """Return scalars: ``total``, each term under its name, and each weighted as ``classes_weighted`` and so on.
+
+        ``label`` ``(B,)`` are the numbers of the classes, ``measured`` ``(B, N, C, H, W)`` the true global measurements less
+        the offset, empty where the network has no MeasNet.
+        """
+        smoothing = self.settings.label_smoothing
+        terms = {"classes": nn.functional.cross_entropy(answer.logits, label, label_smoothing=smoothing)}
+        weights = {"classes": self.settings.class_weight, "measurement": self.settings.measurement_weight}
+        if answer.measured.numel():
+            terms["measurement"] = (answer.measured - measured).square().mean()
+        weighted = {f"{name}_weighted": weights[name] * value for name, value in terms.items()}
+        return {"total": torch.stack(list(weighted.values())).sum(), **terms, **weighted}
+
+    def record(self) -> dict[str, Any]:
+        """Return what a checkpoint says of this loss."""
+        return self.settings.model_dump()
+
+
+class ActivityTraining(NetworkTraining[ClipExample]):
+    """From captures, or the frames of a lens, to classes."""
+
+    _config: ActivityTrainConfig
+    _network: Classifier
+
+    @classmethod
+    def _build_loss(cls, config: ActivityTrainConfig, capture: CaptureModel) -> ActivityLoss:
+        return ActivityLoss(config.loss)
+
+    @classmethod
+    def _told_by(cls, config: ActivityTrainConfig, train: Dataset, validation: Dataset) -> dict[str, Any]:
+        classes = class_names(train)
+        class_numbers(validation, classes)  # refuses a class that is not learned
+        sided = [name for name in classes if _SIDED.search(name)]
+        if sided and config.data.augment is not None and config.data.augment.flip:
+            got = f"got true, but mirrored, {sided[0]} is another class; set flip: false"
+            raise InputError("data.augment.flip", got)
+        return {"classes": list(classes)}
+
+    @classmethod
+    def _take(cls, config: ActivityTrainConfig, network: Any, path: Path) -> tuple[Checkpoint, list[str]]:
+        known = load_checkpoint(path)
+        return known, network.take(known.network, str(path))
+
+    def _open(self, dataset: Dataset) -> ClipExamples:
+        config, network = self._config, self._plan.network
+        numbers = class_numbers(dataset, self._network.classes)
+        if config.data.shuffle_labels and dataset.split == "train":
+            numbers = np.random.default_rng(config.seed).permutation(numbers).tolist()
+        of_clips = isinstance(network, ActivityNet)
+        return open_clip_examples(
+            dataset,
+            config,
+            self._capture,
+            joint=network.joint if of_clips else None,
+            measured=of_clips and network.measnet is not None,
+            cache=find_cache(dataset, config, self._say),
+            labels=numbers,
+        )
+
+    def _schedule(self) -> None:
+        super()._schedule()
+        # Dropout and the places of windows follow from the seed and the step, so that a resumed training sees the same.
+        key = (self.progress.step, self._group.rank)
+        torch.manual_seed(int(np.random.SeedSequence(self._config.seed, spawn_key=key).generate_state(1)[0]))
+
+    def _answer(self, network: nn.Module, example: ClipExample) -> Answer:
+        frames = linear_to_srgb(example.radiance, self._capture.white)
+        start = example.start if example.start.numel() else None
+        with self._plan.precision.autocast():
+            answer = network(*self._network.looks_at(example.measurement, start, frames))
+        return Answer(answer.logits.float(), answer.measured.float())
+
+    def _losses(self, answer: Answer, example: ClipExample) -> dict[str, Tensor]:
+        measured = example.measured  # as if all rows had the same exposure, like MeasNet's
+        if measured.numel() and isinstance(self._network, ActivityNet):
+            measured = self._network.inversion.light(measured)
+        return self._loss(answer, example.label, measured)
+
+    def _terms(self, wrapped: nn.Module, example: ClipExample) -> dict[str, Tensor]:
+        return self._losses(self._answer(wrapped, example), example)
+
+    def _metrics(self, batches: Loader[ClipExample]) -> dict[str, float]:
+        """Return means over the validation clips: the loss's terms, ``top_1``, ``top_2``; and ``score``.
+
+        The score is the mean probability that the true class is given, which tells steps apart of which as many are right.
+        """
+        sums: dict[str, float] = {}
+        clips = 0
+        with inference(self._network):
+            for batch in batches:
+                example = to_device(batch, self._group.device)
+                answer = self._answer(self._network, example)
+                count = len(example.label)
+                truth = example.label[:, None]
+                guesses = answer.logits.topk(2, dim=1).indices == truth
+                values = {name: value * count for name, value in self._losses(answer, example).items()}
+                values |= {"top_1": guesses[:, 0].sum(), "top_2": guesses.sum()}
+                values |= {"score": answer.logits.softmax(dim=1).gather(1, truth).sum()}
+                for name, value in values.items():
+                    sums[name] = sums.get(name, 0.0) + float(value)
+                clips += count
+        together = torch.tensor([*sums.values(), clips], dtype=torch.float64, device=self._group.device)
+        *totals, of = self._group.add(together).tolist()
+        return {name: total / of for name, total in zip(sums, totals, strict=True)}
+
+    def _drawn(self, example: ClipExample) -> NDArray[np.uint8]:
+        """Return an image: of each clip its true frames and, if it looks at estimates, these, beside what it says of them."""
+        with inference(self._network):
+            chances = self._answer(self._network, example).logits.softmax(dim=1).cpu()
+            looked = None
+            if isinstance(self._network, ActivityNet):
+                looked = self._network.looked_at(example.measurement, example.start if example.start.numel() else None)
+        truth = linear_to_srgb(example.radiance, self._capture.white)
+        clips = []
+        for at, (frames, label) in enumerate(zip(truth, example.label.tolist(), strict=True)):
+            chance, guess = chances[at].max(dim=0)
+            said = f"{self._network.classes[int(guess)]} {float(chance):.0%}"
+            films = [NamedFilm(self._network.classes[label], _pixels(frames), "" if looked is not None else said)]
+            clips.append(films if looked is None else [*films, NamedFilm("estimated", _pixels(looked[at]), said)])
+        return np.asarray(film_sheet(clips, self._config.name, "what is done, and what the network says"))
+
+
+def _pixels(frames: Tensor) -> NDArray[np.float32]:
+    """Return frames ``(N, 3, h, w)`` as ``(N, h, w, 3)``."""
+    return frames.clamp(0, 1).permute(0, 2, 3, 1).cpu().numpy()

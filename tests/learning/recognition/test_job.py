@@ -1,0 +1,234 @@
+"""Evaluating classifiers from the file to the report: what is in it, what is kept, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from learning.camera import CaptureModel, capture_model, measure_reference_white
+from learning.checkpoint import save_checkpoint
+from learning.commands import evaluate as command
+from learning.config import RecognitionConfig, evaluation_kind, load_file
+from learning.data import ExampleSet
+from learning.method import linear_to_srgb
+from learning.models import build_network, named
+from learning.recognition import job
+from learning.recognition.job import recognise
+from learning.timing import with_slivers
+from simulator.dataset import generate, open_dataset
+from simulator.errors import InputError
+
+CLASSES = ["leftwards", "rightwards"]
+NETWORKS: dict[str, dict[str, Any]] = {
+    "net": {"network": "activitynet", "size": "tiny", "filters": 4, "joint_iterations": 3},
+    "lens": {"network": "lens_classifier", "size": "compact"},
+    "raw": {"network": "raw_classifier", "size": "compact"},
+}
+
+
+def save(path: Path, capture: CaptureModel, architecture: dict[str, Any], seed: int, **record: Any) -> Path:
+    whole = {"classes": CLASSES} | architecture
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = build_network(capture, **named(whole)).eval()
+    save_checkpoint(path, network, architecture=whole, capture=capture, record=record)
+    return path
+
+
+@pytest.fixture(scope="module")
+def capture(labelled_dataset: Path) -> CaptureModel:
+    train = open_dataset(labelled_dataset)
+    return capture_model(train, white=measure_reference_white(train))
+
+
+@pytest.fixture(scope="module")
+def networks(tmp_path_factory: pytest.TempPathFactory, capture: CaptureModel) -> dict[str, list[Path]]:
+    """Two seeds of an untrained network of each kind."""
+    folder = tmp_path_factory.mktemp("networks")
+    return {
+        name: [save(folder / f"{name}{seed}.safetensors", capture, architecture, seed) for seed in (1, 2)]
+        for name, architecture in NETWORKS.items()
+    }
+
+
+@pytest.fixture
+def settings(labelled_dataset: Path, networks: dict[str, list[Path]], tmp_path: Path) -> Any:
+    """Return a function that makes a small evaluation; keys are replaced."""
+
+    def make(**changes: Any) -> RecognitionConfig:
+        rows = [{"name": name, "checkpoints": list(map(str, files))} for name, files in networks.items()]
+        plain = {"name": "trial", "output": str(tmp_path / "out"), "data": {"test": str(labelled_dataset)}}
+        plain |= {"classifiers": rows, "ceiling": "lens", "noise_db": [20, 40], "batch": 3, "timed": 2, "shown": 2}
+        return RecognitionConfig.model_validate(plain | {"device": "cpu"} | changes)
+
+    return make
+
+
+def test_probabilities_are_the_networks(settings: Any, labelled_dataset: Path, capture: CaptureModel) -> None:
+    """Each capture's own, whatever the batch; a lens sees no noise."""
+    found, _ = recognise(settings())
+    test = ExampleSet(open_dataset(labelled_dataset, "test"))
+    assert [(one.name, one.noise_db, one.slivers) for one in found.answers] == [
+        *(("net", level, 4) for level in (None, 20.0, 40.0)),
+        ("lens", None, None),
+        *(("raw", level, None) for level in (None, 20.0, 40.0)),
+    ]
+    for one in found.main:
+        assert one.truth.tolist() == [1, 0] * 4
+        for seed in (1, 2):
+            with torch.random.fork_rng(devices=[]):
+                torch.manual_seed(seed)
+                network: Any = build_network(capture, **named({"classes": CLASSES} | NETWORKS[one.name])).eval()
+            for at in (0, 7):
+                example = test[at]
+                frames = linear_to_srgb(example.radiance[None], capture.white)
+                with torch.no_grad():
+                    logits = network(*network.looks_at(example.measurement[None], None, frames)).logits
+                expected = logits.softmax(dim=1)[0].numpy()
+                np.testing.assert_allclose(one.probabilities[seed - 1, at], expected, atol=2e-4)
+    levels = {one.noise_db: one.probabilities for one in found.answers if one.name == "net"}
+    assert np.abs(levels[20.0] - levels[40.0]).max() > 1e-5
+
+
+def test_the_report_and_its_files(settings: Any, tmp_path: Path) -> None:
+    _, files = recognise(settings())
+    assert {path.name for path in files} == {
+        *("report.md", "results.json", "table.csv", "confusion.png", "reliability.png", "noise.png", "sheet.png")
+    }
+    report = files[0].read_text(encoding="utf-8")
+    for words in (
+        "| net |",
+        "| chance | 50.0 |",
+        "most frequent class",
+        "thesis, table 5.1",
+        "of the ceiling",
+        "## Noise",
+    ):
+        assert words in report
+    results = json.loads((tmp_path / "out" / "results.json").read_bytes())
+    assert results["classes"] == CLASSES
+    assert results["answers"][0]["top_1"]["mean"] in {n / 16 for n in range(17)}  # 8 captures, 2 seeds
+    assert {lead["other"]: lead["paired"] for lead in results["reference_leads"]} == {"lens": True, "raw": True}
+    assert list(results["seconds"]["net"]) == ["joint", "network"]
+    rows = list(csv.DictReader((tmp_path / "out" / "table.csv").open(encoding="utf-8")))
+    assert len(rows) == 7
+    assert float(rows[0]["top_1"]) == results["answers"][0]["top_1"]["mean"]
+    for path in files[3:]:
+        with Image.open(path) as image:
+            assert min(image.size) > 100
+
+
+def test_what_is_finished_is_kept(settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    recognise(settings())
+    asked: list[str] = []
+    known = job._probabilities
+    monkeypatch.setattr(job, "_probabilities", lambda *given: asked.append(given[1].name) or known(*given))
+    recognise(settings(noise_db=[20, 30], shown=0))
+    assert asked == ["net", "net", "raw", "raw"]  # the new level, both seeds
+    assert not (tmp_path / "out" / "sheet.png").exists()
+    with pytest.raises(InputError, match="trial"):
+        recognise(settings(name="another"))
+
+
+def test_backwards_and_other_captures(
+    settings: Any, networks: dict[str, list[Path]], labelled_dataset: Path, tmp_path: Path, capture: CaptureModel
+) -> None:
+    """The same clips backwards through the same camera; and another number of slivers as a row of its own."""
+    config = json.loads((labelled_dataset / "dataset.json").read_text())["config"]
+    folder = labelled_dataset.parent
+    again = {"source": "samples", "path": str(labelled_dataset), "size": [16, 16], "backwards": True}
+    text = json.dumps(config | {"scene": again, "dataset": config["dataset"] | {"output": str(tmp_path / "back")}})
+    (folder / "back.yaml").write_text(text)
+    root = generate(folder / "back.yaml").path
+    dataset = with_slivers(open_dataset(labelled_dataset), 2)
+    two = capture_model(dataset, white=capture.white)
+    other = save(tmp_path / "two.safetensors", two, NETWORKS["net"], 1)
+    rows = [
+        {"name": "net", "checkpoints": [str(networks["net"][0])]},
+        {"name": "net, 2 slivers", "checkpoints": [str(other)]},
+        {"name": "net, backwards", "checkpoints": [str(networks["net"][0])], "test": str(root)},
+    ]
+    data = {"test": str(labelled_dataset), "backwards": str(root)}
+    found, files = recognise(settings(classifiers=rows, data=data, ceiling=None, noise_db=None, timed=0))
+    assert [one.slivers for one in found.main] == [4, 2, 4]
+    assert found.backwards is not None
+    np.testing.assert_array_equal(found.backwards.probabilities, found.main[2].probabilities)
+    assert (files[0].parent / "slivers.png").exists()
+    report = files[0].read_text(encoding="utf-8")
+    assert "## Backwards" in report
+    assert "| 2 |" in report
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"ceiling": "sky"}, "ceiling"),
+        ({"reference": "sky"}, "reference"),
+        ({"noise_db": [20, 20]}, "noise_db"),
+        ({"classifiers": [{"name": "a", "checkpoints": ["x"]}] * 2, "ceiling": None}, "classifiers"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(settings: Any, tmp_path: Path, changes: dict[str, Any], key: str) -> None:
+    path = tmp_path / "rows.yaml"
+    path.write_text(json.dumps(settings().dump() | changes))
+    with pytest.raises(InputError, match=rf"rows\.yaml:\d+:\d+: {key}"):
+        load_file(evaluation_kind, path)
+
+
+def test_networks_and_data_that_do_not_fit(
+    settings: Any,
+    networks: dict[str, list[Path]],
+    clip_dataset: Path,
+    clip_checkpoint: Path,
+    tmp_path: Path,
+    capture: CaptureModel,
+    labelled_dataset: Path,
+) -> None:
+    def refused(match: str, files: list[Path], **data: str) -> None:
+        rows = [{"name": "one", "checkpoints": list(map(str, files))}]
+        test = {"test": str(labelled_dataset)} | data
+        with pytest.raises(InputError, match=match):
+            recognise(settings(classifiers=rows, data=test, ceiling=None))
+        assert not (tmp_path / "out").exists()
+
+    refused("is a VideoNet, which names no classes", [clip_checkpoint])
+    refused("has no label", networks["net"], test=str(clip_dataset))
+    unknown = save(tmp_path / "up.safetensors", capture, NETWORKS["lens"] | {"classes": ["rightwards", "up"]}, 0)
+    refused("'leftwards', a class that the network does not know", [unknown])
+    other = save(tmp_path / "more.safetensors", capture, NETWORKS["lens"] | {"classes": [*CLASSES, "up"]}, 0)
+    refused("other classes", [networks["lens"][0], other])
+    train = open_dataset(labelled_dataset)
+    from learning.provenance import scenes_of
+
+    scenes = {"scenes": {"train": scenes_of(open_dataset(labelled_dataset, "test"))}}
+    knows = save(tmp_path / "knows.safetensors", capture, NETWORKS["lens"], 0, **scenes)
+    refused("learned from test scenes", [knows])
+    refused("has no label", networks["net"], backwards=str(clip_dataset))
+    assert len(train) == 16
+
+
+def test_the_command_prints_the_table(
+    networks: dict[str, list[Path]], labelled_dataset: Path, tmp_path: Path, capsys: Any
+) -> None:
+    rows = [{"name": name, "checkpoints": [str(networks[name][0])]} for name in ("net", "lens")]
+    content = {
+        "name": "trial",
+        "output": "out",
+        "data": {"test": str(labelled_dataset)},
+        "classifiers": rows,
+        "shown": 0,
+    }
+    path = tmp_path / "rows.yaml"
+    path.write_text(json.dumps(content))
+    assert isinstance(load_file(evaluation_kind, path), RecognitionConfig)
+    command(path)
+    told = capsys.readouterr().out
+    assert "net is ahead of lens by" in told
+    assert f"look at {tmp_path / 'out' / 'report.md'}" in told

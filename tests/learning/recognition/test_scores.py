@@ -1,0 +1,134 @@
+"""Scores of classifiers against scikit-learn-like definitions by hand, and intervals against their coverage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from learning.recognition.scores import Answers, become, chance, lead, majority
+
+CLASSES = ("a", "b", "c")
+
+
+def answers(probabilities: object, truth: object, name: str = "one", **about: object) -> Answers:
+    return Answers(name, CLASSES, np.array(truth), np.array(probabilities, float), **about)  # pyright: ignore
+
+
+TWO_SEEDS = answers(
+    [
+        [[0.7, 0.2, 0.1], [0.1, 0.3, 0.6], [0.2, 0.5, 0.3], [0.1, 0.1, 0.8]],
+        [[0.4, 0.5, 0.1], [0.2, 0.7, 0.1], [0.1, 0.2, 0.7], [0.6, 0.3, 0.1]],
+    ],
+    [0, 1, 2, 2],
+)
+
+
+def test_accuracies_are_means_over_captures_and_seeds() -> None:
+    assert TWO_SEEDS.guesses.tolist() == [[0, 2, 1, 2], [1, 1, 2, 0]]
+    assert TWO_SEEDS.right().tolist() == [0.5, 0.5, 0.5, 0.5]
+    assert TWO_SEEDS.right(2).tolist() == [1, 1, 1, 0.5]
+    assert TWO_SEEDS.accuracy() == 0.5
+    assert TWO_SEEDS.accuracy(2) == pytest.approx(7 / 8)
+    assert TWO_SEEDS.accuracy(5) == 1
+    assert TWO_SEEDS.over_seeds() == 0
+    assert TWO_SEEDS.over_seeds(2) == pytest.approx(np.std([1, 0.75], ddof=1))
+    assert answers(TWO_SEEDS.probabilities[:1], TWO_SEEDS.truth).over_seeds() is None
+
+
+def test_equal_probabilities_are_no_right_guess() -> None:
+    alike = answers(np.full((1, 6, 3), 1 / 3), [0, 1, 2, 0, 1, 2])
+    assert alike.accuracy() == alike.accuracy(2) == 0
+    assert alike.accuracy(5) == 1
+
+
+def test_confusion_has_what_is_done_in_rows() -> None:
+    expected = np.array([[1, 1, 0], [0, 1, 1], [1, 1, 2]]) / [[2], [2], [4]]
+    np.testing.assert_allclose(TWO_SEEDS.confusion(), expected)
+
+
+def test_log_loss_is_the_cross_entropy() -> None:
+    own = [0.7, 0.3, 0.3, 0.8, 0.4, 0.7, 0.7, 0.1]
+    assert TWO_SEEDS.log_loss() == pytest.approx(-np.log(own).mean())
+    assert np.isfinite(answers([[[0.0, 1.0, 0.0]]], [0]).log_loss())
+
+
+def drawn(sharpen: float, count: int = 40_000) -> Answers:
+    """Truth that follows the probabilities exactly, which are then made sharper or flatter than they should be."""
+    rng = np.random.default_rng(0)
+    honest = rng.dirichlet([0.7, 0.7, 0.7], count)
+    truth = (rng.random((count, 1)) > honest.cumsum(axis=1)).sum(axis=1)
+    told = honest**sharpen
+    return answers([told / told.sum(axis=1, keepdims=True)], truth)
+
+
+def test_calibration_is_measured() -> None:
+    """Probabilities that the truth follows are calibrated; squared, they are too sure, and their roots too little."""
+    honest, sure, unsure = (drawn(power) for power in (1, 2, 0.5))
+    # Of 40 000 answers in about 7 bins, the mean of |error| is some 0.8 sqrt(p (1 - p) / n) = 0.5 %.
+    assert honest.calibration_error() < 0.01
+    assert honest.accuracy() == sure.accuracy() == unsure.accuracy()
+    for one, sign in ((sure, 1), (unsure, -1)):
+        confidence, right, counts = one.reliability()
+        assert counts.sum() == 40_000
+        gap = float((confidence - right)[counts > 0] @ counts[counts > 0]) / 40_000
+        assert sign * gap == pytest.approx(one.calibration_error(), rel=0.15)
+        expected = one.probabilities.max(axis=-1).mean() - one.accuracy()
+        assert gap == pytest.approx(expected, abs=1e-9)
+        assert sign * gap > 0.04
+
+
+def test_intervals_cover_the_accuracy() -> None:
+    """Of 600 captures at 60 %, the bootstrap's interval is that of the binomial distribution, within its own noise."""
+    rng = np.random.default_rng(1)
+    right = rng.random(600) < 0.6
+    chances = np.where(right[:, None], [0.6, 0.3, 0.1], [0.3, 0.6, 0.1])
+    one = answers([chances], np.zeros(600, int))
+    ends = one.interval(0)
+    assert ends is not None
+    half = 1.96 * np.sqrt(right.mean() * (1 - right.mean()) / 600)
+    assert ends[0] == pytest.approx(right.mean() - half, abs=0.004)
+    assert ends[1] == pytest.approx(right.mean() + half, abs=0.004)
+
+
+def test_a_lead_is_paired_where_the_captures_are_the_same() -> None:
+    """Of two that are right on nearly the same captures the difference is known far better than either accuracy."""
+    rng = np.random.default_rng(2)
+    truth = rng.integers(0, 3, 600)
+    right = rng.random(600) < 0.6
+    wrong_more = right & (rng.random(600) > 0.05)
+    first, second = (
+        answers([np.eye(3)[np.where(which, truth, (truth + 1) % 3)]], truth, name)
+        for name, which in (("first", right), ("second", wrong_more))
+    )
+    paired = lead(first, second, 0)
+    assert paired.paired
+    assert paired.mean == pytest.approx(right.mean() - wrong_more.mean())
+    lost = right & ~wrong_more
+    test = stats.binomtest(int(lost.sum()), 600).proportion_ci(0.95, "wilson")
+    assert paired.interval is not None
+    assert paired.interval[0] == pytest.approx(test.low, abs=0.006)
+    assert paired.interval[1] == pytest.approx(test.high, abs=0.006)
+    other = answers(second.probabilities[:, ::-1], truth[::-1], "second")
+    apart = lead(first, other, 0)
+    assert not apart.paired
+    assert apart.mean == pytest.approx(paired.mean)
+    assert apart.interval is not None
+    spread = np.sqrt(sum(each.mean() * (1 - each.mean()) / 600 for each in (right, wrong_more)))
+    assert (apart.interval[1] - apart.interval[0]) / 2 == pytest.approx(1.96 * spread, rel=0.05)
+
+
+def test_what_looks_at_nothing() -> None:
+    assert chance(CLASSES) == pytest.approx(1 / 3)
+    assert chance(CLASSES, 5) == 1
+    truth = np.array([0, 1, 1, 2, 1, 0])
+    assert majority(truth) == 0.5
+    assert majority(truth, 2) == pytest.approx(5 / 6)
+
+
+def test_what_right_answers_become_backwards() -> None:
+    forwards = answers([np.eye(3)[[0, 0, 1, 1, 2]]], [0, 0, 1, 2, 2])
+    backwards = answers([np.eye(3)[[1, 0, 1, 0, 2]]], [0, 0, 1, 2, 2])
+    np.testing.assert_allclose(become(forwards, backwards), [[0.5, 0.5, 0], [0, 1, 0], [0, 0, 1]])
+    never = answers([np.eye(3)[[1, 1, 1, 1, 1]]], [0, 0, 1, 2, 2])
+    assert np.isnan(become(never, backwards)[0]).all()
