@@ -120,18 +120,20 @@ def load_measurement(
     if sample is None:
         values, channels = _channels_first(path)
         scale, assumed = _scale(values, bits, path)
-        dataset = None
+        dataset = label = None
         if frame is None and path.suffix.lower() == ".exr" and "sensor_shape" in read_exr(path)[1]:
             frame = "stored"  # a file of ours that was copied out of its sample says so itself
     else:
         stored = StoredSample(sample)
-        values, channels = stored.measurement()[0], stored.channels
+        values, channels, label = stored.measurement()[0], stored.channels, stored.label
         scale, assumed = (1.0, "as stored: DN / 2^bits") if bits is None else (2.0**bits, "as told")
         if frame is not None:
             raise InputError("frame", f"got {frame}, but {sample} is a sample, whose frame is stored; leave it out")
         frame = "stored"
         dataset = sample.parents[2] if (sample.parents[2] / FILE).is_file() else None
     record: dict[str, Any] = {"file": str(path), "shape": list(values.shape), "divided_by": scale, "scale": assumed}
+    if label is not None:
+        record["label"] = label
     light = values / scale
     if background is not None:
         dark, words = _dark(background, values, path)

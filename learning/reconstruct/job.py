@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from learning.camera import CaptureModel
 from learning.classical.clips import ClipMethod
 from learning.classical.method import ClassicalMethod, PlanarMethod
 from learning.method import Clock, Method, Progress, choose_device, linear_to_srgb, srgb_to_linear, threads_for
+from learning.models.activitynet import ActivityMethod
 from learning.models.flatnet import LearnedMethod
 from learning.provenance import is_own_folder
 from learning.reconstruct.choice import Request, choose_method
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
 RECORD = "reconstruction.json"
 _WHITE_PERCENTILE = 99.5  # of the lit values, as in all images that the simulator shows
 _LEAST_HEIGHT, _MARGIN, _GAP = 240, 12, 6
+_LIKELY = 5  # classes that are told of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,6 +163,10 @@ def _report(measurement: Measurement, name: str, record: dict[str, Any], result:
         "time": ", ".join(f"{stage} {seconds:.2g} s" for stage, seconds in result.seconds.items()),
         "wrote": wrote,
     }
+    if result.classes:
+        likely = ", ".join(f"{name} {chance:.1%}" for name, chance in list(result.classes.items())[:_LIKELY])
+        label = measurement.record.get("label")
+        lines = {"shows": likely + (f"; its label is {label}" if label else ""), **lines}
     width = max(map(len, lines))
     return "\n".join(f"{name:>{width}}  {text}" for name, text in lines.items())
 
@@ -179,6 +186,7 @@ class Reconstruction:
         volume_depths_m: of its planes, ``(K,)``, nearest first: all of the stack's, or those that a network inverts at.
         seconds: by stage.
         convergence: see `ClipMethod.convergence`.
+        classes: of a network that tells what is done, the probability of each class, the most likely one first.
     """
 
     radiance: NDArray[np.float32]
@@ -190,6 +198,7 @@ class Reconstruction:
     volume_depths_m: NDArray[np.float64]
     seconds: dict[str, float]
     convergence: dict[str, list[float]]
+    classes: dict[str, float] = field(default_factory=dict)
 
 
 def reconstruct(
@@ -250,7 +259,14 @@ def reconstruct(
         volume_depths_m=depths_m,
         seconds=clock.seconds,
         convergence=method.convergence if isinstance(method, ClipMethod) else {},
+        classes=_classes(method, batch, clock) if isinstance(method, ActivityMethod) else {},
     )
+
+
+def _classes(method: ActivityMethod, batch: Tensor, clock: Clock) -> dict[str, float]:
+    chances = method.classify(batch, clock)[0].tolist()
+    likely = sorted(zip(chances, method.network.classes, strict=True), key=lambda pair: (-pair[0], pair[1]))
+    return {name: chance for chance, name in likely}
 
 
 def write_reconstruction(
@@ -297,6 +313,8 @@ def write_reconstruction(
             }
             write_exr(place / "volume.exr", planes, {"depths_m": plain(result.volume_depths_m.tolist())})
         content = dict(record)
+        if result.classes:
+            content["classes"] = result.classes
         if result.convergence:
             write_atomic(place / "convergence.png", _curve_png(result.convergence))
             content["convergence"] = result.convergence

@@ -188,11 +188,12 @@ def _dropping(cast: Cast) -> Course:
     shoulder = cast.main.shoulder(high)
     from_m = _steadied(cast, high, release)
     restitution = 0.1 + 0.25 * cast.luck[4]
+    leaving = np.array([0, -0.02, 0]) - (0.03 if cast.manner.from_above else 0.25) * cast.main.forwards
 
     def act(time_s: float) -> tuple[HandState, Pose]:
         since = time_s - release
         width = float(keyed(since, [0, 0.12], [cast.width_m, cast.open_m]))
-        back = keyed(since, [0.1, 0.7], [np.zeros(3), np.array([0, -0.02, 0]) - 0.03 * cast.main.forwards])
+        back = keyed(since, [0.1, 0.7], [np.zeros(3), leaving])
         point = _steadied(cast, high, time_s)
         hand = cast.main.gripping(point + back, width, shoulder)
         if since < 0:
@@ -268,33 +269,51 @@ def _moving(direction: float) -> Callable[[Cast], Course]:
 
         if manner.both_hands:
             return _in_both_hands(cast, motion, follow, apart=lambda _: manner.apart)
+        if manner.slides and along_table:
+            return _slid(cast, lambda time_s: keyed(time_s, times, ends) - cast.on_table_m)
         return _carried(cast, motion, follow)
 
     return build
 
 
-def _poking(cast: Cast) -> Course:
+def _slid(cast: Cast, moved_m: Callable[[float], Array]) -> Course:
+    """Return the course of a thing that is moved about the table by the fingertip that touches it."""
+    standing = cast.carried(cast.on_table_m)
+    touch, hand = _poked(cast)
+
+    def act(time_s: float) -> tuple[HandState, Pose]:
+        way = moved_m(time_s)
+        return hand(touch + way), Pose(standing.turn, standing.place_m + way)
+
+    return _one_hand(cast, act)
+
+
+def _poked(cast: Cast) -> tuple[Array, Callable[[Array], HandState]]:
+    """Return where a fingertip touches the thing on its place, and the hand whose fingertip is at a point."""
     thing, actor = cast.thing, cast.main
     height = (0.5 + 0.25 * cast.luck[7]) * thing.height_m
-    standing = cast.carried(cast.on_table_m)
     reach = thing.depth_m / 2 * thing.share_at(height)
-    touch = standing.place_m - (0, height, 0) - reach * actor.forwards
-    push = (0.008 + 0.017 * cast.luck[8]) * actor.forwards
+    touch = cast.carried(cast.on_table_m).place_m - (0, height, 0) - reach * actor.forwards
     elevation = math.radians(4 + 16 * cast.luck[9])
-    stops = [touch - 0.2 * actor.forwards - (0, 0.05, 0), touch, touch + push, touch - 0.05 * actor.forwards]
-    stops.append(touch - 0.13 * actor.forwards - (0, 0.04, 0))
-    times = cast.times(0, 0.38, 0.52, 0.7, 1)
-    shoulder = actor.shoulder(touch)
     angles = POINTING if cast.manner.finger else OPEN
+    return touch, lambda tip: actor.pointing(tip, actor.shoulder(touch), elevation, angles)
+
+
+def _poking(cast: Cast) -> Course:
+    standing, forwards = cast.carried(cast.on_table_m), cast.main.forwards
+    touch, hand = _poked(cast)
+    push = (0.008 + 0.017 * cast.luck[8]) * forwards
+    stops = [touch - 0.3 * forwards - (0, 0.05, 0), touch, touch + push, touch - 0.05 * forwards]
+    stops.append(touch - 0.25 * forwards - (0, 0.04, 0))
+    times = cast.times(0, 0.38, 0.52, 0.66, 1)
 
     def act(time_s: float) -> tuple[HandState, Pose]:
         tip = keyed(time_s, times, stops)
         # What the fingertip has pushed stays where it was pushed to.
         furthest = keyed(min(time_s, times[2]), times, stops)
-        pushed = max(0.0, float((furthest - touch) @ actor.forwards)) * actor.forwards
-        steady = 0.1 + 0.9 * float(minimum_jerk(-(tip - touch) @ actor.forwards / 0.05))
-        hand = actor.pointing(tip + steady * cast.shake_m(time_s), shoulder, elevation, angles)
-        return hand, Pose(standing.turn, standing.place_m + pushed)
+        pushed = max(0.0, float((furthest - touch) @ forwards)) * forwards
+        steady = 0.1 + 0.9 * float(minimum_jerk(-(tip - touch) @ forwards / 0.05))
+        return hand(tip + steady * cast.shake_m(time_s)), Pose(standing.turn, standing.place_m + pushed)
 
     return _one_hand(cast, act)
 

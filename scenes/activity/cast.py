@@ -18,8 +18,8 @@ from scenes.activity.things import Thing
 
 Array = NDArray[np.float64]
 Idle = Literal["away", "rests", "enters"]
-# An action fills at least half of its clip, and takes at least so long, unless the clip is shorter.
-_MOST_REST = 0.5
+# Least and greatest share of a clip in which nothing is done; an action takes at least so long, unless the clip is shorter.
+_REST = (0.25, 0.5)
 _QUICKEST_S = 0.9
 
 
@@ -33,9 +33,10 @@ class Manner:
         joins: whether the second hand comes only when the action has begun, to tear, hold or show what is whole.
         tipped: whether one hand holds, shows or carries a thing tipped over, as for pouring.
         lifted: whether things are moved through the air, not along the table; what is tipped or held by both hands is.
+        slides: whether what is moved along the table is not gripped, but slides with a fingertip that pokes it.
         offered: whether a thing that is held is near the viewer and turned, as one that is shown.
-        from_above: whether a hand comes to what it picks up, and leaves what it has put down, from above, as the hand is
-            that has dropped a thing; else from its own side.
+        from_above: whether a hand comes to what it picks up from above, and leaves what it has put down or dropped upwards;
+            else from its own side, and to it.
         finger: whether the index finger pokes, else a flat hand.
         spilled: share of the grains that lie on the table from the beginning.
         idle: what a hand does that takes no part: it is out of the image, lies on the table, or enters without acting.
@@ -46,6 +47,7 @@ class Manner:
     joins: bool
     tipped: bool
     lifted: bool
+    slides: bool
     offered: bool
     from_above: bool
     finger: bool
@@ -137,7 +139,7 @@ class Cast:
         """Where the gripping point of a hand is that waits out of the way, or above the thing."""
         if self.manner.from_above:
             return self.in_air_m - (0, 0.03 + 0.02 * self.luck[0], 0) - 0.03 * self.main.forwards
-        return self.on_table_m - 0.25 * self.main.forwards - (0, 0.05 + 0.04 * self.luck[0], 0)
+        return self.on_table_m - 0.3 * self.main.forwards - (0, 0.05 + 0.04 * self.luck[0], 0)
 
     def times(self, *shares: float) -> list[float]:
         """Return moments of the action, given as shares of it, in seconds of the clip."""
@@ -159,15 +161,16 @@ class Cast:
 
 def draw_manner(rng: np.random.Generator) -> Manner:
     """Draw how things are done; the same number of draws whatever comes out."""
-    shares = rng.random(11)
-    apart = 0.2 + 0.8 * shares[1] if shares[2] < 0.6 else 0.0
+    shares = rng.random(12)
+    apart = 0.2 + 0.8 * shares[1] if shares[2] < 0.7 else 0.0
     idle: tuple[Idle, ...] = ("away", "rests", "enters", "enters")
     return Manner(
-        both_hands=bool(shares[0] < 0.5),
+        both_hands=bool(shares[0] < 0.55),
         apart=float(apart),
         joins=bool(apart == 0 and shares[3] < 0.6),
         tipped=bool(shares[4] < 0.6),
-        lifted=bool(shares[5] < 0.5),
+        lifted=bool(shares[5] < 0.4),
+        slides=bool(shares[11] < 0.7),
         offered=bool(shares[6] < 0.6),
         from_above=bool(shares[7] < 0.5),
         finger=bool(shares[8] < 0.5),
@@ -186,7 +189,8 @@ def draw_cast(thing: Thing, hand_size: float, to_viewer: Array, rng: np.random.G
     left = bool(shares[2] < 0.5)
     elbow = 0.06 + 0.08 * shares[3]
     # The action begins early or late: a still in the middle of the clip may show any stage of it.
-    rest = 0.04 + math.sqrt(shares[9]) * (max(0.04, min(_MOST_REST, 1 - _QUICKEST_S / duration_s)) - 0.04)
+    least = min(_REST[0], max(0.0, 1 - _QUICKEST_S / duration_s))
+    rest = least + shares[9] * (max(least, min(_REST[1], 1 - _QUICKEST_S / duration_s)) - least)
     return Cast(
         thing=thing,
         main=Actor(hand_size, left, math.radians(42 + 38 * shares[4]), elevation, elbow),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.classical.by_name import build_method
 from learning.classical.method import DEFAULTS, ConstrainedLeastSquares, PlanarMethod, build_classical
 from learning.method import linear_to_srgb, srgb_to_linear
-from learning.models import build_network
+from learning.models import build_network, named
 from learning.models.flatnet import LearnedMethod
 from learning.reconstruct import job
 from learning.reconstruct.choice import Request, choose_method
@@ -64,9 +65,9 @@ def test_a_file_gives_what_the_arrays_give(tiny_dataset: Path, sample: Path, tmp
 
 def test_a_sample_takes_its_data_sets_camera_and_white(tiny_dataset: Path, sample: Path) -> None:
     train = open_dataset(tiny_dataset, "train")
-    for stack, named in ((None, "nominal"), ("captured", "captured")):
+    for stack, called in ((None, "nominal"), ("captured", "captured")):
         setup = choose_method(load_measurement(sample), Request(method="cls", stack=stack))
-        expected = capture_model(train, named, white=measure_reference_white(train))
+        expected = capture_model(train, called, white=measure_reference_white(train))
         assert setup.method.capture.stack.fingerprint == expected.stack.fingerprint
         for name in ("gain", "white"):
             assert getattr(setup.method.capture, name) == getattr(expected, name)
@@ -244,6 +245,38 @@ def test_how_it_converged_is_told(
     assert "convergence.png" in record["files"]
     with Image.open(tmp_path / "out" / "convergence.png") as figure:
         assert figure.size == (720, 432)
+
+
+@pytest.mark.parametrize("copied", [False, True])
+def test_a_network_names_what_is_done(labelled_dataset: Path, tmp_path: Path, copied: bool) -> None:
+    """With its probabilities, the likeliest first, and the label where the sample has one; beside the frames it looked at."""
+    train = open_dataset(labelled_dataset)
+    capture = capture_model(train, white=measure_reference_white(train))
+    architecture = {"network": "activitynet", "size": "tiny", "filters": 4, "joint_iterations": 3}
+    architecture |= {"classes": ["down", "leftwards", "rightwards"]}
+    torch.manual_seed(1)
+    network: Any = build_network(capture, **named(architecture)).eval()
+    path = tmp_path / "net.safetensors"
+    save_checkpoint(path, network, architecture=architecture, capture=capture, record={})
+    given = open_dataset(labelled_dataset, "test").folder(1)
+    values = torch.from_numpy(load_measurement(given).values)[None]
+    if copied:
+        given = Path(shutil.copy(given / "measurement.exr", tmp_path / "m.exr"))
+    report = reconstruct_file(Options(measurement=given, checkpoint=str(path), output=tmp_path / "out"))
+    with torch.no_grad():
+        chances = network(values).logits.softmax(dim=1)[0]
+    expected = {network.classes[at]: float(chances[at]) for at in chances.argsort(descending=True).tolist()}
+    record = json.loads((tmp_path / "out" / job.RECORD).read_bytes())
+    assert record["classes"] == pytest.approx(expected, abs=1e-5)
+    told = ", ".join(f"{name} {chance:.1%}" for name, chance in expected.items())
+    line = next(line for line in report.splitlines() if line.lstrip().startswith("shows"))
+    assert line.split("shows  ")[1] == told + ("" if copied else "; its label is leftwards")
+    assert {"film.png", "film.webp"} <= set(record["files"])
+    with torch.no_grad():
+        frames = network.looked_at(values)[0]
+    first = read_exr(tmp_path / "out" / "frames" / "image.0000.exr")[0]
+    radiance = srgb_to_linear(frames, capture.white, clip=False)[0].numpy()
+    np.testing.assert_allclose(np.stack([first[name] for name in "RGB"]), radiance, rtol=1e-4, atol=1e-5)
 
 
 @pytest.fixture(scope="session")

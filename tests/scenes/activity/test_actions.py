@@ -74,14 +74,15 @@ def test_nothing_goes_into_the_table_or_jumps(action: str) -> None:
 def test_the_hand_does_not_jump_when_it_closes_or_touches(action: str) -> None:
     """In steps of 1 ms the speed changes steadily: a jump of x would show as a second difference of x.
 
-    The quickest reach is 0.25 m in 0.36 of 0.9 s, and accelerates by at most 5.8 D / T^2 = 14 m/s^2 (minimum jerk); the
-    tremor adds 1.8 mm * 0.25 * (2 pi 9.2 Hz)^2 = 1.5 m/s^2. In 0.14 of 0.9 s fingers open by up to 3.5 cm, which moves the
-    wrist by up to a half as much: 5.8 * 0.0175 / 0.126^2 = 6.4 m/s^2.
+    The quickest reach is 0.3 m in 0.36 of 0.9 s, and accelerates by at most 5.8 D / T^2 = 17 m/s^2 (minimum jerk); as the
+    hand opens for the grip its wrist draws back by up to 0.1 m, 6 m/s^2, while it goes at up to 1.7 m/s, which its turning
+    bends, by as much again; the tremor adds 1.8 mm * 0.25 * (2 pi 9.2 Hz)^2 = 1.5 m/s^2. A jump of half a millimetre would be
+    ten times as much.
     """
     for seed in range(6):
         cast, at, _ = acted(action, seed)
         wrists = np.array([at(time).hand.wrist_m for time in np.arange(0, cast.duration_s, 1e-3)])
-        assert np.abs(np.diff(wrists, 2, axis=0)).max() < 2.3e-5
+        assert np.abs(np.diff(wrists, 2, axis=0)).max() < 4.5e-5
 
 
 def test_grains_are_poured_early_and_on_the_viewers_side_of_the_hand() -> None:
@@ -189,7 +190,7 @@ def assert_gripped(cast: Cast, at: Course, time_s: float) -> None:
 @pytest.mark.parametrize("action", ["holding", "showing", "pouring", "moving_left_to_right"])
 def test_held_things_stay_in_the_grip(action: str, tipped: bool) -> None:
     for seed in SEEDS:
-        cast, at, times = acted(action, seed, both_hands=False, tipped=tipped)
+        cast, at, times = acted(action, seed, both_hands=False, tipped=tipped, lifted=True)
         for time in times[::10]:
             assert_gripped(cast, at, time)
 
@@ -204,9 +205,9 @@ def test_what_is_done_with_both_hands_looks_like_tearing_but_the_halves_stay_as_
             distance = np.linalg.norm(places, axis=1)
             np.testing.assert_allclose(distance, distance[0], atol=1e-9)
             assert (distance[0] > 0.02) == (apart > 0)
-            hands = [at(times[30]).hand, at(times[30]).second]
+            hands = [at(times[0]).hand, at(times[0]).second]
             assert all(hand is not None for hand in hands)
-            halves = sorted(float(at(times[30]).halves[half].place_m[0]) for half in (0, 1))
+            halves = sorted(float(at(times[0]).halves[half].place_m[0]) for half in (0, 1))
             wrists = sorted(hand.wrist_m[0] for hand in hands if hand is not None)
             assert wrists[0] < halves[0] <= halves[1] < wrists[1]
 
@@ -253,13 +254,27 @@ def test_an_idle_hand_keeps_to_its_side_and_touches_nothing(idle: str) -> None:
         for time, state in zip(times[::10], states[::10], strict=True):
             assert state is not None
             hand = state.mesh(LOOK).vertices_m
-            assert (cast.second.side * hand[:, 0]).min() > -0.02
+            assert cast.second.side * state.wrist_m[0] > 0
             things = [
                 mesh.vertices @ pose.turn.T + pose.place_m
                 for mesh, pose in zip(cast.thing.halves, at(time).halves, strict=True)
             ]
             gaps = np.linalg.norm(hand[:, None] - np.concatenate(things)[None, ::7], axis=2)
             assert gaps.min() > 0.005
+
+
+def test_what_slides_stays_at_the_fingertip_on_the_table() -> None:
+    for seed in SEEDS:
+        manner = UPRIGHT | {"lifted": False, "slides": True}
+        cast, at, times = acted("moving_left_to_right", seed, **manner)
+        _, poked, _ = acted("poking", seed, **manner)
+        moments = [at(time) for time in times]
+        gaps = np.array([moment.halves[0].place_m - moment.hand.wrist_m for moment in moments])
+        np.testing.assert_allclose(gaps, gaps[:1].repeat(len(gaps), axis=0), atol=1e-9)
+        touching = poked(cast.times(0.38)[0])
+        # As in a poke, but for the tremor: the arm follows.
+        np.testing.assert_allclose(touching.halves[0].place_m - touching.hand.wrist_m, gaps[0], atol=1e-3)
+        assert np.abs(feet(at, times)[:, 1]).max() == 0
 
 
 def test_a_poke_touches_then_pushes_a_little() -> None:
