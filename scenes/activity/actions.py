@@ -142,7 +142,7 @@ def _in_both_hands(
     actors = {s: Actor(a.size, a.left, math.radians(76), math.radians(-22), a.elbow_m) for s, a in _sides(cast).items()}
     edge = 0.43 * thing.width_m * thing.share_at(height)
     pinch = 0.6 * thing.depth_m * thing.share_at(height)
-    start, arrive, pinched = cast.times(0, 0.28, 0.38)
+    start, arrive, pinched = cast.times(0, 0.3, 0.42)
     reach = 0.05 + 0.035 * cast.luck[11]
     bend = math.radians(18 + 22 * cast.luck[12])
     lower = cast.grip_height_m - height
@@ -183,8 +183,8 @@ def _sides(cast: Cast) -> dict[float, Actor]:
 
 
 def _dropping(cast: Cast) -> Course:
-    (release,) = cast.times(0.3 + 0.25 * cast.luck[3])
-    high = cast.in_air_m - (0, 0.03, 0)
+    (release,) = cast.times(0.5 + 0.25 * cast.luck[3])
+    high = cast.in_air_m
     shoulder = cast.main.shoulder(high)
     from_m = _steadied(cast, high, release)
     restitution = 0.1 + 0.25 * cast.luck[4]
@@ -206,13 +206,13 @@ def _dropping(cast: Cast) -> Course:
 
 
 def _picking_up(cast: Cast) -> Course:
-    reach, closed, top = cast.times(0.36, 0.5, 0.95)
+    reach, closed, top = cast.times(0.42, 0.54, 0.95)
     start = cast.times(0)[0]
     return _fetched(cast, [start, reach, closed, top], [cast.away_m, cast.on_table_m, cast.on_table_m, cast.in_air_m])
 
 
 def _putting_down(cast: Cast) -> Course:
-    start, down, opened, end = cast.times(0.05, 0.5, 0.64, 1)
+    start, down, opened, end = cast.times(0.05, 0.46, 0.58, 1)
     return _fetched(cast, [end, opened, down, start], [cast.away_m, cast.on_table_m, cast.on_table_m, cast.in_air_m])
 
 
@@ -303,9 +303,9 @@ def _poking(cast: Cast) -> Course:
     standing, forwards = cast.carried(cast.on_table_m), cast.main.forwards
     touch, hand = _poked(cast)
     push = (0.008 + 0.017 * cast.luck[8]) * forwards
-    stops = [touch - 0.3 * forwards - (0, 0.05, 0), touch, touch + push, touch - 0.05 * forwards]
+    stops = [touch - 0.36 * forwards - (0, 0.05, 0), touch, touch + push, touch - 0.05 * forwards]
     stops.append(touch - 0.25 * forwards - (0, 0.04, 0))
-    times = cast.times(0, 0.38, 0.52, 0.66, 1)
+    times = cast.times(0.12, 0.52, 0.64, 0.76, 1)
 
     def act(time_s: float) -> tuple[HandState, Pose]:
         tip = keyed(time_s, times, stops)
@@ -336,7 +336,7 @@ def _holding(cast: Cast) -> Course:
 def _showing(cast: Cast) -> Course:
     (place, upside), near = _aloft(cast), cast.near_m
     away, back, nod = _showing_angles(cast)
-    times = cast.times(0.03, 0.35, 0.68, 1)
+    times = cast.times(0.2, 0.5, 0.75, 1)
 
     def motion(time_s: float) -> tuple[Array, Array]:
         point = keyed(time_s, times, [place, near, near, near]) + cast.shake_m(time_s)
@@ -372,7 +372,7 @@ def _held(cast: Cast, motion: Motion, place_m: Array) -> Course:
 
 def _tearing(cast: Cast) -> Course:
     place = cast.in_air_m * (0.5, 1, 1)
-    pinched, torn = cast.times(0.38, 0.85)
+    pinched, torn = cast.times(0.5, 0.95)
 
     def motion(time_s: float) -> tuple[Array, Array]:
         return place + cast.shake_m(time_s), np.eye(3)
@@ -387,7 +387,7 @@ def _tearing(cast: Cast) -> Course:
 
 
 def _pouring(cast: Cast) -> Course:
-    tilting, end = cast.times(0.05, 0.4), cast.times(1)[0]
+    tilting, end = cast.times(0.25, 0.6), cast.times(1)[0]
     shoulder = cast.main.shoulder(cast.tipped_m)
 
     def held(time_s: float) -> tuple[Array, Array]:
@@ -399,7 +399,7 @@ def _pouring(cast: Cast) -> Course:
         point, turn = held(time_s)
         return cast.main.gripping(point, cast.width_m, shoulder, turn), cast.carried(point, turn)
 
-    opening = cast.times(0.3)[0]
+    opening = cast.times(0.5)[0]
     span = (opening, opening + 0.9 * (end - opening))
     return _one_hand(cast, act, Grains(cast, lambda time_s: cast.carried(*held(time_s)), span))
 

@@ -162,3 +162,48 @@ def test_clips_from_generating_to_a_film(
             psnr.append(-10 * np.log10(np.mean((found - true) ** 2)))
         # As of stills: float32, batches of two and of one
         assert np.mean(psnr) == pytest.approx(by_method[name]["psnr"]["mean"], rel=1e-4), name
+
+
+@pytest.mark.slow
+def test_labelled_clips_from_generating_to_a_name(
+    learning_trial: Any, clip_settings: Any, flatlight: Any, tmp_path: Path, monkeypatch: Any
+) -> None:
+    """The same for what is done: ActivityNet and a lens, whose answers two commands agree on; and clips backwards."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(learning_trial.trial, "generate", learning_trial.trial.write)
+    counts = {"train": 16, "validation": 4, "test": 6}
+    scene = clip_settings["scene"] | {"labelled": True, "speed": 2}
+    changes = clip_settings | {"dataset": clip_settings["dataset"] | counts, "scene": scene}
+    generation = learning_trial.generate(**changes)
+    code, _, err = flatlight("generate", generation)
+    assert code == 0, err
+    data = tmp_path / "out"
+    again = {"source": "samples", "path": str(data), "size": [16, 16], "backwards": True}
+    code, _, err = flatlight("generate", generation, "--set", f"scene={again}", "--set", "dataset.output=back")
+    assert code == 0, err
+    rows = []
+    for name, network in {"net": {"name": "activitynet", "size": "tiny"}, "lens": {"name": "lens_classifier"}}.items():
+        training = {"name": name, "output": name, "network": network, "steps": STEPS // 2, "batch": 4}
+        training |= {"data": {"train": str(data), "workers": 0, "draws": 1, "cache": str(tmp_path / "kept")}}
+        code, out, err = flatlight("train", write(tmp_path / f"{name}.yaml", training))
+        assert code == 0, err
+        assert "among two guesses 100.0%" in out
+        rows.append({"name": name, "checkpoints": [f"{name}/best.safetensors"]})
+    evaluation = {"name": "chain", "output": "evaluated", "classifiers": rows, "ceiling": "lens", "shown": 2}
+    evaluation |= {"data": {"test": str(data), "backwards": "back"}, "noise_db": [20], "timed": 1}
+    code, out, err = flatlight("evaluate", write(tmp_path / "evaluate.yaml", evaluation))
+    assert code == 0, err
+    results = json.loads((tmp_path / "evaluated" / "results.json").read_text(encoding="utf-8"))
+    assert results["classes"] == ["leftwards", "rightwards"]
+    assert np.shape(results["backwards"]) == (2, 2)
+    confusion = np.zeros((2, 2))
+    test = open_dataset(data, "test")
+    for at in range(len(test)):
+        code, out, err = flatlight("reconstruct", test.folder(at), "--checkpoint", "net/best.safetensors")
+        assert code == 0, err
+        record = json.loads((tmp_path / f"test_{test.ids[at]}_activitynet" / "reconstruction.json").read_text())
+        said = max(record["classes"], key=record["classes"].get)
+        assert f"shows  {said} " in out
+        assert f"its label is {test[at].label}" in out
+        confusion[results["classes"].index(str(test[at].label)), results["classes"].index(said)] += 1 / 3
+    np.testing.assert_allclose(results["answers"][0]["confusion"], confusion, atol=1e-9)

@@ -85,12 +85,12 @@ def test_the_hand_does_not_jump_when_it_closes_or_touches(action: str) -> None:
         assert np.abs(np.diff(wrists, 2, axis=0)).max() < 4.5e-5
 
 
-def test_grains_are_poured_early_and_on_the_viewers_side_of_the_hand() -> None:
+def test_grains_are_poured_in_the_second_half_and_on_the_viewers_side_of_the_hand() -> None:
     for seed in range(6):
         cast, at, times = acted("pouring", seed, spilled=0.0)
         first = next(time for time in times if at(time).grains_m is not None)
         begin, end = cast.times(0, 1)
-        assert 0.25 < (first - begin) / (end - begin) < 0.5
+        assert 0.45 < (first - begin) / (end - begin) < 0.65
         moment = at(times[-1])
         assert moment.grains_m is not None
         thumb, fingers = pads_m(cast, moment.hand)
@@ -117,10 +117,10 @@ def test_dropped_things_fall_freely_and_come_to_rest() -> None:
         times = np.arange(0, cast.duration_s, 4e-3)
         heights = -feet(at, times)[:, 1]
         start = int(np.argmax(heights < heights[0] - 0.02))
-        falling = heights[start : start + 14]
-        acceleration = np.polyfit(times[start : start + 14], falling, 2)[0] * 2
+        falling = heights[start : start + 8]  # 32 ms: from 2 cm, which take 64 ms, it falls by another 3 cm
+        acceleration = np.polyfit(times[start : start + 8], falling, 2)[0] * 2
         assert acceleration == pytest.approx(-GRAVITY_M_S2, rel=1e-6)
-        assert heights[: start - 20].min() > 0.05, "held before"
+        assert heights[: start - 20].min() > 0.045, "held before"
         assert heights[-1] == 0, "at rest on the table"
         thumb, fingers = pads_m(cast, at(times[-1]).hand)
         assert np.linalg.norm(fingers - thumb) > cast.width_m + 0.01, "the hand is open"
@@ -271,7 +271,7 @@ def test_what_slides_stays_at_the_fingertip_on_the_table() -> None:
         moments = [at(time) for time in times]
         gaps = np.array([moment.halves[0].place_m - moment.hand.wrist_m for moment in moments])
         np.testing.assert_allclose(gaps, gaps[:1].repeat(len(gaps), axis=0), atol=1e-9)
-        touching = poked(cast.times(0.38)[0])
+        touching = poked(cast.times(0.52)[0])
         # As in a poke, but for the tremor: the arm follows.
         np.testing.assert_allclose(touching.halves[0].place_m - touching.hand.wrist_m, gaps[0], atol=1e-3)
         assert np.abs(feet(at, times)[:, 1]).max() == 0
