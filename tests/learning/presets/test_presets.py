@@ -16,11 +16,13 @@ from learning.config import (
     DenoiserConfig,
     EvaluateConfig,
     NetworkConfig,
+    RecognitionConfig,
     SwapConfig,
     TrainConfig,
     TuneConfig,
     VideoNetworkConfig,
     VideoTrainConfig,
+    evaluation_kind,
     load_file,
     training_kind,
 )
@@ -286,3 +288,19 @@ def test_each_ablation_changes_one_part_and_is_evaluated(
     assert made["thesis"][0].network.numbers == known.numbers
     for name in ("inversion_rate", "freeze_statistics"):
         assert getattr(made["thesis"][0].optimiser, name) == thesis["optimiser"][name]
+
+
+def test_classifiers_are_evaluated_where_they_are_trained_on_data_that_are_made(tmp_path: Path) -> None:
+    """All folders of the evaluation are those that the commands above it write."""
+    text = preset_texts()["evaluate_activity_64"]
+    config = load_file(evaluation_kind, _written("evaluate_activity_64", tmp_path))
+    assert isinstance(config, RecognitionConfig)
+    assert config.ceiling in {one.name for one in config.classifiers}
+    data = {config.data.test, config.data.backwards, *(one.test for one in config.classifiers)} - {None}
+    assert data <= {f"out/{name}" for name in re.findall(r"#  +make (\w+) ", text)}
+    loops = re.findall(r"for (\w+) in ([\w ]+); do (?:net|lens) (\w+_)\$\w+ ", text)
+    trained = {f"{prefix}{value}" for _, values, prefix in loops for value in values.split()}
+    trained |= set(re.findall(r"(?:;|#  +)\s*(?:net|lens|one) (\w+) ", text))
+    folders = {Path(path).parent.name for one in config.classifiers for path in one.checkpoints}
+    assert folders <= trained
+    assert all(path.endswith("/best.safetensors") for one in config.classifiers for path in one.checkpoints)
