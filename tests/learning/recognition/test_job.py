@@ -126,17 +126,18 @@ def test_the_report_and_its_files(settings: Any, tmp_path: Path) -> None:
 
 
 def test_what_is_finished_is_kept(settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    recognise(settings())
+    recognise(settings(noise_db=[20], timed=0, shown=1))
     asked: list[str] = []
     known = job._probabilities
     monkeypatch.setattr(job, "_probabilities", lambda *given: asked.append(given[1].name) or known(*given))
-    recognise(settings(noise_db=[20, 30], shown=0))
+    recognise(settings(noise_db=[20, 30], timed=0, shown=0))
     assert asked == ["net", "net", "raw", "raw"]  # the new level, both seeds
     assert not (tmp_path / "out" / "sheet.png").exists()
     with pytest.raises(InputError, match="trial"):
         recognise(settings(name="another"))
 
 
+@pytest.mark.slow
 def test_backwards_and_other_captures(
     settings: Any, networks: dict[str, list[Path]], labelled_dataset: Path, tmp_path: Path, capture: CaptureModel
 ) -> None:
