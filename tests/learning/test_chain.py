@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -207,3 +208,49 @@ def test_labelled_clips_from_generating_to_a_name(
         assert f"its label is {test[at].label}" in out
         confusion[results["classes"].index(str(test[at].label)), results["classes"].index(said)] += 1 / 3
     np.testing.assert_allclose(results["answers"][0]["confusion"], confusion, atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.shared
+def test_real_films_through_the_presets(flatlight: Any, tmp_path: Path, monkeypatch: Any, shared_data: Path) -> None:
+    """Films of Something-Something V2 in coarse classes, by `init`, `generate`, `train` and `reconstruct`."""
+    monkeypatch.chdir(tmp_path)
+    samples, films = shared_data / "ssv2", tmp_path / "something"
+    films.mkdir()
+    shutil.copy(samples / "something-something-v2-labels.json", films)
+    listed = json.loads((samples / "something-something-v2-validation.first400.json").read_bytes())
+    (films / "something-something-v2-validation.json").write_text(json.dumps(listed))
+    # The first is of its class; the samples beside it stand in for films of others.
+    classes = {
+        "166766": "Picking [something] up",
+        "closing_0": "Holding [something]",
+        "moving_away_1": "Poking [something]",
+    }
+    for name, template in classes.items():
+        identity = next(item["id"] for item in listed if item["template"].startswith(template))
+        shutil.copy(samples / "clips" / f"{name}.webm", films / f"{identity}.webm")
+    for preset in ("something_something_v2", "activitynet_64"):
+        assert flatlight("init", "--preset", preset)[0] == 0
+    counts = {"train": 6, "validation": 3, "test": 3, "share_videos": "true"}
+    told = [word for key, value in counts.items() for word in ("--set", f"dataset.{key}={value}")]
+    code, out, err = flatlight("generate", "something_something_v2.yaml", "--set", f"scene.path={films}", *told)
+    assert code == 0, err
+    settings = {
+        "data.train": "out/something_v2",
+        "data.workers": 0,
+        "data.draws": 1,
+        "data.cache": str(tmp_path / "kept"),
+    }
+    settings |= {"network": "{name: activitynet, joint_iterations: 2}", "steps": 2, "batch": 3, "output": "trained"}
+    told = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
+    code, out, err = flatlight("train", "activitynet_64.yaml", *told)
+    assert code == 0, err
+    rows = [{"name": "net", "checkpoints": ["trained/best.safetensors"]}]
+    evaluation = {"name": "films", "output": "evaluated", "data": {"test": "out/something_v2"}, "classifiers": rows}
+    code, out, err = flatlight("evaluate", write(tmp_path / "evaluate.yaml", evaluation))
+    assert code == 2
+    assert "learned from test scenes" in err  # there are only three films, which all splits share
+    sample = open_dataset(tmp_path / "out" / "something_v2", "test").folder(0)
+    code, out, err = flatlight("reconstruct", sample, "--checkpoint", "trained/best.safetensors")
+    assert code == 0, err
+    assert all(name in out for name in ("Holding something", "Picking something up", "Poking something"))
