@@ -92,7 +92,7 @@ def swap_masks(config: SwapConfig, *, progress: Progress = lambda *_: None, say:
         known = load_checkpoint(path)
         if not isinstance(known.network, FlatNet):
             raise InputError(
-                "network.init_from", f"{path} is a VideoNet, for clips; expected a FlatNet: masks see stills"
+                "network.init_from", f"{path} is a {type(known.network).__name__}; expected a FlatNet: masks see stills"
             )
         check_learned("network.init_from", path, known.record, unseen)
     judged = _evaluation(config, known, folder)

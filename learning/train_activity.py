@@ -159,7 +159,8 @@ class ActivityTraining(NetworkTraining[ClipExample]):
             chances = self._answer(self._network, example).logits.softmax(dim=1).cpu()
             looked = None
             if isinstance(self._network, ActivityNet):
-                looked = self._network.looked_at(example.measurement, example.start if example.start.numel() else None)
+                start = example.start if example.start.numel() else None
+                looked = self._network.looked_at(self._network.begun(example.measurement, start))
         truth = linear_to_srgb(example.radiance, self._capture.white)
         clips = []
         for at, (frames, label) in enumerate(zip(truth, example.label.tolist(), strict=True)):

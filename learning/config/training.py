@@ -113,11 +113,9 @@ class NetworkConfig(Section):
         }
 
 
-class VideoNetworkConfig(Section):
-    """VideoNet: a size, and what differs from it."""
+class ClipNetworkConfig(Section):
+    """A network for clips: a size, and what differs from it; the bodies are MeasNet and, of VideoNet, what enhances."""
 
-    name: Literal["videonet"]
-    """frames from one capture of a rolling shutter"""
     size: Literal["thesis", "compact", "tiny"] = "compact"
     """the numbers below that are left out"""
     initial_estimate: Literal["slivers", "static", "joint"] | None = None
@@ -136,67 +134,41 @@ class VideoNetworkConfig(Section):
     """levels of the bodies"""
     stem: Annotated[int, Range(1, 8)] | None = None
     """pixels per side that MeasNet takes as one, in 2D"""
+    noise_aware: bool | None = None
+    """lambda adapts to the noise level, which is estimated from the measurement and is also an input of what follows"""
+    joint_iterations: Annotated[int, Range(1, 1000)] | None = None
+    """of the joint least squares that it begins with"""
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The size, and what differs from it: with the name, an architecture."""
+        return {"size": self.size, **self.changes}
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What differs from the size; see `learning.models.build_network`."""
+        given = self.model_dump(exclude={"name", "size"})
+        return {key: value for key, value in given.items() if value is not None}
+
+
+class VideoNetworkConfig(ClipNetworkConfig):
+    """VideoNet: a size, and what differs from it."""
+
+    name: Literal["videonet"]
+    """frames from one capture of a rolling shutter"""
     refinements: Annotated[int, Range(0, 10)] | None = None
     """unrolled refinement steps: each re-simulates the capture, and inverts and enhances the residual"""
     repeats: Annotated[int, Range(0, 10)] | None = None
     """how many times the last refinement step is repeated, with shared weights"""
-    noise_aware: bool | None = None
-    """lambda adapts to the noise level, which is estimated from the measurement and is also an input of the bodies"""
-    joint_iterations: Annotated[int, Range(1, 1000)] | None = None
-    """of the joint least squares that it begins with"""
-
-    @property
-    def numbers(self) -> dict[str, Any]:
-        """The size, and what differs from it: with the name, an architecture."""
-        return {"size": self.size, **self.changes}
-
-    @property
-    def changes(self) -> dict[str, Any]:
-        """What differs from the size; see `learning.models.videonet.VideoNet`."""
-        given = self.model_dump(exclude={"name", "size"})
-        return {key: value for key, value in given.items() if value is not None}
 
 
-class ActivityNetworkConfig(Section):
+class ActivityNetworkConfig(ClipNetworkConfig):
     """ActivityNet: a size, and what differs from it."""
 
     name: Literal["activitynet"]
     """what is done in a clip, from one capture of a rolling shutter"""
-    size: Literal["thesis", "compact", "tiny"] = "compact"
-    """the numbers below that are left out"""
     classifier: ClassifierName | None = None
     """of the estimated frames: as channels of one image (dronet, the thesis's, and resnet18), or a stack (cnn3d, s3d)"""
-    initial_estimate: Literal["slivers", "static", "joint"] | None = None
-    """what it begins with: zero-filled slivers (the thesis), one inversion of the whole capture, or joint least squares"""
-    measnet: bool | None = None
-    """predict what a global shutter would measure of each frame, and invert that as well"""
-    dimensions: Literal[2, 3] | None = None
-    """of MeasNet, 2: frames are channels of one image; 3: a stack of images"""
-    body: Literal["naf", "unet"] | None = None
-    """of MeasNet: NAF blocks (layer normalisation, gates), or the thesis's U-Net (batch normalisation)"""
-    filters: Annotated[int, Range(1, 1024)] | None = None
-    """channels of MeasNet's first level; each further one has twice as many"""
-    blocks: Annotated[int, Range(1, 64)] | None = None
-    """NAF blocks on each level and way"""
-    levels: Annotated[int, Range(1, 8)] | None = None
-    """levels of MeasNet"""
-    stem: Annotated[int, Range(1, 8)] | None = None
-    """pixels per side that MeasNet takes as one, in 2D"""
-    noise_aware: bool | None = None
-    """lambda adapts to the noise level, which is estimated from the measurement and is also an input"""
-    joint_iterations: Annotated[int, Range(1, 1000)] | None = None
-    """of the joint least squares that it begins with"""
-
-    @property
-    def numbers(self) -> dict[str, Any]:
-        """The size, and what differs from it: with the name, an architecture."""
-        return {"size": self.size, **self.changes}
-
-    @property
-    def changes(self) -> dict[str, Any]:
-        """What differs from the size; see `learning.models.activitynet.ActivityNet`."""
-        given = self.model_dump(exclude={"name", "size"})
-        return {key: value for key, value in given.items() if value is not None}
 
 
 class RawClassifierConfig(Section):

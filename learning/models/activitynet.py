@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
 import torch
 import torch.nn.functional as nnf
@@ -19,8 +19,8 @@ from torch import Tensor, nn
 from learning.camera import CaptureModel
 from learning.layers.classifiers import FrameClassifier
 from learning.layers.padding import axis_plans, check_measurement
-from learning.method import Clock, Estimate, check_choices, inference, threads_for
-from learning.models.clip_network import FAINTEST, ClipNetwork, Start, check_clips
+from learning.method import Clock, Estimate, check_choices, inference
+from learning.models.clip_network import FAINTEST, Begun, ClipNetwork, ClipNetworkMethod, Start, check_clips
 from simulator.errors import InputError
 
 Frames = Literal["all", "shuffled", "middle"]
@@ -101,7 +101,10 @@ class ActivityNet(ClipNetwork):
 
     def forward(self, measurement: Tensor, start: Tensor | None = None) -> Answer:
         """Return the answer to measurements ``(B, C, H, W)``, DN / 2^bits; ``start`` is what `begin` gives, where known."""
-        begun = self.begun(measurement, start)
+        return self.answer(self.begun(measurement, start))
+
+    def answer(self, begun: Begun) -> Answer:
+        """Return the answer to captures of which so much is known."""
         frames = self.codes(begun.frames.unflatten(2, (self.estimates, -1))).clamp(0, 1).flatten(2, 3)
         channels = self.shared - self.noise_aware
         static = self.codes(begun.shared[:, :channels]).clamp(0, 1)
@@ -111,9 +114,9 @@ class ActivityNet(ClipNetwork):
             both = moved_windows(frames, shared, both[0].shape[-2:])
         return Answer(self.classifier(*both), begun.measured)
 
-    def looked_at(self, measurement: Tensor, start: Tensor | None = None) -> Tensor:
-        """Return the best estimates of the frames, ``(B, N, 3, h, w)`` sRGB codes, not clipped; arguments as of `forward`."""
-        return self.codes(self.begun(measurement, start).best)[self.image]
+    def looked_at(self, begun: Begun) -> Tensor:
+        """Return the best estimates of the frames, ``(B, N, 3, h, w)`` sRGB codes, not clipped."""
+        return self.codes(begun.best)[self.image]
 
     def looks_at(self, measurement: Tensor, start: Tensor | None, frames: Tensor) -> tuple[Tensor | None, ...]:
         """Return the arguments of `forward`, of a capture, what `begin` gives of it, and the true frames."""
@@ -247,39 +250,20 @@ ACTIVITY_SIZES: dict[str, dict[str, Any]] = {
 least squares, with as many iterations as pay before textured tables, and the static inversion."""
 
 
-class ActivityMethod:
-    """An ActivityNet as a method: the estimates of the frames that it looks at, and what it says is done in them.
-
-    See `learning.method.Method`. Its weights and device may change between calls.
-    """
-
-    def __init__(self, name: str, network: ActivityNet, capture: CaptureModel) -> None:
-        self.name, self.network, self.capture = name, network, capture
-
-    def to(self, device: torch.device | str) -> Self:
-        """Move the network to a device, and return this."""
-        self.network.to(device)
-        return self
+class ActivityMethod(ClipNetworkMethod[ActivityNet]):
+    """An ActivityNet as a method: the estimates of the frames that it looks at, and what it says is done in them."""
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
         """Return the estimated frames of measurements ``(B, C, H, W)``; stages ``joint`` where it begins so, ``network``."""
+        return self.recognise(measurement, clock)[0]
+
+    def recognise(self, measurement: Tensor, clock: Clock | None = None) -> tuple[Estimate, Tensor]:
+        """Return the same, and the probabilities ``(B, classes)`` of the network's classes."""
         clock = clock or Clock(measurement.device)
         with inference(self.network):
-            start = self._begin(measurement, clock)
+            start = self.begin(measurement, clock)
             with clock.stage("network"):
-                image = self.network.looked_at(measurement, start)
-        return Estimate(image, torch.zeros_like(image[:, :, :1]))
-
-    def classify(self, measurement: Tensor, clock: Clock | None = None) -> Tensor:
-        """Return the probabilities ``(B, classes)`` of the network's classes; stages as of `reconstruct`."""
-        clock = clock or Clock(measurement.device)
-        with inference(self.network):
-            start = self._begin(measurement, clock)
-            with clock.stage("network"):
-                return self.network(measurement, start).logits.softmax(dim=1)
-
-    def _begin(self, measurement: Tensor, clock: Clock) -> Tensor | None:
-        if self.network.joint is None:
-            return None
-        with clock.stage("joint"), threads_for(measurement[0].numel() * self.capture.frames):
-            return self.network.begin(measurement)
+                begun = self.network.begun(measurement, start)
+                chances = self.network.answer(begun).logits.softmax(dim=1)
+                image = self.network.looked_at(begun)
+        return Estimate(image, torch.zeros_like(image[:, :, :1])), chances

@@ -8,7 +8,7 @@ static inversion of the whole capture or with joint least squares over space and
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Generic, Literal, NamedTuple, Self, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -21,7 +21,7 @@ from learning.layers.noise import level_image, noise_ratio
 from learning.layers.padding import check_measurement
 from learning.layers.space_time import JOINT, JointLeastSquares
 from learning.layers.unet import UNet
-from learning.method import check_choices, linear_to_srgb
+from learning.method import Clock, check_choices, linear_to_srgb, threads_for
 from learning.models.refinement import MOST_RADIANCE
 from simulator.errors import InputError
 
@@ -237,3 +237,25 @@ class ClipNetwork(nn.Module):
             shared = torch.cat([light / unit, *([] if noise is None else [level_image(noise, light)])], dim=1)
         added = self.measnet(own, shared)
         return known + unit[:, None] * added.to(known)
+
+
+Network = TypeVar("Network", bound=ClipNetwork)
+
+
+class ClipNetworkMethod(Generic[Network]):
+    """What such networks have in common as a `learning.method.Method`; weights and device may change between calls."""
+
+    def __init__(self, name: str, network: Network, capture: CaptureModel) -> None:
+        self.name, self.network, self.capture = name, network, capture
+
+    def to(self, device: torch.device | str) -> Self:
+        """Move the network to a device, and return this."""
+        self.network.to(device)
+        return self
+
+    def begin(self, measurement: Tensor, clock: Clock) -> Tensor | None:
+        """Return what the network begins with; stage ``joint`` where that is joint least squares."""
+        if self.network.joint is None:
+            return None
+        with clock.stage("joint"), threads_for(measurement[0].numel() * self.capture.frames):
+            return self.network.begin(measurement)

@@ -7,14 +7,14 @@ Oektem, Learned Primal-Dual Reconstruction, TMI 2018; Aggarwal et al., MoDL, TMI
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.method import Clock, Estimate, inference, srgb_to_linear, threads_for
-from learning.models.clip_network import ClipNetwork, FrameBody, Start
+from learning.method import Clock, Estimate, inference, srgb_to_linear
+from learning.models.clip_network import ClipNetwork, ClipNetworkMethod, FrameBody, Start
 from learning.models.refinement import MOST_RADIANCE
 from simulator.errors import InputError
 
@@ -158,25 +158,14 @@ the whole capture and which rows were open, EnhanceNet the static inversion and 
 begin with."""
 
 
-class VideoMethod:
-    """A VideoNet as a method; see `learning.method.Method`. Its weights and device may change between reconstructions."""
-
-    def __init__(self, name: str, network: VideoNet, capture: CaptureModel) -> None:
-        self.name, self.network, self.capture = name, network, capture
-
-    def to(self, device: torch.device | str) -> Self:
-        """Move the network to a device, and return this."""
-        self.network.to(device)
-        return self
+class VideoMethod(ClipNetworkMethod[VideoNet]):
+    """A VideoNet as a method."""
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
         """Return the frames of measurements ``(B, C, H, W)``; stages ``joint`` where it begins so, and ``network``."""
         clock = clock or Clock(measurement.device)
         with inference(self.network):
-            start = None
-            if self.network.joint is not None:
-                with clock.stage("joint"), threads_for(measurement[0].numel() * self.capture.frames):
-                    start = self.network.begin(measurement)
+            start = self.begin(measurement, clock)
             with clock.stage("network"):
                 image = self.network(measurement, start).image
         return Estimate(image, torch.zeros_like(image[:, :, :1]))

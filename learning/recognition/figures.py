@@ -48,6 +48,7 @@ def reliability_png(answers: Sequence[Answers], colours: Mapping[str, str]) -> b
         below.plot(confidence[known], counts[known] / counts.sum(), color=colours[one.name], lw=1.4)
     style(above, "", "accuracy")
     style(below, "confidence", "share")
+    below.set_ylim(bottom=0)
     above.set_xlim(0, 1)
     above.set_ylim(0, 1)
     for place in (above, below):
@@ -61,7 +62,6 @@ def against_png(
     colours: Mapping[str, str],
     title: str,
     chance: float,
-    seed: int,
 ) -> bytes:
     """Return top-1 accuracy against what is varied, with its 95 % interval over captures, and chance."""
     figure = drawing.new_figure((6.4, 4.2), _DPI)
@@ -71,7 +71,7 @@ def against_png(
         places, rates = [place for place, _ in found], [100 * one.accuracy() for _, one in found]
         axes.plot(places, rates, color=colours[name], marker="o", ms=5, lw=1.8, label=name)
         for place, one in found:
-            if (ends := one.interval(seed)) is not None:
+            if (ends := one.intervals[1]) is not None:
                 axes.plot([place, place], [100 * end for end in ends], color=colours[name], lw=1, alpha=0.7)
     axes.axhline(100 * chance, color=_GREY, lw=1, ls="--", label="chance")
     style(axes, title, "top-1 accuracy, %")

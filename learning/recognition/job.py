@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -180,15 +179,21 @@ def _answers(
         chances.append(kept["probabilities"])
     first = seeds[0]
     truth = np.array(class_numbers(first.test, first.network.classes))
-    about: Any = {"noise_db": noise_db, "slivers": first.slivers, "note": _note(first)}
-    return Answers(first.name, first.network.classes, truth, np.stack(chances), **about)
-
-
-def _note(one: Trained) -> str:
-    architecture = load_checkpoint(one.path).architecture
-    parameters = sum(parameter.numel() for parameter in one.network.parameters()) / 1e6
-    looks = f", {architecture['frames']} frames" if "frames" in architecture else ""
-    return f"{architecture['network']}{looks}, {architecture['classifier']}, {parameters:.2f} million parameters"
+    architecture = load_checkpoint(first.path).architecture
+    looks = f"{architecture['frames']} frames" if "frames" in architecture else ""
+    words = ", ".join(filter(None, [architecture["network"], looks, architecture["classifier"]]))
+    parameters = sum(parameter.numel() for parameter in first.network.parameters()) / 1e6
+    return Answers(
+        first.name,
+        first.network.classes,
+        truth,
+        np.stack(chances),
+        noise_db=noise_db,
+        slivers=first.slivers,
+        architecture=words,
+        note=f"{words}, {parameters:.2f} million parameters",
+        seed=config.seed,
+    )
 
 
 def _probabilities(
@@ -222,7 +227,7 @@ def _times(one: Trained, count: int, device: torch.device, progress: Progress) -
     examples, taken = ExampleSet(one.test), []
     for at in range(min(count, len(examples)) + 1):  # the first one warms up
         clock = Clock(device)
-        method.classify(examples[at % len(examples)].measurement[None].to(device), clock)
+        method.recognise(examples[at % len(examples)].measurement[None].to(device), clock)
         taken.append(clock.seconds)
         progress(f"{one.name}: time", at, min(count, len(examples)))
     return {stage: float(np.median([each[stage] for each in taken[1:]])) for stage in taken[0]}
@@ -239,10 +244,10 @@ def _sheet(config: RecognitionConfig, one: Trained, device: torch.device) -> lis
         example = examples[at]
         measurement = example.measurement[None].to(device)
         frames = linear_to_srgb(example.radiance, one.capture.white)
-        chances = method.classify(measurement)[0].cpu()
-        best = chances.topk(2)
+        estimate, chances = method.recognise(measurement)
+        best = chances[0].cpu().topk(2)
         words = ", ".join(f"{classes[int(k)]} {float(p):.0%}" for p, k in zip(*best, strict=True))
-        looked = method.reconstruct(measurement).clamped().image[0]
+        looked = estimate.clamped().image[0]
         truth, seen = (each.permute(0, 2, 3, 1).cpu().numpy() for each in (frames, looked))
         sheet.append([NamedFilm(classes[numbers[at]], truth), NamedFilm(words, seen)])
     return sheet

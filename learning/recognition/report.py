@@ -98,7 +98,7 @@ class Recognition:
     def leads(self) -> list[Lead]:
         """The reference against every other one, on the captures as stored."""
         others = (one for one in self.main if one is not self.reference)
-        return [lead(self.reference, other, self.config.seed) for other in others]
+        return [lead(self.reference, other) for other in others]
 
     def rows(self) -> list[list[str]]:
         """Return the table: its titles, every classifier, and what looks at nothing."""
@@ -107,7 +107,7 @@ class Recognition:
         titles += ["calibration error %", "log loss", "seeds"]
         rows = []
         for one in self.main:
-            cells = [_accuracy(one, top, self.config.seed) for top in TOP]
+            cells = [_accuracy(one, top) for top in TOP]
             if ceiling:
                 cells.append(f"{one.accuracy() / ceiling.accuracy():.0%}" if ceiling.accuracy() else "–")
             cells += [f"{100 * one.calibration_error():.1f}", f"{one.log_loss():.3f}", str(len(one.probabilities))]
@@ -124,7 +124,7 @@ class Recognition:
             "config": self.config.dump(),
             "data": {"fingerprint": self.fingerprint, "stored_psnr_db": self.stored_db},
             "classes": list(self.reference.classes),
-            "answers": [one.plain(self.config.seed) for one in self.answers],
+            "answers": [one.plain() for one in self.answers],
             "reference_leads": [
                 {"other": one.other, "mean": one.mean, "interval": one.interval, "paired": one.paired}
                 for one in self.leads
@@ -179,12 +179,12 @@ def _figures(found: Recognition) -> dict[str, bytes]:
             name: [(one.noise_db, one) for one in levels if one.name == name and one.noise_db is not None]
             for name in dict.fromkeys(one.name for one in levels)
         }
-        figures[NOISE] = against_png(points, colours, "PSNR of the capture, dB", still, found.config.seed)
+        figures[NOISE] = against_png(points, colours, "PSNR of the capture, dB", still)
     by_slivers = _by_slivers(found)
     if by_slivers:
         name = found.reference.name
         points = {name: [(float(one.slivers or 0), one) for one in by_slivers]}
-        figures[SLIVERS] = against_png(points, colours, "slivers", still, found.config.seed)
+        figures[SLIVERS] = against_png(points, colours, "slivers", still)
     if found.sheet:
         line = "above what is done, as a lens sees it; below what the network sees in each sliver, and says"
         figures[SHEET] = png_bytes(film_sheet(found.sheet, found.config.name, line))
@@ -192,15 +192,15 @@ def _figures(found: Recognition) -> dict[str, bytes]:
 
 
 def _by_slivers(found: Recognition) -> list[Answers]:
-    """Return the rows that are like the reference but for the number of slivers, fewest first; empty without any."""
-    alike = [one for one in found.main if one.slivers is not None and one.name.startswith(found.reference.name)]
-    by_number = {one.slivers: one for one in reversed(alike)}
-    return [by_number[number] for number in sorted(by_number)] if len(by_number) > 1 else []  # pyright: ignore
+    """Return the reference and the rows like it but for the number of slivers, fewest first; empty without any."""
+    alike = [one for one in found.main if one.architecture == found.reference.architecture and one.slivers is not None]
+    by_number = {one.slivers or 0: one for one in [*reversed(alike), found.reference]}
+    return [by_number[number] for number in sorted(by_number)] if len(by_number) > 1 else []
 
 
 def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
     titles, *rows = found.rows()
-    classes, seed = found.reference.classes, found.config.seed
+    classes = found.reference.classes
     parts = [
         f"# {found.config.name}",
         f"{len(found.reference.truth)} captures of data with fingerprint `{found.fingerprint[:12]}`, split "
@@ -236,11 +236,11 @@ def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
         for one in found.answers:
             if one.noise_db is not None:
                 by_name.setdefault(one.name, {})[one.noise_db] = one
-        table = [[name, *(_accuracy(of[level], 1, seed) for level in levels)] for name, of in by_name.items()]
+        table = [[name, *(_accuracy(of[level], 1) for level in levels)] for name, of in by_name.items()]
         parts += ["## Noise", markdown(["top-1 %", *(f"{level:g} dB" for level in levels)], table)]
         parts.append(f"![accuracy against noise]({NOISE})")
     if SLIVERS in figures:
-        table = [[str(one.slivers), _accuracy(one, 1, seed)] for one in _by_slivers(found)]
+        table = [[str(one.slivers), _accuracy(one, 1)] for one in _by_slivers(found)]
         parts += ["## Slivers", markdown(["slivers", "top-1 %"], table), f"![accuracy against slivers]({SLIVERS})"]
     if (shares := found.turned()) is not None:
         rows = [
@@ -271,9 +271,9 @@ def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _accuracy(one: Answers, top: int, seed: int) -> str:
+def _accuracy(one: Answers, top: int) -> str:
     """Return an accuracy with its interval and spread, in per cent."""
-    ends, spread = one.interval(seed, top), one.over_seeds(top)
+    ends, spread = one.intervals[top], one.over_seeds(top)
     interval = "" if ends is None else f" [{100 * ends[0]:.1f}, {100 * ends[1]:.1f}]"
     return f"{100 * one.accuracy(top):.1f}{interval}{'' if spread is None else f' ±{100 * spread:.1f}'}"
 
@@ -293,7 +293,7 @@ def _csv(found: Recognition) -> str:
     for one in found.answers:
         numbers: list[float | None] = []
         for top in TOP:
-            ends = one.interval(found.config.seed, top) or (None, None)
+            ends = one.intervals[top] or (None, None)
             numbers += [one.accuracy(top), *ends, one.over_seeds(top)]
         about = [one.name, one.noise_db, one.slivers, len(one.probabilities)]
         writer.writerow([*about, *numbers, one.calibration_error(), one.log_loss()])

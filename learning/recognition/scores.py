@@ -34,7 +34,9 @@ class Answers:
         probabilities: ``(seeds, n, classes)``.
         noise_db: level at which noise was drawn anew; None for measurements as stored.
         slivers: how many frames it tells apart in a capture; None of what looks at no capture.
+        architecture: the network and its classifier, in words.
         note: what else is to be known of it.
+        seed: of the intervals' resampling.
     """
 
     name: str
@@ -43,7 +45,9 @@ class Answers:
     probabilities: NDArray[np.float64]
     noise_db: float | None = None
     slivers: int | None = None
+    architecture: str = ""
     note: str = ""
+    seed: int = 0
 
     @cached_property
     def guesses(self) -> NDArray[np.int64]:
@@ -69,9 +73,10 @@ class Answers:
         each = (self.ranks < top).mean(axis=1)
         return float(each.std(ddof=1)) if len(each) > 1 else None
 
-    def interval(self, seed: int, top: int = 1) -> tuple[float, float] | None:
-        """Return the 95 % interval of the accuracy, see `learning.evaluate.paired.mean_interval`."""
-        return mean_interval(self.right(top), seed)
+    @cached_property
+    def intervals(self) -> dict[int, tuple[float, float] | None]:
+        """The 95 % interval of the accuracy for each of `TOP`, see `learning.evaluate.paired.mean_interval`."""
+        return {top: mean_interval(self.right(top), self.seed) for top in TOP}
 
     def confusion(self) -> NDArray[np.float64]:
         """Return which share of each class's captures (rows) is taken for which class (columns), mean over seeds."""
@@ -104,7 +109,7 @@ class Answers:
         own = np.take_along_axis(self.probabilities, self.truth[None, :, None], axis=-1)
         return float(-np.log(np.maximum(own, np.finfo(np.float32).tiny)).mean())
 
-    def plain(self, seed: int) -> dict[str, Any]:
+    def plain(self) -> dict[str, Any]:
         """Return all of it for JSON."""
         return {
             "name": self.name,
@@ -112,11 +117,12 @@ class Answers:
             "slivers": self.slivers,
             "captures": len(self.truth),
             "seeds": len(self.probabilities),
+            "architecture": self.architecture,
             "note": self.note,
             **{
                 f"top_{top}": {
                     "mean": self.accuracy(top),
-                    "interval": self.interval(seed, top),
+                    "interval": self.intervals[top],
                     "over_seeds": self.over_seeds(top),
                 }
                 for top in TOP
@@ -141,13 +147,13 @@ class Lead:
     paired: bool
 
 
-def lead(reference: Answers, other: Answers, seed: int) -> Lead:
+def lead(reference: Answers, other: Answers) -> Lead:
     """Return by how much one classifier is ahead of another; captures are paired where both have the same, in one order."""
     one, two = reference.right(), other.right()
     mean = float(one.mean() - two.mean())
     if len(one) == len(two) and np.array_equal(reference.truth, other.truth):
-        return Lead(other.name, mean, mean_interval(one - two, seed), paired=True)
-    ends = [mean_interval(values, seed) for values in (one, two)]
+        return Lead(other.name, mean, mean_interval(one - two, reference.seed), paired=True)
+    ends = [each.intervals[1] for each in (reference, other)]
     if None in ends:
         return Lead(other.name, mean, None, paired=False)
     # Of independent means, half widths add up in squares.

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from learning.camera import CaptureModel
 from learning.classical.clips import ClipMethod
@@ -229,10 +228,17 @@ def reconstruct(
     batch = torch.from_numpy(np.array(measurement, np.float32))[None].to(device)
     clock = Clock(device)
     planes, depths_m = None, np.asarray(capture.stack.depths_m, np.float64)
+    classes: dict[str, float] = {}
     if isinstance(method, ClassicalMethod | PlanarMethod):
         with clock.stage(method.stage):
             planes = method.volume(batch)
         estimate = method.estimate(planes, clock)
+    elif isinstance(method, ActivityMethod) and not volume:
+        estimate, chances = method.recognise(batch, clock)
+        likely = sorted(
+            zip(chances[0].tolist(), method.network.classes, strict=True), key=lambda pair: (-pair[0], pair[1])
+        )
+        classes = {name: chance for chance, name in likely}
     elif isinstance(method, LearnedMethod) or not volume:
         estimate = method.reconstruct(batch, clock)
         if isinstance(method, LearnedMethod) and volume:
@@ -259,14 +265,8 @@ def reconstruct(
         volume_depths_m=depths_m,
         seconds=clock.seconds,
         convergence=method.convergence if isinstance(method, ClipMethod) else {},
-        classes=_classes(method, batch, clock) if isinstance(method, ActivityMethod) else {},
+        classes=classes,
     )
-
-
-def _classes(method: ActivityMethod, batch: Tensor, clock: Clock) -> dict[str, float]:
-    chances = method.classify(batch, clock)[0].tolist()
-    likely = sorted(zip(chances, method.network.classes, strict=True), key=lambda pair: (-pair[0], pair[1]))
-    return {name: chance for chance, name in likely}
 
 
 def write_reconstruction(

@@ -78,7 +78,7 @@ def test_it_looks_at_the_joint_start_and_the_static_image(bordered: CaptureModel
     assert torch.equal(seen.shared[:, 3], begun.shared[:, 3][inside])
     assert begun.frames.shape[-1] > 16, "it has a border, for windows that move"
     with torch.no_grad():
-        torch.testing.assert_close(network.looked_at(measurement).clamp(0, 1), seen.own)
+        torch.testing.assert_close(network.looked_at(network.begun(measurement)).clamp(0, 1), seen.own)
 
 
 def test_measnet_adds_the_inversion_of_what_it_completes(clip_capture: CaptureModel, measurement: Tensor) -> None:
@@ -247,12 +247,12 @@ def test_as_a_method_it_shows_what_it_looks_at_and_names_classes(
     assert isinstance(method, ActivityMethod)
     checked: Method = method
     clock = Clock()
-    estimate, chances = checked.reconstruct(measurement), method.classify(measurement, clock)
+    estimate, chances = checked.reconstruct(measurement), method.recognise(measurement, clock)[1]
     assert list(clock.seconds) == ["joint", "network"]
     torch.testing.assert_close(chances.sum(dim=1), torch.ones(2))
     with torch.no_grad():
         torch.testing.assert_close(chances, network(measurement).logits.softmax(dim=1))
-        torch.testing.assert_close(estimate.image, network.looked_at(measurement))
+        torch.testing.assert_close(estimate.image, network.looked_at(network.begun(measurement)))
     assert estimate.disparity.shape == (2, 4, 1, 16, 16)
 
 

@@ -84,7 +84,7 @@ def test_intervals_cover_the_accuracy() -> None:
     right = rng.random(600) < 0.6
     chances = np.where(right[:, None], [0.6, 0.3, 0.1], [0.3, 0.6, 0.1])
     one = answers([chances], np.zeros(600, int))
-    ends = one.interval(0)
+    ends = one.intervals[1]
     assert ends is not None
     half = 1.96 * np.sqrt(right.mean() * (1 - right.mean()) / 600)
     assert ends[0] == pytest.approx(right.mean() - half, abs=0.004)
@@ -101,7 +101,7 @@ def test_a_lead_is_paired_where_the_captures_are_the_same() -> None:
         answers([np.eye(3)[np.where(which, truth, (truth + 1) % 3)]], truth, name)
         for name, which in (("first", right), ("second", wrong_more))
     )
-    paired = lead(first, second, 0)
+    paired = lead(first, second)
     assert paired.paired
     assert paired.mean == pytest.approx(right.mean() - wrong_more.mean())
     lost = right & ~wrong_more
@@ -110,7 +110,7 @@ def test_a_lead_is_paired_where_the_captures_are_the_same() -> None:
     assert paired.interval[0] == pytest.approx(test.low, abs=0.006)
     assert paired.interval[1] == pytest.approx(test.high, abs=0.006)
     other = answers(second.probabilities[:, ::-1], truth[::-1], "second")
-    apart = lead(first, other, 0)
+    apart = lead(first, other)
     assert not apart.paired
     assert apart.mean == pytest.approx(paired.mean)
     assert apart.interval is not None
