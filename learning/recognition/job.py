@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from learning.camera import CaptureModel, camera_identity
 from learning.checkpoint import find_checkpoint, load_checkpoint
@@ -79,12 +80,13 @@ def recognise(
     back = [] if config.data.backwards is None else [_moved(config, one, config.data.backwards) for one in reference]
     claim_folder(folder, config.name)
     cache = ResultCache(folder / CACHE)
-    levels: list[float | None] = [None, *(config.noise_db or ())]
     found: list[Answers] = []
-    for row in rows:
-        for level in levels if not isinstance(row[0].network, LensClassifier) else levels[:1]:
-            found.append(_answers(config, row, level, cache, device, progress))
-    backwards = _answers(config, back, None, cache, device, progress) if back else None
+    for level in (None, *(config.noise_db or ())):
+        starts = Starts()
+        for row in rows:
+            if level is None or not isinstance(row[0].network, LensClassifier):
+                found.append(_answers(config, row, level, cache, starts, device, progress))
+    backwards = _answers(config, back, None, cache, Starts(), device, progress) if back else None
     seen = [row[0] for row in rows if row[0].slivers is not None]
     recognition = Recognition(
         config,
@@ -150,11 +152,33 @@ def _built(name: str, path: Path, test: Dataset) -> Trained:
     return Trained(name, path, digest, network, camera, test)
 
 
+class Starts:
+    """What networks begin with at a level of noise, which takes longest: those that begin alike share it."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, dict[int, Tensor]] = {}
+
+    def of(self, one: Trained, first: int, measurement: Tensor) -> Tensor | None:
+        """Return what a network begins with for the captures of its test from position ``first`` on."""
+        network = one.network
+        if not isinstance(network, ActivityNet) or network.joint is None:
+            return None
+        told = [one.test.fingerprint, one.test.split, camera_identity(one.capture), network.joint.told]
+        known = self._known.setdefault(sha256_bytes(canonical_json(told)), {})
+        if first not in known:
+            with threads_for(measurement[0].numel() * one.capture.frames):
+                begun = network.begin(measurement)
+            assert begun is not None
+            known[first] = begun.cpu()
+        return known[first].to(measurement.device)
+
+
 def _answers(
     config: RecognitionConfig,
     seeds: Sequence[Trained],
     noise_db: float | None,
     cache: ResultCache,
+    starts: Starts,
     device: torch.device,
     progress: Progress,
 ) -> Answers:
@@ -174,7 +198,7 @@ def _answers(
         }
         kept = cache.load_arrays(key)
         if kept is None:
-            kept = {"probabilities": _probabilities(config, one, noise_db, device, stage, progress)}
+            kept = {"probabilities": _probabilities(config, one, noise_db, starts, device, stage, progress)}
             cache.save_arrays(key, kept)
         chances.append(kept["probabilities"])
     first = seeds[0]
@@ -200,6 +224,7 @@ def _probabilities(
     config: RecognitionConfig,
     one: Trained,
     noise_db: float | None,
+    starts: Starts,
     device: torch.device,
     stage: str,
     progress: Progress,
@@ -212,9 +237,7 @@ def _probabilities(
             batch = [examples[at] for at in range(first, min(first + config.batch, len(examples)))]
             measurement = torch.stack([each.measurement for each in batch]).to(device)
             frames = linear_to_srgb(torch.stack([each.radiance for each in batch]).to(device), one.capture.white)
-            with threads_for(measurement[0].numel() * one.capture.frames):
-                start = network.begin(measurement) if isinstance(network, ActivityNet) else None
-            answer = network(*network.looks_at(measurement, start, frames))
+            answer = network(*network.looks_at(measurement, starts.of(one, first, measurement), frames))
             found.append(answer.logits.softmax(dim=1).cpu().numpy())
             progress(stage, first + len(batch), len(examples))
     return np.concatenate(found)
