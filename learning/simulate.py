@@ -30,18 +30,22 @@ class Augmentation(Settings):
         reverse: let time run backwards in half of the cases; clips only.
         colour: standard deviation of the logarithm of what each of red, green and blue is multiplied by.
         exposure: all light is multiplied by 2^x, x evenly between minus and plus this.
+        still: share of the clips that show one of their frames all the time, which is drawn.
     """
 
     flip: bool = True
     reverse: bool = True
     colour: Annotated[float, Range(0, 2)] = 0.2
     exposure: Annotated[float, Range(0, 8, "stops")] = 0.5
+    still: Annotated[float, Range(0, 1)] = 0.0
 
     def apply(self, clip: Clip, rng: np.random.Generator) -> Clip:
         """Return a clip changed by random numbers, alike in all frames and in what shines beside the image."""
         mirrored = rng.random(2) < 0.5 if self.flip else (False, False)
         gains = np.exp(self.colour * rng.standard_normal(3) + np.log(2) * rng.uniform(-self.exposure, self.exposure))
         backwards = self.reverse and len(clip.rgb) > 1 and rng.random() < 0.5
+        if self.still and rng.random() < self.still:
+            clip = clip.still(int(rng.integers(len(clip.rgb))))
         way = tuple(slice(None, None, -1 if each else 1) for each in (backwards, *mirrored))
 
         def changed(part: Any) -> dict[str, Any]:

@@ -163,6 +163,14 @@ class Clip:
                     f"expected finite {frames_shape} or {(*frames_shape, 'n')}, got {values.shape}",
                 )
 
+    def still(self, frame: int) -> Clip:
+        """Return a clip that shows one frame all the time; extras, such as motion to the next one, are left out."""
+        every, around = np.full(len(self.rgb), frame), self.surroundings
+        if around is not None and len(around.rgb) > 1:
+            around = replace(around, rgb=around.rgb[[frame]], depth_m=around.depth_m[[frame]])
+        shown = {name: getattr(self, name)[every] for name in ("rgb", "depth_m", "valid")}
+        return replace(self, **shown, extras={}, surroundings=around)
+
 
 def _check_light(name: str, rgb: NDArray[Any], depth_m: NDArray[Any]) -> None:
     if rgb.ndim != 4 or rgb.shape[-1] != 3 or rgb.dtype != np.float32:

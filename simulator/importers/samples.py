@@ -20,7 +20,7 @@ from simulator.types import Clip, View
 _ALIKE = 1e-3  # relative: numbers that were written with few digits
 
 
-def samples(view: View, *, path: Path, backwards: bool = False) -> Samples:
+def samples(view: View, *, path: Path, backwards: bool = False, still: bool = False) -> Samples:
     """Read the scenes of a data set: light and depth of its ground truth, and what shone beside the images.
 
     Splits stay apart: that of the same name is seen again, in its order; a split that the data set does not have takes from
@@ -32,6 +32,7 @@ def samples(view: View, *, path: Path, backwards: bool = False) -> Samples:
         view: the new camera's view.
         path: folder of the data set.
         backwards: let time run backwards; labels stay what they were.
+        still: show the frame in the middle all the time, at which nothing moves.
 
     Returns:
         A scene source; a scene's ``source`` says which sample it was, and what made that: a family or a source of its own.
@@ -59,7 +60,7 @@ def samples(view: View, *, path: Path, backwards: bool = False) -> Samples:
             got = f"the samples of {path} know {known[0]} x {known[1]} pixels, image and margin"
             wanted = f"expected {' x '.join(map(str, view.field.shape))}: a narrower one, or camera.field_stop_deg"
             raise InputError("margin", f"{got}, {wanted}")
-    return Samples(splits, backwards)
+    return Samples(splits, backwards, still)
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,7 @@ class Samples:
 
     parts: tuple[Dataset, ...]
     backwards: bool = False
+    still: bool = False
 
     @property
     def splits(self) -> Mapping[str, range]:
@@ -92,6 +94,8 @@ class Samples:
             if index < len(dataset):
                 sample, scene = dataset[index], dataset.config["scene"]
                 clip = sample.clip()
+                clip = clip.still(len(clip.rgb) // 2) if self.still else clip
+                changes = {"backwards": self.backwards, "still": self.still}
                 return replace(
                     _reversed(clip) if self.backwards else clip,
                     source={
@@ -100,7 +104,7 @@ class Samples:
                         "made by": {key: scene[key] for key in ("family", "source") if scene.get(key) is not None},
                         "scene": sample.metadata["scene"],
                         "seed": sample.seed,
-                        **({"backwards": True} if self.backwards else {}),
+                        **{name: True for name, changed in changes.items() if changed},
                     },
                 )
             index -= len(dataset)

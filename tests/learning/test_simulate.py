@@ -107,6 +107,32 @@ def test_time_runs_backwards_in_half_of_the_clips_and_stills_draw_nothing_for_it
     assert np.array_equal(one.rgb, other.rgb)
 
 
+def test_a_share_of_the_clips_stands_still_at_any_of_its_frames(clip: Clip) -> None:
+    """All else is drawn as without: what did not stop is the same clip."""
+    many = replace(clip, surroundings=Surroundings(*(np.repeat(part, 2, 0) for part in _of(clip)), 2))
+    assert many.surroundings is not None
+    many.surroundings.rgb[1] *= 2
+    still, first = 0, 0
+    for seed in range(200):
+        moving, changed = (
+            Augmentation(flip=False, still=share).apply(many, np.random.default_rng(seed)) for share in (0, 0.3)
+        )
+        if np.array_equal(moving.rgb, changed.rgb):
+            continue
+        still += 1
+        (at,) = (n for n in range(2) if np.array_equal(changed.rgb[0], moving.rgb[n]))
+        first += at == 0
+        for name in ("rgb", "depth_m", "valid"):
+            found, given = getattr(changed, name), getattr(moving, name)
+            assert all(np.array_equal(frame, given[at]) for frame in found)
+        assert changed.surroundings is not None
+        assert moving.surroundings is not None
+        assert np.array_equal(changed.surroundings.rgb, moving.surroundings.rgb[[at]])
+        assert changed.frame_edges_s is clip.frame_edges_s
+    assert abs(still - 60) < 26  # four deviations of a binomial
+    assert 12 < first < still - 12
+
+
 def _of(clip: Clip) -> tuple[NDArray, NDArray]:
     assert clip.surroundings is not None
     return clip.surroundings.rgb, clip.surroundings.depth_m

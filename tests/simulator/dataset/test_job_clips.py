@@ -309,13 +309,14 @@ class TestTimes:
         assert any("splits share source videos" in line for line in said)
 
 
-def test_clips_of_a_data_set_run_backwards_for_another_camera(
-    tmp_path: Path, make_trial: Callable, irradiance: Callable
+@pytest.mark.parametrize("how", ["backwards", "still"])
+def test_clips_of_a_data_set_run_otherwise_for_another_camera(
+    tmp_path: Path, make_trial: Callable, irradiance: Callable, how: str
 ) -> None:
-    """Frames in the other order, before the same shutter; the label stays."""
+    """Frames in the other order, or the middle one all the time, before the same shutter; the label stays."""
     trial = make_trial(tmp_path)
     known = make(trial, {"ground_truth": "frames", "train": 1, "validation": 0, "test": 0})
-    again = {"source": "samples", "path": str(known), "size": [16, 20], "backwards": True}
+    again = {"source": "samples", "path": str(known), "size": [16, 20], how: True}
     counts = {
         "train": 1,
         "validation": 0,
@@ -326,11 +327,15 @@ def test_clips_of_a_data_set_run_backwards_for_another_camera(
     }
     root = generate(trial.write(camera=CAMERA, scene=again, dataset=counts)).path
     (one,), (other,) = open_dataset(known), open_dataset(root)
+    frames = len(one.rgb)
+    order = [*range(frames)][::-1] if how == "backwards" else [frames // 2] * frames
     for name in ("rgb", "depth_m", "valid"):
-        np.testing.assert_array_equal(getattr(other, name), getattr(one, name)[::-1])
+        np.testing.assert_array_equal(getattr(other, name), getattr(one, name)[order])
     assert other.label == one.label
-    assert other.metadata["scene"]["backwards"] is True
-    seen = (irradiance(root, *frame) for frame in zip(one.rgb[::-1], one.depth_m[::-1], strict=True))
+    assert {key: other.metadata["scene"].get(key) for key in ("backwards", "still")} == {how: True} | dict.fromkeys(
+        {"backwards", "still"} - {how}
+    )
+    seen = (irradiance(root, *frame) for frame in zip(one.rgb[order], one.depth_m[order], strict=True))
     expected = (
         sum(light * seconds[:, None] for light, seconds in zip(seen, seconds_open(len(one.rgb)), strict=True))
         / other.metadata["full_scale"]

@@ -140,7 +140,7 @@ def test_its_scenes_are_rendered_for_learning(preset: Path) -> None:
     assert config.scene.size == (64, 64)
     assert load_config(preset).scene.params["samples_per_pixel"] == (16 if preset.stem == "endoscopy_64" else 4)
     frames = config.scene.params.get("frames", 1)
-    assert frames == (20 if preset.stem in ("high_speed_64", "activity_64") else 1)
+    assert frames == (20 if preset.stem in ("high_speed_64", "activity_64", "moving_3d_64") else 1)
     view = Assembly(config).view
     tiny = replace(view, shape=(8, 8), pixel_pitch_m=view.pixel_pitch_m * 8)
     source = replace(Assembly(config, "scalar_rgb").source, view=tiny)  # pyright: ignore[reportArgumentType]
