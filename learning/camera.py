@@ -177,6 +177,21 @@ class CaptureModel:
             raise InputError("stack", f"got channels {got}, expected {wanted}: it belongs to another camera")
         return replace(self, stack=stack)
 
+    def with_planes(self, count: int) -> CaptureModel:
+        """Return the same camera with so many of its planes: both ends, and what is nearest to even steps of disparity.
+
+        Fewer where one plane is the nearest to several steps. An InputError refuses fewer than two, or more than there are.
+        """
+        stack = self.stack
+        if not 2 <= count <= len(stack.depths_m):
+            raise InputError("planes", f"got {count}, expected 2 to {len(stack.depths_m)}, as many as the stack has")
+        apart = np.abs(np.linspace(1, 0, count)[:, None] - self.plane_disparities())
+        kept = np.unique(apart.argmin(axis=1))
+        name = f"{stack.fingerprint}, planes {kept.tolist()}"
+        return replace(
+            self, stack=replace(stack, values=stack.values[kept], depths_m=stack.depths_m[kept], fingerprint=name)
+        )
+
     def with_border(self, pixels: int) -> CaptureModel:
         """Return the same camera with an image larger by this many pixels on each side, or by as many as have light.
 

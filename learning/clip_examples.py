@@ -21,10 +21,11 @@ from torch import Tensor
 from torch.utils.data import Dataset as TorchDataset
 
 from learning.camera import CaptureModel
-from learning.config import ActivityTrainConfig, VideoTrainConfig
+from learning.config import ActivityTrainConfig, Video3DTrainConfig, VideoTrainConfig
 from learning.data import Draw, ExampleSet, SampleCache, clip_of, read_scene
 from learning.layers.space_time import JointLeastSquares
 from learning.method import torch_threads
+from learning.models.videonet3d import Beginning
 from learning.provenance import sample_digests
 from learning.simulate import SceneCamera
 from simulator.dataset.reader import Dataset
@@ -32,7 +33,7 @@ from simulator.io.cache import code_digest
 from simulator.io.files import sha256_bytes, storage_errors
 
 # With all that they import, what makes the same draw of a clip, and the joint estimate of it, another one.
-_DECIDING = (__name__, "learning.layers.space_time")
+_DECIDING = (__name__, "learning.layers.space_time", "learning.models.videonet3d")
 _CHECKSUM = 4  # bytes; of nothing but zeros it is not 0, so that a hole in the file is no record
 
 
@@ -42,9 +43,10 @@ class ClipExample(NamedTuple):
     Attributes:
         measurement: ``(C, H, W)`` float32, DN / 2^bits.
         radiance: ``(N, 3, h, w)`` float32, linear sRGB, the means of the slivers.
-        start: ``(N, C, rows, columns)``, the estimate that the network begins with; see `VideoNet.begin`.
+        start: what the network begins with, see its ``begin``; of a VideoNet ``(N, C, rows, columns)``.
         measured: ``(N, C, H, W)``, what a global shutter would have measured of each sliver, without noise.
         label: ``()`` int64, the number of the clip's class.
+        depth_m: ``(N, 1, h, w)`` float32, metres, in the middle of each sliver; 0 where nothing was seen.
     """
 
     measurement: Tensor
@@ -52,6 +54,7 @@ class ClipExample(NamedTuple):
     start: Tensor
     measured: Tensor
     label: Tensor
+    depth_m: Tensor = torch.empty(0)
 
 
 class ClipExamples(TorchDataset[ClipExample]):
@@ -68,6 +71,7 @@ class ClipExamples(TorchDataset[ClipExample]):
         draws: int,
         cache: Path | None,
         labels: Sequence[int] | None = None,
+        depth: bool = False,
     ) -> None:
         """Prepare; a training's examples are worked out when they are asked for.
 
@@ -81,10 +85,11 @@ class ClipExamples(TorchDataset[ClipExample]):
                 kept.
             cache: folder to keep examples in; None keeps nothing.
             labels: of each clip, the number of its class; None where classes do not matter.
+            depth: whether depths are wanted.
         """
         self.dataset, self._examples, self._begin = examples.dataset, examples, begin
         self._draws = draws if examples.redrawn else 1
-        self._measured, self._white, self._labels = measured, np.float32(white), labels
+        self._measured, self._white, self._labels, self._depth = measured, np.float32(white), labels, depth
         self._camera = SceneCamera(examples.dataset) if measured else None
         self._scene = partial(read_scene, examples.dataset, timing=examples.timing)
         self._kept: KeptRecords | None = None
@@ -94,7 +99,15 @@ class ClipExamples(TorchDataset[ClipExample]):
             self._scene = SampleCache.filled(cache, examples.dataset, "scene", self._scene).read
         if self._draws:
             frames = None if examples.timing is None else examples.timing.frames
-            told = [dict(identity), white, frames, sample_digests(examples.dataset), examples.dataset.ids, self._draws]
+            told = [
+                dict(identity),
+                white,
+                frames,
+                sample_digests(examples.dataset),
+                examples.dataset.ids,
+                self._draws,
+                depth,
+            ]
             name = sha256_bytes(repr((code_digest(*_DECIDING), told)).encode())[:32]
             self._kept = KeptRecords(cache / f"{name}.clips", self._worked_out(0, 0))
 
@@ -114,19 +127,21 @@ class ClipExamples(TorchDataset[ClipExample]):
                 self._kept.write(at, arrays)
         seen = self._seen(position, number) if self._measured else np.empty(0, np.float32)
         radiance = arrays["radiance"].astype(np.float32) * self._white
-        every = (arrays["measurement"], radiance, arrays["start"], seen)
+        every = (arrays["measurement"], radiance, arrays["start"], seen, arrays["depth_m"])
         label = torch.empty(0, dtype=torch.int64) if self._labels is None else torch.tensor(self._labels[position])
-        measurement, radiance, start, seen = (torch.from_numpy(values.astype(np.float32)) for values in every)
-        return ClipExample(measurement, radiance, start, seen, label)
+        measurement, radiance, start, seen, depth_m = (torch.from_numpy(values.astype(np.float32)) for values in every)
+        return ClipExample(measurement, radiance, start, seen, label, depth_m)
 
     def _worked_out(self, position: int, number: int) -> dict[str, NDArray[Any]]:
-        """Return measurement, radiance and start; the latter two in half precision, of which a loss sees nothing."""
+        """Return measurement, and in half precision, of which a loss sees nothing, radiance, start and depth."""
         example = self._examples[Draw(position, number)]
         with torch_threads(1):  # beside the training, and the other workers
             start = self._begin(example.measurement[None])
         first = np.empty(0, np.float16) if start is None else start[0].numpy().astype(np.float16)
         radiance = (example.radiance.numpy() / self._white).astype(np.float16)
-        return {"measurement": example.measurement.numpy(), "radiance": radiance, "start": first}
+        seen = torch.where(example.valid, example.depth_m, 0).numpy() if self._depth else np.empty(0)
+        worked_out = {"measurement": example.measurement.numpy(), "radiance": radiance, "start": first}
+        return worked_out | {"depth_m": seen.astype(np.float16)}
 
     def _seen(self, position: int, number: int) -> NDArray[np.float32]:
         """Return the global measurements of the clip as this draw has changed it."""
@@ -140,13 +155,14 @@ class ClipExamples(TorchDataset[ClipExample]):
 
 def open_clip_examples(
     dataset: Dataset,
-    config: VideoTrainConfig | ActivityTrainConfig,
+    config: VideoTrainConfig | Video3DTrainConfig | ActivityTrainConfig,
     capture: CaptureModel,
     *,
-    joint: JointLeastSquares | None,
+    joint: JointLeastSquares | Beginning | None,
     measured: bool,
     cache: Path | None,
     labels: Sequence[int] | None = None,
+    depth: bool = False,
 ) -> ClipExamples:
     """Return a split's examples for a training: ``joint`` is what its network begins with, where it does so.
 
@@ -168,13 +184,14 @@ def open_clip_examples(
         draws=config.data.draws,
         cache=cache,
         labels=labels,
+        depth=depth,
     )
 
 
 class _Begin:
     """What a network begins with, without the network, which may be on a GPU: for the processes that read examples."""
 
-    def __init__(self, joint: JointLeastSquares | None) -> None:
+    def __init__(self, joint: JointLeastSquares | Beginning | None) -> None:
         self._joint = copy.deepcopy(joint)
         if self._joint is not None:
             self._joint.cpu()

@@ -1,4 +1,4 @@
-"""What networks for clips are trained to minimise: global measurements, frames, their differences, features of the frames."""
+"""What networks for clips are trained to minimise: global measurements, frames, their differences, features, depth."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from learning.config import ClipLossConfig
-from learning.losses import multiscale
+from learning.camera import CaptureModel
+from learning.config import ClipLossConfig, Video3DLossConfig
+from learning.losses import depth_errors, multiscale
 from learning.models.videonet import Film
+from learning.models.videonet3d import Film3D
 from learning.perceptual import PerceptualLoss
 
 
@@ -60,3 +62,26 @@ class ClipLoss(nn.Module):
         return {"intensity": self.intensity, **perceptual} | {
             f"{name}_weight": weight for name, weight in self.weights.items()
         }
+
+
+class ClipDepthLoss(nn.Module):
+    """The terms of `ClipLoss`, and ``depth`` and ``depth_cm`` of `learning.losses.ReconstructionLoss` over all frames."""
+
+    def __init__(self, settings: Video3DLossConfig, capture: CaptureModel) -> None:
+        """Build the loss; ``capture`` says what depth a disparity is. An InputError says that there is no weight file."""
+        super().__init__()
+        self._of_images, self._capture = ClipLoss(settings), capture
+        self.weights = {"depth": settings.depth_weight, "depth_cm": settings.depth_cm_weight}
+
+    def forward(self, film: Film3D, image: Tensor, disparity: Tensor, valid: Tensor) -> dict[str, Tensor]:
+        """Return scalars as `ClipLoss` does; the true ``disparity`` ``(B, N, 1, h, w)`` counts where it is ``valid``."""
+        nothing = image.new_zeros(0)
+        terms = self._of_images(Film(film.image, nothing), image, nothing)
+        found, true, counted = (each.flatten(0, 1) for each in (film.disparity, disparity, valid))
+        of_depth = depth_errors(found, true, counted, self._capture)
+        weighted = {f"{name}_weighted": weight * of_depth[name] for name, weight in self.weights.items()}
+        return terms | of_depth | weighted | {"total": terms["total"] + torch.stack(list(weighted.values())).sum()}
+
+    def record(self) -> dict[str, Any]:
+        """Return what a checkpoint and a table of results must say of this loss."""
+        return self._of_images.record() | {f"{name}_weight": weight for name, weight in self.weights.items()}

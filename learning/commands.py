@@ -23,14 +23,23 @@ def train(
     set_: Overrides = None,
 ) -> None:
     """Train a network on a data set, or resume an interrupted training."""
-    from learning.config import ActivityTrainConfig, TrainConfig, VideoTrainConfig, load_file, training_kind
+    from learning.config import (
+        ActivityTrainConfig,
+        TrainConfig,
+        Video3DTrainConfig,
+        VideoTrainConfig,
+        load_file,
+        training_kind,
+    )
     from learning.train import train as run
     from learning.train_activity import train_activity
     from learning.train_video import train_video
+    from learning.train_video_3d import train_video_3d
 
     runs: dict[type, Callable[..., TrainResult]] = {
         TrainConfig: run,
         VideoTrainConfig: train_video,
+        Video3DTrainConfig: train_video_3d,
         ActivityTrainConfig: train_activity,
     }
     settings = load_file(training_kind, config, set_ or [])
@@ -155,7 +164,7 @@ How = "physical, as read from the sensor, or stored, rotated by 180 degrees so t
 InFrame = Option(help=f"orientation of an image file: {How}; samples record theirs")
 PsfFrame = Option(help="the same for the image of a PSF; default: as the measurement")
 Crop = Option(help="ROWSxCOLUMNS about the centre, or ROWSxCOLUMNS+TOP+LEFT, of the file's pixels")
-Classical = "a classical method: cls, admm or pnp; of clips joint, fista, pnp_clips, static, slivers, udn or nstm"
+Classical = "a classical method: cls, admm or pnp; of clips joint, joint3d, fista, pnp_clips, static, slivers, udn or nstm"
 Scene = Option(help="ROWSxCOLUMNS of the result where no data set or network sets it; default: the sensor's")
 
 

@@ -64,10 +64,8 @@ class ReconstructionLoss(nn.Module):
         if self.perceptual is not None:
             terms["perceptual"] = self.perceptual(estimate.image, image)
         counted = torch.ones_like(valid) if self.invalid_depth else valid
-        terms["depth"] = _mean_over((estimate.disparity - disparity).abs(), counted)
-        if self.weights["depth_cm"]:
-            found, true = (100 * self._capture.depth_m(each) for each in (estimate.disparity, disparity))
-            terms["depth_cm"] = _mean_over(nnf.huber_loss(found, true, reduction="none"), counted)
+        of_depth = depth_errors(estimate.disparity, disparity, counted, self._capture)
+        terms |= {name: value for name, value in of_depth.items() if name == "depth" or self.weights[name]}
         weighted = {f"{name}_weighted": self.weights[name] * value for name, value in terms.items()}
         return {"total": torch.stack(list(weighted.values())).sum(), **terms, **weighted}
 
@@ -79,6 +77,15 @@ class ReconstructionLoss(nn.Module):
         return {"intensity": self.intensity, **terms, **perceptual} | {
             f"{name}_weight": weight for name, weight in self.weights.items()
         }
+
+
+def depth_errors(found: Tensor, true: Tensor, counted: Tensor, capture: CaptureModel) -> dict[str, Tensor]:
+    """Return ``depth`` and ``depth_cm``, see `ReconstructionLoss`, of disparities ``(B, 1, h, w)`` at pixels that count."""
+    found_cm, true_cm = (100 * capture.depth_m(each) for each in (found, true))
+    return {
+        "depth": _mean_over((found - true).abs(), counted),
+        "depth_cm": _mean_over(nnf.huber_loss(found_cm, true_cm, reduction="none"), counted),
+    }
 
 
 def multiscale(found: Tensor, true: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ from torch.nn.modules.batchnorm import _BatchNorm
 
 from learning.camera import CaptureModel, capture_model, check_range, measure_reference_white
 from learning.checkpoint import Checkpoint, find_checkpoint, load_checkpoint, save_checkpoint, transfer
-from learning.config import ActivityTrainConfig, ClipDataConfig, TrainConfig, VideoTrainConfig
+from learning.config import ActivityTrainConfig, ClipDataConfig, TrainConfig, Video3DTrainConfig, VideoTrainConfig
 from learning.data import Example, ExampleSet, Loader
 from learning.distributed import Processes
 from learning.layers.inversion import RegularisedInversion
@@ -50,7 +50,9 @@ def train(config: TrainConfig, *, progress: Progress = lambda *_: None, say: Say
     return run(FlatNetTraining, config, progress, say)
 
 
-def find_data(config: TrainConfig | VideoTrainConfig | ActivityTrainConfig) -> tuple[Dataset, Dataset, CaptureModel]:
+def find_data(
+    config: TrainConfig | VideoTrainConfig | Video3DTrainConfig | ActivityTrainConfig,
+) -> tuple[Dataset, Dataset, CaptureModel]:
     """Open both splits of a training, look at some of their samples, and return them with the camera that the network knows.
 
     The validation split must come from the same camera: mask, sensor, exposure and range of depths. How finely its PSFs were

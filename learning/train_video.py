@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,7 +19,8 @@ from learning.config import VideoTrainConfig
 from learning.data import Loader
 from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.metrics import moving_pixels, psnr, psnr_at
-from learning.models.videonet import Film, VideoNet
+from learning.models.videonet import VideoNet
+from learning.models.videonet3d import VideoNet3D
 from learning.train import NetworkTraining
 from learning.training_loop import TrainResult, find_cache, run
 from learning.validation import to_device
@@ -34,8 +37,7 @@ def train_video(
 class VideoTraining(NetworkTraining[ClipExample]):
     """From captures to frames."""
 
-    _config: VideoTrainConfig
-    _network: VideoNet
+    _network: VideoNet | VideoNet3D
 
     @classmethod
     def _build_loss(cls, config: VideoTrainConfig, capture: CaptureModel) -> ClipLoss:
@@ -58,16 +60,24 @@ class VideoTraining(NetworkTraining[ClipExample]):
             cache=find_cache(dataset, config, self._say),
         )
 
-    def _film(self, network: nn.Module, example: ClipExample) -> Film:
+    def _film(self, network: nn.Module, example: ClipExample) -> Any:
         with self._plan.precision.autocast():
             film = network(example.measurement, example.start if example.start.numel() else None)
-        return Film(film.image.float(), film.measured.float())
+        return type(film)(*(values.float() for values in film))
 
-    def _losses(self, film: Film, example: ClipExample) -> dict[str, Tensor]:
+    def _losses(self, film: Any, example: ClipExample) -> dict[str, Tensor]:
         measured = example.measured  # as if all rows had the same exposure, like MeasNet's
         if measured.numel():
+            assert isinstance(self._network, VideoNet)
             measured = self._network.inversion.light(measured)
         return self._loss(film, linear_to_srgb(example.radiance, self._capture.white), measured)
+
+    def _errors(self, film: Any, example: ClipExample) -> dict[str, Tensor]:
+        """Return the errors of each clip, NaN where it has none: where nothing moves, or nothing was seen."""
+        truth = linear_to_srgb(example.radiance, self._capture.white)
+        found = film.image.clamp(0, 1)
+        errors = {"psnr_db": psnr(found, truth), "moving_psnr_db": psnr_at(found, truth, moving_pixels(truth))}
+        return {name: values.clamp_max(100) for name, values in errors.items()}  # of what is equal, too
 
     def _terms(self, wrapped: nn.Module, example: ClipExample) -> dict[str, Tensor]:
         return self._losses(self._film(wrapped, example), example)
@@ -86,15 +96,18 @@ class VideoTraining(NetworkTraining[ClipExample]):
                 film = self._film(self._network, example)
                 count = len(example.measurement)
                 values = {name: value.expand(count) for name, value in self._losses(film, example).items()}
-                values |= _errors(film.image, example, self._capture)
-                for name, value in values.items():
-                    known = value[~value.isnan()] if name == "moving_psnr_db" else value
+                errors = self._errors(film, example)
+                for name, value in (values | errors).items():
+                    known = value[~value.isnan()] if name in errors else value
                     sums[name] = sums.get(name, 0.0) + float(known.double().sum())
                     counts[name] = counts.get(name, 0) + len(known)
         both = torch.tensor([list(sums.values()), list(counts.values())], dtype=torch.float64)
         summed = self._group.add(both.to(self._group.device))
         found = {name: float(total / of) for name, (total, of) in zip(sums, summed.T, strict=True) if of}
-        return found | {"score": (found["psnr_db"] + found.get("moving_psnr_db", found["psnr_db"])) / 2}
+        return found | {"score": self._score(found)}
+
+    def _score(self, found: Mapping[str, float]) -> float:
+        return (found["psnr_db"] + found.get("moving_psnr_db", found["psnr_db"])) / 2
 
     def _drawn(self, example: ClipExample) -> NDArray[np.uint8]:
         """Return an image: of each clip a row of its true frames, and below it one of the estimated."""
@@ -104,10 +117,3 @@ class VideoTraining(NetworkTraining[ClipExample]):
         rows = [row for pair in zip(truth, film.image.clamp(0, 1), strict=True) for row in pair]
         sheet = torch.cat([torch.cat(list(row), dim=-1) for row in rows], dim=-2)
         return (sheet * 255).round().byte().permute(1, 2, 0).cpu().numpy()
-
-
-def _errors(image: Tensor, example: ClipExample, capture: CaptureModel) -> dict[str, Tensor]:
-    truth = linear_to_srgb(example.radiance, capture.white)
-    found = image.clamp(0, 1)
-    errors = {"psnr_db": psnr(found, truth), "moving_psnr_db": psnr_at(found, truth, moving_pixels(truth))}
-    return {name: values.clamp_max(100) for name, values in errors.items()}  # of what is equal, too

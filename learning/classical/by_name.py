@@ -8,6 +8,7 @@ from typing import Any
 
 from learning.camera import CaptureModel
 from learning.checkpoint import find_denoiser
+from learning.classical.clip_depth import CLIP_DEPTH_DEFAULTS, CLIP_DEPTH_SEARCH, OF_VOLUME, ClipDepth
 from learning.classical.clips import CLIP_DEFAULTS, CLIP_SEARCH, ClipMethod, find_initial_estimate
 from learning.classical.method import (
     DEFAULTS,
@@ -21,17 +22,21 @@ from learning.method import Value, check_choices
 from simulator.errors import InputError
 from simulator.io.files import expanded
 
-ALL_DEFAULTS: dict[str, dict[str, Value]] = DEFAULTS | CLIP_DEFAULTS
+OF_CLIPS = (*CLIP_DEFAULTS, *CLIP_DEPTH_DEFAULTS)
+"""Names of those of clips."""
+ALL_DEFAULTS: dict[str, dict[str, Value]] = DEFAULTS | CLIP_DEFAULTS | CLIP_DEPTH_DEFAULTS
 """All parameters, where tuning begins."""
-ALL_SEARCH: dict[str, dict[str, tuple[Value, ...]]] = SEARCH | CLIP_SEARCH
+ALL_SEARCH: dict[str, dict[str, tuple[Value, ...]]] = SEARCH | CLIP_SEARCH | CLIP_DEPTH_SEARCH
 """Candidates for tuning."""
-ALL_VOLUME_PARAMETERS = VOLUME_PARAMETERS | {name: tuple(known) for name, known in CLIP_DEFAULTS.items()}
+ALL_VOLUME_PARAMETERS = (
+    VOLUME_PARAMETERS | {name: tuple(known) for name, known in CLIP_DEFAULTS.items()} | {"joint3d": tuple(OF_VOLUME)}
+)
 """Those on which the volume, or the frames, depend."""
 
 
 def build_method(
     capture: CaptureModel, name: str, parameters: Mapping[str, Value] | None = None
-) -> ClassicalMethod | ClipMethod:
+) -> ClassicalMethod | ClipMethod | ClipDepth:
     """Return a method for a camera, with `ALL_DEFAULTS` for the parameters that are not given.
 
     Raises:
@@ -42,8 +47,12 @@ def build_method(
     if name in CLIP_DEFAULTS:
         check_parameters(parameters or {}, CLIP_DEFAULTS[name], name)
         return ClipMethod(capture, name, CLIP_DEFAULTS[name] | dict(parameters or {}))
+    if name in CLIP_DEPTH_DEFAULTS:
+        check_parameters(parameters or {}, CLIP_DEPTH_DEFAULTS[name], name)
+        given: Any = CLIP_DEPTH_DEFAULTS[name] | dict(parameters or {})
+        return ClipDepth(capture, **given)
     if capture.timing is not None:
-        raise InputError(name, f"got clips, but it reconstructs stills; take one of {', '.join(CLIP_DEFAULTS)}")
+        raise InputError(name, f"got clips, but it reconstructs stills; take one of {', '.join(OF_CLIPS)}")
     return build_classical(capture, name, parameters)
 
 

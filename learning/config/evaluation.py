@@ -48,7 +48,9 @@ class MethodConfig(Section):
     name: str = Field(min_length=1)
     """in tables and figures"""
     checkpoints: list[str] | None = None
-    """files, one per seed, or names of shipped ones"""
+    """files, one per seed, or names of shipped ones; of clips, a network for stills gives all frames the same"""
+    frames: str | None = None
+    """of clips: file of a VideoNet, whose frames take the place of the pictures of a network for stills"""
     classical: Classical | None = None
     """instead of checkpoints"""
     tuned: str | None = None
@@ -69,6 +71,9 @@ class MethodConfig(Section):
             if self.tuned is not None or self.parameters is not None:
                 text = "tuned and parameters belong to classical methods; leave them out"
                 raise refusal(text)
+        elif self.frames is not None:
+            text = "a classical method has frames of its own; leave it out"
+            raise refusal(text, "frames")
         elif self.tuned is None and self.parameters is None:
             text = "a classical method needs tuned (the file of `flatlight tune`), parameters, or both"
             raise refusal(text)
@@ -146,7 +151,7 @@ class EvaluateConfig(FileSection):
         paths = {key: named(getattr(self.data, key)) for key in ("training", "stack", "compare_stacks")}
         methods = [
             method.model_copy(
-                update={key: named(getattr(method, key)) for key in ("checkpoints", "tuned", "parameters")}
+                update={key: named(getattr(method, key)) for key in ("checkpoints", "frames", "tuned", "parameters")}
             )
             for method in self.methods
         ]

@@ -72,7 +72,7 @@ Weight = Annotated[float, Range(0, 1e6, below="a weight is not negative")]
 Decibels = Annotated[float, Range(0.1, 120, "dB")]
 Count = Annotated[int, Range(1, 10_000_000, below="at least one")]
 OfStills = Literal["cls", "admm", "pnp"]
-OfClips = Literal["static", "slivers", "joint", "fista", "pnp_clips", "udn", "nstm"]
+OfClips = Literal["static", "slivers", "joint", "fista", "pnp_clips", "udn", "nstm", "joint3d"]
 Classical = OfStills | OfClips
 CLASSICAL = (*get_args(OfStills), *get_args(OfClips))
 

@@ -162,6 +162,32 @@ class VideoNetworkConfig(ClipNetworkConfig):
     """how many times the last refinement step is repeated, with shared weights"""
 
 
+class Video3DNetworkConfig(Section):
+    """VideoNet3D: a size, and what differs from it."""
+
+    name: Literal["videonet3d"]
+    """frames and their depth from one capture of a rolling shutter"""
+    size: Literal["compact", "tiny"] = "compact"
+    """the numbers below that are left out"""
+    dimensions: Literal[2, 3] | None = None
+    """2: frames are channels of one image; 3: a stack of images"""
+    filters: Annotated[int, Range(1, 1024)] | None = None
+    """channels of the body's first level; each further one has twice as many"""
+    blocks: Annotated[int, Range(1, 64)] | None = None
+    """NAF blocks on each level and way"""
+    levels: Annotated[int, Range(1, 8)] | None = None
+    """levels of the body"""
+    joint_planes: Annotated[int, Range(2, 1000)] | None = None
+    """planes of the joint least squares that it begins with"""
+    joint_iterations: Annotated[int, Range(1, 1000)] | None = None
+    """of the joint least squares"""
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """The size, and what differs from it: with the name, an architecture."""
+        return {key: value for key, value in self.model_dump(exclude={"name"}).items() if value is not None}
+
+
 class ActivityNetworkConfig(ClipNetworkConfig):
     """ActivityNet: a size, and what differs from it."""
 
@@ -282,6 +308,15 @@ class ClipLossConfig(Section):
         return self
 
 
+class Video3DLossConfig(ClipLossConfig):
+    """The loss of clips with depth: the sum of the weighted terms."""
+
+    depth_weight: Weight = 1.0
+    """of the mean absolute error of the disparity, 0..1, where something was seen"""
+    depth_cm_weight: Weight = 0.05
+    """of the Huber loss of the depth's error in centimetres"""
+
+
 class ActivityLossConfig(Section):
     """The loss of recognition: the sum of the weighted terms; the thesis's (4.7, 4.8) has weights 3 and 1."""
 
@@ -331,6 +366,7 @@ class LoopConfig(FileSection):
     network: (
         NetworkConfig
         | VideoNetworkConfig
+        | Video3DNetworkConfig
         | ActivityNetworkConfig
         | RawClassifierConfig
         | LensClassifierConfig
@@ -375,6 +411,17 @@ class VideoTrainConfig(LoopConfig):
     loss: ClipLossConfig = ClipLossConfig()
 
 
+class Video3DTrainConfig(LoopConfig):
+    """One training of a network for clips and their depth."""
+
+    data: ClipDataConfig
+    network: Video3DNetworkConfig
+    optimiser: NetworkOptimiserConfig = NetworkOptimiserConfig()
+    init_from: str = Field(min_length=1)
+    """checkpoint (.safetensors) of the FlatNet3D that it adds to, or of a VideoNet3D"""
+    loss: Video3DLossConfig = Video3DLossConfig()
+
+
 class ActivityTrainConfig(LoopConfig):
     """One training of a network that recognises what is done in a clip."""
 
@@ -400,6 +447,7 @@ class ActivityTrainConfig(LoopConfig):
 _TRAININGS: dict[type[LoopConfig], tuple[type[Section], ...]] = {
     TrainConfig: (NetworkConfig,),
     VideoTrainConfig: (VideoNetworkConfig,),
+    Video3DTrainConfig: (Video3DNetworkConfig,),
     ActivityTrainConfig: (ActivityNetworkConfig, RawClassifierConfig, LensClassifierConfig),
 }
 

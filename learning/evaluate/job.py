@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from learning.camera import CaptureModel
 from learning.classical.clips import ClipMethod
@@ -28,6 +29,7 @@ from learning.timing import recorded_timing
 from learning.video_quality import VideoQuality, available_video_quality
 from simulator.dataset.reader import Dataset, open_dataset, spread_positions
 from simulator.errors import InputError
+from simulator.plots.drawing import depth_colours
 
 _BINS, _TIMED_SCENES = 8, 8
 
@@ -274,13 +276,30 @@ def _films(config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[En
     known = [runner.result(run)["scores"] for run in runs]
     examples, clips = runner.examples(None), []
     for at, position in enumerate(positions):
-        frames = linear_to_srgb(examples[position].radiance, runner.cameras.test.white)
+        example = examples[position]
+        frames = linear_to_srgb(example.radiance, runner.cameras.test.white)
         films = [NamedFilm("truth", np.moveaxis(frames.numpy(), 1, -1), runner.test.ids[position])]
-        for method, shown, scores in zip(config.methods, estimates, known, strict=True):
+        films += _depth_film("", example.depth_m[:, 0].numpy(), example.valid[:, 0].numpy(), runner.camera(runs[0]))
+        for method, run, shown, scores in zip(config.methods, runs, estimates, known, strict=True):
             words = f"{scores[position]['psnr']:.1f} dB, moving {scores[position]['moving_psnr']:.1f} dB"
             films.append(NamedFilm(method.name, np.moveaxis(shown[at]["image"], 1, -1), words))
+            depth_m = shown[at]["depth_m"]
+            if "depth_rmse_cm" in scores[position]:
+                words, seen = f"{scores[position]['depth_rmse_cm']:.2f} cm", np.ones(depth_m.shape, bool)
+                films += _depth_film(words, depth_m, seen, runner.camera(run))
         clips.append(films)
     return clips
+
+
+def _depth_film(
+    words: str, depth_m: NDArray[np.float32], seen: NDArray[np.bool_], capture: CaptureModel
+) -> list[NamedFilm]:
+    """Return the depths ``(N, h, w)`` of frames in colours, as a list of one; of none where the camera knows one depth."""
+    if len(capture.stack.depths_m) < 2:
+        return []
+    pairs = zip(depth_m, seen, strict=True)
+    colours = [depth_colours(one, where, capture.near_m, capture.far_m) for one, where in pairs]
+    return [NamedFilm("depth", np.stack(colours) / 255, words)]
 
 
 def _montage(config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[Entry]]) -> list[list[Shown]]:

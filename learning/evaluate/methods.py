@@ -19,6 +19,8 @@ from learning.config import EvaluateConfig, MethodConfig
 from learning.evaluate.outcome import Kind
 from learning.method import Method
 from learning.models import NETWORKS, learned_method
+from learning.models.repeated import RepeatedStill
+from learning.models.videonet3d import still_camera
 from learning.provenance import scenes_of
 from learning.tune.study import load_tuned
 from simulator.dataset.reader import Dataset
@@ -28,7 +30,10 @@ from simulator.io.files import sha256_file
 
 @dataclass(frozen=True, eq=False)
 class LearnedEntry:
-    """A network's checkpoint; ``capture`` is the camera that it knows by itself."""
+    """A network's checkpoint; ``capture`` is the camera that it knows by itself.
+
+    Of clips, one for stills takes part as `RepeatedStill`, with the pictures of the network ``frames`` where there is one.
+    """
 
     name: str
     path: Path
@@ -36,6 +41,7 @@ class LearnedEntry:
     capture: CaptureModel
     architecture: Mapping[str, Any]
     record: Mapping[str, Any]
+    frames: LearnedEntry | None = None
     kind: Kind = "learned"
 
     @property
@@ -46,23 +52,33 @@ class LearnedEntry:
     def plain(self) -> dict[str, Any]:
         """Return what results.json says of it."""
         about = {"architecture": dict(self.architecture), "record": dict(self.record)}
+        if self.frames is not None:
+            about["frames"] = self.frames.plain()
         return {"file": self.path.name, "sha256": self.digest, **about}
 
     def identity(self, noise_db: float) -> dict[str, Any]:
-        """Return what decides it at a level of noise, beside the camera: the file's hash."""
-        return {"checkpoint": self.digest}
+        """Return what decides it at a level of noise, beside the camera: the files' hashes."""
+        return {"checkpoint": self.digest} | ({} if self.frames is None else {"frames": self.frames.digest})
 
     def note(self, noise_db: float) -> str:
         """Return what a reader should know of it at a level of noise: the architecture in words."""
         known = {"network": "", "size": "", **self.architecture}
         name, size = known.pop("network"), known.pop("size")
         usual = NETWORKS[name].sizes.get(size, {}) if name in NETWORKS else {}
-        changes = (f"{key} {value}" for key, value in known.items() if usual.get(key) != value)
-        return ", ".join(filter(None, [name, size, *changes]))
+        within = {key: value for key, value in known.items() if not isinstance(value, Mapping)}
+        changes = (f"{key} {value}" for key, value in within.items() if usual.get(key) != value)
+        of_frames = "" if self.frames is None else f"frames of {self.frames.note(noise_db)}"
+        return ", ".join(filter(None, [name, size, *changes, of_frames]))
 
     def build(self, capture: CaptureModel, noise_db: float, device: torch.device) -> Method:
         """Return the network, ready on a device, for a camera; an InputError says that it does not fit."""
-        return learned_method(self.name, load_checkpoint(self.path, capture=capture).network, capture).to(device)
+        if capture.timing is None or self.capture.timing is not None:
+            return learned_method(self.name, load_checkpoint(self.path, capture=capture).network, capture).to(device)
+        still = self.build(still_camera(capture), noise_db, device)
+        if self.frames is None:
+            return RepeatedStill(self.name, still, capture)
+        frames = self.frames.build(capture.with_assumed(self.frames.capture), noise_db, device)
+        return RepeatedStill(self.name, still, capture, frames)
 
     def tuned_db(self, noise_db: float) -> None:
         """Return None: nothing of it was tuned at a level of noise."""
@@ -158,13 +174,21 @@ def _read_method(config: EvaluateConfig, method: MethodConfig, test: Dataset) ->
         for path, record in entry.learned.items():
             check_learned(method.name, path, record, test)
         return [entry]
-    entries: list[Entry] = []
-    for text in method.checkpoints or ():
-        path = find_checkpoint(text, method.name, config.resolve_path)
-        one = load_checkpoint(path)
-        check_learned(method.name, path, one.record, test)
-        entries.append(LearnedEntry(method.name, path, sha256_file(path), one.capture, one.architecture, one.record))
-    return entries
+    frames = None if method.frames is None else _learned(config, method.name, method.frames, test)
+    entries = [_learned(config, method.name, text, test, frames) for text in method.checkpoints or ()]
+    if frames is not None and any(one.capture.timing is not None for one in entries):
+        got = f"got frames of {frames.path.name} for a network that has frames of its own"
+        raise InputError(method.name, f"{got}; take a flatnet3d in checkpoints, or leave frames out")
+    return list(entries)
+
+
+def _learned(
+    config: EvaluateConfig, name: str, text: str, test: Dataset, frames: LearnedEntry | None = None
+) -> LearnedEntry:
+    path = find_checkpoint(text, name, config.resolve_path)
+    one = load_checkpoint(path)
+    check_learned(name, path, one.record, test)
+    return LearnedEntry(name, path, sha256_file(path), one.capture, one.architecture, one.record, frames)
 
 
 _USED = {"train": "learned from", "validation": "was chosen among its own steps by"}

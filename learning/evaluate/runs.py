@@ -6,7 +6,7 @@ import io
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -23,6 +23,7 @@ from learning.evaluate.outcome import OWN
 from learning.evaluate.scoring import Criteria, ScenesDone, checked, score
 from learning.method import Method
 from learning.provenance import sample_digests
+from learning.timing import recorded_timing
 from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.io.cache import code_digest
@@ -59,6 +60,7 @@ class Cameras:
         self._training, self._folder = training, folder
         self._stacks: dict[str, PsfStack] = {}
         self._nominal: CaptureModel | None = None
+        self._timing = recorded_timing(test)
         self.test = capture_model(test, white=self._white(entries))
 
     def assumed(self, entry: Entry, name: str) -> CaptureModel:
@@ -66,6 +68,8 @@ class Cameras:
         try:
             if (known := entry.capture) is None:
                 known = self._nominal = self._nominal or capture_model(self._learned_from(), white=self.test.white)
+            if known.timing is None:  # what is for stills takes part in clips as if nothing moved, in their white
+                known = replace(known, timing=self._timing, white=self.test.white)
             if name != OWN:
                 self._stacks[name] = self._stacks.get(name) or self._stack(name)
                 known = known.with_stack(self._stacks[name])
@@ -83,9 +87,12 @@ class Cameras:
         return read_psf_stack(self._folder(name))
 
     def _white(self, entries: Sequence[Entry]) -> float:
-        learned = [entry for entry in entries if isinstance(entry, LearnedEntry)]
-        if not learned:
+        networks = [entry for entry in entries if isinstance(entry, LearnedEntry)]
+        networks += [entry.frames for entry in networks if entry.frames is not None]
+        if not networks:
             return measure_reference_white(self._learned_from())
+        # In clips, what is for stills takes theirs.
+        learned = [each for each in networks if (each.capture.timing is None) == (self._timing is None)] or networks[:1]
         one, first = learned[0], learned[0].capture.white
         for other in learned[1:]:
             if abs((white := other.capture.white) - first) > _WHITES_ALIKE * first:

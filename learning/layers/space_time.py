@@ -175,10 +175,17 @@ class JointLeastSquares(nn.Module):
         for name, numbers in (("spectrum", half), ("mixing", mixing)):
             self.register_buffer(name, torch.from_numpy(numbers).to(torch.get_default_dtype()), persistent=False)
 
-    @torch.no_grad()
     def forward(self, measurement: Tensor) -> Tensor:
-        """Return ``(B, N, C, h, w)`` radiance / white in the camera's channels, of measurements ``(B, C, H, W)``."""
-        return self.problem.film(self.light(measurement))[:, :, 0]
+        """Return ``(B, N, C, h, w)`` radiance / white in the camera's channels, of measurements ``(B, C, H, W)``.
+
+        Of a camera with several planes, that of the nearest: see `volumes`.
+        """
+        return self.volumes(measurement)[:, :, 0]
+
+    @torch.no_grad()
+    def volumes(self, measurement: Tensor) -> Tensor:
+        """Return the same of all planes, ``(B, N, K, C, h, w)``."""
+        return self.problem.film(self.light(measurement))
 
     @torch.no_grad()
     def light(self, measurement: Tensor) -> Tensor:

@@ -18,6 +18,7 @@ from learning.models.activitynet import (
 )
 from learning.models.flatnet import SIZES, FlatNet, FlatNet2D, FlatNet3D, LearnedMethod
 from learning.models.videonet import VIDEO_SIZES, VideoMethod, VideoNet
+from learning.models.videonet3d import VIDEO_3D_SIZES, Video3DMethod, VideoNet3D
 from simulator.errors import InputError
 from simulator.validation import now_called
 
@@ -25,6 +26,7 @@ __all__ = [
     "ACTIVITY_SIZES",
     "NETWORKS",
     "SIZES",
+    "VIDEO_3D_SIZES",
     "VIDEO_SIZES",
     "ActivityMethod",
     "ActivityNet",
@@ -35,8 +37,10 @@ __all__ = [
     "LensClassifier",
     "Network",
     "RawClassifier",
+    "Video3DMethod",
     "VideoMethod",
     "VideoNet",
+    "VideoNet3D",
     "build_network",
     "full_architecture",
     "learned_method",
@@ -44,7 +48,7 @@ __all__ = [
 ]
 
 
-Network = FlatNet | VideoNet | Classifier
+Network = FlatNet | VideoNet | VideoNet3D | Classifier
 """Any of `NETWORKS`."""
 
 
@@ -53,7 +57,7 @@ class Kind(NamedTuple):
 
     network: type[Network]
     sizes: Mapping[str, Mapping[str, Any]]
-    method: type[LearnedMethod | VideoMethod | ActivityMethod] | None
+    method: type[LearnedMethod | VideoMethod | Video3DMethod | ActivityMethod] | None
 
 
 _ONE_SIZE: dict[str, dict[str, Any]] = {"compact": {"classifier": "dronet"}}
@@ -62,6 +66,7 @@ NETWORKS = {
     "flatnet3d": Kind(FlatNet3D, SIZES, LearnedMethod),
     "flatnet2d": Kind(FlatNet2D, SIZES, LearnedMethod),
     "videonet": Kind(VideoNet, VIDEO_SIZES, VideoMethod),
+    "videonet3d": Kind(VideoNet3D, VIDEO_3D_SIZES, Video3DMethod),
     "activitynet": Kind(ActivityNet, ACTIVITY_SIZES, ActivityMethod),
     "raw_classifier": Kind(RawClassifier, _ONE_SIZE, None),
     "lens_classifier": Kind(LensClassifier, {"compact": _ONE_SIZE["compact"] | {"frames": "all"}}, None),
@@ -104,7 +109,9 @@ def named(architecture: Mapping[str, Any]) -> dict[str, Any]:
     return {"name" if key == "network" else key: value for key, value in architecture.items()}
 
 
-def learned_method(name: str, network: Network, capture: CaptureModel) -> LearnedMethod | VideoMethod | ActivityMethod:
+def learned_method(
+    name: str, network: Network, capture: CaptureModel
+) -> LearnedMethod | VideoMethod | Video3DMethod | ActivityMethod:
     """Return a trained network as a `learning.method.Method` of a name, for the camera that it was built for.
 
     Raises:

@@ -8,7 +8,7 @@ static inversion of the whole capture or with joint least squares over space and
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Generic, Literal, NamedTuple, Self, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, Protocol, Self, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -239,7 +239,24 @@ class ClipNetwork(nn.Module):
         return known + unit[:, None] * added.to(known)
 
 
-Network = TypeVar("Network", bound=ClipNetwork)
+class Begins(Protocol):
+    """A network that may begin with what can be kept; see `ClipNetwork`."""
+
+    @property
+    def joint(self) -> nn.Module | None:
+        """What gives that, where there is something."""
+        ...
+
+    def begin(self, measurement: Tensor) -> Tensor | None:
+        """Return it."""
+        ...
+
+    def to(self, device: torch.device | str) -> Any:
+        """Move the network to a device."""
+        ...
+
+
+Network = TypeVar("Network", bound=Begins)
 
 
 class ClipNetworkMethod(Generic[Network]):

@@ -11,8 +11,7 @@ import numpy as np
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white, plain_capture, typical_white
 from learning.checkpoint import find_checkpoint, load_checkpoint, read_camera, shipped_checkpoints
-from learning.classical.by_name import ALL_DEFAULTS, build_method, learned_files
-from learning.classical.clips import CLIP_DEFAULTS
+from learning.classical.by_name import ALL_DEFAULTS, OF_CLIPS, build_method, learned_files
 from learning.classical.method import PLANAR_DEFAULTS, PlanarMethod, check_parameters
 from learning.method import Method
 from learning.models import learned_method
@@ -135,10 +134,8 @@ def _classical(measurement: Measurement, request: Request, name: str) -> Setup:
     capture = replace(capture, white=white)
     flat = len(capture.stack.depths_m) == 1 and name in PLANAR_DEFAULTS
     if flat and capture.timing is not None:
-        raise InputError(
-            "--method", f"got {name}, which is for stills, of a clip; take one of {', '.join(CLIP_DEFAULTS)}"
-        )
-    if name in CLIP_DEFAULTS and capture.timing is None:
+        raise InputError("--method", f"got {name}, which is for stills, of a clip; take one of {', '.join(OF_CLIPS)}")
+    if name in OF_CLIPS and capture.timing is None:
         what = "a still" if dataset is not None else "a capture of which only the PSFs are known, not the shutter"
         cure = "take cls, admm or pnp"
         if dataset is None:

@@ -180,7 +180,7 @@ class Reconstruction:
         image: the same in sRGB codes 0..1; 1 is ``white``.
         white: the radiance that the image shows as 1.
         white_from: why this one.
-        depth_m: ``(h, w)`` float32 metres, at most `FARTHEST_M`; None where the PSFs are of one depth.
+        depth_m: ``(h, w)`` float32 metres, of clips ``(N, h, w)``, at most `FARTHEST_M`; None of PSFs of one depth.
         volume: ``(K, C, h, w)`` float32 radiance in the camera's channels; None where it was not asked for.
         volume_depths_m: of its planes, ``(K,)``, nearest first: all of the stack's, or those that a network inverts at.
         seconds: by stage.
@@ -276,9 +276,10 @@ def write_reconstruction(
 
     ``image.png`` (sRGB, 8 bit), ``image.exr`` (linear R, G, B), ``depth.exr`` (Z, metres), ``depth.png`` (colours and
     what they mean), ``volume.exr`` (channels ``plane00.R`` and so on, nearest first), ``reconstruction.json`` (``record``),
-    as far as there is something to write. Of clips, in place of the image, ``film.webp`` (an animation), ``film.png`` (its
-    frames side by side) and ``frames/image.0000.exr`` and so on; of methods that iterate until they converge,
-    ``convergence.png``, whose numbers are in the record. An earlier reconstruction in the folder is replaced.
+    as far as there is something to write. Of clips, in place of images, ``film.webp`` (an animation, the depth beside the
+    picture), ``film.png`` (its frames side by side, the depths below) and ``frames/image.0000.exr``, ``depth.0000.exr`` and
+    so on; of methods that iterate until they converge, ``convergence.png``, whose numbers are in the record. An earlier
+    reconstruction in the folder is replaced.
 
     Raises:
         InputError: the folder holds other things.
@@ -289,22 +290,14 @@ def write_reconstruction(
     is_own_folder(folder, RECORD, "reconstruction", "--output")
     with committed_folder(folder) as place:
         codes = np.round(np.moveaxis(result.image, -3, -1) * 255).astype(np.uint8)
-        if capture.timing is None:
+        if capture.timing is not None:
+            _write_film(place, result, codes, capture.timing.frame_edges_s, capture)
+        else:
             write_atomic(place / "image.png", png_bytes(Image.fromarray(codes)))
             _write_radiance(place / "image.exr", result.radiance, {"white": result.white})
-        else:
-            frames = [_enlarged(frame) for frame in codes]
-            write_atomic(place / "film.png", _side_by_side(frames))
-            write_atomic(place / "film.webp", animation_webp(frames))
-            (place / "frames").mkdir()
-            edges_s = capture.timing.frame_edges_s
-            for number, radiance in enumerate(result.radiance):
-                about = {"white": result.white, "begins_s": edges_s[number], "ends_s": edges_s[number + 1]}
-                _write_radiance(place / "frames" / f"image.{number:04d}.exr", radiance, plain(about))
-        if result.depth_m is not None:
-            write_exr(place / "depth.exr", {"Z": result.depth_m}, {"unit": "m", "z": "from the mask plane"})
-            near_m, far_m = capture.near_m, min(capture.far_m, FARTHEST_M)
-            write_atomic(place / "depth.png", _depth_image(result.depth_m, near_m, far_m))
+            if result.depth_m is not None:
+                _write_depth(place / "depth.exr", result.depth_m)
+                write_atomic(place / "depth.png", png_bytes(_depth_image(result.depth_m, capture)))
         if result.volume is not None:
             planes = {
                 f"plane{k:02d}.{name}": np.ascontiguousarray(values)
@@ -324,6 +317,30 @@ def write_reconstruction(
     return files
 
 
+def _write_film(
+    place: Path, result: Reconstruction, codes: NDArray[np.uint8], edges_s: NDArray[np.float64], capture: CaptureModel
+) -> None:
+    """Write the frames ``codes`` ``(N, h, w, 3)`` of a clip, that are between the times ``edges_s``, and their depths."""
+    frames = [_enlarged(frame) for frame in codes]
+    rows, shown = [frames], frames
+    (place / "frames").mkdir()
+    for number, radiance in enumerate(result.radiance):
+        about = {"white": result.white, "begins_s": edges_s[number], "ends_s": edges_s[number + 1]}
+        _write_radiance(place / "frames" / f"image.{number:04d}.exr", radiance, plain(about))
+        if result.depth_m is not None:
+            _write_depth(place / "frames" / f"depth.{number:04d}.exr", result.depth_m[number])
+    if result.depth_m is not None:
+        rows.append([_enlarged(_depth_codes(depth_m, capture)) for depth_m in result.depth_m])
+        pairs = zip(frames, result.depth_m, strict=True)
+        shown = [_tiled([[frame, _depth_image(depth_m, capture)]]) for frame, depth_m in pairs]
+    write_atomic(place / "film.png", png_bytes(_tiled(rows)))
+    write_atomic(place / "film.webp", animation_webp(shown))
+
+
+def _write_depth(path: Path, depth_m: NDArray[np.float32]) -> None:
+    write_exr(path, {"Z": np.ascontiguousarray(depth_m)}, {"unit": "m", "z": "from the mask plane"})
+
+
 def _write_radiance(path: Path, radiance: NDArray[np.float32], about: dict[str, Any]) -> None:
     write_exr(path, {name: np.ascontiguousarray(values) for name, values in zip("RGB", radiance, strict=True)}, about)
 
@@ -334,15 +351,20 @@ def _enlarged(pixels: NDArray[np.uint8]) -> Image.Image:
     return drawing.resized(pixels, rows * max(1, -(-_LEAST_HEIGHT // rows)))
 
 
-def _side_by_side(frames: Sequence[Image.Image]) -> bytes:
-    """Return frames of one size in a row, on paper that shows between them."""
+def _tiled(rows: Sequence[Sequence[Image.Image]]) -> Image.Image:
+    """Return rows of images, those of a row of one height, on paper that shows between them."""
     from PIL import Image
 
-    width, height = frames[0].size
-    paper = Image.new("RGB", (len(frames) * (width + _GAP) - _GAP, height), PAPER)
-    for number, frame in enumerate(frames):
-        paper.paste(frame, (number * (width + _GAP), 0))
-    return png_bytes(paper)
+    width = sum(one.width + _GAP for one in rows[0]) - _GAP
+    paper = Image.new("RGB", (width, sum(row[0].height + _GAP for row in rows) - _GAP), PAPER)
+    y = 0
+    for row in rows:
+        x = 0
+        for one in row:
+            paper.paste(one, (x, y))
+            x += one.width + _GAP
+        y += row[0].height + _GAP
+    return paper
 
 
 def _curve_png(convergence: Mapping[str, Sequence[float]]) -> bytes:
@@ -356,14 +378,18 @@ def _curve_png(convergence: Mapping[str, Sequence[float]]) -> bytes:
     return drawing.figure_png(figure)
 
 
-def _depth_image(depth_m: NDArray[np.float32], near_m: float, far_m: float) -> bytes:
+def _depth_codes(depth_m: NDArray[np.float32], capture: CaptureModel) -> NDArray[np.uint8]:
+    return depth_colours(depth_m, np.ones(depth_m.shape, bool), capture.near_m, min(capture.far_m, FARTHEST_M))
+
+
+def _depth_image(depth_m: NDArray[np.float32], capture: CaptureModel) -> Image.Image:
     """Return the depth in colours beside their legend, small ones enlarged by a whole number."""
     from PIL import Image, ImageDraw
 
-    shown = _enlarged(depth_colours(depth_m, np.ones_like(depth_m, dtype=bool), near_m, far_m))
+    shown = _enlarged(_depth_codes(depth_m, capture))
     # As high as the image: the legend's grey, for where nothing was seen, has no meaning here and falls off the paper.
     paper = Image.new("RGB", (shown.width + LEGEND_WIDTH + _MARGIN, shown.height), PAPER)
     paper.paste(shown, (0, 0))
-    top = 8
-    drawing.draw_depth_legend(ImageDraw.Draw(paper), shown.width + _MARGIN, top, shown.height - 2 * top, near_m, far_m)
-    return png_bytes(paper)
+    top, ends_m = 8, (capture.near_m, min(capture.far_m, FARTHEST_M))
+    drawing.draw_depth_legend(ImageDraw.Draw(paper), shown.width + _MARGIN, top, shown.height - 2 * top, *ends_m)
+    return paper

@@ -17,6 +17,7 @@ from torch.utils.data import default_collate
 from learning.camera import CaptureModel, capture_model, check_range, measure_reference_white
 from learning.checkpoint import DENOISER, find_denoiser
 from learning.classical.by_name import ALL_DEFAULTS, ALL_SEARCH, ALL_VOLUME_PARAMETERS, build_method
+from learning.classical.clip_depth import ClipDepth
 from learning.classical.clips import ClipMethod
 from learning.classical.method import ClassicalMethod
 from learning.config import FEWEST_SCENES, TuneConfig
@@ -190,7 +191,7 @@ def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torc
             own = os.path.relpath(path, config.resolve_path(config.output).parent)
             defaults[DENOISER] = os.path.join(os.curdir, own)
 
-    def build(parameters: Parameters) -> ClassicalMethod | ClipMethod:
+    def build(parameters: Parameters) -> ClassicalMethod | ClipMethod | ClipDepth:
         return build_method(capture, name, parameters | files)
 
     axes: dict[str, Axis] = {}

@@ -181,6 +181,15 @@ def labelled_dataset(tmp_path_factory: pytest.TempPathFactory, make_trial: Calla
 
 
 @pytest.fixture(scope="session")
+def moving_dataset(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable[[Path], Any]) -> Path:
+    """The clips of `clip_dataset` with the planes of `tiny_dataset`: 8 train, 2 validation, 2 test. Do not write into it."""
+    trial = LearningTrial(make_trial(tmp_path_factory.mktemp("moving")))
+    counts = {"train": 8, "validation": 2, "test": 2}
+    scene = {"frames": 8, "speed": 1}
+    return trial.generate(camera=CLIPS["camera"], scene=scene, dataset=CLIPS["dataset"] | counts)
+
+
+@pytest.fixture(scope="session")
 def tiny_capture() -> CaptureModel:
     """A camera of random PSFs, 3 depths, 3 channels that differ, 48 x 48 sensor, 16 x 16 scene; nothing in it is 0 or 1."""
     rng = np.random.default_rng(1)
@@ -210,6 +219,12 @@ def clip_capture(tiny_capture: CaptureModel) -> CaptureModel:
     one = replace(stack, values=stack.values[1:2], depths_m=stack.depths_m[1:2])
     shutter = DualRollingShutter(4e-3, 0.5e-3)  # the last of 24 pairs of rows closes after 15.5 ms
     return replace(tiny_capture, stack=one, timing=Timing(shutter, np.arange(5) * 4e-3))
+
+
+@pytest.fixture(scope="session")
+def moving_capture(tiny_capture: CaptureModel, clip_capture: CaptureModel) -> CaptureModel:
+    """The tiny camera with all three planes and the shutter of `clip_capture`."""
+    return replace(tiny_capture, timing=clip_capture.timing)
 
 
 @pytest.fixture(scope="session")

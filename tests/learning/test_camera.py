@@ -146,6 +146,22 @@ def test_a_border_is_as_wide_as_field_and_sensor_allow(tiny_capture: CaptureMode
         assert (larger.scene_irradiance[larger.middle((16, 16))] == capture.scene_irradiance).all()
 
 
+def test_planes_are_left_out_evenly_in_disparity(tiny_capture: CaptureModel) -> None:
+    """Of depths that lie unevenly, those nearest to even steps; both ends stay."""
+    disparities = np.array([1.0, 0.9, 0.7, 0.45, 0.2, 0.1, 0.0])
+    depths_m = 1 / (5 + 95 * disparities)
+    values = np.random.default_rng(0).random((7, 3, 9, 9)).astype(np.float32)
+    capture = tiny_capture.with_stack(replace(tiny_capture.stack, values=values, depths_m=depths_m))
+    for count, kept in ((2, [0, 6]), (3, [0, 3, 6]), (4, [0, 2, 3, 6]), (7, [0, 1, 2, 3, 4, 6])):
+        fewer = capture.with_planes(count).stack
+        assert fewer.depths_m.tolist() == depths_m[kept].tolist()
+        assert (np.asarray(fewer.values) == values[kept]).all()
+    assert len({capture.with_planes(count).stack.fingerprint for count in (2, 3, 4)}) == 3
+    for count in (1, 8):
+        with pytest.raises(InputError, match=rf"^planes: got {count}, expected 2 to 7"):
+            capture.with_planes(count)
+
+
 def test_a_border_ends_where_a_stop_takes_half_of_the_light(tiny_capture: CaptureModel) -> None:
     """A field of 32 x 32, its outer 3 pixels on each side behind the stop's rim."""
     image = np.random.default_rng(0).uniform(1, 3, (16, 16)).astype(np.float32)

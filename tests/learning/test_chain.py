@@ -166,6 +166,65 @@ def test_clips_from_generating_to_a_film(
 
 
 @pytest.mark.slow
+def test_moving_scenes_from_generating_to_frames_and_depth(
+    learning_trial: Any, clip_settings: Any, flatlight: Any, tmp_path: Path, monkeypatch: Any
+) -> None:
+    """Stills, a FlatNet3D of them, clips, a VideoNet3D that begins with it; tested on clips that move and that do not."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(learning_trial.trial, "generate", learning_trial.trial.write)
+    stills = learning_trial.generate(dataset={"train": 16, "validation": 2, "test": 0, "output": "stills"})
+    code, _, err = flatlight("generate", stills)
+    assert code == 0, err
+    training = {
+        "name": "FlatNet3D",
+        "output": "flat",
+        "steps": STEPS,
+        "batch": 4,
+        "validate_every": STEPS,
+        "log_every": 9,
+    }
+    training |= {"data": {"train": "stills", "workers": 0}, "network": {"size": "tiny"}}
+    code, _, err = flatlight("train", write(tmp_path / "flat.yaml", training))
+    assert code == 0, err
+    of_clips = {"camera": clip_settings["camera"], "scene": {"frames": 8, "speed": 1}}
+    counts = clip_settings["dataset"] | {"train": 16, "validation": 4, "test": SCENES, "output": "clips"}
+    code, _, err = flatlight("generate", learning_trial.generate(**of_clips, dataset=counts))
+    assert code == 0, err
+    again = {"source": "samples", "path": str(tmp_path / "clips"), "family": None, "still": True, "speed": None}
+    counts |= {"train": 0, "validation": 0, "output": "stopped"}
+    code, _, err = flatlight("generate", learning_trial.generate(**of_clips | {"scene": again}, dataset=counts))
+    assert code == 0, err
+    training |= {"name": "VideoNet3D", "output": "moving", "init_from": "flat/best.safetensors"}
+    training |= {"data": {"train": "clips", "workers": 0, "augment": {"still": 0.2}, "draws": 1, "cache": "kept"}}
+    training |= {"network": {"name": "videonet3d", "size": "tiny"}}
+    code, out, err = flatlight("train", write(tmp_path / "moving.yaml", training))
+    assert code == 0, err
+    assert "depth RMSE" in out
+    for data in ("clips", "stopped"):
+        evaluation = {
+            "name": data,
+            "output": f"evaluated_{data}",
+            "data": {"test": data},
+            "methods": [
+                {"name": "VideoNet3D", "checkpoints": ["moving/best.safetensors"]},
+                {"name": "FlatNet3D", "checkpoints": ["flat/best.safetensors"]},
+            ],
+            "perceptual": "none",
+            "time": {"repeats": 1},
+            "figures": {"montage": 1},
+        }
+        code, out, err = flatlight("evaluate", write(tmp_path / f"{data}.yaml", evaluation))
+        assert code == 0, err
+        results = json.loads((tmp_path / f"evaluated_{data}" / "results.json").read_text(encoding="utf-8"))
+        found = next(one["scores"] for one in results["outcomes"] if one["method"] == "VideoNet3D")
+        assert {"moving_psnr" in found, "depth_rmse_cm" in found} == {data == "clips", True}
+    sample = open_dataset(tmp_path / "clips", "test").folder(0)
+    code, out, err = flatlight("reconstruct", sample, "--checkpoint", "moving/best.safetensors", "--output", "film")
+    assert code == 0, err
+    assert len(list((tmp_path / "film" / "frames").glob("depth.*.exr"))) == 4
+
+
+@pytest.mark.slow
 def test_labelled_clips_from_generating_to_a_name(
     learning_trial: Any, clip_settings: Any, flatlight: Any, tmp_path: Path, monkeypatch: Any
 ) -> None:

@@ -163,7 +163,7 @@ def test_noise_alone_is_drawn_as_often(make: Any) -> None:
 def test_what_is_not_needed_is_empty(make: Any) -> None:
     bare = make(nothing)
     for example in (bare[Draw(1, 2)], bare[Draw(1, 2)]):
-        assert [values.numel() for values in example] == [3 * 48 * 48, 4 * 3 * 16 * 16, 0, 0, 0]
+        assert [values.numel() for values in example] == [3 * 48 * 48, 4 * 3 * 16 * 16, 0, 0, 0, 0]
 
 
 @pytest.mark.parametrize("augment", [AUGMENT, None])

@@ -10,10 +10,12 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor
 
-from learning.clip_loss import ClipLoss
-from learning.config import ClipLossConfig
+from learning.camera import CaptureModel
+from learning.clip_loss import ClipDepthLoss, ClipLoss
+from learning.config import ClipLossConfig, Video3DLossConfig
 from learning.losses import multiscale
 from learning.models.videonet import Film
+from learning.models.videonet3d import Film3D
 from learning.perceptual import PerceptualLoss
 
 Clips = tuple[Film, Tensor, Tensor]
@@ -134,3 +136,34 @@ def test_a_loss_that_says_nothing_of_the_frames_is_refused(settings: dict[str, f
         ClipLossConfig(intensity_weight=0.0, **settings)  # pyright: ignore[reportArgumentType]
     ClipLossConfig(intensity_weight=0.0, multiscale_weight=0.1)
     ClipLossConfig(intensity_weight=0.0, perceptual="random_vgg")
+
+
+def test_depth_counts_where_something_was_seen(clips: Clips, tiny_capture: CaptureModel) -> None:
+    """Beside the terms of the frames, which are those of `ClipLoss`; 1 to 20 cm, Huber's beyond 1 cm by its formula."""
+    film, image, _ = clips
+    rng = np.random.default_rng(6)
+    found, true = rng.uniform(0, 1, (2, 2, 4, 1, 32, 36))
+    valid = rng.random(found.shape) < 0.7
+    settings = {"depth_weight": 2.0, "depth_cm_weight": 0.3, "change_weight": 0.5}
+    whole = ClipDepthLoss(Video3DLossConfig(**settings), tiny_capture)
+    given = (torch.from_numpy(each) for each in (found, true, valid))
+    first, *others = given
+    terms = whole(Film3D(film.image, first), image, *others)
+    depths_cm = [100 / (1 / 0.2 + each * (1 / 0.01 - 1 / 0.2)) for each in (found, true)]
+    errors = {"depth": np.abs(found - true), "depth_cm": np.abs(depths_cm[0] - depths_cm[1])}
+    far = errors["depth_cm"] > 1
+    errors["depth_cm"] = np.where(far, errors["depth_cm"] - 0.5, errors["depth_cm"] ** 2 / 2)
+    of_frames = ClipLoss(ClipLossConfig(change_weight=0.5))(Film(film.image, NOTHING), image, NOTHING)
+    total = of_frames["total"].item()
+    for name, values in errors.items():
+        frames = ((clip, frame) for clip in range(2) for frame in range(4))
+        expected = np.mean([values[at][valid[at]].mean() for at in frames])
+        assert terms[name].item() == pytest.approx(expected, rel=1e-9)
+        total += settings[f"{name}_weight"] * expected
+    assert terms["total"].item() == pytest.approx(total, rel=1e-9)
+    assert set(terms) == {*of_frames, *errors, *(f"{name}_weighted" for name in errors)}
+    assert whole.record() == of_frames_record(change_weight=0.5) | {"depth_weight": 2.0, "depth_cm_weight": 0.3}
+
+
+def of_frames_record(**settings: Any) -> dict[str, Any]:
+    return ClipLoss(ClipLossConfig(**settings)).record()

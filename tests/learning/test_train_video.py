@@ -22,7 +22,7 @@ from learning.config import TrainConfig, VideoTrainConfig, load_file, training_k
 from learning.data import ExampleSet
 from learning.method import linear_to_srgb
 from learning.models import build_network
-from learning.models.videonet import VideoNet
+from learning.models.videonet import Film, VideoNet
 from learning.resume import BEST, DESCRIPTION, LAST, STATE
 from learning.simulate import Augmentation
 from learning.timing import Timing
@@ -278,9 +278,7 @@ def test_measnet_learns_what_a_global_shutter_would_measure(clip_capture: Captur
 def test_validation_counts_clips_that_move(video_settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
     """A clip in which nothing moves has no PSNR of moving pixels, and spoils none."""
     errors: list[dict[str, torch.Tensor]] = []
-    from learning import train_video as module
-
-    known = module._errors
+    known = VideoTraining._errors
 
     def first_stands_still(*given: Any) -> dict[str, torch.Tensor]:
         found = known(*given)
@@ -288,7 +286,7 @@ def test_validation_counts_clips_that_move(video_settings: Settings, monkeypatch
         errors.append(found)
         return found
 
-    monkeypatch.setattr(module, "_errors", first_stands_still)
+    monkeypatch.setattr(VideoTraining, "_errors", first_stands_still)
     result = train_video(video_settings(steps=1))
     (found,) = errors
     assert result.best["moving_psnr_db"] == pytest.approx(found["moving_psnr_db"][1].item(), rel=1e-6)
@@ -298,20 +296,20 @@ def test_validation_counts_clips_that_move(video_settings: Settings, monkeypatch
         found = known(*given)
         return found | {"moving_psnr_db": torch.full_like(found["moving_psnr_db"], float("nan"))}
 
-    monkeypatch.setattr(module, "_errors", all_stand_still)
+    monkeypatch.setattr(VideoTraining, "_errors", all_stand_still)
     still = train_video(video_settings("still", steps=1)).best
     assert "moving_psnr_db" not in still
     assert still["score"] == still["psnr_db"]
 
 
 def test_what_is_equal_has_100_db(clip_dataset: Path) -> None:
-    from learning import train_video as module
-
     dataset = open_dataset(clip_dataset, "validation")
     capture = capture_model(dataset, white=1.5)
     measurement, radiance, *_ = (each[None] for each in ExampleSet(dataset)[0])
     example = ClipExample(measurement, radiance, *[torch.empty(0)] * 3)
-    found = module._errors(linear_to_srgb(radiance, capture.white), example, capture)
+    training: Any = object.__new__(VideoTraining)
+    training._capture = capture
+    found = training._errors(Film(linear_to_srgb(radiance, capture.white), torch.empty(0)), example)
     assert {name: values.tolist() for name, values in found.items()} == {"psnr_db": [100], "moving_psnr_db": [100]}
 
 

@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -155,8 +156,40 @@ def test_what_is_fitted_to_each_capture_is_kept_and_not_timed(
     assert len(list(cache.glob("fits/*/*.pt"))) == 4
 
 
+def test_networks_for_stills_give_all_frames_the_same(
+    load: Load, tmp_path: Path, moving_dataset: Path, checkpoints: list[Path]
+) -> None:
+    """A FlatNet3D beside a method with depth of its own: by what the network makes of the captures as of stills."""
+    flat = {"name": "FlatNet3D", "checkpoints": [str(checkpoints[0])]}
+    joint = {"name": "joint", "classical": "joint3d", "parameters": {"iterations": 2, "planes": 2}}
+    data = {"test": str(moving_dataset), "training": str(moving_dataset), "scenes": 2}
+    evaluation, files = evaluate(load(data=data, methods=[flat, joint], figures={"montage": 1}))
+    found = evaluation.findings[""]
+    assert "films.webp" in {path.name for path in files}
+    test = open_dataset(moving_dataset, "test")
+    known = load_checkpoint(checkpoints[0]).capture
+    capture = replace(capture_model(test, white=known.white), timing=None).with_assumed(known)
+    network = load_checkpoint(checkpoints[0], capture=capture).network
+    errors_cm, psnr = [], []
+    for example in ExampleSet(test):
+        with torch.no_grad():
+            image, disparity = network(example.measurement[None])
+        found_m = capture.depth_m(disparity.double().clamp(0, 1)).expand(4, -1, -1, -1)
+        error_cm = 100 * (found_m - example.depth_m)[example.valid]
+        errors_cm.append(error_cm.square().mean().sqrt().item())
+        truth = linear_to_srgb(example.radiance, capture.white)
+        psnr.append(-10 * np.log10((image.clamp(0, 1) - truth).double().square().mean().item()))
+    row = next(one for one in found.main if one.method == "FlatNet3D")
+    # float32, in batches; depths of 20 cm from disparities
+    assert row.values["depth_rmse_cm"][0] == pytest.approx(errors_cm, rel=1e-3)
+    assert row.values["psnr"][0] == pytest.approx(psnr, rel=1e-4)
+    assert "depth_rmse_cm" in next(one for one in found.main if one.method == "joint").scores
+    titles = [film.name for film in found.films[0]]
+    assert titles == ["truth", "depth", "FlatNet3D", "depth", "joint", "depth"]
+
+
 def test_a_word_that_no_scene_has_and_methods_of_the_other_kind_are_refused(
-    load: Load, clip_dataset: Path, monkeypatch: pytest.MonkeyPatch
+    load: Load, clip_dataset: Path, clip_checkpoint: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = {"test": str(clip_dataset), "training": str(clip_dataset), "scenes": 2}
     joint = [{"name": "joint", "classical": "joint", "parameters": {"iterations": 1}}]
@@ -167,8 +200,11 @@ def test_a_word_that_no_scene_has_and_methods_of_the_other_kind_are_refused(
         evaluate(load(data=data, methods=[{"name": "CLS", "classical": "cls", "parameters": {}}]))
     with pytest.raises(InputError, match=r"^joint: .*stills"):
         evaluate(load(methods=joint))
-    with pytest.raises(InputError, match=r"^FlatNet3D: .*(clips|stills)"):
-        evaluate(load(data=data))
+    moving = {"name": "VideoNet", "checkpoints": [str(clip_checkpoint)], "frames": str(clip_checkpoint)}
+    with pytest.raises(InputError, match=r"^VideoNet: got frames of video\.safetensors for a network that has frames"):
+        evaluate(load(data=data, methods=[moving]))
+    with pytest.raises(InputError, match=r"methods\[0\].frames: a classical method has frames of its own"):
+        load(methods=[joint[0] | {"frames": str(clip_checkpoint)}])
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -20,6 +20,7 @@ from learning.config import (
     SwapConfig,
     TrainConfig,
     TuneConfig,
+    Video3DTrainConfig,
     VideoNetworkConfig,
     VideoTrainConfig,
     evaluation_kind,
@@ -147,6 +148,32 @@ def test_the_evaluation_of_clips_reads_what_training_and_tuning_write(tmp_path: 
     assert (test.dataset.train, test.dataset.validation, test.dataset.test) == (0, 0, 128)
     assert known.dataset.ground_truth == test.dataset.ground_truth == "frames"  # to be re-simulated; for motion
     assert test.render.outputs == ("motion",)
+
+
+def test_moving_scenes_are_judged_through_psfs_that_are_new_and_as_they_stand_still(tmp_path: Path) -> None:
+    config = load_file(EvaluateConfig, _written("evaluate_moving_3d_64", tmp_path))
+    training = load_file(Video3DTrainConfig, _written("videonet3d_64", tmp_path))
+    known, test, still = _made("evaluate_moving_3d_64", "moving_3d_64", tmp_path)
+    assert str(known.dataset.output) == config.data.training == training.data.train
+    assert str(test.dataset.output) == config.data.test == still.scene.params["path"]
+    assert still.scene.params["still"] is True
+    for one in (test, still):
+        assert (one.psf.model, one.psf.depths) == ("exact", 25)  # pyright: ignore[reportAttributeAccessIssue]
+        assert (one.dataset.train, one.dataset.validation, one.dataset.test) == (0, 0, 64)
+    network, both, flat, joint = config.methods
+    assert network.checkpoints == [f"{training.output}/best.safetensors"]
+    assert both.checkpoints == flat.checkpoints == [training.init_from]
+    (video,) = _commands("evaluate_moving_3d_64", "train")
+    rival = load_file(VideoTrainConfig, _written("videonet_64", tmp_path), video[2::2])
+    assert both.frames == f"{rival.output}/best.safetensors"
+    assert rival.data.train == training.data.train
+    (words,) = _commands("evaluate_moving_3d_64", "psf")
+    assert words[words.index("--output") + 1] == rival.data.stack
+    assert joint.classical == "joint3d"
+    (stopped,) = [words for words in _commands("evaluate_moving_3d_64", "evaluate") if "--set" in words[1:2]]
+    assert load_file(EvaluateConfig, _written("evaluate_moving_3d_64", tmp_path), stopped[2::2]).data.test == str(
+        still.dataset.output
+    )
 
 
 def test_the_thesis_s_network_learns_from_clips_of_its_sizes_on_one_plane(tmp_path: Path) -> None:

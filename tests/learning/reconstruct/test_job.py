@@ -33,6 +33,7 @@ from simulator.errors import InputError
 from simulator.io.exr import read_exr
 from simulator.optics.stack import PsfStack
 from simulator.optics.stack_files import write_psf_stack
+from simulator.plots.drawing import depth_colours
 
 NETWORK = {"network": "flatnet3d", "size": "tiny"}
 
@@ -226,6 +227,40 @@ def test_a_clip_gives_frames_and_an_animation(clip_dataset: Path, tmp_path: Path
         np.testing.assert_allclose(place[:, :width], frame, atol=1)  # of a code, where it lies half-way
         assert len(np.unique(place[:, width : width + gap].reshape(-1, 3), axis=0)) <= 1  # paper
     assert not {"image.png", "convergence.png"}.intersection(path.name for path in folder.iterdir())
+
+
+def test_a_clip_with_depth_gives_each_frames(moving_dataset: Path, tmp_path: Path) -> None:
+    """In files, below the frames in the image of all, and beside each in the animation, in the colours of the range."""
+    sample, folder = open_dataset(moving_dataset, "test").folder(0), tmp_path / "out"
+    few = {"iterations": 3, "planes": 2}
+    text = reconstruct_file(Options(measurement=sample, method="joint3d", parameters=few, output=folder))
+    setup = choose_method(load_measurement(sample), Request(method="joint3d", parameters=few))
+    wanted = reconstruct(load_measurement(sample).values, setup.method)
+    assert wanted.depth_m is not None
+    assert wanted.depth_m.shape == (4, 16, 16)
+    ends_cm = [f"{100 * depth:.3g} cm" for depth in (wanted.depth_m.min(), wanted.depth_m.max())]
+    assert f"depth  {ends_cm[0]} to {ends_cm[1]}" in text
+    files = {path.name for path in (folder / "frames").iterdir()}
+    assert files == {f"{what}.{number:04d}.exr" for what in ("image", "depth") for number in range(4)}
+    for number in range(4):
+        planes, about = read_exr(folder / "frames" / f"depth.{number:04d}.exr")
+        np.testing.assert_allclose(planes["Z"], wanted.depth_m[number], rtol=1e-5)
+        assert about["unit"] == "m"
+    assert not {"depth.exr", "depth.png"}.intersection(path.name for path in folder.iterdir())
+    sheet = np.asarray(Image.open(folder / "film.png"))
+    every = np.ones((16, 16), bool)
+    capture = setup.method.capture
+    colours = [depth_colours(depth_m, every, capture.near_m, capture.far_m) for depth_m in wanted.depth_m]
+    with Image.open(folder / "film.webp") as film:
+        pages = [np.asarray(page.convert("RGB"), np.float64) for page in ImageSequence.Iterator(film)]
+    side = (sheet.shape[1] + 6) // 4 - 6  # four of them, and paper between
+    zoom = side // 16
+    for number, colour in enumerate(colours):
+        large = colour.repeat(zoom, axis=0).repeat(zoom, axis=1)
+        place = np.s_[side + 6 : 2 * side + 6, number * (side + 6) : number * (side + 6) + side]
+        np.testing.assert_array_equal(sheet[place], large)
+        # Lossy, with colours at half the resolution: most of it is as told
+        assert np.median(np.abs(pages[number][:side, side + 6 : 2 * side + 6] - large)) < 12
 
 
 @pytest.mark.parametrize(

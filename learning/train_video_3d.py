@@ -1,0 +1,124 @@
+"""Training a VideoNet3D on a data set's clips: as a VideoNet, with the depth of every frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from learning.camera import CaptureModel
+from learning.checkpoint import Checkpoint, find_checkpoint, load_checkpoint, transfer
+from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
+from learning.clip_loss import ClipDepthLoss
+from learning.config import Video3DTrainConfig
+from learning.data import Example
+from learning.method import Estimate, Progress, Say, inference, linear_to_srgb
+from learning.metrics import depth_scores
+from learning.models.videonet3d import VideoNet3D
+from learning.train_video import VideoTraining
+from learning.training_loop import TrainResult, find_cache, run
+from simulator.dataset.reader import Dataset
+from simulator.errors import InputError
+
+_SMALLEST_CM = 1e-6
+
+
+def train_video_3d(
+    config: Video3DTrainConfig, *, progress: Progress = lambda *_: None, say: Say = lambda _: None
+) -> TrainResult:
+    """Train a VideoNet3D, or go on with a training that was interrupted; see `learning.training_loop.run`."""
+    return run(Video3DTraining, config, progress, say)
+
+
+class Video3DTraining(VideoTraining):
+    """From captures to frames and their depth."""
+
+    _config: Video3DTrainConfig
+    _network: VideoNet3D
+
+    @classmethod
+    def _build_loss(cls, config: Video3DTrainConfig, capture: CaptureModel) -> ClipDepthLoss:
+        return ClipDepthLoss(config.loss, capture)
+
+    @classmethod
+    def _told_by(cls, config: Video3DTrainConfig, train: Dataset, validation: Dataset) -> dict[str, Any]:
+        path = find_checkpoint(config.init_from, "init_from", config.resolve_path)
+        known = load_checkpoint(path).architecture
+        if known["network"] == "videonet3d":
+            return {"still": known["still"]}
+        if known["network"] == "flatnet3d":
+            return {"still": dict(known)}
+        got = f"got a checkpoint of {known['network']}, {path}, expected a flatnet3d, to which frames add, or a videonet3d"
+        raise InputError("init_from", got)
+
+    @classmethod
+    def _take(cls, config: Video3DTrainConfig, network: VideoNet3D, path: Path) -> tuple[Checkpoint, list[str]]:
+        known = load_checkpoint(path)
+        if known.architecture["network"] == "flatnet3d":
+            return known, transfer(network.joint.still, known)
+        own, found = network.state_dict(), known.network.state_dict()
+        if differing := [name for name in own.keys() | found.keys() if name not in own or name not in found]:
+            raise InputError("init_from", f"{path}: {differing[0]} exists in only one of the two; {_SAME}")
+        if differing := [name for name in own if own[name].shape != found[name].shape]:
+            raise InputError("init_from", f"{path}: {differing[0]} differs in shape; {_SAME}")
+        network.load_state_dict(found)
+        return known, [f"copied {len(found)} tensors"]
+
+    def _open(self, dataset: Dataset) -> ClipExamples:
+        network = self._plan.network
+        assert isinstance(network, VideoNet3D)
+        return open_clip_examples(
+            dataset,
+            self._config,
+            self._capture,
+            joint=network.joint,
+            measured=False,
+            cache=find_cache(dataset, self._config, self._say),
+            depth=True,
+        )
+
+    def _losses(self, film: Any, example: ClipExample) -> dict[str, Tensor]:
+        image = linear_to_srgb(example.radiance, self._capture.white)
+        return self._loss(film, image, self._capture.disparity(example.depth_m), example.depth_m > 0)
+
+    def _errors(self, film: Any, example: ClipExample) -> dict[str, Tensor]:
+        seen = example.depth_m > 0
+        truth = Example(
+            example.measurement, example.radiance, example.depth_m.clamp_min(self._capture.near_m / 10), seen
+        )
+        depth = depth_scores(Estimate(*film), truth, self._capture, seen)
+        return super()._errors(film, example) | {"depth_rmse_cm": depth.depth_rmse_cm}
+
+    def _score(self, found: Mapping[str, float]) -> float:
+        return super()._score(found) - 20 * math.log10(max(found.get("depth_rmse_cm", 1.0), _SMALLEST_CM))
+
+    def _drawn(self, example: ClipExample) -> NDArray[np.uint8]:
+        """Return an image: below true and estimated frames of each clip its true and estimated depths."""
+        from simulator.plots.drawing import depth_colours
+
+        with inference(self._network):
+            film = self._film(self._network, example)
+        found, capture = Estimate(*film).clamped(), self._capture
+        truth = linear_to_srgb(example.radiance, capture.white)
+        every, seen = torch.ones_like(example.depth_m, dtype=torch.bool), example.depth_m > 0
+        rows = []
+        for clip in range(len(truth)):
+            for frames in (truth[clip], found.image[clip]):
+                rows.append(
+                    np.concatenate(list((frames * 255).round().byte().permute(0, 2, 3, 1).cpu().numpy()), axis=1)
+                )
+            depths = ((example.depth_m.clamp_min(capture.near_m), seen), (found.depth_m(capture), every))
+            for depth_m, valid in depths:
+                pairs = zip(depth_m[clip, :, 0].cpu().numpy(), valid[clip, :, 0].cpu().numpy(), strict=True)
+                colours = [depth_colours(one, where, capture.near_m, capture.far_m) for one, where in pairs]
+                rows.append(np.concatenate(colours, axis=1))
+        return np.concatenate(rows)
+
+
+_SAME = "take a checkpoint of the same size (filters, blocks, levels)"

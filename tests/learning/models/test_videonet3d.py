@@ -1,0 +1,147 @@
+"""VideoNet3D: what it begins with, its FlatNet3D, which stays as it is, what its body sees and says, what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter
+from torch import Tensor
+
+from learning.camera import CaptureModel
+from learning.checkpoint import load_checkpoint, save_checkpoint
+from learning.layers.noise import level_image, noise_ratio
+from learning.layers.space_time import JOINT, JointLeastSquares
+from learning.method import Clock, linear_to_srgb
+from learning.models import build_network, learned_method, named
+from learning.models.videonet3d import VideoNet3D
+from simulator.errors import InputError
+
+STILL = {"network": "flatnet3d", "size": "tiny", "filters": 4}
+SMALL: dict[str, Any] = {"filters": 4, "joint_iterations": 3, "joint_planes": 3}
+
+
+@pytest.fixture
+def measurement(moving_capture: CaptureModel) -> Tensor:
+    """Two captures of smooth light that rises from frame to frame, at all planes, without noise."""
+    rng = np.random.default_rng(0)
+    light = gaussian_filter(rng.uniform(0, 1, (4, 3, 2, 3, 16, 16)), (0, 0, 0, 0, 3, 3))
+    light *= np.arange(1, 5)[:, None, None, None, None, None] / 12
+    seen = moving_capture.space_time(np.zeros(1)).forward(light * moving_capture.irradiance * moving_capture.white)
+    return torch.from_numpy(moving_capture.gain * seen + moving_capture.offset[:, None, None]).float()
+
+
+def network(capture: CaptureModel, **changes: Any) -> VideoNet3D:
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(1)
+        built = build_network(capture, "videonet3d", "tiny", still=STILL, **SMALL | changes)
+    assert isinstance(built, VideoNet3D)
+    return built
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_it_begins_as_its_flatnet(moving_capture: CaptureModel, measurement: Tensor, dimensions: int) -> None:
+    """Which another build of the same network, for the same camera without a shutter, gives too.
+
+    Over the frames nothing is added to its picture in the mean, because least squares' changes have none.
+    """
+    net = network(moving_capture, dimensions=dimensions)
+    film = net(measurement)
+    still = build_network(replace(moving_capture, timing=None), **named(STILL))
+    still.load_state_dict(net.joint.still.state_dict())
+    with torch.no_grad():
+        estimate = still.eval()(measurement)
+    assert film.image.shape == (2, 4, 3, 16, 16)
+    assert film.disparity.shape == (2, 4, 1, 16, 16)
+    # float32, in batches of another size
+    torch.testing.assert_close(film.image.mean(dim=1), estimate.image, rtol=0, atol=1e-5)
+    assert float(film.image.detach().std(dim=1).mean()) > 0.02
+    for frame in range(4):
+        torch.testing.assert_close(film.disparity[:, frame], estimate.disparity, rtol=0, atol=1e-5)
+
+
+def test_its_body_sees_planes_codes_the_still_and_the_noise(
+    moving_capture: CaptureModel, measurement: Tensor, recorded: Any
+) -> None:
+    """Of what it answers, a frame's first three channels are added to the codes, the fourth to the disparity.
+
+    The sigmoid of the fifth is the share of the change of least squares.
+    """
+    net = network(moving_capture, joint_planes=2)
+    answer = torch.randn(2, 4 * 5, 16, 16, generator=torch.Generator().manual_seed(2))
+    body = recorded(answer)
+    net.body.body = body
+    film = net(measurement)
+    ends = moving_capture.stack
+    ends = replace(ends, values=ends.values[[0, 2]], depths_m=ends.depths_m[[0, 2]])
+    joint = JointLeastSquares(moving_capture.with_stack(ends), **JOINT | {"iterations": 3})  # pyright: ignore[reportArgumentType]
+    light = joint.problem.film(joint.light(measurement))
+    inverse = torch.from_numpy(np.linalg.inv(moving_capture.scene_to_camera)).float()
+    linear = torch.einsum("ac,bnchw->bnahw", inverse, light.sum(dim=2)).clamp(0, 4)
+    with torch.no_grad():
+        image, disparity = net.joint.still(measurement)
+        volumes = net.joint.still.invert(measurement).volumes
+    level = level_image(noise_ratio(measurement - net.joint.still.inversion.offset), image)
+    codes = linear_to_srgb(linear, 1.0, clip=False)
+    own = torch.cat([light.flatten(2, 3), codes], dim=2)
+    expected = torch.cat([own.flatten(1, 2), volumes.flatten(1, 3), image, disparity, level], dim=1)
+    torch.testing.assert_close(body.given, expected, rtol=0, atol=2e-4 * float(expected.abs().max()))
+    added = answer.unflatten(1, (4, 5))
+    assert float(codes.std(dim=1).mean()) > 0.02
+    change = (codes - codes.mean(dim=1, keepdim=True)) / (1 + (-added[:, :, 4:]).exp())
+    torch.testing.assert_close(film.image, image[:, None] + change + added[:, :, :3], rtol=0, atol=1e-4)
+    torch.testing.assert_close(film.disparity, disparity[:, None] + added[:, :, 3:4], rtol=0, atol=1e-5)
+
+
+def test_only_its_body_learns(moving_capture: CaptureModel, measurement: Tensor) -> None:
+    net = network(moving_capture)
+    film = net(measurement)
+    (film.image.sum() + film.disparity.sum()).backward()
+    learning = {name for name, parameter in net.named_parameters() if parameter.grad is not None}
+    assert learning == {name for name, _ in net.named_parameters() if name.startswith("body.")}
+
+
+def test_what_it_begins_with_can_be_kept(moving_capture: CaptureModel, measurement: Tensor) -> None:
+    """It is told apart by the weights of the still network and the numbers of the least squares."""
+    net = network(moving_capture)
+    start = net.begin(measurement)
+    assert start.shape == (2, (4 * 3 * 3 + 2 * 3 * 3 + 4) * 16 * 16)
+    for found, expected in zip(net(measurement, start), net(measurement), strict=True):
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
+    told = net.joint.told
+    assert network(moving_capture).joint.told == told
+    assert network(moving_capture, joint_iterations=4).joint.told != told
+    with torch.no_grad():
+        net.joint.still.inversion.log_lambda += 1
+    assert net.joint.told != told
+
+
+def test_its_file_and_method(moving_capture: CaptureModel, measurement: Tensor, tmp_path: Path) -> None:
+    net = network(moving_capture)
+    with torch.no_grad():
+        for parameter in net.body.parameters():
+            parameter += 0.05 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(4))
+    path = tmp_path / "net.safetensors"
+    architecture = {"network": "videonet3d", "size": "tiny", "still": STILL, **SMALL}
+    save_checkpoint(path, net, architecture=architecture, capture=moving_capture, record={})
+    known = load_checkpoint(path)
+    assert known.architecture["still"] == STILL
+    clock = Clock()
+    estimate = learned_method("moving", known.network, known.capture).reconstruct(measurement, clock)
+    assert list(clock.seconds) == ["joint", "network"]
+    for found, expected in zip(estimate, net(measurement), strict=True):
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
+
+
+def test_other_cameras_and_networks_are_refused(tiny_capture: CaptureModel, clip_capture: CaptureModel) -> None:
+    with pytest.raises(InputError, match=r"^capture: got the camera of stills, but VideoNet3D is for clips"):
+        network(tiny_capture)
+    with pytest.raises(InputError, match=r"^stack: got one plane, expected several .* or videonet$"):
+        network(clip_capture)
+    moving = replace(tiny_capture, timing=clip_capture.timing)
+    with pytest.raises(InputError, match=r"^still: got the network videonet, expected flatnet3d"):
+        build_network(moving, "videonet3d", "tiny", still={"network": "videonet"})

@@ -1,0 +1,98 @@
+"""Training a VideoNet3D: it learns, begins with a FlatNet3D that it leaves alone, and says what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from learning.camera import capture_model
+from learning.checkpoint import load_checkpoint
+from learning.config import Video3DTrainConfig, training_kind
+from learning.data import ExampleSet
+from learning.method import linear_to_srgb
+from learning.resume import BEST
+from learning.simulate import Augmentation
+from learning.train_video_3d import train_video_3d
+from learning.validation import PREVIEW
+from simulator.dataset import open_dataset
+from simulator.errors import InputError
+
+Settings = Callable[..., Video3DTrainConfig]
+
+
+@pytest.fixture
+def moving_settings(moving_dataset: Path, checkpoints: list[Path], tmp_path: Path) -> Settings:
+    """Return a function that makes a small training; sections are changed key by key."""
+
+    def make(output: str = "out", **changes: Any) -> Video3DTrainConfig:
+        data = {"train": str(moving_dataset), "cache": str(tmp_path / "cache"), "workers": 0, "draws": 1}
+        plain: dict[str, Any] = {"name": "tiny", "output": str(tmp_path / output), "seed": 3, "data": data}
+        plain |= {"network": {"name": "videonet3d", "size": "tiny", "joint_iterations": 3}, "device": "cpu"}
+        plain |= {"init_from": str(checkpoints[0]), "steps": 8, "batch": 4, "validate_every": 4, "log_every": 2}
+        for key, value in changes.items():
+            plain[key] = plain[key] | value if isinstance(value, dict) and key in plain else value
+        return Video3DTrainConfig.model_validate(plain)
+
+    return make
+
+
+def test_learns_frames_and_depth_beyond_its_flatnet(
+    moving_settings: Settings, moving_dataset: Path, checkpoints: list[Path]
+) -> None:
+    idle = train_video_3d(moving_settings("idle", steps=1, optimiser={"learning_rate": 1e-9}))
+    changes: dict[str, Any] = {"optimiser": {"learning_rate": 5e-3}, "data": {"augment": Augmentation(still=0.3)}}
+    result = train_video_3d(moving_settings(steps=60, validate_every=20, **changes))
+    # Eight clips of random textures: little of them can be known from the other ones.
+    assert result.best["score"] > idle.best["score"] + 0.5
+    for name in ("psnr_db", "moving_psnr_db", "depth_rmse_cm", "depth", "intensity"):
+        assert np.isfinite(result.best[name])
+    assert (result.folder / PREVIEW).stat().st_size > 1000
+    best = load_checkpoint(result.folder / BEST, network="videonet3d")
+    flat = load_checkpoint(checkpoints[0])
+    assert best.architecture["still"] == flat.architecture
+    weights = best.network.state_dict()
+    for name, values in flat.network.state_dict().items():
+        assert torch.equal(weights[f"joint.still.{name}"], values), name
+
+    # What was logged, from the file, clip by clip in NumPy
+    validation = open_dataset(moving_dataset, "validation")
+    capture = capture_model(validation, white=best.capture.white)
+    psnrs, errors_cm = [], []
+    for measurement, radiance, depth_m, valid in ExampleSet(validation):
+        with torch.no_grad():
+            image, disparity = (each[0].double().numpy().clip(0, 1) for each in best.network(measurement[None]))
+        truth = linear_to_srgb(radiance.double(), capture.white).numpy()
+        psnrs.append(-10 * np.log10(np.mean((image - truth) ** 2)))
+        found_cm = 100 / (1 / 0.2 + disparity * (1 / 0.01 - 1 / 0.2))
+        errors_cm.append(np.sqrt(np.mean((found_cm - 100 * depth_m.numpy())[valid.numpy()] ** 2)))
+    # What validation begins with is kept in half precision, and so is the depth
+    assert result.best["psnr_db"] == pytest.approx(np.mean(psnrs), abs=0.05)
+    assert result.best["depth_rmse_cm"] == pytest.approx(np.mean(errors_cm), rel=5e-3)
+    score = (result.best["psnr_db"] + result.best["moving_psnr_db"]) / 2 - 20 * np.log10(result.best["depth_rmse_cm"])
+    assert result.best["score"] == pytest.approx(score, rel=1e-9)
+
+
+def test_goes_on_from_one_of_its_own(moving_settings: Settings) -> None:
+    first = train_video_3d(moving_settings("first", steps=4)).folder / BEST
+    again = train_video_3d(moving_settings("again", steps=1, init_from=str(first), optimiser={"learning_rate": 1e-9}))
+    known = load_checkpoint(first)
+    assert again.best["psnr_db"] == pytest.approx(known.record["validation"]["best"]["psnr_db"], abs=1e-3)
+    with pytest.raises(InputError, match=r"^init_from: .*best\.safetensors: .*; take a checkpoint of the same size"):
+        train_video_3d(moving_settings("other", init_from=str(first), network={"filters": 4}))
+
+
+def test_what_makes_no_sense_is_refused(
+    moving_settings: Settings, clip_dataset: Path, tiny_dataset: Path, clip_checkpoint: Path
+) -> None:
+    with pytest.raises(InputError, match=r"^init_from: got a checkpoint of videonet, .*expected a flatnet3d"):
+        train_video_3d(moving_settings(init_from=str(clip_checkpoint)))
+    with pytest.raises(InputError, match=r"^stack: got one plane, expected several"):
+        train_video_3d(moving_settings(data={"train": str(clip_dataset)}))
+    with pytest.raises(InputError, match=r"^capture: got the camera of stills"):
+        train_video_3d(moving_settings(data={"train": str(tiny_dataset)}))
+    assert training_kind({"network": {"name": "videonet3d"}}) is Video3DTrainConfig
