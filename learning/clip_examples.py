@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -23,17 +23,13 @@ from torch.utils.data import Dataset as TorchDataset
 from learning.camera import CaptureModel
 from learning.config import ActivityTrainConfig, Video3DTrainConfig, VideoTrainConfig
 from learning.data import Draw, ExampleSet, SampleCache, clip_of, read_scene
-from learning.layers.space_time import JointLeastSquares
 from learning.method import torch_threads
-from learning.models.videonet3d import Beginning
 from learning.provenance import sample_digests
 from learning.simulate import SceneCamera
 from simulator.dataset.reader import Dataset
 from simulator.io.cache import code_digest
 from simulator.io.files import sha256_bytes, storage_errors
 
-# With all that they import, what makes the same draw of a clip, and the joint estimate of it, another one.
-_DECIDING = (__name__, "learning.layers.space_time", "learning.models.videonet3d")
 _CHECKSUM = 4  # bytes; of nothing but zeros it is not 0, so that a hole in the file is no record
 
 
@@ -57,6 +53,23 @@ class ClipExample(NamedTuple):
     depth_m: Tensor = torch.empty(0)
 
 
+class Initial(Protocol):
+    """The module that computes the estimate that a network begins with."""
+
+    @property
+    def told(self) -> Mapping[str, Any]:
+        """What decides it beside the camera, plain."""
+        ...
+
+    def cpu(self) -> Any:
+        """Move it to the CPU."""
+        ...
+
+    def __call__(self, measurement: Tensor, /) -> Tensor:
+        """Return the estimate of measurements ``(B, C, H, W)``."""
+        ...
+
+
 class ClipExamples(TorchDataset[ClipExample]):
     """The clips of an `ExampleSet` with what a network for them needs."""
 
@@ -78,7 +91,7 @@ class ClipExamples(TorchDataset[ClipExample]):
         Args:
             examples: the clips, changed and re-simulated or as they are stored.
             begin: gives the start of measurements ``(1, C, H, W)``, or None where there is none.
-            identity: all that decides ``begin`` and the draws of ``examples``, plain: by it what is kept is told apart.
+            identity: all that decides ``begin`` and the draws of ``examples``, code too: by it what is kept is told apart.
             white: reference white, in units of which radiance is kept.
             measured: whether global measurements are wanted.
             draws: how many times each clip is changed, or its noise drawn; 0 does so for every draw, of which nothing is
@@ -108,7 +121,7 @@ class ClipExamples(TorchDataset[ClipExample]):
                 self._draws,
                 depth,
             ]
-            name = sha256_bytes(repr((code_digest(*_DECIDING), told)).encode())[:32]
+            name = sha256_bytes(repr(told).encode())[:32]
             self._kept = KeptRecords(cache / f"{name}.clips", self._worked_out(0, 0))
 
     def __len__(self) -> int:
@@ -158,7 +171,7 @@ def open_clip_examples(
     config: VideoTrainConfig | Video3DTrainConfig | ActivityTrainConfig,
     capture: CaptureModel,
     *,
-    joint: JointLeastSquares | Beginning | None,
+    joint: Initial | None,
     measured: bool,
     cache: Path | None,
     labels: Sequence[int] | None = None,
@@ -174,7 +187,9 @@ def open_clip_examples(
     seed = 0 if kept else config.seed
     examples = ExampleSet(dataset, noise_db=config.data.noise_db, augment=augment, seed=seed, cache=cache)
     identity = {"seed": seed, "augment": augment and vars(augment), "noise_db": config.data.noise_db}
-    identity |= {"stack": capture.stack.fingerprint, "start": joint and joint.told}
+    # With all that they import, what makes the same draw of a clip, and what is begun with, another one.
+    deciding = (__name__,) if joint is None else (__name__, type(joint).__module__)
+    identity |= {"stack": capture.stack.fingerprint, "start": joint and joint.told, "code": code_digest(*deciding)}
     return ClipExamples(
         examples,
         _Begin(joint),
@@ -191,7 +206,7 @@ def open_clip_examples(
 class _Begin:
     """What a network begins with, without the network, which may be on a GPU: for the processes that read examples."""
 
-    def __init__(self, joint: JointLeastSquares | Beginning | None) -> None:
+    def __init__(self, joint: Initial | None) -> None:
         self._joint = copy.deepcopy(joint)
         if self._joint is not None:
             self._joint.cpu()

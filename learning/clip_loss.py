@@ -8,10 +8,10 @@ import torch
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.config import ClipLossConfig, Video3DLossConfig
+from learning.config import ClipLossConfig, FrameLossConfig, Video3DLossConfig
 from learning.losses import depth_errors, multiscale
+from learning.method import Estimate
 from learning.models.videonet import Film
-from learning.models.videonet3d import Film3D
 from learning.perceptual import PerceptualLoss
 
 
@@ -25,11 +25,13 @@ class ClipLoss(nn.Module):
     - ``perceptual``: of VGG-16, see `learning.perceptual.PerceptualLoss`; absent with ``none``.
     """
 
-    def __init__(self, settings: ClipLossConfig) -> None:
+    def __init__(self, settings: FrameLossConfig) -> None:
         """Build the loss; an InputError says that there is no weight file."""
         super().__init__()
-        names = ("measurement", "intensity", "change", "multiscale")
+        names = ("intensity", "change", "multiscale")
         self.weights = {name: getattr(settings, f"{name}_weight") for name in names}
+        if isinstance(settings, ClipLossConfig):
+            self.weights["measurement"] = settings.measurement_weight
         self.perceptual: PerceptualLoss | None = None
         if settings.perceptual != "none":
             self.weights["perceptual"] = settings.perceptual_weight
@@ -73,7 +75,7 @@ class ClipDepthLoss(nn.Module):
         self._of_images, self._capture = ClipLoss(settings), capture
         self.weights = {"depth": settings.depth_weight, "depth_cm": settings.depth_cm_weight}
 
-    def forward(self, film: Film3D, image: Tensor, disparity: Tensor, valid: Tensor) -> dict[str, Tensor]:
+    def forward(self, film: Estimate, image: Tensor, disparity: Tensor, valid: Tensor) -> dict[str, Tensor]:
         """Return scalars as `ClipLoss` does; the true ``disparity`` ``(B, N, 1, h, w)`` counts where it is ``valid``."""
         nothing = image.new_zeros(0)
         terms = self._of_images(Film(film.image, nothing), image, nothing)

@@ -164,7 +164,9 @@ How = "physical, as read from the sensor, or stored, rotated by 180 degrees so t
 InFrame = Option(help=f"orientation of an image file: {How}; samples record theirs")
 PsfFrame = Option(help="the same for the image of a PSF; default: as the measurement")
 Crop = Option(help="ROWSxCOLUMNS about the centre, or ROWSxCOLUMNS+TOP+LEFT, of the file's pixels")
-Classical = "a classical method: cls, admm or pnp; of clips joint, joint3d, fista, pnp_clips, static, slivers, udn or nstm"
+Classical = (
+    "a classical method: cls, admm or pnp; of clips joint, joint3d, fista, pnp_clips, static, slivers, udn or nstm"
+)
 Scene = Option(help="ROWSxCOLUMNS of the result where no data set or network sets it; default: the sensor's")
 
 

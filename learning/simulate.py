@@ -30,7 +30,7 @@ class Augmentation(Settings):
         reverse: let time run backwards in half of the cases; clips only.
         colour: standard deviation of the logarithm of what each of red, green and blue is multiplied by.
         exposure: all light is multiplied by 2^x, x evenly between minus and plus this.
-        still: share of the clips that show one of their frames all the time, which is drawn.
+        still: share of the clips that are frozen at one of their frames, which is drawn; clips only.
     """
 
     flip: bool = True

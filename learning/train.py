@@ -129,7 +129,8 @@ def open_examples(dataset: Dataset, config: TrainConfig, say: Say) -> ExampleSet
 
 def check_normalisation(network: nn.Module, group: Processes) -> None:
     """Refuse batch normalisation in several processes on CPUs, where torch cannot share its statistics."""
-    if group.world_size > 1 and not group.on_cuda and any(isinstance(each, _BatchNorm) for each in network.modules()):
+    learning = (each for each in network.modules() if any(own.requires_grad for own in each.parameters(recurse=False)))
+    if group.world_size > 1 and not group.on_cuda and any(isinstance(each, _BatchNorm) for each in learning):
         reason = f"got unet, whose batch normalisation {group.world_size} processes share on GPUs only"
         raise InputError("network.body", f"{reason}; take naf, or one process")
 

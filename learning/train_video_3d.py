@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from learning.checkpoint import Checkpoint, find_checkpoint, load_checkpoint, transfer
@@ -18,11 +18,11 @@ from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
 from learning.clip_loss import ClipDepthLoss
 from learning.config import Video3DTrainConfig
 from learning.data import Example
-from learning.method import Estimate, Progress, Say, inference, linear_to_srgb
+from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.metrics import depth_scores
 from learning.models.videonet3d import VideoNet3D
 from learning.train_video import VideoTraining
-from learning.training_loop import TrainResult, find_cache, run
+from learning.training_loop import Training, TrainResult, find_cache, run
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 
@@ -54,21 +54,23 @@ class Video3DTraining(VideoTraining):
             return {"still": known["still"]}
         if known["network"] == "flatnet3d":
             return {"still": dict(known)}
-        got = f"got a checkpoint of {known['network']}, {path}, expected a flatnet3d, to which frames add, or a videonet3d"
-        raise InputError("init_from", got)
+        wanted = "expected a flatnet3d to build on, or a videonet3d to go on from"
+        raise InputError("init_from", f"got a checkpoint of {known['network']}, {path}, {wanted}")
 
     @classmethod
     def _take(cls, config: Video3DTrainConfig, network: VideoNet3D, path: Path) -> tuple[Checkpoint, list[str]]:
         known = load_checkpoint(path)
         if known.architecture["network"] == "flatnet3d":
             return known, transfer(network.joint.still, known)
-        own, found = network.state_dict(), known.network.state_dict()
-        if differing := [name for name in own.keys() | found.keys() if name not in own or name not in found]:
-            raise InputError("init_from", f"{path}: {differing[0]} exists in only one of the two; {_SAME}")
-        if differing := [name for name in own if own[name].shape != found[name].shape]:
-            raise InputError("init_from", f"{path}: {differing[0]} differs in shape; {_SAME}")
-        network.load_state_dict(found)
-        return known, [f"copied {len(found)} tensors"]
+        return known, network.take(known.network, str(path))
+
+    def _rate(self, module: nn.Module) -> float:
+        return (
+            1.0  # the inversions are the FlatNet3D's, which is not trained here; so are statistics, where it has some
+        )
+
+    def _schedule(self) -> None:
+        Training._schedule(self)
 
     def _open(self, dataset: Dataset) -> ClipExamples:
         network = self._plan.network
@@ -92,7 +94,7 @@ class Video3DTraining(VideoTraining):
         truth = Example(
             example.measurement, example.radiance, example.depth_m.clamp_min(self._capture.near_m / 10), seen
         )
-        depth = depth_scores(Estimate(*film), truth, self._capture, seen)
+        depth = depth_scores(film, truth, self._capture, seen)
         return super()._errors(film, example) | {"depth_rmse_cm": depth.depth_rmse_cm}
 
     def _score(self, found: Mapping[str, float]) -> float:
@@ -104,7 +106,7 @@ class Video3DTraining(VideoTraining):
 
         with inference(self._network):
             film = self._film(self._network, example)
-        found, capture = Estimate(*film).clamped(), self._capture
+        found, capture = film.clamped(), self._capture
         truth = linear_to_srgb(example.radiance, capture.white)
         every, seen = torch.ones_like(example.depth_m, dtype=torch.bool), example.depth_m > 0
         rows = []
@@ -115,10 +117,6 @@ class Video3DTraining(VideoTraining):
                 )
             depths = ((example.depth_m.clamp_min(capture.near_m), seen), (found.depth_m(capture), every))
             for depth_m, valid in depths:
-                pairs = zip(depth_m[clip, :, 0].cpu().numpy(), valid[clip, :, 0].cpu().numpy(), strict=True)
-                colours = [depth_colours(one, where, capture.near_m, capture.far_m) for one, where in pairs]
-                rows.append(np.concatenate(colours, axis=1))
+                metres, where = (each[clip, :, 0].cpu().numpy() for each in (depth_m, valid))
+                rows.append(np.concatenate(list(depth_colours(metres, where, capture.near_m, capture.far_m)), axis=1))
         return np.concatenate(rows)
-
-
-_SAME = "take a checkpoint of the same size (filters, blocks, levels)"

@@ -50,7 +50,8 @@ class MethodConfig(Section):
     checkpoints: list[str] | None = None
     """files, one per seed, or names of shipped ones; of clips, a network for stills gives all frames the same"""
     frames: str | None = None
-    """of clips: file of a VideoNet, whose frames take the place of the pictures of a network for stills"""
+    """of clips: file of a VideoNet, with its own PSFs, whose frames replace the image of a network for stills, so that only
+    the depth is that one's"""
     classical: Classical | None = None
     """instead of checkpoints"""
     tuned: str | None = None

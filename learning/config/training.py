@@ -113,42 +113,46 @@ class NetworkConfig(Section):
         }
 
 
-class ClipNetworkConfig(Section):
-    """A network for clips: a size, and what differs from it; the bodies are MeasNet and, of VideoNet, what enhances."""
+class ClipBodyConfig(Section):
+    """What all networks for clips have: a body, and joint least squares that it begins with."""
 
-    size: Literal["thesis", "compact", "tiny"] = "compact"
-    """the numbers below that are left out"""
-    initial_estimate: Literal["slivers", "static", "joint"] | None = None
-    """what it begins with: zero-filled slivers (the thesis), one inversion of the whole capture, or joint least squares"""
-    measnet: bool | None = None
-    """predict what a global shutter would measure of each frame, and invert that as well"""
     dimensions: Literal[2, 3] | None = None
     """2: frames are channels of one image; 3: a stack of images"""
-    body: Literal["naf", "unet"] | None = None
-    """NAF blocks (layer normalisation, gates), or the thesis's U-Net (batch normalisation)"""
     filters: Annotated[int, Range(1, 1024)] | None = None
-    """channels of the bodies' first level; each further one has twice as many"""
+    """channels of the body's first level; each further one has twice as many"""
     blocks: Annotated[int, Range(1, 64)] | None = None
     """NAF blocks on each level and way"""
     levels: Annotated[int, Range(1, 8)] | None = None
-    """levels of the bodies"""
-    stem: Annotated[int, Range(1, 8)] | None = None
-    """pixels per side that MeasNet takes as one, in 2D"""
-    noise_aware: bool | None = None
-    """lambda adapts to the noise level, which is estimated from the measurement and is also an input of what follows"""
+    """levels of the body"""
     joint_iterations: Annotated[int, Range(1, 1000)] | None = None
     """of the joint least squares that it begins with"""
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """The size, and what differs from it: with the name, an architecture."""
-        return {"size": self.size, **self.changes}
+        """The size, and what differs from it: with the name, an architecture; see `learning.models.build_network`."""
+        return {key: value for key, value in self.model_dump(exclude={"name"}).items() if value is not None}
 
     @property
     def changes(self) -> dict[str, Any]:
-        """What differs from the size; see `learning.models.build_network`."""
-        given = self.model_dump(exclude={"name", "size"})
-        return {key: value for key, value in given.items() if value is not None}
+        """What differs from the size."""
+        return {key: value for key, value in self.numbers.items() if key != "size"}
+
+
+class ClipNetworkConfig(ClipBodyConfig):
+    """A network for clips: a size, and what differs from it; the bodies are MeasNet and, of VideoNet, what enhances."""
+
+    size: Literal["thesis", "compact", "tiny"] = "compact"
+    """the numbers that are left out"""
+    initial_estimate: Literal["slivers", "static", "joint"] | None = None
+    """what it begins with: zero-filled slivers (the thesis), one inversion of the whole capture, or joint least squares"""
+    measnet: bool | None = None
+    """predict what a global shutter would measure of each frame, and invert that as well"""
+    body: Literal["naf", "unet"] | None = None
+    """NAF blocks (layer normalisation, gates), or the thesis's U-Net (batch normalisation)"""
+    stem: Annotated[int, Range(1, 8)] | None = None
+    """pixels per side that MeasNet takes as one, in 2D"""
+    noise_aware: bool | None = None
+    """lambda adapts to the noise level, which is estimated from the measurement and is also an input of what follows"""
 
 
 class VideoNetworkConfig(ClipNetworkConfig):
@@ -162,30 +166,15 @@ class VideoNetworkConfig(ClipNetworkConfig):
     """how many times the last refinement step is repeated, with shared weights"""
 
 
-class Video3DNetworkConfig(Section):
+class Video3DNetworkConfig(ClipBodyConfig):
     """VideoNet3D: a size, and what differs from it."""
 
     name: Literal["videonet3d"]
     """frames and their depth from one capture of a rolling shutter"""
     size: Literal["compact", "tiny"] = "compact"
-    """the numbers below that are left out"""
-    dimensions: Literal[2, 3] | None = None
-    """2: frames are channels of one image; 3: a stack of images"""
-    filters: Annotated[int, Range(1, 1024)] | None = None
-    """channels of the body's first level; each further one has twice as many"""
-    blocks: Annotated[int, Range(1, 64)] | None = None
-    """NAF blocks on each level and way"""
-    levels: Annotated[int, Range(1, 8)] | None = None
-    """levels of the body"""
+    """the numbers that are left out"""
     joint_planes: Annotated[int, Range(2, 1000)] | None = None
-    """planes of the joint least squares that it begins with"""
-    joint_iterations: Annotated[int, Range(1, 1000)] | None = None
-    """of the joint least squares"""
-
-    @property
-    def numbers(self) -> dict[str, Any]:
-        """The size, and what differs from it: with the name, an architecture."""
-        return {key: value for key, value in self.model_dump(exclude={"name"}).items() if value is not None}
+    """planes of the joint least squares, or as many as the PSFs have where these are fewer"""
 
 
 class ActivityNetworkConfig(ClipNetworkConfig):
@@ -278,15 +267,13 @@ class LossConfig(Section):
         return self
 
 
-class ClipLossConfig(Section):
-    """The loss of clips: the sum of the weighted terms; the thesis's (4.2 to 4.6) is mse with weights 1, 5 and 0.1."""
+class FrameLossConfig(Section):
+    """The loss of frames: the sum of the weighted terms."""
 
     intensity: Literal["mse", "l1"] = "l1"
     """error of the frames' sRGB values"""
     perceptual: Literal["none", "vgg", "random_vgg"] = "none"
     """error of VGG-16 features of the frames, with trained weights (the file must be present) or random ones"""
-    measurement_weight: Weight = 1.0
-    """of the mean squared error of the global measurements that MeasNet completes, where there is one"""
     intensity_weight: Weight = 5.0
     """of the frames' error"""
     change_weight: Weight = 0.0
@@ -308,7 +295,14 @@ class ClipLossConfig(Section):
         return self
 
 
-class Video3DLossConfig(ClipLossConfig):
+class ClipLossConfig(FrameLossConfig):
+    """The loss of clips: the sum of the weighted terms; the thesis's (4.2 to 4.6) is mse with weights 1, 5 and 0.1."""
+
+    measurement_weight: Weight = 1.0
+    """of the mean squared error of the global measurements that MeasNet completes, where there is one"""
+
+
+class Video3DLossConfig(FrameLossConfig):
     """The loss of clips with depth: the sum of the weighted terms."""
 
     depth_weight: Weight = 1.0
@@ -416,7 +410,6 @@ class Video3DTrainConfig(LoopConfig):
 
     data: ClipDataConfig
     network: Video3DNetworkConfig
-    optimiser: NetworkOptimiserConfig = NetworkOptimiserConfig()
     init_from: str = Field(min_length=1)
     """checkpoint (.safetensors) of the FlatNet3D that it adds to, or of a VideoNet3D"""
     loss: Video3DLossConfig = Video3DLossConfig()
@@ -438,6 +431,9 @@ class ActivityTrainConfig(LoopConfig):
         if augment is not None and augment.reverse:
             text = "got true, but backwards another thing is done (picking up becomes putting down); set reverse: false"
             raise refusal(text, "data", "augment", "reverse")
+        if augment is not None and augment.still:
+            text = f"got {augment.still:g}, but where nothing moves nothing is done; set still: 0"
+            raise refusal(text, "data", "augment", "still")
         if self.init_from is not None and self.network.name != "activitynet":
             text = f"got a checkpoint, but {self.network.name} begins with random weights; leave it out"
             raise refusal(text, "init_from")

@@ -100,10 +100,12 @@ class Trial:
         training = None if config.data.training is None else config.resolve_path(config.data.training)
         entries = [entry for seeds in methods for entry in seeds]
         self.cameras = Cameras(test, training, entries, config.resolve_path)
-        camera = self.cameras.assumed(methods[0][0], config.data.stack)
+        cameras = [self.cameras.assumed(seeds[0], config.data.stack) for seeds in methods]
+        # Of one plane nothing follows for depth.
+        self.camera = next((one for one in cameras if len(one.stack.depths_m) > 1), cameras[0])
         edges_cm = tuple(config.depth_bins_cm or ())
         if not edges_cm:  # even in disparity: what a mask resolves
-            edges_cm = tuple((100 * camera.depth_m(np.linspace(1, 0, _BINS + 1))).tolist())
+            edges_cm = tuple((100 * self.camera.depth_m(np.linspace(1, 0, _BINS + 1))).tolist())
         criteria = Criteria(edges_cm, config.dark_share, lpips, cvvdp)
         self.runner = Runner(test, self.cameras, criteria, cache, device=device, batch=config.batch, seed=config.seed)
         # PSFs and noise of all runs of a method, each once, the table's first.
@@ -125,7 +127,7 @@ class Trial:
         outcomes = [
             one for seeds in self.methods for one in _outcomes(runner, seeds, self.planned, part, compared, progress)
         ]
-        examples, camera = runner.examples(None), self.cameras.assumed(self.methods[0][0], usual)
+        examples, camera = runner.examples(None), self.camera
         naive = [
             (one, score(one, examples, criteria, device=device, batch=config.batch))
             for one in baselines(examples, camera, config.batch)
@@ -147,7 +149,7 @@ class Trial:
             times=_times(config, runner, self.methods, progress),
             montage=[] if runner.clips else _montage(config, runner, self.methods),
             columns=["truth", *(method.name for method in config.methods)],
-            films=_films(config, runner, self.methods) if runner.clips else [],
+            films=_films(config, runner, self.methods, camera) if runner.clips else [],
             curves=[one for seeds in self.methods for each in seeds if (one := _curve(each)) is not None],
         )
 
@@ -268,8 +270,10 @@ def _spread(config: EvaluateConfig, runner: Runner) -> list[int]:
     return spread_positions(len(runner.test), config.figures.montage)
 
 
-def _films(config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[Entry]]) -> list[list[NamedFilm]]:
-    """Return evenly spread clips as they were and as the first seed of every method has them."""
+def _films(
+    config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[Entry]], camera: CaptureModel
+) -> list[list[NamedFilm]]:
+    """Return evenly spread clips as they were and as the first seed of every method has them; ``camera`` has all depths."""
     positions = _spread(config, runner)
     runs = [Run(seeds[0], config.data.stack) for seeds in methods]
     estimates = [runner.estimates(run, positions) for run in runs]
@@ -279,7 +283,7 @@ def _films(config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[En
         example = examples[position]
         frames = linear_to_srgb(example.radiance, runner.cameras.test.white)
         films = [NamedFilm("truth", np.moveaxis(frames.numpy(), 1, -1), runner.test.ids[position])]
-        films += _depth_film("", example.depth_m[:, 0].numpy(), example.valid[:, 0].numpy(), runner.camera(runs[0]))
+        films += _depth_film("", example.depth_m[:, 0].numpy(), example.valid[:, 0].numpy(), camera)
         for method, run, shown, scores in zip(config.methods, runs, estimates, known, strict=True):
             words = f"{scores[position]['psnr']:.1f} dB, moving {scores[position]['moving_psnr']:.1f} dB"
             films.append(NamedFilm(method.name, np.moveaxis(shown[at]["image"], 1, -1), words))
@@ -297,9 +301,7 @@ def _depth_film(
     """Return the depths ``(N, h, w)`` of frames in colours, as a list of one; of none where the camera knows one depth."""
     if len(capture.stack.depths_m) < 2:
         return []
-    pairs = zip(depth_m, seen, strict=True)
-    colours = [depth_colours(one, where, capture.near_m, capture.far_m) for one, where in pairs]
-    return [NamedFilm("depth", np.stack(colours) / 255, words)]
+    return [NamedFilm("depth", depth_colours(depth_m, seen, capture.near_m, capture.far_m) / 255, words)]
 
 
 def _montage(config: EvaluateConfig, runner: Runner, methods: Sequence[Sequence[Entry]]) -> list[list[Shown]]:

@@ -22,6 +22,7 @@ from learning.models import NETWORKS, learned_method
 from learning.models.repeated import RepeatedStill
 from learning.models.videonet3d import still_camera
 from learning.provenance import scenes_of
+from learning.timing import recorded_timing
 from learning.tune.study import load_tuned
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
@@ -32,7 +33,7 @@ from simulator.io.files import sha256_file
 class LearnedEntry:
     """A network's checkpoint; ``capture`` is the camera that it knows by itself.
 
-    Of clips, one for stills takes part as `RepeatedStill`, with the pictures of the network ``frames`` where there is one.
+    Of clips, one for stills takes part as `RepeatedStill`, with the images of the network ``frames`` where there is one.
     """
 
     name: str
@@ -74,11 +75,7 @@ class LearnedEntry:
         """Return the network, ready on a device, for a camera; an InputError says that it does not fit."""
         if capture.timing is None or self.capture.timing is not None:
             return learned_method(self.name, load_checkpoint(self.path, capture=capture).network, capture).to(device)
-        still = self.build(still_camera(capture), noise_db, device)
-        if self.frames is None:
-            return RepeatedStill(self.name, still, capture)
-        frames = self.frames.build(capture.with_assumed(self.frames.capture), noise_db, device)
-        return RepeatedStill(self.name, still, capture, frames)
+        return RepeatedStill(self.name, self.build(still_camera(capture), noise_db, device), capture)
 
     def tuned_db(self, noise_db: float) -> None:
         """Return None: nothing of it was tuned at a level of noise."""
@@ -176,9 +173,14 @@ def _read_method(config: EvaluateConfig, method: MethodConfig, test: Dataset) ->
         return [entry]
     frames = None if method.frames is None else _learned(config, method.name, method.frames, test)
     entries = [_learned(config, method.name, text, test, frames) for text in method.checkpoints or ()]
-    if frames is not None and any(one.capture.timing is not None for one in entries):
-        got = f"got frames of {frames.path.name} for a network that has frames of its own"
-        raise InputError(method.name, f"{got}; take a flatnet3d in checkpoints, or leave frames out")
+    if frames is not None:
+        if frames.capture.timing is None:
+            raise InputError(method.name, f"frames: {frames.path} is for stills; take a videonet's file")
+        if any(one.capture.timing is not None for one in entries):
+            got = f"got frames of {frames.path.name} for a network that has frames of its own"
+            raise InputError(method.name, f"{got}; take a flatnet3d in checkpoints, or leave frames out")
+        if recorded_timing(test) is None:
+            raise InputError(method.name, f"got frames, but {test.root} holds stills; leave frames out")
     return list(entries)
 
 
@@ -216,7 +218,7 @@ def check_tuned(name: str, tuned: Path, test: Dataset) -> None:
 def says_scenes(entry: Entry) -> bool:
     """Return whether it is on record which scenes a method has seen; earlier versions of Flatlight kept data sets only."""
     if isinstance(entry, LearnedEntry):
-        return _all_say_scenes(entry.record)
+        return _all_say_scenes(entry.record) and (entry.frames is None or says_scenes(entry.frames))
     learned = all(map(_all_say_scenes, entry.learned.values()))
     return learned and (entry.tuned is None or "scenes" in load_tuned(entry.tuned).content["identity"])
 

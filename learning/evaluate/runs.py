@@ -22,6 +22,7 @@ from learning.evaluate.methods import Entry, LearnedEntry
 from learning.evaluate.outcome import OWN
 from learning.evaluate.scoring import Criteria, ScenesDone, checked, score
 from learning.method import Method
+from learning.models.repeated import RepeatedStill
 from learning.provenance import sample_digests
 from learning.timing import recorded_timing
 from simulator.dataset.reader import Dataset, open_dataset
@@ -39,6 +40,7 @@ _DECIDING = (
     "learning.classical.by_name",
     "learning.checkpoint",
     "learning.data",
+    "learning.evaluate.methods",
     "learning.evaluate.scoring",
     "learning.models",
 )
@@ -68,7 +70,7 @@ class Cameras:
         try:
             if (known := entry.capture) is None:
                 known = self._nominal = self._nominal or capture_model(self._learned_from(), white=self.test.white)
-            if known.timing is None:  # what is for stills takes part in clips as if nothing moved, in their white
+            elif known.timing is None:  # a network for stills takes part in clips as if nothing moved, in their white
                 known = replace(known, timing=self._timing, white=self.test.white)
             if name != OWN:
                 self._stacks[name] = self._stacks.get(name) or self._stack(name)
@@ -209,6 +211,9 @@ class Runner:
     def method(self, run: Run) -> Method:
         """Return a run's method, ready on the device; one that is fitted to each capture keeps its fits."""
         method = run.entry.build(self.camera(run), self.level_db(run), self.device)
+        if isinstance(method, RepeatedStill) and isinstance(run.entry, LearnedEntry) and run.entry.frames is not None:
+            frames = run.entry.frames
+            method.frames = frames.build(self.cameras.assumed(frames, OWN), self.level_db(run), self.device)
         if isinstance(method, ClipMethod) and method.fitting is not None:
             method.fitting.states = self._cache.folder / FITS / sha256_bytes(canonical_json(self._computed_by))[:16]
         return method

@@ -20,7 +20,15 @@ from learning.camera import CaptureModel
 from learning.layers.classifiers import FrameClassifier
 from learning.layers.padding import axis_plans, check_measurement
 from learning.method import Clock, Estimate, check_choices, inference
-from learning.models.clip_network import FAINTEST, Begun, ClipNetwork, ClipNetworkMethod, Start, check_clips
+from learning.models.clip_network import (
+    FAINTEST,
+    Begun,
+    ClipNetwork,
+    ClipNetworkMethod,
+    Start,
+    check_clips,
+    copy_weights,
+)
 from simulator.errors import InputError
 
 Frames = Literal["all", "shuffled", "middle"]
@@ -141,12 +149,7 @@ class ActivityNet(ClipNetwork):
                     source, "it has no MeasNet; take a VideoNet with measnet: true, or measnet: false here"
                 )
             found = {name: value for name, value in found.items() if name in own}
-        differing = [name for name in found if name not in own or own[name].shape != found[name].shape]
-        if differing:
-            reason = f"{differing[0]} differs in shape, or is of another classifier; take a checkpoint of the same size"
-            raise InputError(source, reason)
-        self.load_state_dict(own | found)
-        return [f"copied {len(found)} of {len(own)} tensors"]
+        return copy_weights(self, found, source, "take a checkpoint of the same size and classifier")
 
 
 class RawClassifier(nn.Module):

@@ -7,6 +7,7 @@ static inversion of the whole capture or with joint least squares over space and
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Generic, Literal, NamedTuple, Protocol, Self, TypeVar
 
@@ -239,16 +240,36 @@ class ClipNetwork(nn.Module):
         return known + unit[:, None] * added.to(known)
 
 
+def copy_weights(
+    network: nn.Module, found: Mapping[str, Tensor], source: str, cure: str, wanted: Iterable[str] = ()
+) -> list[str]:
+    """Put another network's weights in the places of the same names, and say how many; those of ``wanted`` must be there.
+
+    Raises:
+        InputError: weights of other names or shapes, naming the ``source``, with the ``cure``; the network stays as it was.
+    """
+    own = network.state_dict()
+    differing = [name for name in found if name not in own or own[name].shape != found[name].shape]
+    differing += [name for name in wanted if name not in found]
+    if differing or not found:
+        first = (
+            f"{min(differing)} differs in shape, or exists in only one of the two" if differing else "it has none of it"
+        )
+        raise InputError(source, f"{first}; {cure}")
+    network.load_state_dict(own | dict(found))
+    return [f"copied {len(found)} of {len(own)} tensors"]
+
+
 class Begins(Protocol):
     """A network that may begin with what can be kept; see `ClipNetwork`."""
 
     @property
     def joint(self) -> nn.Module | None:
-        """What gives that, where there is something."""
+        """The module that computes the initial estimate, or None."""
         ...
 
     def begin(self, measurement: Tensor) -> Tensor | None:
-        """Return it."""
+        """Return the initial estimate, or None."""
         ...
 
     def to(self, device: torch.device | str) -> Any:

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from learning.method import Clock, Estimate, inference, srgb_to_linear
-from learning.models.clip_network import ClipNetwork, ClipNetworkMethod, FrameBody, Start
+from learning.models.clip_network import ClipNetwork, ClipNetworkMethod, FrameBody, Start, copy_weights
 from learning.models.refinement import MOST_RADIANCE
 from simulator.errors import InputError
 
@@ -117,17 +117,9 @@ class VideoNet(ClipNetwork):
             known_body = {name.replace("enhancement.", body): name for name in found if name.startswith("enhancement.")}
             found = {name: found[other] for name, other in known_body.items() if not name.startswith(ends)}
             wanted = [name for name in own if name.startswith(body) and not name.startswith(ends)]
-        missing = [name for name in found if name not in own or own[name].shape != found[name].shape]
-        missing += [name for name in wanted if name not in found]
-        if missing or not found:
-            what = (
-                f"{missing[0]} differs in shape, or exists in only one of the two"
-                if missing
-                else "it has nothing of this network"
-            )
-            raise InputError(source, f"{what}; take a checkpoint of the same size (filters, blocks, levels, body)")
-        self.load_state_dict(own | found)
-        return [f"copied {len(found)} of {len(own)} tensors"]
+        return copy_weights(
+            self, found, source, "take a checkpoint of the same size (filters, blocks, levels, body)", wanted
+        )
 
     def _residuals(self, image: Tensor, light: Tensor, noise: Tensor | None) -> tuple[Tensor, Tensor]:
         """Return the inverted residuals of each frame's rows ``(B, N, C, h, w)`` and of all rows ``(B, C, h, w)``."""

@@ -21,24 +21,12 @@ from torch import Tensor, nn
 from learning.camera import CaptureModel
 from learning.layers.noise import level_image, noise_ratio
 from learning.layers.space_time import JOINT, JointLeastSquares
-from learning.method import Clock, Estimate, inference, linear_to_srgb
-from learning.models.clip_network import ClipNetworkMethod, FrameBody, check_clips
+from learning.method import Clock, Estimate, check_choices, inference, linear_to_srgb
+from learning.models.clip_network import ClipNetworkMethod, FrameBody, check_clips, copy_weights
 from learning.models.flatnet import SIZES, FlatNet3D
 from learning.models.refinement import MOST_RADIANCE
 from simulator.errors import InputError
 from simulator.io.files import sha256_bytes
-
-
-class Film3D(NamedTuple):
-    """What VideoNet3D makes of captures.
-
-    Attributes:
-        image: ``(B, N, 3, h, w)`` sRGB codes, not clipped.
-        disparity: ``(B, N, 1, h, w)``, nominally 0 (far) to 1 (near).
-    """
-
-    image: Tensor
-    disparity: Tensor
 
 
 class Start(NamedTuple):
@@ -69,10 +57,13 @@ class Beginning(nn.Module):
     def __init__(self, capture: CaptureModel, still: Mapping[str, Any], planes: int, iterations: int) -> None:
         """Build both; ``still`` is the architecture of the FlatNet3D."""
         super().__init__()
+        self._told: dict[str, Any] = {"still": dict(still)}
         numbers = dict(still)
         if (name := numbers.pop("network", None)) != "flatnet3d":
             raise InputError("still", f"got the network {name}, expected flatnet3d")
-        self.still = FlatNet3D(still_camera(capture), **SIZES[numbers.pop("size", "compact")] | numbers)
+        size = numbers.pop("size", "compact")
+        check_choices(("still.size", size, SIZES))
+        self.still = FlatNet3D(still_camera(capture), **SIZES[size] | numbers)
         seen = capture.with_planes(min(planes, len(capture.stack.depths_m)))
         self.planes = len(seen.stack.depths_m)
         steps: dict[str, Any] = dict(JOINT) | {"iterations": iterations}
@@ -86,7 +77,7 @@ class Beginning(nn.Module):
     def told(self) -> dict[str, Any]:
         """What decides it beside the camera, plain."""
         weights = b"".join(values.detach().cpu().numpy().tobytes() for values in self.still.state_dict().values())
-        return {"joint": self.joint.told, "planes": self.planes, "still": sha256_bytes(weights)}
+        return self._told | {"joint": self.joint.told, "planes": self.planes, "weights": sha256_bytes(weights)}
 
     @torch.no_grad()
     def forward(self, measurement: Tensor) -> Tensor:
@@ -157,7 +148,7 @@ class VideoNet3D(nn.Module):
         colours = torch.from_numpy(np.linalg.pinv(capture.scene_to_camera)).to(torch.get_default_dtype())
         self.register_buffer("colours", colours, persistent=False)
 
-    def forward(self, measurement: Tensor, start: Tensor | None = None) -> Film3D:
+    def forward(self, measurement: Tensor, start: Tensor | None = None) -> Estimate:
         """Return the film of measurements ``(B, C, H, W)``, DN / 2^bits; ``start`` is what `begin` gives, where known."""
         with torch.autocast(measurement.device.type, enabled=False):
             frames, planes, image, disparity = self.joint.parts(self.begin(measurement) if start is None else start)
@@ -167,14 +158,25 @@ class VideoNet3D(nn.Module):
             radiance = torch.einsum("ac,bnchw->bnahw", self.colours, light).clamp(0, MOST_RADIANCE)
             codes = linear_to_srgb(radiance, 1.0, clip=False)
         known = torch.cat([frames, codes], dim=2)
-        told = self.body(known, torch.cat([planes, image, disparity, level], dim=1)).to(image)
+        answer = self.body(known, torch.cat([planes, image, disparity, level], dim=1)).to(image)
         moving = codes - codes.mean(dim=1, keepdim=True)
-        frames = image[:, None] + told[:, :, 4:].sigmoid() * moving + told[:, :, :3]
-        return Film3D(frames, disparity[:, None] + told[:, :, 3:4])
+        frames = image[:, None] + answer[:, :, 4:].sigmoid() * moving + answer[:, :, :3]
+        return Estimate(frames, disparity[:, None] + answer[:, :, 3:4])
 
     def begin(self, measurement: Tensor) -> Tensor:
         """Return what it begins with, to be kept; see `Beginning`."""
         return self.joint(measurement)
+
+    def take(self, known: nn.Module, source: str) -> list[str]:
+        """Put the weights of another VideoNet3D into this one, and say what was taken.
+
+        Raises:
+            InputError: another kind of network, or weights of other shapes, naming the ``source``.
+        """
+        if not isinstance(known, VideoNet3D):
+            raise InputError(source, f"got a {type(known).__name__}, expected a VideoNet3D")
+        cure = "take a checkpoint of the same size (filters, blocks, levels, dimensions, joint_planes) and slivers"
+        return copy_weights(self, known.state_dict(), source, cure, self.state_dict())
 
 
 def still_camera(capture: CaptureModel) -> CaptureModel:
@@ -203,4 +205,4 @@ class Video3DMethod(ClipNetworkMethod[VideoNet3D]):
         with inference(self.network):
             start = self.begin(measurement, clock)
             with clock.stage("network"):
-                return Estimate(*self.network(measurement, start))
+                return self.network(measurement, start)

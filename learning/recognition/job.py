@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,11 +83,10 @@ def recognise(
     cache = ResultCache(folder / CACHE)
     found: list[Answers] = []
     for level in (None, *(config.noise_db or ())):
-        starts = Starts()
-        for row in rows:
-            if level is None or not isinstance(row[0].network, LensClassifier):
-                found.append(_answers(config, row, level, cache, starts, device, progress))
-    backwards = _answers(config, back, None, cache, Starts(), device, progress) if back else None
+        asked = [row for row in rows if level is None or not isinstance(row[0].network, LensClassifier)]
+        starts = Starts([one for row in asked for one in row])
+        found += [_answers(config, row, level, cache, starts, device, progress) for row in asked]
+    backwards = _answers(config, back, None, cache, Starts(back), device, progress) if back else None
     seen = [row[0] for row in rows if row[0].slivers is not None]
     recognition = Recognition(
         config,
@@ -153,24 +153,49 @@ def _built(name: str, path: Path, test: Dataset) -> Trained:
 
 
 class Starts:
-    """What networks begin with at a level of noise, which takes longest: those that begin alike share it."""
+    """What networks begin with at a level of noise, which takes longest: those that begin alike share it.
 
-    def __init__(self) -> None:
-        self._known: dict[str, dict[int, Tensor]] = {}
+    It is kept until the last of them has had it: under a megabyte for each capture of ten frames of 64 x 64.
+    """
+
+    def __init__(self, asking: Sequence[Trained]) -> None:
+        """Tell it of all that will ask, in any order."""
+        self._asking = Counter(key for one in asking if (key := _begins_by(one)) is not None)
+        self._known: dict[tuple[str, int], Tensor] = {}
 
     def of(self, one: Trained, first: int, measurement: Tensor) -> Tensor | None:
         """Return what a network begins with for the captures of its test from position ``first`` on."""
-        network = one.network
-        if not isinstance(network, ActivityNet) or network.joint is None:
+        if (key := _begins_by(one)) is None:
             return None
-        told = [one.test.fingerprint, one.test.split, camera_identity(one.capture), network.joint.told]
-        known = self._known.setdefault(sha256_bytes(canonical_json(told)), {})
-        if first not in known:
+        assert isinstance(one.network, ActivityNet)
+        begun = self._known.get((key, first))
+        if begun is None:
             with threads_for(measurement[0].numel() * one.capture.frames):
-                begun = network.begin(measurement)
+                begun = one.network.begin(measurement)
             assert begun is not None
-            known[first] = begun.cpu()
-        return known[first].to(measurement.device)
+            if self._asking[key] > 1:
+                self._known[key, first] = begun.cpu()
+        return begun.to(measurement.device)
+
+    def done(self, one: Trained) -> None:
+        """Say that a network will ask no more."""
+        if (key := _begins_by(one)) is None:
+            return
+        self._asking[key] -= 1
+        if not self._asking[key]:
+            self._known = {known: begun for known, begun in self._known.items() if known[0] != key}
+
+
+def _begins_by(one: Trained) -> str | None:
+    """Return what decides all that a network begins with; None of what begins with nothing that takes long."""
+    if not isinstance(one.network, ActivityNet) or one.network.joint is None:
+        return None
+    told = [_samples(one.test), camera_identity(one.capture), one.network.joint.told]
+    return sha256_bytes(canonical_json(told))
+
+
+def _samples(test: Dataset) -> str:
+    return sha256_bytes(canonical_json([test.fingerprint, test.split, sample_digests(test)]))
 
 
 def _answers(
@@ -190,7 +215,7 @@ def _answers(
         key = {
             "checkpoint": one.digest,
             "camera": camera_identity(one.capture),
-            "samples": sha256_bytes(canonical_json([one.test.fingerprint, one.test.split, sample_digests(one.test)])),
+            "samples": _samples(one.test),
             "noise": "stored" if noise_db is None else {"db": noise_db, "seed": config.seed},
             "device": device.type,
             "torch": torch.__version__,
@@ -200,6 +225,7 @@ def _answers(
         if kept is None:
             kept = {"probabilities": _probabilities(config, one, noise_db, starts, device, stage, progress)}
             cache.save_arrays(key, kept)
+        starts.done(one)
         chances.append(kept["probabilities"])
     first = seeds[0]
     truth = np.array(class_numbers(first.test, first.network.classes))

@@ -86,7 +86,8 @@ def choose_method(measurement: Measurement, request: Request) -> Setup:
             refused.append(f"{name}: {error}")
     reasons = "; ".join(refused) or "none is shipped"
     cure = (
-        "Give --checkpoint FILE of a network for this camera, or --method (cls; of clips joint) with --stack, its PSFs"
+        "Give --checkpoint FILE of a network for this camera, or --method (cls; of clips joint, or joint3d where PSFs are "
+        "of several depths) with --stack, its PSFs"
     )
     raise InputError(measurement.path, f"no shipped checkpoint fits ({reasons}). {cure}")
 

@@ -58,6 +58,7 @@ _LIMITS: dict[str, tuple[float, float]] = {
     "contrast": (0.01, 1000.0),  # costs are alike for all planes below, and those of a single plane above
     "window_px": (0.25, math.inf),  # a window of a quarter of a pixel is that pixel
     "pairwise": (1e-3, 1000.0),  # a map of noise below, of one depth above
+    "planes": (2, math.inf),  # of two, depth is told; those that a stack does not have are not asked for
     "steps_between_planes": (1, 32),  # finer than any capture tells
 }
 _HEADINGS: tuple[str, ...] = ("method", "noise dB", "PSNR dB", "depth RMSE cm", "score", "parameters")

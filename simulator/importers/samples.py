@@ -32,14 +32,17 @@ def samples(view: View, *, path: Path, backwards: bool = False, still: bool = Fa
         view: the new camera's view.
         path: folder of the data set.
         backwards: let time run backwards; labels stay what they were.
-        still: show the frame in the middle all the time, at which nothing moves.
+        still: show the middle frame throughout, so that nothing moves.
 
     Returns:
         A scene source; a scene's ``source`` says which sample it was, and what made that: a family or a source of its own.
 
     Raises:
-        InputError: no data set, one without samples, images of another size or seen under other angles, a wider margin.
+        InputError: no data set, one without samples, images of another size or seen under other angles, a wider margin; both
+            ``backwards`` and ``still``.
     """
+    if backwards and still:
+        raise InputError("backwards", "got true with still: true, where frames have no order; leave one of them out")
     splits = tuple(dataset for split in SPLITS if len(dataset := open_dataset(path, split)))
     if not splits:
         raise InputError("path", f"{path} holds no finished sample; make some first")

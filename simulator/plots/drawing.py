@@ -147,7 +147,7 @@ _HIDDEN = 0.6  # brightness of points that the next frame does not show: what re
 def depth_colours(
     depth_m: NDArray[np.float32], valid: NDArray[np.bool_], near_m: float, far_m: float
 ) -> NDArray[np.uint8]:
-    """Colour depths ``(h, w)`` evenly in disparity (1/z) from near (yellow) to far (violet), uint8; grey is unseen."""
+    """Colour depths ``(..., h, w)`` evenly in disparity (1/z) from near (yellow) to far (violet), uint8; grey is unseen."""
     range_per_m = max(1 / near_m - 1 / far_m, 1e-12)
     share = np.clip((1 / near_m - 1 / depth_m.astype(np.float64)) / range_per_m, 0, 1)
     colours = _between(share, np.linspace(0, 1, len(_DEPTH)), _DEPTH)

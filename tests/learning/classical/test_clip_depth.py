@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,13 @@ import pytest
 import torch
 
 from learning.camera import CaptureModel
-from learning.classical.by_name import build_method
+from learning.classical.by_name import ALL_DEFAULTS, build_method
 from learning.classical.clip_depth import OF_VOLUME, ClipDepth
+from learning.classical.method import ClassicalMethod
+from learning.config import TuneConfig
 from learning.layers.space_time import JOINT, JointLeastSquares
 from learning.method import Clock
+from learning.tune.job import classical
 from simulator.errors import InputError
 
 
@@ -56,7 +60,7 @@ def test_depths_of_what_moves_are_found(wide_camera: CaptureModel) -> None:
 
 
 def test_volumes_are_the_least_squares_of_its_planes(moving_capture: CaptureModel) -> None:
-    """And what is estimated of them, frame by frame, is what stills' volumes give."""
+    """And what is estimated of them is, frame by frame, what a graph cut gives of the volume of a still."""
     measurement = torch.rand(1, 3, 48, 48, generator=torch.Generator().manual_seed(1))
     method = build_method(moving_capture, "joint3d", {"planes": 2, "iterations": 3})
     assert isinstance(method, ClipDepth)
@@ -66,9 +70,26 @@ def test_volumes_are_the_least_squares_of_its_planes(moving_capture: CaptureMode
     torch.testing.assert_close(volume, expected)
     assert set(OF_VOLUME) == {*JOINT, "planes"}
     whole = method.estimate(volume)
+    still = replace(moving_capture.with_planes(2), timing=None)
+    of_depth: Any = {key: value for key, value in ALL_DEFAULTS["joint3d"].items() if key not in OF_VOLUME}
+    cut = ClassicalMethod("cut", still, torch.nn.Identity(), stage="none", **of_depth)
     for frame in range(4):
-        one = method.estimate(volume[:, frame : frame + 1])
-        torch.testing.assert_close(whole.disparity[:, frame], one.disparity[:, 0])
+        one = cut.estimate(volume[:, frame])
+        torch.testing.assert_close(whole.image[:, frame], one.image)
+        torch.testing.assert_close(whole.disparity[:, frame], one.disparity)
+
+
+def test_a_search_asks_for_no_single_plane(moving_capture: CaptureModel, tmp_path: Path) -> None:
+    config = TuneConfig.model_validate(
+        {"output": tmp_path / "tuned.json", "data": {"validation": tmp_path}, "methods": ["joint3d"]}
+    )
+    tunable = classical(moving_capture, "joint3d", config, torch.device("cpu"))
+    assert tunable.space["planes"].neighbour(2, -1) is None
+    for name, axis in tunable.space.items():
+        for value in axis.values:
+            tunable.build(dict(tunable.defaults) | {name: value})
+    assert ALL_DEFAULTS["joint3d"].keys() >= tunable.space.keys()
+    assert tunable.volume_parameters == set(OF_VOLUME)
 
 
 def test_stills_and_one_plane_are_refused(tiny_capture: CaptureModel, clip_capture: CaptureModel) -> None:

@@ -28,6 +28,8 @@ from learning.data import ExampleSet
 from learning.evaluate import report, runs
 from learning.evaluate.job import CACHE, evaluate
 from learning.method import linear_to_srgb
+from learning.models import build_network
+from learning.provenance import scenes_of
 from learning.tune.study import Study
 from simulator.dataset.reader import open_dataset
 from simulator.errors import InputError
@@ -186,6 +188,48 @@ def test_networks_for_stills_give_all_frames_the_same(
     assert "depth_rmse_cm" in next(one for one in found.main if one.method == "joint").scores
     titles = [film.name for film in found.films[0]]
     assert titles == ["truth", "depth", "FlatNet3D", "depth", "joint", "depth"]
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_the_frames_of_one_network_and_the_depth_of_another(
+    load: Load, tmp_path: Path, moving_dataset: Path, checkpoints: list[Path]
+) -> None:
+    """Beside the networks that both are of; the first one, which knows one depth, decides nothing for the others."""
+    train = open_dataset(moving_dataset, "train")
+    moving = capture_model(train, white=1.5)
+    one = moving.with_stack(
+        replace(moving.stack, values=moving.stack.values[1:2], depths_m=moving.stack.depths_m[1:2], fingerprint="one")
+    )
+    architecture = {"network": "videonet", "size": "tiny", "joint_iterations": 2}
+    video = build_network(one, "videonet", "tiny", joint_iterations=2)
+    path, knows = tmp_path / "video.safetensors", tmp_path / "knows.safetensors"
+    save_checkpoint(path, video, architecture=architecture, capture=one, record={})
+    record = {"data sets": {"train": {"fingerprint": train.fingerprint}}, "scenes": {"train": scenes_of(train)}}
+    save_checkpoint(knows, video, architecture=architecture, capture=one, record=record)
+    flat = {"name": "FlatNet3D", "checkpoints": [str(checkpoints[0])]}
+    both = {"name": "both", "checkpoints": [str(checkpoints[0])], "frames": str(path)}
+    alone = {"name": "VideoNet", "checkpoints": [str(path)]}
+    data: dict[str, Any] = {"test": str(moving_dataset), "training": str(moving_dataset), "scenes": 2}
+    evaluation, _ = evaluate(load(data=data, methods=[alone, both, flat], figures={"montage": 1}))
+    found = evaluation.findings[""]
+    rows = {row.method: row for row in found.main}
+    # float32, in batches
+    assert rows["both"].values["psnr"] == pytest.approx(rows["VideoNet"].values["psnr"], rel=1e-5)
+    assert rows["both"].values["depth_rmse_cm"] == pytest.approx(rows["FlatNet3D"].values["depth_rmse_cm"], rel=1e-5)
+    assert abs(rows["both"].values["psnr"] - rows["FlatNet3D"].values["psnr"]).min() > 0.01
+    assert found.edges_cm[0] == pytest.approx(1)
+    assert found.edges_cm[-1] == pytest.approx(20)
+    assert any(row.method.startswith("constant depth") for row in found.naive)
+    assert [film.name for film in found.films[0]][:4] == ["truth", "depth", "VideoNet", "both"]
+    plain = _results(tmp_path)["methods"]
+    assert plain[1]["checkpoints"][0]["frames"]["file"] == "video.safetensors"
+
+    with pytest.raises(InputError, match=r"^both: .*knows\.safetensors learned from"):
+        evaluate(load(data=data | {"split": "train"}, methods=[flat | {"name": "both", "frames": str(knows)}]))
+    with pytest.raises(InputError, match=r"^both: frames: .*flatnet3d_1\.safetensors is for stills"):
+        evaluate(load(data=data, methods=[both | {"frames": str(checkpoints[1])}]))
+    with pytest.raises(InputError, match=r"^both: got frames, but .* holds stills"):
+        evaluate(load(methods=[both]))
 
 
 def test_a_word_that_no_scene_has_and_methods_of_the_other_kind_are_refused(

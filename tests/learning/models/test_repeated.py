@@ -12,7 +12,7 @@ from learning.models import build_network, learned_method
 from learning.models.repeated import RepeatedStill
 
 
-def test_all_frames_are_the_stills_and_pictures_may_be_anothers(
+def test_all_frames_are_the_stills_and_images_may_be_anothers(
     moving_capture: CaptureModel, clip_capture: CaptureModel
 ) -> None:
     torch.manual_seed(0)
@@ -20,8 +20,10 @@ def test_all_frames_are_the_stills_and_pictures_may_be_anothers(
     still = learned_method("flat", build_network(camera, "flatnet3d", "tiny"), camera)
     frames = learned_method("video", build_network(clip_capture, "videonet", "tiny", joint_iterations=2), clip_capture)
     measurement = torch.rand(2, 3, 48, 48)
-    alone, clock = RepeatedStill("both", still, moving_capture).reconstruct(measurement), Clock()
-    both = RepeatedStill("both", still, moving_capture, frames).to("cpu").reconstruct(measurement, clock)
+    method, clock = RepeatedStill("both", still, moving_capture), Clock()
+    alone = method.reconstruct(measurement)
+    method.frames = frames
+    both = method.to("cpu").reconstruct(measurement, clock)
     expected = still.reconstruct(measurement)
     for frame in range(4):
         torch.testing.assert_close(alone.image[:, frame], expected.image)

@@ -115,6 +115,9 @@ def test_what_it_begins_with_can_be_kept(moving_capture: CaptureModel, measureme
     told = net.joint.told
     assert network(moving_capture).joint.told == told
     assert network(moving_capture, joint_iterations=4).joint.told != told
+    repeated = build_network(moving_capture, "videonet3d", "tiny", still=STILL | {"repeats": 0}, **SMALL)
+    repeated.load_state_dict(net.state_dict())
+    assert repeated.joint.told != told  # as another architecture may have the same weights
     with torch.no_grad():
         net.joint.still.inversion.log_lambda += 1
     assert net.joint.told != told
@@ -145,3 +148,5 @@ def test_other_cameras_and_networks_are_refused(tiny_capture: CaptureModel, clip
     moving = replace(tiny_capture, timing=clip_capture.timing)
     with pytest.raises(InputError, match=r"^still: got the network videonet, expected flatnet3d"):
         build_network(moving, "videonet3d", "tiny", still={"network": "videonet"})
+    with pytest.raises(InputError, match=r"^still.size: got 'huge', expected one of"):
+        build_network(moving, "videonet3d", "tiny", still={"network": "flatnet3d", "size": "huge"})

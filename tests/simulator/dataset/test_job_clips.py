@@ -332,6 +332,8 @@ def test_clips_of_a_data_set_run_otherwise_for_another_camera(
     for name in ("rgb", "depth_m", "valid"):
         np.testing.assert_array_equal(getattr(other, name), getattr(one, name)[order])
     assert other.label == one.label
+    with pytest.raises(InputError, match=r"backwards: got true with still: true, .*; leave one of them out"):
+        generate(trial.write(camera=CAMERA, scene=again | {"backwards": True, "still": True}, dataset=counts))
     assert {key: other.metadata["scene"].get(key) for key in ("backwards", "still")} == {how: True} | dict.fromkeys(
         {"backwards", "still"} - {how}
     )
