@@ -1,18 +1,15 @@
 """VideoNet3D: the frames of a moving scene and the depth of each, from one capture of a rolling shutter.
 
-A capture that says when things were where, row by row, also says how far away they were: PSFs scale with 1 / z. The network
-begins with what two estimates know that make opposite assumptions. A FlatNet3D takes the capture for that of a still scene,
-which is right where nothing moves. Joint least squares over space, time and depth, with a few planes in place of all, know
-what moves, and see little of the detail. A body that looks at both, and at the light that the FlatNet3D's inversions find at
-all planes, says how much of the change that least squares see to add to the FlatNet3D's picture, and what both lack.
+A capture that says when things were where, row by row, also says how far away they were: PSFs scale with 1 / z. A FlatNet3D,
+which takes the capture for that of a still scene, is right where nothing moves; joint least squares over space, time, depth
+know what moves, and see little of the detail. A body that looks at both (`learning.models.beginning`) says how much of the
+change that least squares see to add to the FlatNet3D's image, and what both lack.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -20,79 +17,11 @@ from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from learning.layers.noise import level_image, noise_ratio
-from learning.layers.space_time import JOINT, JointLeastSquares
-from learning.method import Clock, Estimate, check_choices, inference, linear_to_srgb
+from learning.method import Clock, Estimate, inference, linear_to_srgb
+from learning.models.beginning import Beginning
 from learning.models.clip_network import ClipNetworkMethod, FrameBody, check_clips, copy_weights
-from learning.models.flatnet import SIZES, FlatNet3D
 from learning.models.refinement import MOST_RADIANCE
 from simulator.errors import InputError
-from simulator.io.files import sha256_bytes
-
-
-class Start(NamedTuple):
-    """What the network begins with; light is in the camera's channels, 1 for white.
-
-    Attributes:
-        frames: ``(B, N, K C, h, w)``, light of a few planes of each frame, by joint least squares.
-        planes: ``(B, P, h, w)``, light of all planes of the whole capture as if nothing moved: the FlatNet3D's inversions.
-        image: ``(B, 3, h, w)``, what it makes of them, sRGB codes.
-        disparity: ``(B, 1, h, w)``.
-    """
-
-    frames: Tensor
-    planes: Tensor
-    image: Tensor
-    disparity: Tensor
-
-
-class Beginning(nn.Module):
-    """Both estimates that the network begins with.
-
-    Attributes:
-        still: the FlatNet3D.
-        planes: how many planes the frames have.
-        channels: of the image that is the inversions of the whole capture, P.
-    """
-
-    def __init__(self, capture: CaptureModel, still: Mapping[str, Any], planes: int, iterations: int) -> None:
-        """Build both; ``still`` is the architecture of the FlatNet3D."""
-        super().__init__()
-        self._told: dict[str, Any] = {"still": dict(still)}
-        numbers = dict(still)
-        if (name := numbers.pop("network", None)) != "flatnet3d":
-            raise InputError("still", f"got the network {name}, expected flatnet3d")
-        size = numbers.pop("size", "compact")
-        check_choices(("still.size", size, SIZES))
-        self.still = FlatNet3D(still_camera(capture), **SIZES[size] | numbers)
-        seen = capture.with_planes(min(planes, len(capture.stack.depths_m)))
-        self.planes = len(seen.stack.depths_m)
-        steps: dict[str, Any] = dict(JOINT) | {"iterations": iterations}
-        self.joint = JointLeastSquares(seen, **steps)
-        inversions = 1 if self.still.joint is None else 2
-        self.channels = inversions * len(capture.stack.depths_m) * len(capture.stack.channels)
-        frames = (capture.frames, self.planes * len(capture.stack.channels))
-        self._shapes = [(*many, *capture.scene_shape) for many in (frames, (self.channels,), (3,), (1,))]
-
-    @property
-    def told(self) -> dict[str, Any]:
-        """What decides it beside the camera, plain."""
-        weights = b"".join(values.detach().cpu().numpy().tobytes() for values in self.still.state_dict().values())
-        return self._told | {"joint": self.joint.told, "planes": self.planes, "weights": sha256_bytes(weights)}
-
-    @torch.no_grad()
-    def forward(self, measurement: Tensor) -> Tensor:
-        """Return all of `Start` of each measurement in a row, ``(B, numbers)``."""
-        frames = self.joint.volumes(measurement)
-        with inference(self.still):
-            inverted = self.still.invert(measurement)
-            image, disparity = self.still.refine(self.still.enhance(inverted), inverted)
-        volumes = inverted.volumes[self.still.image]
-        return torch.cat([each.flatten(1) for each in (frames, volumes, image.to(frames), disparity.to(frames))], dim=1)
-
-    def parts(self, start: Tensor) -> Start:
-        """Return what `forward` has put in a row."""
-        sizes = [math.prod(shape) for shape in self._shapes]
-        return Start(*(one.unflatten(1, shape) for one, shape in zip(start.split(sizes, 1), self._shapes, strict=True)))
 
 
 class VideoNet3D(nn.Module):
@@ -177,11 +106,6 @@ class VideoNet3D(nn.Module):
             raise InputError(source, f"got a {type(known).__name__}, expected a VideoNet3D")
         cure = "take a checkpoint of the same size (filters, blocks, levels, dimensions, joint_planes) and slivers"
         return copy_weights(self, known.state_dict(), source, cure, self.state_dict())
-
-
-def still_camera(capture: CaptureModel) -> CaptureModel:
-    """Return a camera as it sees what stands still: all rows see the same, whenever they are open."""
-    return replace(capture, timing=None)
 
 
 VIDEO_3D_SIZES: dict[str, dict[str, Any]] = {
