@@ -41,6 +41,7 @@ def moving_settings(moving_dataset: Path, checkpoints: list[Path], tmp_path: Pat
     return make
 
 
+@pytest.mark.slow
 def test_learns_frames_and_depth_beyond_its_flatnet(
     moving_settings: Settings, moving_dataset: Path, checkpoints: list[Path]
 ) -> None:
