@@ -313,15 +313,14 @@ def _figures(evaluation: Evaluation, name: str) -> dict[str, bytes]:
     figures: dict[str, bytes] = {}
     if any(one.bins_cm for one in findings.main):
         figures[DEPTH] = depth_png(findings.main, colours, findings.naive, findings.edges_cm)
+    title, camera = ": ".join(filter(None, [evaluation.config.name, name])), findings.camera
+    line = f"white = radiance {camera.white:.3g}"
+    if len(camera.stack.depths_m) > 1:
+        line += f"; depth z {depth_range(camera.near_m, camera.far_m)}"
     if findings.films:
-        title = ": ".join(filter(None, [evaluation.config.name, name]))
-        line = f"white = radiance {findings.camera.white:.3g}"
         figures[FILMS] = png_bytes(film_sheet(findings.films, title, line))
         figures[ANIMATION] = film_webp(findings.films)
     if findings.montage:
-        camera = findings.camera
-        line = f"white = radiance {camera.white:.3g}; depth z {depth_range(camera.near_m, camera.far_m)}"
-        title = ": ".join(filter(None, [evaluation.config.name, name]))
         figures[MONTAGE] = montage_png(findings.columns, findings.montage, title, line, camera.near_m, camera.far_m)
     if findings.ablation:
         figures[NOISE] = noise_png(findings.ablation, colours, part)
