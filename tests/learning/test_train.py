@@ -491,6 +491,7 @@ def test_another_camera_is_refused(tiny_dataset: Path, learning_trial: Any, over
         find_data(config(tiny_dataset, validation=str(other)))
 
 
+@pytest.mark.slow
 def test_finer_psfs_of_the_same_camera_are_welcome(tiny_dataset: Path, learning_trial: Any) -> None:
     other = learning_trial.generate("psf.depths=4", dataset=COUNTS, psf={"as_captured": None})
     _, validation, capture = find_data(config(tiny_dataset, validation=str(other)))

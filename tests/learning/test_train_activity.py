@@ -81,6 +81,7 @@ def test_a_training_leaves_checkpoints_metrics_and_a_sheet(activity_settings: Se
     assert known.record["loss"] == {"class_weight": 3.0, "measurement_weight": 1.0, "label_smoothing": 0.0}
 
 
+@pytest.mark.slow
 def test_a_resumed_training_is_the_same(activity_settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
     """Dropout and moved windows, too, follow from the seed and the step."""
     whole = train_activity(activity_settings("whole"))

@@ -42,6 +42,7 @@ def distance(nominal: PsfStack, captured: PsfStack) -> float:
     return float(np.linalg.norm(captured.values - nominal.values) / np.linalg.norm(nominal.values))
 
 
+@pytest.mark.slow
 def test_a_perfect_laboratory_measures_the_nominal_stack(capture) -> None:
     nominal, captured = capture(**NO_ERROR)
     assert distance(nominal, captured) < 1e-6  # float32

@@ -140,6 +140,7 @@ def test_each_capture_is_a_problem_of_its_own(
         torch.testing.assert_close(film, solver(alone)[0], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_shipped_denoiser_improves_on_the_start(
     dotted_camera: Callable[..., CaptureModel], measured: Callable[..., Tensor]
 ) -> None:

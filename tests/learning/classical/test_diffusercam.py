@@ -91,6 +91,7 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
 
 
+@pytest.mark.slow
 def test_admm_equals_the_published_algorithm(hand: Hand) -> None:
     mu, tau, iterations = (1e-6, 1e-5, 4e-5), 1e-4, 40  # the tutorial's
     options = {"weights": mu, "light": "anywhere", "dtype": torch.float64}

@@ -158,6 +158,7 @@ def test_what_is_fitted_to_each_capture_is_kept_and_not_timed(
     assert len(list(cache.glob("fits/*/*.pt"))) == 4
 
 
+@pytest.mark.slow
 def test_networks_for_stills_give_all_frames_the_same(
     load: Load, tmp_path: Path, moving_dataset: Path, checkpoints: list[Path]
 ) -> None:

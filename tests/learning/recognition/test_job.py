@@ -151,6 +151,7 @@ def test_the_report_and_its_files(settings: Any, tmp_path: Path) -> None:
             assert min(image.size) > 100
 
 
+@pytest.mark.slow
 def test_what_is_finished_is_kept(settings: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     recognise(settings(noise_db=[20], timed=0, shown=1))
     asked: list[str] = []

@@ -142,6 +142,7 @@ class TestStacks:
         assert first.fingerprint == again.fingerprint
         assert first.provenance == again.provenance
 
+    @pytest.mark.slow
     def test_threads_change_nothing(self, trial) -> None:
         values = []
         for threads, error in ((1, 1.02), (2, 1.03)):  # another limit: not from the cache

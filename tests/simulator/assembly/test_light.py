@@ -88,6 +88,7 @@ class TestSceneColours:
         assert clipped > 0
 
 
+@pytest.mark.slow
 def test_a_monochrome_sensor_all_the_way(trial):
     """One channel Y from the curve to the file: its image is the grey one of a camera with that row."""
     (trial.folder / "mono.csv").write_text("400,0.5\n550,0.9\n700,0.6\n")

@@ -10,6 +10,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 HOLE = "{design: pinhole, diameter_um: 100, pixel_um: 4}"
 
 
+@pytest.mark.slow
 def test_a_page_and_a_picture(flatlight, trial, tmp_path: Path) -> None:
     path = trial.write()
     for name in ("both.html", "both.png"):

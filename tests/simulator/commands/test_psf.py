@@ -56,6 +56,7 @@ def test_places_are_looked_at_before_anything_is_computed(
 # ``psf --as-captured`` as users meet it.
 
 
+@pytest.mark.slow
 def test_true_and_captured_side_by_side(flatlight, trial, tmp_path: Path) -> None:
     place, picture = tmp_path / "stack", tmp_path / "psf.png"
     code, out, err = flatlight("psf", trial.write(), "--as-captured", "--output", place, "--plot", picture)

@@ -134,6 +134,7 @@ def frames() -> NDArray[np.float32]:
     return ((smooth - smooth.min()) / np.ptp(smooth)).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_frames_are_those_of_the_formulas(
     interpolator: SuperSloMo, checkpoint: Path, networks: tuple[Published, Published], frames: NDArray[np.float32]
 ) -> None:

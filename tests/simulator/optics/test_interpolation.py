@@ -155,9 +155,8 @@ def diffractive() -> tuple[PsfStack, PsfStack, np.ndarray]:
     return captured, reference, depths
 
 
-@pytest.mark.parametrize(
-    ("step", "of_linear", "of_nearest"), [pytest.param(2, 0.85, 0.5, marks=pytest.mark.slow), (4, 0.5, 0.4)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("step", "of_linear", "of_nearest"), [(2, 0.85, 0.5), (4, 0.5, 0.4)])
 def test_a_stack_as_captured_between_its_planes(diffractive, step, of_linear, of_nearest) -> None:
     """Between measured planes, against the computed reference; the farther they are apart, the more magnification matters.
 

@@ -87,6 +87,7 @@ def test_every_figure_is_defined(page: str) -> None:
     assert page.count("<dt>") == page.count("<dd>") == len(COLUMNS)
 
 
+@pytest.mark.slow
 def test_the_image_has_a_row_per_candidate(candidates) -> None:
     heights = []
     for chosen in (candidates[:1], candidates):

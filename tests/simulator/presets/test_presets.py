@@ -20,7 +20,13 @@ IMPORTED = ["something_something_v2", "youtube_vos"]
 THESIS = ["video_thesis", "youtube_vos"]
 CLIPS = ["activity_64", "high_speed_64", *IMPORTED, "video_thesis"]
 SHADOWS = [name for name in NAMES if name != "two_sensors"]  # whose lens casts a spot
-LARGE = ["activity_64", "flying_things_64", "high_speed_64"]  # masks that take seconds to design
+LARGE = [
+    "activity_64",
+    "flying_things",
+    "flying_things_64",
+    "high_speed_64",
+    "moving_3d_64",
+]  # masks that take seconds to design
 WITH_MASKS = [pytest.param(name, marks=pytest.mark.slow if name in LARGE else []) for name in SHADOWS]
 COARSE_MASK = ["camera.mask.iterations=2"]  # as wide as after all of them: what can be seen is the same
 
