@@ -26,7 +26,7 @@ LARGE = [
     "flying_things_64",
     "high_speed_64",
     "moving_3d_64",
-]  # masks that take seconds to design
+]  # masks take seconds to design
 WITH_MASKS = [pytest.param(name, marks=pytest.mark.slow if name in LARGE else []) for name in SHADOWS]
 COARSE_MASK = ["camera.mask.iterations=2"]  # as wide as after all of them: what can be seen is the same
 
