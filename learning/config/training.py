@@ -411,7 +411,7 @@ class Video3DTrainConfig(LoopConfig):
     data: ClipDataConfig
     network: Video3DNetworkConfig
     init_from: str = Field(min_length=1)
-    """checkpoint (.safetensors) of the FlatNet3D that it adds to, or of a VideoNet3D"""
+    """checkpoint (.safetensors) of the FlatNet3D whose estimates it corrects, or of a VideoNet3D"""
     loss: Video3DLossConfig = Video3DLossConfig()
 
 

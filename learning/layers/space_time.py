@@ -70,6 +70,10 @@ class ClipProblem(nn.Module):
         """Return the transpose of A times an image ``(B, C, H, W)``."""
         return self._operator(image).adjoint(image / self.norm)
 
+    def instead(self, measurement: Tensor, light: Tensor, other: Tensor) -> Tensor:
+        """Return measurements as they would be with ``other`` light in place of x; one frame may stand for all."""
+        return measurement + self(other - light) / self.scale
+
     def film(self, light: Tensor) -> Tensor:
         """Return the image ``(B, N, K, C, h, w)`` of x: radiance / white in the camera's channels."""
         rows, columns = self._capture.scene_in_field

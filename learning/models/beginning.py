@@ -1,6 +1,11 @@
-"""What VideoNet3D begins with: two estimates of a capture, one as if nothing moved, one with all that may.
+"""What VideoNet3D begins with: a FlatNet3D's estimates of a capture as it is, and as if all rows had seen the same frame.
 
-They take longer than a step of a training and are kept; by this module's code they are told apart, not by the network's.
+A FlatNet3D knows captures of what stands still. In one of a rolling shutter each row has seen other moments; joint least
+squares over space, time and a few depths say how these differ, and less that difference the capture is that of a still scene.
+Their own image is noisy when they have converged; what serves is how much of the capture they explain.
+
+The estimates take longer than a step of a training and are kept; by this module's code they are told apart, not by the
+network's.
 """
 
 from __future__ import annotations
@@ -25,25 +30,29 @@ class Start(NamedTuple):
     """What the network begins with; light is in the camera's channels, 1 for white.
 
     Attributes:
-        frames: ``(B, N, K C, h, w)``, light of a few planes of each frame, by joint least squares.
-        planes: ``(B, P, h, w)``, light of all planes of the whole capture as if nothing moved: the FlatNet3D's inversions.
-        image: ``(B, 3, h, w)``, what it makes of them, sRGB codes.
+        light: ``(B, N, K C, h, w)``, of a few planes of each frame, by joint least squares.
+        images: ``(B, N, 3, h, w)``, what the FlatNet3D makes of the capture as if all of it had seen a frame, sRGB codes.
+        disparities: ``(B, N, 1, h, w)``.
+        planes: ``(B, P, h, w)``, its inversions of the capture as if all of it had seen the mean of the frames.
+        image: ``(B, 3, h, w)``, what it makes of the capture as it is.
         disparity: ``(B, 1, h, w)``.
     """
 
-    frames: Tensor
+    light: Tensor
+    images: Tensor
+    disparities: Tensor
     planes: Tensor
     image: Tensor
     disparity: Tensor
 
 
 class Beginning(nn.Module):
-    """A FlatNet3D of the whole capture, and joint least squares over space, time and depth with a few planes in place of all.
+    """A FlatNet3D, and joint least squares over space, time and depth with a few planes in place of all.
 
     Attributes:
         still: the FlatNet3D.
-        planes: how many planes the frames have.
-        channels: of the image that is the inversions of the whole capture, P.
+        planes: how many planes the least squares know.
+        channels: of the image that is the FlatNet3D's inversions, P.
     """
 
     def __init__(self, capture: CaptureModel, still: Mapping[str, Any], planes: int, iterations: int) -> None:
@@ -62,8 +71,8 @@ class Beginning(nn.Module):
         self.joint = JointLeastSquares(seen, **steps)
         inversions = 1 if self.still.joint is None else 2
         self.channels = inversions * len(capture.stack.depths_m) * len(capture.stack.channels)
-        frames = (capture.frames, self.planes * len(capture.stack.channels))
-        self._shapes = [(*many, *capture.scene_shape) for many in (frames, (self.channels,), (3,), (1,))]
+        of_frames = [(capture.frames, many) for many in (self.planes * len(capture.stack.channels), 3, 1)]
+        self._shapes = [(*many, *capture.scene_shape) for many in (*of_frames, (self.channels,), (3,), (1,))]
 
     @property
     def told(self) -> dict[str, Any]:
@@ -74,12 +83,22 @@ class Beginning(nn.Module):
     @torch.no_grad()
     def forward(self, measurement: Tensor) -> Tensor:
         """Return all of `Start` of each measurement in a row, ``(B, numbers)``."""
-        frames = self.joint.volumes(measurement)
+        problem, light = self.joint.problem, self.joint.light(measurement)
+        stilled = torch.cat([problem.instead(measurement, light, frame) for frame in light.split(1)])
         with inference(self.still):
-            inverted = self.still.invert(measurement)
-            image, disparity = self.still.refine(self.still.enhance(inverted), inverted)
-        volumes = inverted.volumes[self.still.image]
-        return torch.cat([each.flatten(1) for each in (frames, volumes, image.to(frames), disparity.to(frames))], dim=1)
+            image, disparity = self._estimated(measurement)
+            images, disparities = (
+                values.unflatten(0, (len(light), -1)).transpose(0, 1) for values in self._estimated(stilled)
+            )
+            mean = problem.instead(measurement, light, light.mean(dim=0, keepdim=True))
+            volumes = self.still.invert(mean).volumes[self.still.image]
+        every = (problem.film(light), images, disparities, volumes, image, disparity)
+        return torch.cat([each.flatten(1).to(light) for each in every], dim=1)
+
+    def _estimated(self, measurement: Tensor) -> tuple[Tensor, Tensor]:
+        inverted = self.still.invert(measurement)
+        image, disparity = self.still.refine(self.still.enhance(inverted), inverted)
+        return image, disparity
 
     def parts(self, start: Tensor) -> Start:
         """Return what `forward` has put in a row."""

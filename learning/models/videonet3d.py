@@ -1,9 +1,9 @@
 """VideoNet3D: the frames of a moving scene and the depth of each, from one capture of a rolling shutter.
 
-A capture that says when things were where, row by row, also says how far away they were: PSFs scale with 1 / z. A FlatNet3D,
-which takes the capture for that of a still scene, is right where nothing moves; joint least squares over space, time, depth
-know what moves, and see little of the detail. A body that looks at both (`learning.models.beginning`) says how much of the
-change that least squares see to add to the FlatNet3D's image, and what both lack.
+A capture that says when things were where, row by row, also says how far away they were: PSFs scale with 1 / z. What joint
+least squares over space and time see move is taken out of it, so that a FlatNet3D of stills finds image and depth of each
+frame (`learning.models.beginning`). Where nothing moves, its estimate of the capture as it is remains the better one: a body
+that looks at all of them says how much of each to take, and what both lack.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from simulator.errors import InputError
 class VideoNet3D(nn.Module):
     """Frames and depth of captures; all is in float32 but the body, which autocast may run in bfloat16.
 
-    At first its depth is the FlatNet3D's, and half of the change of least squares is added to each frame's picture.
+    At first it answers with the mean of the two estimates that it begins with.
 
     Attributes:
         joint: gives the estimate that it begins with, see `Beginning`; the FlatNet3D in it is not trained here.
@@ -71,26 +71,27 @@ class VideoNet3D(nn.Module):
         self.joint = Beginning(capture, still, joint_planes, joint_iterations)
         self.joint.still.requires_grad_(False)
         sizes: dict[str, Any] = {"filters": filters, "blocks": blocks, "levels": levels, "stem": 1}
-        own = len(capture.stack.channels) * self.joint.planes + 3
+        own = len(capture.stack.channels) * self.joint.planes + 3 + 3 + 1
         shared = self.joint.channels + 3 + 1 + 1
-        self.body = FrameBody(capture.frames, own, shared, 5, dimensions=dimensions, body="naf", **sizes)
+        self.body = FrameBody(capture.frames, own, shared, 6, dimensions=dimensions, body="naf", **sizes)
         colours = torch.from_numpy(np.linalg.pinv(capture.scene_to_camera)).to(torch.get_default_dtype())
         self.register_buffer("colours", colours, persistent=False)
 
     def forward(self, measurement: Tensor, start: Tensor | None = None) -> Estimate:
         """Return the film of measurements ``(B, C, H, W)``, DN / 2^bits; ``start`` is what `begin` gives, where known."""
         with torch.autocast(measurement.device.type, enabled=False):
-            frames, planes, image, disparity = self.joint.parts(self.begin(measurement) if start is None else start)
-            level = level_image(noise_ratio(self.joint.still.inversion.light(measurement)), image)
+            known = self.joint.parts(self.begin(measurement) if start is None else start)
+            level = level_image(noise_ratio(self.joint.still.inversion.light(measurement)), known.image)
             # Of all planes together: least squares find much better how bright a pixel is than how far away.
-            light = frames.unflatten(2, (self.joint.planes, -1)).sum(dim=2)
+            light = known.light.unflatten(2, (self.joint.planes, -1)).sum(dim=2)
             radiance = torch.einsum("ac,bnchw->bnahw", self.colours, light).clamp(0, MOST_RADIANCE)
             codes = linear_to_srgb(radiance, 1.0, clip=False)
-        known = torch.cat([frames, codes], dim=2)
-        answer = self.body(known, torch.cat([planes, image, disparity, level], dim=1)).to(image)
-        moving = codes - codes.mean(dim=1, keepdim=True)
-        frames = image[:, None] + answer[:, :, 4:].sigmoid() * moving + answer[:, :, :3]
-        return Estimate(frames, disparity[:, None] + answer[:, :, 3:4])
+        own = torch.cat([known.light, codes, known.images, known.disparities], dim=2)
+        shared = torch.cat([known.planes, known.image, known.disparity, level], dim=1)
+        answer = self.body(own, shared).to(codes)
+        shares, image, disparity = answer[:, :, 4:].sigmoid(), known.image[:, None], known.disparity[:, None]
+        images = image + shares[:, :, :1] * (known.images - image) + answer[:, :, :3]
+        return Estimate(images, disparity + shares[:, :, 1:] * (known.disparities - disparity) + answer[:, :, 3:4])
 
     def begin(self, measurement: Tensor) -> Tensor:
         """Return what it begins with, to be kept; see `Beginning`."""
@@ -111,7 +112,7 @@ class VideoNet3D(nn.Module):
 VIDEO_3D_SIZES: dict[str, dict[str, Any]] = {
     "compact": {
         **{"dimensions": 2, "filters": 48, "blocks": 1, "levels": 4},
-        **{"joint_planes": 4, "joint_iterations": 10},
+        **{"joint_planes": 2, "joint_iterations": 80},
     },
     "tiny": {
         **{"dimensions": 2, "filters": 8, "blocks": 1, "levels": 2},

@@ -15,7 +15,7 @@ from torch import Tensor
 from learning.camera import CaptureModel
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.layers.noise import level_image, noise_ratio
-from learning.layers.space_time import JOINT, JointLeastSquares
+from learning.layers.space_time import JOINT, ClipProblem, JointLeastSquares
 from learning.method import Clock, linear_to_srgb
 from learning.models import build_network, learned_method, named
 from learning.models.videonet3d import VideoNet3D
@@ -43,58 +43,85 @@ def network(capture: CaptureModel, **changes: Any) -> VideoNet3D:
     return built
 
 
-@pytest.mark.parametrize("dimensions", [2, 3])
-def test_it_begins_as_its_flatnet(moving_capture: CaptureModel, measurement: Tensor, dimensions: int) -> None:
-    """Which another build of the same network, for the same camera without a shutter, gives too.
+def seen_as(capture: CaptureModel, measurement: Tensor, light: Tensor, other: Tensor) -> Tensor:
+    """Return the captures with other light in place of the estimated, by the sum over frames and planes in float64."""
+    frames = other.expand_as(light).double() - light.double()
+    model = capture.with_planes(light.shape[1]).space_time(frames)
+    brightness = capture.gain * capture.white * float(capture.scene_irradiance.max())
+    return measurement + brightness * model.forward(frames).to(measurement)
 
-    Over the frames nothing is added to its picture in the mean, because least squares' changes have none.
-    """
-    net = network(moving_capture, dimensions=dimensions)
-    film = net(measurement)
-    still = build_network(replace(moving_capture, timing=None), **named(STILL))
+
+def still_estimates(net: VideoNet3D, capture: CaptureModel, measurement: Tensor) -> tuple[Tensor, Tensor]:
+    """Return image and disparity of another build of the net's FlatNet3D, for the camera without a shutter."""
+    still = build_network(replace(capture, timing=None), **named(STILL))
     still.load_state_dict(net.joint.still.state_dict())
     with torch.no_grad():
-        estimate = still.eval()(measurement)
+        image, disparity = still.eval()(measurement)
+    return image, disparity
+
+
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_it_begins_between_its_flatnets_estimates(
+    moving_capture: CaptureModel, measurement: Tensor, dimensions: int
+) -> None:
+    """Half-way between that of the capture as it is, and that of it as if all rows had seen the frame."""
+    net = network(moving_capture, dimensions=dimensions, joint_planes=3)
+    film = net(measurement)
+    light = net.joint.joint.light(measurement)
+    whole = still_estimates(net, moving_capture, measurement)
     assert film.image.shape == (2, 4, 3, 16, 16)
     assert film.disparity.shape == (2, 4, 1, 16, 16)
-    # float32, in batches of another size
-    torch.testing.assert_close(film.image.mean(dim=1), estimate.image, rtol=0, atol=1e-5)
-    assert float(film.image.detach().std(dim=1).mean()) > 0.02
     for frame in range(4):
-        torch.testing.assert_close(film.disparity[:, frame], estimate.disparity, rtol=0, atol=1e-5)
+        stilled = seen_as(moving_capture, measurement, light, light[frame : frame + 1])
+        alone = still_estimates(net, moving_capture, stilled)
+        for found, parts in zip(film, zip(whole, alone, strict=True), strict=True):
+            torch.testing.assert_close(found[:, frame], sum(parts) / 2, rtol=0, atol=1e-4)  # float32
+    assert float(film.image.detach().std(dim=1).mean()) > 0.01
 
 
-def test_its_body_sees_planes_codes_the_still_and_the_noise(
+def test_its_body_sees_all_that_it_begins_with(
     moving_capture: CaptureModel, measurement: Tensor, recorded: Any
 ) -> None:
     """Of what it answers, a frame's first three channels are added to the codes, the fourth to the disparity.
 
-    The sigmoid of the fifth is the share of the change of least squares.
+    The sigmoids of the fifth and sixth are the shares that the frame's own estimates have in image and disparity.
     """
     net = network(moving_capture, joint_planes=2)
-    answer = torch.randn(2, 4 * 5, 16, 16, generator=torch.Generator().manual_seed(2))
+    answer = torch.randn(2, 4 * 6, 16, 16, generator=torch.Generator().manual_seed(2))
     body = recorded(answer)
     net.body.body = body
     film = net(measurement)
     ends = moving_capture.stack
     ends = replace(ends, values=ends.values[[0, 2]], depths_m=ends.depths_m[[0, 2]])
     joint = JointLeastSquares(moving_capture.with_stack(ends), **JOINT | {"iterations": 3})  # pyright: ignore[reportArgumentType]
-    light = joint.problem.film(joint.light(measurement))
+    found = joint.light(measurement)
+    light = joint.problem.film(found)
     inverse = torch.from_numpy(np.linalg.inv(moving_capture.scene_to_camera)).float()
-    linear = torch.einsum("ac,bnchw->bnahw", inverse, light.sum(dim=2)).clamp(0, 4)
-    with torch.no_grad():
-        image, disparity = net.joint.still(measurement)
-        volumes = net.joint.still.invert(measurement).volumes
+    codes = linear_to_srgb(torch.einsum("ac,bnchw->bnahw", inverse, light.sum(dim=2)).clamp(0, 4), 1.0, clip=False)
+    image, disparity = still_estimates(net, moving_capture, measurement)
+    frames = [seen_as(moving_capture, measurement, found, one) for one in found.split(1)]
+    each = [still_estimates(net, moving_capture, one) for one in frames]
+    images, disparities = (torch.stack(parts, dim=1) for parts in zip(*each, strict=True))
+    mean = seen_as(moving_capture, measurement, found, found.mean(dim=0, keepdim=True))
+    volumes = net.joint.still.invert(mean).volumes.detach()
     level = level_image(noise_ratio(measurement - net.joint.still.inversion.offset), image)
-    codes = linear_to_srgb(linear, 1.0, clip=False)
-    own = torch.cat([light.flatten(2, 3), codes], dim=2)
+    own = torch.cat([light.flatten(2, 3), codes, images, disparities], dim=2)
     expected = torch.cat([own.flatten(1, 2), volumes.flatten(1, 3), image, disparity, level], dim=1)
     torch.testing.assert_close(body.given, expected, rtol=0, atol=2e-4 * float(expected.abs().max()))
-    added = answer.unflatten(1, (4, 5))
-    assert float(codes.std(dim=1).mean()) > 0.02
-    change = (codes - codes.mean(dim=1, keepdim=True)) / (1 + (-added[:, :, 4:]).exp())
-    torch.testing.assert_close(film.image, image[:, None] + change + added[:, :, :3], rtol=0, atol=1e-4)
-    torch.testing.assert_close(film.disparity, disparity[:, None] + added[:, :, 3:4], rtol=0, atol=1e-5)
+    added = answer.unflatten(1, (4, 6))
+    shares = 1 / (1 + (-added[:, :, 4:]).exp())
+    between = image[:, None] + shares[:, :, :1] * (images - image[:, None])
+    torch.testing.assert_close(film.image, between + added[:, :, :3], rtol=0, atol=1e-4)
+    between = disparity[:, None] + shares[:, :, 1:] * (disparities - disparity[:, None])
+    torch.testing.assert_close(film.disparity, between + added[:, :, 3:4], rtol=0, atol=1e-4)
+
+
+def test_what_was_all_that_moved_is_taken_out(moving_capture: CaptureModel) -> None:
+    """Of true light in place of the estimate: what is left is the capture of the still scene."""
+    problem = ClipProblem(moving_capture)
+    light = torch.rand(4, 3, 1, 3, *moving_capture.field_shape, generator=torch.Generator().manual_seed(0))
+    captures = [problem(frames) / problem.scale for frames in (light, light[2:3].expand_as(light))]
+    torch.testing.assert_close(problem.instead(captures[0], light, light[2:3]), captures[1], rtol=1e-5, atol=1e-6)
 
 
 def test_only_its_body_learns(moving_capture: CaptureModel, measurement: Tensor) -> None:
@@ -109,7 +136,7 @@ def test_what_it_begins_with_can_be_kept(moving_capture: CaptureModel, measureme
     """It is told apart by the weights of the still network and the numbers of the least squares."""
     net = network(moving_capture)
     start = net.begin(measurement)
-    assert start.shape == (2, (4 * 3 * 3 + 2 * 3 * 3 + 4) * 16 * 16)
+    assert start.shape == (2, (4 * (3 * 3 + 3 + 1) + 2 * 3 * 3 + 4) * 16 * 16)
     for found, expected in zip(net(measurement, start), net(measurement), strict=True):
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
     told = net.joint.told
