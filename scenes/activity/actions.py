@@ -142,7 +142,7 @@ def _in_both_hands(
     actors = {s: Actor(a.size, a.left, math.radians(76), math.radians(-22), a.elbow_m) for s, a in _sides(cast).items()}
     edge = 0.43 * thing.width_m * thing.share_at(height)
     pinch = 0.6 * thing.depth_m * thing.share_at(height)
-    start, arrive, pinched = cast.times(0, 0.3, 0.42)
+    start, arrive, pinched = cast.times(0.1, 0.42, 0.54)
     reach = 0.05 + 0.035 * cast.luck[11]
     bend = math.radians(18 + 22 * cast.luck[12])
     lower = cast.grip_height_m - height
@@ -183,7 +183,7 @@ def _sides(cast: Cast) -> dict[float, Actor]:
 
 
 def _dropping(cast: Cast) -> Course:
-    (release,) = cast.times(0.5 + 0.25 * cast.luck[3])
+    (release,) = cast.times(0.55 + 0.25 * cast.luck[3])
     high = cast.in_air_m
     shoulder = cast.main.shoulder(high)
     from_m = _steadied(cast, high, release)
@@ -206,13 +206,13 @@ def _dropping(cast: Cast) -> Course:
 
 
 def _picking_up(cast: Cast) -> Course:
-    reach, closed, top = cast.times(0.42, 0.54, 0.95)
+    reach, closed, top = cast.times(0.27, 0.39, 0.8)
     start = cast.times(0)[0]
     return _fetched(cast, [start, reach, closed, top], [cast.away_m, cast.on_table_m, cast.on_table_m, cast.in_air_m])
 
 
 def _putting_down(cast: Cast) -> Course:
-    start, down, opened, end = cast.times(0.05, 0.46, 0.58, 1)
+    start, down, opened, end = cast.times(0.2, 0.61, 0.73, 1)
     return _fetched(cast, [end, opened, down, start], [cast.away_m, cast.on_table_m, cast.on_table_m, cast.in_air_m])
 
 
@@ -251,9 +251,8 @@ def _moving(direction: float) -> Callable[[Cast], Course]:
         half = 0.075 + 0.045 * cast.luck[5]
         hop = max(0.0, 0.06 * (cast.luck[6] - 0.5))
         manner = cast.manner
-        high, turn = _aloft(cast)
-        along_table = not (manner.lifted or manner.tipped or manner.both_hands)
-        middle = (cast.on_table_m if along_table else high) * (0.5, 1, 1)
+        place, turn = _aloft(cast) if manner.lifted else (cast.on_table_m, np.eye(3))
+        middle = place * (0.5, 1, 1)
         reach = np.array([direction * half, 0, 0])
         ends = [middle - reach, middle + reach]
         times = cast.times(0.1, 0.9)
@@ -267,9 +266,9 @@ def _moving(direction: float) -> Callable[[Cast], Course]:
             """The arm follows the hand half-way."""
             return actor.shoulder(middle) + 0.5 * (point - middle) * (1, 0, 1)
 
-        if manner.both_hands:
+        if manner.lifted and manner.both_hands:
             return _in_both_hands(cast, motion, follow, apart=lambda _: manner.apart)
-        if manner.slides and along_table:
+        if manner.slides and not manner.lifted:
             return _slid(cast, lambda time_s: keyed(time_s, times, ends) - cast.on_table_m)
         return _carried(cast, motion, follow)
 
@@ -305,7 +304,7 @@ def _poking(cast: Cast) -> Course:
     push = (0.008 + 0.017 * cast.luck[8]) * forwards
     stops = [touch - 0.36 * forwards - (0, 0.05, 0), touch, touch + push, touch - 0.05 * forwards]
     stops.append(touch - 0.25 * forwards - (0, 0.04, 0))
-    times = cast.times(0.12, 0.52, 0.64, 0.76, 1)
+    times = cast.times(0.16, 0.56, 0.66, 0.78, 1)
 
     def act(time_s: float) -> tuple[HandState, Pose]:
         tip = keyed(time_s, times, stops)
@@ -366,13 +365,13 @@ def _held(cast: Cast, motion: Motion, place_m: Array) -> Course:
 
     if cast.manner.both_hands:
         apart = cast.manner.apart
-        return _in_both_hands(cast, motion, shoulder, apart=lambda _: apart, joins=cast.manner.joins)
+        return _in_both_hands(cast, motion, shoulder, apart=lambda _: apart, joins=cast.manner.joins and not apart)
     return _carried(cast, motion, shoulder)
 
 
 def _tearing(cast: Cast) -> Course:
     place = cast.in_air_m * (0.5, 1, 1)
-    pinched, torn = cast.times(0.5, 0.95)
+    pinched, torn = cast.times(0.56, 0.98)
 
     def motion(time_s: float) -> tuple[Array, Array]:
         return place + cast.shake_m(time_s), np.eye(3)
@@ -387,7 +386,7 @@ def _tearing(cast: Cast) -> Course:
 
 
 def _pouring(cast: Cast) -> Course:
-    tilting, end = cast.times(0.25, 0.6), cast.times(1)[0]
+    tilting, end = cast.times(0.4, 0.62), cast.times(1)[0]
     shoulder = cast.main.shoulder(cast.tipped_m)
 
     def held(time_s: float) -> tuple[Array, Array]:
@@ -399,7 +398,7 @@ def _pouring(cast: Cast) -> Course:
         point, turn = held(time_s)
         return cast.main.gripping(point, cast.width_m, shoulder, turn), cast.carried(point, turn)
 
-    opening = cast.times(0.5)[0]
+    opening = cast.times(0.56)[0]
     span = (opening, opening + 0.9 * (end - opening))
     return _one_hand(cast, act, Grains(cast, lambda time_s: cast.carried(*held(time_s)), span))
 

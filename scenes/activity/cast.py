@@ -32,7 +32,7 @@ class Manner:
         apart: how far its halves are then apart from the beginning, as a share of where tearing ends; 0 is whole.
         joins: whether the second hand comes only when the action has begun, to tear, hold or show what is whole.
         tipped: whether one hand holds, shows or carries a thing tipped over, as for pouring.
-        lifted: whether things are moved through the air, not along the table; what is tipped or held by both hands is.
+        lifted: whether things are moved through the air, not upright along the table by one hand.
         slides: whether what is moved along the table is not gripped, but slides with a fingertip that pokes it.
         offered: whether a thing that is held is near the viewer and turned, as one that is shown.
         from_above: whether a hand comes to what it picks up from above, and leaves what it has put down or dropped upwards;
@@ -162,15 +162,15 @@ class Cast:
 def draw_manner(rng: np.random.Generator) -> Manner:
     """Draw how things are done; the same number of draws whatever comes out."""
     shares = rng.random(12)
-    apart = 0.2 + 0.8 * shares[1] if shares[2] < 0.7 else 0.0
+    apart = 0.2 + 0.8 * shares[1] if shares[2] < 0.5 else 0.0
     idle: tuple[Idle, ...] = ("away", "rests", "enters", "enters")
     return Manner(
         both_hands=bool(shares[0] < 0.55),
         apart=float(apart),
-        joins=bool(apart == 0 and shares[3] < 0.6),
+        joins=bool(shares[3] < 0.7),
         tipped=bool(shares[4] < 0.6),
-        lifted=bool(shares[5] < 0.4),
-        slides=bool(shares[11] < 0.7),
+        lifted=bool(shares[5] < 0.5),
+        slides=bool(shares[11] < 0.85),
         offered=bool(shares[6] < 0.6),
         from_above=bool(shares[7] < 0.5),
         finger=bool(shares[8] < 0.5),
@@ -196,7 +196,7 @@ def draw_cast(thing: Thing, hand_size: float, to_viewer: Array, rng: np.random.G
         main=Actor(hand_size, left, math.radians(42 + 38 * shares[4]), elevation, elbow),
         second=Actor(hand_size, not left, math.radians(42 + 38 * shares[5]), elevation, elbow),
         manner=draw_manner(rng),
-        spot_m=np.array([0.06 * (2 * shares[6] - 1), 0.04 * (2 * shares[7] - 1)]),
+        spot_m=np.array([0.085 * (2 * shares[6] - 1), 0.04 * (2 * shares[7] - 1)]),
         aloft_m=0.055 + 0.045 * shares[8],
         grip_height_m=grip_height,
         to_viewer=to_viewer,
