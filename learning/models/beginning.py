@@ -84,14 +84,12 @@ class Beginning(nn.Module):
     def forward(self, measurement: Tensor) -> Tensor:
         """Return all of `Start` of each measurement in a row, ``(B, numbers)``."""
         problem, light = self.joint.problem, self.joint.light(measurement)
-        stilled = torch.cat([problem.instead(measurement, light, frame) for frame in light.split(1)])
+        stilled = [problem.instead(measurement, light, frame) for frame in light.split(1)]
         with inference(self.still):
             image, disparity = self._estimated(measurement)
-            images, disparities = (
-                values.unflatten(0, (len(light), -1)).transpose(0, 1) for values in self._estimated(stilled)
-            )
-            mean = problem.instead(measurement, light, light.mean(dim=0, keepdim=True))
-            volumes = self.still.invert(mean).volumes[self.still.image]
+            of_frames = [self._estimated(capture) for capture in stilled]
+            images, disparities = (torch.stack(parts, dim=1) for parts in zip(*of_frames, strict=True))
+            volumes = self.still.invert(torch.stack(stilled).mean(dim=0)).volumes[self.still.image]
         every = (problem.film(light), images, disparities, volumes, image, disparity)
         return torch.cat([each.flatten(1).to(light) for each in every], dim=1)
 

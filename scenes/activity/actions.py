@@ -129,11 +129,11 @@ def _in_both_hands(
     shoulder_of: Callable[[Actor, Array], Array],
     *,
     apart: Callable[[float], float],
-    joins: bool = False,
+    joins: bool,
 ) -> Course:
     """Return the course of a thing whose lower edges both hands pinch, thumbs towards the viewer.
 
-    Its halves are ``apart`` as a share of what tearing does; the second hand ``joins`` in the first third of the action.
+    Its halves are ``apart`` as a share of what tearing does; a second hand that ``joins`` has pinched it when tearing begins.
     """
     thing, side = cast.thing, cast.main.side
     yaw = rotation([0, 1, 0], math.radians(16 * (cast.luck[40] - 0.5)))
@@ -206,13 +206,13 @@ def _dropping(cast: Cast) -> Course:
 
 
 def _picking_up(cast: Cast) -> Course:
-    reach, closed, top = cast.times(0.27, 0.39, 0.8)
+    reach, closed, top = cast.times(0.34, 0.44, 0.84)
     start = cast.times(0)[0]
     return _fetched(cast, [start, reach, closed, top], [cast.away_m, cast.on_table_m, cast.on_table_m, cast.in_air_m])
 
 
 def _putting_down(cast: Cast) -> Course:
-    start, down, opened, end = cast.times(0.2, 0.61, 0.73, 1)
+    start, down, opened, end = cast.times(0.16, 0.56, 0.66, 1)
     return _fetched(cast, [end, opened, down, start], [cast.away_m, cast.on_table_m, cast.on_table_m, cast.in_air_m])
 
 
@@ -249,8 +249,8 @@ def _fetched(cast: Cast, times_s: list[float], stops_m: list[Array]) -> Course:
 def _moving(direction: float) -> Callable[[Cast], Course]:
     def build(cast: Cast) -> Course:
         half = 0.075 + 0.045 * cast.luck[5]
-        hop = max(0.0, 0.06 * (cast.luck[6] - 0.5))
         manner = cast.manner
+        hop = max(0.0, 0.06 * (cast.luck[6] - 0.5)) if manner.lifted else 0.0
         place, turn = _aloft(cast) if manner.lifted else (cast.on_table_m, np.eye(3))
         middle = place * (0.5, 1, 1)
         reach = np.array([direction * half, 0, 0])
@@ -267,7 +267,9 @@ def _moving(direction: float) -> Callable[[Cast], Course]:
             return actor.shoulder(middle) + 0.5 * (point - middle) * (1, 0, 1)
 
         if manner.lifted and manner.both_hands:
-            return _in_both_hands(cast, motion, follow, apart=lambda _: manner.apart)
+            return _in_both_hands(
+                cast, motion, follow, apart=lambda _: manner.apart, joins=manner.joins and not manner.apart
+            )
         if manner.slides and not manner.lifted:
             return _slid(cast, lambda time_s: keyed(time_s, times, ends) - cast.on_table_m)
         return _carried(cast, motion, follow)

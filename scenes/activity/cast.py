@@ -28,9 +28,9 @@ class Manner:
     """How things are done where an action leaves it open.
 
     Attributes:
-        both_hands: whether a thing that is held, shown or moved is held by both hands, as one that is torn.
+        both_hands: whether a thing that is held, shown or moved through the air is held by both hands, as one that is torn.
         apart: how far its halves are then apart from the beginning, as a share of where tearing ends; 0 is whole.
-        joins: whether the second hand comes only when the action has begun, to tear, hold or show what is whole.
+        joins: whether the second hand comes only when the action has begun, to what is whole.
         tipped: whether one hand holds, shows or carries a thing tipped over, as for pouring.
         lifted: whether things are moved through the air, not upright along the table by one hand.
         slides: whether what is moved along the table is not gripped, but slides with a fingertip that pokes it.

@@ -20,7 +20,7 @@ from simulator.render import Material
 from simulator.types import View
 
 VIEW = View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2)
-SEEDS = range(3)
+SEEDS = (0, 3, 4)  # hands come from above and from the side
 LOOK = HandLook(Material(np.full((4, 4, 3), 0.5, np.float32)))
 
 
@@ -63,7 +63,7 @@ def test_nothing_goes_into_the_table_or_jumps(action: str) -> None:
         assert min(lowest(cast, at, time) for time in times) > -1e-9, "a thing stands on the table, not in it"
         mesh = at(times[30]).hand.mesh(LOOK)
         assert mesh.vertices_m[:, 1].max() < 0
-        # 28 ms between moments: falling things reach 2 m/s, hands 2 m/s (a fast reach of 0.3 m in 0.4 s).
+        # 28 ms between moments: falling things reach 2 m/s, hands 2 m/s (a fast reach of 0.3 m in 0.3 s).
         for half in (0, 1):
             assert np.linalg.norm(np.diff(feet(at, times, half), axis=0), axis=1).max() < 0.06
         wrists = np.array([at(time).hand.wrist_m for time in times])
@@ -74,14 +74,14 @@ def test_nothing_goes_into_the_table_or_jumps(action: str) -> None:
 def test_the_hand_does_not_jump_when_it_closes_or_touches(action: str) -> None:
     """In steps of 2 ms the speed changes steadily: a jump of x would show as a second difference of x.
 
-    The quickest reach is 0.3 m in 0.36 of 0.9 s, and accelerates by at most 5.8 D / T^2 = 17 m/s^2 (minimum jerk); as the
-    hand opens for the grip its wrist draws back by up to 0.1 m, 6 m/s^2, while it goes at up to 1.7 m/s, which its turning
-    bends, by as much again; the tremor adds 1.8 mm * 0.25 * (2 pi 9.2 Hz)^2 = 1.5 m/s^2: 45 m/s^2 in all, 0.18 mm.
+    The quickest reach is 0.3 m in 0.34 of 0.9 s, and accelerates by at most 5.8 D / T^2 = 19 m/s^2 (minimum jerk); as the
+    hand opens for the grip its wrist draws back by up to 0.1 m, 6 m/s^2, while it goes at up to 1.9 m/s, which its turning
+    bends, by as much again; the tremor adds 1.8 mm * 0.25 * (2 pi 9.2 Hz)^2 = 1.5 m/s^2: 47 m/s^2 in all, 0.19 mm.
     """
     for seed in SEEDS:
         cast, at, _ = acted(action, seed)
         wrists = np.array([at(time).hand.wrist_m for time in np.arange(0, cast.duration_s, 2e-3)])
-        assert np.abs(np.diff(wrists, 2, axis=0)).max() < 1.8e-4
+        assert np.abs(np.diff(wrists, 2, axis=0)).max() < 1.9e-4
 
 
 def test_grains_are_poured_in_the_second_half_and_on_the_viewers_side_of_the_hand() -> None:
@@ -106,8 +106,6 @@ def test_moving_crosses_the_picture_in_its_direction(action: str, sign: int) -> 
         across = sign * seen[:, 0] / seen[:, 2] / VIEW.tan_half_width
         assert across[-1] - across[0] > 0.4, "a fifth of the picture's width at least"
         assert np.diff(across).min() > -0.01, "in one go"
-        _, at, times = acted(action, seed, **UPRIGHT, lifted=False)
-        assert -feet(at, times)[:, 1].max() == pytest.approx(0, abs=1e-9), "along the table"
 
 
 def test_dropped_things_fall_freely_and_come_to_rest() -> None:
@@ -139,10 +137,10 @@ def test_picking_up_starts_on_the_table_and_ends_aloft_in_the_hand() -> None:
     for seed in SEEDS:
         cast, at, times = acted("picking_up", seed)
         heights = -feet(at, times)[:, 1]
-        assert np.all(heights[times < cast.times(0.39)[0]] == 0)
+        assert np.all(heights[times < cast.times(0.44)[0]] == 0)
         assert heights[-1] > 0.04
         assert_gripped(cast, at, times[-1])
-        came = at(times[0]).hand.wrist_m - at(cast.times(0.27)[0]).hand.wrist_m
+        came = at(times[0]).hand.wrist_m - at(cast.times(0.34)[0]).hand.wrist_m
         if cast.manner.from_above:
             assert came[1] < -0.05, "down onto it"
         else:
@@ -155,7 +153,7 @@ def test_putting_down_ends_at_rest_on_the_table() -> None:
         heights = -feet(at, times)[:, 1]
         assert heights[0] > 0.04
         assert_gripped(cast, at, times[0])
-        (down,) = cast.times(0.61)
+        (down,) = cast.times(0.56)
         assert np.all(heights[times > down] == 0)
         assert np.ptp(feet(at, times[times > down]), axis=0).max() == 0
         assert np.linalg.norm(at(times[-1]).hand.wrist_m - at(down).hand.wrist_m) > 0.05, "the hand leaves"
@@ -276,6 +274,17 @@ def test_what_slides_stays_at_the_fingertip_on_the_table() -> None:
         assert np.abs(feet(at, times)[:, 1]).max() == 0
 
 
+@pytest.mark.parametrize("slides", [False, True])
+@pytest.mark.parametrize("action", ["moving_right_to_left", "moving_left_to_right"])
+def test_what_is_moved_along_the_table_is_upright_and_whole(action: str, slides: bool) -> None:
+    """In one hand, or at a fingertip, however things are held in the air."""
+    for seed in SEEDS:
+        _, at, times = acted(action, seed, lifted=False, slides=slides, both_hands=True, tipped=True, apart=0.6)
+        assert np.abs(feet(at, times)[:, 1]).max() < 1e-9, "on the table"
+        np.testing.assert_array_equal(feet(at, times, 0), feet(at, times, 1))
+        assert max(tilt_deg(at(time).halves[0]) for time in times) < 1e-3
+
+
 def test_a_poke_touches_then_pushes_a_little() -> None:
     for seed in SEEDS:
         cast, at, times = acted("poking", seed)
@@ -326,7 +335,7 @@ def test_tearing_parts_the_halves_between_two_hands() -> None:
     for seed in SEEDS:
         cast, at, times = acted("tearing", seed)
         apart = feet(at, times, 1) - feet(at, times, 0)
-        assert np.abs(apart[times < cast.times(0.38)[0]]).max() < 1e-9, "whole at first"
+        assert np.abs(apart[times < cast.times(0.56)[0]]).max() < 1e-9, "whole at first"
         ends = [at(times[-1]).halves[half] for half in (0, 1)]
         middles = [
             mesh.vertices.mean(axis=0) @ pose.turn.T + pose.place_m
@@ -337,6 +346,27 @@ def test_tearing_parts_the_halves_between_two_hands() -> None:
         assert last.second is not None
         hands = sorted([last.hand.wrist_m[0], last.second.wrist_m[0]])
         assert hands[0] < middles[0][0] < middles[1][0] < hands[1]
+
+
+@pytest.mark.parametrize("action", ["tearing", "holding", "showing", "moving_left_to_right"])
+@pytest.mark.parametrize("apart", [0.0, 0.6])
+def test_a_hand_that_joins_is_there_when_tearing_begins_and_to_what_is_torn_from_the_beginning(
+    action: str, apart: float
+) -> None:
+    """Its wrist then keeps its place beside its half, turned as this is."""
+    for seed in SEEDS:
+        cast, at, times = acted(action, seed, both_hands=True, apart=apart, joins=True, lifted=True)
+        waits = action == "tearing" or not apart
+        own = int(cast.second.side > 0)
+        gaps = []
+        for time in times:
+            moment = at(time)
+            assert moment.second is not None
+            half = moment.halves[own]
+            gaps.append(half.turn.T @ (moment.second.wrist_m - half.place_m))
+        moved = np.linalg.norm(np.array(gaps) - gaps[-1], axis=1)
+        assert moved[times > cast.times(0.54)[0]].max() < 0.02, "its arm turns about the shoulder"
+        assert (moved[0] > 0.1) == waits
 
 
 @pytest.mark.parametrize("action", [action for action in ACTIONS if action != "tearing"])
