@@ -292,7 +292,7 @@ class ClipNetworkMethod(Generic[Network]):
         return self
 
     def begin(self, measurement: Tensor, clock: Clock) -> Tensor | None:
-        """Return what the network begins with; stage ``joint`` where that is joint least squares."""
+        """Return what the network begins with; stage ``joint`` where joint least squares have a part in it."""
         if self.network.joint is None:
             return None
         with clock.stage("joint"), threads_for(measurement[0].numel() * self.capture.frames):
