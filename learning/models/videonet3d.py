@@ -125,7 +125,7 @@ class Video3DMethod(ClipNetworkMethod[VideoNet3D]):
     """A VideoNet3D as a method."""
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
-        """Return film and depths of measurements ``(B, C, H, W)``; stages ``joint``, FlatNet3D included, and ``network``."""
+        """Return frames and depths of measurements ``(B, C, H, W)``; stages ``joint``, FlatNet3D and all, and ``network``."""
         clock = clock or Clock(measurement.device)
         with inference(self.network):
             start = self.begin(measurement, clock)
