@@ -100,6 +100,7 @@ def psnr_by_hand(method: Method, folder: Path, noise_db: float | None = None) ->
     return float((-10 * torch.log10((found - truth).square().mean(dim=(1, 2, 3)))).mean())
 
 
+@pytest.mark.slow
 def test_the_table_has_every_method_through_every_mask_at_every_level(
     swapped: tuple[Path, Swapped], checkpoints: list[Path]
 ) -> None:
@@ -141,6 +142,7 @@ def test_the_table_has_every_method_through_every_mask_at_every_level(
     assert (out / "psfs.html").read_text() == "one, other"
 
 
+@pytest.mark.slow
 def test_only_the_test_has_its_own_settings(swapped: tuple[Path, Swapped]) -> None:
     for mask in MASKS:
         learned, test = (
@@ -149,6 +151,7 @@ def test_only_the_test_has_its_own_settings(swapped: tuple[Path, Swapped]) -> No
         assert [each.config["seed"] for each in (learned, test)] == [11, 12]
 
 
+@pytest.mark.slow
 def test_networks_go_on_from_the_checkpoint_as_the_file_says(
     swapped: tuple[Path, Swapped], checkpoints: list[Path]
 ) -> None:

@@ -63,6 +63,7 @@ def weights(path: Path) -> dict[str, torch.Tensor]:
     return load_checkpoint(path).network.state_dict()
 
 
+@pytest.mark.slow
 def test_learns_and_leaves_what_belongs_to_it(settings: Settings) -> None:
     idle = train(settings("idle", steps=1, optimiser={"learning_rate": 1e-9}))
     config = settings(steps=80, log_every=10, validate_every=20, optimiser={"learning_rate": 1e-2})

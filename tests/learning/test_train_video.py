@@ -76,10 +76,8 @@ def lines(folder: Path, kind: str) -> list[dict[str, Any]]:
     return [line | {"samples_per_second": None} for line in found if line["kind"] == kind]
 
 
-@pytest.mark.parametrize(
-    ("start", "share", "better_db"),
-    [("joint", 0.97, 0.3), pytest.param("slivers", 0.9, 1.0, marks=pytest.mark.slow)],  # which has more to learn
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("start", "share", "better_db"), [("joint", 0.97, 0.3), ("slivers", 0.9, 1.0)])
 def test_learns_and_leaves_what_belongs_to_it(
     video_settings: Settings, clip_dataset: Path, start: str, share: float, better_db: float
 ) -> None:

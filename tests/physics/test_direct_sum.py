@@ -53,6 +53,7 @@ def _plain_sum(mask, factor, distance_m, depth_m, points_m, direction):
     return rayleigh_sommerfeld(amplitude * wave * np.exp(1j * phase), cell, WAVELENGTH_M, distance_m, shadow)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", ["staircase", "smooth"])
 @pytest.mark.parametrize(("depth_m", "direction"), SOURCES, ids=["plane", "near", "off axis", "oblique plane"])
 def test_the_sum_and_its_uncertainty_against_a_plain_sum_of_points(profile, depth_m, direction):

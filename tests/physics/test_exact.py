@@ -177,6 +177,7 @@ def staircase() -> Mask:
     return Mask(height, np.ones_like(height), 2e-6, FUSED_SILICA, "staircase")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", MASKS)
 @pytest.mark.parametrize("direction", DIRECTIONS[1:])
 def test_oblique_irradiance_is_the_flux_of_the_direct_sum(make, direction):

@@ -96,6 +96,7 @@ def test_probabilities_are_the_networks(settings: Any, labelled_dataset: Path, c
     assert np.abs(levels[20.0] - levels[40.0]).max() > 1e-5
 
 
+@pytest.mark.slow
 def test_networks_that_begin_alike_share_it(
     settings: Any,
     networks: dict[str, list[Path]],

@@ -22,6 +22,7 @@ def camera():
     return CameraGeometry(1.9e-3, 19.2e-6, spectral_response(NOMINAL_CAMERA, "D65"))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the PSF's sampling error")
 @pytest.mark.parametrize("design", DESIGNS, ids=lambda design: design.__name__)
 def test_defaults_are_accepted(design, camera):
