@@ -128,12 +128,14 @@ def _in_both_hands(
     motion: Motion,
     shoulder_of: Callable[[Actor, Array], Array],
     *,
-    apart: Callable[[float], float],
-    joins: bool,
+    apart: Callable[[float], float] = lambda _: 0.0,
+    joins: bool = False,
+    let_go_s: float = math.inf,
 ) -> Course:
     """Return the course of a thing whose lower edges both hands pinch, thumbs towards the viewer.
 
-    Its halves are ``apart`` as a share of what tearing does; a second hand that ``joins`` has pinched it when tearing begins.
+    Its halves are ``apart`` as a share of what tearing does; a second hand that ``joins`` has pinched it when tearing begins,
+    and comes no more to what is let go.
     """
     thing, side = cast.thing, cast.main.side
     yaw = rotation([0, 1, 0], math.radians(16 * (cast.luck[40] - 0.5)))
@@ -142,13 +144,13 @@ def _in_both_hands(
     actors = {s: Actor(a.size, a.left, math.radians(76), math.radians(-22), a.elbow_m) for s, a in _sides(cast).items()}
     edge = 0.43 * thing.width_m * thing.share_at(height)
     pinch = 0.6 * thing.depth_m * thing.share_at(height)
-    start, arrive, pinched = cast.times(0.1, 0.42, 0.54)
+    start, arrive, pinched = cast.times(0.26, 0.58, 0.68)
     reach = 0.05 + 0.035 * cast.luck[11]
     bend = math.radians(18 + 22 * cast.luck[12])
     lower = cast.grip_height_m - height
 
     def half(s: float, time_s: float) -> tuple[Array, Array, Pose]:
-        """Return a hand's point and turn, and its half's pose."""
+        """Return a hand's point and turn, and its half's pose, as long as it is held."""
         part = apart(time_s)
         point, turn = motion(time_s)
         point = point + turn @ (yaw @ (s * edge, 0, 0) + (0, lower, 0) + part * np.array([s * reach, 0.01, -0.01]))
@@ -156,12 +158,17 @@ def _in_both_hands(
         return point, turn, Pose(turn @ yaw, point + turn @ yaw @ (-s * edge, height, 0))
 
     def hand(s: float, time_s: float, width_m: float) -> HandState:
-        point, turn, _ = half(s, time_s)
-        return actors[s].gripping(point, width_m, shoulder_of(actors[s], point), turn)
+        point, turn, _ = half(s, min(time_s, let_go_s))
+        shoulder = shoulder_of(actors[s], point)
+        back = keyed(time_s - let_go_s, [0, 0.5], [np.zeros(3), 0.2 * np.array([s, 0, 0])])
+        width = width_m + float(keyed(time_s - let_go_s, [0, 0.12], [0, 0.03]))
+        return actors[s].gripping(point + back, width, shoulder, turn)
 
     def second(time_s: float) -> HandState:
         if not joins:
             return hand(-side, time_s, pinch)
+        if let_go_s < math.inf:
+            return waiting
         there = hand(-side, time_s, float(keyed(time_s, [arrive, pinched], [pinch + 0.03, pinch])))
         return between_states(waiting, there, float(keyed(time_s, [start, arrive], [0, 1])))
 
@@ -172,8 +179,8 @@ def _in_both_hands(
     grains = Grains(cast)
 
     def moment(time_s: float) -> Moment:
-        halves = (half(-1.0, time_s)[2], half(1.0, time_s)[2])
-        return Moment(hand(side, time_s, pinch), second(time_s), halves, grains.at(time_s))
+        first, other = (_fallen(cast, half(s, min(time_s, let_go_s))[2], time_s - let_go_s) for s in (-1.0, 1.0))
+        return Moment(hand(side, time_s, pinch), second(time_s), (first, other), grains.at(time_s))
 
     return moment
 
@@ -182,12 +189,28 @@ def _sides(cast: Cast) -> dict[float, Actor]:
     return {cast.main.side: cast.main, cast.second.side: cast.second}
 
 
+def _fallen(cast: Cast, held: Pose, since_s: float) -> Pose:
+    """Return the pose of what was let go so long ago; before, that in which it is held."""
+    if since_s < 0:
+        return held
+    x, y, z = held.place_m
+    return Pose(held.turn, np.array([x, -bounce_height(-y, since_s, 0.1 + 0.25 * cast.luck[4]), z]))
+
+
 def _dropping(cast: Cast) -> Course:
     (release,) = cast.times(0.55 + 0.25 * cast.luck[3])
     high = cast.in_air_m
     shoulder = cast.main.shoulder(high)
-    from_m = _steadied(cast, high, release)
-    restitution = 0.1 + 0.25 * cast.luck[4]
+    if cast.manner.both_hands:
+
+        def motion(time_s: float) -> tuple[Array, Array]:
+            return _steadied(cast, high, time_s), np.eye(3)
+
+        def shoulder_of(actor: Actor, _: Array) -> Array:
+            return actor.shoulder(high)
+
+        return _in_both_hands(cast, motion, shoulder_of, joins=cast.manner.joins, let_go_s=release)
+    held = cast.carried(_steadied(cast, high, release))
     leaving = np.array([0, -0.02, 0]) - (0.03 if cast.manner.from_above else 0.25) * cast.main.forwards
 
     def act(time_s: float) -> tuple[HandState, Pose]:
@@ -195,12 +218,8 @@ def _dropping(cast: Cast) -> Course:
         width = float(keyed(since, [0, 0.12], [cast.width_m, cast.open_m]))
         back = keyed(since, [0.1, 0.7], [np.zeros(3), leaving])
         point = _steadied(cast, high, time_s)
-        hand = cast.main.gripping(point + back, width, shoulder)
-        if since < 0:
-            return hand, cast.carried(point)
-        foot = from_m[1] + cast.grip_height_m
-        height = bounce_height(-foot, since, restitution)
-        return hand, cast.carried(np.array([from_m[0], -height - cast.grip_height_m, from_m[2]]))
+        pose = cast.carried(point) if since < 0 else _fallen(cast, held, since)
+        return cast.main.gripping(point + back, width, shoulder), pose
 
     return _one_hand(cast, act)
 
@@ -337,7 +356,7 @@ def _holding(cast: Cast) -> Course:
 def _showing(cast: Cast) -> Course:
     (place, upside), near = _aloft(cast), cast.near_m
     away, back, nod = _showing_angles(cast)
-    times = cast.times(0.2, 0.5, 0.75, 1)
+    times = cast.times(0.3, 0.62, 0.82, 1)
 
     def motion(time_s: float) -> tuple[Array, Array]:
         point = keyed(time_s, times, [place, near, near, near]) + cast.shake_m(time_s)
@@ -373,7 +392,7 @@ def _held(cast: Cast, motion: Motion, place_m: Array) -> Course:
 
 def _tearing(cast: Cast) -> Course:
     place = cast.in_air_m * (0.5, 1, 1)
-    pinched, torn = cast.times(0.56, 0.98)
+    pinched, torn = cast.times(0.7, 0.98)
 
     def motion(time_s: float) -> tuple[Array, Array]:
         return place + cast.shake_m(time_s), np.eye(3)

@@ -28,9 +28,10 @@ class Manner:
     """How things are done where an action leaves it open.
 
     Attributes:
-        both_hands: whether a thing that is held, shown or moved through the air is held by both hands, as one that is torn.
+        both_hands: whether a thing that is held, shown, dropped or moved through the air is held by both hands, as one that
+            is torn.
         apart: how far its halves are then apart from the beginning, as a share of where tearing ends; 0 is whole.
-        joins: whether the second hand comes only when the action has begun, to what is whole.
+        joins: whether the second hand comes only when the action has begun, to what is whole; not to what is dropped before.
         tipped: whether one hand holds, shows or carries a thing tipped over, as for pouring.
         lifted: whether things are moved through the air, not upright along the table by one hand.
         slides: whether what is moved along the table is not gripped, but slides with a fingertip that pokes it.
@@ -171,7 +172,7 @@ def draw_manner(rng: np.random.Generator) -> Manner:
         tipped=bool(shares[4] < 0.6),
         lifted=bool(shares[5] < 0.5),
         slides=bool(shares[11] < 0.85),
-        offered=bool(shares[6] < 0.6),
+        offered=bool(shares[6] < 0.45),
         from_above=bool(shares[7] < 0.5),
         finger=bool(shares[8] < 0.5),
         spilled=float(max(0.0, 1.6 * shares[9] - 0.6)),

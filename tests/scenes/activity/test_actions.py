@@ -108,9 +108,10 @@ def test_moving_crosses_the_picture_in_its_direction(action: str, sign: int) -> 
         assert np.diff(across).min() > -0.01, "in one go"
 
 
-def test_dropped_things_fall_freely_and_come_to_rest() -> None:
+@pytest.mark.parametrize("both_hands", [False, True])
+def test_dropped_things_fall_freely_and_come_to_rest(both_hands: bool) -> None:
     for seed in range(3):
-        cast, at, _ = acted("dropping", seed)
+        cast, at, _ = acted("dropping", seed, both_hands=both_hands)
         times = np.arange(0, cast.duration_s, 4e-3)
         heights = -feet(at, times)[:, 1]
         start = int(np.argmax(heights < heights[0] - 0.02))
@@ -119,8 +120,20 @@ def test_dropped_things_fall_freely_and_come_to_rest() -> None:
         assert acceleration == pytest.approx(-GRAVITY_M_S2, rel=1e-6)
         assert heights[: start - 20].min() > 0.045, "held before"
         assert heights[-1] == 0, "at rest on the table"
-        thumb, fingers = pads_m(cast, at(times[-1]).hand)
-        assert np.linalg.norm(fingers - thumb) > cast.width_m + 0.01, "the hand is open"
+        apertures = [np.linalg.norm(np.subtract(*pads_m(cast, at(time).hand))) for time in times[[0, -1]]]
+        assert apertures[1] > apertures[0] + 0.01, "the hand is open"
+
+
+def test_what_both_hands_drop_neither_holds_nor_meets() -> None:
+    for seed in SEEDS:
+        for joins in (False, True):
+            cast, at, times = acted("dropping", seed, both_hands=True, joins=joins, idle="away")
+            first, last = at(times[0]), at(times[-1])
+            assert first.second is not None
+            assert last.second is not None
+            moved = last.second.wrist_m - first.second.wrist_m
+            assert (np.linalg.norm(moved) < 1e-9) == joins, "who would join does not come"
+            assert joins or moved[0] * cast.second.side > 0.15, "outwards"
 
 
 def test_bounces_lose_height() -> None:
@@ -335,7 +348,7 @@ def test_tearing_parts_the_halves_between_two_hands() -> None:
     for seed in SEEDS:
         cast, at, times = acted("tearing", seed)
         apart = feet(at, times, 1) - feet(at, times, 0)
-        assert np.abs(apart[times < cast.times(0.56)[0]]).max() < 1e-9, "whole at first"
+        assert np.abs(apart[times < cast.times(0.7)[0]]).max() < 1e-9, "whole at first"
         ends = [at(times[-1]).halves[half] for half in (0, 1)]
         middles = [
             mesh.vertices.mean(axis=0) @ pose.turn.T + pose.place_m
@@ -365,7 +378,7 @@ def test_a_hand_that_joins_is_there_when_tearing_begins_and_to_what_is_torn_from
             half = moment.halves[own]
             gaps.append(half.turn.T @ (moment.second.wrist_m - half.place_m))
         moved = np.linalg.norm(np.array(gaps) - gaps[-1], axis=1)
-        assert moved[times > cast.times(0.54)[0]].max() < 0.02, "its arm turns about the shoulder"
+        assert moved[times > cast.times(0.68)[0]].max() < 0.02, "its arm turns about the shoulder"
         assert (moved[0] > 0.1) == waits
 
 
