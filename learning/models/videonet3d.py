@@ -1,9 +1,9 @@
 """VideoNet3D: the frames of a moving scene and the depth of each, from one capture of a rolling shutter.
 
-A capture that says when things were where, row by row, also says how far away they were: PSFs scale with 1 / z. What joint
-least squares over space and time see move is taken out of it, so that a FlatNet3D of stills finds image and depth of each
-frame (`learning.models.beginning`). Where nothing moves, its estimate of the capture as it is remains the better one: a body
-that looks at all of them says how much of each to take, and what both lack.
+A capture that says when things were where, row by row, also says how far away they were: PSFs scale with 1 / z. Joint least
+squares over space and time estimate how the frames differ; with these differences removed from the capture, a FlatNet3D of
+stills estimates image and depth of each frame (`learning.models.beginning`). Where nothing moves, its estimate of the capture
+as it is remains the better one: a body that looks at all of them says how much of each to take, and what both lack.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class Video3DMethod(ClipNetworkMethod[VideoNet3D]):
     """A VideoNet3D as a method."""
 
     def reconstruct(self, measurement: Tensor, clock: Clock | None = None) -> Estimate:
-        """Return frames and depths of measurements ``(B, C, H, W)``; stages ``joint``, FlatNet3D and all, and ``network``."""
+        """Return frames and depths of measurements ``(B, C, H, W)``; stages ``joint`` (with the FlatNet3D), ``network``."""
         clock = clock or Clock(measurement.device)
         with inference(self.network):
             start = self.begin(measurement, clock)

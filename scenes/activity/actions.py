@@ -134,8 +134,8 @@ def _in_both_hands(
 ) -> Course:
     """Return the course of a thing whose lower edges both hands pinch, thumbs towards the viewer.
 
-    Its halves are ``apart`` as a share of what tearing does; a second hand that ``joins`` has pinched it when tearing begins,
-    and comes no more to what is let go.
+    Its halves are ``apart`` as a share of what tearing does. A second hand that ``joins`` has pinched it when tearing begins;
+    it does not come to what will be let go.
     """
     thing, side = cast.thing, cast.main.side
     yaw = rotation([0, 1, 0], math.radians(16 * (cast.luck[40] - 0.5)))
@@ -144,7 +144,7 @@ def _in_both_hands(
     actors = {s: Actor(a.size, a.left, math.radians(76), math.radians(-22), a.elbow_m) for s, a in _sides(cast).items()}
     edge = 0.43 * thing.width_m * thing.share_at(height)
     pinch = 0.6 * thing.depth_m * thing.share_at(height)
-    start, arrive, pinched = cast.times(0.26, 0.58, 0.68)
+    start, arrive, pinched = cast.times(0.16, 0.58, 0.68)
     reach = 0.05 + 0.035 * cast.luck[11]
     bend = math.radians(18 + 22 * cast.luck[12])
     lower = cast.grip_height_m - height
@@ -158,24 +158,26 @@ def _in_both_hands(
         return point, turn, Pose(turn @ yaw, point + turn @ yaw @ (-s * edge, height, 0))
 
     def hand(s: float, time_s: float, width_m: float) -> HandState:
-        point, turn, _ = half(s, min(time_s, let_go_s))
-        shoulder = shoulder_of(actors[s], point)
-        back = keyed(time_s - let_go_s, [0, 0.5], [np.zeros(3), 0.2 * np.array([s, 0, 0])])
-        width = width_m + float(keyed(time_s - let_go_s, [0, 0.12], [0, 0.03]))
-        return actors[s].gripping(point + back, width, shoulder, turn)
+        point, turn, _ = half(s, time_s)
+        since = time_s - let_go_s
+        width_m += float(keyed(since, [-0.06, 0.04], [0, 0.04]))
+        back = keyed(since, [0, 0.5], [np.zeros(3), 0.2 * np.array([s, 0, 0])])
+        return actors[s].gripping(point + back, width_m, shoulder_of(actors[s], point), turn)
+
+    # Who joins waits out of the image, aside of wherever the thing is until then.
+    outermost = max((motion(time)[0] for time in (0.0, pinched)), key=lambda point: -side * point[0])
+    aside = outermost + 0.28 * np.array([-side, 0, -0.6])
 
     def second(time_s: float) -> HandState:
         if not joins:
             return hand(-side, time_s, pinch)
+        actor = actors[-side]
+        waiting = actor.gripping(aside + cast.shake_m(time_s), pinch + 0.04, shoulder_of(actor, aside))
         if let_go_s < math.inf:
             return waiting
         there = hand(-side, time_s, float(keyed(time_s, [arrive, pinched], [pinch + 0.03, pinch])))
         return between_states(waiting, there, float(keyed(time_s, [start, arrive], [0, 1])))
 
-    idle = _idle(cast)(0.0)
-    aside = motion(0.0)[0] + 0.28 * np.array([-side, 0, -0.6])
-    away = actors[-side].gripping(aside, pinch + 0.04, shoulder_of(actors[-side], aside))
-    waiting = idle if idle is not None and cast.manner.idle == "rests" else away
     grains = Grains(cast)
 
     def moment(time_s: float) -> Moment:
@@ -190,7 +192,7 @@ def _sides(cast: Cast) -> dict[float, Actor]:
 
 
 def _fallen(cast: Cast, held: Pose, since_s: float) -> Pose:
-    """Return the pose of what was let go so long ago; before, that in which it is held."""
+    """Return a thing's pose ``since_s`` seconds after it was let go; while that is negative, the one in which it is held."""
     if since_s < 0:
         return held
     x, y, z = held.place_m

@@ -30,14 +30,15 @@ class Manner:
     Attributes:
         both_hands: whether a thing that is held, shown, dropped or moved through the air is held by both hands, as one that
             is torn.
-        apart: how far its halves are then apart from the beginning, as a share of where tearing ends; 0 is whole.
-        joins: whether the second hand comes only when the action has begun, to what is whole; not to what is dropped before.
+        apart: how far its halves are then apart from the beginning, as a share of where tearing ends; 0 is whole, as
+            what is dropped.
+        joins: whether the second hand comes only when the action has begun, to what is whole and not dropped.
         tipped: whether one hand holds, shows or carries a thing tipped over, as for pouring.
         lifted: whether things are moved through the air, not upright along the table by one hand.
         slides: whether what is moved along the table is not gripped, but slides with a fingertip that pokes it.
         offered: whether a thing that is held is near the viewer and turned, as one that is shown.
-        from_above: whether a hand comes to what it picks up from above, and leaves what it has put down or dropped upwards;
-            else from its own side, and to it.
+        from_above: whether a hand comes to what it picks up from above, and leaves what it alone has put down or dropped
+            upwards; else from its own side, and to it.
         finger: whether the index finger pokes, else a flat hand.
         spilled: share of the grains that lie on the table from the beginning.
         idle: what a hand does that takes no part: it is out of the image, lies on the table, or enters without acting.

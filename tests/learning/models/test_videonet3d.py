@@ -66,7 +66,7 @@ def still_estimates(net: VideoNet3D, capture: CaptureModel, measurement: Tensor)
 
 @pytest.mark.parametrize(("dimensions", "margin"), [(2, 2), (3, 0)])
 def test_it_begins_between_its_flatnets_estimates(moving_capture: CaptureModel, dimensions: int, margin: int) -> None:
-    """Half-way between that of the capture as it is, and that of it as if all rows had seen the frame; margin and all."""
+    """Half-way between that of the capture as it is, and that of it as if all rows had seen the frame; also with a margin."""
     fall = 1 - np.linspace(-0.5, 0.5, 16 + 2 * margin, dtype=np.float32) ** 2
     capture = replace(moving_capture, irradiance=moving_capture.irradiance.max() * fall[:, None] * fall)
     measurement = measured(capture)

@@ -20,7 +20,7 @@ from simulator.render import Material
 from simulator.types import View
 
 VIEW = View((128, 128), 19.2e-6, 1.9e-3, 0.036, 0.2)
-SEEDS = (0, 3, 4)  # hands come from above and from the side
+SEEDS = (2, 3, 4)  # a right hand from above, with both hands; left hands from the side, alone
 LOOK = HandLook(Material(np.full((4, 4, 3), 0.5, np.float32)))
 
 
@@ -66,8 +66,10 @@ def test_nothing_goes_into_the_table_or_jumps(action: str) -> None:
         # 28 ms between moments: falling things reach 2 m/s, hands 2 m/s (a fast reach of 0.3 m in 0.3 s).
         for half in (0, 1):
             assert np.linalg.norm(np.diff(feet(at, times, half), axis=0), axis=1).max() < 0.06
-        wrists = np.array([at(time).hand.wrist_m for time in times])
-        assert np.linalg.norm(np.diff(wrists, axis=0), axis=1).max() < 0.06
+        moments = [at(time) for time in times]
+        for hands in ([moment.hand for moment in moments], [moment.second for moment in moments if moment.second]):
+            wrists = np.array([hand.wrist_m for hand in hands]).reshape(-1, 3)
+            assert np.linalg.norm(np.diff(wrists, axis=0), axis=1).max(initial=0) < 0.06
 
 
 @pytest.mark.parametrize("action", ["picking_up", "putting_down", "poking"])
@@ -76,7 +78,7 @@ def test_the_hand_does_not_jump_when_it_closes_or_touches(action: str) -> None:
 
     The quickest reach is 0.3 m in 0.34 of 0.9 s, and accelerates by at most 5.8 D / T^2 = 19 m/s^2 (minimum jerk); as the
     hand opens for the grip its wrist draws back by up to 0.1 m, 6 m/s^2, while it goes at up to 1.9 m/s, which its turning
-    bends, by as much again; the tremor adds 1.8 mm * 0.25 * (2 pi 9.2 Hz)^2 = 1.5 m/s^2: 47 m/s^2 in all, 0.19 mm.
+    bends, by as much again; the tremor adds 1.8 mm * 0.25 * (2 pi 9.2 Hz)^2 = 1.5 m/s^2: 45.5 m/s^2 in all, 0.182 mm.
     """
     for seed in SEEDS:
         cast, at, _ = acted(action, seed)
@@ -120,20 +122,31 @@ def test_dropped_things_fall_freely_and_come_to_rest(both_hands: bool) -> None:
         assert acceleration == pytest.approx(-GRAVITY_M_S2, rel=1e-6)
         assert heights[: start - 20].min() > 0.045, "held before"
         assert heights[-1] == 0, "at rest on the table"
-        apertures = [np.linalg.norm(np.subtract(*pads_m(cast, at(time).hand))) for time in times[[0, -1]]]
-        assert apertures[1] > apertures[0] + 0.01, "the hand is open"
+        np.testing.assert_allclose(feet(at, times, 0), feet(at, times, 1), atol=1e-12)
+        aperture = [float(np.linalg.norm(np.subtract(*pads_m(cast, at(time).hand)))) for time in times[[0, -1]]]
+        assert aperture[1] > aperture[0] + 0.01, "the hand is open"
 
 
-def test_what_both_hands_drop_neither_holds_nor_meets() -> None:
+@pytest.mark.parametrize("joins", [False, True])
+def test_both_hands_let_go_outwards_without_a_jerk(joins: bool) -> None:
     for seed in SEEDS:
-        for joins in (False, True):
-            cast, at, times = acted("dropping", seed, both_hands=True, joins=joins, idle="away")
-            first, last = at(times[0]), at(times[-1])
-            assert first.second is not None
-            assert last.second is not None
-            moved = last.second.wrist_m - first.second.wrist_m
-            assert (np.linalg.norm(moved) < 1e-9) == joins, "who would join does not come"
-            assert joins or moved[0] * cast.second.side > 0.15, "outwards"
+        cast, at, _ = acted("dropping", seed, both_hands=True, joins=joins)
+        times = np.arange(0, cast.duration_s, 2e-3)
+        moments = [at(time) for time in times]
+        second = [moment.second for moment in moments if moment.second is not None]
+        assert len(second) == len(times)
+        for side, hands in ((cast.main.side, [moment.hand for moment in moments]), (cast.second.side, second)):
+            wrists = np.array([hand.wrist_m for hand in hands])
+            # 0.2 m in 0.5 s accelerate by 4.6 m/s^2 (minimum jerk); as the hand opens the wrist draws back by some 2 cm in
+            # 0.1 s, 12 m/s^2; the tremor adds 1.5 m/s^2: 0.072 mm.
+            assert np.abs(np.diff(wrists, 2, axis=0)).max() < 7.2e-5
+            moved = side * (wrists[-1] - wrists[0])[0]
+            aperture = [float(np.linalg.norm(np.subtract(*pads_m(cast, hand)))) for hand in (hands[0], hands[-1])]
+            if joins and side == cast.second.side:
+                assert moved == pytest.approx(0, abs=4e-3), "who would join does not come"
+                continue
+            assert moved > 0.15
+            assert aperture[1] > aperture[0] + 0.01
 
 
 def test_bounces_lose_height() -> None:
@@ -291,8 +304,10 @@ def test_what_slides_stays_at_the_fingertip_on_the_table() -> None:
 @pytest.mark.parametrize("action", ["moving_right_to_left", "moving_left_to_right"])
 def test_what_is_moved_along_the_table_is_upright_and_whole(action: str, slides: bool) -> None:
     """In one hand, or at a fingertip, however things are held in the air."""
+    manner: dict[str, Any] = {"both_hands": True, "tipped": True, "apart": 0.6, "idle": "away"}
     for seed in SEEDS:
-        _, at, times = acted(action, seed, lifted=False, slides=slides, both_hands=True, tipped=True, apart=0.6)
+        _, at, times = acted(action, seed, lifted=False, slides=slides, **manner)
+        assert all(at(time).second is None for time in times)
         assert np.abs(feet(at, times)[:, 1]).max() < 1e-9, "on the table"
         np.testing.assert_array_equal(feet(at, times, 0), feet(at, times, 1))
         assert max(tilt_deg(at(time).halves[0]) for time in times) < 1e-3
@@ -378,7 +393,7 @@ def test_a_hand_that_joins_is_there_when_tearing_begins_and_to_what_is_torn_from
             half = moment.halves[own]
             gaps.append(half.turn.T @ (moment.second.wrist_m - half.place_m))
         moved = np.linalg.norm(np.array(gaps) - gaps[-1], axis=1)
-        assert moved[times > cast.times(0.68)[0]].max() < 0.02, "its arm turns about the shoulder"
+        assert moved[times > cast.times(0.68)[0]].max() < 1e-9
         assert (moved[0] > 0.1) == waits
 
 
