@@ -135,6 +135,13 @@ def check_normalisation(network: nn.Module, group: Processes) -> None:
         raise InputError("network.body", f"{reason}; take naf, or one process")
 
 
+def origin(known: Checkpoint) -> dict[str, Any]:
+    """Return what a training that begins with a checkpoint records of it."""
+    return {"architecture": known.architecture} | {
+        key: known.record.get(key) for key in ("data sets", "scenes", "init_from")
+    }
+
+
 def freeze_statistics(network: nn.Module) -> None:
     """Freeze the running statistics of batch normalisation, as at inference; training otherwise uses each batch's own."""
     for module in network.modules():
@@ -167,8 +174,7 @@ class NetworkTraining(Training[Item]):
             path = find_checkpoint(config.init_from, "init_from", config.resolve_path)
             known, lines = cls._take(config, network, path)
             taken = [f"{path.name}: {line}" for line in lines]
-            init_from = {"sha256": sha256_file(path), "architecture": known.architecture, "file": path.name}
-            init_from |= {key: known.record.get(key) for key in ("data sets", "scenes", "init_from")}
+            init_from = {"sha256": sha256_file(path), "file": path.name} | known
         camera: dict[str, Any] = {"stack": capture.stack.fingerprint, "white": capture.white}
         if capture.timing is not None:
             camera["timing"] = capture.timing.record()
@@ -185,8 +191,8 @@ class NetworkTraining(Training[Item]):
 
     @classmethod
     @abstractmethod
-    def _take(cls, config: Any, network: Any, path: Path) -> tuple[Checkpoint, list[str]]:
-        """Put the weights of a checkpoint into the network; return it, and lines that say what was taken."""
+    def _take(cls, config: Any, network: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
+        """Put the weights of a file into the network; return what to record of it, and lines that say what was taken."""
 
     def _rate(self, module: nn.Module) -> float:
         return self._config.optimiser.inversion_rate if isinstance(module, RegularisedInversion) else 1.0
@@ -211,9 +217,9 @@ class FlatNetTraining(NetworkTraining[Example]):
         return ReconstructionLoss(config.loss, capture)
 
     @classmethod
-    def _take(cls, config: TrainConfig, network: FlatNet, path: Path) -> tuple[Checkpoint, list[str]]:
+    def _take(cls, config: TrainConfig, network: FlatNet, path: Path) -> tuple[dict[str, Any], list[str]]:
         known = load_checkpoint(path, network=config.network.name)
-        return known, transfer(network, known)
+        return origin(known), transfer(network, known)
 
     def _open(self, dataset: Dataset) -> ExampleSet:
         return open_examples(dataset, self._config, self._say)

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.checkpoint import Checkpoint, load_checkpoint
+from learning.checkpoint import load_checkpoint
 from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
 from learning.config import ActivityLossConfig, ActivityTrainConfig
 from learning.data import Loader
 from learning.evaluate.films import NamedFilm, film_sheet
 from learning.labels import class_names, class_numbers
 from learning.method import Progress, Say, inference, linear_to_srgb
-from learning.models.activitynet import ActivityNet, Answer, Classifier
-from learning.train import NetworkTraining
+from learning.models.activitynet import ActivityNet, Answer, Classifier, LensClassifier
+from learning.train import NetworkTraining, origin
 from learning.training_loop import TrainResult, find_cache, run
 from learning.validation import to_device
 from simulator.dataset.reader import Dataset
@@ -87,9 +87,11 @@ class ActivityTraining(NetworkTraining[ClipExample]):
         return {"classes": list(classes)}
 
     @classmethod
-    def _take(cls, config: ActivityTrainConfig, network: Any, path: Path) -> tuple[Checkpoint, list[str]]:
+    def _take(cls, config: ActivityTrainConfig, network: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
+        if isinstance(network, LensClassifier):
+            return {"architecture": "torchvision's ResNet-18"}, network.take_pretrained(path)
         known = load_checkpoint(path)
-        return known, network.take(known.network, str(path))
+        return origin(known), network.take(known.network, str(path))
 
     def _open(self, dataset: Dataset) -> ClipExamples:
         config, network = self._config, self._plan.network

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.checkpoint import Checkpoint, load_checkpoint
+from learning.checkpoint import load_checkpoint
 from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
 from learning.clip_loss import ClipLoss
 from learning.config import VideoTrainConfig
@@ -21,7 +21,7 @@ from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.metrics import moving_pixels, psnr, psnr_at
 from learning.models.videonet import VideoNet
 from learning.models.videonet3d import VideoNet3D
-from learning.train import NetworkTraining
+from learning.train import NetworkTraining, origin
 from learning.training_loop import TrainResult, find_cache, run
 from learning.validation import to_device
 from simulator.dataset.reader import Dataset
@@ -44,9 +44,9 @@ class VideoTraining(NetworkTraining[ClipExample]):
         return ClipLoss(config.loss)
 
     @classmethod
-    def _take(cls, config: VideoTrainConfig, network: VideoNet, path: Path) -> tuple[Checkpoint, list[str]]:
+    def _take(cls, config: VideoTrainConfig, network: VideoNet, path: Path) -> tuple[dict[str, Any], list[str]]:
         known = load_checkpoint(path)
-        return known, network.take(known.network, str(path))
+        return origin(known), network.take(known.network, str(path))
 
     def _open(self, dataset: Dataset) -> ClipExamples:
         config, network = self._config, self._plan.network

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.checkpoint import Checkpoint, find_checkpoint, load_checkpoint, transfer
+from learning.checkpoint import find_checkpoint, load_checkpoint, transfer
 from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
 from learning.clip_loss import ClipDepthLoss
 from learning.config import Video3DTrainConfig
@@ -21,6 +21,7 @@ from learning.data import Example
 from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.metrics import depth_scores
 from learning.models.videonet3d import VideoNet3D
+from learning.train import origin
 from learning.train_video import VideoTraining
 from learning.training_loop import Training, TrainResult, find_cache, run
 from simulator.dataset.reader import Dataset
@@ -58,11 +59,11 @@ class Video3DTraining(VideoTraining):
         raise InputError("init_from", f"got a checkpoint of {known['network']}, {path}, {wanted}")
 
     @classmethod
-    def _take(cls, config: Video3DTrainConfig, network: VideoNet3D, path: Path) -> tuple[Checkpoint, list[str]]:
+    def _take(cls, config: Video3DTrainConfig, network: VideoNet3D, path: Path) -> tuple[dict[str, Any], list[str]]:
         known = load_checkpoint(path)
         if known.architecture["network"] == "flatnet3d":
-            return known, transfer(network.joint.still, known)
-        return known, network.take(known.network, str(path))
+            return origin(known), transfer(network.joint.still, known)
+        return origin(known), network.take(known.network, str(path))
 
     def _rate(self, module: nn.Module) -> float:
         return (

@@ -422,7 +422,8 @@ class ActivityTrainConfig(LoopConfig):
     network: ActivityNetworkConfig | RawClassifierConfig | LensClassifierConfig = Field(discriminator="name")
     optimiser: NetworkOptimiserConfig = NetworkOptimiserConfig(learning_rate=3e-4)
     init_from: str | None = None
-    """of ActivityNet: checkpoint (.safetensors) of a VideoNet, of which inversion and MeasNet are taken, or an ActivityNet"""
+    """of ActivityNet: checkpoint (.safetensors) of a VideoNet, of which inversion and MeasNet are taken, or an ActivityNet;
+    of lens_classifier with resnet18: torchvision's weights of ResNet-18, learned from ImageNet (resnet18-f37072fd.pth)"""
     loss: ActivityLossConfig = ActivityLossConfig()
 
     @model_validator(mode="after")
@@ -434,8 +435,9 @@ class ActivityTrainConfig(LoopConfig):
         if augment is not None and augment.still:
             text = f"got {augment.still:g}, but where nothing moves nothing is done; set still: 0"
             raise refusal(text, "data", "augment", "still")
-        if self.init_from is not None and self.network.name != "activitynet":
-            text = f"got a checkpoint, but {self.network.name} begins with random weights; leave it out"
+        of_torchvision = self.network.name == "lens_classifier" and self.network.classifier == "resnet18"
+        if self.init_from is not None and self.network.name != "activitynet" and not of_torchvision:
+            text = f"got a file, but this {self.network.name} begins with random weights; leave it out"
             raise refusal(text, "init_from")
         return self
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
+from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, Literal, NamedTuple
 
 import torch
@@ -207,6 +209,25 @@ class LensClassifier(nn.Module):
             wider = nnf.pad(frames.flatten(1, 2), [_MOVED] * 4, mode="replicate").unflatten(1, frames.shape[1:3])
             frames, nothing = moved_windows(wider, wider[:, 0, :0], size)
         return Answer(self.classifier(frames, nothing), frames.new_zeros(0))
+
+    def take_pretrained(self, path: Path) -> list[str]:
+        """Begin with torchvision's weights of ResNet-18, and say what was taken: all but those of the classes.
+
+        The first convolution, of one image, sees the mean of the frames (Wang et al., Temporal Segment Networks, ECCV 2016).
+
+        Raises:
+            InputError: not such a file, or another classifier than ``resnet18``; the network stays as it was.
+        """
+        cure = "give torchvision's resnet18-f37072fd.pth, and take classifier: resnet18"
+        try:
+            weights: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)
+            found = {f"classifier.body.{key}": value for key, value in weights.items() if not key.startswith("fc.")}
+            first = found[name := "classifier.body.conv1.weight"]
+            frames = self.state_dict()[name].shape[1] // 3
+        except (OSError, EOFError, RuntimeError, UnpicklingError, AttributeError, KeyError, TypeError) as error:
+            raise InputError(path, f"not the weights of a ResNet-18; {cure}") from error
+        found[name] = first.repeat(1, frames, 1, 1) / frames
+        return copy_weights(self, found, str(path), cure)
 
     def _order(self, clip: Tensor) -> Tensor:
         """Return an order of a clip's frames: another one each time in training, else drawn by its content."""

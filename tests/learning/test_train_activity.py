@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torchvision.models import resnet18
 
 from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.clip_examples import ClipExample
@@ -215,6 +216,34 @@ def test_it_begins_with_a_videonet(activity_settings: Settings, tmp_path: Path, 
     for name, value in network.state_dict().items():
         if name.startswith("measnet."):
             torch.testing.assert_close(found[name], value, rtol=0, atol=1e-6)
+
+
+def test_a_lens_classifier_begins_with_weights_of_torchvision(
+    activity_settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It sees what torchvision's network sees in the mean of the frames."""
+    torch.manual_seed(3)
+    known = resnet18()
+    path = tmp_path / "resnet18.pth"
+    torch.save(known.state_dict(), path)
+    slow = {"learning_rate": 1e-9, "warm_up": 0.0, "freeze_statistics": 0.0}
+    network = LENS | {"classifier": "resnet18"}
+    result = train_activity(activity_settings(steps=1, network=network, init_from=str(path), optimiser=slow))
+    found = load_checkpoint(result.folder / LAST)
+    assert found.record["init_from"]["file"] == "resnet18.pth"
+    lens: Any = found.network.eval()
+    lens.classifier.body.fc = known.fc = torch.nn.Identity()
+    frames = torch.rand(2, 4, 3, 32, 32)
+    with torch.no_grad():
+        features = lens(frames).logits, known.eval()(frames.mean(dim=1))
+    torch.testing.assert_close(*features, rtol=1e-4, atol=1e-4)
+    assert features[1].std() > 0.1
+
+    (tmp_path / "other.pth").write_bytes(b"no weights")
+    torch.save({"conv1.weight": torch.zeros(64, 3, 5, 5)}, tmp_path / "small.pth")
+    for name in ("other.pth", "small.pth"):
+        with pytest.raises(InputError, match=f"{name}: .*resnet18-f37072fd.pth"):
+            train_activity(activity_settings("bad", steps=1, network=network, init_from=str(tmp_path / name)))
 
 
 def test_the_command_names_the_kind_of_training(labelled_dataset: Path, tmp_path: Path, capsys: Any) -> None:
