@@ -135,6 +135,7 @@ def test_reaches_the_least_objective(planes: int) -> None:
 
 
 # Fields: two pixels around the image; wider than the sensor of 13 x 12, in one direction or both.
+@pytest.mark.slow
 @pytest.mark.parametrize(("planes", "field"), [(1, (11, 10)), (2, (11, 10)), (1, (9, 16)), (2, (9, 16)), (1, (17, 14))])
 def test_light_from_beside_the_image_stays_there(planes: int, field: tuple[int, int]) -> None:
     """What is given is the image of the whole field's solution, by the method that proves the bound; not of the image's."""
