@@ -171,7 +171,7 @@ class NetworkTraining(Training[Item]):
         check_normalisation(network, group)
         init_from, taken = None, []
         if config.init_from is not None:
-            path = find_checkpoint(config.init_from, "init_from", config.resolve_path)
+            path = cls._begins_with(config)
             known, lines = cls._take(config, network, path)
             taken = [f"{path.name}: {line}" for line in lines]
             init_from = {"sha256": sha256_file(path), "file": path.name} | known
@@ -184,6 +184,11 @@ class NetworkTraining(Training[Item]):
     def _told_by(cls, config: Any, train: Dataset, validation: Dataset) -> dict[str, Any]:
         """Return what the data add to the network's architecture."""
         return {}
+
+    @classmethod
+    def _begins_with(cls, config: Any) -> Path:
+        """Return the file that ``init_from`` means."""
+        return find_checkpoint(config.init_from, "init_from", config.resolve_path)
 
     @classmethod
     @abstractmethod

@@ -87,6 +87,15 @@ class ActivityTraining(NetworkTraining[ClipExample]):
         return {"classes": list(classes)}
 
     @classmethod
+    def _begins_with(cls, config: ActivityTrainConfig) -> Path:
+        if config.network.name != "lens_classifier":
+            return super()._begins_with(config)
+        path = config.resolve_path(str(config.init_from))
+        if not path.is_file():
+            raise InputError("init_from", f"no such file: {path}; expected torchvision's resnet18-f37072fd.pth")
+        return path
+
+    @classmethod
     def _take(cls, config: ActivityTrainConfig, network: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
         if isinstance(network, LensClassifier):
             return {"architecture": "torchvision's ResNet-18"}, network.take_pretrained(path)

@@ -437,7 +437,8 @@ class ActivityTrainConfig(LoopConfig):
             raise refusal(text, "data", "augment", "still")
         of_torchvision = self.network.name == "lens_classifier" and self.network.classifier == "resnet18"
         if self.init_from is not None and self.network.name != "activitynet" and not of_torchvision:
-            text = f"got a file, but this {self.network.name} begins with random weights; leave it out"
+            unless = ", or take classifier: resnet18" if self.network.name == "lens_classifier" else ""
+            text = f"got a file, but this {self.network.name} begins with random weights; leave it out{unless}"
             raise refusal(text, "init_from")
         return self
 

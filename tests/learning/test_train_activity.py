@@ -241,8 +241,8 @@ def test_a_lens_classifier_begins_with_weights_of_torchvision(
 
     (tmp_path / "other.pth").write_bytes(b"no weights")
     torch.save({"conv1.weight": torch.zeros(64, 3, 5, 5)}, tmp_path / "small.pth")
-    for name in ("other.pth", "small.pth"):
-        with pytest.raises(InputError, match=f"{name}: .*resnet18-f37072fd.pth"):
+    for name in ("other.pth", "small.pth", "missing.pth"):
+        with pytest.raises(InputError, match=rf"{name}[:;] .*resnet18-f37072fd.pth"):
             train_activity(activity_settings("bad", steps=1, network=network, init_from=str(tmp_path / name)))
 
 
