@@ -14,13 +14,18 @@ _DPI = 120
 _GREY = "#8a9299"
 
 
+def spoken(classes: Sequence[str]) -> list[str]:
+    """Return the names of classes as a reader wants them."""
+    return [name.replace("_", " ") for name in classes]
+
+
 def confusion_png(answers: Sequence[Answers]) -> bytes:
     """Return a matrix for each classifier: rows are what is done, columns what it is taken for, in per cent of the row."""
     classes = answers[0].classes
     side = 1.6 + 0.42 * len(classes)
     figure = drawing.new_figure((side * len(answers) + 1.2, side + 0.6), _DPI)
     axes = figure.subplots(1, len(answers), sharey=True, squeeze=False)[0]
-    names = [name.replace("_", " ") for name in classes]
+    names = spoken(classes)
     for place, one in zip(axes, answers, strict=True):
         shares = 100 * one.confusion()
         place.imshow(shares, cmap="Blues", vmin=0, vmax=100)

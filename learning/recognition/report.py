@@ -18,7 +18,7 @@ from learning.evaluate.folder import remove_stale
 from learning.evaluate.tables import markdown
 from learning.method import aligned
 from learning.provenance import versions
-from learning.recognition.figures import against_png, confusion_png, reliability_png
+from learning.recognition.figures import against_png, confusion_png, reliability_png, spoken
 from learning.recognition.scores import TOP, Answers, Lead, become, chance, lead, majority
 from simulator.io.files import storage_errors, write_atomic
 from simulator.io.json import readable_json
@@ -200,7 +200,7 @@ def _by_slivers(found: Recognition) -> list[Answers]:
 
 def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
     titles, *rows = found.rows()
-    classes = found.reference.classes
+    classes = spoken(found.reference.classes)
     parts = [
         f"# {found.config.name}",
         f"{len(found.reference.truth)} captures of data with fingerprint `{found.fingerprint[:12]}`, split "
@@ -208,14 +208,12 @@ def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
         markdown(titles, rows),
         _HOW,
         "\n".join(f"- {one.name}: {one.note}" for one in found.main),
-        "## Against the reference",
-        _LEAD,
-        markdown(
-            ["", f"{found.reference.name} is ahead by", "same clips"],
-            [[one.other, _points(one), "yes" if one.paired else "no"] for one in found.leads],
-        )
-        if found.leads
-        else "",
+    ]
+    if found.leads:
+        table = [[one.other, _points(one), "yes" if one.paired else "no"] for one in found.leads]
+        parts += ["## Against the reference", _LEAD]
+        parts.append(markdown(["", f"{found.reference.name} is ahead by", "same clips"], table))
+    parts += [
         "## Confusion",
         f"![who is taken for what]({CONFUSION})",
         "## Per class",
@@ -268,7 +266,7 @@ def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
         parts += ["## Captures", f"![captures]({SHEET})"]
     packages = ", ".join(f"{name} {version}" for name, version in versions("torch", "torchvision", "numpy").items())
     parts += [_PUBLISHED, "## Made with", packages]
-    return "\n\n".join(part for part in parts if part) + "\n"
+    return "\n\n".join(parts) + "\n"
 
 
 def _accuracy(one: Answers, top: int) -> str:
