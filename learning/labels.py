@@ -52,5 +52,6 @@ def class_numbers(dataset: Dataset, classes: Sequence[str]) -> list[int]:
     unknown = sorted(set(found) - set(number))
     if unknown:
         got = f"split {dataset.split!r} has samples of {', '.join(map(show, unknown[:3]))}{' ...' * (len(unknown) > 3)}"
-        raise InputError(dataset.root, f"{got}, a class that the network does not know; it knows {', '.join(classes)}")
+        cure = "train with them, or leave them out (scene.actions)"
+        raise InputError(dataset.root, f"{got}, expected what is learned: {', '.join(classes)}; {cure}")
     return [number[label] for label in found]

@@ -23,7 +23,7 @@ from simulator.errors import InputError
 from simulator.io.files import sha256_file
 
 # What torchvision's networks were trained on: sRGB codes 0..1 less the mean, by the spread, of ImageNet's images.
-_MEAN, _SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+IMAGENET_MEAN, IMAGENET_SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 LAYERS = {"vgg19": ("relu4_2",), "vgg16": ("relu2_2", "relu4_3")}
 """Which features are compared. Still scenes: VGG-19 up to and with relu4_2, ``features[:23]``.
@@ -69,8 +69,8 @@ class PerceptualLoss(nn.Module):
         indices = layer_indices(network)
         self.indices = tuple(indices[name] for name in LAYERS[network])
         self.features = build_features(network, max(self.indices) + 1)
-        self.register_buffer("mean", torch.tensor(_MEAN)[:, None, None])
-        self.register_buffer("spread", torch.tensor(_SPREAD)[:, None, None])
+        self.register_buffer("mean", torch.tensor(IMAGENET_MEAN)[:, None, None])
+        self.register_buffer("spread", torch.tensor(IMAGENET_SPREAD)[:, None, None])
         if weights == "vgg":
             cure = "choose perceptual: none (no such loss) or random_vgg (the same network, random weights)"
             state, self.sha256 = load_features(network, cure)

@@ -72,6 +72,17 @@ def scenes_of(dataset: Dataset) -> list[str]:
     return sorted({_known_by(scene, clip, seed, split) for clip in said})
 
 
+def clips_of(dataset: Dataset) -> tuple[str, ...]:
+    """Return what each clip of a split is known by, whatever camera saw it: its data set, and its name there.
+
+    Samples of a data set that were seen again are known by that data set and their names in it, also backwards.
+    """
+    if dataset.config["scene"].get("source") != "samples":
+        return tuple(f"{dataset.fingerprint} {dataset.split}/{name}" for name in dataset.ids)
+    said = (dataset.stored(position).description["metadata"]["scene"] for position in range(len(dataset)))
+    return tuple(f"{clip['data set']} {clip['sample']}" for clip in said)
+
+
 def _known_by(made_by: Mapping[str, Any], clip: Mapping[str, Any], seed: int, split: str) -> str:
     """Return what a scene of a family or a source is known by; ``clip`` is what the source says of it."""
     if made_by.get("family") is not None:

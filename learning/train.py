@@ -129,10 +129,14 @@ def open_examples(dataset: Dataset, config: TrainConfig, say: Say) -> ExampleSet
 
 def check_normalisation(network: nn.Module, group: Processes) -> None:
     """Refuse batch normalisation in several processes on CPUs, where torch cannot share its statistics."""
-    learning = (each for each in network.modules() if any(own.requires_grad for own in each.parameters(recurse=False)))
-    if group.world_size > 1 and not group.on_cuda and any(isinstance(each, _BatchNorm) for each in learning):
-        reason = f"got unet, whose batch normalisation {group.world_size} processes share on GPUs only"
-        raise InputError("network.body", f"{reason}; take naf, or one process")
+    if group.world_size == 1 or group.on_cuda:
+        return
+    for name, each in network.named_modules():
+        if isinstance(each, _BatchNorm) and any(own.requires_grad for own in each.parameters()):
+            of_classes = name.startswith("classifier.")
+            key, got, cure = ("classifier", "one", "") if of_classes else ("body", "unet", "take naf, or ")
+            reason = f"got {got} with batch normalisation, which {group.world_size} processes share on GPUs only"
+            raise InputError(f"network.{key}", f"{reason}; {cure}run one process")
 
 
 def origin(known: Checkpoint) -> dict[str, Any]:

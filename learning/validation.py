@@ -42,8 +42,8 @@ def errors_in_words(metrics: Mapping[str, float]) -> str:
         "noisy_psnr_db": "of the input {:.2f} dB",
         "depth_rmse_cm": "depth RMSE {:.2f} cm",
         "moving_psnr_db": "of moving pixels {:.2f} dB",
-        "top_1": "right {:.1%}",
-        "top_2": "among two guesses {:.1%}",
+        "top_1": "top-1 {:.1%}",
+        "top_2": "top-2 {:.1%}",
     }
     return ", ".join(text.format(metrics[name]) for name, text in words.items() if name in metrics)
 

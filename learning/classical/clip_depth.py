@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from learning.camera import CaptureModel
+from learning.classical.clips import CLIP_SEARCH
 from learning.classical.method import SEARCH, ClassicalMethod
 from learning.layers.space_time import JOINT, JointLeastSquares
 from learning.method import Clock, Estimate, Value, threads_for
@@ -31,7 +32,8 @@ _OF_DEPTH: dict[str, Value] = {
 CLIP_DEPTH_DEFAULTS: dict[str, dict[str, Value]] = {"joint3d": OF_VOLUME | _OF_DEPTH}
 CLIP_DEPTH_SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
     "joint3d": {
-        "iterations": (10, 20, 40),
+        **CLIP_SEARCH["joint"],
+        "iterations": (20, 40, 80),
         "planes": (2, 4, 6),
         **{name: SEARCH["admm"][name] for name in _OF_DEPTH if name in SEARCH["admm"]},
     }

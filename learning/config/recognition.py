@@ -64,6 +64,10 @@ class RecognitionConfig(FileSection):
 
     @model_validator(mode="after")
     def _sense(self) -> Self:
+        for at, one in enumerate(self.classifiers):
+            if len(set(one.checkpoints)) < len(one.checkpoints):
+                text = "expected each file once"
+                raise refusal(text, "classifiers", at, "checkpoints")
         names = [one.name for one in self.classifiers]
         for at, name in enumerate(names):
             if name in names[:at]:

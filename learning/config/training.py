@@ -322,10 +322,13 @@ class ActivityLossConfig(Section):
     """share of the probability that the target of the cross entropy gives to all classes alike (Szegedy et al. 2016)"""
 
 
+LearningRate = Annotated[float, Range(1e-9, 10, below="a learning rate is positive")]
+
+
 class OptimiserConfig(Section):
     """Adam (AdamW where weights decay), and its learning rate over the steps."""
 
-    learning_rate: Annotated[float, Range(1e-9, 10, below="a learning rate is positive")] = 1e-3
+    learning_rate: LearningRate = 1e-3
     """peak value, after the warm-up"""
     schedule: Literal["cosine", "constant"] = "cosine"
     """after the warm-up: down to zero along half a cosine, or constant"""
@@ -343,7 +346,8 @@ class NetworkOptimiserConfig(OptimiserConfig):
     inversion_rate: Annotated[float, Range(0, 1e6)] = 10.0
     """learning rate of the inversion's P and lambda, as a multiple of the others' (at 1 they hardly move)"""
     freeze_statistics: Annotated[float, Range(0, 1)] = 0.5
-    """share of the steps after which batch normalisation (body: unet) freezes its running statistics, as at inference"""
+    """share of the steps after which batch normalisation (of body: unet, and of classifiers) keeps its statistics, as at
+    inference"""
 
 
 class LoopConfig(FileSection):
@@ -415,12 +419,18 @@ class Video3DTrainConfig(LoopConfig):
     loss: Video3DLossConfig = Video3DLossConfig()
 
 
+class ActivityOptimiserConfig(NetworkOptimiserConfig):
+    """The optimiser of a classifier."""
+
+    learning_rate: LearningRate = 3e-4
+
+
 class ActivityTrainConfig(LoopConfig):
     """One training of a network that recognises what is done in a clip."""
 
     data: ActivityDataConfig
     network: ActivityNetworkConfig | RawClassifierConfig | LensClassifierConfig = Field(discriminator="name")
-    optimiser: NetworkOptimiserConfig = NetworkOptimiserConfig(learning_rate=3e-4)
+    optimiser: ActivityOptimiserConfig = ActivityOptimiserConfig()
     init_from: str | None = None
     """of ActivityNet: checkpoint (.safetensors) of a VideoNet, of which inversion and MeasNet are taken, or an ActivityNet;
     of lens_classifier with resnet18: torchvision's weights of ResNet-18, learned from ImageNet (resnet18-f37072fd.pth)"""

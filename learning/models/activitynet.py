@@ -31,12 +31,13 @@ from learning.models.clip_network import (
     check_clips,
     copy_weights,
 )
+from learning.perceptual import IMAGENET_MEAN, IMAGENET_SPREAD
 from simulator.errors import InputError
 
 Frames = Literal["all", "shuffled", "middle"]
 FRAMES = ("all", "shuffled", "middle")
+_MOVED = 8  # in training, frames are moved by up to this part of their size to each side
 _COMMON = ("inversion.", "measnet.", "wiener.")  # names of the weights that networks for clips have in common
-_MOVED = 8  # pixels to each side by which frames are moved in training
 
 
 class Answer(NamedTuple):
@@ -182,17 +183,19 @@ class RawClassifier(nn.Module):
 
 
 class LensClassifier(nn.Module):
-    """What is done in the frames of a camera with a lens, of the same field of view: sharp, in time, without noise."""
+    """What is done in the frames of a camera with a lens, of the same field of view: each of its time, without noise."""
 
     def __init__(self, capture: CaptureModel, *, classes: Sequence[str], classifier: str, frames: Frames) -> None:
         """Build it for the clips of a camera; see `ActivityNet`.
 
         ``frames``: ``all`` in their order; ``shuffled``, all in an order that is drawn for each clip; ``middle``, only one.
+        ResNet-18 gets them normalised as ImageNet's images are, so that it may begin with what it learned of these.
         """
         super().__init__()
         check_clips(capture, type(self).__name__)
         check_choices(("frames", frames, FRAMES))
         self.classes, self.frames = tuple(classes), frames
+        self._normalised = classifier == "resnet18"
         count = 1 if frames == "middle" else capture.frames
         self.classifier = FrameClassifier(classifier, count, 3, 0, len(self.classes))
 
@@ -205,9 +208,10 @@ class LensClassifier(nn.Module):
             frames = torch.stack([clip[self._order(clip)] for clip in frames])
         nothing = frames[:, 0, :0]
         if self.training:
-            size = frames.shape[-2:]
-            wider = nnf.pad(frames.flatten(1, 2), [_MOVED] * 4, mode="replicate").unflatten(1, frames.shape[1:3])
-            frames, nothing = moved_windows(wider, wider[:, 0, :0], size)
+            frames, nothing = moved_windows(frames, nothing, frames.shape[-2:])
+        if self._normalised:
+            mean, spread = (frames.new_tensor(each)[:, None, None] for each in (IMAGENET_MEAN, IMAGENET_SPREAD))
+            frames = (frames - mean) / spread
         return Answer(self.classifier(frames, nothing), frames.new_zeros(0))
 
     def take_pretrained(self, path: Path) -> list[str]:
@@ -242,15 +246,24 @@ class LensClassifier(nn.Module):
 
 
 def moved_windows(frames: Tensor, shared: Tensor, size: Sequence[int]) -> tuple[Tensor, Tensor]:
-    """Return windows of a size, at a random place of each clip, of ``(B, N, c, h, w)`` and of what all frames share."""
+    """Return windows of a size that are moved by up to an eighth of it to each side, each clip's by its own number of pixels.
+
+    Args:
+        frames: ``(B, N, c, H, W)``, of this size or larger; where they end, their last pixels go on.
+        shared: what all frames share, ``(B, c, H, W)``.
+        size: h, w.
+    """
     rows, columns = size
-    places = [
-        torch.randint(whole - part + 1, (len(frames),)).tolist()
-        for whole, part in zip(frames.shape[-2:], size, strict=True)
-    ]
-    parts = [(..., slice(top, top + rows), slice(left, left + columns)) for top, left in zip(*places, strict=True)]
-    cut = [torch.stack([clip[part] for clip, part in zip(every, parts, strict=True)]) for every in (frames, shared)]
-    return cut[0], cut[1]
+    moved = [rows // _MOVED, columns // _MOVED]
+    images = torch.cat([frames.flatten(1, 2), shared], dim=1)
+    below, beside = (
+        (part + 2 * most - whole) // 2 for part, most, whole in zip(size, moved, images.shape[-2:], strict=True)
+    )
+    images = nnf.pad(images, (beside, beside, below, below), mode="replicate")
+    places = zip(*(torch.randint(2 * most + 1, (len(images),)).tolist() for most in moved), strict=True)
+    seen = [clip[:, top : top + rows, left : left + columns] for clip, (top, left) in zip(images, places, strict=True)]
+    own, alike = torch.stack(seen).split([images.shape[1] - shared.shape[1], shared.shape[1]], dim=1)
+    return own.unflatten(1, frames.shape[1:3]), alike
 
 
 Classifier = ActivityNet | RawClassifier | LensClassifier

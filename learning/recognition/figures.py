@@ -29,14 +29,15 @@ def confusion_png(answers: Sequence[Answers]) -> bytes:
     for place, one in zip(axes, answers, strict=True):
         shares = 100 * one.confusion()
         place.imshow(shares, cmap="Blues", vmin=0, vmax=100)
-        place.set_title(f"{one.name}: {100 * one.accuracy():.0f} % right", fontsize=10, color=INK)
+        place.set_title(f"{one.name}: top-1 {100 * one.accuracy():.0f} %", fontsize=10, color=INK)
         place.set_xticks(range(len(names)), names, rotation=60, ha="right", rotation_mode="anchor", fontsize=8)
         place.set_yticks(range(len(names)), names, fontsize=8)
         for row, column in np.argwhere(shares >= 0.5):
             dark = shares[row, column] > 55
             text = f"{shares[row, column]:.0f}"
             place.text(column, row, text, ha="center", va="center", fontsize=7, color="white" if dark else INK)
-    axes[0].set_ylabel("what is done", fontsize=9)
+        place.set_xlabel("predicted class", fontsize=9)
+    axes[0].set_ylabel("true class", fontsize=9)
     return drawing.figure_png(figure)
 
 

@@ -32,7 +32,7 @@ from learning.method import (
     threads_for,
 )
 from learning.models import ActivityMethod, ActivityNet, Classifier, LensClassifier, RawClassifier
-from learning.provenance import sample_digests
+from learning.provenance import clips_of, sample_digests
 from learning.recognition.report import Recognition, write_recognition
 from learning.recognition.scores import Answers
 from learning.timing import with_slivers
@@ -78,6 +78,10 @@ def recognise(
     # What does not fit is said of all data sets now, not after hours of work.
     rows = [_read(config, one) for one in config.classifiers]
     reference = next(row for row in rows if row[0].name == (config.reference or rows[0][0].name))
+    for one in (row[0] for row in rows):
+        if one.network.classes != reference[0].network.classes:
+            wanted = f"expected those of {reference[0].name}: {', '.join(reference[0].network.classes)}"
+            raise InputError(one.name, f"it has the classes {', '.join(one.network.classes)}, {wanted}")
     back = [] if config.data.backwards is None else [_moved(config, one, config.data.backwards) for one in reference]
     claim_folder(folder, config.name)
     cache = ResultCache(folder / CACHE)
@@ -111,25 +115,32 @@ def _read(config: RecognitionConfig, row: ClassifierConfig) -> list[Trained]:
         network = known.network
         if not isinstance(network, ActivityNet | RawClassifier | LensClassifier):
             names = "activitynet, raw_classifier or lens_classifier"
-            raise InputError(
-                row.name, f"{path} is a {type(network).__name__}, which names no classes; expected {names}"
-            )
+            raise InputError(row.name, f"{path} is a {type(network).__name__}, not a classifier; expected {names}")
         test = _open(config, row.test or config.data.test, network.classes, known.capture.frames)
         check_learned(row.name, path, known.record, test)
         found.append(_built(row.name, path, test))
-    if len({each.network.classes for each in found}) > 1:
+    if len({(_kind(each), each.slivers) for each in found}) > 1:
         raise InputError(
-            row.name, "its checkpoints tell other classes apart; give those of one training with several seeds"
+            row.name,
+            "its checkpoints are of different networks or trainings; give those that differ in their seed alone",
         )
     return found
+
+
+def _kind(one: Trained) -> str:
+    """Return what a classifier is, what it learned and what it is tested on, but for its seed and its number of slivers."""
+    known = load_checkpoint(one.path)
+    shuffled = known.record.get("config", {}).get("data", {}).get("shuffle_labels")
+    return sha256_bytes(canonical_json([known.architecture, shuffled, one.test.fingerprint]))
 
 
 def _moved(config: RecognitionConfig, one: Trained, folder: str) -> Trained:
     """Return the same network for other captures."""
     test = _open(config, folder, one.network.classes, one.capture.frames)
     check_learned(one.name, one.path, load_checkpoint(one.path).record, test)
-    if class_numbers(test, one.network.classes) != class_numbers(one.test, one.network.classes):
-        raise InputError("data.backwards", f"{test.root} has other clips than {one.test.root}; make it from these")
+    if clips_of(test) != clips_of(one.test) or not test.config["scene"].get("backwards"):
+        cure = f"make it with scene: {{source: samples, path: {one.test.root}, backwards: true, ...}}"
+        raise InputError("data.backwards", f"{test.root} does not have the clips of {one.test.root} backwards; {cure}")
     return _built(one.name, one.path, test)
 
 
@@ -239,8 +250,9 @@ def _answers(
         truth,
         np.stack(chances),
         noise_db=noise_db,
+        clips=clips_of(first.test),
         slivers=first.slivers,
-        architecture=words,
+        kind=_kind(first),
         note=f"{words}, {parameters:.2f} million parameters",
         seed=config.seed,
     )

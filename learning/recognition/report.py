@@ -19,7 +19,7 @@ from learning.evaluate.tables import markdown
 from learning.method import aligned
 from learning.provenance import versions
 from learning.recognition.figures import against_png, confusion_png, reliability_png, spoken
-from learning.recognition.scores import TOP, Answers, Lead, become, chance, lead, majority
+from learning.recognition.scores import TOP, Answers, Lead, become, chance, lead, majority, without_nan
 from simulator.io.files import storage_errors, write_atomic
 from simulator.io.json import readable_json
 from simulator.plots.drawing import png_bytes
@@ -45,12 +45,13 @@ The thesis's method keeps 76 % of the top-1 accuracy of the same classifier on t
 training differ from those above; only such shares may be compared, with caution."""
 _HOW = (
     "Accuracies are shares of the test captures, means over seeds; in brackets the 95 % bootstrap interval over captures, "
-    "then the standard deviation over seeds where there are several. The log loss is in nats; the calibration error is the "
-    "mean difference of confidence and accuracy (ECE, 10 bins)."
+    "and after ± half the 95 % interval (Student's t) over seeds where there are several. The log loss is in nats; the "
+    "calibration error is the mean difference of confidence and accuracy (ECE, 10 bins), mean over seeds."
 )
 _LEAD = (
-    "The reference's top-1 accuracy minus the other's, in percentage points, and the 95 % bootstrap interval over captures: "
-    "of the differences capture by capture where both saw the same clips, else of independent means."
+    "Differences of top-1 accuracies in percentage points, and their 95 % bootstrap intervals over captures: paired, capture "
+    "by capture, where both saw the same clips, else of independent means. How trainings with other seeds differ is not in "
+    "them: compare with the ± of the rows."
 )
 
 
@@ -129,7 +130,7 @@ class Recognition:
                 {"other": one.other, "mean": one.mean, "interval": one.interval, "paired": one.paired}
                 for one in self.leads
             ],
-            "backwards": self.turned(),
+            "backwards": None if self.backwards is None else without_nan(become(self.reference, self.backwards)),
             "chance": chance(self.reference.classes),
             "majority": majority(self.reference.truth),
             "seconds": {name: dict(stages) for name, stages in self.times.items()},
@@ -137,17 +138,10 @@ class Recognition:
             "versions": versions("torch", "torchvision", "numpy"),
         }
 
-    def turned(self) -> list[list[float | None]] | None:
-        """Return what right answers become backwards; None in place of what a class without right answers becomes."""
-        if self.backwards is None:
-            return None
-        rows = become(self.reference, self.backwards).tolist()
-        return [[None if math.isnan(share) else share for share in row] for row in rows]
-
 
 def terminal_tables(found: Recognition) -> str:
     """Return the table and the leads of the reference as plain text."""
-    lines = [f"{found.reference.name} is ahead of {one.other} by {_points(one)} points" for one in found.leads]
+    lines = [f"{found.reference.name} minus {one.other}: {_points(one)} points" for one in found.leads]
     return "\n".join([*aligned(found.rows()), "", *lines])
 
 
@@ -193,7 +187,7 @@ def _figures(found: Recognition) -> dict[str, bytes]:
 
 def _by_slivers(found: Recognition) -> list[Answers]:
     """Return the reference and the rows like it but for the number of slivers, fewest first; empty without any."""
-    alike = [one for one in found.main if one.architecture == found.reference.architecture and one.slivers is not None]
+    alike = [one for one in found.main if one.kind == found.reference.kind and one.slivers is not None]
     by_number = {one.slivers or 0: one for one in [*reversed(alike), found.reference]}
     return [by_number[number] for number in sorted(by_number)] if len(by_number) > 1 else []
 
@@ -204,7 +198,7 @@ def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
     parts = [
         f"# {found.config.name}",
         f"{len(found.reference.truth)} captures of data with fingerprint `{found.fingerprint[:12]}`, split "
-        f"{found.config.data.split}, {len(classes)} classes; captures as stored have {found.stored_db:.1f} dB.",
+        f"{found.config.data.split}, {len(classes)} classes; PSNR of the stored measurements: {found.stored_db:.1f} dB.",
         markdown(titles, rows),
         _HOW,
         "\n".join(f"- {one.name}: {one.note}" for one in found.main),
@@ -212,18 +206,15 @@ def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
     if found.leads:
         table = [[one.other, _points(one), "yes" if one.paired else "no"] for one in found.leads]
         parts += ["## Against the reference", _LEAD]
-        parts.append(markdown(["", f"{found.reference.name} is ahead by", "same clips"], table))
+        parts.append(markdown(["", f"{found.reference.name} minus it", "paired"], table))
     parts += [
         "## Confusion",
-        f"![who is taken for what]({CONFUSION})",
+        f"![confusion matrix]({CONFUSION})",
         "## Per class",
-        "Share of each class's captures that are named rightly, %, mean over seeds.",
+        "Top-1 accuracy of each class's captures, %, mean over seeds.",
         markdown(
             ["class", *(one.name for one in found.main)],
-            [
-                [name, *(f"{100 * one.confusion()[at, at]:.0f}" for one in found.main)]
-                for at, name in enumerate(classes)
-            ],
+            [[name, *(_per_cent(one.confusion()[at, at]) for one in found.main)] for at, name in enumerate(classes)],
         ),
         "## Calibration",
         f"![confidence against accuracy]({RELIABILITY})",
@@ -240,14 +231,12 @@ def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
     if SLIVERS in figures:
         table = [[str(one.slivers), _accuracy(one, 1)] for one in _by_slivers(found)]
         parts += ["## Slivers", markdown(["slivers", "top-1 %"], table), f"![accuracy against slivers]({SLIVERS})"]
-    if (shares := found.turned()) is not None:
-        rows = [
-            [name, *("–" if share is None else f"{100 * share:.0f}" for share in shares[at])]
-            for at, name in enumerate(classes)
-        ]
+    if found.backwards is not None:
+        shares = become(found.reference, found.backwards)
+        rows = [[name, *map(_per_cent, shares[at])] for at, name in enumerate(classes)]
         words = (
-            "The same clips run backwards and seen anew: what becomes of the captures that were named rightly, % of these. "
-            "A classifier that looks at the order of things takes picking up for putting down."
+            "The same clips reversed in time and re-simulated: what those captures that were classified correctly (rows) are "
+            "classified as then (columns), % of them."
         )
         parts += ["## Backwards", words, markdown(["", *classes], rows)]
     if found.times:
@@ -276,6 +265,10 @@ def _accuracy(one: Answers, top: int) -> str:
     return f"{100 * one.accuracy(top):.1f}{interval}{'' if spread is None else f' ±{100 * spread:.1f}'}"
 
 
+def _per_cent(share: float) -> str:
+    return "–" if math.isnan(share) else f"{100 * share:.0f}"
+
+
 def _points(one: Lead) -> str:
     interval = "" if one.interval is None else f" [{100 * one.interval[0]:+.1f}, {100 * one.interval[1]:+.1f}]"
     return f"{100 * one.mean:+.1f}{interval}"
@@ -285,7 +278,9 @@ def _csv(found: Recognition) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     columns = [
-        name for top in TOP for name in (f"top_{top}", f"top_{top}_low", f"top_{top}_high", f"top_{top}_over_seeds")
+        name
+        for top in TOP
+        for name in (f"top_{top}", f"top_{top}_low", f"top_{top}_high", f"top_{top}_half_interval_over_seeds")
     ]
     writer.writerow(["classifier", "noise_db", "slivers", "seeds", *columns, "calibration_error", "log_loss"])
     for one in found.answers:

@@ -1,7 +1,7 @@
 """How right a classifier is, and how sure it may be of that: top-k accuracy, confusion, calibration, intervals.
 
-All from the probabilities that each seed gives each class for each capture. Intervals cover the choice of captures; what
-another training would have given is said by the standard deviation over seeds.
+All from the probabilities that each seed gives each class for each capture. One interval covers the choice of captures,
+another one, where there are several seeds, what trainings with other seeds would have given.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from learning.evaluate.paired import mean_interval
 
@@ -33,9 +34,10 @@ class Answers:
         truth: ``(n,)``, the number of each capture's class.
         probabilities: ``(seeds, n, classes)``.
         noise_db: level at which noise was drawn anew; None for measurements as stored.
+        clips: what each capture shows, by name: see `learning.provenance.clips_of`.
         slivers: how many frames it tells apart in a capture; None of what looks at no capture.
-        architecture: the network and its classifier, in words.
-        note: what else is to be known of it.
+        kind: what it is but for seed and number of slivers: rows of one kind are compared by these.
+        note: the network in words.
         seed: of the intervals' resampling.
     """
 
@@ -44,8 +46,9 @@ class Answers:
     truth: NDArray[np.int64]
     probabilities: NDArray[np.float64]
     noise_db: float | None = None
+    clips: tuple[str, ...] = ()
     slivers: int | None = None
-    architecture: str = ""
+    kind: str = ""
     note: str = ""
     seed: int = 0
 
@@ -69,40 +72,61 @@ class Answers:
         return float(self.right(top).mean())
 
     def over_seeds(self, top: int = 1) -> float | None:
-        """Return the standard deviation (n - 1) of the accuracy over seeds; None of one."""
+        """Return half the width of the 95 % interval (Student's t) of the mean accuracy over seeds; None of one."""
         each = (self.ranks < top).mean(axis=1)
-        return float(each.std(ddof=1)) if len(each) > 1 else None
+        return float(stats.t.ppf(0.975, len(each) - 1) * stats.sem(each)) if len(each) > 1 else None
 
     @cached_property
     def intervals(self) -> dict[int, tuple[float, float] | None]:
-        """The 95 % interval of the accuracy for each of `TOP`, see `learning.evaluate.paired.mean_interval`."""
-        return {top: mean_interval(self.right(top), self.seed) for top in TOP}
+        """The 95 % interval of the accuracy over captures, for each of `TOP`; None of a single capture.
+
+        See `learning.evaluate.paired.mean_interval`; where all captures are right, or none is, Wilson's (JASA 1927), because
+        all resamples are then alike.
+        """
+        return {top: self._interval(top) for top in TOP}
+
+    def _interval(self, top: int) -> tuple[float, float] | None:
+        right = self.right(top)
+        if len(right) > 1 and (all(right == 0) or all(right == 1)):
+            known = stats.binomtest(int(right.sum()), len(right)).proportion_ci(0.95, "wilson")
+            return float(known.low), float(known.high)
+        return mean_interval(right, self.seed)
 
     def confusion(self) -> NDArray[np.float64]:
-        """Return which share of each class's captures (rows) is taken for which class (columns), mean over seeds."""
+        """Return which share of each class's captures (rows) is taken for which class (columns), mean over seeds.
+
+        Rows of classes of which there are no captures are NaN.
+        """
         counts = np.zeros((len(self.classes),) * 2)
         for guesses in self.guesses:
             np.add.at(counts, (self.truth, guesses), 1)
-        return counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+        return _shares(counts)
 
     def reliability(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
         """Return mean confidence, accuracy and number of answers of each bin, ``(BINS,)``; NaN where a bin is empty.
 
         The confidence is the probability of the most likely class (Guo et al., On Calibration of Modern Neural Networks, ICML
-        2017).
+        2017); the answers are those of all seeds.
         """
-        confidence, right = self.probabilities.max(axis=-1).ravel(), (self.guesses == self.truth).ravel()
-        bins = np.minimum((confidence * BINS).astype(int), BINS - 1)
-        counts = np.bincount(bins, minlength=BINS)
+        counts, *sums = np.sum([self._bins(seed) for seed in range(len(self.probabilities))], axis=0)
         with np.errstate(invalid="ignore"):
-            means = [np.bincount(bins, values, BINS) / counts for values in (confidence, right)]
-        return means[0], means[1], counts
+            confidence, right = (total / counts for total in sums)
+        return confidence, right, counts.astype(int)
 
     def calibration_error(self) -> float:
-        """Return the mean difference of confidence and accuracy over the bins, weighted by their answers (ECE)."""
-        confidence, right, counts = self.reliability()
-        known = counts > 0
-        return float(np.abs(confidence - right)[known] @ counts[known] / counts.sum())
+        """Return the mean difference of confidence and accuracy over the bins, weighted by their answers (ECE).
+
+        The mean of the seeds' own: of two, one may be as much too sure as the other is too unsure.
+        """
+        every = [self._bins(seed) for seed in range(len(self.probabilities))]
+        return float(np.mean([np.abs(confidence - right).sum() / counts.sum() for counts, confidence, right in every]))
+
+    def _bins(self, seed: int) -> list[NDArray[np.float64]]:
+        """Return how many answers of a seed are in each bin, the sum of their confidences, and how many are right."""
+        confidence, right = self.probabilities[seed].max(axis=-1), self.guesses[seed] == self.truth
+        bins = np.minimum((confidence * BINS).astype(int), BINS - 1)
+        every = (np.ones_like(confidence), confidence, right)
+        return [np.bincount(bins, values, BINS).astype(float) for values in every]
 
     def log_loss(self) -> float:
         """Return the mean cross entropy, nats; a probability of zero counts as the smallest of float32."""
@@ -117,28 +141,27 @@ class Answers:
             "slivers": self.slivers,
             "captures": len(self.truth),
             "seeds": len(self.probabilities),
-            "architecture": self.architecture,
             "note": self.note,
             **{
                 f"top_{top}": {
                     "mean": self.accuracy(top),
                     "interval": self.intervals[top],
-                    "over_seeds": self.over_seeds(top),
+                    "half_interval_over_seeds": self.over_seeds(top),
                 }
                 for top in TOP
             },
             "calibration_error": self.calibration_error(),
             "log_loss": self.log_loss(),
-            "confusion": self.confusion().tolist(),
+            "confusion": without_nan(self.confusion()),
         }
 
 
 @dataclass(frozen=True)
 class Lead:
-    """By how much the reference's top-1 accuracy exceeds another's, over the same captures, and the 95 % interval of that.
+    """By how much the reference's top-1 accuracy exceeds another's, and the 95 % interval of that over captures.
 
-    The interval is that of the differences capture by capture, ``paired``, or where the two have seen other captures, of
-    independent ones.
+    The interval is that of the differences capture by capture, ``paired``, or where the two have seen other clips, of
+    independent means.
     """
 
     other: str
@@ -148,10 +171,10 @@ class Lead:
 
 
 def lead(reference: Answers, other: Answers) -> Lead:
-    """Return by how much one classifier is ahead of another; captures are paired where both have the same, in one order."""
+    """Return by how much one classifier is ahead of another; captures are paired where they show the same clips in order."""
     one, two = reference.right(), other.right()
     mean = float(one.mean() - two.mean())
-    if len(one) == len(two) and np.array_equal(reference.truth, other.truth):
+    if reference.clips == other.clips:
         return Lead(other.name, mean, mean_interval(one - two, reference.seed), paired=True)
     ends = [each.intervals[1] for each in (reference, other)]
     if None in ends:
@@ -181,5 +204,15 @@ def become(forwards: Answers, backwards: Answers) -> NDArray[np.float64]:
     for before, after in zip(forwards.guesses, backwards.guesses, strict=True):
         right = before == forwards.truth
         np.add.at(counts, (forwards.truth[right], after[right]), 1)
+    return _shares(counts)
+
+
+def without_nan(shares: NDArray[np.float64]) -> list[list[float | None]]:
+    """Return a table for JSON, which knows no NaN: None in its place."""
+    return [[None if math.isnan(share) else share for share in row] for row in shares.tolist()]
+
+
+def _shares(counts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return each row's shares; NaN in rows of zeros."""
     with np.errstate(invalid="ignore"):
         return counts / counts.sum(axis=1, keepdims=True)

@@ -247,7 +247,7 @@ def test_labelled_clips_from_generating_to_a_name(
         training |= {"data": {"train": str(data), "workers": 0, "draws": 1, "cache": str(tmp_path / "kept")}}
         code, out, err = flatlight("train", write(tmp_path / f"{name}.yaml", training))
         assert code == 0, err
-        assert "among two guesses 100.0%" in out
+        assert "top-2 100.0%" in out
         rows.append({"name": name, "checkpoints": [f"{name}/best.safetensors"]})
     evaluation = {"name": "chain", "output": "evaluated", "classifiers": rows, "ceiling": "lens", "shown": 2}
     evaluation |= {"data": {"test": str(data), "backwards": "back"}, "noise_db": [20], "timed": 1}

@@ -121,11 +121,24 @@ def test_windows_move_in_training_alone(bordered: CaptureModel, measurement: Ten
 
 def test_every_place_of_a_window_is_as_likely() -> None:
     torch.manual_seed(0)
-    numbers = torch.arange(9.0).reshape(1, 1, 1, 3, 3).expand(9000, -1, -1, -1, -1)
-    own, _ = moved_windows(numbers, numbers[:, 0], (1, 1))
-    counts = torch.bincount(own.flatten().long(), minlength=9)
+    numbers = torch.arange(100.0).reshape(1, 1, 1, 10, 10).expand(9000, -1, -1, -1, -1)
+    own, _ = moved_windows(numbers, numbers[:, 0], (8, 8))
+    assert own.shape == (9000, 1, 1, 8, 8)
+    places, counts = own[..., 0, 0].unique(return_counts=True)
+    assert places.tolist() == [0, 1, 2, 10, 11, 12, 20, 21, 22]
     # 1000 +- 30 each: five standard deviations.
     assert (counts - 1000).abs().max() < 150
+
+
+def test_windows_go_on_where_there_is_no_border() -> None:
+    torch.manual_seed(0)
+    image = torch.rand(1, 1, 1, 8, 8)
+    whole = torch.nn.functional.pad(image[:, 0], (1, 1, 1, 1), mode="replicate")[0, 0]
+    possible = [whole[top : top + 8, left : left + 8] for top in range(3) for left in range(3)]
+    for _ in range(9):
+        own, nothing = moved_windows(image, image[:, 0, :0], (8, 8))
+        assert sum(torch.equal(own[0, 0, 0], each) for each in possible) == 1
+        assert nothing.shape == (1, 0, 8, 8)
 
 
 @pytest.mark.parametrize("which", FRAMES)

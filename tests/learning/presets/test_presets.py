@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -318,16 +320,46 @@ def test_each_ablation_changes_one_part_and_is_evaluated(
 
 
 def test_classifiers_are_evaluated_where_they_are_trained_on_data_that_are_made(tmp_path: Path) -> None:
-    """All folders of the evaluation are those that the commands above it write."""
-    text = preset_texts()["evaluate_activity_64"]
+    """What bash would call at the head of the evaluation makes all of its folders, each as its row says."""
+    for name in ("activity_64", "activitynet_64"):
+        text = preset_text(name) if name in preset_names() else preset_texts()[name]
+        (tmp_path / f"{name}.yaml").write_text(text, encoding="utf-8")
+    calls = _called_at_the_head("evaluate_activity_64", tmp_path)
+    made = {
+        config.dataset.output: config
+        for command, path, *given in calls
+        if command == "generate" and (config := load_config(tmp_path / path, given[1::2]))
+    }
+    trained: dict[str, Any] = {
+        training.output: training
+        for command, path, *given in calls
+        if command == "train" and (training := load_file(training_kind, tmp_path / path, given[1::2]))
+    }
     config = load_file(evaluation_kind, _written("evaluate_activity_64", tmp_path))
     assert isinstance(config, RecognitionConfig)
-    assert config.ceiling in {one.name for one in config.classifiers}
     data = {config.data.test, config.data.backwards, *(one.test for one in config.classifiers)} - {None}
-    assert data <= {f"out/{name}" for name in re.findall(r"#  +make (\w+) ", text)}
-    loops = re.findall(r"for (\w+) in ([\w ]+); do (?:net|lens) (\w+_)\$\w+ ", text)
-    trained = {f"{prefix}{value}" for _, values, prefix in loops for value in values.split()}
-    trained |= set(re.findall(r"(?:;|#  +)\s*(?:net|lens|one) (\w+) ", text))
-    folders = {Path(path).parent.name for one in config.classifiers for path in one.checkpoints}
-    assert folders <= trained
-    assert all(path.endswith("/best.safetensors") for one in config.classifiers for path in one.checkpoints)
+    assert data <= made.keys()
+    assert all(made[folder].dataset.test >= 600 for folder in data)
+    rows = {
+        one.name: [trained[path.removesuffix("/best.safetensors")] for path in one.checkpoints]
+        for one in config.classifiers
+    }
+    assert {training.data.train for row in rows.values() for training in row} <= made.keys()
+    for name, row in rows.items():
+        assert [training.seed for training in row] == list(range(len(row)))
+        slivers = re.search(r"(\d+) slivers?$", name)
+        assert row[0].data.slivers == (int(slivers[1]) if slivers else 20 if name == "one sharp frame" else None)
+    assert config.ceiling == "lens video"
+    assert rows["lens video"][0].network.name == "lens_classifier"
+    assert made[rows["global shutter"][0].data.train].camera.shutter.type == "global"
+
+
+def _called_at_the_head(preset: str, tmp_path: Path) -> list[list[str]]:
+    """Return the arguments of each call of `flatlight` with which a preset's first lines make data and train."""
+    head = preset_texts()[preset].partition("\n# Evaluate:")[0]
+    lines = [re.sub(r"^#(?: [A-Z][a-z ]+:)? +", "", line) for line in head.splitlines()[1:]]
+    told = 'flatlight() { printf "%s\\n" "$@"; echo --; }'
+    ran = subprocess.run(
+        ["bash", "-ec", "\n".join([told, *lines])], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    return [call.splitlines() for call in ran.stdout.split("--\n")[:-1]]

@@ -1,4 +1,4 @@
-"""Scores of classifiers against scikit-learn-like definitions by hand, and intervals against their coverage."""
+"""Scores of classifiers against definitions worked out by hand, and intervals against their coverage."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ def test_accuracies_are_means_over_captures_and_seeds() -> None:
     assert TWO_SEEDS.accuracy(2) == pytest.approx(7 / 8)
     assert TWO_SEEDS.accuracy(5) == 1
     assert TWO_SEEDS.over_seeds() == 0
-    assert TWO_SEEDS.over_seeds(2) == pytest.approx(np.std([1, 0.75], ddof=1))
+    # Student's t of one degree of freedom, 12.706, times the standard error of 1 and 0.75, which is half their difference.
+    assert TWO_SEEDS.over_seeds(2) == pytest.approx(12.7062 * 0.125, rel=1e-4)
     assert answers(TWO_SEEDS.probabilities[:1], TWO_SEEDS.truth).over_seeds() is None
 
 
@@ -45,6 +46,9 @@ def test_equal_probabilities_are_no_right_guess() -> None:
 def test_confusion_has_what_is_done_in_rows() -> None:
     expected = np.array([[1, 1, 0], [0, 1, 1], [1, 1, 2]]) / [[2], [2], [4]]
     np.testing.assert_allclose(TWO_SEEDS.confusion(), expected)
+    without_b = answers(TWO_SEEDS.probabilities[:, [0, 2]], [0, 2]).confusion()
+    assert np.isnan(without_b[1]).all()
+    np.testing.assert_allclose(without_b[[0, 2]], [[0.5, 0.5, 0], [0, 0.5, 0.5]])
 
 
 def test_log_loss_is_the_cross_entropy() -> None:
@@ -78,6 +82,21 @@ def test_calibration_is_measured() -> None:
         assert sign * gap > 0.04
 
 
+def test_calibration_errors_of_seeds_do_not_cancel() -> None:
+    """Both are sure by 75 %; of one all answers are right, of the other half of them: each is wrong by 25 points."""
+    sure = np.array([0.75, 0.2, 0.05])
+    one = answers([[sure] * 4, [sure] * 2 + [sure[::-1]] * 2], [0] * 4)
+    assert one.calibration_error() == pytest.approx(0.25)
+    confidence, right, counts = one.reliability()
+    assert (confidence[7], right[7], counts[7]) == pytest.approx((0.75, 0.75, 8))
+
+
+def test_all_right_is_not_certain() -> None:
+    """Of 20 captures, all right: at least 83.9 % of all are, by Wilson's interval n / (n + z^2)."""
+    one = answers([np.tile([0.8, 0.1, 0.1], (20, 1))], np.zeros(20, int))
+    assert one.intervals[1] == pytest.approx((20 / (20 + 1.95996**2), 1.0), rel=1e-5)
+
+
 def test_intervals_cover_the_accuracy() -> None:
     """Of 600 captures at 60 %, the bootstrap's interval is that of the binomial distribution, within its own noise."""
     rng = np.random.default_rng(1)
@@ -109,7 +128,7 @@ def test_a_lead_is_paired_where_the_captures_are_the_same() -> None:
     assert paired.interval is not None
     assert paired.interval[0] == pytest.approx(test.low, abs=0.006)
     assert paired.interval[1] == pytest.approx(test.high, abs=0.006)
-    other = answers(second.probabilities[:, ::-1], truth[::-1], "second")
+    other = answers(second.probabilities, truth, "second", clips=("another", "data set"))
     apart = lead(first, other)
     assert not apart.paired
     assert apart.mean == pytest.approx(paired.mean)
