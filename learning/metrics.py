@@ -99,6 +99,24 @@ def measure(
     return [{name: scene[name] for name in DEFINITIONS if name in scene} for scene in by_scene]
 
 
+def measure_over_time(
+    estimate: Estimate, example: Example, capture: CaptureModel, pixels: Tensor | None = None
+) -> list[dict[str, list[float]]]:
+    """Return ``psnr`` and, where the camera tells depths apart, ``depth_rmse_cm`` of every frame of each of B clips.
+
+    See `measure`, which has their checks; a frame without pixels that count has NaN for depth.
+    """
+    frames = example.radiance.shape[1]
+    image, disparity = (values.flatten(0, 1) for values in estimate.clamped())
+    columns = {"psnr": psnr(image, linear_to_srgb(example.radiance, capture.white).flatten(0, 1))}
+    if len(capture.stack.depths_m) > 1:
+        alone = example._replace(depth_m=example.depth_m.flatten(0, 1), valid=example.valid.flatten(0, 1))
+        counted = None if pixels is None else pixels.flatten(0, 1)
+        columns["depth_rmse_cm"] = depth_scores(Estimate(image, disparity), alone, capture, counted).depth_rmse_cm
+    by_clip = (values.unflatten(0, (-1, frames)).tolist() for values in columns.values())
+    return [dict(zip(columns, clip, strict=True)) for clip in zip(*by_clip, strict=True)]
+
+
 def psnr(image: Tensor, truth: Tensor) -> Tensor:
     """Return the PSNR of each image or clip, ``(B,)`` float64, in dB with peak 1; infinite where both are equal."""
     return -10 * (image.double() - truth.double()).square().flatten(1).mean(dim=1).log10()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -24,10 +23,9 @@ from learning.models.videonet3d import VideoNet3D
 from learning.train import origin
 from learning.train_video import VideoTraining
 from learning.training_loop import Training, TrainResult, find_cache, run
+from learning.validation import both_scores
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
-
-_SMALLEST_CM = 1e-6
 
 
 def train_video_3d(
@@ -99,7 +97,7 @@ class Video3DTraining(VideoTraining):
         return super()._errors(film, example) | {"depth_rmse_cm": depth.depth_rmse_cm}
 
     def _score(self, found: Mapping[str, float]) -> float:
-        return super()._score(found) - 20 * math.log10(max(found.get("depth_rmse_cm", 1.0), _SMALLEST_CM))
+        return both_scores(super()._score(found), found.get("depth_rmse_cm", 1.0))
 
     def _drawn(self, example: ClipExample) -> NDArray[np.uint8]:
         """Return an image: below true and estimated frames of each clip its true and estimated depths."""

@@ -85,7 +85,12 @@ def validate(
     both = torch.tensor([list(sums.values()), list(counts.values())], dtype=torch.float64, device=group.device)
     means = torch.div(*group.add(both)).tolist()
     found = dict(zip(sums, means, strict=True))
-    return found | {"score": found["psnr_db"] - 20 * math.log10(max(found["depth_rmse_cm"], _SMALLEST_ERROR))}
+    return found | {"score": both_scores(found["psnr_db"], found["depth_rmse_cm"])}
+
+
+def both_scores(psnr_db: float, depth_rmse_cm: float) -> float:
+    """Return one number for image and depth, dB: the PSNR less that of the depth's error, whose peak is 1 cm."""
+    return psnr_db - 20 * math.log10(max(depth_rmse_cm, _SMALLEST_ERROR))
 
 
 def _errors(estimate: Estimate, truth: Estimate, example: Example, capture: CaptureModel) -> dict[str, Tensor]:

@@ -1,4 +1,4 @@
-"""The figures beside the table: noise ablation, error against depth, assumed PSFs, time, learning curves, and the montage."""
+"""The figures beside the table: noise, errors over depth and time, assumed PSFs, seconds, learning curves, a montage."""
 
 from __future__ import annotations
 
@@ -107,6 +107,32 @@ def depth_png(
         _legend(figure)
 
     return _png(9, 4.8, draw)
+
+
+def over_time_png(
+    outcomes: Sequence[Outcome], colours: Mapping[str, str], naive: Sequence[Outcome], edges_s: NDArray[np.float64]
+) -> bytes:
+    """Return the scores of every frame against when it was, ``edges_s`` (N + 1,), from the capture's start."""
+    every = [*outcomes, *naive]
+    titles = {score: title for score, title in PANELS.items() if any(score in one.over_time for one in every)}
+    times_ms = 500 * (edges_s[1:] + edges_s[:-1])
+
+    def draw(figure: Figure) -> None:
+        for axes, score in zip(figure.subplots(1, len(titles), squeeze=False)[0], titles, strict=True):
+            for at, one in enumerate(one for one in every if score in one.over_time):
+                grey = one.kind not in ("learned", "classical")
+                look: Any = {"color": _NAIVE, "ls": "--"} if grey else {"color": colours[one.method]}
+                mark = "" if grey else _MARKS[at % len(_MARKS)]
+                axes.plot(times_ms, one.over_time[score], lw=1.8, marker=mark, label=one.method, **look)
+                if grey:
+                    place: Any = {"xycoords": "data", "textcoords": "offset points", "ha": "right"}
+                    end = (times_ms[-1], one.over_time[score][-1])
+                    axes.annotate(one.method, end, (0, 3), **place, fontsize=SMALL, color=FAINT, bbox=_BEHIND)
+            axes.grid(color=GRID)
+            style(axes, "time, ms", titles[score])
+        _legend(figure)
+
+    return _png(5.5 * len(titles), 4.4, draw)
 
 
 def stacks_png(

@@ -284,13 +284,14 @@ def _films(
         frames = linear_to_srgb(example.radiance, runner.cameras.test.white)
         films = [NamedFilm("truth", np.moveaxis(frames.numpy(), 1, -1), runner.test.ids[position])]
         films += _depth_film("", example.depth_m[:, 0].numpy(), example.valid[:, 0].numpy(), camera)
-        for method, run, shown, scores in zip(config.methods, runs, estimates, known, strict=True):
-            words = f"{scores[position]['psnr']:.1f} dB, moving {scores[position]['moving_psnr']:.1f} dB"
+        for method, shown, scores in zip(config.methods, estimates, known, strict=True):
+            moving = scores[position]["moving_psnr"]
+            words = f"{scores[position]['psnr']:.1f} dB" + (f", moving {moving:.1f} dB" if np.isfinite(moving) else "")
             films.append(NamedFilm(method.name, np.moveaxis(shown[at]["image"], 1, -1), words))
             depth_m = shown[at]["depth_m"]
             if "depth_rmse_cm" in scores[position]:
                 words, seen = f"{scores[position]['depth_rmse_cm']:.2f} cm", np.ones(depth_m.shape, bool)
-                films += _depth_film(words, depth_m, seen, runner.camera(run))
+                films += _depth_film(words, depth_m, seen, camera)
         clips.append(films)
     return clips
 

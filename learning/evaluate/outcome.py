@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Literal
 
@@ -93,6 +93,7 @@ class Outcome:
         scores: mean and spreads by score, see `learning.metrics.measure`.
         pooled_depth_rmse_cm: over all pixels of all scenes and seeds, whatever the bins hold of them.
         bins_cm: depth RMSE by bin of true depth, over all of its pixels; None where a bin is empty.
+        over_time: of clips, some of the scores of each frame: means over all scenes and seeds.
         note: what else decides it, such as tuned parameters.
         scenes: how many were used.
         tuned_db: level at which its parameters were tuned; None where none were.
@@ -109,6 +110,7 @@ class Outcome:
     scores: Mapping[str, Summary]
     pooled_depth_rmse_cm: float | None
     bins_cm: tuple[float | None, ...]
+    over_time: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     note: str = ""
     scenes: int = 0
     tuned_db: float | None = None
@@ -167,6 +169,7 @@ def outcome(
         scores={name: summarise(table) for name, table in tables.items()},
         pooled_depth_rmse_cm=pooled,
         bins_cm=bins,
+        over_time=_over_time([clip for seed in seeds for clip in seed["over_time"]], tables),
         scenes=len(seeds[0]["scores"]),
         details=dict(details or {}),
         values=tables,
@@ -176,6 +179,12 @@ def outcome(
         return together
     alone = (outcome(method, kind, [one], only=only, **about) for one in seeds)
     return replace(together, singly=tuple(replace(one, seed=number) for number, one in enumerate(alone, start=1)))
+
+
+def _over_time(clips: Sequence[Mapping[str, Sequence[float]]], wanted: Collection[str]) -> dict[str, tuple[float, ...]]:
+    """Return the means of each frame's scores over clips, leaving out clips whose frame has none."""
+    names = [name for name in (clips[0] if clips else ()) if name in wanted]
+    return {name: tuple(np.nanmean([clip[name] for clip in clips], axis=0).tolist()) for name in names}
 
 
 def first_scenes(result: Mapping[str, Any], scenes: int) -> dict[str, Any]:

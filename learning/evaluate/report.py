@@ -19,6 +19,7 @@ from learning.evaluate.figures import (
     method_colours,
     montage_png,
     noise_png,
+    over_time_png,
     stacks_png,
     times_png,
 )
@@ -48,8 +49,8 @@ from simulator.plots.drawing import depth_range, png_bytes
 
 RESULTS, TABLE, PAIRED, REPORT = "results.json", "table.csv", "paired.csv", "report.md"
 MONTAGE, NOISE, DEPTH, STACKS, TIMES = "montage.png", "noise.png", "depth.png", "stacks.png", "times.png"
-FILMS, ANIMATION, CURVES = "films.png", "films.webp", "curves.png"
-_OWN = (REPORT, TABLE, PAIRED, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES, FILMS, ANIMATION, CURVES)
+FILMS, ANIMATION, CURVES, OVER_TIME = "films.png", "films.webp", "curves.png", "over_time.png"
+_OWN = (REPORT, TABLE, PAIRED, RESULTS, MONTAGE, NOISE, DEPTH, STACKS, TIMES, FILMS, ANIMATION, CURVES, OVER_TIME)
 OWN_FILES = (DESCRIPTION, *_OWN)
 """Names that no data set may have: the folder of its figures lies beside these files."""
 _PACKAGES = ("torch", "numpy", "scikit-image", "flip-evaluator", "lpips", "cvvdp", "ortools")
@@ -62,7 +63,7 @@ class Findings:
     """What came out on one data set.
 
     Attributes:
-        camera: what the first method was told.
+        camera: what the first method that tells depths apart was told, or else the first.
         stored_db: PSNR of the measurements as stored.
         edges_cm: of the bins of depth.
         methods: what is known of each method and seed.
@@ -313,6 +314,9 @@ def _figures(evaluation: Evaluation, name: str) -> dict[str, bytes]:
     figures: dict[str, bytes] = {}
     if any(one.bins_cm for one in findings.main):
         figures[DEPTH] = depth_png(findings.main, colours, findings.naive, findings.edges_cm)
+    if any(one.over_time for one in findings.main) and findings.camera.timing is not None:
+        edges_s = findings.camera.timing.frame_edges_s
+        figures[OVER_TIME] = over_time_png(findings.main, colours, findings.naive, edges_s)
     title, camera = ": ".join(filter(None, [evaluation.config.name, name])), findings.camera
     line = f"white = radiance {camera.white:.3g}"
     if len(camera.stack.depths_m) > 1:
@@ -351,7 +355,7 @@ def _report(evaluation: Evaluation) -> str:
         heading = "###" if several else "##"
         parts += [f"## {name}" if several else "", *_sections(found, evaluation, name, heading)]
     parts += [
-        PUBLISHED if any("depth_rmse_cm" in one.scores for one in rows) else "",
+        PUBLISHED if any("depth_rmse_cm" in one.scores and not one.over_time for one in rows) else "",
         "## Made with",
         ", ".join(f"{name} {version}" for name, version in versions(*_PACKAGES).items()),
     ]
@@ -400,6 +404,9 @@ def _sections(findings: Findings, evaluation: Evaluation, name: str, heading: st
     if any(one.bins_cm for one in rows):
         by_depth = markdown_bins(rows, findings.edges_cm)
         parts += [f"{heading} Depth error against depth", by_depth, shown("depth error", DEPTH)]
+    if any(one.over_time for one in rows):
+        words = "Means over all scenes and seeds of each frame's score, at the middle of its time in the capture."
+        parts += [f"{heading} Scores over the capture", words, shown("scores over time", OVER_TIME)]
     if compared:
         stacks = findings.config.data.compare_stacks
         columns = {f"{stack} PSFs": [one for one in compared if one.stack == stack] for stack in stacks}

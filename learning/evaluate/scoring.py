@@ -17,7 +17,7 @@ from learning.data import Example, ExampleSet
 from learning.evaluate.motion import sliver_motion, warping_error
 from learning.evaluate.outcome import Kind
 from learning.method import Clock, Estimate, Method, linear_to_srgb
-from learning.metrics import dark_mask, depth_scores, measure
+from learning.metrics import dark_mask, depth_scores, measure, measure_over_time
 from learning.perceptual import LpipsDistance
 from learning.video_quality import VideoQuality
 from simulator.errors import InputError
@@ -83,10 +83,12 @@ def score(
     number of scenes that were done.
 
     Returns ``scores`` of each scene, see `learning.metrics.measure` (and of clips whose data set records it,
-    `learning.evaluate.motion`); of cameras that tell depths apart also ``pixels``, at how many of it depth counts, and for
-    each scene and bin ``squares_cm2``, the sum of squared depth errors, and ``counts``, the number of pixels.
+    `learning.evaluate.motion`), and of clips ``over_time``, see `learning.metrics.measure_over_time`; of cameras that tell
+    depths apart also ``pixels``, at how many of it depth counts, and for each scene and bin ``squares_cm2``, the sum of
+    squared depth errors, and ``counts``, the number of pixels.
     """
-    found: dict[str, list[Any]] = {"scores": [], "pixels": [], "squares_cm2": [], "counts": []} | dict(begun or {})
+    names = ("scores", "over_time", "pixels", "squares_cm2", "counts")
+    found: dict[str, list[Any]] = {name: [] for name in names} | dict(begun or {})
     if found["scores"]:
         progress(len(found["scores"]))
     for first, example in batches(examples, batch, device, len(found["scores"])):
@@ -97,6 +99,7 @@ def score(
         how: Any = {"lpips": criteria.lpips, "cvvdp": criteria.cvvdp, "pixels": example.valid}
         scenes = measure(estimate, example, method.capture, **how)
         if examples.timing is not None:
+            found["over_time"] += measure_over_time(estimate, example, method.capture, example.valid)
             for at, scene in enumerate(scenes):
                 motion = sliver_motion(examples.dataset.stored(first + at), examples.timing.frames)
                 if motion is not None:

@@ -1,8 +1,8 @@
 """What VideoNet3D begins with: a FlatNet3D's estimates of a capture as it is, and as if all rows had seen the same frame.
 
 A FlatNet3D knows captures of what stands still. In one of a rolling shutter each row has seen other moments; joint least
-squares over space, time and a few depths say how these differ, and less that difference the capture is that of a still scene.
-Their own image is noisy when they have converged; what serves is how much of the capture they explain.
+squares over space, time and a few depths say how these differ; subtracting this difference leaves the capture of a still
+scene. Once converged, their own frames are noisy; only what they predict of the capture is used.
 
 The estimates take longer than a step of a training and are kept; by this module's code they are told apart, not by the
 network's.

@@ -3,7 +3,7 @@
 A capture that says when things were where, row by row, also says how far away they were: PSFs scale with 1 / z. Joint least
 squares over space and time estimate how the frames differ; with these differences removed from the capture, a FlatNet3D of
 stills estimates image and depth of each frame (`learning.models.beginning`). Where nothing moves, its estimate of the capture
-as it is remains the better one: a body that looks at all of them says how much of each to take, and what both lack.
+as it is remains the better one: a network weighs both estimates pixel by pixel, and adds a correction.
 """
 
 from __future__ import annotations
@@ -105,7 +105,8 @@ class VideoNet3D(nn.Module):
         """
         if not isinstance(known, VideoNet3D):
             raise InputError(source, f"got a {type(known).__name__}, expected a VideoNet3D")
-        cure = "take a checkpoint of the same size (filters, blocks, levels, dimensions, joint_planes) and slivers"
+        alike = "size (filters, blocks, levels, dimensions, joint_planes), planes (psf.depths) and slivers"
+        cure = f"take a checkpoint of the same {alike}, which begins with a FlatNet3D of the same size"
         return copy_weights(self, known.state_dict(), source, cure, self.state_dict())
 
 

@@ -1,6 +1,7 @@
 """Who and what takes part in a clip, and how things are done in it: all drawn before the action is known.
 
-So no single thing that a still shows, such as a second hand, grains on the table or a tipped bottle, is any action's alone.
+So a second hand, grains on the table, a tipped bottle or a torn sheet is no action's alone. What a still of the right moment
+tells remains: only pouring has grains in the air, and only dropping a thing in the air that no hand holds.
 """
 
 from __future__ import annotations

@@ -89,11 +89,15 @@ class HandState:
 
     def mesh(self, look: HandLook) -> TriangleMesh:
         """Return the hand's surface; what would reach into the table is pressed flat on it."""
-        towards = unit(self.frame.T @ (self.shoulder_m - self.wrist_m))
-        bones = pose_bones(self.angles_rad, _bent_at_most(towards, math.radians(85)))
-        mesh = posed_hand(look, bones, self.frame, self.wrist_m)
+        mesh = self.unpressed(look)
         mesh.vertices_m[:, 1] = np.minimum(mesh.vertices_m[:, 1], -_SKIN_GAP_M)
         return mesh
+
+    def unpressed(self, look: HandLook) -> TriangleMesh:
+        """Return the hand's surface as if there were no table."""
+        towards = unit(self.frame.T @ (self.shoulder_m - self.wrist_m))
+        bones = pose_bones(self.angles_rad, _bent_at_most(towards, math.radians(85)))
+        return posed_hand(look, bones, self.frame, self.wrist_m)
 
 
 def _bent_at_most(elbow: Array, angle_rad: float) -> Array:

@@ -39,13 +39,17 @@ def samples(view: View, *, path: Path, backwards: bool = False, still: bool = Fa
 
     Raises:
         InputError: no data set, one without samples, images of another size or seen under other angles, a wider margin; both
-            ``backwards`` and ``still``.
+            ``backwards`` and ``still``, or one of them where no frames of clips are stored.
     """
     if backwards and still:
         raise InputError("backwards", "got true with still: true, where frames have no order; leave one of them out")
     splits = tuple(dataset for split in SPLITS if len(dataset := open_dataset(path, split)))
     if not splits:
         raise InputError("path", f"{path} holds no finished sample; make some first")
+    for name, changed in (("backwards", backwards), ("still", still)):
+        if changed and splits[0].info.time.get("ground_truth") != "frames":
+            reason = f"got true, but {path} stores no frames of clips, only stills or the means of slivers"
+            raise InputError(name, f"{reason}; generate it with dataset.ground_truth: frames")
     shape, seen_by = splits[0].info.scene_shape, Assembly(config_from_dict(splits[0].config, path, check_plugins=False))
     tangent = seen_by.pixel_pitch_m / seen_by.mask_to_sensor_m
     own = view.pixel_pitch_m / view.distance_m

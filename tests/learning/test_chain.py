@@ -217,7 +217,7 @@ def test_moving_scenes_from_generating_to_frames_and_depth(
         assert code == 0, err
         results = json.loads((tmp_path / f"evaluated_{data}" / "results.json").read_text(encoding="utf-8"))
         found = next(one["scores"] for one in results["outcomes"] if one["method"] == "VideoNet3D")
-        assert {"moving_psnr" in found, "depth_rmse_cm" in found} == {data == "clips", True}
+        assert ("moving_psnr" in found, "depth_rmse_cm" in found) == (data == "clips", True)
     sample = open_dataset(tmp_path / "clips", "test").folder(0)
     code, out, err = flatlight("reconstruct", sample, "--checkpoint", "moving/best.safetensors", "--output", "film")
     assert code == 0, err

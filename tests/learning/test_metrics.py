@@ -23,6 +23,7 @@ from learning.metrics import (
     depth_scores,
     image_scores,
     measure,
+    measure_over_time,
     moving_pixels,
     psnr,
     psnr_at,
@@ -382,3 +383,29 @@ def test_clips_that_are_not_like_the_truth_are_refused(
         measure(Estimate(estimate.image[:, :3], estimate.disparity), example, clip_capture)
     with pytest.raises(InputError, match=r"^estimate\.disparity: "):
         measure(Estimate(estimate.image, estimate.disparity[:, :, 0]), example, clip_capture)
+
+
+def test_scores_over_time_are_those_of_each_frame(wide: CaptureModel) -> None:
+    """Two clips of three frames, frame by frame in NumPy; of a frame in which nothing was seen there is no depth."""
+    rng = np.random.default_rng(4)
+    radiance, image = (rng.random((2, 3, 3, 12, 14)).astype(np.float32) for _ in range(2))
+    depth_m = rng.uniform(0.04, 0.18, (2, 3, 1, 12, 14)).astype(np.float32)
+    valid, disparity = rng.random(depth_m.shape) < 0.7, rng.random(depth_m.shape).astype(np.float32)
+    valid[1, 2] = False
+    tensors = [torch.from_numpy(each) for each in (radiance, depth_m, valid)]
+    example = Example(torch.zeros(2, 3, 48, 48), *tensors)
+    estimate = Estimate(torch.from_numpy(image), torch.from_numpy(disparity))
+    found = measure_over_time(estimate, example, wide, tensors[2])
+    truth = np.clip(linear_to_srgb(torch.from_numpy(radiance), wide.white).numpy(), 0, 1)
+    found_m = 1 / (1 / 0.2 + disparity.astype(np.float64) * (1 / 0.036 - 1 / 0.2))
+    for clip in range(2):
+        for frame in range(3):
+            expected = peak_signal_noise_ratio(truth[clip, frame], image[clip, frame], data_range=1)
+            assert found[clip]["psnr"][frame] == pytest.approx(expected, abs=1e-3)
+            seen = valid[clip, frame]
+            error = found[clip]["depth_rmse_cm"][frame]
+            if not seen.any():
+                assert math.isnan(error)
+                continue
+            squares = (100 * (found_m - depth_m)[clip, frame][seen]) ** 2
+            assert error == pytest.approx(np.sqrt(squares.mean()), rel=1e-5)

@@ -51,6 +51,7 @@ def test_each_seed_has_an_outcome_of_its_own() -> None:
     seeds = [
         {
             "scores": [{"depth_rmse_cm": cm} for cm in depths],
+            "over_time": [{"depth_rmse_cm": [0.0, cm], "psnr": [1.0, 2.0]} for cm in depths],
             "pixels": [1, 3],
             "squares_cm2": [[cm * cm] for cm in depths],
             "counts": [[1]] * 2,
@@ -65,3 +66,5 @@ def test_each_seed_has_an_outcome_of_its_own() -> None:
     assert {one.noise_db for one in both.singly} == {20.0}
     assert [one["seed"] for one in both.plain()["singly"]] == [1, 2]
     assert outcome("Net", "learned", seeds[:1]).singly == ()
+    assert both.over_time == {"depth_rmse_cm": (0.0, 2.5)}, "only what the scenes have, too"
+    assert both.singly[1].over_time == {"depth_rmse_cm": (0.0, 3.0)}

@@ -14,7 +14,13 @@ from learning.evaluate.paired import compare, mean_interval
 
 def _outcome(name: str, *seeds: list[float], score: str = "psnr") -> Outcome:
     def found(seed: list[float]) -> dict[str, list[Any]]:
-        return {"scores": [{score: value} for value in seed], "pixels": [1], "squares_cm2": [[1.0]], "counts": [[1]]}
+        return {
+            "scores": [{score: value} for value in seed],
+            "over_time": [],
+            "pixels": [1],
+            "squares_cm2": [[1.0]],
+            "counts": [[1]],
+        }
 
     return outcome(name, "learned", [found(seed) for seed in seeds])
 

@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from simulator.assembly import Assembly
 from simulator.camera.surroundings import whole_frames
+from simulator.config import load_config
 from simulator.dataset import generate, open_dataset
 from simulator.errors import InputError
 
@@ -75,3 +77,71 @@ def test_what_another_camera_cannot_see(first: Any, scene: dict, camera: dict, k
     path = first.write(scene=again(first.root, **scene), camera=camera, dataset={"output": "refused", "train": 1})
     with pytest.raises(InputError, match=key):
         generate(path)
+
+
+MOVING = '''
+
+@dataclass(frozen=True)
+class Moving:
+    view: object
+    inputs: tuple[Path, ...] = ()
+
+    def clip(self, index, rng):
+        shape = (5, *self.view.shape)
+        rgb, depth = rng.random((*shape, 3), np.float32), rng.uniform(self.view.near_m, self.view.far_m, shape)
+        return Clip(rgb, depth.astype(np.float32), rng.random(shape) < 0.8, np.arange(6) * 1e-3)
+
+
+def moving(view):
+    """Five frames of 1 ms, each of its own random numbers."""
+    return Moving(view)
+'''
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable) -> Any:
+    trial = make_trial(tmp_path_factory.mktemp("clips"))
+    trial.plugins.write_text(trial.plugins.read_text(encoding="utf-8") + MOVING, encoding="utf-8")
+    dataset = {"train": 1, "validation": 0, "test": 0, "slivers": 5}
+    scene = {"family": "./plugins.py:moving", "size": [16, 20], **MARGIN}
+    roots = {
+        stored: trial.generate(scene=scene, dataset=dataset | {"ground_truth": stored, "output": stored})
+        for stored in ("frames", "slivers")
+    }
+    return trial, roots
+
+
+def seen_again(trial: Any, root: Path, **changes: bool) -> Any:
+    scene = again(root, **changes)
+    return Assembly(load_config(trial.write(scene=scene))).source.clip(0, np.random.default_rng(0))
+
+
+def test_time_runs_backwards_or_stands_still(clips: Any) -> None:
+    """Light, depth and what is seen, of the image and around it: in the other order, or of the middle frame throughout."""
+    trial, roots = clips
+    known, backwards, still = (
+        seen_again(trial, roots["frames"], **changes) for changes in ({}, {"backwards": True}, {"still": True})
+    )
+    assert len(np.unique(known.rgb[:, 0, 0, 0])) == 5
+    for name in ("rgb", "depth_m", "valid"):
+        own = getattr(known, name)
+        np.testing.assert_array_equal(getattr(backwards, name), own[::-1])
+        np.testing.assert_array_equal(getattr(still, name), np.broadcast_to(own[2], getattr(still, name).shape))
+    for name in ("rgb", "depth_m"):
+        own = getattr(known.surroundings, name)
+        assert len(own) == 5
+        np.testing.assert_array_equal(getattr(backwards.surroundings, name), own[::-1])
+        found = getattr(still.surroundings, name)
+        np.testing.assert_array_equal(found, np.broadcast_to(own[2], found.shape))
+    for clip in (backwards, still):
+        assert (clip.frame_edges_s[0], clip.frame_edges_s[-1]) == (0, pytest.approx(5e-3))
+
+
+@pytest.mark.parametrize("name", ["backwards", "still"])
+def test_only_stored_frames_run_backwards_or_stand_still(first: Any, clips: Any, name: str) -> None:
+    trial, roots = clips
+    for other, root in ((trial, roots["slivers"]), (first, first.root)):
+        with pytest.raises(InputError, match=f"{name}: got true, but .* stores no frames of clips"):
+            seen_again(other, root, **{name: True})
+    with pytest.raises(InputError, match="backwards: got true with still: true"):
+        seen_again(trial, roots["frames"], backwards=True, still=True)
