@@ -126,6 +126,8 @@ class ClipBodyConfig(Section):
     """levels of the body"""
     joint_iterations: Annotated[int, Range(1, 1000)] | None = None
     """of the joint least squares that it begins with"""
+    joint_noise: Annotated[float, Range(0.01, 1000)] | None = None
+    """of these: multiple of the measurement's noise that they assume, what their model leaves out being noise, too"""
 
     @property
     def numbers(self) -> dict[str, Any]:

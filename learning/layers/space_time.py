@@ -112,6 +112,7 @@ JOINT: dict[str, float | int | str] = {
     "memory": 10.0,
     "sharpest": 0.05,
     "decay": 2.0,
+    "noise": 1.0,
 }
 """Numbers of `JointLeastSquares` that suit rendered scenes of 64 x 64 pixels."""
 
@@ -143,6 +144,7 @@ class JointLeastSquares(nn.Module):
         memory: float,
         sharpest: float,
         decay: float,
+        noise: float,
     ) -> None:
         """Prepare the prior.
 
@@ -154,13 +156,15 @@ class JointLeastSquares(nn.Module):
             memory: over how many frames changes are forgotten (e-fold).
             sharpest: f0, cycles per pixel.
             decay: p.
+            noise: s as a multiple of the noise that is found. 1 suits few iterations; with many, what the model leaves out,
+                such as motion while a frame lasts, would be taken for detail: at 5 the mean itself is a good answer.
 
         Raises:
             InputError: numbers that are not positive.
         """
         super().__init__()
         self.told = {"iterations": iterations, "static": static, "moving": moving, "memory": memory}
-        self.told |= {"sharpest": sharpest, "decay": decay}
+        self.told |= {"sharpest": sharpest, "decay": decay, "noise": noise}
         for name, value in self.told.items():
             if not (math.isfinite(value) and value > 0):
                 raise InputError(name, f"got {value!r}, expected a positive number")
@@ -202,7 +206,7 @@ class JointLeastSquares(nn.Module):
     def _light(self, measurement: Tensor) -> Tensor:
         target = self.problem.target(measurement)
         # Without noise it would be the fine detail's; never 0, because it is a divisor.
-        noise = noise_level(measurement).clamp_min(1e-6)[:, None, None, None] * self.problem.scale
+        noise = self.told["noise"] * noise_level(measurement).clamp_min(1e-6)[:, None, None, None] * self.problem.scale
         found = self._solve(target / noise, noise)
         return self._synthesised(found)
 

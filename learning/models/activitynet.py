@@ -75,6 +75,7 @@ class ActivityNet(ClipNetwork):
         stem: int,
         noise_aware: bool,
         joint_iterations: int,
+        joint_noise: float,
     ) -> None:
         """Build the network for a camera.
 
@@ -92,6 +93,7 @@ class ActivityNet(ClipNetwork):
             stem: pixels per side that MeasNet takes as one; in 2D.
             noise_aware: lambda adapts to the noise level, which is an input, too.
             joint_iterations: of the joint least squares.
+            joint_noise: their noise.
         """
         super().__init__(
             capture,
@@ -105,6 +107,7 @@ class ActivityNet(ClipNetwork):
             stem=stem,
             noise_aware=noise_aware,
             joint_iterations=joint_iterations,
+            joint_noise=joint_noise,
         )
         self.classes = tuple(classes)
         shared = 3 + noise_aware
@@ -272,19 +275,22 @@ Classifier = ActivityNet | RawClassifier | LensClassifier
 ACTIVITY_SIZES: dict[str, dict[str, Any]] = {
     "thesis": {
         **{"classifier": "dronet", "initial_estimate": "slivers", "measnet": True, "dimensions": 2, "body": "unet"},
-        **{"filters": 32, "blocks": 1, "levels": 3, "stem": 1, "noise_aware": False, "joint_iterations": 10},
+        **{"filters": 32, "blocks": 1, "levels": 3, "stem": 1, "noise_aware": False},
+        **{"joint_iterations": 10, "joint_noise": 1.0},
     },
     "compact": {
         **{"classifier": "dronet", "initial_estimate": "joint", "measnet": False, "dimensions": 2, "body": "naf"},
-        **{"filters": 32, "blocks": 1, "levels": 4, "stem": 2, "noise_aware": True, "joint_iterations": 40},
+        **{"filters": 32, "blocks": 1, "levels": 4, "stem": 2, "noise_aware": True},
+        **{"joint_iterations": 30, "joint_noise": 5.0},
     },
     "tiny": {
         **{"classifier": "dronet", "initial_estimate": "joint", "measnet": True, "dimensions": 2, "body": "naf"},
-        **{"filters": 8, "blocks": 1, "levels": 2, "stem": 2, "noise_aware": True, "joint_iterations": 10},
+        **{"filters": 8, "blocks": 1, "levels": 2, "stem": 2, "noise_aware": True},
+        **{"joint_iterations": 10, "joint_noise": 1.0},
     },
 }
 """``thesis``: MeasNet and its inversion from zero-filled slivers, blind to the noise; see `VIDEO_SIZES`. ``compact``: joint
-least squares, with as many iterations as pay before textured tables, and the static inversion."""
+least squares, with more iterations and noise than VideoNet's, which corrects them, and the static inversion."""
 
 
 class ActivityMethod(ClipNetworkMethod[ActivityNet]):

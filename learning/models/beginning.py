@@ -55,8 +55,10 @@ class Beginning(nn.Module):
         channels: of the image that is the FlatNet3D's inversions, P.
     """
 
-    def __init__(self, capture: CaptureModel, still: Mapping[str, Any], planes: int, iterations: int) -> None:
-        """Build both; ``still`` is the architecture of the FlatNet3D."""
+    def __init__(
+        self, capture: CaptureModel, still: Mapping[str, Any], planes: int, steps: Mapping[str, float]
+    ) -> None:
+        """Build both; ``still`` is the architecture of the FlatNet3D, ``steps`` what differs from `JOINT`."""
         super().__init__()
         self._told: dict[str, Any] = {"still": dict(still)}
         numbers = dict(still)
@@ -67,8 +69,8 @@ class Beginning(nn.Module):
         self.still = FlatNet3D(still_camera(capture), **SIZES[size] | numbers)
         seen = capture.with_planes(min(planes, len(capture.stack.depths_m)))
         self.planes = len(seen.stack.depths_m)
-        steps: dict[str, Any] = dict(JOINT) | {"iterations": iterations}
-        self.joint = JointLeastSquares(seen, **steps)
+        numbers: dict[str, Any] = {**JOINT, **steps}
+        self.joint = JointLeastSquares(seen, **numbers)
         inversions = 1 if self.still.joint is None else 2
         self.channels = inversions * len(capture.stack.depths_m) * len(capture.stack.channels)
         of_frames = [(capture.frames, many) for many in (self.planes * len(capture.stack.channels), 3, 1)]

@@ -127,6 +127,7 @@ class ClipNetwork(nn.Module):
         measnet: bool,
         noise_aware: bool,
         joint_iterations: int,
+        joint_noise: float,
         **body: Any,
     ) -> None:
         """Build it for a camera.
@@ -139,6 +140,7 @@ class ClipNetwork(nn.Module):
             measnet: complete the capture to a global measurement of each frame, and invert these, too.
             noise_aware: lambda adapts to the noise level, which is an input of the bodies, too.
             joint_iterations: of the joint least squares.
+            joint_noise: their noise.
             **body: of MeasNet, see `FrameBody`.
 
         Raises:
@@ -157,7 +159,7 @@ class ClipNetwork(nn.Module):
         options: dict[str, Any] = {"regularisation_lambda": 0.3, "tikhonov": 1.0}
         options["noise_weight"] = _NOISE_WEIGHT if noise_aware else None
         self.inversion = RegularisedInversion(capture, **options)
-        steps: dict[str, Any] = dict(JOINT) | {"iterations": joint_iterations}
+        steps: dict[str, Any] = dict(JOINT) | {"iterations": joint_iterations, "noise": joint_noise}
         # It knows the whole field: light from beyond the border, taken for the border's, would spoil it.
         bordered = replace(whole, scene_shape=capture.scene_shape)
         self.joint = JointLeastSquares(bordered, **steps) if initial_estimate == "joint" else None

@@ -58,7 +58,7 @@ _LIMITS: dict[str, tuple[float, float]] = {
     "contrast": (0.01, 1000.0),  # costs are alike for all planes below, and those of a single plane above
     "window_px": (0.25, math.inf),  # a window of a quarter of a pixel is that pixel
     "pairwise": (1e-3, 1000.0),  # a map of noise below, of one depth above
-    "planes": (2, math.inf),  # of two, depth is told; at most those of the stack, see `limits`
+    "planes": (2, math.inf),  # of two, depth is told; where the stack has fewer, these are taken
     "steps_between_planes": (1, 32),  # finer than any capture tells
 }
 _HEADINGS: tuple[str, ...] = ("method", "noise dB", "PSNR dB", "depth RMSE cm", "score", "parameters")
@@ -219,11 +219,8 @@ def classical(capture: CaptureModel, name: str, config: TuneConfig, device: torc
 def limits(parameter: str, capture: CaptureModel) -> tuple[float, float]:
     """Return the least and the greatest value of a parameter that still mean something; a file may ask for others."""
     low, high = _LIMITS.get(parameter, (0.0, math.inf))
-    if parameter == "planes":
-        high = len(capture.stack.depths_m)
-    if parameter == "window_px":  # a wider one averages everything
-        high = max(capture.scene_shape) / 2
-    return low, high
+    # Half the scene: a wider window averages everything.
+    return low, max(capture.scene_shape) / 2 if parameter == "window_px" else high
 
 
 @dataclass(frozen=True)

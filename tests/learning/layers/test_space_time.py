@@ -173,7 +173,7 @@ def test_stills_dark_pixels_and_other_shapes_are_refused(film_camera: Any) -> No
         ClipProblem(capture).target(torch.zeros(1, 2, 12, 12))
 
 
-PRIOR: dict[str, Any] = {"static": 0.3, "moving": 0.5, "memory": 1.7, "sharpest": 0.08, "decay": 1.3}
+PRIOR: dict[str, Any] = {"static": 0.3, "moving": 0.5, "memory": 1.7, "sharpest": 0.08, "decay": 1.3, "noise": 1.7}
 
 
 def covariance(capture: CaptureModel) -> np.ndarray:
@@ -197,14 +197,14 @@ def covariance(capture: CaptureModel) -> np.ndarray:
 
 @cameras
 def test_joint_least_squares_is_the_mean_of_the_gaussian(film_camera: Any, which: dict[str, Any]) -> None:
-    """K A^T (A K A^T + s^2)^-1 y with dense matrices; s is the noise that is found in the measurement."""
+    """K A^T (A K A^T + s^2)^-1 y with dense matrices; s is a multiple of the noise that is found in the measurement."""
     if which.get("planes", 1) > 1:  # the covariance below is of one plane
         which = {"margin": 5}
     capture = film_camera(**which)
     method = JointLeastSquares(capture, iterations=250, **PRIOR)
     measurement = torch.from_numpy(np.random.default_rng(8).random((1, 2, *SENSOR)) * 0.1 + 0.3)
     light = method.light(measurement)
-    prior, noise = covariance(capture), noise_level(measurement).item()
+    prior, noise = covariance(capture), PRIOR["noise"] * noise_level(measurement).item()
     for channel in range(2):
         matrix, scale = dense(capture, channel), method.problem.scale[channel].item()
         target = method.problem.target(measurement)[0, channel].numpy().ravel()
