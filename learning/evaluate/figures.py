@@ -123,7 +123,8 @@ def over_time_png(
                 grey = one.kind not in ("learned", "classical")
                 look: Any = {"color": _NAIVE, "ls": "--"} if grey else {"color": colours[one.method]}
                 mark = "" if grey else _MARKS[at % len(_MARKS)]
-                axes.plot(times_ms, one.over_time[score], lw=1.8, marker=mark, label=one.method, **look)
+                name = "" if grey else one.method  # those are named beside their lines
+                axes.plot(times_ms, one.over_time[score], lw=1.8, marker=mark, label=name, **look)
                 if grey:
                     place: Any = {"xycoords": "data", "textcoords": "offset points", "ha": "right"}
                     end = (times_ms[-1], one.over_time[score][-1])
