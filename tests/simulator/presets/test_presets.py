@@ -139,6 +139,7 @@ def test_two_sensors_see_the_same_scene_at_the_same_time(tmp_path: Path, monkeyp
     assert np.corrcoef(both[1].measurement.mean(axis=0).ravel(), mean.ravel())[0, 1] > 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", SMALL, indirect=True)
 def test_its_scenes_are_rendered_for_learning(preset: Path) -> None:
     """The documented size, samples and frames; one clip, here in tiny pictures, lies between near and far."""

@@ -113,7 +113,7 @@ def test_which_shapes_are_open(geometry: Any) -> None:
     assert not is_open(cuboid(box)), "its sides meet, though no two share a vertex"
 
 
-@pytest.fixture(params=["scalar_rgb", "llvm_ad_rgb"])
+@pytest.fixture(params=[pytest.param("scalar_rgb", marks=pytest.mark.slow), "llvm_ad_rgb"])
 def light(request: pytest.FixtureRequest, rendered: Callable[..., Pictures]) -> Pictures:
     """The hidden layers of worker.py, once for each variant."""
     if request.param == "llvm_ad_rgb":
