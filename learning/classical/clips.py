@@ -75,6 +75,7 @@ CLIP_SEARCH: dict[str, dict[str, tuple[Value, ...]]] = {
         "memory": (2.0, 5.0, 10.0, 20.0),
         "sharpest": (0.025, 0.05, 0.1),
         "decay": (1.5, 2.0, 3.0),
+        "correlation": (0.0, 0.5, 0.9),
         "noise": (1.0, 3.0, 10.0),
         "iterations": (10, 20, 40),
     },

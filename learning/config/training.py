@@ -128,6 +128,8 @@ class ClipBodyConfig(Section):
     """of the joint least squares that it begins with"""
     joint_noise: Annotated[float, Range(0.01, 1000)] | None = None
     """of these: multiple of the measurement's noise that they assume, what their model leaves out being noise, too"""
+    joint_correlation: Annotated[float, Range(0, 0.999)] | None = None
+    """of these: between any two of the camera's channels; 0 takes them for independent"""
 
     @property
     def numbers(self) -> dict[str, Any]:

@@ -20,7 +20,11 @@ _S3D_FRAMES = 6  # with 4 its poolings leave nothing, with 5 a convolution abort
 
 
 class FrameClassifier(nn.Module):
-    """A classifier of `CLASSIFIERS` for frames of ``own`` channels each and pictures of ``shared`` channels in all."""
+    """A classifier of `CLASSIFIERS` for frames of ``own`` channels each and pictures of ``shared`` channels in all.
+
+    It looks at the mean of the frames and at what each differs from it, all scaled to a variance of 1 over a batch: beside
+    what stands still, changes are so faint that from the frames themselves little is learned.
+    """
 
     def __init__(self, name: str, frames: int, own: int, shared: int, classes: int) -> None:
         """Build it with random weights; an InputError refuses an unknown name, or too few frames."""
@@ -30,14 +34,22 @@ class FrameClassifier(nn.Module):
             text = f"got s3d for {frames} frames, which it halves three times; take {_S3D_FRAMES} at least, or dronet"
             raise InputError("classifier", text)
         self.flat, build = CLASSIFIERS[name]
-        self.body = build(frames * own + shared if self.flat else own + shared, classes)
+        shared += own if frames > 1 else 0
+        inputs = frames * own + shared if self.flat else own + shared
+        self.scaling = (nn.BatchNorm2d if self.flat else nn.BatchNorm3d)(inputs)
+        self.body = build(inputs, classes)
 
     def forward(self, own: Tensor, shared: Tensor) -> Tensor:
         """Return logits ``(B, classes)`` of ``own`` ``(B, N, own, h, w)`` and ``shared`` ``(B, shared, h, w)``."""
+        if own.shape[1] > 1:
+            mean = own.mean(dim=1)
+            own, shared = own - mean[:, None], torch.cat([shared, mean], dim=1)
         if self.flat:
-            return self.body(torch.cat([own.flatten(1, 2), shared], dim=1))
-        alike = shared[:, None].expand(-1, own.shape[1], -1, -1, -1)
-        return self.body(torch.cat([own, alike], dim=2).transpose(1, 2))
+            seen = torch.cat([own.flatten(1, 2), shared], dim=1)
+        else:
+            alike = shared[:, None].expand(-1, own.shape[1], -1, -1, -1)
+            seen = torch.cat([own, alike], dim=2).transpose(1, 2)
+        return self.body(self.scaling(seen))
 
 
 def dronet(inputs: int, classes: int) -> nn.Module:

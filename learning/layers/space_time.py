@@ -112,6 +112,7 @@ JOINT: dict[str, float | int | str] = {
     "memory": 10.0,
     "sharpest": 0.05,
     "decay": 2.0,
+    "correlation": 0.0,
     "noise": 1.0,
 }
 """Numbers of `JointLeastSquares` that suit rendered scenes of 64 x 64 pixels."""
@@ -123,9 +124,9 @@ class JointLeastSquares(nn.Module):
     The light is x_n = S sum_m L_nm u_m with white u. S S^T, the covariance over space, has the power spectrum
     1 / (1 + (f / f0)^2)^p at frequencies f in cycles per pixel, scaled to a variance of 1; L L^T, the covariance over
     frames, is static^2 + moving^2 exp(-|n - m| / memory): a picture that stands still and changes that are forgotten, whose
-    inverse penalises differences between frames. With T for x = T u and the noise's standard deviation s, which is found in
-    the measurement, (T^T A^T A T + s^2) u = T^T A^T y by conjugate gradients (Hestenes and Stiefel 1952). As T precedes A,
-    these begin with what is most likely, a smooth static picture, and a few steps serve.
+    inverse penalises differences between frames. Channels may be correlated, too. With T for x = T u and the noise's standard
+    deviation s, which is found in the measurement, (T^T A^T A T + s^2) u = T^T A^T y by conjugate gradients (Hestenes and
+    Stiefel 1952). As T precedes A, these begin with what is most likely, a smooth static picture, and a few steps serve.
 
     Attributes:
         told: the numbers of the prior and of the iterations.
@@ -144,6 +145,7 @@ class JointLeastSquares(nn.Module):
         memory: float,
         sharpest: float,
         decay: float,
+        correlation: float,
         noise: float,
     ) -> None:
         """Prepare the prior.
@@ -156,6 +158,7 @@ class JointLeastSquares(nn.Module):
             memory: over how many frames changes are forgotten (e-fold).
             sharpest: f0, cycles per pixel.
             decay: p.
+            correlation: of any two of the camera's channels, 0 or more. Without it, noise becomes vivid colours.
             noise: s as a multiple of the noise that is found. 1 suits few iterations; with many, what the model leaves out,
                 such as motion while a frame lasts, would be taken for detail: at 5 the mean itself is a good answer.
 
@@ -168,8 +171,11 @@ class JointLeastSquares(nn.Module):
         for name, value in self.told.items():
             if not (math.isfinite(value) and value > 0):
                 raise InputError(name, f"got {value!r}, expected a positive number")
+        if not 0 <= correlation < 1:
+            raise InputError("correlation", f"got {correlation!r}, expected 0, or more but less than 1")
+        self.told["correlation"] = correlation
         self.problem, self.iterations = ClipProblem(capture), iterations
-        frames, *_, rows, columns = self.problem.shape
+        frames, _, channels, rows, columns = self.problem.shape
         square = np.fft.fftfreq(rows)[:, None] ** 2 + np.fft.fftfreq(columns) ** 2
         power = (1 + square / sharpest**2) ** -decay
         half = np.sqrt(power / power.mean())[:, : columns // 2 + 1]
@@ -180,6 +186,8 @@ class JointLeastSquares(nn.Module):
             reason = "changes vanish beside the static picture or are never forgotten, as far as numbers tell"
             text = f"got {static:g}, {moving:g}, {memory:g}: {reason}; take more for moving, or less for memory"
             raise InputError("static, moving, memory", text) from None
+        hues = np.linalg.cholesky((1 - correlation) * np.eye(channels) + correlation)
+        mixing = np.einsum("nm,cd->ncmd", mixing, hues)
         for name, numbers in (("spectrum", half), ("mixing", mixing)):
             self.register_buffer(name, torch.from_numpy(numbers).to(torch.get_default_dtype()), persistent=False)
 
@@ -228,11 +236,11 @@ class JointLeastSquares(nn.Module):
 
     def _synthesised(self, white: Tensor) -> Tensor:
         """Return T u."""
-        return torch.einsum("nm,m...->n...", self.mixing, self._smoothed(white))
+        return torch.einsum("ncmd,mkbd...->nkbc...", self.mixing, self._smoothed(white))
 
     def _analysed(self, light: Tensor) -> Tensor:
         """Return the transpose of T times x."""
-        return torch.einsum("nm,n...->m...", self.mixing, self._smoothed(light))
+        return torch.einsum("ncmd,nkbc...->mkbd...", self.mixing, self._smoothed(light))
 
     def _smoothed(self, light: Tensor) -> Tensor:
         return torch.fft.irfft2(torch.fft.rfft2(light) * self.spectrum, light.shape[-2:])

@@ -76,6 +76,7 @@ class ActivityNet(ClipNetwork):
         noise_aware: bool,
         joint_iterations: int,
         joint_noise: float,
+        joint_correlation: float,
     ) -> None:
         """Build the network for a camera.
 
@@ -94,6 +95,7 @@ class ActivityNet(ClipNetwork):
             noise_aware: lambda adapts to the noise level, which is an input, too.
             joint_iterations: of the joint least squares.
             joint_noise: their noise.
+            joint_correlation: of their colours.
         """
         super().__init__(
             capture,
@@ -108,6 +110,7 @@ class ActivityNet(ClipNetwork):
             noise_aware=noise_aware,
             joint_iterations=joint_iterations,
             joint_noise=joint_noise,
+            joint_correlation=joint_correlation,
         )
         self.classes = tuple(classes)
         shared = 3 + noise_aware
@@ -192,13 +195,11 @@ class LensClassifier(nn.Module):
         """Build it for the clips of a camera; see `ActivityNet`.
 
         ``frames``: ``all`` in their order; ``shuffled``, all in an order that is drawn for each clip; ``middle``, only one.
-        ResNet-18 gets them normalised as ImageNet's images are, so that it may begin with what it learned of these.
         """
         super().__init__()
         check_clips(capture, type(self).__name__)
         check_choices(("frames", frames, FRAMES))
         self.classes, self.frames = tuple(classes), frames
-        self._normalised = classifier == "resnet18"
         count = 1 if frames == "middle" else capture.frames
         self.classifier = FrameClassifier(classifier, count, 3, 0, len(self.classes))
 
@@ -212,15 +213,13 @@ class LensClassifier(nn.Module):
         nothing = frames[:, 0, :0]
         if self.training:
             frames, nothing = moved_windows(frames, nothing, frames.shape[-2:])
-        if self._normalised:
-            mean, spread = (frames.new_tensor(each)[:, None, None] for each in (IMAGENET_MEAN, IMAGENET_SPREAD))
-            frames = (frames - mean) / spread
         return Answer(self.classifier(frames, nothing), frames.new_zeros(0))
 
     def take_pretrained(self, path: Path) -> list[str]:
         """Begin with torchvision's weights of ResNet-18, and say what was taken: all but those of the classes.
 
-        The first convolution, of one image, sees the mean of the frames (Wang et al., Temporal Segment Networks, ECCV 2016).
+        The first convolution, of one image, sees the mean of the frames, scaled like ImageNet's images, and a share of what
+        each differs from it (Wang et al., Temporal Segment Networks, ECCV 2016).
 
         Raises:
             InputError: not such a file, or another classifier than ``resnet18``; the network stays as it was.
@@ -230,10 +229,15 @@ class LensClassifier(nn.Module):
             weights: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)
             found = {f"classifier.body.{key}": value for key, value in weights.items() if not key.startswith("fc.")}
             first = found[name := "classifier.body.conv1.weight"]
-            frames = self.state_dict()[name].shape[1] // 3
         except (OSError, EOFError, RuntimeError, UnpicklingError, AttributeError, KeyError, TypeError) as error:
             raise InputError(path, f"not the weights of a ResNet-18; {cure}") from error
-        found[name] = first.repeat(1, frames, 1, 1) / frames
+        known = self.state_dict()
+        frames = known[name].shape[1] // 3 - 1
+        found[name] = torch.cat([*(first / frames for _ in range(frames)), first], dim=1)
+        variance = tuple(spread**2 for spread in IMAGENET_SPREAD)
+        for statistic, of_images in (("running_mean", IMAGENET_MEAN), ("running_var", variance)):
+            place = f"classifier.scaling.{statistic}"
+            found[place] = torch.cat([known[place][:-3], torch.tensor(of_images)])
         return copy_weights(self, found, str(path), cure)
 
     def _order(self, clip: Tensor) -> Tensor:
@@ -276,17 +280,17 @@ ACTIVITY_SIZES: dict[str, dict[str, Any]] = {
     "thesis": {
         **{"classifier": "dronet", "initial_estimate": "slivers", "measnet": True, "dimensions": 2, "body": "unet"},
         **{"filters": 32, "blocks": 1, "levels": 3, "stem": 1, "noise_aware": False},
-        **{"joint_iterations": 10, "joint_noise": 1.0},
+        **{"joint_iterations": 10, "joint_noise": 1.0, "joint_correlation": 0.0},
     },
     "compact": {
         **{"classifier": "dronet", "initial_estimate": "joint", "measnet": False, "dimensions": 2, "body": "naf"},
         **{"filters": 32, "blocks": 1, "levels": 4, "stem": 2, "noise_aware": True},
-        **{"joint_iterations": 30, "joint_noise": 5.0},
+        **{"joint_iterations": 40, "joint_noise": 3.0, "joint_correlation": 0.9},
     },
     "tiny": {
         **{"classifier": "dronet", "initial_estimate": "joint", "measnet": True, "dimensions": 2, "body": "naf"},
         **{"filters": 8, "blocks": 1, "levels": 2, "stem": 2, "noise_aware": True},
-        **{"joint_iterations": 10, "joint_noise": 1.0},
+        **{"joint_iterations": 10, "joint_noise": 1.0, "joint_correlation": 0.0},
     },
 }
 """``thesis``: MeasNet and its inversion from zero-filled slivers, blind to the noise; see `VIDEO_SIZES`. ``compact``: joint

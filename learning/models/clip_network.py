@@ -128,6 +128,7 @@ class ClipNetwork(nn.Module):
         noise_aware: bool,
         joint_iterations: int,
         joint_noise: float,
+        joint_correlation: float,
         **body: Any,
     ) -> None:
         """Build it for a camera.
@@ -141,6 +142,7 @@ class ClipNetwork(nn.Module):
             noise_aware: lambda adapts to the noise level, which is an input of the bodies, too.
             joint_iterations: of the joint least squares.
             joint_noise: their noise.
+            joint_correlation: of their colours.
             **body: of MeasNet, see `FrameBody`.
 
         Raises:
@@ -160,6 +162,7 @@ class ClipNetwork(nn.Module):
         options["noise_weight"] = _NOISE_WEIGHT if noise_aware else None
         self.inversion = RegularisedInversion(capture, **options)
         steps: dict[str, Any] = dict(JOINT) | {"iterations": joint_iterations, "noise": joint_noise}
+        steps |= {"correlation": joint_correlation}
         # It knows the whole field: light from beyond the border, taken for the border's, would spoil it.
         bordered = replace(whole, scene_shape=capture.scene_shape)
         self.joint = JointLeastSquares(bordered, **steps) if initial_estimate == "joint" else None

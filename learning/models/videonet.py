@@ -51,6 +51,7 @@ class VideoNet(ClipNetwork):
         repeats: int,
         joint_iterations: int,
         joint_noise: float,
+        joint_correlation: float,
     ) -> None:
         """Build the network for a camera; see `ClipNetwork`, which has the first arguments and errors, for those not here.
 
@@ -69,6 +70,7 @@ class VideoNet(ClipNetwork):
             repeats: of the last refinement, with its weights.
             joint_iterations: of the joint least squares.
             joint_noise: their noise.
+            joint_correlation: of their colours.
         """
         if repeats and not refinements:
             raise InputError("repeats", f"got {repeats} without refinements, expected 0; or take refinements: 1")
@@ -81,6 +83,7 @@ class VideoNet(ClipNetwork):
             noise_aware=noise_aware,
             joint_iterations=joint_iterations,
             joint_noise=joint_noise,
+            joint_correlation=joint_correlation,
             stem=stem,
             **sizes,
         )
@@ -138,17 +141,17 @@ VIDEO_SIZES: dict[str, dict[str, Any]] = {
     "thesis": {
         **{"initial_estimate": "slivers", "measnet": True, "dimensions": 2, "body": "unet", "filters": 32, "blocks": 1},
         **{"levels": 3, "stem": 1, "refinements": 0, "repeats": 0, "noise_aware": False},
-        **{"joint_iterations": 10, "joint_noise": 1.0},
+        **{"joint_iterations": 10, "joint_noise": 1.0, "joint_correlation": 0.0},
     },
     "compact": {
         **{"initial_estimate": "joint", "measnet": False, "dimensions": 2, "body": "naf", "filters": 32, "blocks": 1},
         **{"levels": 4, "stem": 2, "refinements": 1, "repeats": 0, "noise_aware": True},
-        **{"joint_iterations": 10, "joint_noise": 1.0},
+        **{"joint_iterations": 10, "joint_noise": 1.0, "joint_correlation": 0.0},
     },
     "tiny": {
         **{"initial_estimate": "joint", "measnet": True, "dimensions": 2, "body": "naf", "filters": 8, "blocks": 1},
         **{"levels": 2, "stem": 2, "refinements": 1, "repeats": 0, "noise_aware": True},
-        **{"joint_iterations": 10, "joint_noise": 1.0},
+        **{"joint_iterations": 10, "joint_noise": 1.0, "joint_correlation": 0.0},
     },
 }
 """``thesis``: its U-Nets of 32 to 128 filters on zero-filled slivers, blind to the noise. Beyond the thesis, MeasNet is told

@@ -47,6 +47,7 @@ class VideoNet3D(nn.Module):
         joint_planes: int,
         joint_iterations: int,
         joint_noise: float,
+        joint_correlation: float,
     ) -> None:
         """Build the network for a camera.
 
@@ -60,6 +61,7 @@ class VideoNet3D(nn.Module):
             joint_planes: of the joint least squares, evenly in disparity from the nearest to the farthest.
             joint_iterations: of the joint least squares.
             joint_noise: their noise.
+            joint_correlation: of their colours.
 
         Raises:
             InputError: the camera of stills, a single plane, or sizes that make no sense.
@@ -70,7 +72,8 @@ class VideoNet3D(nn.Module):
             raise InputError(
                 "stack", "got one plane, expected several to tell depth by; take psf.depths: 13, or videonet"
             )
-        self.joint = Beginning(capture, still, joint_planes, {"iterations": joint_iterations, "noise": joint_noise})
+        steps = {"iterations": joint_iterations, "noise": joint_noise, "correlation": joint_correlation}
+        self.joint = Beginning(capture, still, joint_planes, steps)
         self.joint.still.requires_grad_(False)
         sizes: dict[str, Any] = {"filters": filters, "blocks": blocks, "levels": levels, "stem": 1}
         own = len(capture.stack.channels) * self.joint.planes + 3 + 3 + 1
@@ -115,11 +118,11 @@ class VideoNet3D(nn.Module):
 VIDEO_3D_SIZES: dict[str, dict[str, Any]] = {
     "compact": {
         **{"dimensions": 2, "filters": 48, "blocks": 1, "levels": 4},
-        **{"joint_planes": 2, "joint_iterations": 80, "joint_noise": 5.0},
+        **{"joint_planes": 2, "joint_iterations": 80, "joint_noise": 5.0, "joint_correlation": 0.0},
     },
     "tiny": {
         **{"dimensions": 2, "filters": 8, "blocks": 1, "levels": 2},
-        **{"joint_planes": 2, "joint_iterations": 5, "joint_noise": 1.0},
+        **{"joint_planes": 2, "joint_iterations": 5, "joint_noise": 1.0, "joint_correlation": 0.0},
     },
 }
 

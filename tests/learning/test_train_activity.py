@@ -241,7 +241,7 @@ def test_a_lens_classifier_begins_with_weights_of_torchvision(
     with torch.no_grad():
         mean = normalize(frames.mean(dim=1), [0.485, 0.456, 0.406], [0.229, 0.224, 0.225])
         features = lens(frames).logits, known.eval()(mean)
-    torch.testing.assert_close(*features, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(*features, rtol=1e-3, atol=1e-3)  # the scaling adds 1e-5 to variances of 0.05
     assert features[1].std() > 0.1
 
     (tmp_path / "other.pth").write_bytes(b"no weights")

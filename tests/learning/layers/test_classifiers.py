@@ -43,6 +43,16 @@ def test_every_pixel_and_frame_counts(name: str, frames: int, shared: int, size:
     torch.testing.assert_close(network(own[1:], alike[1:]), logits[1:], rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.parametrize("name", ["dronet", "cnn3d"])
+def test_faint_changes_count_like_strong_ones(name: str) -> None:
+    network = FrameClassifier(name, 6, 3, 0, 5)
+    network.body = torch.nn.Identity()
+    frames = torch.rand(4, 6, 3, 48, 48)
+    still = frames.mean(dim=1, keepdim=True)
+    strong, faint = (network(still + strength * (frames - still), frames[:, 0, :0]) for strength in (1, 0.1))
+    torch.testing.assert_close(faint, strong, rtol=0.02, atol=1e-5)  # the scaling adds 1e-5 to a variance of 0.0007
+
+
 def clips(count: int) -> tuple[Tensor, Tensor]:
     """Return clips of 6 frames in which a dot goes to the right or to the left from anywhere, and which of the two."""
     frames, way = torch.zeros(count, 6, 1, 32, 32), torch.arange(count) % 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.linalg import block_diag
 
 from learning.camera import CaptureModel
 from learning.layers import space_time
@@ -173,11 +175,12 @@ def test_stills_dark_pixels_and_other_shapes_are_refused(film_camera: Any) -> No
         ClipProblem(capture).target(torch.zeros(1, 2, 12, 12))
 
 
-PRIOR: dict[str, Any] = {"static": 0.3, "moving": 0.5, "memory": 1.7, "sharpest": 0.08, "decay": 1.3, "noise": 1.7}
+PRIOR: dict[str, Any] = {"static": 0.3, "moving": 0.5, "memory": 1.7, "sharpest": 0.08, "decay": 1.3}
+PRIOR |= {"correlation": 0.6, "noise": 1.7}
 
 
 def covariance(capture: CaptureModel) -> np.ndarray:
-    """Return the prior's covariance of the light of one channel, from its formulas: over time, times over space.
+    """Return the prior's covariance of the light of two channels, from its formulas: of colour, time and space, multiplied.
 
     Over space it is the transform of the spectrum of S S^T, a sum of cosines for every pair of pixels of the periodic field.
     """
@@ -192,7 +195,8 @@ def covariance(capture: CaptureModel) -> np.ndarray:
     apart = places[:, None] - places
     waves = 2 * np.pi * (apart[..., 0, None, None] * y[:, None] + apart[..., 1, None, None] * x)
     space = np.mean(power * np.cos(waves), axis=(-2, -1))
-    return np.kron(time, space)
+    colour = [[1, PRIOR["correlation"]], [PRIOR["correlation"], 1]]
+    return np.kron(colour, np.kron(time, space))
 
 
 @cameras
@@ -205,17 +209,19 @@ def test_joint_least_squares_is_the_mean_of_the_gaussian(film_camera: Any, which
     measurement = torch.from_numpy(np.random.default_rng(8).random((1, 2, *SENSOR)) * 0.1 + 0.3)
     light = method.light(measurement)
     prior, noise = covariance(capture), PRIOR["noise"] * noise_level(measurement).item()
-    for channel in range(2):
-        matrix, scale = dense(capture, channel), method.problem.scale[channel].item()
-        target = method.problem.target(measurement)[0, channel].numpy().ravel()
-        seen = matrix @ prior @ matrix.T + (noise * scale) ** 2 * np.eye(len(target))
-        wanted = prior @ matrix.T @ np.linalg.solve(seen, target)
-        # Conjugate gradients in float64, until the residual no longer falls
-        found = light[:, 0, 0, channel].numpy().ravel()
-        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-7 * np.abs(wanted).max())
-    image = wanted.reshape(3, *capture.field_shape)[:, *capture.scene_in_field]
+    matrix = block_diag(*(dense(capture, channel) for channel in range(2)))
+    target = method.problem.target(measurement)[0].numpy()
+    variance = (noise * method.problem.scale.numpy() * np.ones_like(target)) ** 2
+    seen = matrix @ prior @ matrix.T + np.diag(variance.ravel())
+    wanted = prior @ matrix.T @ np.linalg.solve(seen, target.ravel())
+    # Conjugate gradients in float64, until the residual no longer falls
+    found = light[:, 0, 0].transpose(0, 1).numpy().ravel()
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-7 * np.abs(wanted).max())
+    image = wanted.reshape(2, 3, *capture.field_shape)[..., *capture.scene_in_field]
     image = image * capture.scene_irradiance.max().astype(np.float64) / capture.scene_irradiance
-    np.testing.assert_allclose(method(measurement)[0, :, 1].numpy(), image, rtol=0, atol=1e-7 * np.abs(image).max())
+    np.testing.assert_allclose(
+        method(measurement)[0].transpose(0, 1).numpy(), image, rtol=0, atol=1e-7 * np.abs(image).max()
+    )
 
 
 def test_a_few_steps_explain_most_of_a_capture(film_camera: Any) -> None:
@@ -260,9 +266,11 @@ def test_what_is_found_has_no_gradient_and_nothing_to_be_trained(film_camera: An
     assert method.told == JOINT
 
 
-@pytest.mark.parametrize("name", JOINT)
-@pytest.mark.parametrize("value", [0, -1.0, float("nan"), float("inf")])
-def test_numbers_that_are_not_positive_are_refused(film_camera: Any, name: str, value: float) -> None:
+WRONG = [(name, value) for name in JOINT for value in ((-0.1, 1) if name == "correlation" else (0, -1.0, math.inf))]
+
+
+@pytest.mark.parametrize(("name", "value"), [*WRONG, *((name, math.nan) for name in JOINT)])
+def test_numbers_that_make_no_prior_are_refused(film_camera: Any, name: str, value: float) -> None:
     with pytest.raises(InputError, match=rf"^{name}: "):
         JointLeastSquares(film_camera(), **dict(JOINT) | {name: value})
 

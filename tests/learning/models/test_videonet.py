@@ -35,6 +35,7 @@ TINY: dict[str, Any] = {
         "noise_aware": True,
         "joint_iterations": 4,
         "joint_noise": 1.0,
+        "joint_correlation": 0.0,
     },
 }
 EVERY = [
@@ -541,4 +542,4 @@ def test_the_shipped_file_is_small_and_says_its_scenes() -> None:
     known = load_checkpoint(path)
     assert known.record["scenes"]["train"] == ["high_speed, seed 7, train"]
     # Nothing follows from today's defaults, but for what is younger than the file.
-    assert full_architecture(known.architecture) == known.architecture | {"joint_noise": 1.0}
+    assert full_architecture(known.architecture) == known.architecture | {"joint_noise": 1.0, "joint_correlation": 0.0}
