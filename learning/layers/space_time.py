@@ -172,7 +172,7 @@ class JointLeastSquares(nn.Module):
             if not (math.isfinite(value) and value > 0):
                 raise InputError(name, f"got {value!r}, expected a positive number")
         if not 0 <= correlation < 1:
-            raise InputError("correlation", f"got {correlation!r}, expected 0, or more but less than 1")
+            raise InputError("correlation", f"got {correlation!r}, expected 0 or more, and less than 1")
         self.told["correlation"] = correlation
         self.problem, self.iterations = ClipProblem(capture), iterations
         frames, _, channels, rows, columns = self.problem.shape

@@ -229,11 +229,11 @@ class LensClassifier(nn.Module):
             weights: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)
             found = {f"classifier.body.{key}": value for key, value in weights.items() if not key.startswith("fc.")}
             first = found[name := "classifier.body.conv1.weight"]
+            known = self.state_dict()
+            frames = known[name].shape[1] // 3 - 1
+            found[name] = torch.cat([*(first / frames for _ in range(frames)), first], dim=1)
         except (OSError, EOFError, RuntimeError, UnpicklingError, AttributeError, KeyError, TypeError) as error:
             raise InputError(path, f"not the weights of a ResNet-18; {cure}") from error
-        known = self.state_dict()
-        frames = known[name].shape[1] // 3 - 1
-        found[name] = torch.cat([*(first / frames for _ in range(frames)), first], dim=1)
         variance = tuple(spread**2 for spread in IMAGENET_SPREAD)
         for statistic, of_images in (("running_mean", IMAGENET_MEAN), ("running_var", variance)):
             place = f"classifier.scaling.{statistic}"
@@ -294,7 +294,8 @@ ACTIVITY_SIZES: dict[str, dict[str, Any]] = {
     },
 }
 """``thesis``: MeasNet and its inversion from zero-filled slivers, blind to the noise; see `VIDEO_SIZES`. ``compact``: joint
-least squares, with more iterations and noise than VideoNet's, which corrects them, and the static inversion."""
+least squares, with more iterations and noise than VideoNet's, which corrects them, correlated channels, and the static
+inversion."""
 
 
 class ActivityMethod(ClipNetworkMethod[ActivityNet]):
