@@ -127,7 +127,7 @@ def test_two_sensors_see_the_same_scene_at_the_same_time(tmp_path: Path, monkeyp
     assert psf[:, middle, middle].sum(axis=(1, 2)) == pytest.approx(psf.sum(axis=(1, 2)), rel=0.05)
 
     monkeypatch.chdir(tmp_path)
-    one = ["dataset.train=1", "dataset.validation=0", "dataset.test=0", "dataset.engine=inline"]
+    one = ["dataset.train=1", "dataset.validation=0", "dataset.test=0"]
     changes = {"high_speed_64": ["camera.exposure.full_scale=1e-5", *COARSE_MASK, *one], "two_sensors": one}
     sets = [generate(f"{name}.yaml", told).path for name, told in changes.items()]
     both = [open_dataset(path, "train")[0] for path in sets]
