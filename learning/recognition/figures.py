@@ -70,7 +70,7 @@ def against_png(
     chance: float,
 ) -> bytes:
     """Return top-1 accuracy against what is varied, with its 95 % interval over captures, and chance."""
-    figure = drawing.new_figure((6.4, 4.2), _DPI)
+    figure = drawing.new_figure((8.4, 4.2), _DPI)
     axes = figure.subplots()
     for name, found in points.items():
         found = sorted(found, key=lambda pair: pair[0])
@@ -83,5 +83,5 @@ def against_png(
     style(axes, title, "top-1 accuracy, %")
     axes.set_ylim(bottom=0)
     axes.grid(color=GRID)
-    axes.legend(fontsize=8, frameon=False)
+    figure.legend(loc="outside right upper", fontsize=8, frameon=False)
     return drawing.figure_png(figure)

@@ -164,8 +164,8 @@ def write_recognition(folder: Path, found: Recognition) -> list[Path]:
 def _figures(found: Recognition) -> dict[str, bytes]:
     colours = method_colours([one.name for one in found.config.classifiers])
     ceiling = [] if found.ceiling in (None, found.reference) else [found.ceiling]
-    figures = {CONFUSION: confusion_png([one for one in (found.reference, *ceiling) if one])}
-    figures[RELIABILITY] = reliability_png(found.main, colours)
+    shown = [one for one in (found.reference, *ceiling) if one]
+    figures = {CONFUSION: confusion_png(shown), RELIABILITY: reliability_png(shown, colours)}
     levels = [one for one in found.answers if one.noise_db is not None]
     still = chance(found.reference.classes)
     if levels:
