@@ -125,10 +125,9 @@ class ActivityTraining(NetworkTraining[ClipExample]):
         torch.manual_seed(int(np.random.SeedSequence(self._config.seed, spawn_key=key).generate_state(1)[0]))
 
     def _answer(self, network: nn.Module, example: ClipExample) -> Answer:
-        frames = linear_to_srgb(example.radiance, self._capture.white)
         start = example.start if example.start.numel() else None
         with self._plan.precision.autocast():
-            answer = network(*self._network.looks_at(example.measurement, start, frames))
+            answer = network(*self._network.looks_at(example.measurement, start, example.radiance))
         return Answer(answer.logits.float(), answer.measured.float())
 
     def _losses(self, answer: Answer, example: ClipExample) -> dict[str, Tensor]:

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from learning.camera import CaptureModel
 from learning.layers.classifiers import FrameClassifier
 from learning.layers.padding import axis_plans, check_measurement
-from learning.method import Clock, Estimate, check_choices, inference
+from learning.method import Clock, Estimate, check_choices, inference, linear_to_srgb
 from learning.models.clip_network import (
     FAINTEST,
     Begun,
@@ -135,8 +135,8 @@ class ActivityNet(ClipNetwork):
         """Return the best estimates of the frames, ``(B, N, 3, h, w)`` sRGB codes, not clipped."""
         return self.codes(begun.best)[self.image]
 
-    def looks_at(self, measurement: Tensor, start: Tensor | None, frames: Tensor) -> tuple[Tensor | None, ...]:
-        """Return the arguments of `forward`, of a capture, what `begin` gives of it, and the true frames."""
+    def looks_at(self, measurement: Tensor, start: Tensor | None, radiance: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the arguments of `forward`, of a capture, what `begin` gives of it, and the true frames' linear radiance."""
         return measurement, start
 
     def take(self, known: nn.Module, source: str) -> list[str]:
@@ -183,7 +183,7 @@ class RawClassifier(nn.Module):
         light = light / light.mean(dim=(1, 2, 3), keepdim=True).clamp_min(FAINTEST)
         return Answer(self.classifier(light[:, None], light[:, :0]), light.new_zeros(0))
 
-    def looks_at(self, measurement: Tensor, start: Tensor | None, frames: Tensor) -> tuple[Tensor | None, ...]:
+    def looks_at(self, measurement: Tensor, start: Tensor | None, radiance: Tensor) -> tuple[Tensor | None, ...]:
         """Return the arguments of `forward`; see `ActivityNet.looks_at`."""
         return (measurement,)
 
@@ -199,17 +199,18 @@ class LensClassifier(nn.Module):
         super().__init__()
         check_clips(capture, type(self).__name__)
         check_choices(("frames", frames, FRAMES))
-        self.classes, self.frames = tuple(classes), frames
+        self.classes, self.frames, self.white = tuple(classes), frames, capture.white
         count = 1 if frames == "middle" else capture.frames
         self.classifier = FrameClassifier(classifier, count, 3, 0, len(self.classes))
 
-    def forward(self, frames: Tensor) -> Answer:
-        """Return the answer to frames ``(B, N, 3, h, w)``, sRGB codes."""
+    def forward(self, radiance: Tensor) -> Answer:
+        """Return the answer to frames ``(B, N, 3, h, w)``, linear radiance."""
         if self.frames == "middle":
-            middle = frames.shape[1] // 2
-            frames = frames[:, middle : middle + 1]
+            middle = radiance.shape[1] // 2
+            radiance = radiance[:, middle : middle + 1]
         elif self.frames == "shuffled":
-            frames = torch.stack([clip[self._order(clip)] for clip in frames])
+            radiance = torch.stack([clip[self._order(clip)] for clip in radiance])
+        frames = linear_to_srgb(radiance, self.white)
         nothing = frames[:, 0, :0]
         if self.training:
             frames, nothing = moved_windows(frames, nothing, frames.shape[-2:])
@@ -247,9 +248,9 @@ class LensClassifier(nn.Module):
             generator = torch.Generator().manual_seed(zlib.crc32(clip.detach().cpu().float().numpy().tobytes()))
         return torch.randperm(len(clip), generator=generator)
 
-    def looks_at(self, measurement: Tensor, start: Tensor | None, frames: Tensor) -> tuple[Tensor | None, ...]:
+    def looks_at(self, measurement: Tensor, start: Tensor | None, radiance: Tensor) -> tuple[Tensor | None, ...]:
         """Return the arguments of `forward`; see `ActivityNet.looks_at`."""
-        return (frames,)
+        return (radiance,)
 
 
 def moved_windows(frames: Tensor, shared: Tensor, size: Sequence[int]) -> tuple[Tensor, Tensor]:

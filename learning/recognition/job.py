@@ -274,8 +274,8 @@ def _probabilities(
         for first in range(0, len(examples), config.batch):
             batch = [examples[at] for at in range(first, min(first + config.batch, len(examples)))]
             measurement = torch.stack([each.measurement for each in batch]).to(device)
-            frames = linear_to_srgb(torch.stack([each.radiance for each in batch]).to(device), one.capture.white)
-            answer = network(*network.looks_at(measurement, starts.of(one, first, measurement), frames))
+            radiance = torch.stack([each.radiance for each in batch]).to(device)
+            answer = network(*network.looks_at(measurement, starts.of(one, first, measurement), radiance))
             found.append(answer.logits.softmax(dim=1).cpu().numpy())
             progress(stage, first + len(batch), len(examples))
     return np.concatenate(found)
