@@ -14,19 +14,21 @@ from torch import Tensor, nn
 from learning.camera import CaptureModel
 from learning.checkpoint import load_checkpoint
 from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
-from learning.config import ActivityLossConfig, ActivityTrainConfig
+from learning.config import ActivityLossConfig, ActivityNetworkConfig, ActivityTrainConfig
 from learning.data import Loader
 from learning.evaluate.films import NamedFilm, film_sheet
 from learning.labels import class_names, class_numbers
 from learning.method import Progress, Say, inference, linear_to_srgb
-from learning.models.activitynet import ActivityNet, Answer, Classifier, LensClassifier
+from learning.models.activitynet import ACTIVITY_SIZES, ActivityNet, Answer, Classifier, LensClassifier
 from learning.train import NetworkTraining, origin
 from learning.training_loop import TrainResult, find_cache, run
 from learning.validation import to_device
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 
-_SIDED = re.compile(r"left|right", re.IGNORECASE)
+_SIDED = re.compile(r"(?<![a-z])((left|right|up|down)(wards?)?|(anti|counter)?clockwise)(?![a-z])", re.IGNORECASE)
+_OF_MEASNET = ("dimensions", "body", "filters", "blocks", "levels", "stem")
+_OF_JOINT = ("joint_iterations", "joint_noise", "joint_correlation")
 
 
 def train_activity(
@@ -78,6 +80,8 @@ class ActivityTraining(NetworkTraining[ClipExample]):
 
     @classmethod
     def _told_by(cls, config: ActivityTrainConfig, train: Dataset, validation: Dataset) -> dict[str, Any]:
+        if isinstance(config.network, ActivityNetworkConfig):
+            _check_used(config.network)
         classes = class_names(train)
         class_numbers(validation, classes)  # refuses a class that is not learned
         sided = [name for name in classes if _SIDED.search(name)]
@@ -179,6 +183,18 @@ class ActivityTraining(NetworkTraining[ClipExample]):
             films = [NamedFilm(self._network.classes[label], _pixels(frames), "" if looked is not None else said)]
             clips.append(films if looked is None else [*films, NamedFilm("estimated", _pixels(looked[at]), said)])
         return np.asarray(film_sheet(clips, self._config.name, "what is done, and what the network says"))
+
+
+def _check_used(network: ActivityNetworkConfig) -> None:
+    """Refuse numbers of what the network does not have."""
+    numbers = ACTIVITY_SIZES[network.size] | network.changes
+    absent = [] if numbers["measnet"] else [(key, "MeasNet", "measnet: true") for key in _OF_MEASNET]
+    if numbers["initial_estimate"] != "joint":
+        absent += [(key, "joint least squares", "initial_estimate: joint") for key in _OF_JOINT]
+    for key, part, cure in absent:
+        if key in network.changes:
+            got = f"got {network.changes[key]}, but a network without {part} has none"
+            raise InputError(f"network.{key}", f"{got}; set {cure}, or leave it out")
 
 
 def _pixels(frames: Tensor) -> NDArray[np.float32]:

@@ -6,6 +6,7 @@ from learning.config.recognition import ClassifierConfig, RecognitionConfig, Rec
 from learning.config.swap import SwapConfig, WarmStart
 from learning.config.training import (
     ActivityLossConfig,
+    ActivityNetworkConfig,
     ActivityTrainConfig,
     ClipDataConfig,
     ClipLossConfig,
@@ -28,6 +29,7 @@ from learning.config.tuning import FEWEST_SCENES, TuneConfig, TuneData
 __all__ = [
     "FEWEST_SCENES",
     "ActivityLossConfig",
+    "ActivityNetworkConfig",
     "ActivityTrainConfig",
     "ClassifierConfig",
     "ClipDataConfig",

@@ -63,7 +63,7 @@ class ActivityDataConfig(ClipDataConfig):
     """What is learned from clips with labels."""
 
     shuffle_labels: bool = False
-    """deal the labels out anew among the training clips: what is then right by more than chance is leakage"""
+    """shuffle the labels of the training clips: what is then right more often than the most frequent class is leakage"""
 
 
 class NetworkConfig(Section):

@@ -39,6 +39,11 @@ class FrameClassifier(nn.Module):
         self.scaling = (nn.BatchNorm2d if self.flat else nn.BatchNorm3d)(inputs)
         self.body = build(inputs, classes)
 
+    @property
+    def last_layer(self) -> list[str]:
+        """The names of the weights and biases that give the classes."""
+        return [name for name, _ in self.named_parameters()][-2:]
+
     def forward(self, own: Tensor, shared: Tensor) -> Tensor:
         """Return logits ``(B, classes)`` of ``own`` ``(B, N, own, h, w)`` and ``shared`` ``(B, shared, h, w)``."""
         if own.shape[1] > 1:

@@ -142,7 +142,8 @@ class ActivityNet(ClipNetwork):
     def take(self, known: nn.Module, source: str) -> list[str]:
         """Put what another network for clips has in common with this one into it, and say what was taken.
 
-        Of an ActivityNet that is everything, of a VideoNet the inversions and MeasNet.
+        Of an ActivityNet that is everything, of one for other classes all but its last layer, of a VideoNet the inversions
+        and MeasNet.
 
         Raises:
             InputError: weights of other shapes, or another kind of network, naming the ``source``; the network stays as it
@@ -158,6 +159,9 @@ class ActivityNet(ClipNetwork):
                     source, "it has no MeasNet; take a VideoNet with measnet: true, or measnet: false here"
                 )
             found = {name: value for name, value in found.items() if name in own}
+        elif known.classes != self.classes:
+            last = {f"classifier.{name}" for name in known.classifier.last_layer}
+            found = {name: value for name, value in found.items() if name not in last}
         return copy_weights(self, found, source, "take a checkpoint of the same size and classifier")
 
 
@@ -219,8 +223,8 @@ class LensClassifier(nn.Module):
     def take_pretrained(self, path: Path) -> list[str]:
         """Begin with torchvision's weights of ResNet-18, and say what was taken: all but those of the classes.
 
-        The first convolution, of one image, sees the mean of the frames, scaled like ImageNet's images, and a share of what
-        each differs from it (Wang et al., Temporal Segment Networks, ECCV 2016).
+        The first convolution, of one image, sees the mean of the frames, scaled like ImageNet's images. Its weights of what
+        each frame differs from that begin at zero: equal ones would cancel, as the differences do.
 
         Raises:
             InputError: not such a file, or another classifier than ``resnet18``; the network stays as it was.
@@ -231,8 +235,8 @@ class LensClassifier(nn.Module):
             found = {f"classifier.body.{key}": value for key, value in weights.items() if not key.startswith("fc.")}
             first = found[name := "classifier.body.conv1.weight"]
             known = self.state_dict()
-            frames = known[name].shape[1] // 3 - 1
-            found[name] = torch.cat([*(first / frames for _ in range(frames)), first], dim=1)
+            changes = known[name].shape[1] - first.shape[1]
+            found[name] = torch.cat([first.new_zeros(len(first), changes, *first.shape[2:]), first], dim=1)
         except (OSError, EOFError, RuntimeError, UnpicklingError, AttributeError, KeyError, TypeError) as error:
             raise InputError(path, f"not the weights of a ResNet-18; {cure}") from error
         variance = tuple(spread**2 for spread in IMAGENET_SPREAD)

@@ -49,7 +49,7 @@ class Begun(NamedTuple):
 
     Attributes:
         light: ``(B, C, H, W)``, the captures less their offset.
-        noise: ``(B,)``, noise to signal; None of networks that are blind to it.
+        noise: ``(B, C)``, noise to signal; None of networks that are blind to it.
         frames: ``(B, N, E C, h, w)``, E estimates of every frame: the first one, then those from MeasNet.
         best: ``(B, N, C, h, w)``, that of them which a network adds to.
         shared: the static inversion, and the noise as an image, ``(B, C, h, w)`` or one channel more.

@@ -67,9 +67,9 @@ def against_png(
     points: Mapping[str, Sequence[tuple[float, Answers]]],
     colours: Mapping[str, str],
     title: str,
-    chance: float,
+    constant: float,
 ) -> bytes:
-    """Return top-1 accuracy against what is varied, with its 95 % interval over captures, and chance."""
+    """Return top-1 accuracy against what is varied, with its 95 % interval over captures, and of the best constant answer."""
     figure = drawing.new_figure((8.4, 4.2), _DPI)
     axes = figure.subplots()
     for name, found in points.items():
@@ -79,7 +79,7 @@ def against_png(
         for place, one in found:
             if (ends := one.intervals[1]) is not None:
                 axes.plot([place, place], [100 * end for end in ends], color=colours[name], lw=1, alpha=0.7)
-    axes.axhline(100 * chance, color=_GREY, lw=1, ls="--", label="chance")
+    axes.axhline(100 * constant, color=_GREY, lw=1, ls="--", label="most frequent class")
     style(axes, title, "top-1 accuracy, %")
     axes.set_ylim(bottom=0)
     axes.grid(color=GRID)

@@ -42,6 +42,9 @@ from simulator.io.cache import code_digest
 from simulator.io.files import sha256_bytes, sha256_file
 from simulator.io.json import canonical_json
 
+# What tells trainings apart whose seeds may be averaged.
+_TRAINED_BY = ("batch", "steps", "optimiser", "loss", "precision", "validate_every")
+_TRAINED_ON = ("noise_db", "augment", "draws", "shuffle_labels")
 # By these, and what they import, a measurement becomes probabilities.
 _DECIDING = ("learning.checkpoint", "learning.data", "learning.models", "learning.layers.classifiers")
 
@@ -119,19 +122,24 @@ def _read(config: RecognitionConfig, row: ClassifierConfig) -> list[Trained]:
         test = _open(config, row.test or config.data.test, network.classes, known.capture.frames)
         check_learned(row.name, path, known.record, test)
         found.append(_built(row.name, path, test))
-    if len({(_kind(each), each.slivers) for each in found}) > 1:
-        raise InputError(
-            row.name,
-            "its checkpoints are of different networks or trainings; give those that differ in their seed alone",
-        )
+    cure = "give those of trainings that differ in their seed alone, one of each"
+    if len({(_kind(each), each.capture.frames) for each in found}) > 1:
+        raise InputError(row.name, f"its checkpoints are of different networks or trainings; {cure}")
+    seeds = [load_checkpoint(each.path).record.get("config", {}).get("seed", each.digest) for each in found]
+    if len(set(seeds)) < len(seeds):
+        raise InputError(row.name, f"two of its checkpoints are of the same training, seed {seeds[0]}; {cure}")
     return found
 
 
 def _kind(one: Trained) -> str:
-    """Return what a classifier is, what it learned and what it is tested on, but for its seed and its number of slivers."""
+    """Return what a classifier is, how it was trained and on what it is tested, but for its seed and number of slivers."""
     known = load_checkpoint(one.path)
-    shuffled = known.record.get("config", {}).get("data", {}).get("shuffle_labels")
-    return sha256_bytes(canonical_json([known.architecture, shuffled, one.test.fingerprint]))
+    config, data_sets = (known.record.get(key, {}) for key in ("config", "data sets"))
+    how = {key: config.get(key) for key in _TRAINED_BY}
+    how["data"] = {key: config.get("data", {}).get(key) for key in _TRAINED_ON}
+    sets = [data_sets.get(split, {}).get("fingerprint") for split in ("train", "validation")]
+    told = [known.architecture, how, sets, known.record.get("init_from"), one.test.fingerprint]
+    return sha256_bytes(canonical_json(told))
 
 
 def _moved(config: RecognitionConfig, one: Trained, folder: str) -> Trained:
@@ -238,12 +246,14 @@ def _answers(
             cache.save_arrays(key, kept)
         starts.done(one)
         chances.append(kept["probabilities"])
-    first = seeds[0]
+    first, known = seeds[0], [load_checkpoint(one.path) for one in seeds]
     truth = np.array(class_numbers(first.test, first.network.classes))
-    architecture = load_checkpoint(first.path).architecture
-    looks = f"{architecture['frames']} frames" if "frames" in architecture else ""
-    words = ", ".join(filter(None, [architecture["network"], looks, architecture["classifier"]]))
     parameters = sum(parameter.numel() for parameter in first.network.parameters()) / 1e6
+    architecture, steps = known[0].architecture, known[0].record.get("config", {}).get("steps")
+    looks = {"all": "all frames", "shuffled": "shuffled frames", "middle": "the middle frame"}
+    words = [architecture["network"], looks.get(architecture.get("frames", "")), architecture["classifier"]]
+    words += [f"{parameters:.2f} million parameters", f"{steps} steps" if steps else None]
+    words += [f"tested on {first.test.root.name}"]
     return Answers(
         first.name,
         first.network.classes,
@@ -253,7 +263,18 @@ def _answers(
         clips=clips_of(first.test),
         slivers=first.slivers,
         kind=_kind(first),
-        note=f"{words}, {parameters:.2f} million parameters",
+        note=", ".join(filter(None, words)),
+        checkpoints=tuple(
+            {
+                "file": str(one.path),
+                "sha256": one.digest,
+                **{key: each.record.get("config", {}).get(key) for key in ("seed", "steps")},
+                "step": each.record.get("step"),
+                "trained_on": each.record.get("data sets", {}).get("train"),
+            }
+            for one, each in zip(seeds, known, strict=True)
+        ),
+        test=first.test.fingerprint,
         seed=config.seed,
     )
 
@@ -276,6 +297,9 @@ def _probabilities(
             measurement = torch.stack([each.measurement for each in batch]).to(device)
             radiance = torch.stack([each.radiance for each in batch]).to(device)
             answer = network(*network.looks_at(measurement, starts.of(one, first, measurement), radiance))
+            if not bool((good := answer.logits.isfinite().all(dim=1)).all()):
+                sample = one.test.ids[first + int((~good).nonzero()[0])]
+                raise InputError(one.name, f"its answer to sample {sample} is NaN or infinite; check {one.path}")
             found.append(answer.logits.softmax(dim=1).cpu().numpy())
             progress(stage, first + len(batch), len(examples))
     return np.concatenate(found)

@@ -44,14 +44,15 @@ _PUBLISHED = """## Published, on other data
 The thesis's method keeps 76 % of the top-1 accuracy of the same classifier on the frames of a lens. Its films, classes and
 training differ from those above; only such shares may be compared, with caution."""
 _HOW = (
-    "Accuracies are shares of the test captures, means over seeds; in brackets the 95 % bootstrap interval over captures, "
-    "and after ± half the 95 % interval (Student's t) over seeds where there are several. The log loss is in nats; the "
-    "calibration error is the mean difference of confidence and accuracy (ECE, 10 bins), mean over seeds."
+    "Accuracies are shares of the test captures, means over seeds; in brackets the 95 % bootstrap interval over captures "
+    "(Wilson's where all are right, or none), and after ± half the 95 % interval (Student's t) over seeds where there are "
+    "several. The log loss is in nats; the calibration error is the mean difference of confidence and accuracy (ECE, 10 "
+    "bins), mean over seeds."
 )
 _LEAD = (
-    "Differences of top-1 accuracies in percentage points, and their 95 % bootstrap intervals over captures: paired, capture "
-    "by capture, where both saw the same clips, else of independent means. How trainings with other seeds differ is not in "
-    "them: compare with the ± of the rows."
+    "Differences of top-1 accuracies in percentage points, and their 95 % intervals over captures: where both saw the same "
+    "clips, bootstrap of the differences capture by capture (paired), else of independent means (Newcombe's). How trainings "
+    "with other seeds differ is not in them: compare with the ± of the rows."
 )
 
 
@@ -167,20 +168,20 @@ def _figures(found: Recognition) -> dict[str, bytes]:
     shown = [one for one in (found.reference, *ceiling) if one]
     figures = {CONFUSION: confusion_png(shown), RELIABILITY: reliability_png(shown, colours)}
     levels = [one for one in found.answers if one.noise_db is not None]
-    still = chance(found.reference.classes)
+    constant = majority(found.reference.truth)
     if levels:
         points = {
             name: [(one.noise_db, one) for one in levels if one.name == name and one.noise_db is not None]
             for name in dict.fromkeys(one.name for one in levels)
         }
-        figures[NOISE] = against_png(points, colours, "PSNR of the capture, dB", still)
+        figures[NOISE] = against_png(points, colours, "PSNR of the capture, dB", constant)
     by_slivers = _by_slivers(found)
     if by_slivers:
         name = found.reference.name
         points = {name: [(float(one.slivers or 0), one) for one in by_slivers]}
-        figures[SLIVERS] = against_png(points, colours, "slivers", still)
+        figures[SLIVERS] = against_png(points, colours, "slivers", constant)
     if found.sheet:
-        line = "above what is done, as a lens sees it; below what the network sees in each sliver, and says"
+        line = "top: true frames and class; bottom: estimate of each sliver and predicted class"
         figures[SHEET] = png_bytes(film_sheet(found.sheet, found.config.name, line))
     return figures
 
@@ -238,9 +239,10 @@ def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
             "The same clips reversed in time and re-simulated: what those captures that were classified correctly (rows) are "
             "classified as then (columns), % of them."
         )
-        parts += ["## Backwards", words, markdown(["", *classes], rows)]
+        parts += ["## Time-reversed clips", words, markdown(["", *classes], rows)]
     if found.times:
-        words = f"Seconds for a capture, one at a time, median of {found.config.timed}; {found.device}."
+        count = min(found.config.timed, len(found.reference.truth))
+        words = f"Seconds for a capture, one at a time, medians of {count}, and their sum; {found.device}."
         stages = list(dict.fromkeys(stage for times in found.times.values() for stage in times))
         rows = [
             [

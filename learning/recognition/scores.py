@@ -7,7 +7,7 @@ another one, where there are several seeds, what trainings with other seeds woul
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -38,6 +38,8 @@ class Answers:
         slivers: how many frames it tells apart in a capture; None of what looks at no capture.
         kind: what it is but for seed and number of slivers: rows of one kind are compared by these.
         note: the network in words.
+        checkpoints: of each seed, plain: its file, what was learned with which seed in how many steps.
+        test: fingerprint of the data with the captures.
         seed: of the intervals' resampling.
     """
 
@@ -50,6 +52,8 @@ class Answers:
     slivers: int | None = None
     kind: str = ""
     note: str = ""
+    checkpoints: tuple[Mapping[str, Any], ...] = ()
+    test: str = ""
     seed: int = 0
 
     @cached_property
@@ -142,6 +146,8 @@ class Answers:
             "captures": len(self.truth),
             "seeds": len(self.probabilities),
             "note": self.note,
+            "checkpoints": list(self.checkpoints),
+            "test_fingerprint": self.test,
             **{
                 f"top_{top}": {
                     "mean": self.accuracy(top),
@@ -160,8 +166,8 @@ class Answers:
 class Lead:
     """By how much the reference's top-1 accuracy exceeds another's, and the 95 % interval of that over captures.
 
-    The interval is that of the differences capture by capture, ``paired``, or where the two have seen other clips, of
-    independent means.
+    The interval is that of the differences capture by capture, ``paired``; where the two have seen other clips, or all
+    differences are alike, that of independent means.
     """
 
     other: str
@@ -173,15 +179,16 @@ class Lead:
 def lead(reference: Answers, other: Answers) -> Lead:
     """Return by how much one classifier is ahead of another; captures are paired where they show the same clips in order."""
     one, two = reference.right(), other.right()
-    mean = float(one.mean() - two.mean())
-    if reference.clips == other.clips:
+    mean, paired = float(one.mean() - two.mean()), reference.clips == other.clips
+    if paired and np.ptp(one - two) > 0:
         return Lead(other.name, mean, mean_interval(one - two, reference.seed), paired=True)
-    ends = [each.intervals[1] for each in (reference, other)]
-    if None in ends:
-        return Lead(other.name, mean, None, paired=False)
-    # Of independent means, half widths add up in squares.
-    half = math.hypot(*((high - low) / 2 for low, high in filter(None, ends)))
-    return Lead(other.name, mean, (mean - half, mean + half), paired=False)
+    ends = reference.intervals[1], other.intervals[1]
+    if ends[0] is None or ends[1] is None:
+        return Lead(other.name, mean, None, paired)
+    # Newcombe's hybrid (Statistics in Medicine 17, 1998, method 10): distances to the ends add up in squares.
+    below = math.hypot(one.mean() - ends[0][0], ends[1][1] - two.mean())
+    above = math.hypot(ends[0][1] - one.mean(), two.mean() - ends[1][0])
+    return Lead(other.name, mean, (mean - below, mean + above), paired)
 
 
 def chance(classes: Sequence[str], top: int = 1) -> float:

@@ -193,11 +193,30 @@ def test_mirrors_are_refused_where_a_class_has_a_side(
     mirrored = activity_settings(data={"augment": Augmentation(reverse=False)}, steps=1)
     with pytest.raises(InputError, match=r"data\.augment\.flip.*leftwards"):
         train_activity(mirrored)
-    monkeypatch.setattr("learning.train_activity.class_names", lambda _: ("away", "towards"))
     monkeypatch.setattr(
         "learning.train_activity.class_numbers", lambda dataset, _: [at % 2 for at in range(len(dataset))]
     )
+    known = "learning.train_activity.class_names"
+    for sided in ("moving_left", "Turning it upside down", "picking_up", "anticlockwise", "Turning counter-clockwise"):
+        monkeypatch.setattr(known, lambda _, sided=sided: ("towards", sided))
+        with pytest.raises(InputError, match=rf"data\.augment\.flip.*{sided}"):
+            train_activity(mirrored)
+    monkeypatch.setattr(known, lambda _: ("showing a clock", "showing a bright upright cup and leftovers"))
     train_activity(mirrored)
+
+
+@pytest.mark.parametrize(
+    ("network", "key"),
+    [
+        ({"size": "compact", "filters": 64}, "filters: got 64, but a network without MeasNet"),
+        ({"initial_estimate": "slivers", "joint_noise": 2}, "joint_noise: got 2.0, but a network without joint least"),
+    ],
+)
+def test_numbers_of_what_a_network_lacks_are_refused(
+    activity_settings: Settings, network: dict[str, Any], key: str
+) -> None:
+    with pytest.raises(InputError, match=rf"network\.{key}"):
+        train_activity(activity_settings(steps=1, network={"name": "activitynet"} | network))
 
 
 def test_data_without_classes_are_refused(activity_settings: Settings, clip_dataset: Path, tiny_dataset: Path) -> None:
@@ -221,6 +240,25 @@ def test_it_begins_with_a_videonet(activity_settings: Settings, tmp_path: Path, 
     for name, value in network.state_dict().items():
         if name.startswith("measnet."):
             torch.testing.assert_close(found[name], value, rtol=0, atol=1e-6)
+
+
+def test_it_begins_with_one_for_other_classes(activity_settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All but the last layer is taken; of one for the same classes, that too."""
+    path = train_activity(activity_settings("known", steps=1)).folder / LAST
+    known: Any = load_checkpoint(path).network
+    last = {f"classifier.{name}" for name in known.classifier.last_layer}
+    assert len(last) == 2
+    slow = {"learning_rate": 1e-9, "warm_up": 0.0, "freeze_statistics": 0.0}
+    for name, classes in (("same", None), ("other", ("a", "b", "c"))):
+        if classes:
+            monkeypatch.setattr("learning.train_activity.class_names", lambda _, classes=classes: classes)
+            monkeypatch.setattr("learning.train_activity.class_numbers", lambda dataset, _: [0] * len(dataset))
+        settings = activity_settings(name, steps=1, init_from=str(path), optimiser=slow)
+        found = load_checkpoint(train_activity(settings).folder / LAST).network.state_dict()
+        for key, value in known.state_dict().items():
+            if key not in last or not classes:
+                torch.testing.assert_close(found[key], value, rtol=0, atol=1e-6)
+        assert len(found[max(last)]) == len(classes or known.classes)
 
 
 def test_a_lens_classifier_begins_with_weights_of_torchvision(

@@ -17,7 +17,8 @@ from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.commands import evaluate as command
 from learning.config import RecognitionConfig, evaluation_kind, load_file
 from learning.data import ExampleSet
-from learning.models import ActivityNet, build_network, named
+from learning.models import ActivityNet, RawClassifier, build_network, named
+from learning.models.activitynet import Answer
 from learning.recognition import job
 from learning.recognition.job import recognise
 from learning.timing import with_slivers
@@ -130,8 +131,25 @@ def test_networks_that_begin_alike_share_it(
     )
 
 
+def test_answers_that_are_no_numbers_are_refused(
+    settings: Any, networks: dict[str, list[Path]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Before they are kept: a repaired checkpoint must not meet them again."""
+
+    def forward(self: RawClassifier, measurement: torch.Tensor) -> Answer:
+        logits = torch.zeros(len(measurement), 2)
+        logits[-1] = torch.nan
+        return Answer(logits, logits[:0])
+
+    monkeypatch.setattr(RawClassifier, "forward", forward)
+    rows = [{"name": "raw", "checkpoints": [str(networks["raw"][0])]}]
+    with pytest.raises(InputError, match=r"raw: its answer to sample s00000002 is NaN or infinite; check .*raw1"):
+        recognise(settings(classifiers=rows, ceiling=None))
+    assert not list((tmp_path / "out" / "cache").glob("*.npz"))
+
+
 def test_the_report_and_its_files(settings: Any, tmp_path: Path) -> None:
-    _, files = recognise(settings())
+    found, files = recognise(settings())
     assert {path.name for path in files} == {
         *("report.md", "results.json", "table.csv", "confusion.png", "reliability.png", "noise.png", "sheet.png")
     }
@@ -147,7 +165,13 @@ def test_the_report_and_its_files(settings: Any, tmp_path: Path) -> None:
         assert words in report
     results = json.loads((tmp_path / "out" / "results.json").read_bytes())
     assert results["classes"] == CLASSES
-    assert results["answers"][0]["top_1"]["mean"] in {n / 16 for n in range(17)}  # 8 captures, 2 seeds
+    right = [one.guesses == one.truth for one in found.main]
+    assert [one["top_1"]["mean"] for one in results["answers"][:3]] == [pytest.approx(one.mean()) for one in right]
+    assert 0 < right[0].mean() < 1
+    told = results["answers"][1]
+    assert told["note"].startswith("lens_classifier, all frames, dronet, 0.3")
+    assert [Path(one["file"]).name for one in told["checkpoints"]] == ["lens1.safetensors", "lens2.safetensors"]
+    assert told["test_fingerprint"] == results["data"]["fingerprint"]
     assert {lead["other"]: lead["paired"] for lead in results["reference_leads"]} == {"lens": True, "raw": True}
     assert list(results["seconds"]["net"]) == ["joint", "network"]
     rows = list(csv.DictReader((tmp_path / "out" / "table.csv").open(encoding="utf-8")))
@@ -197,7 +221,7 @@ def test_backwards_and_other_captures(
     np.testing.assert_array_equal(found.backwards.probabilities, found.main[2].probabilities)
     assert (files[0].parent / "slivers.png").exists()
     report = files[0].read_text(encoding="utf-8")
-    assert "## Backwards" in report
+    assert "## Time-reversed clips" in report
     assert "| 2 |" in report
 
 
@@ -241,6 +265,24 @@ def test_networks_and_data_that_do_not_fit(
     other = save(tmp_path / "more.safetensors", capture, NETWORKS["lens"] | {"classes": [*CLASSES, "up"]}, 0)
     refused("of different networks or trainings", [networks["lens"][0], other])
     refused("of different networks or trainings", [networks["lens"][0], networks["raw"][0]])
+    trained = {"seed": 4, "steps": 9, "optimiser": {"learning_rate": 1e-3}, "data": {"draws": 2}}
+    data_sets = {"train": {"fingerprint": "a"}}
+    first, again = (
+        save(tmp_path / f"{at}.safetensors", capture, NETWORKS["lens"], at, config=trained, **{"data sets": data_sets})
+        for at in (1, 2)
+    )
+    refused("two of its checkpoints are of the same training, seed 4", [first, again])
+    copy = tmp_path / "copy.safetensors"
+    copy.write_bytes(networks["lens"][0].read_bytes())
+    refused("two of its checkpoints are of the same training", [networks["lens"][0], copy])
+    for config, sets in (
+        (trained | {"seed": 5, "steps": 10}, data_sets),
+        (trained | {"seed": 5, "optimiser": {"learning_rate": 1e-4}}, data_sets),
+        (trained | {"seed": 5, "data": {"draws": 1}}, data_sets),
+        (trained | {"seed": 5}, {"train": {"fingerprint": "b"}}),
+    ):
+        another = save(tmp_path / "b.safetensors", capture, NETWORKS["lens"], 3, config=config, **{"data sets": sets})
+        refused("of different networks or trainings", [first, another])
     rows = [{"name": "one", "checkpoints": [str(networks["lens"][0])]}, {"name": "two", "checkpoints": [str(other)]}]
     with pytest.raises(
         InputError, match=r"two: it has the classes .*, up, expected those of one: leftwards, rightwards"

@@ -137,6 +137,21 @@ def test_a_lead_is_paired_where_the_captures_are_the_same() -> None:
     assert (apart.interval[1] - apart.interval[0]) / 2 == pytest.approx(1.96 * spread, rel=0.05)
 
 
+def test_a_lead_of_all_against_none_is_not_certain() -> None:
+    """Of 20 captures each: Newcombe (1998), method 10, from Wilson's 83.9 % .. 100 % and 0 % .. 16.1 %; and at most 100 %."""
+    truth = np.zeros(20, int)
+    right, wrong = (answers([np.tile(each, (20, 1))], truth) for each in ([0.8, 0.1, 0.1], [0.1, 0.8, 0.1]))
+    low = 1 - 20 / (20 + 1.95996**2)
+    for clips in ((), ("another", "data set")):
+        other = answers(wrong.probabilities, truth, "second", clips=clips)
+        found = lead(right, other)
+        assert found.paired == (clips == ())
+        assert found.interval == pytest.approx((1 - np.hypot(low, low), 1), rel=1e-5)
+        assert lead(right, answers(right.probabilities, truth, clips=clips)).interval == pytest.approx(
+            (-low, low), rel=1e-5
+        )
+
+
 def test_what_looks_at_nothing() -> None:
     assert chance(CLASSES) == pytest.approx(1 / 3)
     assert chance(CLASSES, 5) == 1
