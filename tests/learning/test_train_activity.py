@@ -93,7 +93,7 @@ def test_a_resumed_training_is_the_same(activity_settings: Settings, monkeypatch
     step = ActivityTraining._step
 
     def stopped(training: ActivityTraining, wrapped: Any, batch: Any, stop: Any) -> bool:
-        stop.wanted = training.progress.step == 3
+        stop.wanted = training.progress.step == 1  # of 6, before statistics are frozen
         return step(training, wrapped, batch, stop)
 
     monkeypatch.setattr(ActivityTraining, "_step", stopped)
@@ -102,11 +102,10 @@ def test_a_resumed_training_is_the_same(activity_settings: Settings, monkeypatch
     monkeypatch.setattr(ActivityTraining, "_step", step)
     torch.manual_seed(99)
     again = train_activity(first)
-    assert again.steps == 2
-    for one, other in zip(
-        *(load_checkpoint(each.folder / LAST).network.parameters() for each in (whole, again)), strict=True
-    ):
-        assert torch.equal(one, other)
+    assert again.steps == 4
+    one, other = (load_checkpoint(each.folder / LAST).network.state_dict() for each in (whole, again))
+    for name, values in one.items():
+        assert torch.equal(values, other[name]), name
 
 
 def test_labels_go_with_their_clips_and_are_shuffled_for_learning_only(
