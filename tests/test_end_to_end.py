@@ -55,6 +55,7 @@ def sample_hashes(root: Path) -> dict[str, str]:
     return {str(path.relative_to(root)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
+@pytest.mark.slow
 def test_a_data_set_of_rendered_scenes(trial) -> None:
     changes = {"camera": {"mask": PHLATCAM, "exposure": {"full_scale": "auto"}}, "scene": RENDERED}
     root = trial.generate(**changes)

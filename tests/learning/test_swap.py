@@ -259,6 +259,7 @@ def test_the_evaluation_of_another_name_is_kept(load: Load, tmp_path: Path, monk
         swap_masks(load())
 
 
+@pytest.mark.slow
 def test_samples_that_fail_stop_it(load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = GenerateResult(tmp_path / "out" / "one" / "data", 5, 0, ("train/s00000005: no clip today",), 1.0)
     monkeypatch.setattr(swap, "generate", lambda *_, **__: made)

@@ -78,6 +78,7 @@ def test_learns_frames_and_depth_beyond_its_flatnet(
     assert result.best["score"] == pytest.approx(score, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_goes_on_from_one_of_its_own(moving_settings: Settings) -> None:
     first = train_video_3d(moving_settings("first", steps=4)).folder / BEST
     again = train_video_3d(moving_settings("again", steps=1, init_from=str(first), optimiser={"learning_rate": 1e-9}))

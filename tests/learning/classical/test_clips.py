@@ -129,7 +129,7 @@ def test_one_sliver_is_the_static_inversion(which: str, measurement: Tensor, req
 
 def test_joint_and_fista_are_their_modules_with_all_parameters(clip_capture: CaptureModel, measurement: Tensor) -> None:
     numbers: dict[str, Any] = {"static": 0.2, "moving": 0.3, "memory": 3.0, "sharpest": 0.1, "decay": 1.5}
-    numbers |= {"noise": 2.0, "iterations": 4}
+    numbers |= {"noise": 2.0, "iterations": 4, "correlation": 0.5}
     wanted = JointLeastSquares(clip_capture, **numbers)(measurement)
     assert torch.equal(build_method(clip_capture, "joint", numbers).volume(measurement), wanted)
     tv: dict[str, Any] = {"tv": 0.03, "tv_over_time": 2.0, "iterations": 3, "prox": "haar", "inner": 2}
