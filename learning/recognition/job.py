@@ -126,8 +126,9 @@ def _read(config: RecognitionConfig, row: ClassifierConfig) -> list[Trained]:
     if len({(_kind(each), each.capture.frames) for each in found}) > 1:
         raise InputError(row.name, f"its checkpoints are of different networks or trainings; {cure}")
     seeds = [load_checkpoint(each.path).record.get("config", {}).get("seed", each.digest) for each in found]
-    if len(set(seeds)) < len(seeds):
-        raise InputError(row.name, f"two of its checkpoints are of the same training, seed {seeds[0]}; {cure}")
+    twice = next((str(each.path) for at, each in enumerate(found) if seeds[at] in seeds[:at]), None)
+    if twice:
+        raise InputError(row.name, f"{twice} is of a training that another of its checkpoints is of, too; {cure}")
     return found
 
 
@@ -138,6 +139,7 @@ def _kind(one: Trained) -> str:
     how = {key: config.get(key) for key in _TRAINED_BY}
     how["data"] = {key: config.get("data", {}).get(key) for key in _TRAINED_ON}
     sets = [data_sets.get(split, {}).get("fingerprint") for split in ("train", "validation")]
+    sets.append(data_sets.get("stack"))
     told = [known.architecture, how, sets, known.record.get("init_from"), one.test.fingerprint]
     return sha256_bytes(canonical_json(told))
 
