@@ -1,7 +1,8 @@
 """What a network for clips learns from: captures, frames, and what is dear to compute of them, kept in a file.
 
 The joint estimate that a network may begin with takes longer than a step of its training. So a clip is changed and
-re-simulated a fixed number of times, and each time is worked out once, by whichever process needs it first.
+re-simulated a fixed number of times, and each time is worked out once, by whichever process needs it first. A GPU, which
+computes many estimates in the time of one, works them all out before the first step.
 """
 
 from __future__ import annotations
@@ -9,7 +10,8 @@ from __future__ import annotations
 import copy
 import os
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -22,8 +24,8 @@ from torch.utils.data import Dataset as TorchDataset
 
 from learning.camera import CaptureModel
 from learning.config import ActivityTrainConfig, Video3DTrainConfig, VideoTrainConfig
-from learning.data import Draw, ExampleSet, SampleCache, clip_of, read_scene
-from learning.method import torch_threads
+from learning.data import Arrays, Draw, ExampleSet, Loader, SampleCache, clip_of, read_scene
+from learning.method import Progress, torch_threads
 from learning.provenance import sample_digests
 from learning.simulate import SceneCamera
 from simulator.dataset.reader import Dataset
@@ -31,6 +33,7 @@ from simulator.io.cache import code_digest
 from simulator.io.files import sha256_bytes, storage_errors
 
 _CHECKSUM = 4  # bytes; of nothing but zeros it is not 0, so that a hole in the file is no record
+_AT_ONCE = 16  # captures of which a GPU works out the starts together
 
 
 class ClipExample(NamedTuple):
@@ -85,6 +88,7 @@ class ClipExamples(TorchDataset[ClipExample]):
         cache: Path | None,
         labels: Sequence[int] | None = None,
         depth: bool = False,
+        on_gpu: bool = False,
     ) -> None:
         """Prepare; a training's examples are worked out when they are asked for.
 
@@ -99,6 +103,7 @@ class ClipExamples(TorchDataset[ClipExample]):
             cache: folder to keep examples in; None keeps nothing.
             labels: of each clip, the number of its class; None where classes do not matter.
             depth: whether depths are wanted.
+            on_gpu: whether the network is on a GPU: of what is not kept, it computes the start itself.
         """
         self.dataset, self._examples, self._begin = examples.dataset, examples, begin
         self._draws = draws if examples.redrawn else 1
@@ -106,6 +111,8 @@ class ClipExamples(TorchDataset[ClipExample]):
         self._camera = SceneCamera(examples.dataset) if measured else None
         self._scene = partial(read_scene, examples.dataset, timing=examples.timing)
         self._kept: KeptRecords | None = None
+        if on_gpu and (cache is None or not self._draws):
+            self._begin = _Begin(None)
         if cache is None:
             return
         if measured:
@@ -130,9 +137,8 @@ class ClipExamples(TorchDataset[ClipExample]):
 
     def __getitem__(self, draw: Draw | int) -> ClipExample:
         """Return a clip; a plain position is draw number 0."""
-        position, number = draw if isinstance(draw, tuple) else (draw, 0)
-        number = number % self._draws if self._draws else number
-        at = position * self._draws + number
+        position, number = self._version(draw) if isinstance(draw, tuple) else (draw, 0)
+        at = self._place(position, number)
         arrays = None if self._kept is None else self._kept.read(at)
         if arrays is None:
             arrays = self._worked_out(position, number)
@@ -145,16 +151,54 @@ class ClipExamples(TorchDataset[ClipExample]):
         measurement, radiance, start, seen, depth_m = (torch.from_numpy(values.astype(np.float32)) for values in every)
         return ClipExample(measurement, radiance, start, seen, label, depth_m)
 
-    def _worked_out(self, position: int, number: int) -> dict[str, NDArray[Any]]:
-        """Return measurement, and in half precision, of which a loss sees nothing, radiance, start and depth."""
-        example = self._examples[Draw(position, number)]
+    def begin_ahead(
+        self, draws: Iterable[Draw], begin: Callable[[Tensor], Tensor], workers: int, progress: Progress
+    ) -> None:
+        """Work out and keep all of these draws that are not kept yet; nothing where none are kept.
+
+        Args:
+            draws: for which a training will ask.
+            begin: gives the starts of measurements ``(B, C, H, W)``; it is on a GPU, and takes some captures at once.
+            workers: how many processes simulate the captures.
+            progress: called with the stage ``starts``, what is done and how much there is in all.
+        """
+        if self._kept is None:
+            return
+        versions = dict.fromkeys(map(self._version, draws))
+        missing = [draw for draw in versions if not self._kept.holds(self._place(*draw))]
+        parts = [missing[first : first + _AT_ONCE] for first in range(0, len(missing), _AT_ONCE)]
+        loader = Loader(_WithoutStart(self, self.dataset), parts, workers)
+        try:
+            for number, (part, known) in enumerate(zip(parts, loader, strict=True)):
+                starts = begin(known.measurement).to("cpu", torch.float16)
+                for draw, start, *others in zip(part, starts, *known, strict=True):
+                    arrays = {name: values.numpy() for name, values in zip(_Known._fields, others, strict=True)}
+                    self._kept.write(self._place(*draw), arrays | {"start": start.numpy()})
+                progress("starts", number * _AT_ONCE + len(part), len(missing))
+        finally:
+            loader.close()
+
+    def _version(self, draw: Draw) -> Draw:
+        """Return the draw that is the same as another one."""
+        return draw._replace(number=draw.number % self._draws) if self._draws else draw
+
+    def _place(self, position: int, number: int) -> int:
+        return position * self._draws + number
+
+    def _worked_out(self, position: int, number: int) -> Arrays:
+        known = self.without_start(position, number)
         with torch_threads(1):  # beside the training, and the other workers
-            start = self._begin(example.measurement[None])
-        first = np.empty(0, np.float16) if start is None else start[0].numpy().astype(np.float16)
-        radiance = (example.radiance.numpy() / self._white).astype(np.float16)
-        seen = torch.where(example.valid, example.depth_m, 0).numpy() if self._depth else np.empty(0)
-        worked_out = {"measurement": example.measurement.numpy(), "radiance": radiance, "start": first}
-        return worked_out | {"depth_m": seen.astype(np.float16)}
+            start = self._begin(known.measurement[None])
+        first = torch.empty(0) if start is None else start[0]
+        arrays = {name: values.numpy() for name, values in known._asdict().items()}
+        return arrays | {"start": first.to(torch.float16).numpy()}
+
+    def without_start(self, position: int, number: int) -> _Known:
+        """Return a draw as it is kept, but for its start."""
+        example = self._examples[Draw(position, number)]
+        seen = torch.where(example.valid, example.depth_m, 0) if self._depth else torch.empty(0)
+        radiance = torch.from_numpy((example.radiance.numpy() / self._white).astype(np.float16))
+        return _Known(example.measurement, radiance, seen.to(torch.float16))
 
     def _seen(self, position: int, number: int) -> NDArray[np.float32]:
         """Return the global measurements of the clip as this draw has changed it."""
@@ -174,6 +218,7 @@ def open_clip_examples(
     joint: Initial | None,
     measured: bool,
     cache: Path | None,
+    on_gpu: bool,
     labels: Sequence[int] | None = None,
     depth: bool = False,
 ) -> ClipExamples:
@@ -200,7 +245,30 @@ def open_clip_examples(
         cache=cache,
         labels=labels,
         depth=depth,
+        on_gpu=on_gpu,
     )
+
+
+class _Known(NamedTuple):
+    """A draw without its start; but for the measurement in half precision, of which a loss sees nothing."""
+
+    measurement: Tensor
+    radiance: Tensor
+    depth_m: Tensor
+
+
+@dataclass
+class _WithoutStart(TorchDataset[_Known]):
+    """Clips as they are kept, but for their starts."""
+
+    examples: ClipExamples
+    dataset: Dataset
+
+    def __len__(self) -> int:
+        return len(self.examples)
+
+    def __getitem__(self, draw: Draw | int) -> _Known:
+        return self.examples.without_start(*(draw if isinstance(draw, tuple) else (draw, 0)))
 
 
 class _Begin:
@@ -241,6 +309,11 @@ class KeptRecords:
             return None
         record = np.frombuffer(content, self._kind)[0]
         return {name: record[name] for name in self._kind.names or ()}
+
+    def holds(self, at: int) -> bool:
+        """Return whether a record was written; `read` also knows whether it is damaged, and takes longer."""
+        first = os.pread(self._open(), _CHECKSUM, at * (_CHECKSUM + self._kind.itemsize))
+        return len(first) == _CHECKSUM and any(first)
 
     def write(self, at: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keep a record."""

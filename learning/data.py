@@ -333,7 +333,7 @@ class Loader(Generic[Item]):
     def __init__(
         self,
         examples: Examples[Item],
-        order: Sampler[list[Draw]] | Sequence[list[int]],
+        order: Sampler[list[Draw]] | Sequence[list[Draw]] | Sequence[list[int]],
         workers: int,
         *,
         pin_memory: bool = False,

@@ -20,7 +20,8 @@ from learning.evaluate.films import NamedFilm, film_sheet
 from learning.labels import class_names, class_numbers
 from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.models.activitynet import ACTIVITY_SIZES, ActivityNet, Answer, Classifier, LensClassifier
-from learning.train import NetworkTraining, origin
+from learning.train import origin
+from learning.train_video import ClipTraining
 from learning.training_loop import TrainResult, find_cache, run
 from learning.validation import to_device
 from simulator.dataset.reader import Dataset
@@ -68,7 +69,7 @@ class ActivityLoss(nn.Module):
         return self.settings.model_dump()
 
 
-class ActivityTraining(NetworkTraining[ClipExample]):
+class ActivityTraining(ClipTraining):
     """From captures, or the frames of a lens, to classes."""
 
     _config: ActivityTrainConfig
@@ -119,6 +120,7 @@ class ActivityTraining(NetworkTraining[ClipExample]):
             joint=network.joint if of_clips else None,
             measured=of_clips and network.measnet is not None,
             cache=find_cache(dataset, config, self._say),
+            on_gpu=self._group.on_cuda,
             labels=numbers,
         )
 

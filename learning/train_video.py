@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from learning.checkpoint import load_checkpoint
 from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
 from learning.clip_loss import ClipLoss
 from learning.config import VideoTrainConfig
-from learning.data import Loader
+from learning.data import Draw, Loader
 from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.metrics import moving_pixels, psnr, psnr_at
 from learning.models.videonet import VideoNet
@@ -34,7 +34,16 @@ def train_video(
     return run(VideoTraining, config, progress, say)
 
 
-class VideoTraining(NetworkTraining[ClipExample]):
+class ClipTraining(NetworkTraining[ClipExample]):
+    """What trainings on clips have in common."""
+
+    def _begin_ahead(self, examples: ClipExamples, draws: Iterable[Draw]) -> None:
+        joint, device = getattr(self._network, "joint", None), self._group.device
+        if joint is not None:
+            examples.begin_ahead(draws, lambda seen: joint(seen.to(device)), self._workers, self._show)
+
+
+class VideoTraining(ClipTraining):
     """From captures to frames."""
 
     _network: VideoNet | VideoNet3D
@@ -58,6 +67,7 @@ class VideoTraining(NetworkTraining[ClipExample]):
             joint=network.joint,
             measured=network.measnet is not None,
             cache=find_cache(dataset, config, self._say),
+            on_gpu=self._group.on_cuda,
         )
 
     def _film(self, network: nn.Module, example: ClipExample) -> Any:

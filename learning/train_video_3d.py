@@ -81,6 +81,7 @@ class Video3DTraining(VideoTraining):
             joint=network.joint,
             measured=False,
             cache=find_cache(dataset, self._config, self._say),
+            on_gpu=self._group.on_cuda,
             depth=True,
         )
 

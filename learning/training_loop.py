@@ -6,11 +6,12 @@ of training defines its plan, its examples, its loss and metrics, and what is dr
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,7 +26,7 @@ from torch.utils.data import default_collate
 
 from learning.camera import CaptureModel
 from learning.config import LoopConfig, OptimiserConfig
-from learning.data import Batches, Examples, Item, Loader, check_dataset
+from learning.data import Batches, Draw, Examples, Item, Loader, check_dataset
 from learning.distributed import Precision, Processes, processes
 from learning.method import Progress, Say
 from learning.provenance import scenes_of
@@ -336,8 +337,13 @@ class Training(ABC, Generic[Item]):
         own = list(range(group.rank, len(self._held_out), group.world_size))
         size = max(config.batch // group.world_size, 1)
         parts = [own[first : first + size] for first in range(0, len(own), size)]
+        order = self._order(self.progress.step)
+        if group.on_cuda:
+            asked = map(order.batch, range(self.progress.step, config.steps))
+            self._begin_ahead(self._examples, itertools.chain.from_iterable(asked))
+            self._begin_ahead(self._held_out, [Draw(position, 0) for position in own])
         return (
-            Loader(self._examples, self._order(self.progress.step), self._workers, pin_memory=pin),
+            Loader(self._examples, order, self._workers, pin_memory=pin),
             Loader(self._held_out, parts, min(self._workers, 1), pin_memory=pin),
         )
 
@@ -467,6 +473,9 @@ class Training(ABC, Generic[Item]):
             "versions": {"flatlight": __version__, "torch": str(torch.__version__)},
         }
         self._save(self.folder / name, plan.architecture, record)
+
+    def _begin_ahead(self, examples: Any, draws: Iterable[Draw]) -> None:
+        """Compute on the GPU, before the first step, what of these draws takes the workers long."""
 
     def _rate(self, module: nn.Module) -> float:
         """Return the learning rate of a module's own parameters, as a multiple of the configuration's."""

@@ -202,7 +202,7 @@ def test_workers_get_the_same(make: Any) -> None:
     single = make(measured=True, cache=None)
     examples[Draw(2, 1)]
     for each in (examples, pickle.loads(pickle.dumps(examples))):
-        loader = Loader(each, order, 2)  # pyright: ignore[reportArgumentType]
+        loader = Loader(each, order, 2)
         batches = list(loader)
         loader.close()
         assert len(batches) == 3
@@ -214,6 +214,38 @@ def test_workers_get_the_same(make: Any) -> None:
     before = begin.calls
     after[Draw(7, 0)], after[Draw(0, 0)]
     assert begin.calls == before  # the workers wrote them
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_what_is_begun_ahead_is_what_would_be_worked_out(make: Any, workers: int) -> None:
+    """Every version once, of those that are not kept; the starts of many at once come from what is given."""
+    begin, shown, sizes = Counted(), [], []
+    examples, anew = make(begin), make(cache=None)
+    examples[Draw(3, 1)]
+    asked = begin.calls
+
+    def many(measurement: Tensor) -> Tensor:
+        sizes.append(len(measurement))
+        return torch.cat([Counted()(one[None]) for one in measurement])
+
+    draws = [Draw(position, number) for number in range(4) for position in range(8)]
+    for _ in range(2):
+        examples.begin_ahead(draws, many, workers, lambda *call: shown.append(call))
+    assert sizes == [16, 7]  # 8 clips in 3 versions but one
+    assert shown == [("starts", 16, 23), ("starts", 23, 23)]
+    for draw in draws:
+        assert same(examples[draw], anew[draw])
+    assert begin.calls == asked
+
+
+@pytest.mark.parametrize("changes", [{"draws": 0}, {"cache": None}, {"draws": 0, "cache": None}])
+def test_a_network_on_a_gpu_begins_by_itself_where_nothing_is_kept(make: Any, changes: dict[str, Any]) -> None:
+    begin = Counted()
+    examples = make(begin, on_gpu=True, **changes)
+    examples.begin_ahead([Draw(1, 1)], begin, 0, lambda *_: None)
+    found, wanted = examples[Draw(1, 1)], make(**changes)[Draw(1, 1)]
+    assert begin.calls == 0
+    assert same(found, wanted._replace(start=torch.empty(0)))
 
 
 def test_a_full_disk_is_named(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,6 +20,7 @@ from learning.clip_examples import ClipExample, _Begin
 from learning.commands import train as command
 from learning.config import TrainConfig, VideoTrainConfig, load_file, training_kind
 from learning.data import ExampleSet
+from learning.distributed import Processes, processes
 from learning.method import linear_to_srgb
 from learning.models import build_network
 from learning.models.videonet import Film, VideoNet
@@ -208,6 +209,28 @@ def test_what_is_kept_is_of_the_same_estimate_noise_and_changes(
     train_video(video_settings("second", steps=1, **changes | {"data": data | changes.get("data", {})}))
     assert len(before) == 2
     assert len(set((tmp_path / "cache").glob("*.clips")) - before) == files
+
+
+@pytest.mark.filterwarnings("ignore:'pin_memory' argument is set")
+def test_a_gpu_works_out_all_of_it_before_the_first_step(
+    video_settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The workers then have nothing left to compute, and read what they would have found: on a CPU the same bits."""
+    config = video_settings(steps=5, data={"augment": Augmentation()})
+    with processes("cpu") as group:
+        plan = VideoTraining.plan(config, group)
+        wanted = [next(iter(loader)) for loader in VideoTraining(plan, lambda *_: None, lambda _: None)._loaders()]
+        shutil.rmtree(config.resolve_path(str(config.data.cache)))
+        shown = []
+        training = VideoTraining(plan, lambda *call: shown.append(call), lambda _: None)
+        monkeypatch.setattr(Processes, "on_cuda", True)
+        loaders = training._loaders()
+        monkeypatch.setattr(_Begin, "__call__", None)
+        found = [next(iter(loader)) for loader in loaders]
+    for one, other in zip(found, wanted, strict=True):
+        assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
+    # 5 batches of 3 are the first draw of all 8 clips and the second of 7; validation has 2 clips
+    assert shown == [("starts", 15, 15), ("starts", 2, 2)]
 
 
 def test_what_a_network_begins_with_is_given_without_the_network(clip_capture: CaptureModel) -> None:
