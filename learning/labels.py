@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from simulator.dataset.manifest import load_manifest
-from simulator.dataset.reader import Dataset
+from simulator.dataset.reader import Dataset, spread_positions
 from simulator.errors import InputError
 from simulator.text import show
 
@@ -55,3 +55,14 @@ def class_numbers(dataset: Dataset, classes: Sequence[str]) -> list[int]:
         cure = "train with them, or leave them out (scene.actions)"
         raise InputError(dataset.root, f"{got}, expected what is learned: {', '.join(classes)}; {cure}")
     return [number[label] for label in found]
+
+
+def spread_over_classes(numbers: Sequence[int], count: int) -> list[int]:
+    """Return so many positions of samples, all of them at most, whose class numbers are as different as can be."""
+    order = sorted(range(len(numbers)), key=numbers.__getitem__)
+    return [order[place] for place in spread_positions(len(order), count)]
+
+
+def spoken(classes: Sequence[str]) -> list[str]:
+    """Return the names of classes as a reader wants them."""
+    return [name.replace("_", " ") for name in classes]

@@ -17,7 +17,7 @@ from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
 from learning.config import ActivityLossConfig, ActivityNetworkConfig, ActivityTrainConfig
 from learning.data import Loader
 from learning.evaluate.films import NamedFilm, film_sheet
-from learning.labels import class_names, class_numbers
+from learning.labels import class_names, class_numbers, spoken, spread_over_classes
 from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.models.activitynet import ACTIVITY_SIZES, ActivityNet, Answer, Classifier, LensClassifier
 from learning.train import origin
@@ -130,6 +130,9 @@ class ActivityTraining(ClipTraining):
         key = (self.progress.step, self._group.rank)
         torch.manual_seed(int(np.random.SeedSequence(self._config.seed, spawn_key=key).generate_state(1)[0]))
 
+    def _shown(self, count: int) -> list[int]:
+        return spread_over_classes(class_numbers(self._held_out.dataset, self._network.classes), count)
+
     def _answer(self, network: nn.Module, example: ClipExample) -> Answer:
         start = example.start if example.start.numel() else None
         with self._plan.precision.autocast():
@@ -178,13 +181,15 @@ class ActivityTraining(ClipTraining):
                 start = example.start if example.start.numel() else None
                 looked = self._network.looked_at(self._network.begun(example.measurement, start))
         truth = linear_to_srgb(example.radiance, self._capture.white)
-        clips = []
+        clips, classes = [], spoken(self._network.classes)
         for at, (frames, label) in enumerate(zip(truth, example.label.tolist(), strict=True)):
             chance, guess = chances[at].max(dim=0)
-            said = f"{self._network.classes[int(guess)]} {float(chance):.0%}"
-            films = [NamedFilm(self._network.classes[label], _pixels(frames), "" if looked is not None else said)]
+            said = f"{classes[int(guess)]} {float(chance):.0%}"
+            films = [NamedFilm(classes[label], _pixels(frames), "" if looked is not None else said)]
             clips.append(films if looked is None else [*films, NamedFilm("estimated", _pixels(looked[at]), said)])
-        return np.asarray(film_sheet(clips, self._config.name, "what is done, and what the network says"))
+        return np.asarray(
+            film_sheet(clips, self._config.name, "true frames and class; estimate of each sliver, and predicted class")
+        )
 
 
 def _check_used(network: ActivityNetworkConfig) -> None:

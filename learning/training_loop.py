@@ -444,7 +444,7 @@ class Training(ABC, Generic[Item]):
             progress.best = progress.last
         if log is not None:
             log.write(progress.step, "validation", metrics)
-            shown = default_collate([self._held_out[n] for n in spread_positions(len(self._held_out), SHOWN)])
+            shown = default_collate([self._held_out[position] for position in self._shown(SHOWN)])
             example = to_device(shown, self._group.device)
             log.show(progress.step, self._drawn(example))
             if better:
@@ -473,6 +473,10 @@ class Training(ABC, Generic[Item]):
             "versions": {"flatlight": __version__, "torch": str(torch.__version__)},
         }
         self._save(self.folder / name, plan.architecture, record)
+
+    def _shown(self, count: int) -> list[int]:
+        """Return the positions of what is shown of the validation split."""
+        return spread_positions(len(self._held_out), count)
 
     def _begin_ahead(self, examples: Any, draws: Iterable[Draw]) -> None:
         """Compute on the GPU, before the first step, what of these draws takes the workers long."""

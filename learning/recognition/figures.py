@@ -6,17 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from learning.labels import spoken
 from learning.recognition.scores import Answers
 from simulator.plots import drawing
 from simulator.plots.psf import GRID, INK, style
 
 _DPI = 120
 _GREY = "#8a9299"
-
-
-def spoken(classes: Sequence[str]) -> list[str]:
-    """Return the names of classes as a reader wants them."""
-    return [name.replace("_", " ") for name in classes]
 
 
 def confusion_png(answers: Sequence[Answers]) -> bytes:

@@ -20,7 +20,7 @@ from learning.evaluate.films import NamedFilm
 from learning.evaluate.folder import claim_folder, is_claimed
 from learning.evaluate.methods import LearnedEntry, check_learned
 from learning.evaluate.runs import CACHE, Cameras, ResultCache
-from learning.labels import class_numbers
+from learning.labels import class_numbers, spoken, spread_over_classes
 from learning.method import (
     Clock,
     Progress,
@@ -36,7 +36,7 @@ from learning.provenance import clips_of, sample_digests
 from learning.recognition.report import Recognition, write_recognition
 from learning.recognition.scores import Answers
 from learning.timing import with_slivers
-from simulator.dataset.reader import Dataset, open_dataset, spread_positions
+from simulator.dataset.reader import Dataset, open_dataset
 from simulator.errors import InputError
 from simulator.io.cache import code_digest
 from simulator.io.files import sha256_bytes, sha256_file
@@ -325,9 +325,9 @@ def _sheet(config: RecognitionConfig, one: Trained, device: torch.device) -> lis
     if not isinstance(one.network, ActivityNet):
         return []
     method, examples = ActivityMethod(one.name, one.network, one.capture).to(device), ExampleSet(one.test)
-    numbers, classes = class_numbers(one.test, one.network.classes), one.network.classes
+    numbers, classes = class_numbers(one.test, one.network.classes), spoken(one.network.classes)
     sheet = []
-    for at in spread_positions(len(examples), config.shown):
+    for at in spread_over_classes(numbers, config.shown):
         example = examples[at]
         measurement = example.measurement[None].to(device)
         frames = linear_to_srgb(example.radiance, one.capture.white)

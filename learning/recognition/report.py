@@ -16,9 +16,10 @@ from learning.evaluate.figures import method_colours
 from learning.evaluate.films import NamedFilm, film_sheet
 from learning.evaluate.folder import remove_stale
 from learning.evaluate.tables import markdown
+from learning.labels import spoken
 from learning.method import aligned
 from learning.provenance import versions
-from learning.recognition.figures import against_png, confusion_png, reliability_png, spoken
+from learning.recognition.figures import against_png, confusion_png, reliability_png
 from learning.recognition.scores import TOP, Answers, Lead, become, chance, lead, majority, without_nan
 from simulator.io.files import storage_errors, write_atomic
 from simulator.io.json import readable_json

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from learning.labels import class_names, class_numbers, labels
+from learning.labels import class_names, class_numbers, labels, spread_over_classes
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
 
@@ -27,3 +27,13 @@ def test_what_has_no_classes(labelled_dataset: Path, clip_dataset: Path) -> None
         class_names(one)
     with pytest.raises(InputError, match="samples of 'leftwards', expected what is learned: "):
         class_numbers(open_dataset(labelled_dataset), ("rightwards", "upwards"))
+
+
+def test_what_is_shown_is_of_different_classes() -> None:
+    """Classes that take turns, so that positions evenly apart are often of the same one."""
+    numbers = [place % 10 for place in range(400)]
+    for count in (4, 6, 10):
+        found = spread_over_classes(numbers, count)
+        assert len({numbers[at] for at in found}) == len(found) == count
+    assert sorted(spread_over_classes([1, 0, 1], 5)) == [0, 1, 2]
+    assert {[0, 0, 0, 0, 0, 1, 1, 1, 1, 1][at] for at in spread_over_classes([0] * 5 + [1] * 5, 2)} == {0, 1}
