@@ -36,6 +36,7 @@ _DPI = 120
 _COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _GOLDEN = (5**0.5 - 1) / 2  # steps of it round the circle of hues never meet again
 _BEHIND = {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 0.5}  # words, lest lines run through them
+_APART = 0.05  # of a panel's height: what names of lines need to be read one by one
 _MARKS, _NAIVE = "osD^vP", "#8a9299"
 PANELS = {
     "psnr": "PSNR of images, dB",
@@ -119,6 +120,7 @@ def over_time_png(
 
     def draw(figure: Figure) -> None:
         for axes, score in zip(figure.subplots(1, len(titles), squeeze=False)[0], titles, strict=True):
+            ends = {}
             for at, one in enumerate(one for one in every if score in one.over_time):
                 grey = one.kind not in ("learned", "classical")
                 look: Any = {"color": _NAIVE, "ls": "--"} if grey else {"color": colours[one.method]}
@@ -126,9 +128,8 @@ def over_time_png(
                 name = "" if grey else one.method  # those are named beside their lines
                 axes.plot(times_ms, one.over_time[score], lw=1.8, marker=mark, label=name, **look)
                 if grey:
-                    place: Any = {"xycoords": "data", "textcoords": "offset points", "ha": "right"}
-                    end = (times_ms[-1], one.over_time[score][-1])
-                    axes.annotate(one.method, end, (0, 3), **place, fontsize=SMALL, color=FAINT, bbox=_BEHIND)
+                    ends[one.method] = one.over_time[score][-1]
+            _name_lines(axes, ends)
             axes.grid(color=GRID)
             style(axes, "time, ms", titles[score])
         _legend(figure)
@@ -218,18 +219,31 @@ def _panels(
     titles = {score: title for score, title in PANELS.items() if any(score in one.scores for one in measured)}
 
     def every(figure: Figure) -> None:
-        where: Any = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "ha": "right"}
         for axes, score in zip(figure.subplots(1, len(titles), squeeze=False)[0], titles, strict=True):
             x_label = draw(axes, score)
-            for one in naive:
-                if score in one.scores:
-                    mean = one.scores[score].mean
-                    axes.axhline(mean, color=_NAIVE, ls="--", lw=1.2)
-                    axes.annotate(one.method, (1.0, mean), (-2, 3), **where, fontsize=SMALL, color=FAINT, bbox=_BEHIND)
+            means = {one.method: one.scores[score].mean for one in naive if score in one.scores}
+            for mean in means.values():
+                axes.axhline(mean, color=_NAIVE, ls="--", lw=1.2)
+            _name_lines(axes, means)
             style(axes, x_label, titles[score])
         _legend(figure)
 
     return _png(width_inch * len(titles), 4.4, every)
+
+
+def _name_lines(axes: Axes, ends: Mapping[str, float]) -> None:
+    """Name lines at their right ends; lines that are too close to be named one by one share a text."""
+    low, high = axes.get_ylim()
+    groups: list[dict[str, float]] = []
+    for name, end in sorted(ends.items(), key=lambda item: item[1]):
+        if groups and end - max(groups[-1].values()) < _APART * (high - low):
+            groups[-1][name] = end
+        else:
+            groups.append({name: end})
+    where: Any = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "ha": "right"}
+    for group in groups:
+        top = (1.0, max(group.values()))
+        axes.annotate(", ".join(group), top, (-2, 3), **where, fontsize=SMALL, color=FAINT, bbox=_BEHIND)
 
 
 def _broken(name: str) -> str:

@@ -45,8 +45,11 @@ def film_sheet(clips: Sequence[Sequence[NamedFilm]], title: str, line: str) -> I
         top = _HEAD + number * block + _WORDS
         for row, film in enumerate(films):
             y = top + row * (height + _GAP)
-            draw.text((_MARGIN, y + 4), fitted(film.name, 12, _NAMES - 2 * _MARGIN), fill=INK, font=font(12))
-            draw.text((_MARGIN, y + 22), fitted(film.words, 11, _NAMES - 2 * _MARGIN), fill=INK, font=font(11))
+            names = wrapped(film.name, 12, _NAMES - 2 * _MARGIN)[:3]
+            for place, words in enumerate(names):
+                draw.text((_MARGIN, y + 4 + place * _WORDS), words, fill=INK, font=font(12))
+            below = y + 6 + len(names) * _WORDS
+            draw.text((_MARGIN, below), fitted(film.words, 11, _NAMES - 2 * _MARGIN), fill=INK, font=font(11))
             for at, frame in enumerate(film.frames):
                 sheet.paste(resized(_codes(frame), height), (_NAMES + at * (width + _GAP), y))
     return sheet

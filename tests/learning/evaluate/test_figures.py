@@ -7,11 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation
 from PIL import Image
 
 from learning.evaluate.curves import Curve
 from learning.evaluate.figures import (
     Shown,
+    _name_lines,
     curves_png,
     depth_png,
     method_colours,
@@ -52,6 +55,17 @@ def test_the_ablation_draws_every_method_and_the_naive_baselines() -> None:
     half = pixels.shape[1] // 2
     assert _has(pixels[:, half:], "#8a9299")  # the constant depth has no PSNR: only the right panel has its line
     assert not _has(pixels[:, :half], "#8a9299")
+
+
+def test_lines_too_close_to_be_named_apart_share_a_text() -> None:
+    axes = Figure(figsize=(5.5, 4.4)).subplots()
+    axes.set_ylim(0, 100)
+    _name_lines(axes, {"black": 5.0, "perfect long exposure": 80.0, "best still film": 83.0, "mean film": 40.0})
+    assert [(text.get_text(), text.xy[1]) for text in axes.texts if isinstance(text, Annotation)] == [
+        ("black", 5.0),
+        ("mean film", 40.0),
+        ("perfect long exposure, best still film", 83.0),
+    ]
 
 
 def test_single_seeds_are_dots_in_the_ablation() -> None:
