@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import os
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from torch.utils.data import Dataset as TorchDataset
 from learning.camera import CaptureModel
 from learning.config import ActivityTrainConfig, Video3DTrainConfig, VideoTrainConfig
 from learning.data import Arrays, Draw, ExampleSet, Loader, SampleCache, clip_of, read_scene
-from learning.method import Progress, torch_threads
+from learning.method import torch_threads
 from learning.provenance import sample_digests
 from learning.simulate import SceneCamera
 from simulator.dataset.reader import Dataset
@@ -33,7 +33,6 @@ from simulator.io.cache import code_digest
 from simulator.io.files import sha256_bytes, storage_errors
 
 _CHECKSUM = 4  # bytes; of nothing but zeros it is not 0, so that a hole in the file is no record
-_AT_ONCE = 16  # captures of which a GPU works out the starts together
 
 
 class ClipExample(NamedTuple):
@@ -74,7 +73,12 @@ class Initial(Protocol):
 
 
 class ClipExamples(TorchDataset[ClipExample]):
-    """The clips of an `ExampleSet` with what a network for them needs."""
+    """The clips of an `ExampleSet` with what a network for them needs.
+
+    Attributes:
+        dataset: the split.
+        labels: of each clip, the number of its class; None where classes do not matter.
+    """
 
     def __init__(
         self,
@@ -101,18 +105,18 @@ class ClipExamples(TorchDataset[ClipExample]):
             draws: how many times each clip is changed, or its noise drawn; 0 does so for every draw, of which nothing is
                 kept.
             cache: folder to keep examples in; None keeps nothing.
-            labels: of each clip, the number of its class; None where classes do not matter.
+            labels: see above.
             depth: whether depths are wanted.
             on_gpu: whether the network is on a GPU: of what is not kept, it computes the start itself.
         """
         self.dataset, self._examples, self._begin = examples.dataset, examples, begin
         self._draws = draws if examples.redrawn else 1
-        self._measured, self._white, self._labels, self._depth = measured, np.float32(white), labels, depth
+        self._measured, self._white, self._depth, self.labels = measured, np.float32(white), depth, labels
         self._camera = SceneCamera(examples.dataset) if measured else None
         self._scene = partial(read_scene, examples.dataset, timing=examples.timing)
         self._kept: KeptRecords | None = None
         if on_gpu and (cache is None or not self._draws):
-            self._begin = _Begin(None)
+            self._begin = _Begin(None)  # the network does it
         if cache is None:
             return
         if measured:
@@ -147,58 +151,65 @@ class ClipExamples(TorchDataset[ClipExample]):
         seen = self._seen(position, number) if self._measured else np.empty(0, np.float32)
         radiance = arrays["radiance"].astype(np.float32) * self._white
         every = (arrays["measurement"], radiance, arrays["start"], seen, arrays["depth_m"])
-        label = torch.empty(0, dtype=torch.int64) if self._labels is None else torch.tensor(self._labels[position])
+        label = torch.empty(0, dtype=torch.int64) if self.labels is None else torch.tensor(self.labels[position])
         measurement, radiance, start, seen, depth_m = (torch.from_numpy(values.astype(np.float32)) for values in every)
         return ClipExample(measurement, radiance, start, seen, label, depth_m)
 
+    def missing(self, draws: Iterable[Draw], rank: int = 0, world_size: int = 1) -> list[Draw]:
+        """Return which versions of these draws are not kept yet, of one process's share; none where nothing is kept."""
+        if self._kept is None:
+            return []
+        versions = list(dict.fromkeys(map(self._version, draws)))[rank::world_size]
+        return [version for version in versions if not self._kept.holds(self._place(*version))]
+
     def begin_ahead(
-        self, draws: Iterable[Draw], begin: Callable[[Tensor], Tensor], workers: int, progress: Progress
-    ) -> None:
-        """Work out and keep all of these draws that are not kept yet; nothing where none are kept.
+        self, versions: Sequence[Draw], begin: Callable[[Tensor], Tensor], at_once: int, workers: int
+    ) -> Iterator[int]:
+        """Work out and keep versions that are `missing`; yield after each part how many it had.
 
         Args:
-            draws: for which a training will ask.
-            begin: gives the starts of measurements ``(B, C, H, W)``; it is on a GPU, and takes some captures at once.
+            versions: see `missing`.
+            begin: gives the starts of measurements ``(B, C, H, W)``, as a rule on a GPU.
+            at_once: B.
             workers: how many processes simulate the captures.
-            progress: called with the stage ``starts``, what is done and how much there is in all.
         """
-        if self._kept is None:
+        if self._kept is None or not versions:
             return
-        versions = dict.fromkeys(map(self._version, draws))
-        missing = [draw for draw in versions if not self._kept.holds(self._place(*draw))]
-        parts = [missing[first : first + _AT_ONCE] for first in range(0, len(missing), _AT_ONCE)]
-        loader = Loader(_WithoutStart(self, self.dataset), parts, workers)
+        loader = Loader(_WithoutStart(self, self.dataset), [[version] for version in versions], workers)
         try:
-            for number, (part, known) in enumerate(zip(parts, loader, strict=True)):
-                starts = begin(known.measurement).to("cpu", torch.float16)
-                for draw, start, *others in zip(part, starts, *known, strict=True):
-                    arrays = {name: values.numpy() for name, values in zip(_Known._fields, others, strict=True)}
-                    self._kept.write(self._place(*draw), arrays | {"start": start.numpy()})
-                progress("starts", number * _AT_ONCE + len(part), len(missing))
+            simulated = iter(loader)
+            for first in range(0, len(versions), at_once):
+                part = versions[first : first + at_once]
+                known = [next(simulated) for _ in part]
+                starts = begin(torch.cat([one.measurement for one in known])).to("cpu", torch.float16)
+                for version, one, start in zip(part, known, starts, strict=True):
+                    arrays = {name: values[0].numpy() for name, values in one._asdict().items()}
+                    self._kept.write(self._place(*version), arrays | {"start": start.numpy()})
+                yield len(part)
         finally:
             loader.close()
 
     def _version(self, draw: Draw) -> Draw:
-        """Return the draw that is the same as another one."""
+        """Return the draw under which another is kept."""
         return draw._replace(number=draw.number % self._draws) if self._draws else draw
 
     def _place(self, position: int, number: int) -> int:
         return position * self._draws + number
 
     def _worked_out(self, position: int, number: int) -> Arrays:
-        known = self.without_start(position, number)
+        known = self._simulated(position, number)
         with torch_threads(1):  # beside the training, and the other workers
             start = self._begin(known.measurement[None])
         first = torch.empty(0) if start is None else start[0]
         arrays = {name: values.numpy() for name, values in known._asdict().items()}
         return arrays | {"start": first.to(torch.float16).numpy()}
 
-    def without_start(self, position: int, number: int) -> _Known:
+    def _simulated(self, position: int, number: int) -> _Simulated:
         """Return a draw as it is kept, but for its start."""
         example = self._examples[Draw(position, number)]
         seen = torch.where(example.valid, example.depth_m, 0) if self._depth else torch.empty(0)
         radiance = torch.from_numpy((example.radiance.numpy() / self._white).astype(np.float16))
-        return _Known(example.measurement, radiance, seen.to(torch.float16))
+        return _Simulated(example.measurement, radiance, seen.to(torch.float16))
 
     def _seen(self, position: int, number: int) -> NDArray[np.float32]:
         """Return the global measurements of the clip as this draw has changed it."""
@@ -235,6 +246,7 @@ def open_clip_examples(
     # With all that they import, what makes the same draw of a clip, and what is begun with, another one.
     deciding = (__name__,) if joint is None else (__name__, type(joint).__module__)
     identity |= {"stack": capture.stack.fingerprint, "start": joint and joint.told, "code": code_digest(*deciding)}
+    identity |= {"on_gpu": on_gpu}  # where sums are rounded otherwise
     return ClipExamples(
         examples,
         _Begin(joint),
@@ -249,7 +261,7 @@ def open_clip_examples(
     )
 
 
-class _Known(NamedTuple):
+class _Simulated(NamedTuple):
     """A draw without its start; but for the measurement in half precision, of which a loss sees nothing."""
 
     measurement: Tensor
@@ -258,7 +270,7 @@ class _Known(NamedTuple):
 
 
 @dataclass
-class _WithoutStart(TorchDataset[_Known]):
+class _WithoutStart(TorchDataset[_Simulated]):
     """Clips as they are kept, but for their starts."""
 
     examples: ClipExamples
@@ -267,8 +279,8 @@ class _WithoutStart(TorchDataset[_Known]):
     def __len__(self) -> int:
         return len(self.examples)
 
-    def __getitem__(self, draw: Draw | int) -> _Known:
-        return self.examples.without_start(*(draw if isinstance(draw, tuple) else (draw, 0)))
+    def __getitem__(self, draw: Draw | int) -> _Simulated:
+        return self.examples._simulated(*(draw if isinstance(draw, tuple) else (draw, 0)))
 
 
 class _Begin:
@@ -287,8 +299,8 @@ class KeptRecords:
     """Records of one kind in a file, each written once, by any process, when it was worked out.
 
     Each begins with its checksum, which a place that was never written, or not wholly, does not match; two processes that
-    write the same record write the same bytes. Plain reads and writes: of a full disk they raise an error, where a memory map
-    would crash.
+    write the same record write the same bytes, or on a GPU such that differ by rounding. Plain reads and writes: of a full
+    disk they raise an error, where a memory map would crash.
     """
 
     def __init__(self, path: Path, like: Mapping[str, NDArray[Any]]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 from simulator.dataset.manifest import load_manifest
@@ -58,9 +59,14 @@ def class_numbers(dataset: Dataset, classes: Sequence[str]) -> list[int]:
 
 
 def spread_over_classes(numbers: Sequence[int], count: int) -> list[int]:
-    """Return so many positions of samples, all of them at most, whose class numbers are as different as can be."""
-    order = sorted(range(len(numbers)), key=numbers.__getitem__)
-    return [order[place] for place in spread_positions(len(order), count)]
+    """Return the positions of so many samples, all of them at most, by their class numbers: of as many classes as can be."""
+    of_class: dict[int, list[int]] = {}
+    for place, number in enumerate(numbers):
+        of_class.setdefault(number, []).append(place)
+    turns = list(itertools.zip_longest(*(of_class[number] for number in sorted(of_class))))
+    if turns and count < len(of_class):
+        return [turns[0][at] for at in spread_positions(len(of_class), count)]
+    return [place for turn in turns for place in turn if place is not None][:count]
 
 
 def spoken(classes: Sequence[str]) -> list[str]:

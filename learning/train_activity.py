@@ -131,7 +131,7 @@ class ActivityTraining(ClipTraining):
         torch.manual_seed(int(np.random.SeedSequence(self._config.seed, spawn_key=key).generate_state(1)[0]))
 
     def _shown(self, count: int) -> list[int]:
-        return spread_over_classes(class_numbers(self._held_out.dataset, self._network.classes), count)
+        return spread_over_classes(self._held_out.labels or [], count)
 
     def _answer(self, network: nn.Module, example: ClipExample) -> Answer:
         start = example.start if example.start.numel() else None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import itertools
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from learning.checkpoint import load_checkpoint
 from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
 from learning.clip_loss import ClipLoss
 from learning.config import VideoTrainConfig
-from learning.data import Draw, Loader
+from learning.data import Batches, Draw, Loader
 from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.metrics import moving_pixels, psnr, psnr_at
 from learning.models.videonet import VideoNet
@@ -37,10 +38,26 @@ def train_video(
 class ClipTraining(NetworkTraining[ClipExample]):
     """What trainings on clips have in common."""
 
-    def _begin_ahead(self, examples: ClipExamples, draws: Iterable[Draw]) -> None:
-        joint, device = getattr(self._network, "joint", None), self._group.device
-        if joint is not None:
-            examples.begin_ahead(draws, lambda seen: joint(seen.to(device)), self._workers, self._show)
+    _examples: ClipExamples
+    _held_out: ClipExamples
+
+    def begin_ahead(self) -> None:
+        """On a GPU, compute all initial estimates that the training will ask for; several processes share them."""
+        joint, group, config = getattr(self._network, "joint", None), self._group, self._config
+        if joint is None or not group.on_cuda:
+            return
+        order = Batches(len(self._examples), config.batch, seed=config.seed)  # of all processes
+        asked = itertools.chain.from_iterable(map(order.batch, range(self.progress.step, config.steps)))
+        splits = {self._examples: asked, self._held_out: [Draw(place, 0) for place in range(len(self._held_out))]}
+        missing = {each: each.missing(draws, group.rank, group.world_size) for each, draws in splits.items()}
+        at_once, done = max(config.batch // group.world_size, 1), 0
+        for examples, versions in missing.items():
+            for count in examples.begin_ahead(
+                versions, lambda seen: joint(seen.to(group.device)), at_once, self._workers
+            ):
+                done += count
+                self._show("first estimates", done, sum(map(len, missing.values())))
+        group.gather(None)  # each needs what the others have computed
 
 
 class VideoTraining(ClipTraining):

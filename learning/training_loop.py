@@ -6,12 +6,11 @@ of training defines its plan, its examples, its loss and metrics, and what is dr
 
 from __future__ import annotations
 
-import itertools
 import math
 import os
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,7 +25,7 @@ from torch.utils.data import default_collate
 
 from learning.camera import CaptureModel
 from learning.config import LoopConfig, OptimiserConfig
-from learning.data import Batches, Draw, Examples, Item, Loader, check_dataset
+from learning.data import Batches, Examples, Item, Loader, check_dataset
 from learning.distributed import Precision, Processes, processes
 from learning.method import Progress, Say
 from learning.provenance import scenes_of
@@ -95,6 +94,7 @@ def _run(plan: Plan, kind: type[Training[Any]], progress: Progress, say: Say) ->
         training = kind(plan, progress if heard else lambda *_: None, say if heard else lambda _: None)
         first = training.progress.step
         if first < plan.config.steps:
+            training.begin_ahead()
             with stop_signals() as stop:
                 training.run(stop)
     reached = training.progress
@@ -307,6 +307,12 @@ class Training(ABC, Generic[Item]):
             change = f"the learning rate goes from {last:.3g} to {now:.3g} there"
             self._say(f"steps: {before} -> {steps} after step {step}; {change}")
 
+    def begin_ahead(self) -> None:
+        """Compute and keep, before the first step, what the workers would take long for; here nothing.
+
+        A signal ends it at once; the same call goes on from there.
+        """
+
     def run(self, stop: Stop) -> None:
         """Train to the end.
 
@@ -337,13 +343,8 @@ class Training(ABC, Generic[Item]):
         own = list(range(group.rank, len(self._held_out), group.world_size))
         size = max(config.batch // group.world_size, 1)
         parts = [own[first : first + size] for first in range(0, len(own), size)]
-        order = self._order(self.progress.step)
-        if group.on_cuda:
-            asked = map(order.batch, range(self.progress.step, config.steps))
-            self._begin_ahead(self._examples, itertools.chain.from_iterable(asked))
-            self._begin_ahead(self._held_out, [Draw(position, 0) for position in own])
         return (
-            Loader(self._examples, order, self._workers, pin_memory=pin),
+            Loader(self._examples, self._order(self.progress.step), self._workers, pin_memory=pin),
             Loader(self._held_out, parts, min(self._workers, 1), pin_memory=pin),
         )
 
@@ -477,9 +478,6 @@ class Training(ABC, Generic[Item]):
     def _shown(self, count: int) -> list[int]:
         """Return the positions of what is shown of the validation split."""
         return spread_positions(len(self._held_out), count)
-
-    def _begin_ahead(self, examples: Any, draws: Iterable[Draw]) -> None:
-        """Compute on the GPU, before the first step, what of these draws takes the workers long."""
 
     def _rate(self, module: nn.Module) -> float:
         """Return the learning rate of a module's own parameters, as a multiple of the configuration's."""

@@ -236,7 +236,7 @@ def _name_lines(axes: Axes, ends: Mapping[str, float]) -> None:
     low, high = axes.get_ylim()
     groups: list[dict[str, float]] = []
     for name, end in sorted(ends.items(), key=lambda item: item[1]):
-        if groups and end - max(groups[-1].values()) < _APART * (high - low):
+        if groups and end - min(groups[-1].values()) < _APART * (high - low):
             groups[-1][name] = end
         else:
             groups.append({name: end})

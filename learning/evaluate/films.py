@@ -39,17 +39,20 @@ def film_sheet(clips: Sequence[Sequence[NamedFilm]], title: str, line: str) -> I
     across = max(across, round(font(12).getlength(line)) + 2 * _MARGIN)
     sheet = Image.new("RGB", (across, _HEAD + len(clips) * block + _MARGIN), PAPER)
     draw = ImageDraw.Draw(sheet)
+    wide, most = _NAMES - 2 * _MARGIN, max(1, (height - 6) // _WORDS - 1)  # of a name: pixels, lines
     draw.text((_MARGIN, 8), title, fill=INK, font=font(15))
     draw.text((_MARGIN, 28), line, fill=INK, font=font(12))
     for number, films in enumerate(clips):
         top = _HEAD + number * block + _WORDS
         for row, film in enumerate(films):
             y = top + row * (height + _GAP)
-            names = wrapped(film.name, 12, _NAMES - 2 * _MARGIN)[:3]
-            for place, words in enumerate(names):
-                draw.text((_MARGIN, y + 4 + place * _WORDS), words, fill=INK, font=font(12))
+            names = wrapped(film.name, 12, wide)
+            if len(names) > most:
+                names[most - 1 :] = [fitted(" ".join(names[most - 1 :]), 12, wide)]
+            for line_number, words in enumerate(names):
+                draw.text((_MARGIN, y + 4 + line_number * _WORDS), words, fill=INK, font=font(12))
             below = y + 6 + len(names) * _WORDS
-            draw.text((_MARGIN, below), fitted(film.words, 11, _NAMES - 2 * _MARGIN), fill=INK, font=font(11))
+            draw.text((_MARGIN, below), fitted(film.words, 11, wide), fill=INK, font=font(11))
             for at, frame in enumerate(film.frames):
                 sheet.paste(resized(_codes(frame), height), (_NAMES + at * (width + _GAP), y))
     return sheet

@@ -36,6 +36,11 @@ class Counted:
         return (measurement[:, None, :, 8:26, 9:27] * torch.arange(1.0, 5.0)[:, None, None, None]).contiguous()
 
 
+def together(measurements: Tensor) -> Tensor:
+    """The same numbers of several."""
+    return torch.cat([Counted()(one[None]) for one in measurements])
+
+
 def nothing(measurement: Tensor) -> None:
     """In place of a network that begins otherwise."""
 
@@ -218,31 +223,44 @@ def test_workers_get_the_same(make: Any) -> None:
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_what_is_begun_ahead_is_what_would_be_worked_out(make: Any, workers: int) -> None:
-    """Every version once, of those that are not kept; the starts of many at once come from what is given."""
-    begin, shown, sizes = Counted(), [], []
+    """Every version once, of those that are not kept, whichever process does it; the starts come from what is given."""
+    begin, sizes = Counted(), []
     examples, anew = make(begin), make(cache=None)
     examples[Draw(3, 1)]
     asked = begin.calls
 
     def many(measurement: Tensor) -> Tensor:
         sizes.append(len(measurement))
-        return torch.cat([Counted()(one[None]) for one in measurement])
+        return together(measurement)
 
     draws = [Draw(position, number) for number in range(4) for position in range(8)]
-    for _ in range(2):
-        examples.begin_ahead(draws, many, workers, lambda *call: shown.append(call))
-    assert sizes == [16, 7]  # 8 clips in 3 versions but one
-    assert shown == [("starts", 16, 23), ("starts", 23, 23)]
+    for rank in range(3):
+        missing = examples.missing(draws, rank, 3)
+        assert list(examples.begin_ahead(missing, many, 5, workers)) == ([5, 3] if rank != 2 else [5, 2])
+        assert not examples.missing(draws, rank, 3)
+    assert sizes == [5, 3, 5, 3, 5, 2]  # 8 clips in 3 versions but one
+    assert not examples.missing(draws)
     for draw in draws:
         assert same(examples[draw], anew[draw])
     assert begin.calls == asked
+
+
+def test_what_is_begun_ahead_is_kept_when_it_is_interrupted(make: Any) -> None:
+    examples = make()
+    draws = [Draw(position, 0) for position in range(8)]
+    ahead = examples.begin_ahead(
+        examples.missing(draws), lambda seen: torch.cat([Counted()(one[None]) for one in seen]), 3, 2
+    )
+    assert next(ahead) == 3
+    ahead.close()
+    assert examples.missing(draws) == draws[3:]
 
 
 @pytest.mark.parametrize("changes", [{"draws": 0}, {"cache": None}, {"draws": 0, "cache": None}])
 def test_a_network_on_a_gpu_begins_by_itself_where_nothing_is_kept(make: Any, changes: dict[str, Any]) -> None:
     begin = Counted()
     examples = make(begin, on_gpu=True, **changes)
-    examples.begin_ahead([Draw(1, 1)], begin, 0, lambda *_: None)
+    assert not examples.missing([Draw(1, 1)])
     found, wanted = examples[Draw(1, 1)], make(**changes)[Draw(1, 1)]
     assert begin.calls == 0
     assert same(found, wanted._replace(start=torch.empty(0)))

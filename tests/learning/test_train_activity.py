@@ -18,6 +18,7 @@ from learning.checkpoint import load_checkpoint, save_checkpoint
 from learning.clip_examples import ClipExample
 from learning.commands import train as command
 from learning.config import ActivityLossConfig, ActivityTrainConfig, load_file, training_kind
+from learning.evaluate.films import film_sheet
 from learning.method import srgb_to_linear
 from learning.models import build_network
 from learning.models.activitynet import ActivityNet, Answer
@@ -83,6 +84,18 @@ def test_a_training_leaves_checkpoints_metrics_and_a_sheet(activity_settings: Se
         assert 0 < line["score"] < 1
     assert result.best["score"] == max(line["score"] for line in validated)
     assert known.record["loss"] == {"class_weight": 3.0, "measurement_weight": 1.0, "label_smoothing": 0.0}
+
+
+def test_the_preview_shows_clips_of_different_classes(
+    activity_settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of four that take turns, the second and the fourth, evenly apart, would be of one class."""
+    shown = []
+    monkeypatch.setattr("learning.training_loop.SHOWN", 2)
+    sheet = "learning.train_activity.film_sheet"
+    monkeypatch.setattr(sheet, lambda clips, *words: shown.append(clips) or film_sheet(clips, *words))
+    train_activity(activity_settings(network=LENS, steps=1))
+    assert [[film.name for film in clip] for clip in shown[0]] == [["leftwards"], ["rightwards"]]
 
 
 @pytest.mark.slow

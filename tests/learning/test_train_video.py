@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 import signal
@@ -212,25 +213,35 @@ def test_what_is_kept_is_of_the_same_estimate_noise_and_changes(
 
 
 @pytest.mark.filterwarnings("ignore:'pin_memory' argument is set")
-def test_a_gpu_works_out_all_of_it_before_the_first_step(
+def test_a_gpu_works_out_all_that_is_left_before_the_first_step(
     video_settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The workers then have nothing left to compute, and read what they would have found: on a CPU the same bits."""
-    config = video_settings(steps=5, data={"augment": Augmentation()})
+    config = video_settings(steps=6, data={"augment": Augmentation(), "draws": 3})
     with processes("cpu") as group:
         plan = VideoTraining.plan(config, group)
-        wanted = [next(iter(loader)) for loader in VideoTraining(plan, lambda *_: None, lambda _: None)._loaders()]
+
+        def built(say: Any) -> VideoTraining:
+            training = VideoTraining(plan, say, lambda _: None)
+            training.progress.step = 2
+            return training
+
+        def read(training: VideoTraining) -> list[ClipExample]:
+            train, validation = training._loaders()
+            return [*itertools.islice(train, 4), *validation]
+
+        wanted = read(built(lambda *_: None))
         shutil.rmtree(config.resolve_path(str(config.data.cache)))
         shown = []
-        training = VideoTraining(plan, lambda *call: shown.append(call), lambda _: None)
+        training = built(lambda *call: shown.append(call))
         monkeypatch.setattr(Processes, "on_cuda", True)
-        loaders = training._loaders()
+        training.begin_ahead()
         monkeypatch.setattr(_Begin, "__call__", None)
-        found = [next(iter(loader)) for loader in loaders]
+        found = read(training)
     for one, other in zip(found, wanted, strict=True):
         assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
-    # 5 batches of 3 are the first draw of all 8 clips and the second of 7; validation has 2 clips
-    assert shown == [("starts", 15, 15), ("starts", 2, 2)]
+    # Four batches of 3 are left, other versions each, and validation has 2 clips
+    assert shown == [("first estimates", done, 14) for done in (3, 6, 9, 12, 14)]
 
 
 def test_what_a_network_begins_with_is_given_without_the_network(clip_capture: CaptureModel) -> None:

@@ -60,9 +60,12 @@ def test_the_ablation_draws_every_method_and_the_naive_baselines() -> None:
 def test_lines_too_close_to_be_named_apart_share_a_text() -> None:
     axes = Figure(figsize=(5.5, 4.4)).subplots()
     axes.set_ylim(0, 100)
-    _name_lines(axes, {"black": 5.0, "perfect long exposure": 80.0, "best still film": 83.0, "mean film": 40.0})
+    ends = {"black": 5.0, "perfect long exposure": 80.0, "best still film": 83.0, "mean film": 40.0}
+    _name_lines(axes, ends | {f"film {number}": 20 + 4.0 * number for number in range(3)})
     assert [(text.get_text(), text.xy[1]) for text in axes.texts if isinstance(text, Annotation)] == [
         ("black", 5.0),
+        ("film 0, film 1", 24.0),
+        ("film 2", 28.0),
         ("mean film", 40.0),
         ("perfect long exposure, best still film", 83.0),
     ]

@@ -57,3 +57,16 @@ def test_a_long_name_above_the_animation_takes_several_lines() -> None:
     assert " ".join(lines) == long[0].name
     assert all(font(12).getlength(line) <= 160 for line in lines)
     assert wrapped("unbreakable", 12, 30) == [fitted("unbreakable", 12, 30)]
+
+
+def test_a_name_in_the_sheet_stays_in_its_row() -> None:
+    """However long: where its lines end, an ellipsis says so."""
+    wordy, silent = films(2)
+    wordy = NamedFilm("plug-and-play over frames " * 5, wordy.frames[:, :12, :12], "words")
+    silent = NamedFilm("", silent.frames[:, :12, :12])
+    sheet = np.asarray(film_sheet([[wordy, silent]], "", "").convert("L")).astype(int)
+    paper = sheet[0, 0]
+    inked = np.flatnonzero((np.abs(sheet[:, :180] - paper) > 60).any(axis=1))
+    first = np.flatnonzero((sheet[:, 190:] != paper).any(axis=1))[0]
+    assert inked.min() >= first
+    assert inked.max() < first + 72  # 12 rows, enlarged by 6
