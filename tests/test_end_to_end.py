@@ -107,6 +107,7 @@ def test_plugins_of_an_installed_package(trial, monkeypatch: pytest.MonkeyPatch)
     assert config["scene"]["depth_cm"] == 7
 
 
+@pytest.mark.slow
 def test_generating_needs_no_torch(trial) -> None:
     code = """
 import sys

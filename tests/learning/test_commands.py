@@ -151,6 +151,7 @@ UNUSED += ["mitsuba", "drjit", "ortools", "learning.train", "learning.tune.job",
 UNUSED += ["learning.metrics"]
 
 
+@pytest.mark.slow
 def test_a_reconstruction_imports_only_what_it_uses(
     tiny_dataset: Path, checkpoints: list[Path], tmp_path: Path
 ) -> None:

@@ -113,6 +113,7 @@ def test_goes_on_as_if_it_had_never_stopped(
         assert all(torch.equal(values[name], moments[1][key][name]) for name in values)
 
 
+@pytest.mark.slow
 def test_a_killed_training_goes_on_from_its_last_state(settings: Settings) -> None:
     """What was logged and kept after the state that survives is made again, not twice."""
 

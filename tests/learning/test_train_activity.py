@@ -273,6 +273,7 @@ def test_it_begins_with_one_for_other_classes(activity_settings: Settings, monke
         assert len(found[max(last)]) == len(classes or known.classes)
 
 
+@pytest.mark.slow
 def test_a_lens_classifier_begins_with_weights_of_torchvision(
     activity_settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -196,9 +196,9 @@ def test_seeds_share_what_is_kept(
     [
         ({}, 0),
         ({"network": {"joint_iterations": 4}}, 2),
-        ({"data": {"noise_db": (20.0, 40.0)}}, 2),
+        pytest.param({"data": {"noise_db": (20.0, 40.0)}}, 2, marks=pytest.mark.slow),
         ({"data": {"augment": Augmentation(colour=0.3)}}, 1),  # clips to validate on are never changed
-        ({"data": {"draws": 3}}, 2),
+        pytest.param({"data": {"draws": 3}}, 2, marks=pytest.mark.slow),
     ],
 )
 def test_what_is_kept_is_of_the_same_estimate_noise_and_changes(

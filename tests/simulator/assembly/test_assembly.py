@@ -150,6 +150,7 @@ class TestStacks:
             values.append(Assembly(config, threads=threads).psf_stack.values)
         assert np.array_equal(values[0], values[1])
 
+    @pytest.mark.slow
     def test_a_stack_accepted_under_a_loose_limit_does_not_pass_a_tight_one(self, trial) -> None:
         for limit in (1, 0.001):
             config = load_config(

@@ -75,6 +75,7 @@ def test_points_have_the_psfs_of_the_configuration_s_own_ends(trial):
     assert np.ptp(rows[0]) > np.ptp(rows[1])  # the mask's shadow grows as the point comes near
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("depths_cm", "ends_m"), [([20], [0.2]), ([5, 10, float("inf")], [0.05, np.inf])])
 def test_one_depth_is_enough_and_infinity_is_a_depth(trial, depths_cm, ends_m):
     psf = {"depths_cm": depths_cm, "wavelengths_per_channel": 1, "accept_error": 1}
