@@ -78,6 +78,18 @@ def test_learns_frames_and_depth_beyond_its_flatnet(
     assert result.best["score"] == pytest.approx(score, rel=1e-9)
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
+def test_a_gpu_finds_what_a_cpu_finds(moving_settings: Settings) -> None:
+    """With what it begins with computed ahead, there, and kept apart."""
+    found = [
+        train_video_3d(moving_settings(device, device=device, steps=1, optimiser={"learning_rate": 1e-9})).best
+        for device in ("cpu", "cuda")
+    ]
+    # Conjugate gradients amplify rounding to some 1e-3, and the network's body runs in bfloat16: 2^-9
+    assert found[1]["psnr_db"] == pytest.approx(found[0]["psnr_db"], abs=0.1)
+    assert found[1]["depth_rmse_cm"] == pytest.approx(found[0]["depth_rmse_cm"], rel=0.02)
+
+
 @pytest.mark.slow
 def test_goes_on_from_one_of_its_own(moving_settings: Settings) -> None:
     first = train_video_3d(moving_settings("first", steps=4)).folder / BEST
