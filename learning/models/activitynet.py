@@ -8,6 +8,7 @@ itself.
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -166,7 +167,11 @@ class ActivityNet(ClipNetwork):
 
 
 class RawClassifier(nn.Module):
-    """What is done in captures, without any inversion: the classifier looks at the capture, in units of its mean light."""
+    """What is done in captures, without any inversion: the classifier looks at the capture, in units of its mean light.
+
+    Each pixel is scaled to a mean of 0 and a variance of 1 over a batch: all captures are alike but for little, of which
+    without this nothing is learned.
+    """
 
     offset: Tensor
 
@@ -178,6 +183,7 @@ class RawClassifier(nn.Module):
         self.rows, self.columns = axis_plans(capture)
         offset = torch.from_numpy(capture.offset)[:, None, None].to(torch.get_default_dtype())
         self.register_buffer("offset", offset, persistent=False)
+        self.scaling = nn.BatchNorm1d(len(capture.offset) * math.prod(capture.sensor_shape), affine=False)
         self.classifier = FrameClassifier(classifier, 1, len(capture.offset), 0, len(self.classes))
 
     def forward(self, measurement: Tensor) -> Answer:
@@ -185,6 +191,7 @@ class RawClassifier(nn.Module):
         check_measurement(measurement, self.offset, self.rows, self.columns)
         light = measurement - self.offset
         light = light / light.mean(dim=(1, 2, 3), keepdim=True).clamp_min(FAINTEST)
+        light = self.scaling(light.flatten(1)).reshape(light.shape)
         return Answer(self.classifier(light[:, None], light[:, :0]), light.new_zeros(0))
 
     def looks_at(self, measurement: Tensor, start: Tensor | None, radiance: Tensor) -> tuple[Tensor | None, ...]:

@@ -190,6 +190,7 @@ def test_measnet_learns_what_a_global_shutter_would_measure(activity_settings: S
         ({"network": LENS, "init_from": "videonet"}, "init_from"),
         ({"loss": {"class_weight": 0}}, "loss.class_weight"),
         ({"network": {"name": "raw_classifier", "classifier": "s3d"}}, "network.raw_classifier.classifier"),
+        ({"network": {"name": "raw_classifier"}, "batch": 1}, "batch"),
     ],
 )
 def test_what_makes_no_sense_is_refused(activity_settings: Settings, changes: dict[str, Any], key: str) -> None:

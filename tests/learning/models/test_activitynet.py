@@ -187,12 +187,20 @@ def test_lens_frames_are_moved_in_training(clip_capture: CaptureModel, frames: T
     assert set(seen.own.flatten().tolist()) <= set(linear_to_srgb(radiance, clip_capture.white).flatten().tolist())
 
 
-def test_a_raw_capture_is_in_units_of_its_mean(clip_capture: CaptureModel, measurement: Tensor) -> None:
+def test_a_raw_capture_is_in_units_of_its_mean_and_scaled_pixel_by_pixel(
+    clip_capture: CaptureModel, measurement: Tensor
+) -> None:
     network = built(clip_capture, "raw_classifier", "compact")
     network.classifier = seen = Looking()
-    network(measurement)
     light = measurement - torch.tensor([0.01, 0.02, 0.03])[:, None, None]
-    torch.testing.assert_close(seen.own[:, 0], light / light.mean(dim=(1, 2, 3), keepdim=True))
+    light = light / light.mean(dim=(1, 2, 3), keepdim=True)
+    network.train()(measurement)
+    variance, mean = torch.var_mean(light, dim=0, correction=0)
+    close = {"rtol": 0, "atol": 1e-4}  # float32: small differences of light are divided by small deviations
+    torch.testing.assert_close(seen.own[:, 0], (light - mean) / (variance + network.scaling.eps).sqrt(), **close)
+    network.scaling.running_mean, network.scaling.running_var = mean.flatten(), 4 * variance.flatten()
+    network.eval()(measurement)
+    torch.testing.assert_close(seen.own[:, 0], (light - mean) / (4 * variance + network.scaling.eps).sqrt(), **close)
     assert seen.shared.shape[1] == 0
     assert network.looks_at(measurement, None, torch.zeros(0)) == (measurement,)
     with pytest.raises(InputError, match="measurement"):
