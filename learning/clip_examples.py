@@ -115,13 +115,9 @@ class ClipExamples(TorchDataset[ClipExample]):
         self._camera = SceneCamera(examples.dataset) if measured else None
         self._scene = partial(read_scene, examples.dataset, timing=examples.timing)
         self._kept: KeptRecords | None = None
-        if on_gpu and (cache is None or not self._draws):
-            self._begin = _Begin(None)  # the network does it
-        if cache is None:
-            return
-        if measured:
+        if cache is not None and measured:
             self._scene = SampleCache.filled(cache, examples.dataset, "scene", self._scene).read
-        if self._draws:
+        if cache is not None and self._draws:
             frames = None if examples.timing is None else examples.timing.frames
             told = [
                 dict(identity),
@@ -134,6 +130,8 @@ class ClipExamples(TorchDataset[ClipExample]):
             ]
             name = sha256_bytes(repr(told).encode())[:32]
             self._kept = KeptRecords(cache / f"{name}.clips", self._worked_out(0, 0))
+        elif on_gpu:
+            self._begin = _Begin(None)  # the network does it
 
     def __len__(self) -> int:
         """Return the number of clips."""

@@ -21,7 +21,7 @@ from learning.labels import class_names, class_numbers, spoken, spread_over_clas
 from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.models.activitynet import ACTIVITY_SIZES, ActivityNet, Answer, Classifier, LensClassifier
 from learning.train import origin
-from learning.train_video import ClipTraining
+from learning.train_clips import ClipTraining
 from learning.training_loop import TrainResult, find_cache, run
 from learning.validation import to_device
 from simulator.dataset.reader import Dataset

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,12 +16,13 @@ from learning.checkpoint import load_checkpoint
 from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
 from learning.clip_loss import ClipLoss
 from learning.config import VideoTrainConfig
-from learning.data import Batches, Draw, Loader
+from learning.data import Loader
 from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.metrics import moving_pixels, psnr, psnr_at
 from learning.models.videonet import VideoNet
 from learning.models.videonet3d import VideoNet3D
-from learning.train import NetworkTraining, origin
+from learning.train import origin
+from learning.train_clips import ClipTraining
 from learning.training_loop import TrainResult, find_cache, run
 from learning.validation import to_device
 from simulator.dataset.reader import Dataset
@@ -33,31 +33,6 @@ def train_video(
 ) -> TrainResult:
     """Train a VideoNet, or go on with a training that was interrupted; see `learning.training_loop.run`."""
     return run(VideoTraining, config, progress, say)
-
-
-class ClipTraining(NetworkTraining[ClipExample]):
-    """What trainings on clips have in common."""
-
-    _examples: ClipExamples
-    _held_out: ClipExamples
-
-    def begin_ahead(self) -> None:
-        """On a GPU, compute all initial estimates that the training will ask for; several processes share them."""
-        joint, group, config = getattr(self._network, "joint", None), self._group, self._config
-        if joint is None or not group.on_cuda:
-            return
-        order = Batches(len(self._examples), config.batch, seed=config.seed)  # of all processes
-        asked = itertools.chain.from_iterable(map(order.batch, range(self.progress.step, config.steps)))
-        splits = {self._examples: asked, self._held_out: [Draw(place, 0) for place in range(len(self._held_out))]}
-        missing = {each: each.missing(draws, group.rank, group.world_size) for each, draws in splits.items()}
-        at_once, done = max(config.batch // group.world_size, 1), 0
-        for examples, versions in missing.items():
-            for count in examples.begin_ahead(
-                versions, lambda seen: joint(seen.to(group.device)), at_once, self._workers
-            ):
-                done += count
-                self._show("first estimates", done, sum(map(len, missing.values())))
-        group.gather(None)  # each needs what the others have computed
 
 
 class VideoTraining(ClipTraining):
