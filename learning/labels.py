@@ -69,6 +69,6 @@ def spread_over_classes(numbers: Sequence[int], count: int) -> list[int]:
     return [place for turn in turns for place in turn if place is not None][:count]
 
 
-def spoken(classes: Sequence[str]) -> list[str]:
-    """Return the names of classes as a reader wants them."""
-    return [name.replace("_", " ") for name in classes]
+def spoken(name: str) -> str:
+    """Return the name of a class as a reader wants it."""
+    return name.replace("_", " ")

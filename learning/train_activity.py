@@ -181,7 +181,7 @@ class ActivityTraining(ClipTraining):
                 start = example.start if example.start.numel() else None
                 looked = self._network.looked_at(self._network.begun(example.measurement, start))
         truth = linear_to_srgb(example.radiance, self._capture.white)
-        clips, classes = [], spoken(self._network.classes)
+        clips, classes = [], list(map(spoken, self._network.classes))
         for at, (frames, label) in enumerate(zip(truth, example.label.tolist(), strict=True)):
             chance, guess = chances[at].max(dim=0)
             said = f"{classes[int(guess)]} {float(chance):.0%}"

@@ -21,7 +21,7 @@ def confusion_png(answers: Sequence[Answers]) -> bytes:
     side = 1.6 + 0.42 * len(classes)
     figure = drawing.new_figure((side * len(answers) + 1.2, side + 0.6), _DPI)
     axes = figure.subplots(1, len(answers), sharey=True, squeeze=False)[0]
-    names = spoken(classes)
+    names = list(map(spoken, classes))
     for place, one in zip(axes, answers, strict=True):
         shares = 100 * one.confusion()
         place.imshow(shares, cmap="Blues", vmin=0, vmax=100)

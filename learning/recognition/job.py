@@ -325,7 +325,7 @@ def _sheet(config: RecognitionConfig, one: Trained, device: torch.device) -> lis
     if not isinstance(one.network, ActivityNet):
         return []
     method, examples = ActivityMethod(one.name, one.network, one.capture).to(device), ExampleSet(one.test)
-    numbers, classes = class_numbers(one.test, one.network.classes), spoken(one.network.classes)
+    numbers, classes = class_numbers(one.test, one.network.classes), list(map(spoken, one.network.classes))
     sheet = []
     for at in spread_over_classes(numbers, config.shown):
         example = examples[at]

@@ -196,7 +196,7 @@ def _by_slivers(found: Recognition) -> list[Answers]:
 
 def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
     titles, *rows = found.rows()
-    classes = spoken(found.reference.classes)
+    classes = list(map(spoken, found.reference.classes))
     parts = [
         f"# {found.config.name}",
         f"{len(found.reference.truth)} captures of data with fingerprint `{found.fingerprint[:12]}`, split "

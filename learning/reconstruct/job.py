@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from learning.camera import CaptureModel
 from learning.classical.clips import ClipMethod
 from learning.classical.method import ClassicalMethod, PlanarMethod
+from learning.labels import spoken
 from learning.method import Clock, Method, Progress, choose_device, linear_to_srgb, srgb_to_linear, threads_for
 from learning.models.activitynet import ActivityMethod
 from learning.models.flatnet import LearnedMethod
@@ -163,9 +164,9 @@ def _report(measurement: Measurement, name: str, record: dict[str, Any], result:
         "wrote": wrote,
     }
     if result.classes:
-        likely = ", ".join(f"{name} {chance:.1%}" for name, chance in list(result.classes.items())[:_LIKELY])
+        likely = ", ".join(f"{spoken(name)} {chance:.1%}" for name, chance in list(result.classes.items())[:_LIKELY])
         label = measurement.record.get("label")
-        lines = {"shows": likely + (f"; its label is {label}" if label else ""), **lines}
+        lines = {"shows": likely + (f"; its label is {spoken(label)}" if label else ""), **lines}
     width = max(map(len, lines))
     return "\n".join(f"{name:>{width}}  {text}" for name, text in lines.items())
 

@@ -149,7 +149,7 @@ def test_a_network_names_what_is_done(labelled_dataset: Path, tmp_path: Path, co
     train = open_dataset(labelled_dataset)
     capture = capture_model(train, white=measure_reference_white(train))
     architecture = {"network": "activitynet", "size": "tiny", "filters": 4, "joint_iterations": 3}
-    architecture |= {"classes": ["down", "leftwards", "rightwards"]}
+    architecture |= {"classes": ["down_again", "leftwards", "rightwards"]}
     torch.manual_seed(1)
     network: Any = build_network(capture, **named(architecture)).eval()
     path = tmp_path / "net.safetensors"
@@ -164,7 +164,7 @@ def test_a_network_names_what_is_done(labelled_dataset: Path, tmp_path: Path, co
     expected = {network.classes[at]: float(chances[at]) for at in chances.argsort(descending=True).tolist()}
     record = json.loads((tmp_path / "out" / job.RECORD).read_bytes())
     assert record["classes"] == pytest.approx(expected, abs=1e-5)
-    told = ", ".join(f"{name} {chance:.1%}" for name, chance in expected.items())
+    told = ", ".join(f"{name} {chance:.1%}" for name, chance in expected.items()).replace("_", " ")
     line = next(line for line in report.splitlines() if line.lstrip().startswith("shows"))
     assert line.split("shows  ")[1] == told + ("" if copied else "; its label is leftwards")
     assert {"film.png", "film.webp"} <= set(record["files"])
