@@ -171,7 +171,12 @@ def test_moving_scenes_are_judged_through_psfs_that_are_new_and_as_they_stand_st
     assert rival.data.train == training.data.train
     (words,) = _commands("evaluate_moving_3d_64", "psf")
     assert words[words.index("--output") + 1] == rival.data.stack
-    assert joint.classical == "joint3d"
+    (tune,) = _commands("evaluate_moving_3d_64", "tune")
+    tuning = load_file(TuneConfig, _written("tune_video_64", tmp_path), tune[2::2])
+    assert [joint.classical] == tuning.methods
+    assert joint.tuned == str(tuning.output)
+    assert str(tuning.data.validation) == training.data.train
+    assert tuning.objective == "both"
     (stopped,) = [words for words in _commands("evaluate_moving_3d_64", "evaluate") if "--set" in words[1:2]]
     assert load_file(EvaluateConfig, _written("evaluate_moving_3d_64", tmp_path), stopped[2::2]).data.test == str(
         still.dataset.output
