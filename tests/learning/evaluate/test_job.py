@@ -191,6 +191,7 @@ def test_networks_for_stills_give_all_frames_the_same(
     assert titles == ["truth", "depth", "FlatNet3D", "depth", "joint", "depth"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_figures")
 def test_the_frames_of_one_network_and_the_depth_of_another(
     load: Load, tmp_path: Path, moving_dataset: Path, checkpoints: list[Path]

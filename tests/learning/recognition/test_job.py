@@ -71,6 +71,7 @@ def settings(labelled_dataset: Path, networks: dict[str, list[Path]], tmp_path: 
     return make
 
 
+@pytest.mark.slow
 def test_probabilities_are_the_networks(settings: Any, labelled_dataset: Path, capture: CaptureModel) -> None:
     """Each capture's own, whatever the batch; a lens sees no noise."""
     found, _ = recognise(settings())

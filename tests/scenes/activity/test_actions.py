@@ -75,6 +75,7 @@ def test_nothing_goes_into_the_table_or_jumps(action: str) -> None:
             assert np.linalg.norm(np.diff(wrists, axis=0), axis=1).max(initial=0) < 0.06
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("action", ["picking_up", "putting_down", "poking"])
 def test_the_hand_does_not_jump_when_it_closes_or_touches(action: str) -> None:
     """In steps of 2 ms the speed changes steadily: a jump of x would show as a second difference of x.
@@ -113,6 +114,7 @@ def test_moving_crosses_the_picture_in_its_direction(action: str, sign: int) -> 
         assert np.diff(across).min() > -0.01, "in one go"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("both_hands", [False, True])
 def test_dropped_things_fall_freely_and_come_to_rest(both_hands: bool) -> None:
     for seed in range(3):
@@ -130,6 +132,7 @@ def test_dropped_things_fall_freely_and_come_to_rest(both_hands: bool) -> None:
         assert aperture[1] > aperture[0] + 0.01, "the hand is open"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joins", [False, True])
 def test_both_hands_let_go_outwards_without_a_jerk(joins: bool) -> None:
     for seed in SEEDS:

@@ -314,6 +314,7 @@ def drawn(rows: int):
 """
 
 
+@pytest.mark.slow
 def test_a_function_that_draws_windows_gives_all_samples_the_recorded_ones(trial) -> None:
     """The exposure of each row is in its brightness: samples of two workers show one table, that of dataset.json."""
     (trial.folder / "windows.py").write_text(RANDOM_WINDOWS)

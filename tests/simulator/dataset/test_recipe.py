@@ -157,6 +157,7 @@ def test_physical_noise_is_quantised_and_drawn_from_its_stream(trial) -> None:
     assert np.array_equal(sample.measurement, again.measurement)
 
 
+@pytest.mark.slow
 def test_infinite_depths_are_stored_as_finite_ones(trial, irradiance: Truth) -> None:
     psf = {"depths_cm": [4, 20, float("inf")], "wavelengths_per_channel": 1, "accept_error": 1}
     scene = {"family": "./plugins.py:boxes", "size": [16, 20], "depth_m": float("inf")}

@@ -109,6 +109,7 @@ def test_wavelengths_without_material_data_are_left_out():
     assert found["lines"] < spectral_error(_mask(), green, _config(np.inf))["lines"]
 
 
+@pytest.mark.slow
 def test_the_exact_model_agrees_with_the_direct_sum_and_a_wrong_one_does_not():
     """``scaled_psf`` forgets that diffraction shortens with depth (PHYSICS section 4); at infinity both are right."""
     mask, camera, wavelengths_m = _mask(), replace(CAMERA, mask_to_sensor_m=0.5e-3), [532e-9]
