@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 from typing import Any
@@ -149,12 +150,16 @@ class ActivityTraining(ClipTraining):
         return self._losses(self._answer(wrapped, example), example)
 
     def _metrics(self, batches: Loader[ClipExample]) -> dict[str, float]:
-        """Return means over the validation clips: the loss's terms, ``top_1``, ``top_2``; and ``score``.
+        """Return means over the validation clips: the loss's terms, ``top_1``, ``top_2``; ``temperature``, and ``score``.
 
         The score is the mean probability that the true class is given, which tells steps apart of which as many are right.
+        All are those of a temperature of 1; the network is left with the one that these clips call for.
         """
         sums: dict[str, float] = {}
         clips = 0
+        seen: list[tuple[Tensor, Tensor]] = []
+        classifier = self._network.classifier
+        classifier.temperature.fill_(1)
         with inference(self._network):
             for batch in batches:
                 example = to_device(batch, self._group.device)
@@ -168,9 +173,13 @@ class ActivityTraining(ClipTraining):
                 for name, value in values.items():
                     sums[name] = sums.get(name, 0.0) + float(value)
                 clips += count
+                seen.append((answer.logits.cpu(), example.label.cpu()))
         together = torch.tensor([*sums.values(), clips], dtype=torch.float64, device=self._group.device)
         *totals, of = self._group.add(together).tolist()
-        return {name: total / of for name, total in zip(sums, totals, strict=True)}
+        every = itertools.chain.from_iterable(self._group.gather(seen))
+        classifier.calibrate(*map(torch.cat, zip(*every, strict=True)))
+        temperature = float(classifier.temperature)
+        return {name: total / of for name, total in zip(sums, totals, strict=True)} | {"temperature": temperature}
 
     def _drawn(self, example: ClipExample) -> NDArray[np.uint8]:
         """Return an image: of each clip its true frames and, if it looks at estimates, these, beside what it says of them."""

@@ -9,13 +9,16 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import torch
+from scipy.optimize import minimize_scalar
 from torch import Tensor, nn
 
 from learning.method import check_choices
 from simulator.errors import InputError
 
 _DROPOUT = 0.5
+_TEMPERATURES = (0.1, 10.0)
 _S3D_FRAMES = 6  # with 4 its poolings leave nothing, with 5 a convolution aborts on CPUs (torch 2.15)
 
 
@@ -24,7 +27,12 @@ class FrameClassifier(nn.Module):
 
     It looks at the mean of the frames and at what each differs from it, all scaled to a variance of 1 over a batch: beside
     what stands still, changes are so faint that from the frames themselves little is learned.
+
+    Attributes:
+        temperature: what logits are divided by, but in training; see `calibrate`.
     """
+
+    temperature: Tensor
 
     def __init__(self, name: str, frames: int, own: int, shared: int, classes: int) -> None:
         """Build it with random weights; an InputError refuses an unknown name, or too few frames."""
@@ -38,6 +46,7 @@ class FrameClassifier(nn.Module):
         inputs = frames * own + shared if self.flat else own + shared
         self.scaling = (nn.BatchNorm2d if self.flat else nn.BatchNorm3d)(inputs)
         self.body = build(inputs, classes)
+        self.register_buffer("temperature", torch.ones(()))
 
     @property
     def last_layer(self) -> list[str]:
@@ -54,7 +63,25 @@ class FrameClassifier(nn.Module):
         else:
             alike = shared[:, None].expand(-1, own.shape[1], -1, -1, -1)
             seen = torch.cat([own, alike], dim=2).transpose(1, 2)
-        return self.body(self.scaling(seen))
+        logits = self.body(self.scaling(seen))
+        return logits if self.training else logits / self.temperature
+
+    def calibrate(self, logits: Tensor, labels: Tensor) -> None:
+        """Set the temperature with which clips that were not learned from are least surprising.
+
+        Networks are surer than they are right (Guo et al., On Calibration of Modern Neural Networks, ICML 2017, section 4.2);
+        which class is the most likely stays.
+
+        Args:
+            logits: ``(n, classes)``, at a temperature of 1.
+            labels: ``(n,)``, the numbers of the true classes.
+        """
+        entropy, known = nn.functional.cross_entropy, logits.double()
+        # Convex in 1 / temperature, and so with a single minimum in its logarithm, too.
+        found: Any = minimize_scalar(
+            lambda log: float(entropy(known / np.exp(log), labels)), bounds=np.log(_TEMPERATURES), method="bounded"
+        )
+        self.temperature.fill_(float(np.exp(found.x)))
 
 
 def dronet(inputs: int, classes: int) -> nn.Module:

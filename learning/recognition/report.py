@@ -47,8 +47,8 @@ training differ from those above; only such shares may be compared, with caution
 _HOW = (
     "Accuracies are shares of the test captures, means over seeds; in brackets the 95 % bootstrap interval over captures "
     "(Wilson's where all are right, or none), and after ± half the 95 % interval (Student's t) over seeds where there are "
-    "several. The log loss is in nats; the calibration error is the mean difference of confidence and accuracy (ECE, 10 "
-    "bins), mean over seeds."
+    "several. Probabilities have the temperature that each training found on its validation clips. The log loss is in nats; "
+    "the calibration error is the mean difference of confidence and accuracy (ECE, 10 bins), mean over seeds."
 )
 _LEAD = (
     "Differences of top-1 accuracies in percentage points, and their 95 % intervals over captures: where both saw the same "

@@ -83,6 +83,7 @@ def test_a_training_leaves_checkpoints_metrics_and_a_sheet(activity_settings: Se
         assert 0 <= line["top_1"] <= 1
         assert 0 < line["score"] < 1
     assert result.best["score"] == max(line["score"] for line in validated)
+    assert float(known.network.classifier.temperature) == pytest.approx(result.best["temperature"], rel=1e-6) != 1
     assert known.record["loss"] == {"class_weight": 3.0, "measurement_weight": 1.0, "label_smoothing": 0.0}
 
 
@@ -269,7 +270,7 @@ def test_it_begins_with_one_for_other_classes(activity_settings: Settings, monke
         settings = activity_settings(name, steps=1, init_from=str(path), optimiser=slow)
         found = load_checkpoint(train_activity(settings).folder / LAST).network.state_dict()
         for key, value in known.state_dict().items():
-            if key not in last or not classes:
+            if key != "classifier.temperature" and (key not in last or not classes):
                 torch.testing.assert_close(found[key], value, rtol=0, atol=1e-6)
         assert len(found[max(last)]) == len(classes or known.classes)
 
@@ -290,6 +291,7 @@ def test_a_lens_classifier_begins_with_weights_of_torchvision(
     assert found.record["init_from"]["file"] == "resnet18.pth"
     lens: Any = found.network.eval()
     lens.classifier.body.fc = known.fc = torch.nn.Identity()
+    lens.classifier.temperature.fill_(1)
     frames = torch.rand(2, 4, 3, 32, 32)
     with torch.no_grad():
         mean = normalize(frames.mean(dim=1), [0.485, 0.456, 0.406], [0.229, 0.224, 0.225])

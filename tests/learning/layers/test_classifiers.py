@@ -53,6 +53,26 @@ def test_faint_changes_count_like_strong_ones(name: str) -> None:
     torch.testing.assert_close(faint, strong, rtol=0.02, atol=1e-5)  # the scaling adds 1e-5 to a variance of 0.0007
 
 
+def test_the_temperature_is_that_with_which_labels_were_drawn() -> None:
+    """Networks three times too sure, and half as sure as they may be; as many labels tell the temperature to some 1 %."""
+    network = FrameClassifier("dronet", 6, 3, 0, 5)
+    fair = 2 * torch.randn(20000, 5)
+    labels = torch.multinomial(fair.softmax(dim=1), 1)[:, 0]
+    for factor in (3.0, 0.5):
+        network.calibrate(factor * fair, labels)
+        assert float(network.temperature) == pytest.approx(factor, rel=0.04)
+
+
+def test_the_temperature_divides_answers_but_in_training() -> None:
+    network = FrameClassifier("dronet", 6, 3, 0, 5)
+    network.body = torch.nn.Identity()
+    seen = torch.rand(2, 6, 3, 16, 16), torch.zeros(2, 0, 16, 16)
+    before = network(*seen), network.eval()(*seen)
+    network.temperature.fill_(4)
+    torch.testing.assert_close(network(*seen), before[1] / 4)
+    torch.testing.assert_close(network.train()(*seen), before[0])
+
+
 def clips(count: int) -> tuple[Tensor, Tensor]:
     """Return clips of 6 frames in which a dot goes to the right or to the left from anywhere, and which of the two."""
     frames, way = torch.zeros(count, 6, 1, 32, 32), torch.arange(count) % 2
