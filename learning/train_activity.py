@@ -152,8 +152,8 @@ class ActivityTraining(ClipTraining):
     def _metrics(self, batches: Loader[ClipExample]) -> dict[str, float]:
         """Return means over the validation clips: the loss's terms, ``top_1``, ``top_2``; ``temperature``, and ``score``.
 
-        The score is the mean probability that the true class is given, which tells steps apart of which as many are right.
-        All are those of a temperature of 1; the network is left with the one that these clips call for.
+        The network is left with the temperature that these clips call for. At this one, less the cross entropy is the score,
+        which tells steps apart that are right as often: surer is not better. The loss is at a temperature of 1.
         """
         sums: dict[str, float] = {}
         clips = 0
@@ -169,7 +169,6 @@ class ActivityTraining(ClipTraining):
                 guesses = answer.logits.topk(2, dim=1).indices == truth
                 values = {name: value * count for name, value in self._losses(answer, example).items()}
                 values |= {"top_1": guesses[:, 0].sum(), "top_2": guesses.sum()}
-                values |= {"score": answer.logits.softmax(dim=1).gather(1, truth).sum()}
                 for name, value in values.items():
                     sums[name] = sums.get(name, 0.0) + float(value)
                 clips += count
@@ -177,9 +176,12 @@ class ActivityTraining(ClipTraining):
         together = torch.tensor([*sums.values(), clips], dtype=torch.float64, device=self._group.device)
         *totals, of = self._group.add(together).tolist()
         every = itertools.chain.from_iterable(self._group.gather(seen))
-        classifier.calibrate(*map(torch.cat, zip(*every, strict=True)))
+        logits, labels = map(torch.cat, zip(*every, strict=True))
+        classifier.calibrate(logits, labels)
         temperature = float(classifier.temperature)
-        return {name: total / of for name, total in zip(sums, totals, strict=True)} | {"temperature": temperature}
+        score = -float(nn.functional.cross_entropy(logits.double() / temperature, labels))
+        means = {name: total / of for name, total in zip(sums, totals, strict=True)}
+        return means | {"temperature": temperature, "score": score}
 
     def _drawn(self, example: ClipExample) -> NDArray[np.uint8]:
         """Return an image: of each clip its true frames and, if it looks at estimates, these, beside what it says of them."""
