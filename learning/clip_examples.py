@@ -1,4 +1,4 @@
-"""What a network for clips learns from: captures, frames, and what is dear to compute of them, kept in a file.
+"""What a network for clips learns from: captures, frames, and what is expensive to compute of them, kept in a file.
 
 The joint estimate that a network may begin with takes longer than a step of its training. So a clip is changed and
 re-simulated a fixed number of times, and each time is worked out once, by whichever process needs it first. A GPU, which

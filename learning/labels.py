@@ -21,8 +21,8 @@ def labels(dataset: Dataset) -> list[str]:
     found = [entries[dataset.split, name].label for name in dataset.ids]
     without = [name for name, label in zip(dataset.ids, found, strict=True) if label is None]
     if without:
-        more = f" and {len(without) - 1} more" if without[1:] else ""
-        reason = f"{dataset.split}/{without[0]}{more} has no label, without which there is nothing to recognise"
+        which = f" and {len(without) - 1} more have" if without[1:] else " has"
+        reason = f"{dataset.split}/{without[0]}{which} no label, without which there is nothing to recognise"
         raise InputError(dataset.root, f"{reason}; take scenes with classes, such as the family activity")
     return [label for label in found if label is not None]
 
@@ -54,8 +54,17 @@ def class_numbers(dataset: Dataset, classes: Sequence[str]) -> list[int]:
     if unknown:
         got = f"split {dataset.split!r} has samples of {', '.join(map(show, unknown[:3]))}{' ...' * (len(unknown) > 3)}"
         cure = "train with them, or leave them out (scene.actions)"
-        raise InputError(dataset.root, f"{got}, expected what is learned: {', '.join(classes)}; {cure}")
+        raise InputError(dataset.root, f"{got}, expected the network's classes: {', '.join(classes)}; {cure}")
     return [number[label] for label in found]
+
+
+def check_forwards(dataset: Dataset) -> None:
+    """Refuse clips that run backwards: their labels are still those of what is done forwards."""
+    if dataset.config["scene"].get("backwards"):
+        cure = "take the samples that they were made from; an evaluation compares both (data.backwards)"
+        raise InputError(
+            dataset.root, f"its clips run backwards, where another thing is done than their labels say; {cure}"
+        )
 
 
 def spread_over_classes(numbers: Sequence[int], count: int) -> list[int]:

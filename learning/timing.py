@@ -71,6 +71,12 @@ class Timing:
             raise InputError("frame_edges_s", f"got {len(edges_s) - 1} frames, expected at most {_MOST_FRAMES}")
         return cls(shutter_from_record(given.get("shutter")), edges_s)
 
+    def with_slivers_of(self, known: Timing) -> Timing:
+        """Return the same capture taken apart as another one is that lasts as long; one of another length as it is."""
+        ends_s = self.frame_edges_s[[0, -1]], known.frame_edges_s[[0, -1]]
+        alike = np.allclose(*ends_s, rtol=0, atol=_ALIKE * known.frame_edges_s[-1])
+        return replace(self, frame_edges_s=known.frame_edges_s) if alike else self
+
     def check_same(self, known: Timing, rows: int) -> None:
         """Refuse the timing of a capture, this one, for a method that knows another, of a sensor with so many rows.
 
@@ -128,6 +134,9 @@ def with_slivers(dataset: Dataset, slivers: int | None) -> Dataset:
     time = dataset.info.time
     if slivers is None or slivers == time.get("slivers"):
         return dataset
+    if recorded_timing(dataset) is None:
+        reason = "holds stills, which have no slivers; take clips (scene.frames)"
+        raise InputError("slivers", f"got {slivers}, but {dataset.root} {reason}")
     if time.get("ground_truth") != "frames":
         reason = (
             "does not store all frames, from which other slivers could be made; generate it with ground_truth: frames"

@@ -18,7 +18,7 @@ from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
 from learning.config import ActivityLossConfig, ActivityNetworkConfig, ActivityTrainConfig
 from learning.data import Loader
 from learning.evaluate.films import NamedFilm, film_sheet
-from learning.labels import class_names, class_numbers, spoken, spread_over_classes
+from learning.labels import check_forwards, class_names, class_numbers, spoken, spread_over_classes
 from learning.method import Progress, Say, inference, linear_to_srgb
 from learning.models.activitynet import ACTIVITY_SIZES, ActivityNet, Answer, Classifier, LensClassifier
 from learning.train import origin
@@ -86,6 +86,8 @@ class ActivityTraining(ClipTraining):
             _check_used(config.network)
         classes = class_names(train)
         class_numbers(validation, classes)  # refuses a class that is not learned
+        for dataset in (train, validation):
+            check_forwards(dataset)
         sided = [name for name in classes if _SIDED.search(name)]
         if sided and config.data.augment is not None and config.data.augment.flip:
             got = f"got true, but mirrored, {sided[0]} is another class; set flip: false"

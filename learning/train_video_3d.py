@@ -64,9 +64,8 @@ class Video3DTraining(VideoTraining):
         return origin(known), network.take(known.network, str(path))
 
     def _rate(self, module: nn.Module) -> float:
-        return (
-            1.0  # the inversions are the FlatNet3D's, which is not trained here; so are statistics, where it has some
-        )
+        # Inversions are the FlatNet3D's, which is not trained here; so are statistics, where it has some.
+        return 1.0
 
     def _schedule(self) -> None:
         Training._schedule(self)

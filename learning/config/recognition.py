@@ -32,8 +32,8 @@ class RecognitionData(Section):
     clips: Count | None = None
     """only the first so many; null takes all"""
     backwards: str | None = None
-    """folder of a data set with the same clips backwards (scene: {source: samples, backwards: true}): what do those that the
-    reference names rightly become?"""
+    """folder of a data set with the same clips reversed in time (scene: {source: samples, backwards: true}): what becomes of
+    those that the reference classifies correctly?"""
 
 
 class RecognitionConfig(FileSection):
@@ -48,7 +48,7 @@ class RecognitionConfig(FileSection):
     reference: str | None = None
     """the one that all others are compared with; null: the first"""
     ceiling: str | None = None
-    """the one of whose accuracy the others' shares are given, such as that of the frames of a lens; null: none"""
+    """the one whose accuracy is 100 % in the column "of the ceiling", such as that of the frames of a lens; null: none"""
     noise_db: list[Decibels] | None = None
     """further levels at which noise is drawn anew from the noiseless measurements; null: only as stored"""
     batch: Count = 8

@@ -454,8 +454,8 @@ class ActivityTrainConfig(LoopConfig):
             unless = ", or take classifier: resnet18" if self.network.name == "lens_classifier" else ""
             text = f"got a file, but this {self.network.name} begins with random weights; leave it out{unless}"
             raise refusal(text, "init_from")
-        if self.network.name == "raw_classifier" and self.batch == 1:
-            raise refusal("got 1, but raw_classifier scales every pixel over a batch; take 2 or more", "batch")
+        if self.batch == 1:
+            raise refusal("got 1, but classifiers scale what they see over a batch; take 2 or more", "batch")
         return self
 
 

@@ -29,7 +29,7 @@ class FrameClassifier(nn.Module):
     what stands still, changes are so faint that from the frames themselves little is learned.
 
     Attributes:
-        temperature: what logits are divided by, but in training; see `calibrate`.
+        temperature: what logits are divided by, except in training; see `calibrate`.
     """
 
     temperature: Tensor

@@ -169,8 +169,8 @@ class ActivityNet(ClipNetwork):
 class RawClassifier(nn.Module):
     """What is done in captures, without any inversion: the classifier looks at the capture, in units of its mean light.
 
-    Each pixel is scaled to a mean of 0 and a variance of 1 over a batch: all captures are alike but for little, of which
-    without this nothing is learned.
+    Each pixel is scaled to a mean of 0 and a variance of 1 over a batch: captures differ so little that without this,
+    training stays at chance.
     """
 
     offset: Tensor
@@ -200,7 +200,7 @@ class RawClassifier(nn.Module):
 
 
 class LensClassifier(nn.Module):
-    """What is done in the frames of a camera with a lens, of the same field of view: each of its time, without noise."""
+    """What is done in the frames of a camera with a lens, of the same field of view: noise-free, one for each sliver."""
 
     def __init__(self, capture: CaptureModel, *, classes: Sequence[str], classifier: str, frames: Frames) -> None:
         """Build it for the clips of a camera; see `ActivityNet`.

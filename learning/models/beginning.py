@@ -26,7 +26,7 @@ from simulator.errors import InputError
 from simulator.io.files import sha256_bytes
 
 
-class Start(NamedTuple):
+class Parts(NamedTuple):
     """What the network begins with; light is in the camera's channels, 1 for white.
 
     Attributes:
@@ -84,7 +84,7 @@ class Beginning(nn.Module):
 
     @torch.no_grad()
     def forward(self, measurement: Tensor) -> Tensor:
-        """Return all of `Start` of each measurement in a row, ``(B, numbers)``."""
+        """Return all of `Parts` of each measurement in a row, ``(B, numbers)``."""
         problem, light = self.joint.problem, self.joint.light(measurement)
         stilled = [problem.instead(measurement, light, frame) for frame in light.split(1)]
         with inference(self.still):
@@ -100,10 +100,10 @@ class Beginning(nn.Module):
         image, disparity = self.still.refine(self.still.enhance(inverted), inverted)
         return image, disparity
 
-    def parts(self, start: Tensor) -> Start:
+    def parts(self, start: Tensor) -> Parts:
         """Return what `forward` has put in a row."""
         sizes = [math.prod(shape) for shape in self._shapes]
-        return Start(*(one.unflatten(1, shape) for one, shape in zip(start.split(sizes, 1), self._shapes, strict=True)))
+        return Parts(*(one.unflatten(1, shape) for one, shape in zip(start.split(sizes, 1), self._shapes, strict=True)))
 
 
 def still_camera(capture: CaptureModel) -> CaptureModel:

@@ -44,6 +44,15 @@ def check_clips(capture: CaptureModel, name: str) -> None:
         raise InputError("capture", reason)
 
 
+def camera_codes(colours: Tensor, light: Tensor) -> Tensor:
+    """Return sRGB codes ``(..., 3, h, w)``, not clipped above white, of light in the camera's channels.
+
+    ``colours`` ``(3, C)`` takes the channels to linear sRGB.
+    """
+    radiance = torch.einsum("ac,...chw->...ahw", colours, light).clamp(0, MOST_RADIANCE)
+    return linear_to_srgb(radiance, 1.0, clip=False)
+
+
 class Begun(NamedTuple):
     """What is known of captures before a network's own part; estimates are light in the camera's channels, 1 for white.
 
@@ -205,10 +214,9 @@ class ClipNetwork(nn.Module):
         return None if self.joint is None else self.joint(measurement)
 
     def codes(self, light: Tensor) -> Tensor:
-        """Return sRGB codes ``(..., 3, h, w)``, not clipped above white, of light in the camera's channels."""
+        """Return `camera_codes` of this camera."""
         with torch.autocast(light.device.type, enabled=False):
-            radiance = torch.einsum("ac,...chw->...ahw", self.colours, light).clamp(0, MOST_RADIANCE)
-            return linear_to_srgb(radiance, 1.0, clip=False)
+            return camera_codes(self.colours, light)
 
     def _begun(self, measurement: Tensor, light: Tensor, static: Tensor, noise: Tensor | None) -> Tensor:
         """Return the first estimate, ``(B, N, C, h, w)``, linear, 1 for white."""

@@ -17,10 +17,9 @@ from torch import Tensor, nn
 
 from learning.camera import CaptureModel
 from learning.layers.noise import level_image, noise_ratio
-from learning.method import Clock, Estimate, inference, linear_to_srgb
+from learning.method import Clock, Estimate, inference
 from learning.models.beginning import Beginning
-from learning.models.clip_network import ClipNetworkMethod, FrameBody, check_clips, copy_weights
-from learning.models.refinement import MOST_RADIANCE
+from learning.models.clip_network import ClipNetworkMethod, FrameBody, camera_codes, check_clips, copy_weights
 from simulator.errors import InputError
 
 
@@ -89,8 +88,7 @@ class VideoNet3D(nn.Module):
             level = level_image(noise_ratio(self.joint.still.inversion.light(measurement)), known.image)
             # Of all planes together: least squares find much better how bright a pixel is than how far away.
             light = known.light.unflatten(2, (self.joint.planes, -1)).sum(dim=2)
-            radiance = torch.einsum("ac,bnchw->bnahw", self.colours, light).clamp(0, MOST_RADIANCE)
-            codes = linear_to_srgb(radiance, 1.0, clip=False)
+            codes = camera_codes(self.colours, light)
         own = torch.cat([known.light, codes, known.images, known.disparities], dim=2)
         shared = torch.cat([known.planes, known.image, known.disparity, level], dim=1)
         answer = self.body(own, shared).to(codes)

@@ -20,7 +20,7 @@ from learning.evaluate.films import NamedFilm
 from learning.evaluate.folder import claim_folder, is_claimed
 from learning.evaluate.methods import LearnedEntry, check_learned
 from learning.evaluate.runs import CACHE, Cameras, ResultCache
-from learning.labels import class_numbers, spoken, spread_over_classes
+from learning.labels import check_forwards, class_numbers, spoken, spread_over_classes
 from learning.method import (
     Clock,
     Progress,
@@ -120,6 +120,7 @@ def _read(config: RecognitionConfig, row: ClassifierConfig) -> list[Trained]:
             names = "activitynet, raw_classifier or lens_classifier"
             raise InputError(row.name, f"{path} is a {type(network).__name__}, not a classifier; expected {names}")
         test = _open(config, row.test or config.data.test, network.classes, known.capture.frames)
+        check_forwards(test)
         check_learned(row.name, path, known.record, test)
         found.append(_built(row.name, path, test))
     cure = "give those of trainings that differ in their seed alone, one of each"
@@ -138,7 +139,8 @@ def _kind(one: Trained) -> str:
     config, data_sets = (known.record.get(key, {}) for key in ("config", "data sets"))
     how = {key: config.get(key) for key in _TRAINED_BY}
     how["data"] = {key: config.get("data", {}).get(key) for key in _TRAINED_ON}
-    sets = [data_sets.get(split, {}).get("fingerprint") for split in ("train", "validation")]
+    splits = (data_sets.get(split, {}) for split in ("train", "validation"))
+    sets = [[split.get(key) for key in ("fingerprint", "samples")] for split in splits]
     sets.append(data_sets.get("stack"))
     told = [known.architecture, how, sets, known.record.get("init_from"), one.test.fingerprint]
     return sha256_bytes(canonical_json(told))

@@ -46,7 +46,7 @@ The thesis's method keeps 76 % of the top-1 accuracy of the same classifier on t
 training differ from those above; only such shares may be compared, with caution."""
 _HOW = (
     "Accuracies are shares of the test captures, means over seeds; in brackets the 95 % bootstrap interval over captures "
-    "(Wilson's where all are right, or none), and after ± half the 95 % interval (Student's t) over seeds where there are "
+    "(Wilson's where all are right as often), and after ± half the 95 % interval (Student's t) over seeds where there are "
     "several. Probabilities have the temperature that each training found on its validation clips. The log loss is in nats; "
     "the calibration error is the mean difference of confidence and accuracy (ECE, 10 bins), mean over seeds."
 )
@@ -103,6 +103,11 @@ class Recognition:
         others = (one for one in self.main if one is not self.reference)
         return [lead(self.reference, other) for other in others]
 
+    def of_ceiling(self, one: Answers) -> float | None:
+        """Return the top-1 accuracy of a classifier as a share of the ceiling's; None without one, or where that is 0."""
+        ceiling = self.ceiling
+        return one.accuracy() / ceiling.accuracy() if ceiling and ceiling.accuracy() else None
+
     def rows(self) -> list[list[str]]:
         """Return the table: its titles, every classifier, and what looks at nothing."""
         first, ceiling = self.reference, self.ceiling
@@ -112,7 +117,8 @@ class Recognition:
         for one in self.main:
             cells = [_accuracy(one, top) for top in TOP]
             if ceiling:
-                cells.append(f"{one.accuracy() / ceiling.accuracy():.0%}" if ceiling.accuracy() else "–")
+                share = self.of_ceiling(one)
+                cells.append("–" if share is None else f"{share:.0%}")
             cells += [f"{100 * one.calibration_error():.1f}", f"{one.log_loss():.3f}", str(len(one.probabilities))]
             rows.append([one.name, *cells])
         rest = ["–"] * (len(titles) - 1 - len(TOP))
@@ -127,7 +133,7 @@ class Recognition:
             "config": self.config.dump(),
             "data": {"fingerprint": self.fingerprint, "stored_psnr_db": self.stored_db},
             "classes": list(self.reference.classes),
-            "answers": [one.plain() for one in self.answers],
+            "answers": [one.plain() | {"of_ceiling": self.of_ceiling(one)} for one in self.answers],
             "reference_leads": [
                 {"other": one.other, "mean": one.mean, "interval": one.interval, "paired": one.paired}
                 for one in self.leads
@@ -285,12 +291,14 @@ def _csv(found: Recognition) -> str:
         for top in TOP
         for name in (f"top_{top}", f"top_{top}_low", f"top_{top}_high", f"top_{top}_half_interval_over_seeds")
     ]
-    writer.writerow(["classifier", "noise_db", "slivers", "seeds", *columns, "calibration_error", "log_loss"])
+    writer.writerow(
+        ["classifier", "noise_db", "slivers", "seeds", *columns, "of_ceiling", "calibration_error", "log_loss"]
+    )
     for one in found.answers:
         numbers: list[float | None] = []
         for top in TOP:
             ends = one.intervals[top] or (None, None)
             numbers += [one.accuracy(top), *ends, one.over_seeds(top)]
         about = [one.name, one.noise_db, one.slivers, len(one.probabilities)]
-        writer.writerow([*about, *numbers, one.calibration_error(), one.log_loss()])
+        writer.writerow([*about, *numbers, found.of_ceiling(one), one.calibration_error(), one.log_loss()])
     return stream.getvalue()

@@ -58,7 +58,10 @@ class Answers:
 
     @cached_property
     def guesses(self) -> NDArray[np.int64]:
-        """The most likely class of each seed and capture, ``(seeds, n)``."""
+        """The most likely class of each seed and capture, ``(seeds, n)``; the first of several.
+
+        Where the true one is among several, `ranks` counts the answer as wrong: nothing was told apart.
+        """
         return self.probabilities.argmax(axis=-1)
 
     @cached_property
@@ -84,15 +87,15 @@ class Answers:
     def intervals(self) -> dict[int, tuple[float, float] | None]:
         """The 95 % interval of the accuracy over captures, for each of `TOP`; None of a single capture.
 
-        See `learning.evaluate.paired.mean_interval`; where all captures are right, or none is, Wilson's (JASA 1927), because
-        all resamples are then alike.
+        See `learning.evaluate.paired.mean_interval`; where all captures are right as often, Wilson's (JASA 1927), because all
+        resamples are then alike.
         """
         return {top: self._interval(top) for top in TOP}
 
     def _interval(self, top: int) -> tuple[float, float] | None:
         right = self.right(top)
-        if len(right) > 1 and (all(right == 0) or all(right == 1)):
-            known = stats.binomtest(int(right.sum()), len(right)).proportion_ci(0.95, "wilson")
+        if len(right) > 1 and np.ptp(right) == 0:
+            known = stats.binomtest(round(right.sum()), len(right)).proportion_ci(0.95, "wilson")
             return float(known.low), float(known.high)
         return mean_interval(right, self.seed)
 

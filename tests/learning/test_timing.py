@@ -15,7 +15,7 @@ from scipy.signal import fftconvolve
 
 from learning.camera import CaptureModel, capture_model
 from learning.simulate import SceneCamera
-from learning.timing import Timing, recorded_timing, sample_timing
+from learning.timing import Timing, recorded_timing, sample_timing, with_slivers
 from simulator.camera.shutter import DualRollingShutter, GlobalShutter, RollingShutter, RowShutter, Shutter
 from simulator.dataset import open_dataset
 from simulator.dataset.manifest import MANIFEST
@@ -120,6 +120,15 @@ def test_a_method_for_other_times_is_refused_by_what_differs() -> None:
         Timing(shutter, np.linspace(0, EDGES_S[-1], 6)).check_same(known, ROWS)
 
 
+def test_a_capture_is_taken_apart_as_another_of_its_length() -> None:
+    known = Timing(SHUTTERS["dual"], EDGES_S)
+    other = Timing(SHUTTERS["dual"], EDGES_S[[0, 2, -1]])
+    other.with_slivers_of(known).check_same(known, ROWS)
+    assert known.with_slivers_of(other).frames == 2
+    longer = Timing(SHUTTERS["dual"], EDGES_S * 1.001)
+    assert longer.with_slivers_of(other) is longer
+
+
 def test_a_data_set_says_its_times(clip_dataset: Path) -> None:
     """8 frames of 2 ms in 4 slivers; a capture of 48 x 8 rows in pairs, 4 ms each, 60 us apart."""
     for split in ("train", "validation"):
@@ -152,6 +161,8 @@ def test_stills_have_no_times(learning_trial: Any) -> None:
     stills = open_dataset(learning_trial.generate(dataset=counts, psf={"as_captured": None}), "train")
     assert recorded_timing(stills) is None
     assert sample_timing(stills, stills.stored(0)) is None
+    with pytest.raises(InputError, match=r"^slivers: got 2, .* holds stills"):
+        with_slivers(stills, 2)
     (stills.root / MANIFEST).write_text("")
     assert recorded_timing(open_dataset(stills.root, "train")) is None
 

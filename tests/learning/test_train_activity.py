@@ -19,6 +19,7 @@ from learning.clip_examples import ClipExample
 from learning.commands import train as command
 from learning.config import ActivityLossConfig, ActivityTrainConfig, load_file, training_kind
 from learning.evaluate.films import film_sheet
+from learning.layers.classifiers import FrameClassifier
 from learning.method import srgb_to_linear
 from learning.models import build_network
 from learning.models.activitynet import ActivityNet, Answer
@@ -97,6 +98,46 @@ def test_the_preview_shows_clips_of_different_classes(
     monkeypatch.setattr(sheet, lambda clips, *words: shown.append(clips) or film_sheet(clips, *words))
     train_activity(activity_settings(network=LENS, steps=1))
     assert [[film.name for film in clip] for clip in shown[0]] == [["leftwards"], ["rightwards"]]
+
+
+def test_the_temperature_is_that_of_the_validation_clips(
+    activity_settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three of four right, each by a margin of 3 nats: 3 / T = ln 3, and the cross entropy is the entropy of (3/4, 1/4)."""
+    forward = FrameClassifier.forward
+
+    def answered(classifier: FrameClassifier, own: torch.Tensor, shared: torch.Tensor) -> torch.Tensor:
+        if classifier.training:
+            return forward(classifier, own, shared)
+        guesses = torch.tensor([1, 0, 1, 1])  # of classes 1, 0, 1, 0
+        return 3 * torch.nn.functional.one_hot(guesses, 2)[: len(own)].float() / classifier.temperature
+
+    monkeypatch.setattr(FrameClassifier, "forward", answered)
+    result = train_activity(activity_settings(network=LENS))
+    surprise = -0.75 * np.log(0.75) - 0.25 * np.log(0.25)
+    validated = [line for line in read_metrics(result.folder) if line["kind"] == "validation"]
+    assert len(validated) == 2  # the second one does not begin with the temperature of the first
+    for line in validated:
+        assert line["top_1"] == 0.75
+        assert line["temperature"] == pytest.approx(3 / np.log(3), rel=1e-4)
+        assert line["score"] == pytest.approx(-surprise, rel=1e-6)
+        assert line["classes"] == pytest.approx(np.log1p(np.exp(-3)) + 3 / 4, rel=1e-5)  # at a temperature of 1
+    saved: Any = load_checkpoint(result.folder / BEST).network
+    assert float(saved.classifier.temperature) == pytest.approx(3 / np.log(3), rel=1e-4)
+
+
+def test_each_step_draws_anew_from_the_seed(activity_settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: dict[int, list[int]] = {}
+    schedule = ActivityTraining._schedule
+
+    def recorded(training: ActivityTraining) -> None:
+        schedule(training)
+        drawn.setdefault(training._config.seed, []).append(torch.initial_seed())
+
+    monkeypatch.setattr(ActivityTraining, "_schedule", recorded)
+    for seed in (3, 4):
+        train_activity(activity_settings(str(seed), network=LENS, steps=3, seed=seed))
+    assert len({*drawn[3], *drawn[4]}) == 6
 
 
 @pytest.mark.slow
@@ -191,7 +232,7 @@ def test_measnet_learns_what_a_global_shutter_would_measure(activity_settings: S
         ({"network": LENS, "init_from": "videonet"}, "init_from"),
         ({"loss": {"class_weight": 0}}, "loss.class_weight"),
         ({"network": {"name": "raw_classifier", "classifier": "s3d"}}, "network.raw_classifier.classifier"),
-        ({"network": {"name": "raw_classifier"}, "batch": 1}, "batch"),
+        ({"network": LENS, "batch": 1}, "batch"),
     ],
 )
 def test_what_makes_no_sense_is_refused(activity_settings: Settings, changes: dict[str, Any], key: str) -> None:
@@ -234,9 +275,9 @@ def test_numbers_of_what_a_network_lacks_are_refused(
 
 
 def test_data_without_classes_are_refused(activity_settings: Settings, clip_dataset: Path, tiny_dataset: Path) -> None:
-    with pytest.raises(InputError, match="has no label"):
+    with pytest.raises(InputError, match="no label"):
         train_activity(activity_settings(data={"train": str(clip_dataset)}))
-    with pytest.raises(InputError, match="has no label"):
+    with pytest.raises(InputError, match="no label"):
         train_activity(activity_settings(data={"validation": str(clip_dataset)}))
 
 

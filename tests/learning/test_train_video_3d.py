@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 import torch
 
-from learning.camera import capture_model
+from learning.camera import CaptureModel, capture_model
 from learning.checkpoint import load_checkpoint
-from learning.config import Video3DTrainConfig, training_kind
+from learning.clip_examples import ClipExample
+from learning.clip_loss import ClipDepthLoss
+from learning.config import Video3DLossConfig, Video3DTrainConfig, training_kind
 from learning.data import ExampleSet
-from learning.method import linear_to_srgb
-from learning.resume import BEST
+from learning.method import Estimate, linear_to_srgb
+from learning.resume import BEST, LAST
 from learning.simulate import Augmentation
-from learning.train_video_3d import train_video_3d
+from learning.train_video_3d import Video3DTraining, train_video_3d
 from learning.validation import PREVIEW
 from simulator.dataset import open_dataset
 from simulator.errors import InputError
@@ -88,6 +90,47 @@ def test_a_gpu_finds_what_a_cpu_finds(moving_settings: Settings) -> None:
     # Conjugate gradients amplify rounding to some 1e-3, and the network's body runs in bfloat16: 2^-9
     assert found[1]["psnr_db"] == pytest.approx(found[0]["psnr_db"], abs=0.1)
     assert found[1]["depth_rmse_cm"] == pytest.approx(found[0]["depth_rmse_cm"], rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_resumed_training_is_the_same(moving_settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+    changes: dict[str, Any] = {"data": {"augment": Augmentation(still=0.5)}}
+    whole = train_video_3d(moving_settings("whole", **changes))
+    first, step = moving_settings("parts", **changes), Video3DTraining._step
+
+    def stopped(training: Video3DTraining, wrapped: Any, batch: Any, stop: Any) -> bool:
+        stop.wanted = training.progress.step == 4  # of 8
+        return step(training, wrapped, batch, stop)
+
+    monkeypatch.setattr(Video3DTraining, "_step", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        train_video_3d(first)
+    monkeypatch.setattr(Video3DTraining, "_step", step)
+    again = train_video_3d(first)
+    assert again.steps == 3
+    one, other = (load_checkpoint(each.folder / LAST).network.state_dict() for each in (whole, again))
+    for name, values in one.items():
+        assert torch.equal(values, other[name]), name
+
+
+def test_what_nobody_saw_is_not_learned(tiny_capture: CaptureModel) -> None:
+    """A depth of 0 means that a pixel saw nothing."""
+    training = Video3DTraining.__new__(Video3DTraining)
+    training._capture, training._loss = tiny_capture, ClipDepthLoss(Video3DLossConfig(), tiny_capture)
+    radiance = torch.rand(1, 4, 3, 16, 16)
+    depth_m = torch.full((1, 4, 1, 16, 16), 0.05)
+    depth_m[0, 1, 0, 2, 3] = 0
+    nothing = torch.zeros(0)
+    example = ClipExample(nothing, radiance, nothing, nothing, nothing, depth_m)
+
+    def total(*place: int) -> float:
+        disparity = torch.full_like(depth_m, 0.5)
+        disparity[place] = 0.1
+        return float(training._losses(Estimate(radiance, disparity), example)["total"])
+
+    assert total(0, 1, 0, 2, 3) != total(0, 1, 0, 2, 4)
+    depth_m[0, 1, 0, 2, 4] = 0
+    assert total(0, 1, 0, 2, 3) == total(0, 1, 0, 2, 4)
 
 
 @pytest.mark.slow

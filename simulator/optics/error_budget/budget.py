@@ -1,6 +1,6 @@
 """A PSF stack's error budget: one list of rows, worst first, each with what to change; quick with every stack, or full.
 
-Quick, in seconds, on crops of the mask where that is dear: sampling (proven before the stack is computed), wavelengths per
+Quick, in seconds, on crops of the mask where that is slow: sampling (proven before the stack is computed), wavelengths per
 channel against many, the depth model against ``exact``, light between planes, one PSF for all directions. Full, in minutes:
 the same on the whole mask and between all planes, and the model against the direct Rayleigh-Sommerfeld sum at points.
 """

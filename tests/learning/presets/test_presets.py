@@ -355,8 +355,20 @@ def test_classifiers_are_evaluated_where_they_are_trained_on_data_that_are_made(
         slivers = re.search(r"(\d+) slivers?$", name)
         assert row[0].data.slivers == (int(slivers[1]) if slivers else 20 if name == "one sharp frame" else None)
     assert config.ceiling == "lens video"
-    assert rows["lens video"][0].network.name == "lens_classifier"
-    assert made[rows["global shutter"][0].data.train].camera.shutter.type == "global"
+    looks = {"lens video": "all", "lens video in random order": "shuffled"}
+    looks |= {"one sharp frame": "middle", "background only": "middle"}
+    classifiers = {"ActivityNet, ResNet-18": "resnet18", "ActivityNet, 3D network": "cnn3d", "ActivityNet, S3D": "s3d"}
+    for name, row in rows.items():
+        for one in row:
+            kind = "lens_classifier" if name in looks else "raw_classifier" if name == "raw capture" else "activitynet"
+            assert one.network.name == kind, name
+            assert getattr(one.network, "frames", None) == looks.get(name), name
+            assert one.network.classifier == classifiers.get(name, "dronet"), name
+            assert one.data.shuffle_labels == (name == "ActivityNet, shuffled labels"), name
+            other = {"background only": "out/activity_64_background", "global shutter": "out/activity_64_global"}
+            assert one.data.train == other.get(name, "out/activity_64"), name
+    assert made["out/activity_64_global"].camera.shutter.type == "global"
+    assert made["out/activity_64_background"].scene.only_background
 
 
 def _called_at_the_head(preset: str, tmp_path: Path) -> list[list[str]]:

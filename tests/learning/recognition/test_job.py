@@ -213,17 +213,26 @@ def test_backwards_and_other_captures(
     rows = [
         {"name": "net", "checkpoints": [str(networks["net"][0])]},
         {"name": "net, 2 slivers", "checkpoints": [str(other)]},
-        {"name": "net, backwards", "checkpoints": [str(networks["net"][0])], "test": str(root)},
     ]
     data = {"test": str(labelled_dataset), "backwards": str(root)}
     found, files = recognise(settings(classifiers=rows, data=data, ceiling=None, noise_db=None, timed=0))
-    assert [one.slivers for one in found.main] == [4, 2, 4]
+    assert [one.slivers for one in found.main] == [4, 2]
     assert found.backwards is not None
-    np.testing.assert_array_equal(found.backwards.probabilities, found.main[2].probabilities)
+    examples, net = ExampleSet(open_dataset(root, "test")), load_checkpoint(networks["net"][0]).network
+    for at in (0, 7):
+        with torch.no_grad():
+            expected = net(examples[at].measurement[None]).logits.softmax(dim=1)[0].numpy()
+        np.testing.assert_allclose(found.backwards.probabilities[0, at], expected, atol=2e-4)
+    assert np.abs(found.backwards.probabilities - found.main[0].probabilities[:1]).max() > 5e-4, (
+        "more than the tolerance"
+    )
     assert (files[0].parent / "slivers.png").exists()
     report = files[0].read_text(encoding="utf-8")
     assert "## Time-reversed clips" in report
     assert "| 2 |" in report
+    rows[1]["test"] = str(root)  # its labels are still those of what is done forwards
+    with pytest.raises(InputError, match="its clips run backwards"):
+        recognise(settings(classifiers=rows, data=data, ceiling=None))
 
 
 @pytest.mark.parametrize(
@@ -260,14 +269,14 @@ def test_networks_and_data_that_do_not_fit(
         assert not (tmp_path / "out").exists()
 
     refused("is a VideoNet, not a classifier", [clip_checkpoint])
-    refused("has no label", networks["net"], test=str(clip_dataset))
+    refused("no label", networks["net"], test=str(clip_dataset))
     unknown = save(tmp_path / "up.safetensors", capture, NETWORKS["lens"] | {"classes": ["rightwards", "up"]}, 0)
-    refused("'leftwards', expected what is learned", [unknown])
+    refused("samples of 'leftwards', expected", [unknown])
     other = save(tmp_path / "more.safetensors", capture, NETWORKS["lens"] | {"classes": [*CLASSES, "up"]}, 0)
     refused("of different networks or trainings", [networks["lens"][0], other])
     refused("of different networks or trainings", [networks["lens"][0], networks["raw"][0]])
     trained = {"seed": 4, "steps": 9, "optimiser": {"learning_rate": 1e-3}, "data": {"draws": 2}}
-    data_sets = {"train": {"fingerprint": "a"}}
+    data_sets = {"train": {"fingerprint": "a", "samples": 16}}
     first, again = (
         save(tmp_path / f"{at}.safetensors", capture, NETWORKS["lens"], at, config=trained, **{"data sets": data_sets})
         for at in (1, 2)
@@ -276,11 +285,14 @@ def test_networks_and_data_that_do_not_fit(
     copy = tmp_path / "copy.safetensors"
     copy.write_bytes(networks["lens"][0].read_bytes())
     refused(r"copy\.safetensors is of a training that another", [networks["lens"][0], copy])
+    how = ("batch", "steps", "optimiser", "loss", "precision", "validate_every")
+    on = ("noise_db", "augment", "draws", "shuffle_labels")
+    differ = [*({key: "other"} for key in how), *({"data": {"draws": 2, key: "other"}} for key in on)]
     for config, sets in (
-        (trained | {"seed": 5, "steps": 10}, data_sets),
-        (trained | {"seed": 5, "optimiser": {"learning_rate": 1e-4}}, data_sets),
-        (trained | {"seed": 5, "data": {"draws": 1}}, data_sets),
-        (trained | {"seed": 5}, {"train": {"fingerprint": "b"}}),
+        *((trained | {"seed": 5} | other, data_sets) for other in differ),
+        (trained | {"seed": 5}, {"train": {"fingerprint": "b", "samples": 16}}),
+        (trained | {"seed": 5}, {"train": {"fingerprint": "a", "samples": 8}}),
+        (trained | {"seed": 5}, data_sets | {"validation": {"fingerprint": "a", "samples": 8}}),
         (trained | {"seed": 5}, data_sets | {"stack": "c"}),
     ):
         another = save(tmp_path / "b.safetensors", capture, NETWORKS["lens"], 3, config=config, **{"data sets": sets})
@@ -297,7 +309,7 @@ def test_networks_and_data_that_do_not_fit(
     scenes = {"scenes": {"train": scenes_of(open_dataset(labelled_dataset, "test"))}}
     knows = save(tmp_path / "knows.safetensors", capture, NETWORKS["lens"], 0, **scenes)
     refused("learned from test scenes", [knows])
-    refused("has no label", networks["net"], backwards=str(clip_dataset))
+    refused("no label", networks["net"], backwards=str(clip_dataset))
     refused("does not have the clips of .* backwards", networks["net"], backwards=str(labelled_dataset))
     assert len(train) == 16
 

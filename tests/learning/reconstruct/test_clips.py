@@ -204,10 +204,29 @@ def test_a_network_gives_the_frames_of_a_clip(clip_dataset: Path, video_checkpoi
         np.testing.assert_allclose(found, expected, atol=1e-3 * wanted.radiance.max())
 
 
+def test_a_network_tells_its_own_number_of_frames_apart(
+    learning_trial: Any, clip_settings: dict[str, dict[str, Any]], video_checkpoint: Path, tmp_path: Path
+) -> None:
+    """Whatever number the data set keeps of the same capture."""
+    counts, films = {"train": 1, "validation": 0, "test": 1}, []
+    for slivers in (2, 4):
+        told = {"slivers": slivers, "output": str(tmp_path / f"data_{slivers}")}
+        root = learning_trial.generate(**clip_settings | {"dataset": clip_settings["dataset"] | counts | told})
+        sample, folder = open_dataset(root, "test").folder(0), tmp_path / str(slivers)
+        text = reconstruct_file(Options(measurement=sample, checkpoint=str(video_checkpoint), output=folder))
+        assert "4 frames of 16 x 16" in text
+        films.append([path.read_bytes() for path in sorted((folder / "frames").iterdir())])
+    assert len(films[0]) == 4
+    assert films[0] == films[1]
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"dataset.slivers": 2}, r"^{net}: was trained for another camera .*slivers: got 2, the method was made for 4"),
+        (
+            {"scene.frames": 9, "dataset.slivers": 3, "camera.shutter.exposure_ms": 6},
+            r"^{net}: was trained for another camera .*slivers: got 3, the method was made for 4",
+        ),
         ({"camera.shutter.exposure_ms": 4.5}, r"^{net}: was trained for another camera .*shutter: got .*dual_rolling"),
         ({"scene.size": [12, 16]}, r"^{net}: .*scene_shape: got 12 x 16 pixels, expected 16 x 16"),
         ({"camera.sensor.shape": [48, 44]}, r"got 48 x 44 pixels, the network of video\.safetensors is for 48 x 48"),
