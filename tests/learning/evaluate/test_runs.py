@@ -61,6 +61,10 @@ def test_methods_of_two_whites_are_refused(test_split: Dataset, tiny_camera: Cap
     other = _entry(replace(tiny_camera, white=tiny_camera.white * 1.01), "b.safetensors")  # another seed of one network
     with pytest.raises(InputError, match=r"^methods: net \(b\.safetensors\) .*net \(a\.safetensors\)"):
         Cameras(test_split, None, [_entry(tiny_camera), other])
+    near = _entry(
+        replace(tiny_camera, white=tiny_camera.white * 1.0003)
+    )  # learned from the same data, rendered elsewhere
+    assert Cameras(test_split, None, [_entry(tiny_camera), near]).test.white == tiny_camera.white
 
 
 def test_a_method_of_another_camera_is_refused_by_name(test_split: Dataset, tiny_camera: CaptureModel) -> None:
