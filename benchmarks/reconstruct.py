@@ -1,4 +1,6 @@
-"""Seconds per scene and stage, and memory, of the networks and the classical methods, of stills or clips, on one device.
+"""Seconds per scene and stage, and memory, of the networks and the classical methods, on one device.
+
+Those of stills, of clips of one plane, or of clips with depth: which, the data set says.
 
     uv run --extra learn python benchmarks/reconstruct.py DATASET [--tuned tuned.json] [--fitted N] \
         [--device cuda] [--repeats 7]
@@ -25,6 +27,7 @@ import yaml
 
 from learning.camera import CaptureModel, capture_model, measure_reference_white
 from learning.classical.by_name import ALL_DEFAULTS, build_method
+from learning.classical.clip_depth import CLIP_DEPTH_DEFAULTS
 from learning.classical.clips import CLIP_DEFAULTS
 from learning.classical.method import DEFAULTS
 from learning.evaluate.scoring import take_times
@@ -42,14 +45,35 @@ VIDEONETS = {
     "VideoNet 3D, smaller": {"dimensions": 3, "filters": 12, "levels": 3, "refinements": 1, "repeats": 0},
 }
 """By what differs from the preset videonet_64."""
+CLASSES = [f"class {number}" for number in range(10)]
+
+
+def preset(name: str) -> dict[str, Any]:
+    """Return the network of a preset."""
+    return yaml.safe_load(preset_texts()[name])["network"]
+
+
+def networks(capture: CaptureModel) -> dict[str, dict[str, Any]]:
+    """Return the networks for a camera; all methods are compared with the first."""
+    if capture.timing is None:
+        return {name: preset(own) for name, own in PRESETS.items()}
+    if len(capture.stack.depths_m) > 1:
+        still = preset("flatnet3d_refined_64")
+        return {"VideoNet3D": preset("videonet3d_64") | {"still": {"network": still.pop("name"), **still}}}
+    videonets = {name: preset("videonet_64") | changes for name, changes in VIDEONETS.items()}
+    return videonets | {"ActivityNet": preset("activitynet_64") | {"classes": CLASSES}}
+
+
+def classical_methods(capture: CaptureModel) -> list[str]:
+    """Return the names of the classical methods for a camera."""
+    if capture.timing is None:
+        return list(DEFAULTS)
+    return list(CLIP_DEPTH_DEFAULTS if len(capture.stack.depths_m) > 1 else CLIP_DEFAULTS)
 
 
 def builders(capture: CaptureModel, chosen: argparse.Namespace) -> dict[str, Callable[[], Method]]:
-    """Return what builds each method for a camera of stills or clips; the first one is what all compare with."""
-    clips, device = capture.timing is not None, torch.device(chosen.device)
-    preset = {name: yaml.safe_load(preset_texts()[name])["network"] for name in ("videonet_64", *PRESETS.values())}
-    kinds = {name: preset["videonet_64"] | changes for name, changes in VIDEONETS.items()}
-    kinds = kinds if clips else {name: preset[own] for name, own in PRESETS.items()}
+    """Return what builds each method for a camera; the first one is what all compare with."""
+    device, kinds = torch.device(chosen.device), networks(capture)
 
     def network(name: str) -> Method:
         return learned_method(name, build_network(capture, **kinds[name] | {"size": chosen.size}).to(device), capture)
@@ -58,7 +82,7 @@ def builders(capture: CaptureModel, chosen: argparse.Namespace) -> dict[str, Cal
         return build_method(capture, name, parameters).to(device)
 
     made: dict[str, Callable[[], Method]] = {name: partial(network, name) for name in kinds}
-    for name in CLIP_DEFAULTS if clips else DEFAULTS:
+    for name in classical_methods(capture):
         if name in FITTED and not chosen.fitted:
             continue
         parameters, where = ALL_DEFAULTS[name], "by default"
