@@ -154,7 +154,7 @@ class ActivityTraining(ClipTraining):
     def _metrics(self, batches: Loader[ClipExample]) -> dict[str, float]:
         """Return means over the validation clips: the loss's terms, ``top_1``, ``top_2``; ``temperature``, and ``score``.
 
-        The network is left with the temperature that these clips call for. At this one, less the cross entropy is the score,
+        The network is left with the temperature that these clips call for. The score is minus the cross entropy at this one,
         which tells steps apart that are right as often: surer is not better. The loss is at a temperature of 1.
         """
         sums: dict[str, float] = {}

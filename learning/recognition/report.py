@@ -45,10 +45,11 @@ _PUBLISHED = """## Published, on other data
 The thesis's method keeps 76 % of the top-1 accuracy of the same classifier on the frames of a lens. Its films, classes and
 training differ from those above; only such shares may be compared, with caution."""
 _HOW = (
-    "Accuracies are shares of the test captures, means over seeds; in brackets the 95 % bootstrap interval over captures "
-    "(Wilson's where all are right as often), and after ± half the 95 % interval (Student's t) over seeds where there are "
-    "several. Probabilities have the temperature that each training found on its validation clips. The log loss is in nats; "
-    "the calibration error is the mean difference of confidence and accuracy (ECE, 10 bins), mean over seeds."
+    "Accuracies are shares of the test captures, means over seeds; in brackets the 95 % bootstrap interval over "
+    "captures (Wilson's where all captures are right equally often), and after ± half the 95 % interval (Student's t) "
+    "over seeds where there are several. Probabilities have the temperature that each training found on its validation "
+    "clips. The log loss is in nats; the calibration error is the mean difference of confidence and accuracy (ECE, 10 "
+    "bins), mean over seeds."
 )
 _LEAD = (
     "Differences of top-1 accuracies in percentage points, and their 95 % intervals over captures: where both saw the same "

@@ -87,8 +87,8 @@ class Answers:
     def intervals(self) -> dict[int, tuple[float, float] | None]:
         """The 95 % interval of the accuracy over captures, for each of `TOP`; None of a single capture.
 
-        See `learning.evaluate.paired.mean_interval`; where all captures are right as often, Wilson's (JASA 1927), because all
-        resamples are then alike.
+        See `learning.evaluate.paired.mean_interval`; where all captures are right equally often, Wilson's (JASA 1927),
+        because all resamples are then alike.
         """
         return {top: self._interval(top) for top in TOP}
 

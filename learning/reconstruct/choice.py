@@ -101,9 +101,8 @@ def _learned(measurement: Measurement, path: Path, request: Request) -> Setup:
     if dataset is not None:
         try:
             own = capture_model(dataset)
-            if (
-                own.timing is not None and capture.timing is not None
-            ):  # how many frames are estimated is the network's choice
+            if own.timing is not None and capture.timing is not None:
+                # How many frames are estimated is the network's choice.
                 own = replace(own, timing=own.timing.with_slivers_of(capture.timing))
             if own.stack.fingerprint != capture.stack.fingerprint:
                 psfs += f", those that the network was trained with; the data set has {shown_stack(own.stack)}"
