@@ -5,10 +5,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
+from learning.provenance import playback
 from simulator.dataset.manifest import load_manifest
 from simulator.dataset.reader import Dataset, spread_positions
 from simulator.errors import InputError
 from simulator.text import show
+
+_WHICH = "check which classes the scenes have (scene.actions, scene.classes)"
 
 
 def labels(dataset: Dataset) -> list[str]:
@@ -38,7 +41,7 @@ def class_names(dataset: Dataset) -> tuple[str, ...]:
         got = (
             f"all {len(dataset)} samples of split {dataset.split!r} are {show(classes[0])}" if classes else "no sample"
         )
-        raise InputError(dataset.root, f"got {got}; recognition needs two classes at least: check scene.actions")
+        raise InputError(dataset.root, f"got {got}; recognition needs two classes at least; {_WHICH}")
     return classes
 
 
@@ -53,18 +56,19 @@ def class_numbers(dataset: Dataset, classes: Sequence[str]) -> list[int]:
     unknown = sorted(set(found) - set(number))
     if unknown:
         got = f"split {dataset.split!r} has samples of {', '.join(map(show, unknown[:3]))}{' ...' * (len(unknown) > 3)}"
-        cure = "train with them, or leave them out (scene.actions)"
+        cure = f"train with them, or leave them out; {_WHICH}"
         raise InputError(dataset.root, f"{got}, expected the network's classes: {', '.join(classes)}; {cure}")
     return [number[label] for label in found]
 
 
 def check_forwards(dataset: Dataset) -> None:
-    """Refuse clips that run backwards: their labels are still those of what is done forwards."""
-    if dataset.config["scene"].get("backwards"):
-        cure = "take the samples that they were made from; an evaluation compares both (data.backwards)"
-        raise InputError(
-            dataset.root, f"its clips run backwards, where another thing is done than their labels say; {cure}"
-        )
+    """Refuse clips that do not run forwards: their labels still describe the action as it was filmed."""
+    if (runs := playback(dataset)) == "forwards":
+        return
+    got = "its clips run backwards" if runs == "backwards" else "its clips stand still"
+    cure = "take the samples that they were made from"
+    cure += "; an evaluation compares both (data.backwards)" if runs == "backwards" else ""
+    raise InputError(dataset.root, f"{got}, so their labels no longer describe what they show; {cure}")
 
 
 def spread_over_classes(numbers: Sequence[int], count: int) -> list[int]:

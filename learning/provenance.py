@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib import metadata
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, Literal
 
 from simulator import __version__
 from simulator.dataset.manifest import load_manifest
@@ -75,12 +75,34 @@ def scenes_of(dataset: Dataset) -> list[str]:
 def clips_of(dataset: Dataset) -> tuple[str, ...]:
     """Return what each clip of a split is known by, whatever camera saw it: its data set, and its name there.
 
-    Samples of a data set that were seen again are known by that data set and their names in it, also backwards.
+    Samples of a data set that were seen again, once or oftener, are known by that data set and their names in it, also
+    backwards.
     """
-    if dataset.config["scene"].get("source") != "samples":
-        return tuple(f"{dataset.fingerprint} {dataset.split}/{name}" for name in dataset.ids)
-    said = (dataset.stored(position).description["metadata"]["scene"] for position in range(len(dataset)))
-    return tuple(f"{clip['data set']} {clip['sample']}" for clip in said)
+    found = []
+    for place, name in enumerate(dataset.ids):
+        own = {"data set": dataset.fingerprint, "sample": f"{dataset.split}/{name}"}
+        first = [own, *_seen_again(dataset, place)][-1]
+        found.append(f"{first['data set']} {first['sample']}")
+    return tuple(found)
+
+
+def playback(dataset: Dataset) -> Literal["forwards", "backwards", "still"]:
+    """Return how the clips of a split run, compared with those that were first rendered or imported."""
+    views = list(_seen_again(dataset, 0)) if len(dataset) else []
+    if any(view.get("still") for view in views):
+        return "still"
+    return "backwards" if sum(bool(view.get("backwards")) for view in views) % 2 else "forwards"
+
+
+def _seen_again(dataset: Dataset, position: int) -> Iterator[Mapping[str, Any]]:
+    """Yield what the source `samples` says of a sample, then what it said of the one that this was made from, and so on."""
+    made_by = dataset.config["scene"]
+    if made_by.get("source") != "samples":
+        return
+    clip = dataset.stored(position).description["metadata"]["scene"]
+    while made_by.get("source") == "samples":
+        yield clip
+        made_by, clip = clip["made by"], clip["scene"]
 
 
 def _known_by(made_by: Mapping[str, Any], clip: Mapping[str, Any], seed: int, split: str) -> str:

@@ -12,7 +12,7 @@ import yaml
 
 from learning.checkpoint import load_checkpoint, shipped_checkpoints
 from learning.config import TrainConfig, TuneConfig, load_file
-from learning.provenance import scenes_of
+from learning.provenance import clips_of, playback, scenes_of
 from learning.tune.study import load_tuned
 from simulator.errors import InputError
 
@@ -45,7 +45,7 @@ def test_what_earlier_versions_wrote_is_read_with_the_new_names(tmp_path: Path) 
 
 
 class _Split(SimpleNamespace):
-    """A split of a data set, as far as `scenes_of` looks at it; ``clips`` are what the source says of each sample."""
+    """A split of a data set, as far as provenance looks at it; ``clips`` are what the source says of each sample."""
 
     def __len__(self) -> int:
         return len(self.clips)
@@ -93,3 +93,32 @@ def test_scenes_that_are_seen_again_are_known_by_what_they_were_known_by() -> No
     assert _imported(filmed, source="samples") == _imported(film)
     again = {"sample": "test/s00000000", "seed": 1, "made by": {"source": "samples"}, "scene": drawn}
     assert _imported(again, source="samples") == _drawn("validation", seed=9)
+
+
+def _again(made_by: str, scene: dict[str, Any], sample: str, **how: bool) -> dict[str, Any]:
+    """Return what the source `samples` says of a sample of the data set "first" or, of one made from it, "second"."""
+    made = {"family": "activity"} if made_by == "first" else {"source": "samples"}
+    return {"data set": made_by, "sample": sample, "made by": made, "scene": scene, "seed": 7, **how}
+
+
+def _split(*clips: dict[str, Any], **scene: Any) -> Any:
+    ids = tuple(f"s{place}" for place in range(len(clips)))
+    return _Split(config={"seed": 7, "scene": scene}, split="test", fingerprint="own", ids=ids, clips=clips)
+
+
+def test_clips_are_known_by_the_first_data_set_and_their_names_there() -> None:
+    assert clips_of(_split({}, {}, family="activity")) == ("own test/s0", "own test/s1")
+    once = [_again("first", {}, f"test/s{place}", backwards=True) for place in (5, 3)]
+    assert clips_of(_split(*once, source="samples")) == ("first test/s5", "first test/s3")
+    twice = [_again("second", clip, f"test/s{place}") for place, clip in enumerate(once)]
+    assert clips_of(_split(*twice, source="samples")) == ("first test/s5", "first test/s3")
+
+
+def test_how_clips_run_follows_from_all_that_showed_them_again() -> None:
+    back, stopped, plain = (_again("first", {}, "test/s0", **how) for how in ({"backwards": True}, {"still": True}, {}))
+    for clip, runs in ((back, "backwards"), (stopped, "still"), (plain, "forwards")):
+        assert playback(_split(clip, source="samples")) == runs
+        assert playback(_split(_again("second", clip, "test/s0"), source="samples")) == runs
+    for clip, runs in ((back, "forwards"), (stopped, "still"), (plain, "backwards")):
+        assert playback(_split(_again("second", clip, "test/s0", backwards=True), source="samples")) == runs
+    assert playback(_split({}, family="activity")) == playback(_split(source="samples")) == "forwards"
