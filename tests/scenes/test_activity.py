@@ -39,7 +39,7 @@ def test_every_choice_occurs() -> None:
     assert {p.looks.skin for p in drawn} == set(range(SKINS))
     assert {p.cast.main.left for p in drawn} == {p.looks.sleeved for p in drawn} == {False, True}
     manners = [p.cast.manner for p in drawn]
-    for name in ("both_hands", "joins", "tipped", "lifted", "offered", "from_above", "finger"):
+    for name in ("both_hands", "joins", "tipped", "lifted", "offered", "from_above", "finger", "slides"):
         assert {getattr(manner, name) for manner in manners} == {False, True}
     assert {manner.idle for manner in manners} == {"away", "rests", "enters"}
     for shares in ([m.apart for m in manners], [m.spilled for m in manners], [p.companion is None for p in drawn]):
@@ -178,6 +178,15 @@ def test_the_set_is_never_tiny_in_a_deep_range_nor_larger_than_it_has_to_be(
     assert smallest < scales.min()
     assert scales.max() <= largest
     assert 1.4 < scales.max() / scales.min() < 3
+
+
+def test_hands_are_as_long_as_the_preset_says() -> None:
+    """The view of `activity_64`: "Hands, 10 to 16 cm long"; an adult's of the set's real world has 19 cm."""
+    view = View((64, 64), 38.4e-6, 1.9e-3, 0.15, 0.54)
+    drawn = [draw_parameters("picking_up", view, np.random.default_rng(seed)) for seed in range(200)]
+    lengths_cm = [19 * one.viewpoint.scale * one.looks.hand_size for one in drawn]
+    assert 9.5 < min(lengths_cm) < 10.5
+    assert 15.5 < max(lengths_cm) < 16.5
 
 
 def test_short_clips_show_the_whole_action_faster() -> None:
