@@ -7,7 +7,16 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from learning.config.files import CLASSICAL, Classical, Count, Decibels, FileSection, Section, refuse_folder_names
+from learning.config.files import (
+    CLASSICAL,
+    Classical,
+    Count,
+    Decibels,
+    FileSection,
+    Section,
+    check_once,
+    refuse_folder_names,
+)
 from simulator.settings import Range
 from simulator.validation import refusal
 
@@ -47,7 +56,7 @@ class MethodConfig(Section):
 
     name: str = Field(min_length=1)
     """in tables and figures"""
-    checkpoints: list[str] | None = None
+    checkpoints: Annotated[list[str], Field(min_length=1)] | None = None
     """files, one per seed, or names of shipped ones; of clips, a network for stills gives all frames the same"""
     frames: str | None = None
     """of clips: file of a VideoNet, with its own PSFs, whose frames replace the image of a network for stills, so that only
@@ -66,9 +75,7 @@ class MethodConfig(Section):
             text = f"give either checkpoints (of a network) or classical ({', '.join(CLASSICAL)})"
             raise refusal(text)
         if self.checkpoints is not None:
-            if not self.checkpoints or len(set(self.checkpoints)) < len(self.checkpoints):
-                text = "expected at least one file, each of them once"
-                raise refusal(text, "checkpoints")
+            check_once(self.checkpoints, "file", "checkpoints")
             if self.tuned is not None or self.parameters is not None:
                 text = "tuned and parameters belong to classical methods; leave them out"
                 raise refusal(text)
@@ -111,7 +118,7 @@ class EvaluateConfig(FileSection):
     methods: list[MethodConfig] = Field(min_length=1)
     reference: str | None = None
     """the one that all others are compared with, scene by scene; null: the first"""
-    noise_db: list[Decibels] | None = None
+    noise_db: Annotated[list[Decibels], Field(min_length=1)] | None = None
     """further levels at which noise is drawn anew from the noiseless measurements; null: only as stored"""
     ablation_scenes: Count | None = None
     """scenes for noise_db and compare_stacks, the first so many; null: all"""
@@ -162,10 +169,7 @@ class EvaluateConfig(FileSection):
     @model_validator(mode="after")
     def _sense(self) -> Self:
         names = [method.name for method in self.methods]
-        for at, name in enumerate(names):
-            if name in names[:at]:
-                text = f"{name!r} is the name of two methods"
-                raise refusal(text, "methods", at, "name")
+        check_once(names, "name", "methods", key="name")
         if self.reference is not None and self.reference not in names:
             text = f"got {self.reference!r}, expected one of the methods: {', '.join(names)}"
             raise refusal(text, "reference")
@@ -173,10 +177,8 @@ class EvaluateConfig(FileSection):
         if edges is not None and (len(edges) < 2 or any(a >= b for a, b in pairwise(edges))):
             text = "expected at least two depths, increasing"
             raise refusal(text, "depth_bins_cm")
-        levels = self.noise_db
-        if levels is not None and (not levels or len(set(levels)) < len(levels)):
-            text = "expected at least one level, each of them once"
-            raise refusal(text, "noise_db")
+        if self.noise_db is not None:
+            check_once(self.noise_db, "level", "noise_db")
         if self.data.training is None and any(method.classical for method in self.methods):
             text = "classical methods need data.training, the data set whose PSFs they assume"
             raise refusal(text, "data")

@@ -13,6 +13,7 @@ from simulator import validation
 from simulator.config.load import load_model
 from simulator.io.files import expanded
 from simulator.settings import Range
+from simulator.text import show
 from simulator.validation import RENAMED, Problem, refusal
 
 
@@ -83,3 +84,11 @@ def refuse_folder_names(names: Iterable[str], key: str) -> None:
         if not re.fullmatch(r"\w[\w .()+-]*", name):
             text = f"got the name {name!r}, expected one that a folder may have: letters, digits, spaces, - or _"
             raise refusal(text, key, name, on_key=True)
+
+
+def check_once(values: Sequence[Any], each: str, *at: str | int, key: str | None = None) -> None:
+    """Refuse a list at the path ``at`` that has a value twice; ``key`` is the value's where entries are mappings."""
+    for place, value in enumerate(values):
+        if value in values[:place]:
+            text = f"got {show(value)} twice, expected each {each} once; leave one out, or change it"
+            raise refusal(text, *at, place, *([] if key is None else [key]))

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from learning.config.files import Count, Decibels, FileSection, OfStills, Section, refuse_folder_names
+from learning.config.files import Count, Decibels, FileSection, OfStills, Section, check_once, refuse_folder_names
 from learning.config.training import LossConfig, NetworkOptimiserConfig
 from learning.simulate import Augmentation
 from simulator.settings import Range
@@ -87,10 +87,8 @@ class SwapConfig(FileSection):
                 ):
                     text = f"got {name}, which masks and scenes decide; leave it out"
                     raise refusal(text, key, at)
-        for key in ("tuned", "untuned", "noise_db"):
-            if len(set(values := getattr(self, key))) < len(values):
-                text = f"got {', '.join(map(str, values))}, expected each of them once"
-                raise refusal(text, key)
+        for key, each in (("tuned", "method"), ("untuned", "method"), ("noise_db", "level")):
+            check_once(getattr(self, key), each, key)
         if self.network is None and not self.tuned + self.untuned:
             text = "nothing reconstructs: give network, or a classical method in tuned or untuned"
             raise refusal(text)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from learning.config.files import Classical, Decibels, FileSection, Section
+from learning.config.files import Classical, Decibels, FileSection, Section, check_once
 from simulator.settings import Range
 from simulator.validation import refusal
 
@@ -79,10 +79,8 @@ class TuneConfig(FileSection):
         if self.denoiser != "denoiser" and not {"pnp", "pnp_clips"}.intersection(self.methods):
             text = f"only pnp and pnp_clips have one; methods: {', '.join(self.methods)}"
             raise refusal(text, "denoiser", on_key=True)
-        for key in ("methods", "noise_db"):
-            if len(set(values := getattr(self, key))) < len(values):
-                text = f"got {', '.join(map(str, values))}, expected each of them once"
-                raise refusal(text, key)
+        check_once(self.methods, "method", "methods")
+        check_once(self.noise_db, "level", "noise_db")
         for name in self.search:
             if name not in self.methods:
                 text = f"{name!r} is not tuned here; methods: {', '.join(self.methods)}"

@@ -110,7 +110,7 @@ def test_a_table_is_printed(tmp_path: Path, tiny_dataset: Path, capsys: pytest.C
     [
         ("methods", {"methods": []}),
         ("methods[0].checkpoints", {"methods": [{"name": "A", "checkpoints": []}]}),
-        ("methods[0].checkpoints", {"methods": [{"name": "A", "checkpoints": ["a", "a"]}]}),
+        ("methods[0].checkpoints[1]", {"methods": [{"name": "A", "checkpoints": ["a", "a"]}]}),
         ("methods[0]", {"methods": [{"name": "A"}]}),
         ("methods[0]", {"methods": [{"name": "A", "checkpoints": ["a"], "classical": "cls"}]}),
         ("methods[0]", {"methods": [{"name": "A", "checkpoints": ["a"], "tuned": "b"}]}),
@@ -119,7 +119,8 @@ def test_a_table_is_printed(tmp_path: Path, tiny_dataset: Path, capsys: pytest.C
         ("data", {"data": {"test": "x"}}),
         ("data", {"data": {"test": "x", "stack": "captured"}}),
         ("depth_bins_cm", {"depth_bins_cm": [5, 4]}),
-        ("noise_db", {"noise_db": [20, 20]}),
+        ("noise_db", {"noise_db": []}),
+        ("noise_db[1]", {"noise_db": [20, 20]}),
         ("noise_db[0]", {"noise_db": [2000]}),
         ("speed", {"speed": 1}),
     ],
