@@ -169,7 +169,7 @@ class NetworkTraining(Training[Item]):
         architecture = {
             "network": config.network.name,
             **config.network.numbers,
-            **cls._told_by(config, train, validation),
+            **cls._architecture_from_data(config, train, validation),
         }
         network = build_network(capture, **named(architecture))
         check_normalisation(network, group)
@@ -185,7 +185,7 @@ class NetworkTraining(Training[Item]):
         return Plan(config, group, train, validation, capture, camera, network, architecture, loss, init_from, taken)
 
     @classmethod
-    def _told_by(cls, config: Any, train: Dataset, validation: Dataset) -> dict[str, Any]:
+    def _architecture_from_data(cls, config: Any, train: Dataset, validation: Dataset) -> dict[str, Any]:
         """Return what the data add to the network's architecture."""
         return {}
 

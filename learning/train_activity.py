@@ -20,7 +20,8 @@ from learning.data import Loader
 from learning.evaluate.films import NamedFilm, film_sheet
 from learning.labels import check_forwards, class_names, class_numbers, spoken, spread_over_classes
 from learning.method import Progress, Say, inference, linear_to_srgb
-from learning.models.activitynet import ACTIVITY_SIZES, ActivityNet, Answer, Classifier, LensClassifier
+from learning.models.activitynet import ACTIVITY_SIZES, ActivityNet, Classifier, ClassifierOutput, LensClassifier
+from learning.timing import recorded_timing
 from learning.train import origin
 from learning.train_clips import ClipTraining
 from learning.training_loop import TrainResult, find_cache, run
@@ -51,17 +52,16 @@ class ActivityLoss(nn.Module):
         super().__init__()
         self.settings = settings
 
-    def forward(self, answer: Answer, label: Tensor, measured: Tensor) -> dict[str, Tensor]:
+    def forward(self, output: ClassifierOutput, label: Tensor, measured: Tensor) -> dict[str, Tensor]:
         """Return scalars: ``total``, each term under its name, and each weighted as ``classes_weighted`` and so on.
 
         ``label`` ``(B,)`` are the numbers of the classes, ``measured`` ``(B, N, C, H, W)`` the true global measurements less
         the offset, empty where the network has no MeasNet.
         """
-        smoothing = self.settings.label_smoothing
-        terms = {"classes": nn.functional.cross_entropy(answer.logits, label, label_smoothing=smoothing)}
+        terms = {"classes": nn.functional.cross_entropy(output.logits, label)}
         weights = {"classes": self.settings.class_weight, "measurement": self.settings.measurement_weight}
-        if answer.measured.numel():
-            terms["measurement"] = (answer.measured - measured).square().mean()
+        if output.measured.numel():
+            terms["measurement"] = (output.measured - measured).square().mean()
         weighted = {f"{name}_weighted": weights[name] * value for name, value in terms.items()}
         return {"total": torch.stack(list(weighted.values())).sum(), **terms, **weighted}
 
@@ -81,16 +81,22 @@ class ActivityTraining(ClipTraining):
         return ActivityLoss(config.loss)
 
     @classmethod
-    def _told_by(cls, config: ActivityTrainConfig, train: Dataset, validation: Dataset) -> dict[str, Any]:
+    def _architecture_from_data(
+        cls, config: ActivityTrainConfig, train: Dataset, validation: Dataset
+    ) -> dict[str, Any]:
         if isinstance(config.network, ActivityNetworkConfig):
             _check_used(config.network)
         classes = class_names(train)
         class_numbers(validation, classes)  # refuses a class that is not learned
         for dataset in (train, validation):
+            if recorded_timing(dataset) is None:
+                raise InputError(dataset.root, "holds stills, in which nothing is done; take clips (scene.frames)")
             check_forwards(dataset)
         sided = [name for name in classes if _SIDED.search(name)]
         if sided and config.data.augment is not None and config.data.augment.flip:
-            got = f"got true, but mirrored, {sided[0]} is another class; set flip: false"
+            got = (
+                f"got true, but {sided[0]} flipped, left to right and top to bottom, is another class; set flip: false"
+            )
             raise InputError("data.augment.flip", got)
         return {"classes": list(classes)}
 
@@ -136,20 +142,20 @@ class ActivityTraining(ClipTraining):
     def _shown(self, count: int) -> list[int]:
         return spread_over_classes(self._held_out.labels or [], count)
 
-    def _answer(self, network: nn.Module, example: ClipExample) -> Answer:
+    def _classified(self, network: nn.Module, example: ClipExample) -> ClassifierOutput:
         start = example.start if example.start.numel() else None
         with self._plan.precision.autocast():
-            answer = network(*self._network.looks_at(example.measurement, start, example.radiance))
-        return Answer(answer.logits.float(), answer.measured.float())
+            output = network(*self._network.inputs(example.measurement, start, example.radiance))
+        return ClassifierOutput(output.logits.float(), output.measured.float())
 
-    def _losses(self, answer: Answer, example: ClipExample) -> dict[str, Tensor]:
+    def _losses(self, output: ClassifierOutput, example: ClipExample) -> dict[str, Tensor]:
         measured = example.measured  # as if all rows had the same exposure, like MeasNet's
         if measured.numel() and isinstance(self._network, ActivityNet):
             measured = self._network.inversion.light(measured)
-        return self._loss(answer, example.label, measured)
+        return self._loss(output, example.label, measured)
 
     def _terms(self, wrapped: nn.Module, example: ClipExample) -> dict[str, Tensor]:
-        return self._losses(self._answer(wrapped, example), example)
+        return self._losses(self._classified(wrapped, example), example)
 
     def _metrics(self, batches: Loader[ClipExample]) -> dict[str, float]:
         """Return means over the validation clips: the loss's terms, ``top_1``, ``top_2``; ``temperature``, and ``score``.
@@ -165,16 +171,16 @@ class ActivityTraining(ClipTraining):
         with inference(self._network):
             for batch in batches:
                 example = to_device(batch, self._group.device)
-                answer = self._answer(self._network, example)
+                output = self._classified(self._network, example)
                 count = len(example.label)
                 truth = example.label[:, None]
-                guesses = answer.logits.topk(2, dim=1).indices == truth
-                values = {name: value * count for name, value in self._losses(answer, example).items()}
+                guesses = output.logits.topk(2, dim=1).indices == truth
+                values = {name: value * count for name, value in self._losses(output, example).items()}
                 values |= {"top_1": guesses[:, 0].sum(), "top_2": guesses.sum()}
                 for name, value in values.items():
                     sums[name] = sums.get(name, 0.0) + float(value)
                 clips += count
-                seen.append((answer.logits.cpu(), example.label.cpu()))
+                seen.append((output.logits.cpu(), example.label.cpu()))
         together = torch.tensor([*sums.values(), clips], dtype=torch.float64, device=self._group.device)
         *totals, of = self._group.add(together).tolist()
         every = itertools.chain.from_iterable(self._group.gather(seen))
@@ -188,18 +194,21 @@ class ActivityTraining(ClipTraining):
     def _drawn(self, example: ClipExample) -> NDArray[np.uint8]:
         """Return an image: of each clip its true frames and, if it looks at estimates, these, beside what it says of them."""
         with inference(self._network):
-            chances = self._answer(self._network, example).logits.softmax(dim=1).cpu()
-            looked = None
+            estimated = None
             if isinstance(self._network, ActivityNet):
-                start = example.start if example.start.numel() else None
-                looked = self._network.looked_at(self._network.begun(example.measurement, start))
+                with self._plan.precision.autocast():
+                    begun = self._network.begun(example.measurement, example.start if example.start.numel() else None)
+                    estimated, output = self._network.frame_estimates(begun), self._network.classify(begun)
+            else:
+                output = self._classified(self._network, example)
+            chances = output.logits.float().softmax(dim=1).cpu()
         truth = linear_to_srgb(example.radiance, self._capture.white)
         clips, classes = [], list(map(spoken, self._network.classes))
         for at, (frames, label) in enumerate(zip(truth, example.label.tolist(), strict=True)):
             chance, guess = chances[at].max(dim=0)
             said = f"{classes[int(guess)]} {float(chance):.0%}"
-            films = [NamedFilm(classes[label], _pixels(frames), "" if looked is not None else said)]
-            clips.append(films if looked is None else [*films, NamedFilm("estimated", _pixels(looked[at]), said)])
+            films = [NamedFilm(classes[label], _pixels(frames), "" if estimated is not None else said)]
+            clips.append(films if estimated is None else [*films, NamedFilm("estimated", _pixels(estimated[at]), said)])
         return np.asarray(
             film_sheet(clips, self._config.name, "true frames and class; estimate of each sliver, and predicted class")
         )

@@ -46,7 +46,7 @@ class Video3DTraining(VideoTraining):
         return ClipDepthLoss(config.loss, capture)
 
     @classmethod
-    def _told_by(cls, config: Video3DTrainConfig, train: Dataset, validation: Dataset) -> dict[str, Any]:
+    def _architecture_from_data(cls, config: Video3DTrainConfig, train: Dataset, validation: Dataset) -> dict[str, Any]:
         path = find_checkpoint(config.init_from, "init_from", config.resolve_path)
         known = load_checkpoint(path).architecture
         if known["network"] == "videonet3d":

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from learning.config.evaluation import EvaluateConfig
-from learning.config.files import Count, Decibels, FileSection, Section
+from learning.config.files import Count, Decibels, FileSection, Section, check_once
 from simulator.validation import refusal
 
 
@@ -49,39 +49,34 @@ class RecognitionConfig(FileSection):
     """the one that all others are compared with; null: the first"""
     ceiling: str | None = None
     """the one whose accuracy is 100 % in the column "of the ceiling", such as that of the frames of a lens; null: none"""
-    noise_db: list[Decibels] | None = None
+    noise_db: Annotated[list[Decibels], Field(min_length=1)] | None = None
     """further levels at which noise is drawn anew from the noiseless measurements; null: only as stored"""
     batch: Count = 8
     """captures at a time"""
     seed: int = Field(0, ge=0)
     """of noise that is drawn anew, and of the intervals"""
     timed: int = Field(8, ge=0, le=1000)
-    """captures whose recognition is timed, one at a time; 0: none"""
+    """captures used for timing, one at a time; 0: none"""
     shown: int = Field(6, ge=0, le=100)
     """captures on the sheet, with what their slivers show and what is said of them; 0: no sheet"""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """auto takes CUDA where there is some"""
+    threads: Count | None = None
+    """of torch on the CPU; null leaves them as they are"""
 
     @model_validator(mode="after")
     def _sense(self) -> Self:
         for at, one in enumerate(self.classifiers):
-            if len(set(one.checkpoints)) < len(one.checkpoints):
-                text = "expected each file once"
-                raise refusal(text, "classifiers", at, "checkpoints")
+            check_once(one.checkpoints, "file", "classifiers", at, "checkpoints")
         names = [one.name for one in self.classifiers]
-        for at, name in enumerate(names):
-            if name in names[:at]:
-                text = f"{name!r} is the name of two classifiers"
-                raise refusal(text, "classifiers", at, "name")
+        check_once(names, "name", "classifiers", key="name")
         for key in ("reference", "ceiling"):
             wanted = getattr(self, key)
             if wanted is not None and wanted not in names:
                 text = f"got {wanted!r}, expected one of the classifiers: {', '.join(names)}"
                 raise refusal(text, key)
-        levels = self.noise_db
-        if levels is not None and (not levels or len(set(levels)) < len(levels)):
-            text = "expected at least one level, each of them once"
-            raise refusal(text, "noise_db")
+        if self.noise_db is not None:
+            check_once(self.noise_db, "level", "noise_db")
         return self
 
 

@@ -63,7 +63,7 @@ class ActivityDataConfig(ClipDataConfig):
     """What is learned from clips with labels."""
 
     shuffle_labels: bool = False
-    """shuffle the labels of the training clips: what is then right more often than the most frequent class is leakage"""
+    """shuffle the labels of the training clips: accuracy above that of the most frequent class then indicates leakage"""
 
 
 class NetworkConfig(Section):
@@ -322,8 +322,6 @@ class ActivityLossConfig(Section):
     """of the cross entropy of the classes"""
     measurement_weight: Weight = 1.0
     """of the mean squared error of the global measurements that MeasNet completes, where there is one"""
-    label_smoothing: Annotated[float, Range(0, 0.9)] = 0.0
-    """share of the probability that the target of the cross entropy gives to all classes alike (Szegedy et al. 2016)"""
 
 
 LearningRate = Annotated[float, Range(1e-9, 10, below="a learning rate is positive")]
@@ -444,10 +442,10 @@ class ActivityTrainConfig(LoopConfig):
     def _sense(self) -> Self:
         augment = self.data.augment
         if augment is not None and augment.reverse:
-            text = "got true, but backwards another thing is done (picking up becomes putting down); set reverse: false"
+            text = "got true, but played backwards it is another action (picking up becomes putting down); set reverse: false"
             raise refusal(text, "data", "augment", "reverse")
         if augment is not None and augment.still:
-            text = f"got {augment.still:g}, but where nothing moves nothing is done; set still: 0"
+            text = f"got {augment.still:g}, but a clip without motion shows no action; set still: 0"
             raise refusal(text, "data", "augment", "still")
         of_torchvision = self.network.name == "lens_classifier" and self.network.classifier == "resnet18"
         if self.init_from is not None and self.network.name != "activitynet" and not of_torchvision:

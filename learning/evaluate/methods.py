@@ -5,7 +5,7 @@ Train-test leakage: test scenes must be new to every method; what saw them befor
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from learning.tune.study import load_tuned
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
 from simulator.io.files import sha256_file
+from simulator.text import show
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +174,7 @@ def _read_method(config: EvaluateConfig, method: MethodConfig, test: Dataset) ->
         return [entry]
     frames = None if method.frames is None else _learned(config, method.name, method.frames, test)
     entries = [_learned(config, method.name, text, test, frames) for text in method.checkpoints or ()]
+    check_seeds(method.name, entries)
     if frames is not None:
         if frames.capture.timing is None:
             raise InputError(method.name, f"frames: {frames.path} is for stills; take a videonet's file")
@@ -191,6 +193,48 @@ def _learned(
     one = load_checkpoint(path)
     check_learned(name, path, one.record, test)
     return LearnedEntry(name, path, sha256_file(path), one.capture, one.architecture, one.record, frames)
+
+
+# By these, of the configuration, trainings are told apart.
+_TRAINED_BY = ("batch", "steps", "optimiser", "loss", "precision", "validate_every")
+_TRAINED_ON = ("noise_db", "augment", "draws", "shuffle_labels")
+
+
+def training_of(one: LearnedEntry) -> dict[str, Any]:
+    """Return what a network is and how it was trained, but for its seed and number of frames: values by dotted keys."""
+    config, data_sets = (one.record.get(key) or {} for key in ("config", "data sets"))
+    told: dict[str, Any] = dict(one.architecture)
+    told |= {key: config.get(key) for key in _TRAINED_BY}
+    told["data"] = {key: (config.get("data") or {}).get(key) for key in _TRAINED_ON}
+    for split in ("train", "validation"):
+        told[f"{split} data"] = {key: (data_sets.get(split) or {}).get(key) for key in ("fingerprint", "samples")}
+    told["psf stack"] = data_sets.get("stack")
+    told["init_from"] = dict(one.record.get("init_from") or {}).get("architecture")
+    return _flat(told)
+
+
+def check_seeds(name: str, seeds: Sequence[LearnedEntry]) -> None:
+    """Refuse checkpoints whose scores may not be averaged: all must be of one training, each with another seed."""
+    cure = "give checkpoints that differ in their seed alone, one of each"
+    paths: dict[Any, Path] = {}
+    first = training_of(seeds[0]) | {"frames": seeds[0].capture.frames} if seeds else {}
+    for one in seeds:
+        own = training_of(one) | {"frames": one.capture.frames}
+        for key in (*first, *own):
+            if (value := own.get(key)) != (known := first.get(key)):
+                got = f"{one.path} has {key} {show(value)}, {seeds[0].path} {show(known)}"
+                raise InputError(name, f"got different trainings: {got}; {cure}")
+        seed = dict(one.record.get("config") or {}).get("seed", one.digest)
+        if seed in paths:
+            raise InputError(name, f"{one.path} and {paths[seed]} are of the same training and seed; {cure}")
+        paths[seed] = one.path
+
+
+def _flat(values: Mapping[str, Any], within: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        found |= _flat(value, f"{within}{key}.") if isinstance(value, Mapping) else {f"{within}{key}": value}
+    return found
 
 
 _USED = {"train": "learned from", "validation": "was chosen among its own steps by"}

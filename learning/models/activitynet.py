@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import torch
 import torch.nn.functional as nnf
@@ -36,12 +36,12 @@ from learning.perceptual import IMAGENET_MEAN, IMAGENET_SPREAD
 from simulator.errors import InputError
 
 Frames = Literal["all", "shuffled", "middle"]
-FRAMES = ("all", "shuffled", "middle")
+FRAMES: tuple[Frames, ...] = get_args(Frames)
 _MOVED = 8  # in training, frames are moved by up to this part of their size to each side
 _COMMON = ("inversion.", "measnet.", "wiener.")  # names of the weights that networks for clips have in common
 
 
-class Answer(NamedTuple):
+class ClassifierOutput(NamedTuple):
     """What a classifier says of clips.
 
     Attributes:
@@ -117,12 +117,12 @@ class ActivityNet(ClipNetwork):
         shared = 3 + noise_aware
         self.classifier = FrameClassifier(classifier, self.frames, 3 * self.estimates, shared, len(self.classes))
 
-    def forward(self, measurement: Tensor, start: Tensor | None = None) -> Answer:
-        """Return the answer to measurements ``(B, C, H, W)``, DN / 2^bits; ``start`` is what `begin` gives, where known."""
-        return self.answer(self.begun(measurement, start))
+    def forward(self, measurement: Tensor, start: Tensor | None = None) -> ClassifierOutput:
+        """Classify measurements ``(B, C, H, W)``, DN / 2^bits; ``start`` is what `begin` gives, where known."""
+        return self.classify(self.begun(measurement, start))
 
-    def answer(self, begun: Begun) -> Answer:
-        """Return the answer to captures of which so much is known."""
+    def classify(self, begun: Begun) -> ClassifierOutput:
+        """Classify captures of which so much is known."""
         frames = self.codes(begun.frames.unflatten(2, (self.estimates, -1))).clamp(0, 1).flatten(2, 3)
         channels = self.shared - self.noise_aware
         static = self.codes(begun.shared[:, :channels]).clamp(0, 1)
@@ -130,13 +130,13 @@ class ActivityNet(ClipNetwork):
         both = (frames[self.image], shared[self.image])
         if self.training:
             both = moved_windows(frames, shared, both[0].shape[-2:])
-        return Answer(self.classifier(*both), begun.measured)
+        return ClassifierOutput(self.classifier(*both), begun.measured)
 
-    def looked_at(self, begun: Begun) -> Tensor:
+    def frame_estimates(self, begun: Begun) -> Tensor:
         """Return the best estimates of the frames, ``(B, N, 3, h, w)`` sRGB codes, not clipped."""
         return self.codes(begun.best)[self.image]
 
-    def looks_at(self, measurement: Tensor, start: Tensor | None, radiance: Tensor) -> tuple[Tensor | None, ...]:
+    def inputs(self, measurement: Tensor, start: Tensor | None, radiance: Tensor) -> tuple[Tensor | None, ...]:
         """Return the arguments of `forward`, of a capture, what `begin` gives of it, and the true frames' linear radiance."""
         return measurement, start
 
@@ -186,16 +186,16 @@ class RawClassifier(nn.Module):
         self.scaling = nn.BatchNorm1d(len(capture.offset) * math.prod(capture.sensor_shape), affine=False)
         self.classifier = FrameClassifier(classifier, 1, len(capture.offset), 0, len(self.classes))
 
-    def forward(self, measurement: Tensor) -> Answer:
-        """Return the answer to measurements ``(B, C, H, W)``, DN / 2^bits."""
+    def forward(self, measurement: Tensor) -> ClassifierOutput:
+        """Classify measurements ``(B, C, H, W)``, DN / 2^bits."""
         check_measurement(measurement, self.offset, self.rows, self.columns)
         light = measurement - self.offset
         light = light / light.mean(dim=(1, 2, 3), keepdim=True).clamp_min(FAINTEST)
         light = self.scaling(light.flatten(1)).reshape(light.shape)
-        return Answer(self.classifier(light[:, None], light[:, :0]), light.new_zeros(0))
+        return ClassifierOutput(self.classifier(light[:, None], light[:, :0]), light.new_zeros(0))
 
-    def looks_at(self, measurement: Tensor, start: Tensor | None, radiance: Tensor) -> tuple[Tensor | None, ...]:
-        """Return the arguments of `forward`; see `ActivityNet.looks_at`."""
+    def inputs(self, measurement: Tensor, start: Tensor | None, radiance: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the arguments of `forward`; see `ActivityNet.inputs`."""
         return (measurement,)
 
 
@@ -214,8 +214,8 @@ class LensClassifier(nn.Module):
         count = 1 if frames == "middle" else capture.frames
         self.classifier = FrameClassifier(classifier, count, 3, 0, len(self.classes))
 
-    def forward(self, radiance: Tensor) -> Answer:
-        """Return the answer to frames ``(B, N, 3, h, w)``, linear radiance."""
+    def forward(self, radiance: Tensor) -> ClassifierOutput:
+        """Classify frames ``(B, N, 3, h, w)``, linear radiance."""
         if self.frames == "middle":
             middle = radiance.shape[1] // 2
             radiance = radiance[:, middle : middle + 1]
@@ -225,7 +225,7 @@ class LensClassifier(nn.Module):
         nothing = frames[:, 0, :0]
         if self.training:
             frames, nothing = moved_windows(frames, nothing, frames.shape[-2:])
-        return Answer(self.classifier(frames, nothing), frames.new_zeros(0))
+        return ClassifierOutput(self.classifier(frames, nothing), frames.new_zeros(0))
 
     def take_pretrained(self, path: Path) -> list[str]:
         """Begin with torchvision's weights of ResNet-18, and say what was taken: all but those of the classes.
@@ -259,8 +259,8 @@ class LensClassifier(nn.Module):
             generator = torch.Generator().manual_seed(zlib.crc32(clip.detach().cpu().float().numpy().tobytes()))
         return torch.randperm(len(clip), generator=generator)
 
-    def looks_at(self, measurement: Tensor, start: Tensor | None, radiance: Tensor) -> tuple[Tensor | None, ...]:
-        """Return the arguments of `forward`; see `ActivityNet.looks_at`."""
+    def inputs(self, measurement: Tensor, start: Tensor | None, radiance: Tensor) -> tuple[Tensor | None, ...]:
+        """Return the arguments of `forward`; see `ActivityNet.inputs`."""
         return (radiance,)
 
 
@@ -286,7 +286,7 @@ def moved_windows(frames: Tensor, shared: Tensor, size: Sequence[int]) -> tuple[
 
 
 Classifier = ActivityNet | RawClassifier | LensClassifier
-"""Each has ``classes``, and ``looks_at``, which says what of a clip it is given."""
+"""Each has ``classes``, and ``inputs``, which says what of a clip it is given."""
 
 ACTIVITY_SIZES: dict[str, dict[str, Any]] = {
     "thesis": {
@@ -324,6 +324,6 @@ class ActivityMethod(ClipNetworkMethod[ActivityNet]):
             start = self.begin(measurement, clock)
             with clock.stage("network"):
                 begun = self.network.begun(measurement, start)
-                chances = self.network.answer(begun).logits.softmax(dim=1)
-                image = self.network.looked_at(begun)
+                chances = self.network.classify(begun).logits.softmax(dim=1)
+                image = self.network.frame_estimates(begun)
         return Estimate(image, torch.zeros_like(image[:, :, :1])), chances

@@ -15,12 +15,22 @@ from learning.config import RecognitionConfig
 from learning.evaluate.figures import method_colours
 from learning.evaluate.films import NamedFilm, film_sheet
 from learning.evaluate.folder import remove_stale
-from learning.evaluate.tables import markdown
+from learning.evaluate.scoring import Times
+from learning.evaluate.tables import markdown, markdown_times
 from learning.labels import spoken
 from learning.method import aligned
 from learning.provenance import versions
 from learning.recognition.figures import against_png, confusion_png, reliability_png
-from learning.recognition.scores import TOP, Answers, Lead, become, chance, lead, majority, without_nan
+from learning.recognition.scores import (
+    TOP,
+    Difference,
+    Predictions,
+    chance,
+    confusion_after_reversal,
+    difference,
+    majority,
+    without_nan,
+)
 from simulator.io.files import storage_errors, write_atomic
 from simulator.io.json import readable_json
 from simulator.plots.drawing import png_bytes
@@ -34,16 +44,6 @@ CONFUSION, RELIABILITY, NOISE, SLIVERS, SHEET = (
     "sheet.png",
 )
 _OWN = (REPORT, RESULTS, TABLE, CONFUSION, RELIABILITY, NOISE, SLIVERS, SHEET)
-_PUBLISHED = """## Published, on other data
-
-| thesis, table 5.1: Something-Something V2, ten classes | top-1 | top-2 | top-5 |
-| --- | ---: | ---: | ---: |
-| ActivityNet with DroNet | 29.69 % | 46.92 % | 76.7 % |
-| DroNet on the frames of a lens | 39.13 % | 55.65 % | 82.55 % |
-| pretrained 2D CNN on the frames of a lens | 45.30 % | 65.90 % | |
-
-The thesis's method keeps 76 % of the top-1 accuracy of the same classifier on the frames of a lens. Its films, classes and
-training differ from those above; only such shares may be compared, with caution."""
 _HOW = (
     "Accuracies are shares of the test captures, means over seeds; in brackets the 95 % bootstrap interval over "
     "captures (Wilson's where all captures are right equally often), and after ± half the 95 % interval (Student's t) "
@@ -51,7 +51,7 @@ _HOW = (
     "clips. The log loss is in nats; the calibration error is the mean difference of confidence and accuracy (ECE, 10 "
     "bins), mean over seeds."
 )
-_LEAD = (
+_DIFFERENCES = (
     "Differences of top-1 accuracies in percentage points, and their 95 % intervals over captures: where both saw the same "
     "clips, bootstrap of the differences capture by capture (paired), else of independent means (Newcombe's). How trainings "
     "with other seeds differ is not in them: compare with the ± of the rows."
@@ -63,48 +63,48 @@ class Recognition:
     """All that came out.
 
     Attributes:
-        answers: of every classifier, as stored and at further levels of noise.
+        predictions: of every classifier, as stored and at further levels of noise.
         backwards: of the reference on the same clips backwards, None where there are none.
         stored_db: PSNR of the captures as stored.
         fingerprint: of the reference's test data.
-        times: seconds of each stage for a capture, of those classifiers that invert captures.
+        times: seconds for a capture, of those classifiers that invert captures.
         sheet: for some captures the true frames, and what is seen of them and said.
     """
 
     config: RecognitionConfig
-    answers: Sequence[Answers]
-    backwards: Answers | None
+    predictions: Sequence[Predictions]
+    backwards: Predictions | None
     stored_db: float
     fingerprint: str
-    times: Mapping[str, Mapping[str, float]]
+    times: Sequence[Times]
     sheet: Sequence[Sequence[NamedFilm]]
     device: str
 
     @property
-    def main(self) -> list[Answers]:
+    def main(self) -> list[Predictions]:
         """The rows of the table: every classifier on the captures as stored."""
-        return [one for one in self.answers if one.noise_db is None]
+        return [one for one in self.predictions if one.noise_db is None]
 
     @property
-    def reference(self) -> Answers:
+    def reference(self) -> Predictions:
         """The one that all others are compared with."""
         return self._named(self.config.reference or self.config.classifiers[0].name)
 
     @property
-    def ceiling(self) -> Answers | None:
+    def ceiling(self) -> Predictions | None:
         """The one of whose accuracy shares are given."""
         return None if self.config.ceiling is None else self._named(self.config.ceiling)
 
-    def _named(self, name: str) -> Answers:
+    def _named(self, name: str) -> Predictions:
         return next(one for one in self.main if one.name == name)
 
     @cached_property
-    def leads(self) -> list[Lead]:
+    def differences(self) -> list[Difference]:
         """The reference against every other one, on the captures as stored."""
         others = (one for one in self.main if one is not self.reference)
-        return [lead(self.reference, other) for other in others]
+        return [difference(self.reference, other) for other in others]
 
-    def of_ceiling(self, one: Answers) -> float | None:
+    def of_ceiling(self, one: Predictions) -> float | None:
         """Return the top-1 accuracy of a classifier as a share of the ceiling's; None without one, or where that is 0."""
         ceiling = self.ceiling
         return one.accuracy() / ceiling.accuracy() if ceiling and ceiling.accuracy() else None
@@ -119,7 +119,7 @@ class Recognition:
             cells = [_accuracy(one, top) for top in TOP]
             if ceiling:
                 share = self.of_ceiling(one)
-                cells.append("–" if share is None else f"{share:.0%}")
+                cells.append("–" if share is None else f"{100 * share:.0f} %")
             cells += [f"{100 * one.calibration_error():.1f}", f"{one.log_loss():.3f}", str(len(one.probabilities))]
             rows.append([one.name, *cells])
         rest = ["–"] * (len(titles) - 1 - len(TOP))
@@ -134,23 +134,36 @@ class Recognition:
             "config": self.config.dump(),
             "data": {"fingerprint": self.fingerprint, "stored_psnr_db": self.stored_db},
             "classes": list(self.reference.classes),
-            "answers": [one.plain() | {"of_ceiling": self.of_ceiling(one)} for one in self.answers],
-            "reference_leads": [
+            "predictions": [one.plain() | {"of_ceiling": self.of_ceiling(one)} for one in self.predictions],
+            "differences": [
                 {"other": one.other, "mean": one.mean, "interval": one.interval, "paired": one.paired}
-                for one in self.leads
+                for one in self.differences
             ],
-            "backwards": None if self.backwards is None else without_nan(become(self.reference, self.backwards)),
-            "chance": chance(self.reference.classes),
-            "majority": majority(self.reference.truth),
-            "seconds": {name: dict(stages) for name, stages in self.times.items()},
+            "backwards": None if self.backwards is None else self._reversed(self.backwards),
+            **{
+                f"top_{top}": {
+                    "chance": chance(self.reference.classes, top),
+                    "most_frequent_class": majority(self.reference.truth, top),
+                }
+                for top in TOP
+            },
+            "times": [one.plain() for one in self.times],
             "device": self.device,
             "versions": versions("torch", "torchvision", "numpy"),
         }
 
+    def _reversed(self, backwards: Predictions) -> dict[str, Any]:
+        return {
+            "test_fingerprint": backwards.test_fingerprint,
+            "captures": len(backwards.truth),
+            "checkpoints": list(backwards.checkpoints),
+            "confusion_after_reversal": without_nan(confusion_after_reversal(self.reference, backwards)),
+        }
+
 
 def terminal_tables(found: Recognition) -> str:
-    """Return the table and the leads of the reference as plain text."""
-    lines = [f"{found.reference.name} minus {one.other}: {_points(one)} points" for one in found.leads]
+    """Return the table, and the reference's differences from all others, as plain text."""
+    lines = [f"{found.reference.name} minus {one.other}: {_points(one)} points" for one in found.differences]
     return "\n".join([*aligned(found.rows()), "", *lines])
 
 
@@ -171,19 +184,19 @@ def write_recognition(folder: Path, found: Recognition) -> list[Path]:
 
 
 def _figures(found: Recognition) -> dict[str, bytes]:
-    colours = method_colours([one.name for one in found.config.classifiers])
-    ceiling = [] if found.ceiling in (None, found.reference) else [found.ceiling]
-    shown = [one for one in (found.reference, *ceiling) if one]
+    by_slivers = _by_slivers(found)
+    shown = [one for one in (found.reference, found.ceiling) if one]
+    shown = shown[:1] if shown[1:] == shown[:1] else shown
+    levels = _by_level(found)
+    for one in by_slivers:  # which have a figure of their own
+        if one is not found.reference:
+            levels.pop(one.name, None)
+    colours = method_colours(list(dict.fromkeys([*(one.name for one in shown), *levels])))
     figures = {CONFUSION: confusion_png(shown), RELIABILITY: reliability_png(shown, colours)}
-    levels = [one for one in found.answers if one.noise_db is not None]
     constant = majority(found.reference.truth)
     if levels:
-        points = {
-            name: [(one.noise_db, one) for one in levels if one.name == name and one.noise_db is not None]
-            for name in dict.fromkeys(one.name for one in levels)
-        }
+        points = {name: list(of.items()) for name, of in levels.items()}
         figures[NOISE] = against_png(points, colours, "PSNR of the capture, dB", constant)
-    by_slivers = _by_slivers(found)
     if by_slivers:
         name = found.reference.name
         points = {name: [(float(one.slivers or 0), one) for one in by_slivers]}
@@ -194,7 +207,16 @@ def _figures(found: Recognition) -> dict[str, bytes]:
     return figures
 
 
-def _by_slivers(found: Recognition) -> list[Answers]:
+def _by_level(found: Recognition) -> dict[str, dict[float, Predictions]]:
+    """Return each classifier's predictions at further levels of noise, by name and level."""
+    by_name: dict[str, dict[float, Predictions]] = {}
+    for one in found.predictions:
+        if one.noise_db is not None:
+            by_name.setdefault(one.name, {})[one.noise_db] = one
+    return by_name
+
+
+def _by_slivers(found: Recognition) -> list[Predictions]:
     """Return the reference and the rows like it but for the number of slivers, fewest first; empty without any."""
     alike = [one for one in found.main if one.kind == found.reference.kind and one.slivers is not None]
     by_number = {one.slivers or 0: one for one in [*reversed(alike), found.reference]}
@@ -212,9 +234,9 @@ def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
         _HOW,
         "\n".join(f"- {one.name}: {one.note}" for one in found.main),
     ]
-    if found.leads:
-        table = [[one.other, _points(one), "yes" if one.paired else "no"] for one in found.leads]
-        parts += ["## Against the reference", _LEAD]
+    if found.differences:
+        table = [[one.other, _points(one), "yes" if one.paired else "no"] for one in found.differences]
+        parts += ["## Against the reference", _DIFFERENCES]
         parts.append(markdown(["", f"{found.reference.name} minus it", "paired"], table))
     parts += [
         "## Confusion",
@@ -226,14 +248,12 @@ def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
             [[name, *(_per_cent(one.confusion()[at, at]) for one in found.main)] for at, name in enumerate(classes)],
         ),
         "## Calibration",
+        "The confidence is the probability of the most likely class; in brackets the calibration error (ECE).",
         f"![confidence against accuracy]({RELIABILITY})",
     ]
     if NOISE in figures:
-        levels = sorted({one.noise_db for one in found.answers if one.noise_db is not None})
-        by_name: dict[str, dict[float, Answers]] = {}
-        for one in found.answers:
-            if one.noise_db is not None:
-                by_name.setdefault(one.name, {})[one.noise_db] = one
+        by_name = _by_level(found)
+        levels = sorted({level for of in by_name.values() for level in of})
         table = [[name, *(_accuracy(of[level], 1) for level in levels)] for name, of in by_name.items()]
         parts += ["## Noise", markdown(["top-1 %", *(f"{level:g} dB" for level in levels)], table)]
         parts.append(f"![accuracy against noise]({NOISE})")
@@ -241,34 +261,27 @@ def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
         table = [[str(one.slivers), _accuracy(one, 1)] for one in _by_slivers(found)]
         parts += ["## Slivers", markdown(["slivers", "top-1 %"], table), f"![accuracy against slivers]({SLIVERS})"]
     if found.backwards is not None:
-        shares = become(found.reference, found.backwards)
+        shares = confusion_after_reversal(found.reference, found.backwards)
         rows = [[name, *map(_per_cent, shares[at])] for at, name in enumerate(classes)]
         words = (
-            "The same clips reversed in time and re-simulated: what those captures that were classified correctly (rows) are "
-            "classified as then (columns), % of them."
+            "The same clips reversed in time and re-simulated: of the captures classified correctly (rows), the share "
+            "assigned to each class after reversal (columns), %."
         )
         parts += ["## Time-reversed clips", words, markdown(["", *classes], rows)]
     if found.times:
-        count = min(found.config.timed, len(found.reference.truth))
-        words = f"Seconds for a capture, one at a time, medians of {count}, and their sum; {found.device}."
-        stages = list(dict.fromkeys(stage for times in found.times.values() for stage in times))
-        rows = [
-            [
-                name,
-                *(f"{times[stage]:.3g}" if stage in times else "–" for stage in stages),
-                f"{sum(times.values()):.3g}",
-            ]
-            for name, times in found.times.items()
-        ]
-        parts += ["## Time", words, markdown(["", *stages, "all"], rows)]
+        words = (
+            f"{found.device}; one capture at a time, the networks in turn, median of {found.config.timed} runs after one "
+            "warm-up run. Networks are timed with their first seed."
+        )
+        parts += ["## Time", words, markdown_times(found.times)]
     if found.sheet:
         parts += ["## Captures", f"![captures]({SHEET})"]
     packages = ", ".join(f"{name} {version}" for name, version in versions("torch", "torchvision", "numpy").items())
-    parts += [_PUBLISHED, "## Made with", packages]
+    parts += ["## Made with", packages]
     return "\n\n".join(parts) + "\n"
 
 
-def _accuracy(one: Answers, top: int) -> str:
+def _accuracy(one: Predictions, top: int) -> str:
     """Return an accuracy with its interval and spread, in per cent."""
     ends, spread = one.intervals[top], one.over_seeds(top)
     interval = "" if ends is None else f" [{100 * ends[0]:.1f}, {100 * ends[1]:.1f}]"
@@ -279,7 +292,7 @@ def _per_cent(share: float) -> str:
     return "–" if math.isnan(share) else f"{100 * share:.0f}"
 
 
-def _points(one: Lead) -> str:
+def _points(one: Difference) -> str:
     interval = "" if one.interval is None else f" [{100 * one.interval[0]:+.1f}, {100 * one.interval[1]:+.1f}]"
     return f"{100 * one.mean:+.1f}{interval}"
 
@@ -295,7 +308,7 @@ def _csv(found: Recognition) -> str:
     writer.writerow(
         ["classifier", "noise_db", "slivers", "seeds", *columns, "of_ceiling", "calibration_error", "log_loss"]
     )
-    for one in found.answers:
+    for one in found.predictions:
         numbers: list[float | None] = []
         for top in TOP:
             ends = one.intervals[top] or (None, None)

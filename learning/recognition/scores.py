@@ -25,7 +25,7 @@ BINS = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class Predictions:
     """What a classifier says of the captures of a test.
 
     Attributes:
@@ -39,8 +39,8 @@ class Answers:
         kind: what it is but for seed and number of slivers: rows of one kind are compared by these.
         note: the network in words.
         checkpoints: of each seed, plain: its file, what was learned with which seed in how many steps.
-        test: fingerprint of the data with the captures.
-        seed: of the intervals' resampling.
+        test_fingerprint: of the data with the captures.
+        bootstrap_seed: of the intervals.
     """
 
     name: str
@@ -52,9 +52,9 @@ class Answers:
     slivers: int | None = None
     kind: str = ""
     note: str = ""
-    checkpoints: tuple[Mapping[str, Any], ...] = ()
-    test: str = ""
-    seed: int = 0
+    checkpoints: Sequence[Mapping[str, Any]] = ()
+    test_fingerprint: str = ""
+    bootstrap_seed: int = 0
 
     @cached_property
     def guesses(self) -> NDArray[np.int64]:
@@ -97,7 +97,7 @@ class Answers:
         if len(right) > 1 and np.ptp(right) == 0:
             known = stats.binomtest(round(right.sum()), len(right)).proportion_ci(0.95, "wilson")
             return float(known.low), float(known.high)
-        return mean_interval(right, self.seed)
+        return mean_interval(right, self.bootstrap_seed)
 
     def confusion(self) -> NDArray[np.float64]:
         """Return which share of each class's captures (rows) is taken for which class (columns), mean over seeds.
@@ -110,10 +110,10 @@ class Answers:
         return _shares(counts)
 
     def reliability(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-        """Return mean confidence, accuracy and number of answers of each bin, ``(BINS,)``; NaN where a bin is empty.
+        """Return mean confidence, accuracy and number of predictions of each bin, ``(BINS,)``; NaN where a bin is empty.
 
         The confidence is the probability of the most likely class (Guo et al., On Calibration of Modern Neural Networks, ICML
-        2017); the answers are those of all seeds.
+        2017); the predictions are those of all seeds.
         """
         counts, *sums = np.sum([self._bins(seed) for seed in range(len(self.probabilities))], axis=0)
         with np.errstate(invalid="ignore"):
@@ -121,7 +121,7 @@ class Answers:
         return confidence, right, counts.astype(int)
 
     def calibration_error(self) -> float:
-        """Return the mean difference of confidence and accuracy over the bins, weighted by their answers (ECE).
+        """Return the mean difference of confidence and accuracy over the bins, weighted by their predictions (ECE).
 
         The mean of the seeds' own: of two, one may be as much too sure as the other is too unsure.
         """
@@ -129,7 +129,7 @@ class Answers:
         return float(np.mean([np.abs(confidence - right).sum() / counts.sum() for counts, confidence, right in every]))
 
     def _bins(self, seed: int) -> list[NDArray[np.float64]]:
-        """Return how many answers of a seed are in each bin, the sum of their confidences, and how many are right."""
+        """Return how many predictions of a seed are in each bin, the sum of their confidences, and how many are right."""
         confidence, right = self.probabilities[seed].max(axis=-1), self.guesses[seed] == self.truth
         bins = np.minimum((confidence * BINS).astype(int), BINS - 1)
         every = (np.ones_like(confidence), confidence, right)
@@ -150,7 +150,7 @@ class Answers:
             "seeds": len(self.probabilities),
             "note": self.note,
             "checkpoints": list(self.checkpoints),
-            "test_fingerprint": self.test,
+            "test_fingerprint": self.test_fingerprint,
             **{
                 f"top_{top}": {
                     "mean": self.accuracy(top),
@@ -166,7 +166,7 @@ class Answers:
 
 
 @dataclass(frozen=True)
-class Lead:
+class Difference:
     """By how much the reference's top-1 accuracy exceeds another's, and the 95 % interval of that over captures.
 
     The interval is that of the differences capture by capture, ``paired``; where the two have seen other clips, or all
@@ -179,19 +179,19 @@ class Lead:
     paired: bool
 
 
-def lead(reference: Answers, other: Answers) -> Lead:
+def difference(reference: Predictions, other: Predictions) -> Difference:
     """Return by how much one classifier is ahead of another; captures are paired where they show the same clips in order."""
     one, two = reference.right(), other.right()
     mean, paired = float(one.mean() - two.mean()), reference.clips == other.clips
     if paired and np.ptp(one - two) > 0:
-        return Lead(other.name, mean, mean_interval(one - two, reference.seed), paired=True)
+        return Difference(other.name, mean, mean_interval(one - two, reference.bootstrap_seed), paired=True)
     ends = reference.intervals[1], other.intervals[1]
     if ends[0] is None or ends[1] is None:
-        return Lead(other.name, mean, None, paired)
+        return Difference(other.name, mean, None, paired)
     # Newcombe's hybrid (Statistics in Medicine 17, 1998, method 10): distances to the ends add up in squares.
     below = math.hypot(one.mean() - ends[0][0], ends[1][1] - two.mean())
     above = math.hypot(ends[0][1] - one.mean(), two.mean() - ends[1][0])
-    return Lead(other.name, mean, (mean - below, mean + above), paired)
+    return Difference(other.name, mean, (mean - below, mean + above), paired)
 
 
 def chance(classes: Sequence[str], top: int = 1) -> float:
@@ -205,10 +205,10 @@ def majority(truth: NDArray[np.int64], top: int = 1) -> float:
     return float(counts[:top].sum() / len(truth))
 
 
-def become(forwards: Answers, backwards: Answers) -> NDArray[np.float64]:
-    """Return what the captures that are named rightly become when their clips run backwards, ``(classes, classes)``.
+def confusion_after_reversal(forwards: Predictions, backwards: Predictions) -> NDArray[np.float64]:
+    """Return the shares of a class's correctly classified captures (rows) that are assigned to each class after reversal.
 
-    A row is the share of a class's right answers, over seeds, that are then taken for each class; rows without any are NaN.
+    ``(classes, classes)``, over all seeds; rows of classes without any are NaN.
     """
     counts = np.zeros((len(forwards.classes),) * 2)
     for before, after in zip(forwards.guesses, backwards.guesses, strict=True):

@@ -181,6 +181,13 @@ def labelled_dataset(tmp_path_factory: pytest.TempPathFactory, make_trial: Calla
 
 
 @pytest.fixture(scope="session")
+def labelled_stills(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable[[Path], Any]) -> Path:
+    """4 train, 2 validation and 2 test stills with the labels of `labelled_dataset`. Do not write into it."""
+    trial = LearningTrial(make_trial(tmp_path_factory.mktemp("stills")))
+    return trial.generate(psf=CLIPS["psf"], scene=CLIPS["scene"] | {"labelled": True, "frames": 1})
+
+
+@pytest.fixture(scope="session")
 def moving_dataset(tmp_path_factory: pytest.TempPathFactory, make_trial: Callable[[Path], Any]) -> Path:
     """The clips of `clip_dataset` with the planes of `tiny_dataset`: 8 train, 2 validation, 2 test. Do not write into it."""
     trial = LearningTrial(make_trial(tmp_path_factory.mktemp("moving")))

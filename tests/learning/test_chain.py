@@ -266,7 +266,7 @@ def test_labelled_clips_from_generating_to_a_name(
         assert f"shows  {said} " in out
         assert f"its label is {test[at].label}" in out
         confusion[results["classes"].index(str(test[at].label)), results["classes"].index(said)] += 1 / 3
-    np.testing.assert_allclose(results["answers"][0]["confusion"], confusion, atol=1e-9)
+    np.testing.assert_allclose(results["predictions"][0]["confusion"], confusion, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from learning.evaluate.films import film_sheet
 from learning.layers.classifiers import FrameClassifier
 from learning.method import srgb_to_linear
 from learning.models import build_network
-from learning.models.activitynet import ActivityNet, Answer
+from learning.models.activitynet import ActivityNet, ClassifierOutput
 from learning.resume import BEST, LAST
 from learning.simulate import Augmentation
 from learning.train_activity import ActivityLoss, ActivityTraining, train_activity
@@ -56,13 +56,13 @@ def test_the_loss_is_the_thesis_by_its_definition() -> None:
     """Weights 3 and 1; of two captures the cross entropies are -ln(0.7) and -ln(0.2)."""
     logits = torch.log(torch.tensor([[0.7, 0.2, 0.1], [0.5, 0.3, 0.2]]))
     measured = torch.full((2, 4, 3, 5, 5), 0.3)
-    terms = ActivityLoss(ActivityLossConfig())(Answer(logits, measured), torch.tensor([0, 2]), measured + 0.5)
+    terms = ActivityLoss(ActivityLossConfig())(ClassifierOutput(logits, measured), torch.tensor([0, 2]), measured + 0.5)
     entropy = -(np.log(0.7) + np.log(0.2)) / 2
     assert float(terms["classes"]) == pytest.approx(entropy, rel=1e-6)
     assert float(terms["measurement"]) == pytest.approx(0.25, rel=1e-6)
     assert float(terms["total"]) == pytest.approx(3 * entropy + 0.25, rel=1e-6)
     without = ActivityLoss(ActivityLossConfig(class_weight=2))(
-        Answer(logits, torch.empty(0)), torch.tensor([0, 2]), measured
+        ClassifierOutput(logits, torch.empty(0)), torch.tensor([0, 2]), measured
     )
     assert float(without["total"]) == pytest.approx(2 * entropy, rel=1e-6)
     assert "measurement" not in without
@@ -85,7 +85,7 @@ def test_a_training_leaves_checkpoints_metrics_and_a_sheet(activity_settings: Se
         assert line["classes"] >= -line["score"] > 0  # cross entropies: at the best temperature, and at 1
     assert result.best["score"] == max(line["score"] for line in validated)
     assert float(known.network.classifier.temperature) == pytest.approx(result.best["temperature"], rel=1e-6) != 1
-    assert known.record["loss"] == {"class_weight": 3.0, "measurement_weight": 1.0, "label_smoothing": 0.0}
+    assert known.record["loss"] == {"class_weight": 3.0, "measurement_weight": 1.0}
 
 
 def test_the_preview_shows_clips_of_different_classes(
@@ -220,7 +220,7 @@ def test_measnet_learns_what_a_global_shutter_would_measure(activity_settings: S
     offset = network.inversion.offset.fill_(0.02)  # of this camera it is 0
     truth = torch.rand(1, 4, 3, 48, 48)
     example = ClipExample(torch.zeros(0), torch.zeros(0), torch.zeros(0), truth + offset, torch.tensor([1]))
-    terms = training._losses(Answer(torch.zeros(1, 2), truth), example)
+    terms = training._losses(ClassifierOutput(torch.zeros(1, 2), truth), example)
     assert float(terms["measurement"]) == pytest.approx(0, abs=1e-12)
 
 
@@ -274,11 +274,15 @@ def test_numbers_of_what_a_network_lacks_are_refused(
         train_activity(activity_settings(steps=1, network={"name": "activitynet"} | network))
 
 
-def test_data_without_classes_are_refused(activity_settings: Settings, clip_dataset: Path, tiny_dataset: Path) -> None:
+def test_data_in_which_nothing_is_done_are_refused(
+    activity_settings: Settings, clip_dataset: Path, labelled_stills: Path
+) -> None:
     with pytest.raises(InputError, match="no label"):
         train_activity(activity_settings(data={"train": str(clip_dataset)}))
     with pytest.raises(InputError, match="no label"):
         train_activity(activity_settings(data={"validation": str(clip_dataset)}))
+    with pytest.raises(InputError, match="holds stills, in which nothing is done; take clips"):
+        train_activity(activity_settings(data={"train": str(labelled_stills)}))
 
 
 def test_it_begins_with_a_videonet(activity_settings: Settings, tmp_path: Path, labelled_dataset: Path) -> None:

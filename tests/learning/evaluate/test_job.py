@@ -516,6 +516,12 @@ def test_what_is_missing_is_named(load: Load, tmp_path: Path, monkeypatch: Any, 
     assert not (tmp_path / "out").exists()
 
 
+def test_seeds_are_of_one_training(load: Load, checkpoints: list[Path]) -> None:
+    """Which differ, see test_methods."""
+    with pytest.raises(InputError, match=r"^N: got different trainings: .*flatnet2d_0\.safetensors has network"):
+        evaluate(load(methods=[{"name": "N", "checkpoints": [str(checkpoints[0]), str(checkpoints[2])]}]))
+
+
 def test_scenes_without_depth_are_refused(learning_trial: Any, load: Load) -> None:
     flat = learning_trial.generate("scene.flat=true", dataset={"train": 2, "validation": 0, "test": 2})
     with pytest.raises(InputError, match="out: "):

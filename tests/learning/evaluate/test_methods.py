@@ -1,4 +1,4 @@
-"""Methods that know the test scenes are refused, by the scenes that their files record, or the data set of earlier files."""
+"""Methods that know the test scenes are refused, by the scenes on record, or the earlier files' data set; what seeds are."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import pytest
 
+from learning.camera import CaptureModel
 from learning.checkpoint import FOLDER, load_checkpoint, save_checkpoint, save_denoiser
 from learning.classical.method import DEFAULTS
 from learning.config import EvaluateConfig
@@ -16,6 +17,7 @@ from learning.evaluate.methods import (
     ClassicalEntry,
     LearnedEntry,
     check_learned,
+    check_seeds,
     check_tuned,
     read_methods,
     says_scenes,
@@ -31,6 +33,44 @@ from simulator.io.files import sha256_file
 
 def _record(train: str, validation: str) -> dict[str, Any]:
     return {"data sets": {"train": {"fingerprint": train}, "validation": {"fingerprint": validation}, "white": 1.0}}
+
+
+def test_seeds_are_of_one_training(tiny_capture: CaptureModel) -> None:
+    """All that decides a training but its seed is the same; data are told apart by fingerprint and number of samples."""
+    config = {"seed": 4, "steps": 9, "optimiser": {"learning_rate": 1e-3}, "data": {"draws": 2}}
+    data_sets = {"train": {"fingerprint": "a", "samples": 16}}
+
+    def entry(name: str, digest: str, architecture: dict[str, Any], **record: Any) -> LearnedEntry:
+        network = {"network": "flatnet3d", "size": "tiny"} | architecture
+        return LearnedEntry("Net", Path(name), digest, tiny_capture, network, record)
+
+    first = entry("first", "a", {}, config=config, **{"data sets": data_sets})
+    second = entry("second", "b", {}, config=config | {"seed": 5, "output": "b"}, **{"data sets": data_sets})
+    check_seeds("Net", [first, second])
+    check_seeds("Net", [entry("first", "a", {}), entry("second", "b", {})])  # nothing is known
+    for twice in (replace(first, path=Path("again"), digest="c"), replace(first, path=Path("again"), record={})):
+        with pytest.raises(InputError, match=r"^Net: again and first are of the same training and seed; give"):
+            check_seeds("Net", [replace(first, record=twice.record), twice])
+    of = dict.fromkeys(("batch", "steps", "loss", "precision", "validate_every"), "other")
+    on = dict.fromkeys(("noise_db", "augment", "draws", "shuffle_labels"), "other")
+    for key, architecture, changed, sets in (
+        ("size", {"size": "compact"}, {}, {}),
+        ("filters", {"filters": 4}, {}, {}),
+        *((key, {}, {key: other}, {}) for key, other in of.items()),
+        *((f"data.{key}", {}, {"data": {"draws": 2, key: other}}, {}) for key, other in on.items()),
+        ("optimiser.learning_rate", {}, {"optimiser": {"learning_rate": 2e-3}}, {}),
+        ("train data.fingerprint", {}, {}, {"train": {"fingerprint": "b", "samples": 16}}),
+        ("train data.samples", {}, {}, {"train": {"fingerprint": "a", "samples": 8}}),
+        ("validation data.fingerprint", {}, {}, {"validation": {"fingerprint": "a", "samples": 8}}),
+        ("psf stack", {}, {}, {"stack": "c"}),
+    ):
+        record = {"config": config | {"seed": 5} | changed, "data sets": data_sets | sets}
+        other = entry("other", "b", architecture, **record)
+        with pytest.raises(InputError, match=f"^Net: got different trainings: other has {key} .*; give checkpoints"):
+            check_seeds("Net", [first, second, other])
+    begun = replace(first, path=Path("other"), record=first.record | {"init_from": {"architecture": {"size": "tiny"}}})
+    with pytest.raises(InputError, match=r"other has init_from\.size 'tiny', first nothing"):
+        check_seeds("Net", [first, begun])
 
 
 @pytest.mark.parametrize(

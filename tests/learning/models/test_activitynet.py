@@ -78,7 +78,7 @@ def test_it_looks_at_the_joint_start_and_the_static_image(bordered: CaptureModel
     assert torch.equal(seen.shared[:, 3], begun.shared[:, 3][inside])
     assert begun.frames.shape[-1] > 16, "it has a border, for windows that move"
     with torch.no_grad():
-        torch.testing.assert_close(network.looked_at(network.begun(measurement)).clamp(0, 1), seen.own)
+        torch.testing.assert_close(network.frame_estimates(network.begun(measurement)).clamp(0, 1), seen.own)
 
 
 def test_measnet_adds_the_inversion_of_what_it_completes(clip_capture: CaptureModel, measurement: Tensor) -> None:
@@ -145,7 +145,7 @@ def test_windows_go_on_where_there_is_no_border() -> None:
 def test_a_lens_shows_all_frames_or_one(clip_capture: CaptureModel, frames: Tensor, which: str) -> None:
     network = built(clip_capture, "lens_classifier", "compact", frames=which)
     radiance = srgb_to_linear(frames, clip_capture.white)
-    assert network.looks_at(torch.zeros(0), None, radiance) == (radiance,)
+    assert network.inputs(torch.zeros(0), None, radiance) == (radiance,)
     network.classifier = seen = Looking()
     with torch.no_grad():
         network(radiance)
@@ -202,7 +202,7 @@ def test_a_raw_capture_is_in_units_of_its_mean_and_scaled_pixel_by_pixel(
     network.eval()(measurement)
     torch.testing.assert_close(seen.own[:, 0], (light - mean) / (4 * variance + network.scaling.eps).sqrt(), **close)
     assert seen.shared.shape[1] == 0
-    assert network.looks_at(measurement, None, torch.zeros(0)) == (measurement,)
+    assert network.inputs(measurement, None, torch.zeros(0)) == (measurement,)
     with pytest.raises(InputError, match="measurement"):
         network(measurement[..., :40])
 
@@ -276,7 +276,7 @@ def test_as_a_method_it_shows_what_it_looks_at_and_names_classes(
     torch.testing.assert_close(chances.sum(dim=1), torch.ones(2))
     with torch.no_grad():
         torch.testing.assert_close(chances, network(measurement).logits.softmax(dim=1))
-        torch.testing.assert_close(estimate.image, network.looked_at(network.begun(measurement)))
+        torch.testing.assert_close(estimate.image, network.frame_estimates(network.begun(measurement)))
     assert estimate.disparity.shape == (2, 4, 1, 16, 16)
 
 
