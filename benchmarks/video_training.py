@@ -48,7 +48,7 @@ def one(dataset: Path, name: str, batch: int, rounds: int, precision: str) -> di
     assert isinstance(network, VideoNet)
     optimiser = torch.optim.AdamW(network.parameters())
     measurement = torch.rand(batch, len(capture.stack.channels), *capture.sensor_shape)
-    start = network.begin(measurement)
+    start = network.initial_estimate(measurement)
     image = torch.rand(batch, capture.frames, 3, *capture.scene_shape)
     seen = measurement[:, None].expand(-1, capture.frames, -1, -1, -1)
 

@@ -1,6 +1,6 @@
 """What a network for clips learns from: captures, frames, and what is expensive to compute of them, kept in a file.
 
-The joint estimate that a network may begin with takes longer than a step of its training. So a clip is changed and
+The joint least squares that many networks begin with take longer than a step of its training. So a clip is changed and
 re-simulated a fixed number of times, and each time is worked out once, by whichever process needs it first. A GPU, which
 computes many estimates in the time of one, works them all out before the first step.
 """
@@ -41,7 +41,7 @@ class ClipExample(NamedTuple):
     Attributes:
         measurement: ``(C, H, W)`` float32, DN / 2^bits.
         radiance: ``(N, 3, h, w)`` float32, linear sRGB, the means of the slivers.
-        start: what the network begins with, see its ``begin``; of a VideoNet ``(N, C, rows, columns)``.
+        start: the network's initial estimate; of a VideoNet ``(N, C, rows, columns)``.
         measured: ``(N, C, H, W)``, what a global shutter would have measured of each sliver, without noise.
         label: ``()`` int64, the number of the clip's class.
         depth_m: ``(N, 1, h, w)`` float32, metres, in the middle of each sliver; 0 where nothing was seen.
@@ -55,8 +55,8 @@ class ClipExample(NamedTuple):
     depth_m: Tensor = torch.empty(0)
 
 
-class Initial(Protocol):
-    """The module that computes the estimate that a network begins with."""
+class InitialEstimator(Protocol):
+    """The module that computes a network's initial estimate."""
 
     @property
     def told(self) -> Mapping[str, Any]:
@@ -83,7 +83,7 @@ class ClipExamples(TorchDataset[ClipExample]):
     def __init__(
         self,
         examples: ExampleSet,
-        begin: Callable[[Tensor], Tensor | None],
+        initial_estimate: Callable[[Tensor], Tensor | None],
         *,
         identity: Mapping[str, Any],
         white: float,
@@ -98,8 +98,8 @@ class ClipExamples(TorchDataset[ClipExample]):
 
         Args:
             examples: the clips, changed and re-simulated or as they are stored.
-            begin: gives the start of measurements ``(1, C, H, W)``, or None where there is none.
-            identity: all that decides ``begin`` and the draws of ``examples``, code too: by it what is kept is told apart.
+            initial_estimate: that of measurements ``(1, C, H, W)``, or None where there is none.
+            identity: all that decides initial estimates and the draws of ``examples``, code too: the key of what is kept.
             white: reference white, in units of which radiance is kept.
             measured: whether global measurements are wanted.
             draws: how many times each clip is changed, or its noise drawn; 0 does so for every draw, of which nothing is
@@ -109,7 +109,7 @@ class ClipExamples(TorchDataset[ClipExample]):
             depth: whether depths are wanted.
             on_gpu: whether the network is on a GPU: of what is not kept, it computes the start itself.
         """
-        self.dataset, self._examples, self._begin = examples.dataset, examples, begin
+        self.dataset, self._examples, self._initial_estimate = examples.dataset, examples, initial_estimate
         self._draws = draws if examples.redrawn else 1
         self._measured, self._white, self._depth, self.labels = measured, np.float32(white), depth, labels
         self._camera = SceneCamera(examples.dataset) if measured else None
@@ -131,7 +131,7 @@ class ClipExamples(TorchDataset[ClipExample]):
             name = sha256_bytes(repr(told).encode())[:32]
             self._kept = KeptRecords(cache / f"{name}.clips", self._worked_out(0, 0))
         elif on_gpu:
-            self._begin = _Begin(None)  # the network does it
+            self._initial_estimate = _InitialEstimate(None)  # the network does it
 
     def __len__(self) -> int:
         """Return the number of clips."""
@@ -160,14 +160,14 @@ class ClipExamples(TorchDataset[ClipExample]):
         versions = list(dict.fromkeys(map(self._version, draws)))[rank::world_size]
         return [version for version in versions if not self._kept.holds(self._place(*version))]
 
-    def begin_ahead(
-        self, versions: Sequence[Draw], begin: Callable[[Tensor], Tensor], at_once: int, workers: int
+    def estimate_ahead(
+        self, versions: Sequence[Draw], initial_estimate: Callable[[Tensor], Tensor], at_once: int, workers: int
     ) -> Iterator[int]:
         """Work out and keep versions that are `missing`; yield after each part how many it had.
 
         Args:
             versions: see `missing`.
-            begin: gives the starts of measurements ``(B, C, H, W)``, as a rule on a GPU.
+            initial_estimate: that of measurements ``(B, C, H, W)``, as a rule on a GPU.
             at_once: B.
             workers: how many processes simulate the captures.
         """
@@ -179,7 +179,7 @@ class ClipExamples(TorchDataset[ClipExample]):
             for first in range(0, len(versions), at_once):
                 part = versions[first : first + at_once]
                 known = [next(simulated) for _ in part]
-                starts = begin(torch.cat([one.measurement for one in known])).to("cpu", torch.float16)
+                starts = initial_estimate(torch.cat([one.measurement for one in known])).to("cpu", torch.float16)
                 for version, one, start in zip(part, known, starts, strict=True):
                     arrays = {name: values[0].numpy() for name, values in one._asdict().items()}
                     self._kept.write(self._place(*version), arrays | {"start": start.numpy()})
@@ -197,7 +197,7 @@ class ClipExamples(TorchDataset[ClipExample]):
     def _worked_out(self, position: int, number: int) -> Arrays:
         known = self._simulated(position, number)
         with torch_threads(1):  # beside the training, and the other workers
-            start = self._begin(known.measurement[None])
+            start = self._initial_estimate(known.measurement[None])
         first = torch.empty(0) if start is None else start[0]
         arrays = {name: values.numpy() for name, values in known._asdict().items()}
         return arrays | {"start": first.to(torch.float16).numpy()}
@@ -224,14 +224,14 @@ def open_clip_examples(
     config: VideoTrainConfig | Video3DTrainConfig | ActivityTrainConfig,
     capture: CaptureModel,
     *,
-    joint: Initial | None,
+    joint: InitialEstimator | None,
     measured: bool,
     cache: Path | None,
     on_gpu: bool,
     labels: Sequence[int] | None = None,
     depth: bool = False,
 ) -> ClipExamples:
-    """Return a split's examples for a training: ``joint`` is what its network begins with, where it does so.
+    """Return a split's examples for a training: ``joint`` computes its network's initial estimate, where it has one.
 
     See `ClipExamples` for the others.
     """
@@ -241,13 +241,13 @@ def open_clip_examples(
     seed = 0 if kept else config.seed
     examples = ExampleSet(dataset, noise_db=config.data.noise_db, augment=augment, seed=seed, cache=cache)
     identity = {"seed": seed, "augment": augment and vars(augment), "noise_db": config.data.noise_db}
-    # With all that they import, what makes the same draw of a clip, and what is begun with, another one.
+    # With all that they import, what makes the same draw of a clip, and its initial estimate, another one.
     deciding = (__name__,) if joint is None else (__name__, type(joint).__module__)
     identity |= {"stack": capture.stack.fingerprint, "start": joint and joint.told, "code": code_digest(*deciding)}
     identity |= {"on_gpu": on_gpu}  # where sums are rounded otherwise
     return ClipExamples(
         examples,
-        _Begin(joint),
+        _InitialEstimate(joint),
         identity=identity,
         white=capture.white,
         measured=measured,
@@ -281,10 +281,10 @@ class _WithoutStart(TorchDataset[_Simulated]):
         return self.examples._simulated(*(draw if isinstance(draw, tuple) else (draw, 0)))
 
 
-class _Begin:
-    """What a network begins with, without the network, which may be on a GPU: for the processes that read examples."""
+class _InitialEstimate:
+    """A network's initial estimate without the network, which may be on a GPU: for the processes that read examples."""
 
-    def __init__(self, joint: Initial | None) -> None:
+    def __init__(self, joint: InitialEstimator | None) -> None:
         self._joint = copy.deepcopy(joint)
         if self._joint is not None:
             self._joint.cpu()

@@ -175,7 +175,7 @@ class NetworkTraining(Training[Item]):
         check_normalisation(network, group)
         init_from, taken = None, []
         if config.init_from is not None:
-            path = cls._begins_with(config)
+            path = cls._init_path(config)
             known, lines = cls._take(config, network, path)
             taken = [f"{path.name}: {line}" for line in lines]
             init_from = {"sha256": sha256_file(path), "file": path.name} | known
@@ -190,7 +190,7 @@ class NetworkTraining(Training[Item]):
         return {}
 
     @classmethod
-    def _begins_with(cls, config: Any) -> Path:
+    def _init_path(cls, config: Any) -> Path:
         """Return the file that ``init_from`` means."""
         return find_checkpoint(config.init_from, "init_from", config.resolve_path)
 

@@ -101,9 +101,9 @@ class ActivityTraining(ClipTraining):
         return {"classes": list(classes)}
 
     @classmethod
-    def _begins_with(cls, config: ActivityTrainConfig) -> Path:
+    def _init_path(cls, config: ActivityTrainConfig) -> Path:
         if config.network.name != "lens_classifier":
-            return super()._begins_with(config)
+            return super()._init_path(config)
         path = config.resolve_path(str(config.init_from))
         if not path.is_file():
             raise InputError("init_from", f"no such file: {path}; expected torchvision's resnet18-f37072fd.pth")
@@ -197,8 +197,10 @@ class ActivityTraining(ClipTraining):
             estimated = None
             if isinstance(self._network, ActivityNet):
                 with self._plan.precision.autocast():
-                    begun = self._network.begun(example.measurement, example.start if example.start.numel() else None)
-                    estimated, output = self._network.frame_estimates(begun), self._network.classify(begun)
+                    inverted = self._network.invert(
+                        example.measurement, example.start if example.start.numel() else None
+                    )
+                    estimated, output = self._network.frame_estimates(inverted), self._network.classify(inverted)
             else:
                 output = self._classified(self._network, example)
             chances = output.logits.float().softmax(dim=1).cpu()

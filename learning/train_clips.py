@@ -15,7 +15,7 @@ class ClipTraining(NetworkTraining[ClipExample]):
     _examples: ClipExamples
     _held_out: ClipExamples
 
-    def begin_ahead(self) -> None:
+    def estimate_ahead(self) -> None:
         """On a GPU, compute all initial estimates that the training will ask for; several processes share them."""
         joint, group, config = getattr(self._network, "joint", None), self._group, self._config
         if joint is None or not group.on_cuda:
@@ -26,7 +26,7 @@ class ClipTraining(NetworkTraining[ClipExample]):
         missing = {each: each.missing(draws, group.rank, group.world_size) for each, draws in splits.items()}
         at_once, done = max(config.batch // group.world_size, 1), 0
         for examples, versions in missing.items():
-            for count in examples.begin_ahead(
+            for count in examples.estimate_ahead(
                 versions, lambda seen: joint(seen.to(group.device)), at_once, self._workers
             ):
                 done += count

@@ -94,7 +94,7 @@ def _run(plan: Plan, kind: type[Training[Any]], progress: Progress, say: Say) ->
         training = kind(plan, progress if heard else lambda *_: None, say if heard else lambda _: None)
         first = training.progress.step
         if first < plan.config.steps:
-            training.begin_ahead()
+            training.estimate_ahead()
             with stop_signals() as stop:
                 training.run(stop)
     reached = training.progress
@@ -307,7 +307,7 @@ class Training(ABC, Generic[Item]):
             change = f"the learning rate goes from {last:.3g} to {now:.3g} there"
             self._say(f"steps: {before} -> {steps} after step {step}; {change}")
 
-    def begin_ahead(self) -> None:
+    def estimate_ahead(self) -> None:
         """Compute and keep, before the first step, what the workers would take long for; here nothing.
 
         A signal ends it at once; the same call goes on from there.

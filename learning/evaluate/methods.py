@@ -19,8 +19,8 @@ from learning.config import EvaluateConfig, MethodConfig
 from learning.evaluate.outcome import Kind
 from learning.method import Method
 from learning.models import NETWORKS, learned_method
-from learning.models.beginning import still_camera
 from learning.models.repeated import RepeatedStill
+from learning.models.still_estimates import still_camera
 from learning.provenance import scenes_of
 from learning.timing import recorded_timing
 from learning.tune.study import load_tuned

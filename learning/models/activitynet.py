@@ -25,9 +25,9 @@ from learning.layers.padding import axis_plans, check_measurement
 from learning.method import Clock, Estimate, check_choices, inference, linear_to_srgb
 from learning.models.clip_network import (
     FAINTEST,
-    Begun,
     ClipNetwork,
     ClipNetworkMethod,
+    InvertedClip,
     Start,
     check_clips,
     copy_weights,
@@ -46,7 +46,7 @@ class ClassifierOutput(NamedTuple):
 
     Attributes:
         logits: ``(B, classes)``, of which the softmax are probabilities.
-        measured: see `learning.models.clip_network.Begun`; empty without MeasNet.
+        measured: see `learning.models.clip_network.InvertedClip`; empty without MeasNet.
     """
 
     logits: Tensor
@@ -118,26 +118,26 @@ class ActivityNet(ClipNetwork):
         self.classifier = FrameClassifier(classifier, self.frames, 3 * self.estimates, shared, len(self.classes))
 
     def forward(self, measurement: Tensor, start: Tensor | None = None) -> ClassifierOutput:
-        """Classify measurements ``(B, C, H, W)``, DN / 2^bits; ``start`` is what `begin` gives, where known."""
-        return self.classify(self.begun(measurement, start))
+        """Classify measurements ``(B, C, H, W)``, DN / 2^bits; ``start`` is their `initial_estimate`, where known."""
+        return self.classify(self.invert(measurement, start))
 
-    def classify(self, begun: Begun) -> ClassifierOutput:
+    def classify(self, inverted: InvertedClip) -> ClassifierOutput:
         """Classify captures of which so much is known."""
-        frames = self.codes(begun.frames.unflatten(2, (self.estimates, -1))).clamp(0, 1).flatten(2, 3)
+        frames = self.codes(inverted.frames.unflatten(2, (self.estimates, -1))).clamp(0, 1).flatten(2, 3)
         channels = self.shared - self.noise_aware
-        static = self.codes(begun.shared[:, :channels]).clamp(0, 1)
-        shared = torch.cat([static, begun.shared[:, channels:]], dim=1)
+        static = self.codes(inverted.shared[:, :channels]).clamp(0, 1)
+        shared = torch.cat([static, inverted.shared[:, channels:]], dim=1)
         both = (frames[self.image], shared[self.image])
         if self.training:
             both = moved_windows(frames, shared, both[0].shape[-2:])
-        return ClassifierOutput(self.classifier(*both), begun.measured)
+        return ClassifierOutput(self.classifier(*both), inverted.measured)
 
-    def frame_estimates(self, begun: Begun) -> Tensor:
+    def frame_estimates(self, inverted: InvertedClip) -> Tensor:
         """Return the best estimates of the frames, ``(B, N, 3, h, w)`` sRGB codes, not clipped."""
-        return self.codes(begun.best)[self.image]
+        return self.codes(inverted.best)[self.image]
 
     def inputs(self, measurement: Tensor, start: Tensor | None, radiance: Tensor) -> tuple[Tensor | None, ...]:
-        """Return the arguments of `forward`, of a capture, what `begin` gives of it, and the true frames' linear radiance."""
+        """Return the arguments of `forward`, of a capture, its `initial_estimate` and its true frames' linear radiance."""
         return measurement, start
 
     def take(self, known: nn.Module, source: str) -> list[str]:
@@ -321,9 +321,9 @@ class ActivityMethod(ClipNetworkMethod[ActivityNet]):
         """Return the same, and the probabilities ``(B, classes)`` of the network's classes."""
         clock = clock or Clock(measurement.device)
         with inference(self.network):
-            start = self.begin(measurement, clock)
+            start = self.initial_estimate(measurement, clock)
             with clock.stage("network"):
-                begun = self.network.begun(measurement, start)
-                chances = self.network.classify(begun).logits.softmax(dim=1)
-                image = self.network.frame_estimates(begun)
+                inverted = self.network.invert(measurement, start)
+                chances = self.network.classify(inverted).logits.softmax(dim=1)
+                image = self.network.frame_estimates(inverted)
         return Estimate(image, torch.zeros_like(image[:, :, :1])), chances

@@ -53,7 +53,7 @@ def camera_codes(colours: Tensor, light: Tensor) -> Tensor:
     return linear_to_srgb(radiance, 1.0, clip=False)
 
 
-class Begun(NamedTuple):
+class InvertedClip(NamedTuple):
     """What is known of captures before a network's own part; estimates are light in the camera's channels, 1 for white.
 
     Attributes:
@@ -191,25 +191,25 @@ class ClipNetwork(nn.Module):
             self.measnet = FrameBody(self.frames, 2 * channels + 1, self.shared, channels, **sizes)
             self.wiener = WienerInversion(capture, noise_to_signal=_WIENER)
 
-    def begun(self, measurement: Tensor, start: Tensor | None = None) -> Begun:
-        """Return what is known of measurements ``(B, C, H, W)``, DN / 2^bits; ``start`` is what `begin` gives, if known."""
+    def invert(self, measurement: Tensor, start: Tensor | None = None) -> InvertedClip:
+        """Invert measurements ``(B, C, H, W)``, DN / 2^bits; ``start`` is their `initial_estimate`, where known."""
         first = self.inversion
         check_measurement(measurement, first.offset, first.rows, first.columns)
         with torch.autocast(measurement.device.type, enabled=False):
             light = first.light(measurement)
             noise = noise_ratio(light) if self.noise_aware else None
             static = first.volume(first.spectrum(light), noise)[:, 0]
-            frames = self._begun(measurement, light, static, noise) if start is None else start
+            frames = self._first_estimate(measurement, light, static, noise) if start is None else start
         shared = torch.cat([static, *([] if noise is None else [level_image(noise, static)])], dim=1)
         if self.measnet is None or self.wiener is None:
-            return Begun(light, noise, frames, frames, shared, light.new_zeros(0))
+            return InvertedClip(light, noise, frames, frames, shared, light.new_zeros(0))
         measured = self._completed(light, frames, noise)
         with torch.autocast(light.device.type, enabled=False):
             inverted = self.wiener.scene(measured)
         best = inverted if self.start == "slivers" else frames
-        return Begun(light, noise, torch.cat([frames, inverted], dim=2), best, shared, measured)
+        return InvertedClip(light, noise, torch.cat([frames, inverted], dim=2), best, shared, measured)
 
-    def begin(self, measurement: Tensor) -> Tensor | None:
+    def initial_estimate(self, measurement: Tensor) -> Tensor | None:
         """Return the joint least squares ``(B, N, C, h, w)`` that it begins with, to be kept; None for any other start."""
         return None if self.joint is None else self.joint(measurement)
 
@@ -218,10 +218,10 @@ class ClipNetwork(nn.Module):
         with torch.autocast(light.device.type, enabled=False):
             return camera_codes(self.colours, light)
 
-    def _begun(self, measurement: Tensor, light: Tensor, static: Tensor, noise: Tensor | None) -> Tensor:
+    def _first_estimate(self, measurement: Tensor, light: Tensor, static: Tensor, noise: Tensor | None) -> Tensor:
         """Return the first estimate, ``(B, N, C, h, w)``, linear, 1 for white."""
         if self.start == "joint":
-            found = self.begin(measurement)
+            found = self.initial_estimate(measurement)
             assert found is not None
             return found
         if self.start == "static":
@@ -273,7 +273,7 @@ def copy_weights(
     return [f"copied {len(found)} of {len(own)} tensors"]
 
 
-class Begins(Protocol):
+class HasInitialEstimate(Protocol):
     """A network that may begin with what can be kept; see `ClipNetwork`."""
 
     @property
@@ -281,7 +281,7 @@ class Begins(Protocol):
         """The module that computes the initial estimate, or None."""
         ...
 
-    def begin(self, measurement: Tensor) -> Tensor | None:
+    def initial_estimate(self, measurement: Tensor) -> Tensor | None:
         """Return the initial estimate, or None."""
         ...
 
@@ -290,7 +290,7 @@ class Begins(Protocol):
         ...
 
 
-Network = TypeVar("Network", bound=Begins)
+Network = TypeVar("Network", bound=HasInitialEstimate)
 
 
 class ClipNetworkMethod(Generic[Network]):
@@ -304,9 +304,9 @@ class ClipNetworkMethod(Generic[Network]):
         self.network.to(device)
         return self
 
-    def begin(self, measurement: Tensor, clock: Clock) -> Tensor | None:
+    def initial_estimate(self, measurement: Tensor, clock: Clock) -> Tensor | None:
         """Return what the network begins with; stage ``joint`` where joint least squares have a part in it."""
         if self.network.joint is None:
             return None
         with clock.stage("joint"), threads_for(measurement[0].numel() * self.capture.frames):
-            return self.network.begin(measurement)
+            return self.network.initial_estimate(measurement)

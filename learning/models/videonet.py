@@ -24,7 +24,7 @@ class Film(NamedTuple):
 
     Attributes:
         image: ``(B, N, 3, h, w)`` sRGB codes, not clipped.
-        measured: see `learning.models.clip_network.Begun`.
+        measured: see `learning.models.clip_network.InvertedClip`.
     """
 
     image: Tensor
@@ -96,16 +96,16 @@ class VideoNet(ClipNetwork):
         self.repeats = repeats
 
     def forward(self, measurement: Tensor, start: Tensor | None = None) -> Film:
-        """Return the frames of measurements ``(B, C, H, W)``, DN / 2^bits; ``start`` is what `begin` gives, where known."""
-        begun = self.begun(measurement, start)
-        codes = self.codes(begun.best)
-        image = codes + self.enhancement(torch.cat([begun.frames, codes], dim=2), begun.shared).to(codes)
+        """Return the frames of measurements ``(B, C, H, W)``, DN / 2^bits; ``start``: their `initial_estimate`, if known."""
+        inverted = self.invert(measurement, start)
+        codes = self.codes(inverted.best)
+        image = codes + self.enhancement(torch.cat([inverted.frames, codes], dim=2), inverted.shared).to(codes)
         for refinement in (*self.refinements, *list(self.refinements)[-1:] * self.repeats):
             with torch.autocast(codes.device.type, enabled=False):
-                of_frames, of_all = self._residuals(image, begun.light, begun.noise)
-            shared = torch.cat([of_all, begun.shared], dim=1)
+                of_frames, of_all = self._residuals(image, inverted.light, inverted.noise)
+            shared = torch.cat([of_all, inverted.shared], dim=1)
             image = image + refinement(torch.cat([of_frames, image], dim=2), shared).to(image)
-        return Film(image[self.image], begun.measured)
+        return Film(image[self.image], inverted.measured)
 
     def take(self, known: nn.Module, source: str) -> list[str]:
         """Put the weights of another network of this kind, or of a FlatNet2D, into this one, and say what was taken.
@@ -166,7 +166,7 @@ class VideoMethod(ClipNetworkMethod[VideoNet]):
         """Return the frames of measurements ``(B, C, H, W)``; stages ``joint`` where it begins so, and ``network``."""
         clock = clock or Clock(measurement.device)
         with inference(self.network):
-            start = self.begin(measurement, clock)
+            start = self.initial_estimate(measurement, clock)
             with clock.stage("network"):
                 image = self.network(measurement, start).image
         return Estimate(image, torch.zeros_like(image[:, :, :1]))

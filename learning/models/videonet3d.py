@@ -2,8 +2,8 @@
 
 A capture that says when things were where, row by row, also says how far away they were: PSFs scale with 1 / z. Joint least
 squares over space and time estimate how the frames differ; with these differences removed from the capture, a FlatNet3D of
-stills estimates image and depth of each frame (`learning.models.beginning`). Where nothing moves, its estimate of the capture
-as it is remains the better one: a network weighs both estimates pixel by pixel, and adds a correction.
+stills estimates image and depth of each frame (`learning.models.still_estimates`). Where nothing moves, its estimate of the
+capture as it is remains the better one: a network weighs both estimates pixel by pixel, and adds a correction.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from torch import Tensor, nn
 from learning.camera import CaptureModel
 from learning.layers.noise import level_image, noise_ratio
 from learning.method import Clock, Estimate, inference
-from learning.models.beginning import Beginning
 from learning.models.clip_network import ClipNetworkMethod, FrameBody, camera_codes, check_clips, copy_weights
+from learning.models.still_estimates import StillEstimates
 from simulator.errors import InputError
 
 
@@ -29,7 +29,7 @@ class VideoNet3D(nn.Module):
     At first it answers with the mean of the two estimates that it begins with.
 
     Attributes:
-        joint: gives the estimate that it begins with, see `Beginning`; the FlatNet3D in it is not trained here.
+        joint: gives the estimate that it begins with, see `StillEstimates`; the FlatNet3D in it is not trained here.
     """
 
     colours: Tensor
@@ -72,7 +72,7 @@ class VideoNet3D(nn.Module):
                 "stack", "got one plane, expected several to tell depth by; take psf.depths: 13, or videonet"
             )
         steps = {"iterations": joint_iterations, "noise": joint_noise, "correlation": joint_correlation}
-        self.joint = Beginning(capture, still, joint_planes, steps)
+        self.joint = StillEstimates(capture, still, joint_planes, steps)
         self.joint.still.requires_grad_(False)
         sizes: dict[str, Any] = {"filters": filters, "blocks": blocks, "levels": levels, "stem": 1}
         own = len(capture.stack.channels) * self.joint.planes + 3 + 3 + 1
@@ -82,9 +82,9 @@ class VideoNet3D(nn.Module):
         self.register_buffer("colours", colours, persistent=False)
 
     def forward(self, measurement: Tensor, start: Tensor | None = None) -> Estimate:
-        """Return the film of measurements ``(B, C, H, W)``, DN / 2^bits; ``start`` is what `begin` gives, where known."""
+        """Return the film of measurements ``(B, C, H, W)``, DN / 2^bits; ``start``: their `initial_estimate`, where known."""
         with torch.autocast(measurement.device.type, enabled=False):
-            known = self.joint.parts(self.begin(measurement) if start is None else start)
+            known = self.joint.parts(self.initial_estimate(measurement) if start is None else start)
             level = level_image(noise_ratio(self.joint.still.inversion.light(measurement)), known.image)
             # Of all planes together: least squares find much better how bright a pixel is than how far away.
             light = known.light.unflatten(2, (self.joint.planes, -1)).sum(dim=2)
@@ -96,8 +96,8 @@ class VideoNet3D(nn.Module):
         images = image + shares[:, :, :1] * (known.images - image) + answer[:, :, :3]
         return Estimate(images, disparity + shares[:, :, 1:] * (known.disparities - disparity) + answer[:, :, 3:4])
 
-    def begin(self, measurement: Tensor) -> Tensor:
-        """Return what it begins with, to be kept; see `Beginning`."""
+    def initial_estimate(self, measurement: Tensor) -> Tensor:
+        """Return what it begins with, to be kept; see `StillEstimates`."""
         return self.joint(measurement)
 
     def take(self, known: nn.Module, source: str) -> list[str]:
@@ -132,6 +132,6 @@ class Video3DMethod(ClipNetworkMethod[VideoNet3D]):
         """Return frames and depths of measurements ``(B, C, H, W)``; stages ``joint`` (with the FlatNet3D), ``network``."""
         clock = clock or Clock(measurement.device)
         with inference(self.network):
-            start = self.begin(measurement, clock)
+            start = self.initial_estimate(measurement, clock)
             with clock.stage("network"):
                 return self.network(measurement, start)

@@ -108,41 +108,41 @@ def _built(entry: LearnedEntry, test: Dataset) -> Trained:
 
 
 class InitialEstimates:
-    """What networks begin with at a level of noise, which takes longest: those that begin alike share it.
+    """The initial estimates of networks at a level of noise, which take longest: networks with the same ones share them.
 
-    It is kept until the last of them has had it: under a megabyte for each capture of ten frames of 64 x 64.
+    They are kept until the last network has had them: under a megabyte for each capture of ten frames of 64 x 64.
     """
 
     def __init__(self, users: Iterable[Trained]) -> None:
         """Tell it of all that will ask, in any order."""
-        self._users = Counter(key for one in users if (key := _begins_by(one)) is not None)
+        self._users = Counter(key for one in users if (key := _estimated_by(one)) is not None)
         self._known: dict[tuple[str, int], Tensor] = {}
 
     def of(self, one: Trained, first: int, measurement: Tensor) -> Tensor | None:
-        """Return what a network begins with for the captures of its test from position ``first`` on."""
-        if (key := _begins_by(one)) is None:
+        """Return a network's initial estimate of its captures from position ``first`` on; None where it has none."""
+        if (key := _estimated_by(one)) is None:
             return None
         assert isinstance(one.network, ActivityNet)
-        begun = self._known.get((key, first))
-        if begun is None:
+        estimate = self._known.get((key, first))
+        if estimate is None:
             with threads_for(measurement[0].numel() * one.capture.frames):
-                begun = one.network.begin(measurement)
-            assert begun is not None
+                estimate = one.network.initial_estimate(measurement)
+            assert estimate is not None
             if self._users[key] > 1:
-                self._known[key, first] = begun.cpu()
-        return begun.to(measurement.device)
+                self._known[key, first] = estimate.cpu()
+        return estimate.to(measurement.device)
 
     def release(self, one: Trained) -> None:
         """Say that a network will ask no more."""
-        if (key := _begins_by(one)) is None:
+        if (key := _estimated_by(one)) is None:
             return
         self._users[key] -= 1
         if not self._users[key]:
-            self._known = {known: begun for known, begun in self._known.items() if known[0] != key}
+            self._known = {name: estimate for name, estimate in self._known.items() if name[0] != key}
 
 
-def _begins_by(one: Trained) -> str | None:
-    """Return what decides all that a network begins with; None of what begins with nothing that takes long."""
+def _estimated_by(one: Trained) -> str | None:
+    """Return what decides a network's initial estimates; None of one that has none."""
     if not isinstance(one.network, ActivityNet) or one.network.joint is None:
         return None
     return sha256_bytes(canonical_json([one.samples, camera_identity(one.capture), one.network.joint.told]))

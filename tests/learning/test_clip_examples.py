@@ -54,7 +54,7 @@ def train(clip_dataset: Path) -> Dataset:
 def make(train: Dataset, tmp_path: Path) -> Callable[..., ClipExamples]:
     """Make examples, three draws of each, kept in ``tmp_path``."""
 
-    def made(begin: Any = None, *, augment: Augmentation | None = AUGMENT, **changes: Any) -> ClipExamples:
+    def made(estimate: Any = None, *, augment: Augmentation | None = AUGMENT, **changes: Any) -> ClipExamples:
         given: dict[str, Any] = {
             "identity": {"seed": 5},
             "white": 1.5,
@@ -64,7 +64,7 @@ def make(train: Dataset, tmp_path: Path) -> Callable[..., ClipExamples]:
         }
         noise = changes.pop("noise_db", None)
         examples = ExampleSet(train, augment=augment, noise_db=noise, seed=5)
-        return ClipExamples(examples, Counted() if begin is None else begin, **given | changes)
+        return ClipExamples(examples, Counted() if estimate is None else estimate, **given | changes)
 
     return made
 
@@ -76,9 +76,9 @@ def same(one: ClipExample, other: ClipExample) -> bool:
 @pytest.mark.parametrize("measured", [False, True])
 def test_what_is_kept_is_what_would_be_worked_out(make: Any, train: Dataset, measured: bool) -> None:
     """Half precision, in which it is kept, is that of examples that are not kept, too; the measurement is exact."""
-    begin = Counted()
-    kept, anew = make(begin, measured=measured), make(cache=None, measured=measured)
-    asked = begin.calls
+    estimate = Counted()
+    kept, anew = make(estimate, measured=measured), make(cache=None, measured=measured)
+    asked = estimate.calls
     examples = ExampleSet(train, augment=AUGMENT, seed=5)
     for draw in (Draw(0, 0), Draw(3, 1), Draw(7, 2), Draw(3, 0), Draw(4, 0), Draw(2, 2)):
         first, again = kept[draw], kept[draw]
@@ -91,7 +91,7 @@ def test_what_is_kept_is_what_would_be_worked_out(make: Any, train: Dataset, mea
         torch.testing.assert_close(first.radiance, wanted.radiance, rtol=2**-11, atol=1.5 * 2**-25)
         start = Counted()(wanted.measurement[None])[0]
         torch.testing.assert_close(first.start, start, rtol=2**-11, atol=2**-25)
-    assert begin.calls == asked + 6  # each draw once
+    assert estimate.calls == asked + 6  # each draw once
     assert len(kept) == 8
     assert kept.dataset is train
 
@@ -134,23 +134,23 @@ def test_draws_are_as_many_as_asked(make: Any) -> None:
 
 
 def test_without_a_number_of_draws_each_is_new_and_none_is_kept(make: Any, tmp_path: Path) -> None:
-    begin = Counted()
-    examples = make(begin, draws=0)
+    estimate = Counted()
+    examples = make(estimate, draws=0)
     radiances = [examples[Draw(4, number)].radiance for number in range(6)]
     assert len({float(radiance.sum()) for radiance in radiances}) == 6
     assert torch.equal(examples[Draw(4, 0)].radiance, radiances[0])
-    assert begin.calls == 7
+    assert estimate.calls == 7
     assert not list(tmp_path.glob("*.clips"))
 
 
 def test_clips_that_are_not_changed_have_one_version(make: Any, train: Dataset) -> None:
-    begin = Counted()
-    examples = make(begin, augment=None)
-    asked = begin.calls
+    estimate = Counted()
+    examples = make(estimate, augment=None)
+    asked = estimate.calls
     for number in (0, 1, 5):
         example = examples[Draw(6, number)]
         assert (example.measurement.numpy() == train[6].measurement).all()
-    assert begin.calls == asked + 1
+    assert estimate.calls == asked + 1
 
 
 def test_noise_alone_is_drawn_as_often(make: Any) -> None:
@@ -193,11 +193,11 @@ def test_global_measurements_are_of_the_clip_as_it_was_changed(
 
 
 def test_other_examples_are_kept_apart(make: Any, tmp_path: Path) -> None:
-    begin = Counted()
+    estimate = Counted()
     for count, changes in enumerate(({}, {"identity": {"seed": 6}}, {"draws": 4}, {"identity": {"seed": 5, "x": 1}})):
-        make(begin, **changes)[Draw(1, 1)]
+        make(estimate, **changes)[Draw(1, 1)]
         assert len(list(tmp_path.glob("*.clips"))) == count + 1
-    assert begin.calls == 8  # at each beginning, and each draw
+    assert estimate.calls == 8  # at each beginning, and each draw
 
 
 def test_workers_get_the_same(make: Any) -> None:
@@ -214,20 +214,20 @@ def test_workers_get_the_same(make: Any) -> None:
         for batch, draws in zip(batches, order, strict=True):
             for index, draw in enumerate(draws):
                 assert same(ClipExample(*(values[index] for values in batch)), single[draw])
-    begin = Counted()
-    after = make(begin, measured=True)
-    before = begin.calls
+    estimate = Counted()
+    after = make(estimate, measured=True)
+    before = estimate.calls
     after[Draw(7, 0)], after[Draw(0, 0)]
-    assert begin.calls == before  # the workers wrote them
+    assert estimate.calls == before  # the workers wrote them
 
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_what_is_begun_ahead_is_what_would_be_worked_out(make: Any, workers: int) -> None:
     """Every version once, of those that are not kept, whichever process does it; the starts come from what is given."""
-    begin, sizes = Counted(), []
-    examples, anew = make(begin), make(cache=None)
+    estimate, sizes = Counted(), []
+    examples, anew = make(estimate), make(cache=None)
     examples[Draw(3, 1)]
-    asked = begin.calls
+    asked = estimate.calls
 
     def many(measurement: Tensor) -> Tensor:
         sizes.append(len(measurement))
@@ -236,19 +236,19 @@ def test_what_is_begun_ahead_is_what_would_be_worked_out(make: Any, workers: int
     draws = [Draw(position, number) for number in range(4) for position in range(8)]
     for rank in range(3):
         missing = examples.missing(draws, rank, 3)
-        assert list(examples.begin_ahead(missing, many, 5, workers)) == ([5, 3] if rank != 2 else [5, 2])
+        assert list(examples.estimate_ahead(missing, many, 5, workers)) == ([5, 3] if rank != 2 else [5, 2])
         assert not examples.missing(draws, rank, 3)
     assert sizes == [5, 3, 5, 3, 5, 2]  # 8 clips in 3 versions but one
     assert not examples.missing(draws)
     for draw in draws:
         assert same(examples[draw], anew[draw])
-    assert begin.calls == asked
+    assert estimate.calls == asked
 
 
 def test_what_is_begun_ahead_is_kept_when_it_is_interrupted(make: Any) -> None:
     examples = make()
     draws = [Draw(position, 0) for position in range(8)]
-    ahead = examples.begin_ahead(
+    ahead = examples.estimate_ahead(
         examples.missing(draws), lambda seen: torch.cat([Counted()(one[None]) for one in seen]), 3, 2
     )
     assert next(ahead) == 3
@@ -258,11 +258,11 @@ def test_what_is_begun_ahead_is_kept_when_it_is_interrupted(make: Any) -> None:
 
 @pytest.mark.parametrize("changes", [{"draws": 0}, {"cache": None}, {"draws": 0, "cache": None}])
 def test_a_network_on_a_gpu_begins_by_itself_where_nothing_is_kept(make: Any, changes: dict[str, Any]) -> None:
-    begin = Counted()
-    examples = make(begin, on_gpu=True, **changes)
+    estimate = Counted()
+    examples = make(estimate, on_gpu=True, **changes)
     assert not examples.missing([Draw(1, 1)])
     found, wanted = examples[Draw(1, 1)], make(**changes)[Draw(1, 1)]
-    assert begin.calls == 0
+    assert estimate.calls == 0
     assert same(found, wanted._replace(start=torch.empty(0)))
 
 

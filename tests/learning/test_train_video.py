@@ -17,7 +17,7 @@ import torch
 
 from learning.camera import CaptureModel, capture_model
 from learning.checkpoint import load_checkpoint, save_checkpoint
-from learning.clip_examples import ClipExample, _Begin
+from learning.clip_examples import ClipExample, _InitialEstimate
 from learning.commands import train as command
 from learning.config import TrainConfig, VideoTrainConfig, load_file, training_kind
 from learning.data import ExampleSet
@@ -179,8 +179,8 @@ def test_seeds_share_what_is_kept(
 ) -> None:
     """Of clips that are drawn a fixed number of times; the joint estimate is worked out by the first training only."""
     calls = []
-    begin = _Begin.__call__
-    monkeypatch.setattr(_Begin, "__call__", lambda self, given: calls.append(1) or begin(self, given))
+    begin = _InitialEstimate.__call__
+    monkeypatch.setattr(_InitialEstimate, "__call__", lambda self, given: calls.append(1) or begin(self, given))
     counts = []
     for seed in (1, 2):
         train_video(video_settings(str(seed), seed=seed, steps=9, data=data))
@@ -235,8 +235,8 @@ def test_a_gpu_works_out_all_that_is_left_before_the_first_step(
         shown = []
         training = built(lambda *call: shown.append(call))
         monkeypatch.setattr(Processes, "on_cuda", True)
-        training.begin_ahead()
-        monkeypatch.setattr(_Begin, "__call__", None)
+        training.estimate_ahead()
+        monkeypatch.setattr(_InitialEstimate, "__call__", None)
         found = read(training)
     for one, other in zip(found, wanted, strict=True):
         assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
@@ -248,14 +248,14 @@ def test_what_a_network_begins_with_is_given_without_the_network(clip_capture: C
     """A copy: the network's own may be moved to a GPU, where other processes cannot follow."""
     network = build_network(clip_capture, "videonet", "tiny", **SMALL)
     measurement = torch.rand(1, 3, 48, 48)
-    wanted = network.begin(measurement)
-    begin = _Begin(network.joint)
+    wanted = network.initial_estimate(measurement)
+    begin = _InitialEstimate(network.joint)
     network.to("meta")
     found = begin(measurement)
     assert wanted is not None
     assert found is not None
     assert torch.equal(found, wanted)
-    assert _Begin(None)(measurement) is None
+    assert _InitialEstimate(None)(measurement) is None
 
 
 def test_fine_tuning_begins_with_a_checkpoint(video_settings: Settings) -> None:

@@ -70,26 +70,26 @@ def test_it_looks_at_the_joint_start_and_the_static_image(bordered: CaptureModel
     network.classifier = seen = Looking()
     with torch.no_grad():
         network(measurement)
-        begun = network.begun(measurement)
+        inverted = network.invert(measurement)
     inside = network.image
-    for found, light in ((seen.own, begun.frames), (seen.shared[:, :3], begun.shared[:, :3])):
+    for found, light in ((seen.own, inverted.frames), (seen.shared[:, :3], inverted.shared[:, :3])):
         torch.testing.assert_close(found, linear_to_srgb(light[inside], 1.0), rtol=1e-4, atol=1e-5)
     assert seen.own.shape == (2, 4, 3, 16, 16)
-    assert torch.equal(seen.shared[:, 3], begun.shared[:, 3][inside])
-    assert begun.frames.shape[-1] > 16, "it has a border, for windows that move"
+    assert torch.equal(seen.shared[:, 3], inverted.shared[:, 3][inside])
+    assert inverted.frames.shape[-1] > 16, "it has a border, for windows that move"
     with torch.no_grad():
-        torch.testing.assert_close(network.frame_estimates(network.begun(measurement)).clamp(0, 1), seen.own)
+        torch.testing.assert_close(network.frame_estimates(network.invert(measurement)).clamp(0, 1), seen.own)
 
 
 def test_measnet_adds_the_inversion_of_what_it_completes(clip_capture: CaptureModel, measurement: Tensor) -> None:
     network = built(clip_capture, **SMALL)
     network.classifier = seen = Looking()
     with torch.no_grad():
-        answer, begun = network(measurement), network.begun(measurement)
-        inverted = network.codes(network.wiener.scene(begun.measured)).clamp(0, 1)[network.image]
+        output, known = network(measurement), network.invert(measurement)
+        inverted = network.codes(network.wiener.scene(known.measured)).clamp(0, 1)[network.image]
     assert seen.own.shape == (2, 4, 6, 16, 16)
     torch.testing.assert_close(seen.own[:, :, 3:], inverted)
-    torch.testing.assert_close(answer.measured, begun.measured)
+    torch.testing.assert_close(output.measured, known.measured)
 
 
 def test_windows_move_in_training_alone(bordered: CaptureModel, measurement: Tensor) -> None:
@@ -100,8 +100,8 @@ def test_windows_move_in_training_alone(bordered: CaptureModel, measurement: Ten
         still = [network(measurement) and seen.own for _ in range(2)]
         network.train()
         moved = [(network(measurement), seen.own, seen.shared)[1:] for _ in range(6)]
-        begun = network.begun(measurement)
-        whole, static = network.codes(begun.frames).clamp(0, 1), network.codes(begun.shared[:, :3]).clamp(0, 1)
+        inverted = network.invert(measurement)
+        whole, static = network.codes(inverted.frames).clamp(0, 1), network.codes(inverted.shared[:, :3]).clamp(0, 1)
     assert torch.equal(*still)
     places = set()
     border = whole.shape[-1] - 16
@@ -276,7 +276,7 @@ def test_as_a_method_it_shows_what_it_looks_at_and_names_classes(
     torch.testing.assert_close(chances.sum(dim=1), torch.ones(2))
     with torch.no_grad():
         torch.testing.assert_close(chances, network(measurement).logits.softmax(dim=1))
-        torch.testing.assert_close(estimate.image, network.frame_estimates(network.begun(measurement)))
+        torch.testing.assert_close(estimate.image, network.frame_estimates(network.invert(measurement)))
     assert estimate.disparity.shape == (2, 4, 1, 16, 16)
 
 

@@ -125,14 +125,14 @@ def test_other_numbers_of_frames_and_fields(
         film = net(measurement)
         assert film.image.shape == (2, frames, 3, 16, 16)
         assert film.measured.shape == (2, frames, 3, 48, 48)
-        begun = net.begin(measurement)
-        assert (begun is None) == (start != "joint")
-        if begun is not None:
+        found = net.initial_estimate(measurement)
+        assert (found is None) == (start != "joint")
+        if found is not None:
             side, rim = 16 + 2 * min(margin, 8), slice(min(margin, 8), min(margin, 8) + 16)
-            assert begun.shape == (2, frames, 3, side, side)
+            assert found.shape == (2, frames, 3, side, side)
             numbers: dict[str, Any] = dict(JOINT) | {"iterations": 4}
             wanted = JointLeastSquares(capture, **numbers)(measurement)  # of the whole field
-            torch.testing.assert_close(begun[..., rim, rim], wanted, rtol=1e-4, atol=1e-4 * float(wanted.abs().max()))
+            torch.testing.assert_close(found[..., rim, rim], wanted, rtol=1e-4, atol=1e-4 * float(wanted.abs().max()))
 
 
 @pytest.mark.parametrize("body", ["naf", "unet"])
@@ -201,7 +201,7 @@ def test_bodies_are_given_all_that_is_known(clip_capture: CaptureModel, measurem
         slivers = light[:, None] * shares
         each = inversion.volume(inversion.spectrum(slivers.flatten(0, 1)), noise.repeat_interleave(4, dim=0))[:, 0]
         frames = {"slivers": each.unflatten(0, (2, 4)), "static": static[:, None].expand(-1, 4, -1, -1, -1)}
-        frames |= {"joint": net.begin(measurement)}
+        frames |= {"joint": net.initial_estimate(measurement)}
         known = slivers if start == "slivers" else net._seen(frames[start])
         unit = light.square().mean(dim=(1, 2, 3)).sqrt()[:, None, None, None, None]
         completed = known + unit * net.measnet(own["measnet"], shared["measnet"])
@@ -225,10 +225,10 @@ def test_bodies_are_given_all_that_is_known(clip_capture: CaptureModel, measurem
 def test_a_start_that_is_known_is_taken(clip_capture: CaptureModel, measurement: Tensor) -> None:
     net = shaken(network(clip_capture))
     with torch.no_grad():
-        begun = net.begin(measurement)
-        assert begun is not None
-        inside, outside = net(measurement), net(measurement, begun)
-        other = net(measurement, 0.5 * begun)
+        found = net.initial_estimate(measurement)
+        assert found is not None
+        inside, outside = net(measurement), net(measurement, found)
+        other = net(measurement, 0.5 * found)
     for one, two in zip(inside, outside, strict=True):
         torch.testing.assert_close(one, two, rtol=1e-6, atol=1e-6)
     assert float((other.image - inside.image).abs().max()) > 0.01
@@ -236,7 +236,7 @@ def test_a_start_that_is_known_is_taken(clip_capture: CaptureModel, measurement:
     grey = codes(np.full((3, 1, 1), 0.5), clip_capture)
     np.testing.assert_allclose(flat.image.detach().numpy(), np.broadcast_to(grey, (2, 4, 3, 16, 16)), atol=1e-5)
     for start in ("static", "slivers"):
-        assert network(clip_capture, initial_estimate=start).begin(measurement) is None
+        assert network(clip_capture, initial_estimate=start).initial_estimate(measurement) is None
 
 
 def moving(capture: CaptureModel) -> np.ndarray:

@@ -144,7 +144,7 @@ def test_only_its_body_learns(moving_capture: CaptureModel, measurement: Tensor)
 def test_what_it_begins_with_can_be_kept(moving_capture: CaptureModel, measurement: Tensor) -> None:
     """It is told apart by the weights of the still network and the numbers of the least squares."""
     net = network(moving_capture)
-    start = net.begin(measurement)
+    start = net.initial_estimate(measurement)
     assert start.shape == (2, (4 * (3 * 3 + 3 + 1) + 2 * 3 * 3 + 4) * 16 * 16)
     for found, expected in zip(net(measurement, start), net(measurement), strict=True):
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)

@@ -122,8 +122,8 @@ def test_networks_that_begin_alike_share_it(
         {"name": "more", "checkpoints": [str(other)]},
     ]
     begun: list[int] = []
-    begin = ActivityNet.begin
-    monkeypatch.setattr(ActivityNet, "begin", lambda *given: begun.append(len(given[1])) or begin(*given))
+    begin = ActivityNet.initial_estimate
+    monkeypatch.setattr(ActivityNet, "initial_estimate", lambda *given: begun.append(len(given[1])) or begin(*given))
     found, _ = recognise(settings(classifiers=rows, ceiling=None, noise_db=None, timed=0, shown=0))
     assert begun == [3, 3, 2] * 2
     measurement = ExampleSet(open_dataset(labelled_dataset, "test"))[0].measurement[None]

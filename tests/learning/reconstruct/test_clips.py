@@ -169,7 +169,7 @@ def test_a_network_names_what_is_done(labelled_dataset: Path, tmp_path: Path, co
     assert line.split("shows  ")[1] == told + ("" if copied else "; its label is leftwards")
     assert {"film.png", "film.webp"} <= set(record["files"])
     with torch.no_grad():
-        frames = network.frame_estimates(network.begun(values))[0]
+        frames = network.frame_estimates(network.invert(values))[0]
     first = read_exr(tmp_path / "out" / "frames" / "image.0000.exr")[0]
     radiance = srgb_to_linear(frames, capture.white, clip=False)[0].numpy()
     np.testing.assert_allclose(np.stack([first[name] for name in "RGB"]), radiance, rtol=1e-4, atol=1e-5)

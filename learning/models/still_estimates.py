@@ -46,7 +46,7 @@ class Parts(NamedTuple):
     disparity: Tensor
 
 
-class Beginning(nn.Module):
+class StillEstimates(nn.Module):
     """A FlatNet3D, and joint least squares over space, time and depth with a few planes in place of all.
 
     Attributes:
