@@ -255,7 +255,7 @@ def test_labelled_clips_from_generating_to_a_name(
     assert code == 0, err
     results = json.loads((tmp_path / "evaluated" / "results.json").read_text(encoding="utf-8"))
     assert results["classes"] == ["leftwards", "rightwards"]
-    assert np.shape(results["backwards"]) == (2, 2)
+    assert np.shape(results["backwards"]["confusion_after_reversal"]) == (2, 2)
     confusion = np.zeros((2, 2))
     test = open_dataset(data, "test")
     for at in range(len(test)):
