@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from learning.labels import spoken
-from learning.recognition.scores import Predictions
+from learning.recognition.scores import Predictions, wilson
 from simulator.plots import drawing
 from simulator.plots.psf import GRID, INK, style
 
@@ -41,16 +41,19 @@ def confusion_png(predictions: Sequence[Predictions]) -> bytes:
 
 
 def reliability_png(predictions: Sequence[Predictions], colours: Mapping[str, str]) -> bytes:
-    """Return the reliability diagram: accuracy against confidence, and how often each confidence occurs."""
+    """Return the reliability diagram: accuracy, with 95 % intervals, against confidence, and how often each one occurs."""
     figure = drawing.new_figure((6.4, 5.4), _DPI)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
     above.plot([0, 1], [0, 1], color=_GREY, lw=1, ls="--", label="calibrated")
     for one in predictions:
         confidence, right, counts = one.reliability()
         known = counts > 0
+        confidence, right, counts = confidence[known], right[known], counts[known]
+        ends = np.array([wilson(round(share * count), int(count)) for share, count in zip(right, counts, strict=True)])
+        look: Any = {"color": colours[one.name], "marker": "o", "ms": 4, "lw": 1.6, "elinewidth": 1, "capsize": 2}
         label = f"{one.name} (ECE {100 * one.calibration_error():.1f} %)"
-        above.plot(confidence[known], right[known], color=colours[one.name], marker="o", ms=4, lw=1.6, label=label)
-        below.plot(confidence[known], counts[known] / counts.sum(), color=colours[one.name], lw=1.4)
+        above.errorbar(confidence, right, np.abs(ends.T - right), label=label, **look)
+        below.plot(confidence, counts / counts.sum(), color=colours[one.name], lw=1.4)
     style(above, "", "accuracy")
     style(below, "confidence", "share")
     below.set_ylim(bottom=0)

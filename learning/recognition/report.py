@@ -248,7 +248,8 @@ def _report(found: Recognition, figures: Mapping[str, bytes]) -> str:
             [[name, *(_per_cent(one.confusion()[at, at]) for one in found.main)] for at, name in enumerate(classes)],
         ),
         "## Calibration",
-        "The confidence is the probability of the most likely class; in brackets the calibration error (ECE).",
+        "The confidence is the probability of the most likely class. Whiskers are 95 % intervals of a share (Wilson's), over "
+        "the captures of all seeds; in brackets is the calibration error (ECE).",
         f"![confidence against accuracy]({RELIABILITY})",
     ]
     if NOISE in figures:

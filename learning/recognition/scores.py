@@ -87,7 +87,7 @@ class Predictions:
     def intervals(self) -> dict[int, tuple[float, float] | None]:
         """The 95 % interval of the accuracy over captures, for each of `TOP`; None of a single capture.
 
-        See `learning.evaluate.paired.mean_interval`; where all captures are right equally often, Wilson's (JASA 1927),
+        See `learning.evaluate.paired.mean_interval`; where all captures are right equally often, `wilson`'s,
         because all resamples are then alike.
         """
         return {top: self._interval(top) for top in TOP}
@@ -95,8 +95,7 @@ class Predictions:
     def _interval(self, top: int) -> tuple[float, float] | None:
         right = self.right(top)
         if len(right) > 1 and np.ptp(right) == 0:
-            known = stats.binomtest(round(right.sum()), len(right)).proportion_ci(0.95, "wilson")
-            return float(known.low), float(known.high)
+            return wilson(round(right.sum()), len(right))
         return mean_interval(right, self.bootstrap_seed)
 
     def confusion(self) -> NDArray[np.float64]:
@@ -215,6 +214,12 @@ def confusion_after_reversal(forwards: Predictions, backwards: Predictions) -> N
         right = before == forwards.truth
         np.add.at(counts, (forwards.truth[right], after[right]), 1)
     return _shares(counts)
+
+
+def wilson(right: int, of: int) -> tuple[float, float]:
+    """Return the 95 % interval of a share (Wilson, JASA 22, 1927), which has a width even where none or all are right."""
+    known = stats.binomtest(right, of).proportion_ci(0.95, "wilson")
+    return float(known.low), float(known.high)
 
 
 def without_nan(shares: NDArray[np.float64]) -> list[list[float | None]]:
