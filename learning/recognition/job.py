@@ -59,7 +59,7 @@ def recognise(
         recognition = Recognition(
             config,
             [one for level in (None, *(config.noise_db or ())) for one in trial.predictions(rows, level)],
-            next(iter(trial.predictions([back], None)), None) if back else None,
+            trial.predictions([back], None)[0] if back else None,
             stored_db=measured_psnr_db(reference[0].test),
             fingerprint=reference[0].test.fingerprint,
             times=trial.times(reference[0], [row[0] for row in rows]),
