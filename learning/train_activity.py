@@ -143,9 +143,8 @@ class ActivityTraining(ClipTraining):
         return spread_over_classes(self._held_out.labels or [], count)
 
     def _classified(self, network: nn.Module, example: ClipExample) -> ClassifierOutput:
-        start = example.start if example.start.numel() else None
         with self._plan.precision.autocast():
-            output = network(*self._network.inputs(example.measurement, start, example.radiance))
+            output = network(*self._network.inputs(example.measurement, _start(example), example.radiance))
         return ClassifierOutput(output.logits.float(), output.measured.float())
 
     def _losses(self, output: ClassifierOutput, example: ClipExample) -> dict[str, Tensor]:
@@ -197,9 +196,7 @@ class ActivityTraining(ClipTraining):
             estimated = None
             if isinstance(self._network, ActivityNet):
                 with self._plan.precision.autocast():
-                    inverted = self._network.invert(
-                        example.measurement, example.start if example.start.numel() else None
-                    )
+                    inverted = self._network.invert(example.measurement, _start(example))
                     estimated, output = self._network.frame_estimates(inverted), self._network.classify(inverted)
             else:
                 output = self._classified(self._network, example)
@@ -214,6 +211,11 @@ class ActivityTraining(ClipTraining):
         return np.asarray(
             film_sheet(clips, self._config.name, "true frames and class; estimate of each sliver, and predicted class")
         )
+
+
+def _start(example: ClipExample) -> Tensor | None:
+    """Return the kept initial estimate, None where there is none."""
+    return example.start if example.start.numel() else None
 
 
 def _check_used(network: ActivityNetworkConfig) -> None:

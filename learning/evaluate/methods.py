@@ -201,9 +201,9 @@ _TRAINED_ON = ("noise_db", "augment", "draws", "shuffle_labels")
 
 
 def training_of(one: LearnedEntry) -> dict[str, Any]:
-    """Return what a network is and how it was trained, but for its seed and number of frames: values by dotted keys."""
+    """Return what a network is and how it was trained, but for its seed and number of slivers: values by dotted keys."""
     config, data_sets = (one.record.get(key) or {} for key in ("config", "data sets"))
-    told: dict[str, Any] = dict(one.architecture)
+    told: dict[str, Any] = {"network": None} | dict(one.architecture)  # what tells most comes first
     told |= {key: config.get(key) for key in _TRAINED_BY}
     told["data"] = {key: (config.get("data") or {}).get(key) for key in _TRAINED_ON}
     for split in ("train", "validation"):
@@ -217,9 +217,9 @@ def check_seeds(name: str, seeds: Sequence[LearnedEntry]) -> None:
     """Refuse checkpoints whose scores may not be averaged: all must be of one training, each with another seed."""
     cure = "give checkpoints that differ in their seed alone, one of each"
     paths: dict[Any, Path] = {}
-    first = training_of(seeds[0]) | {"frames": seeds[0].capture.frames} if seeds else {}
-    for one in seeds:
-        own = training_of(one) | {"frames": one.capture.frames}
+    every = [training_of(one) | {"slivers": one.capture.frames} for one in seeds]
+    for one, own in zip(seeds, every, strict=True):
+        first = every[0]
         for key in (*first, *own):
             if (value := own.get(key)) != (known := first.get(key)):
                 got = f"{one.path} has {key} {show(value)}, {seeds[0].path} {show(known)}"

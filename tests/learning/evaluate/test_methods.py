@@ -56,6 +56,7 @@ def test_seeds_are_of_one_training(tiny_capture: CaptureModel) -> None:
     for key, architecture, changed, sets in (
         ("size", {"size": "compact"}, {}, {}),
         ("filters", {"filters": 4}, {}, {}),
+        ("frames", {"frames": "shuffled"}, {}, {}),  # which frames a lens_classifier looks at, not how many
         *((key, {}, {key: other}, {}) for key, other in of.items()),
         *((f"data.{key}", {}, {"data": {"draws": 2, key: other}}, {}) for key, other in on.items()),
         ("optimiser.learning_rate", {}, {"optimiser": {"learning_rate": 2e-3}}, {}),
