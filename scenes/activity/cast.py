@@ -206,6 +206,6 @@ def draw_cast(thing: Thing, hand_size: float, to_viewer: Array, rng: np.random.G
         duration_s=duration_s,
         margins=(rest * shares[10], rest * (1 - shares[10])),
         tremor_m=0.0006 + 0.0012 * shares[12],
-        grain_m=0.0065 + 0.003 * shares[12],
+        grain_m=0.0065 + 0.003 * shares[11],
         luck=rng.random(48),
     )
