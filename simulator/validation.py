@@ -246,8 +246,8 @@ def _expected(kind: str, message: str, context: dict[str, Any], value: Any) -> t
         hint = nearest(value, names) if isinstance(value, str) else ""
         return (f"one of {', '.join(names)}" if len(names) > 1 else repr(names[0])) if names else message, hint
     if kind in ("too_long", "too_short") and "actual_length" in context:
-        bound = ("at most", context["max_length"]) if kind == "too_long" else ("at least", context["min_length"])
-        return f"{bound[0]} {bound[1]} entries", f" (there are {context['actual_length']})"
+        bound, count = ("at most", context["max_length"]) if kind == "too_long" else ("at least", context["min_length"])
+        return f"{bound} {count} {'entry' if count == 1 else 'entries'}", f" (there are {context['actual_length']})"
     return _EXPECTED.get(kind, message.removeprefix("Input should be ").removeprefix("Value error, ")), ""
 
 

@@ -264,6 +264,7 @@ def test_backwards_and_other_captures(
         ({"ceiling": "sky"}, "ceiling"),
         ({"reference": "sky"}, "reference"),
         ({"noise_db": [20, 20]}, "noise_db"),
+        ({"noise_db": []}, r"noise_db: got \[\]; expected at least 1 entry \(there are 0\)"),
         ({"classifiers": [{"name": "a", "checkpoints": ["x"]}] * 2, "ceiling": None}, "classifiers"),
         ({"classifiers": [{"name": "a", "checkpoints": ["x", "x"]}], "ceiling": None}, "classifiers"),
     ],
