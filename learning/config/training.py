@@ -27,7 +27,7 @@ class SplitsConfig(Section):
     """processes that read examples; 0 reads between the steps"""
 
 
-ClassifierName: TypeAlias = Literal["dronet", "resnet18", "cnn3d", "s3d"]
+ClassifierName: TypeAlias = Literal["dronet", "resnet18", "cnn3d", "x3d"]
 
 
 class DataConfig(SplitsConfig):
@@ -187,7 +187,7 @@ class ActivityNetworkConfig(ClipNetworkConfig):
     name: Literal["activitynet"]
     """what is done in a clip, from one capture of a rolling shutter"""
     classifier: ClassifierName | None = None
-    """of the estimated frames: as channels of one image (dronet, the thesis's, and resnet18), or a stack (cnn3d, s3d)"""
+    """of the estimated frames: as channels of one image (dronet, the thesis's, and resnet18), or a stack (cnn3d, x3d)"""
 
 
 class RawClassifierConfig(Section):

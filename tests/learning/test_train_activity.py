@@ -231,7 +231,7 @@ def test_measnet_learns_what_a_global_shutter_would_measure(activity_settings: S
         ({"data": {"augment": Augmentation(reverse=False, still=0.1)}}, "data.augment.still"),
         ({"network": LENS, "init_from": "videonet"}, "init_from"),
         ({"loss": {"class_weight": 0}}, "loss.class_weight"),
-        ({"network": {"name": "raw_classifier", "classifier": "s3d"}}, "network.raw_classifier.classifier"),
+        ({"network": {"name": "raw_classifier", "classifier": "x3d"}}, "network.raw_classifier.classifier"),
         ({"network": LENS, "batch": 1}, "batch"),
     ],
 )

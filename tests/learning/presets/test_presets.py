@@ -357,7 +357,7 @@ def test_classifiers_are_evaluated_where_they_are_trained_on_data_that_are_made(
     assert config.ceiling == "lens video"
     looks = {"lens video": "all", "lens video in random order": "shuffled"}
     looks |= {"one sharp frame": "middle", "background only": "middle"}
-    classifiers = {"ActivityNet, ResNet-18": "resnet18", "ActivityNet, 3D network": "cnn3d", "ActivityNet, S3D": "s3d"}
+    classifiers = {"ActivityNet, ResNet-18": "resnet18", "ActivityNet, 3D network": "cnn3d", "ActivityNet, X3D": "x3d"}
     for name, row in rows.items():
         for one in row:
             kind = "lens_classifier" if name in looks else "raw_classifier" if name == "raw capture" else "activitynet"
