@@ -148,7 +148,7 @@ def x3d(inputs: int, classes: int) -> nn.Module:
         nn.ReLU(),
         *(
             _X3dBlock(width if number else before, width, stride=1 if number else 2, excited=number % 2 == 0)
-            for before, width, depth in zip((widths[0], *widths), widths, depths, strict=False)
+            for (before, width), depth in zip(itertools.pairwise((widths[0], *widths)), depths, strict=True)
             for number in range(depth)
         ),
         *(Conv3d(widths[-1], last, 1, bias=False), nn.BatchNorm3d(last), nn.ReLU()),
@@ -162,7 +162,7 @@ def x3d(inputs: int, classes: int) -> nn.Module:
 class _X3dBlock(nn.Module):
     """An inverted bottleneck: widened, filtered channel by channel, perhaps excited, and narrowed.
 
-    Its last normalisation does not begin at 0, as theirs does: so it learns from fewer clips.
+    Its last normalisation does not begin at 0, as the paper's does: so it learns from fewer clips.
     """
 
     def __init__(self, inputs: int, outputs: int, *, stride: int, excited: bool) -> None:
@@ -186,7 +186,10 @@ class _X3dBlock(nn.Module):
 
 
 class _Excitation(nn.Module):
-    """Each channel by a factor that the means of all tell (Hu et al., Squeeze-and-Excitation Networks, CVPR 2018)."""
+    """Each channel by a factor that the means of all tell (Hu et al., Squeeze-and-Excitation Networks, CVPR 2018).
+
+    Its hidden width is a sixteenth of the channels, to the nearest 8; the paper's code takes 32 for 24 in the last stage.
+    """
 
     def __init__(self, channels: int) -> None:
         super().__init__()
