@@ -88,6 +88,7 @@ def against_png(
         axes.errorbar(places, rates, np.abs(ends.T - rates), elinewidth=1, capsize=2, **look)
     axes.axhline(100 * constant, color=_GREY, lw=1, ls="--", label="most frequent class")
     style(axes, title, "top-1 accuracy, %")
+    axes.set_xticks(every, [f"{place:g}" for place in every])
     axes.set_ylim(bottom=0)
     axes.grid(color=GRID)
     figure.legend(loc="outside right upper", fontsize=8, frameon=False)
