@@ -137,9 +137,12 @@ def resnet18(inputs: int, classes: int) -> nn.Module:
     return network
 
 
-def x3d(inputs: int, classes: int) -> nn.Module:
-    """Return X3D-XS (Feichtenhofer, X3D, CVPR 2020), but as shallow as the X2D of table 1, from which it was expanded."""
-    widths, depths = (24, 48, 96, 192), (1, 2, 5, 3)
+def x3d(inputs: int, classes: int, depths: tuple[int, ...] = (1, 2, 5, 3)) -> nn.Module:
+    """Return X3D-XS (Feichtenhofer, X3D, CVPR 2020), but as shallow as the X2D of table 1, from which it was expanded.
+
+    Its own number of blocks in each stage is ``(3, 5, 11, 7)``.
+    """
+    widths = (24, 48, 96, 192)
     last, hidden = int(_X3D_WIDENING * widths[-1]), 2048
     network = nn.Sequential(
         Conv3d(inputs, widths[0], (1, 3, 3), stride=(1, 2, 2), padding=(0, 1, 1), bias=False),
@@ -162,7 +165,7 @@ def x3d(inputs: int, classes: int) -> nn.Module:
 class _X3dBlock(nn.Module):
     """An inverted bottleneck: widened, filtered channel by channel, perhaps excited, and narrowed.
 
-    Its last normalisation does not begin at 0, as the paper's does: so it learns from fewer clips.
+    Unlike the paper's, its last normalisation does not begin at 0.
     """
 
     def __init__(self, inputs: int, outputs: int, *, stride: int, excited: bool) -> None:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from learning.config.training import ClassifierName
-from learning.layers.classifiers import CLASSIFIERS, FrameClassifier
+from learning.layers.classifiers import CLASSIFIERS, FrameClassifier, x3d
 from simulator.errors import InputError
 
 
@@ -44,7 +44,7 @@ def test_every_pixel_and_frame_counts(name: str, frames: int, shared: int, size:
 
 @pytest.mark.parametrize("name", [name for name, (flat, _) in CLASSIFIERS.items() if not flat])
 def test_fewer_frames_than_a_kernel_spans_have_finite_gradients_in_bfloat16(name: str) -> None:
-    """Those of oneDNN were what memory happened to hold; see `learning.layers.convolution`."""
+    """Those of oneDNN were what memory happened to hold, on CPUs with bfloat16; see `learning.layers.convolution`."""
     network, frames = FrameClassifier(name, 2, 3, 0, 5), torch.randn(2, 2, 3, 40, 48)
     for _ in range(3):
         network.zero_grad()
@@ -54,6 +54,12 @@ def test_fewer_frames_than_a_kernel_spans_have_finite_gradients_in_bfloat16(name
         for parameter in network.parameters():
             assert parameter.grad is not None
             assert bool(parameter.grad.isfinite().all())
+
+
+def test_x3d_of_the_published_depth_has_the_published_size() -> None:
+    """3.79 million weights in PyTorchVideo's model zoo, whose excitations are wider by 8 in the last stage: 0.03 million."""
+    network = x3d(3, 400, depths=(3, 5, 11, 7))
+    assert sum(weight.numel() for weight in network.parameters()) == pytest.approx(3.79e6 - 0.03e6, abs=0.01e6)
 
 
 @pytest.mark.parametrize("name", ["dronet", "cnn3d"])
