@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
@@ -23,7 +22,7 @@ from torch import Tensor, nn
 from learning.camera import CaptureModel
 from learning.models import Network, build_network, full_architecture, named
 from learning.models.denoiser import Denoiser
-from learning.models.flatnet import FIRST_VERSION, FlatNet, PlaneWeights
+from learning.models.flatnet import FIRST_VERSION
 from learning.timing import Timing
 from simulator.errors import InputError
 from simulator.io.files import expanded, write_atomic
@@ -71,13 +70,6 @@ class Checkpoint:
         """The architecture as `learning.models.build_network` takes it: ``name`` instead of ``network``."""
         return named(self.architecture)
 
-    def for_camera(self, capture: CaptureModel) -> FlatNet:
-        """Return its FlatNet for another camera, whose planes and PSFs may differ; see `transfer`."""
-        network = _build(self.architecture, capture)
-        assert isinstance(network, FlatNet)
-        transfer(network, self)
-        return network
-
 
 def save_checkpoint(
     path: Path | str,
@@ -106,7 +98,7 @@ def save_checkpoint(
     """
     full = full_architecture(architecture)
     weights = {name: _stored(name, value, precision) for name, value in network.state_dict().items()}
-    _check_shapes(_build(full, capture).state_dict(), weights, "architecture")
+    check_shapes(_build(full, capture).state_dict(), weights, "architecture")
     stack = capture.stack
     arrays = {
         "psf": (stack.values, np.float32),
@@ -182,7 +174,7 @@ def load_checkpoint(path: Path | str, *, capture: CaptureModel | None = None, ne
         capture: build the network for this camera, whose exposure or sizes may differ; None takes the file's own. Its PSFs
             may differ too, such as those of a PSF calibration of the same camera; these cannot be told from another mask's,
             so compare `Checkpoint.fingerprint` where they should be the same. For a camera with other planes see
-            `Checkpoint.for_camera`.
+            `learning.transfer.for_camera`.
         network: the architecture that is wanted; None takes any.
 
     Raises:
@@ -237,7 +229,7 @@ def _load_weights(built: nn.Module, path: Path, tensors: Mapping[str, Tensor]) -
     """Put the file's weights in the places of those of a network on the meta device."""
     weights = {key.removeprefix(_WEIGHTS): value for key, value in tensors.items() if key.startswith(_WEIGHTS)}
     expected = built.state_dict()
-    _check_shapes(expected, weights, str(path))
+    check_shapes(expected, weights, str(path))
     for key, value in weights.items():
         if not bool(torch.isfinite(value).all()):
             raise InputError(path, f"{key} holds NaN or infinite numbers; take an earlier checkpoint")
@@ -339,7 +331,7 @@ def _check_camera(path: Path, own: CaptureModel, asked: CaptureModel) -> None:
         raise InputError(path, f"its network is for {here}, the stack has {there}; {cure}")
 
 
-def _check_shapes(expected: Mapping[str, Tensor], found: Mapping[str, Tensor], where: str, cure: str = "") -> None:
+def check_shapes(expected: Mapping[str, Tensor], found: Mapping[str, Tensor], where: str, cure: str = "") -> None:
     """Refuse weights that are not those of an architecture."""
     for name in sorted(expected.keys() | found.keys()):
         got, wanted = (tuple(of[name].shape) if name in of else "nothing" for of in (found, expected))
@@ -378,92 +370,3 @@ def _find(text: str, shipped: Mapping[str, Path], command: str, key: str, resolv
         known = f"a shipped one's name ({', '.join(shipped) or 'there is none'})"
         raise InputError(key, f"got {text!r}, expected {known} or a file of `flatlight {command}`; not a file: {path}")
     return path
-
-
-def transfer(network: FlatNet, checkpoint: Checkpoint) -> list[str]:
-    """Put a checkpoint's weights into a network of the same architecture for another camera.
-
-    What belongs to a plane (P, lambda, the soft head's choice) is interpolated linearly between the checkpoint's planes, at
-    the same share of the range of disparities (0 for the farthest plane, 1 for the nearest, whatever their depths are). The
-    first convolution then sees the new volumes interpolated at the checkpoint's planes, so that a volume that is linear over
-    the planes has the same response; a choice, whose weights add up to 1, is shared out among the checkpoint's planes, each
-    weight between the two beside it. Refinements that the checkpoint lacks begin anew.
-
-    Args:
-        network: for the other camera; changed in place.
-        checkpoint: as `load_checkpoint` gives it without another camera.
-
-    Returns:
-        One line for every group of weights: what was copied, what resampled.
-
-    Raises:
-        InputError: another architecture, or other channels, naming the checkpoint's file; the network stays as it was.
-    """
-    own, found = network.state_dict(), checkpoint.network.state_dict()
-    if type(network) is not type(checkpoint.network) or not isinstance(checkpoint.network, FlatNet):
-        kinds = f"got a {type(checkpoint.network).__name__}, expected a {type(network).__name__}"
-        raise InputError(checkpoint.path, f"{kinds}; take a checkpoint of the same network")
-    mine, other = network.inversion.channels, checkpoint.network.inversion.channels
-    if mine != other:
-        raise InputError(checkpoint.path, f"its camera has the channels {', '.join(other)}, expected {', '.join(mine)}")
-    new, old = network.inversion.disparities, checkpoint.network.inversion.disparities
-    same = len(new) == len(old) and np.allclose(new, old, atol=1e-6)
-    known = checkpoint.network.plane_weights
-    alike = network.plane_weights[: len(known)] == known  # else refused for its shapes
-    taken = found | _resampled(known, found, old, new) if alike and not same else dict(found)
-    further = tuple(f"refinements.{n}." for n in range(len(known) - 1, len(network.refinements)))
-    anew = {key: value for key, value in own.items() if key.startswith(further)} if further else {}
-    cure = f"take a checkpoint of the same size, or build the network with its numbers: {checkpoint.named}"
-    _check_shapes(own, taken | anew, str(checkpoint.path), f"; {cure}")
-    network.load_state_dict(taken | anew)
-    changed = [name for name in taken if taken[name] is not found[name]]
-    copied = f"copied the other {len(taken) - len(changed)} tensors"
-    return [
-        *(f"resampled {name} from {len(old)} to {len(new)} planes" for name in changed),
-        f"copied all {len(taken)} tensors: the planes lie alike" if same else copied,
-        *(
-            [f"{len(further)} refinement{'s' * (len(further) > 1)} of {len(anew)} tensors, not in it, begin anew"]
-            if anew
-            else []
-        ),
-    ]
-
-
-def plane_mixing(old: NDArray[np.float64], new: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weights ``(new, old)`` that interpolate linearly from old disparities to new ones, both decreasing.
-
-    Example:
-        >>> plane_mixing(np.array([1.0, 0.0]), np.array([1.0, 0.75, 0.0])).tolist()
-        [[1.0, 0.0], [0.75, 0.25], [0.0, 1.0]]
-    """
-    unit = np.eye(len(old))
-    return np.stack([np.interp(new, old[::-1], row[::-1]) for row in unit], axis=1)
-
-
-def _resampled(
-    bodies: list[PlaneWeights], found: dict[str, Tensor], old: NDArray[np.float64], new: NDArray[np.float64]
-) -> dict[str, Tensor]:
-    """Return the weights that belong to planes, for the new ones."""
-    forth, back = (torch.from_numpy(plane_mixing(*order)).float() for order in ((old, new), (new, old)))
-    changed: dict[str, Tensor] = {}
-    for planes in bodies:
-        changed |= _resampled_body(planes, found, forth, back)
-    return changed
-
-
-def _resampled_body(planes: PlaneWeights, found: dict[str, Tensor], forth: Tensor, back: Tensor) -> dict[str, Tensor]:
-    """Return these weights of one body and its inversions, by the mixing of planes forth, old to new, and back."""
-    old = len(back)
-    changed = {name: torch.einsum("no,o...->n...", forth, found[name]) for name in planes.per_plane}
-    # Planes are the slowest of a volume's channels, before those of a stem; what follows the volumes has no plane.
-    first = found[planes.first]
-    of_planes = planes.volumes * old * planes.width
-    volumes = first[:, :of_planes].unflatten(1, (-1, old, planes.width))
-    light, choice = volumes.split([planes.width - planes.choice, planes.choice], dim=3)
-    mixed = [torch.einsum("fvow...,on->fvnw...", light, back), torch.einsum("fvow...,no->fvnw...", choice, forth)]
-    changed[planes.first] = torch.cat([torch.cat(mixed, dim=3).flatten(1, 3), first[:, of_planes:]], dim=1)
-    for name in planes.last:
-        fixed, chosen = found[name].split([planes.fixed, old * planes.stem], dim=0)
-        mixed = torch.einsum("no,os...->ns...", forth, chosen.unflatten(0, (old, planes.stem))).flatten(0, 1)
-        changed[name] = torch.cat([fixed, mixed])
-    return changed

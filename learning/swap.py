@@ -45,6 +45,7 @@ from learning.models.flatnet import FlatNet
 from learning.resume import BEST
 from learning.timing import recorded_timing
 from learning.train import train
+from learning.transfer import for_camera
 from learning.tune.job import tune_file
 from simulator.assembly import Assembly
 from simulator.camera.noise import PhysicalNoise
@@ -225,7 +226,7 @@ def _swap(known: Checkpoint, folder: Path) -> None:
     scenes = open_dataset(folder / _DATA, "train")
     capture = capture_model(scenes, white=measure_reference_white(scenes))
     record = known.record | {"name": f"{known.architecture['network']} with other PSFs"}
-    network = known.for_camera(capture)
+    network = for_camera(known, capture)
     save_checkpoint(folder / _SWAPPED, network, architecture=known.architecture, capture=capture, record=record)
 
 

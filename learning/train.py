@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from learning.camera import CaptureModel, capture_model, check_range, measure_reference_white
-from learning.checkpoint import Checkpoint, find_checkpoint, load_checkpoint, save_checkpoint, transfer
+from learning.checkpoint import Checkpoint, find_checkpoint, load_checkpoint, save_checkpoint
 from learning.config import ActivityTrainConfig, ClipDataConfig, TrainConfig, Video3DTrainConfig, VideoTrainConfig
 from learning.data import Example, ExampleSet, Loader
 from learning.distributed import Processes
@@ -24,6 +24,7 @@ from learning.models import Network, build_network, named
 from learning.models.flatnet import FlatNet
 from learning.timing import recorded_timing, with_slivers
 from learning.training_loop import Item, Plan, RecordedLoss, Training, TrainResult, find_cache, open_splits, run
+from learning.transfer import transfer
 from learning.validation import draw, true_estimate, validate
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from learning.camera import CaptureModel
-from learning.checkpoint import find_checkpoint, load_checkpoint, transfer
+from learning.checkpoint import find_checkpoint, load_checkpoint
 from learning.clip_examples import ClipExample, ClipExamples, open_clip_examples
 from learning.clip_loss import ClipDepthLoss
 from learning.config import Video3DTrainConfig
@@ -23,6 +23,7 @@ from learning.models.videonet3d import VideoNet3D
 from learning.train import origin
 from learning.train_video import VideoTraining
 from learning.training_loop import Training, TrainResult, find_cache, run
+from learning.transfer import transfer
 from learning.validation import both_scores
 from simulator.dataset.reader import Dataset
 from simulator.errors import InputError
