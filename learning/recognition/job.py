@@ -151,7 +151,7 @@ class _Trial:
             frames = linear_to_srgb(example.radiance, one.capture.white)
             estimate, chances = method.recognise(example.measurement[None].to(self.device))
             best = chances[0].cpu().topk(2)
-            words = ", ".join(f"{classes[int(k)]} {float(p):.0%}" for p, k in zip(*best, strict=True))
+            words = ", ".join(f"{classes[int(k)]} {float(p):.0%}" for p, k in zip(*best, strict=True) if p >= 0.005)
             seen = estimate.clamped().image[0]
             truth, seen = (each.permute(0, 2, 3, 1).cpu().numpy() for each in (frames, seen))
             sheet.append([NamedFilm(classes[numbers[at]], truth), NamedFilm(words, seen)])
