@@ -204,8 +204,11 @@ class Trial:
         return result.path
 
 
+_KEPT = ("resource_tracker", "forkserver", "/ray/")  # by Python for the next test; by a module's Ray cluster
+
+
 def _children() -> dict[int, str]:
-    """The running children of this process with their commands, without those that Python itself keeps for the next."""
+    """The running children of this process with their commands, without those that are kept for the next test."""
     pids: list[str] = []
     for listing in Path("/proc/self/task").glob("*/children"):
         with suppress(OSError):  # a thread that has just ended
@@ -215,7 +218,7 @@ def _children() -> dict[int, str]:
         with suppress(OSError):  # a process that has
             state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
             command = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
-            if state != "Z" and not any(name in command for name in ("resource_tracker", "forkserver")):
+            if state != "Z" and not any(name in command for name in _KEPT):
                 found[int(pid)] = command
     return found
 

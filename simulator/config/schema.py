@@ -114,6 +114,21 @@ class SceneConfig(PluginSection):
         return self
 
 
+class RayConfig(Section):
+    """Which Ray cluster makes the samples, and what each of them needs of a node beside one CPU."""
+
+    address: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
+        description="head node, such as 10.0.0.1:6379; left out: $RAY_ADDRESS, or a cluster on this machine for so long",
+    )
+    memory_gb: Annotated[float, Range(0.001, 10_000, "GB")] | None = Field(
+        default=None, description="memory that Ray sets aside for a sample, gigabytes: a node takes no more than fit"
+    )
+    resources: dict[str, Annotated[float, Range(0, 1e6)]] = Field(
+        default_factory=dict, description="further resources of a node that a sample needs, by the cluster's names"
+    )
+
+
 class DatasetConfig(Section):
     """What is written, how much of it, and by how many workers."""
 
@@ -122,11 +137,13 @@ class DatasetConfig(Section):
     validation: Count = Field(default=0, description="number of validation samples")
     test: Count = Field(default=0, description="number of test samples")
     workers: Literal["auto"] | Annotated[int, Range(1, 1024)] = Field(
-        default="auto", description="worker processes; auto takes one per core"
+        default="auto",
+        description="worker processes; auto takes one per core, with engine: ray one per core of the cluster",
     )
-    engine: Literal["inline", "local"] = Field(
-        default="local", description="this process (inline) or a pool of them (local)"
+    engine: Literal["inline", "local", "ray"] = Field(
+        default="local", description="this process (inline), worker processes (local), or a Ray cluster (ray)"
     )
+    ray: RayConfig = Field(default_factory=RayConfig, description="for engine: ray")
     timeout_s: Annotated[float, Range(1, 1e7, "s")] = Field(
         default=3600.0,
         description="seconds after which a sample that hangs is stopped and tried again, three times in all; with engine "

@@ -23,7 +23,7 @@ PACKAGES = (
 _OPENCV = ("opencv-python-headless", "opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless")
 _FREE_IN_PSF = ("check",)  # how closely errors are looked at changes no value
 # Where, how fast, how many, and what is let through: not what.
-_FREE_IN_DATASET = ("output", "workers", "engine", "timeout_s", "train", "validation", "test", "share_videos")
+_FREE_IN_DATASET = ("output", "workers", "engine", "ray", "timeout_s", "train", "validation", "test", "share_videos")
 
 _LISTED_INPUTS = 100  # more input files than this count as one: dataset.json stays readable
 
@@ -38,9 +38,9 @@ def build_fingerprint(
 ) -> tuple[str, dict[str, Any]]:
     """Hash what decides the samples' bytes.
 
-    Left out of the configuration: ``name`` and ``dataset.output``, ``workers``, ``engine``, ``timeout_s``, ``train``,
-    ``validation``, ``test``, ``share_videos``, ``psf.check``. Input files count by name and content; their place counts
-    where the configuration names it.
+    Left out of the configuration: ``name`` and ``dataset.output``, ``workers``, ``engine``, ``ray``, ``timeout_s``,
+    ``train``, ``validation``, ``test``, ``share_videos``, ``psf.check``. Input files count by name and content; their place
+    counts where the configuration names it.
 
     Args:
         config: the configuration as a dict, as ``Config.model_dump()`` gives it.

@@ -450,7 +450,9 @@ class _Job:
         chosen = self.config.dataset
         if not tasks:
             return
-        workers = min(available_cpus() if chosen.workers == "auto" else chosen.workers, len(tasks))
+        workers: int | str = chosen.workers
+        if chosen.engine == "local":
+            workers = min(available_cpus() if workers == "auto" else workers, len(tasks))
         outcomes = run(
             chosen.engine,
             function,
@@ -459,6 +461,7 @@ class _Job:
             initializer=initializer,
             initargs=initargs,
             timeout_s=chosen.timeout_s,
+            ray=chosen.ray,
         )
         assert isinstance(outcomes, Generator)  # leaving it early stops the workers
         with closing(outcomes):

@@ -36,6 +36,30 @@ def tasks(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     sys.modules.pop("engine_tasks")
 
 
+WORKERS = ["local", pytest.param("ray", marks=pytest.mark.slow)]
+ALL = ["inline", *WORKERS]
+
+
+@pytest.fixture
+def engine(request: pytest.FixtureRequest, tasks: ModuleType) -> str:
+    """The name of an engine; a Ray cluster for all tests is there when it is asked for."""
+    if request.param == "ray":
+        request.getfixturevalue("ray_cluster")
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def ray_cluster() -> Iterator[None]:
+    """A cluster that outlives a run; for its workers the tasks' module is importable."""
+    import ray
+
+    path = os.pathsep.join([str(HERE), *sys.path])
+    environment = {"env_vars": {"PYTHONPATH": path}}
+    ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False, runtime_env=environment)
+    yield
+    ray.shutdown()
+
+
 def by_task(outcomes: Iterator[Outcome]) -> dict:
     listed = list(outcomes)
     result = {outcome.task: outcome for outcome in listed}
@@ -43,48 +67,51 @@ def by_task(outcomes: Iterator[Outcome]) -> dict:
     return result
 
 
-@pytest.mark.parametrize("engine", ["inline", "local"])
+@pytest.mark.parametrize("engine", ALL, indirect=True)
 def test_every_task_once_and_errors_stay_with_their_task(engine: str, tasks: ModuleType) -> None:
     found = by_task(run(engine, tasks.fail, range(6), workers=2))
     values = {0: 0, 1: None, 2: None, 3: None, 4: None, 5: 5}
     assert {task: outcome.value for task, outcome in found.items()} == values
     assert "one over nothing" in str(found[1].error)
-    assert isinstance(found[1].error, WorkerError if engine == "local" else ZeroDivisionError)
+    assert isinstance(found[1].error, ZeroDivisionError if engine == "inline" else WorkerError)
     assert 'raise ZeroDivisionError("one over nothing")' in found[1].traceback  # the line of the worker's own code
     assert type(found[2].error) is InputError
     assert str(found[2].error) == "camera.exposure: got -1"
     assert isinstance(found[3].error, InputError)
     assert str(found[3].error) == "one argument"
-    assert type(found[4].error).__name__ == ("WorkerError" if engine == "local" else "SilentError")
+    assert type(found[4].error).__name__ == ("SilentError" if engine == "inline" else "WorkerError")
     assert "raise SilentError" in found[4].traceback
     assert found[5].error is None
     assert found[5].traceback == ""
     assert {outcome.attempts for outcome in found.values()} == {1}
 
 
+@pytest.mark.parametrize("engine", WORKERS, indirect=True)
 def test_workers_start_once_with_one_thread_and_are_recycled(
-    tasks: ModuleType, monkeypatch: pytest.MonkeyPatch
+    engine: str, tasks: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "5")
     outcomes = run(
-        "local", tasks.started, range(12), workers=1, initializer=tasks.initialize, initargs=("yes",), max_tasks=4
+        engine, tasks.started, range(12), workers=1, initializer=tasks.initialize, initargs=("yes",), max_tasks=4
     )
     found = by_task(outcomes)
     assert {outcome.value[0] for outcome in found.values()} == {"yes"}
     assert len({outcome.value[1] for outcome in found.values()}) == 3  # 12 tasks, 4 per worker
     assert os.getpid() not in {outcome.value[1] for outcome in found.values()}
-    assert {outcome.value for outcome in run("local", tasks.threads, range(2), workers=1)} == {"1,1,1"}
+    assert {outcome.value for outcome in run(engine, tasks.threads, range(2), workers=1)} == {"1,1,1"}
     assert os.environ["OMP_NUM_THREADS"] == "5"  # ours is as it was
 
 
-def test_killed_workers_cost_only_their_own_task_a_second_try(tasks: ModuleType, tmp_path: Path) -> None:
-    found = by_task(run("local", tasks.die_once, [(number, str(tmp_path)) for number in range(12)], workers=2))
+@pytest.mark.parametrize("engine", WORKERS, indirect=True)
+def test_killed_workers_cost_only_their_own_task_a_second_try(engine: str, tasks: ModuleType, tmp_path: Path) -> None:
+    found = by_task(run(engine, tasks.die_once, [(number, str(tmp_path)) for number in range(12)], workers=2))
     assert {task[0]: outcome.value for task, outcome in found.items()} == {number: number for number in range(12)}
     assert {task[0]: outcome.attempts for task, outcome in found.items()} == {n: 1 + (n % 3 == 0) for n in range(12)}
 
 
-def test_a_task_that_always_kills_its_worker_is_given_up(tasks: ModuleType) -> None:
-    found = by_task(run("local", tasks.die_always, range(8), workers=2))
+@pytest.mark.parametrize("engine", WORKERS, indirect=True)
+def test_a_task_that_always_kills_its_worker_is_given_up(engine: str, tasks: ModuleType) -> None:
+    found = by_task(run(engine, tasks.die_always, range(8), workers=2))
     assert {task for task, outcome in found.items() if outcome.error is None} == set(range(8)) - {3}
     assert isinstance(found[3].error, GivenUpError)
     assert "SIGKILL" in str(found[3].error)
@@ -93,46 +120,55 @@ def test_a_task_that_always_kills_its_worker_is_given_up(tasks: ModuleType) -> N
 
 
 LEAVES = ["sys.exit", "named", "KeyboardInterrupt", "GeneratorExit"]
+CRASHES = {"os._exit": "exit code", "abort": "SIGABRT", "segfault": "SIGSEGV"}
 
 
-@pytest.mark.parametrize(("engine", "way"), [*itertools.product(["inline", "local"], LEAVES), ("local", "os._exit")])
+@pytest.mark.parametrize("way", [*LEAVES, *CRASHES])
+@pytest.mark.parametrize("engine", ALL, indirect=True)
 def test_a_task_that_leaves_is_tried_three_times_and_the_others_are_done(
     engine: str, way: str, tasks: ModuleType
 ) -> None:
+    if engine == "inline" and way in CRASHES:
+        pytest.skip("nothing protects inline")
     found = by_task(run(engine, tasks.leave, [(number, way) for number in range(6)], workers=2))
     assert {task[0]: outcome.value for task, outcome in found.items()} == dict.fromkeys((1, 3, 5)) | {0: 0, 2: 2, 4: 4}
     assert {task[0]: outcome.attempts for task, outcome in found.items()} == {n: 1 + 2 * (n % 2) for n in range(6)}
     for number in (1, 3, 5):
         outcome = found[number, way]
         assert type(outcome.error) is (InputError if way == "named" else GivenUpError)
-        assert {"sys.exit": "SystemExit", "named": "SystemExit"}.get(way, way) in f"{outcome.error} os._exit"
-        assert ("in leave\n" in outcome.traceback) == (way != "os._exit")
+        assert {"sys.exit": "SystemExit", "named": "SystemExit"}.get(way, way) in f"{outcome.error} {CRASHES}"
+        assert CRASHES.get(way, "") in str(outcome.error)
+        assert ("in leave\n" in outcome.traceback) == (way not in CRASHES)
     if way == "os._exit":
         assert "exit code 0" in str(found[1, way].error)
         assert "exit code 1" in str(found[3, way].error)
 
 
-def test_workers_that_are_killed_whatever_they_do_end_the_run(tasks: ModuleType) -> None:
+@pytest.mark.parametrize("engine", WORKERS, indirect=True)
+def test_workers_that_are_killed_whatever_they_do_end_the_run(engine: str, tasks: ModuleType) -> None:
     """As the system does when memory runs out; more of the same would not help."""
     with pytest.raises(InputError, match=r"^workers: .*memory"):
-        list(run("local", tasks.die_always, itertools.repeat(3), workers=2))
+        list(run(engine, tasks.die_always, itertools.repeat(3), workers=2))
 
 
-def test_failing_initializers_end_the_run(tasks: ModuleType) -> None:
-    for engine in ("inline", "local"):
-        with pytest.raises(InputError, match=r"^mask: "):
-            list(run(engine, tasks.square, range(9), workers=2, initializer=tasks.initializer_of_user_mistake))
-    with pytest.raises(EngineError, match=r"(?s)KeyError: 'lost'.*initializer_that_breaks"):
-        list(run("local", tasks.square, range(9), workers=2, initializer=tasks.initializer_that_breaks))
+@pytest.mark.parametrize("engine", ALL, indirect=True)
+def test_failing_initializers_end_the_run(engine: str, tasks: ModuleType) -> None:
+    with pytest.raises(InputError, match=r"^mask: "):
+        list(run(engine, tasks.square, range(9), workers=2, initializer=tasks.initializer_of_user_mistake))
+    error, words = (KeyError, "lost") if engine == "inline" else (EngineError, r"(?s)KeyError: 'lost'.*that_breaks")
+    with pytest.raises(error, match=words):
+        list(run(engine, tasks.square, range(9), workers=2, initializer=tasks.initializer_that_breaks))
 
 
-def test_workers_that_die_while_starting_end_the_run(tasks: ModuleType) -> None:
+@pytest.mark.parametrize("engine", WORKERS, indirect=True)
+def test_workers_that_die_while_starting_end_the_run(engine: str, tasks: ModuleType) -> None:
     with pytest.raises(InputError, match=r"^workers: .*exit code 3"):
-        list(run("local", tasks.square, range(9), workers=2, initializer=tasks.initializer_that_dies))
+        list(run(engine, tasks.square, range(9), workers=2, initializer=tasks.initializer_that_dies))
 
 
-def test_a_task_that_takes_too_long_is_stopped_three_times(tasks: ModuleType) -> None:
-    found = by_task(run("local", tasks.sleep, [30.0, 0.0, 0.01, 0.02], workers=2, timeout_s=0.4))
+@pytest.mark.parametrize("engine", WORKERS, indirect=True)
+def test_a_task_that_takes_too_long_is_stopped_three_times(engine: str, tasks: ModuleType) -> None:
+    found = by_task(run(engine, tasks.sleep, [30.0, 0.0, 0.01, 0.02], workers=2, timeout_s=0.4))
     assert isinstance(found[30.0].error, GivenUpError)
     assert "not finished after 0.4 s" in str(found[30.0].error)
     assert {task: outcome.attempts for task, outcome in found.items()} == {30.0: 3, 0.0: 1, 0.01: 1, 0.02: 1}
@@ -140,25 +176,26 @@ def test_a_task_that_takes_too_long_is_stopped_three_times(tasks: ModuleType) ->
 
 
 def test_an_initializer_that_hangs_ends_the_run(tasks: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("simulator.dataset.engines._START_S", 0.2)
+    monkeypatch.setattr("simulator.dataset.engines.local._START_S", 0.2)
     with pytest.raises(InputError, match=r"^workers: .*not finished after 0\.5 s"):
         list(run("local", tasks.square, [1], workers=1, initializer=time.sleep, initargs=(60,), timeout_s=0.5))
 
 
-def test_results_and_functions_that_cannot_travel(tasks: ModuleType) -> None:
-    found = by_task(run("local", tasks.unpicklable, range(3), workers=1))
+@pytest.mark.parametrize("engine", WORKERS, indirect=True)
+def test_results_and_functions_that_cannot_travel(engine: str, tasks: ModuleType) -> None:
+    found = by_task(run(engine, tasks.unpicklable, range(3), workers=1))
     assert "pickle" in str(found[1].error)
     assert (found[0].value, found[2].value) == (0, 2)
     generators = [(number for number in range(1)) for _ in range(2)]
-    for outcome in run("local", tasks.square, generators, workers=1):
+    for outcome in run(engine, tasks.square, generators, workers=1):
         assert "cannot be sent to a worker process" in str(outcome.error)
     with pytest.raises(InputError, match=r"<lambda>.*: "):
-        run("local", lambda task: task, range(3))
+        run(engine, lambda task: task, range(3))
     with pytest.raises(InputError, match=r"square.*: "):
-        run("local", tasks.square, range(3), initializer=tasks.initialize, initargs=(lambda: 0,))
-    for engine, workers, key in (("ray", 1, "engine"), ("local", 0, "workers")):
+        run(engine, tasks.square, range(3), initializer=tasks.initialize, initargs=(lambda: 0,))
+    for name, workers, key in (("dask", 1, "engine"), (engine, 0, "workers")):
         with pytest.raises(InputError, match=f"^{key}: "):
-            run(engine, tasks.square, range(3), workers=workers)
+            run(name, tasks.square, range(3), workers=workers)
 
 
 def test_endless_tasks_are_taken_a_few_at_a_time_and_leaving_stops_the_workers(tasks: ModuleType) -> None:
@@ -208,7 +245,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.usefixtures("ctrl_c")
-@pytest.mark.parametrize("engine", ["inline", "local"])
+@pytest.mark.parametrize("engine", ALL)
 @pytest.mark.parametrize(
     ("number", "status"),
     [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)],
@@ -228,7 +265,7 @@ def test_the_user_ends_a_run_and_no_worker_outlives_it(
     )
     try:
         deadline = time.monotonic() + 60
-        while len(list(told.iterdir())) < (2 if engine == "local" else 1):
+        while len(list(told.iterdir())) < (1 if engine == "inline" else 2):
             assert time.monotonic() < deadline, "the workers did not start"
             time.sleep(0.05)
         pids = [int(path.name) for path in told.iterdir()]

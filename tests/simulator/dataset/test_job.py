@@ -79,7 +79,9 @@ def test_a_finished_set_verifies_and_its_layout_is_the_documented_one(finished: 
         assert hashlib.sha256((finished / "train/0000/s00000001" / name).read_bytes()).hexdigest() == digest
 
 
-@pytest.mark.parametrize(("engine", "workers"), [("inline", 1), ("local", 2)])
+@pytest.mark.parametrize(
+    ("engine", "workers"), [("inline", 1), ("local", 2), pytest.param("ray", 2, marks=pytest.mark.slow)]
+)
 def test_same_seed_same_bytes_whatever_the_workers(trial, finished: Path, engine: str, workers: int) -> None:
     again = trial.generate(dataset={"engine": engine, "workers": workers})
     assert contents(again) == contents(finished)

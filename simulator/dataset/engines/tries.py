@@ -1,0 +1,230 @@
+"""What becomes of tasks: their outcomes, the tries that each is given, and the way of an exception between processes."""
+
+from __future__ import annotations
+
+import pickle
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, Generic, TypeVar
+
+from simulator.errors import InputError
+from simulator.text import described
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+TRIES = 3
+"""Of a task that ends its process, tries to, or does not finish in time."""
+IN_A_ROW = 3
+"""Workers that die while they start, or tasks whose workers are killed: the next will not do better."""
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[Task, Result]):
+    """How one task went.
+
+    Attributes:
+        task: the task as given.
+        value: what the function returned; None when ``error`` is set.
+        error: None, or an ``InputError`` (as raised), ``WorkerError`` (anything else) or, inline, what was raised.
+        traceback: the traceback of the error as text; empty without one.
+        attempts: how often it was tried.
+        seconds: wall time inside the function, of the last attempt.
+    """
+
+    task: Task
+    value: Result | None
+    error: Exception | None = None
+    traceback: str = ""
+    attempts: int = 1
+    seconds: float = 0.0
+
+
+class WorkerError(RuntimeError):
+    """A task failed by something that is not the user's mistake."""
+
+
+class GivenUpError(WorkerError):
+    """A task ended its worker, tried to, or did not finish in time, whenever it was tried."""
+
+
+class EngineError(RuntimeError):
+    """The initializer failed by something that is not the user's mistake; no task can be done."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """An exception on its way to the parent, in a form that always survives the way.
+
+    Attributes:
+        summary: type and message.
+        traceback: the worker's traceback as text.
+        mistake: the exception itself when it is an ``InputError``.
+        leaves: whether the code tried to end its process, as ``sys.exit()`` does.
+    """
+
+    summary: str
+    traceback: str
+    mistake: InputError | None
+    leaves: bool
+
+
+@dataclass(frozen=True)
+class Reply:
+    """What a worker sends back: a pickled value or a failure, and the seconds that the function took."""
+
+    value: bytes
+    failure: Failure | None
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Death:
+    """What is known of a worker that ended in the middle of a task: how, and whether by SIGKILL."""
+
+    cause: str
+    killed: bool
+
+
+def perform(payload: bytes) -> Reply:
+    """Call a pickled (function, arguments) and catch all that it raises: in a worker no Ctrl-C is the user's."""
+    begin = time.perf_counter()
+    try:
+        function, arguments = pickle.loads(payload)
+        value = function(*arguments)
+        seconds = time.perf_counter() - begin
+        return Reply(pickle.dumps(value), None, seconds)
+    except BaseException as error:
+        return Reply(b"", _failure(error), time.perf_counter() - begin)
+
+
+def _failure(error: BaseException) -> Failure:
+    mistake = None
+    if isinstance(error, InputError):
+        mistake = InputError(error.path, error.reason)
+        try:  # a user's subclass may not survive pickling
+            copy = pickle.loads(pickle.dumps(error))
+            mistake = copy if type(copy) is type(error) and str(copy) == str(error) else mistake
+        except Exception:
+            pass
+    return Failure(described(error), traceback.format_exc(), mistake, leaves(error))
+
+
+def leaves(error: BaseException | None) -> bool:
+    """Whether code tried to end its process (``sys.exit()``, KeyboardInterrupt), also where that became an ``InputError``."""
+    cause = None if error is None else error.__cause__
+    return not isinstance(error, Exception | None) or not isinstance(cause, Exception | None)
+
+
+def start_payload(initializer: Callable[..., object] | None, initargs: tuple[Any, ...]) -> bytes:
+    """Return the initializer for ``perform``."""
+    return pickle.dumps((initializer or _no_preparation, initargs))
+
+
+def _no_preparation() -> None:
+    """Stand for an initializer."""
+
+
+def check_start(failure: Failure | None) -> None:
+    """Raise what an initializer raised.
+
+    Raises:
+        InputError: as it was raised.
+        EngineError: anything else.
+    """
+    if failure is None:
+        return
+    if failure.mistake is not None:
+        raise failure.mistake
+    msg = f"worker processes cannot start: {failure.summary}\n{failure.traceback}"
+    raise EngineError(msg)
+
+
+@dataclass
+class Job:
+    """A task and how often it was tried."""
+
+    task: Any
+    attempts: int = 0
+
+
+class Tries:
+    """The tasks of a run that are still to be tried, and the outcomes that wait to be taken.
+
+    Attributes:
+        done: outcomes.
+    """
+
+    def __init__(self, function: Callable[[Any], Any], tasks: Iterable[Any]) -> None:
+        self._function, self._source = function, iter(tasks)
+        self._waiting: deque[Job] = deque()
+        self.done: deque[Outcome[Any, Any]] = deque()
+        self._killed = 0  # tasks in a row
+
+    def waiting(self) -> bool:
+        """Whether a task waits to be tried; another is taken from the source where none does."""
+        if not self._waiting:
+            self._waiting.extend(Job(task) for task in islice(self._source, 1))
+        return bool(self._waiting)
+
+    def next(self) -> tuple[Job, bytes] | None:
+        """Return the next waiting task with its payload; None where it cannot be sent, which is its outcome."""
+        job = self._waiting.popleft()
+        try:
+            return job, pickle.dumps((self._function, (job.task,)))
+        except Exception as error:
+            reason = f"the task cannot be sent to a worker process: {described(error)}"
+            self.done.append(Outcome(job.task, None, WorkerError(reason)))
+            return None
+
+    def finish(self, job: Job, reply: Reply) -> None:
+        """Take a worker's reply to a task."""
+        self._killed = 0
+        failure = reply.failure
+        if failure is None:
+            self.done.append(Outcome(job.task, pickle.loads(reply.value), None, "", job.attempts + 1, reply.seconds))
+        elif failure.leaves:
+            self._try_again(job, failure.summary, failure, reply.seconds)
+        else:
+            error = failure.mistake or WorkerError(failure.summary)
+            self.done.append(Outcome(job.task, None, error, failure.traceback, job.attempts + 1, reply.seconds))
+
+    def lose(self, job: Job, death: Death) -> None:
+        """Take the news that a task's worker ended.
+
+        Raises:
+            InputError: workers are killed whatever they do.
+        """
+        self._killed += self._try_again(job, death.cause) and death.killed
+
+    def put_back(self, job: Job) -> None:
+        """Let a task wait again that no worker took."""
+        self._waiting.appendleft(job)
+
+    def refuse_hopeless(self) -> None:
+        """Refuse to go on where workers are killed whatever they do; to be called once the outcomes are taken.
+
+        Raises:
+            InputError: for lack of memory, most likely.
+        """
+        if self._killed >= IN_A_ROW:
+            raise InputError(
+                "workers",
+                f"they were killed over {self._killed} tasks in a row, each tried {TRIES} times, most likely because "
+                "memory ran out; use fewer workers or smaller scenes",
+            )
+
+    def _try_again(self, job: Job, reason: str, failure: Failure | None = None, seconds: float = 0.0) -> bool:
+        """Put a task back, or give it up after the last attempt; returns whether it was given up."""
+        job.attempts += 1
+        if job.attempts < TRIES:
+            self._waiting.append(job)
+            return False
+        error = failure.mistake if failure is not None and failure.mistake is not None else GivenUpError(reason)
+        text = "" if failure is None else failure.traceback
+        self.done.append(Outcome(job.task, None, error, text, job.attempts, seconds))
+        return True
